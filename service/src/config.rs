@@ -31,7 +31,7 @@ use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
 pub use self::{
-    key::{Key, Preset, Takes, When},
+    key::{DefaultValue, Key, ValueType, When},
     keys::{example, table},
     name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name},
     problem::{ConfigError, PROBLEMS_MAX, Place, Problem},
@@ -171,7 +171,7 @@ impl Config {
     #[must_use]
     pub fn changes(&self, new: &Self) -> Vec<Change> {
         let changed = |key: &'static Key| {
-            let (from, to) = ((key.field.written)(self), (key.field.written)(new));
+            let (from, to) = ((key.field.to_json)(self), (key.field.to_json)(new));
             (from != to).then_some(Change { key: key.path, when: key.when, from, to })
         };
         KEYS.iter().filter_map(changed).collect()
@@ -185,7 +185,7 @@ impl Config {
             // Writing into a String does not fail.
             writeln!(out, "[{section}]").ok();
             for key in KEYS.iter().filter(|key| key.section() == *section) {
-                if let Some(value) = (key.field.written)(self) {
+                if let Some(value) = (key.field.to_json)(self) {
                     // Texts, numbers, booleans and lists of texts are the same in JSON and TOML.
                     writeln!(out, "{} = {value}", key.name()).ok();
                 }
@@ -196,7 +196,7 @@ impl Config {
 
     /// Every key with its value; `None` where it has none.
     pub fn values(&self) -> impl Iterator<Item = (&'static str, Option<Json>)> + '_ {
-        KEYS.iter().map(|key| (key.path, (key.field.written)(self)))
+        KEYS.iter().map(|key| (key.path, (key.field.to_json)(self)))
     }
 
     /// What `mocapd config check` and `mocapd run` warn of, one line each: [`Config::notes`], and what this machine adds.
@@ -290,11 +290,11 @@ impl Config {
 }
 
 /// In one line, with the key that helps against a refusal.
-pub(crate) fn in_keys(error: &anyhow::Error) -> String {
-    setting::words(error, with_key)
+pub(crate) fn message_with_keys(error: &anyhow::Error) -> String {
+    setting::words(error, key_hint)
 }
 
-pub(crate) fn with_key(setting: Setting) -> String {
+pub(crate) fn key_hint(setting: Setting) -> String {
     match setting {
         Setting::Rate(Some(rate_hz)) => format!("set device.rate_hz = {rate_hz}"),
         Setting::Rate(None) => "leave device.rate_hz out".to_owned(),
@@ -308,7 +308,7 @@ pub(crate) fn with_key(setting: Setting) -> String {
 ///
 /// # Errors
 /// That there is none, or more than one, and what to write.
-pub fn choose(choice: &DeviceChoice, attached: &[Listed]) -> Result<DeviceUri, String> {
+pub fn auto_device(choice: &DeviceChoice, attached: &[Listed]) -> Result<DeviceUri, String> {
     if let DeviceChoice::At(uri) = choice {
         return Ok(uri.clone());
     }

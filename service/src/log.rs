@@ -6,7 +6,7 @@
 //! bytes of a field apart from others, so that nobody can forge an entry, but shows them as they are: what is logged with a
 //! text from outside is escaped where it is logged, too.
 
-mod gate;
+mod rate_limit;
 
 use std::{fmt, io, str::FromStr, sync::Arc};
 
@@ -21,7 +21,7 @@ use tracing_subscriber::{
     util::SubscriberInitExt,
 };
 
-use self::gate::{Gate, Summaries};
+use self::rate_limit::{LogFilter, SummaryThread};
 use crate::units;
 
 /// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
@@ -74,8 +74,8 @@ impl FromStr for Level {
 /// The running log. Dropping it says what was left out.
 #[derive(Debug)]
 pub struct Log {
-    gate: Arc<Gate>,
-    _summaries: Summaries,
+    filter: Arc<LogFilter>,
+    _summaries: SummaryThread,
 }
 
 impl Log {
@@ -88,22 +88,22 @@ impl Log {
     where
         W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
     {
-        let gate = Arc::new(Gate::new(level));
+        let filter = Arc::new(LogFilter::new(level));
         let out: Box<dyn Layer<Registry> + Send + Sync> =
             match stderr_is_the_journal().then(|| journal(rig)).and_then(Result::ok) {
                 Some(journal) => Box::new(journal),
                 None => Box::new(lines(stderr)),
             };
         let registry =
-            tracing_subscriber::registry().with(out).with(gate::Layer(Arc::clone(&gate)));
+            tracing_subscriber::registry().with(out).with(rate_limit::FilterLayer(Arc::clone(&filter)));
         registry.try_init().context("the log runs already")?;
-        let summaries = Summaries::start(Arc::clone(&gate))?;
-        Ok(Self { gate, _summaries: summaries })
+        let summaries = SummaryThread::start(Arc::clone(&filter))?;
+        Ok(Self { filter, _summaries: summaries })
     }
 
     /// Says more or less from now on.
     pub fn set_level(&self, level: Level) {
-        self.gate.set_level(level);
+        self.filter.set_level(level);
     }
 }
 

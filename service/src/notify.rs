@@ -28,14 +28,14 @@ impl Notifier {
     /// Supervision runs: what waits for this unit may go on. `status` says how the device is, which need not be there.
     pub fn ready(&mut self, status: &str) {
         self.status = one_line(status);
-        tell(&[NotifyState::Ready, NotifyState::Status(&self.status)]);
+        send(&[NotifyState::Ready, NotifyState::Status(&self.status)]);
     }
 
     /// How it is, in words. The same words are said once.
     pub fn status(&mut self, status: &str) {
         let status = one_line(status);
         if status != self.status {
-            tell(&[NotifyState::Status(&status)]);
+            send(&[NotifyState::Status(&status)]);
             self.status = status;
         }
     }
@@ -44,15 +44,15 @@ impl Notifier {
     pub fn reloading(&mut self) {
         self.status = "reading the configuration again".to_owned();
         match NotifyState::monotonic_usec_now() {
-            Ok(now) => tell(&[NotifyState::Reloading, now, NotifyState::Status(&self.status)]),
-            Err(_) => tell(&[NotifyState::Reloading, NotifyState::Status(&self.status)]),
+            Ok(now) => send(&[NotifyState::Reloading, now, NotifyState::Status(&self.status)]),
+            Err(_) => send(&[NotifyState::Reloading, NotifyState::Status(&self.status)]),
         }
     }
 
     /// It ends; `status` says what is still done: a take is finished.
     pub fn stopping(&mut self, status: &str) {
         self.status = one_line(status);
-        tell(&[NotifyState::Stopping, NotifyState::Status(&self.status)]);
+        send(&[NotifyState::Stopping, NotifyState::Status(&self.status)]);
     }
 
     /// Pings the watchdog, on a thread of its own and for as long as what this gives is kept, while every thread in
@@ -70,19 +70,19 @@ impl Notifier {
         let (stop, stopped) = bounded::<()>(1);
         let thread = threads::spawn("mocapd-notify", move || {
             let mut watch = heartbeat.watch(Instant::now());
-            let mut has_told = false;
+            let mut is_reported = false;
             loop {
                 match watch.overdue(Instant::now(), limit) {
                     None => {
-                        tell(&[NotifyState::Watchdog]);
-                        has_told = false;
+                        send(&[NotifyState::Watchdog]);
+                        is_reported = false;
                     }
-                    Some(overdue) if !has_told => {
+                    Some(overdue) if !is_reported => {
                         tracing::error!(
                             "{overdue}: the watchdog is not pinged, and restarts the service"
                         );
-                        tell(&[NotifyState::Status(&format!("{overdue}"))]);
-                        has_told = true;
+                        send(&[NotifyState::Status(&format!("{overdue}"))]);
+                        is_reported = true;
                     }
                     Some(_) => {}
                 }
@@ -115,18 +115,18 @@ impl Drop for Pings {
 /// Stopping takes so much longer, from now on, whatever the unit's `TimeoutStopSec=` says.
 pub(super) fn extend_stop(by: Duration) {
     let usec = u32::try_from(by.as_micros()).unwrap_or(u32::MAX);
-    tell(&[NotifyState::ExtendTimeoutUsec(usec)]);
+    send(&[NotifyState::ExtendTimeoutUsec(usec)]);
 }
 
-fn tell(states: &[NotifyState<'_>]) {
+fn send(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         tracing::warn!("systemd is not told: {error}");
     }
 }
 
 /// What may stand in one assignment: a line break would begin another.
-fn one_line(words: &str) -> String {
-    let mut line = visible(words).into_owned();
+fn one_line(text: &str) -> String {
+    let mut line = visible(text).into_owned();
     line.truncate(line.floor_char_boundary(STATUS_BYTES_MAX));
     line
 }
@@ -144,7 +144,7 @@ mod tests {
 
     /// What a process of its own, in which `scene` is played, tells a socket that is not systemd's. The environment
     /// belongs to a whole process, and the tests share one.
-    fn told(scene: &str, watchdog_usec: Option<u64>) -> (Vec<String>, ExitStatus) {
+    fn messages_of(scene: &str, watchdog_usec: Option<u64>) -> (Vec<String>, ExitStatus) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
@@ -190,20 +190,20 @@ mod tests {
 
     #[test]
     fn systemd_is_told_of_a_life() {
-        let (said, status) = told("a_life", None);
+        let (messages, status) = messages_of("a_life", None);
         assert!(status.success());
-        assert_eq!(said.len(), 7, "{said:?}");
-        assert_eq!(said[0], "READY=1\nSTATUS=idle; the device is not there\n");
-        assert_eq!(said[1], "STATUS=armed\n");
-        assert_eq!(said[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
-        let mut lines = said[3].lines();
+        assert_eq!(messages.len(), 7, "{messages:?}");
+        assert_eq!(messages[0], "READY=1\nSTATUS=idle; the device is not there\n");
+        assert_eq!(messages[1], "STATUS=armed\n");
+        assert_eq!(messages[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
+        let mut lines = messages[3].lines();
         assert_eq!(lines.next(), Some("RELOADING=1"));
         let usec = lines.next().unwrap().strip_prefix("MONOTONIC_USEC=").unwrap();
         assert!(usec.parse::<u64>().unwrap() > 0);
-        assert_eq!(said[4], "READY=1\nSTATUS=idle\n");
-        assert!(said[5].starts_with("STOPPING=1\nSTATUS=finishing ää"));
-        assert!(said[5].len() < STATUS_BYTES_MAX + 30, "cut: {}", said[5].len());
-        assert_eq!(said[6], "EXTEND_TIMEOUT_USEC=25000000\n");
+        assert_eq!(messages[4], "READY=1\nSTATUS=idle\n");
+        assert!(messages[5].starts_with("STOPPING=1\nSTATUS=finishing ää"));
+        assert!(messages[5].len() < STATUS_BYTES_MAX + 30, "cut: {}", messages[5].len());
+        assert_eq!(messages[6], "EXTEND_TIMEOUT_USEC=25000000\n");
     }
 
     /// Moves for a second, hangs for one, and moves again.
@@ -222,32 +222,32 @@ mod tests {
             }
         };
         move_for_a_second();
-        tell(&[NotifyState::Custom("X_HANGS=1")]);
+        send(&[NotifyState::Custom("X_HANGS=1")]);
         std::thread::sleep(Duration::from_secs(1));
-        tell(&[NotifyState::Custom("X_MOVES=1")]);
+        send(&[NotifyState::Custom("X_MOVES=1")]);
         move_for_a_second();
         drop(pings);
-        tell(&[NotifyState::Custom("X_ENDED=1")]);
+        send(&[NotifyState::Custom("X_ENDED=1")]);
         std::thread::sleep(Duration::from_millis(300));
     }
 
     #[test]
     fn the_watchdog_is_pinged_only_while_the_reader_moves() {
-        let (said, status) = told("a_reader_that_hangs", Some(400_000));
+        let (messages, status) = messages_of("a_reader_that_hangs", Some(400_000));
         assert!(status.success());
         let at = |what: &str| {
-            let found = said.iter().position(|message| message.starts_with(what));
-            found.unwrap_or_else(|| panic!("no {what} in {said:?}"))
+            let found = messages.iter().position(|message| message.starts_with(what));
+            found.unwrap_or_else(|| panic!("no {what} in {messages:?}"))
         };
         let pings = |messages: &[String]| messages.iter().filter(|m| *m == "WATCHDOG=1\n").count();
         let (hangs, complains, moves, ended) =
             (at("X_HANGS"), at("STATUS=the reader"), at("X_MOVES"), at("X_ENDED"));
         // Every 100 ms, on a machine that may be busy.
-        assert!(pings(&said[..hangs]) >= 3, "{said:?}");
-        assert!(hangs < complains && complains < moves, "{said:?}");
-        assert_eq!(pings(&said[complains..moves]), 0, "{said:?}");
-        assert!(pings(&said[moves..ended]) >= 3, "{said:?}");
-        assert_eq!(pings(&said[ended..]), 0, "{said:?}");
+        assert!(pings(&messages[..hangs]) >= 3, "{messages:?}");
+        assert!(hangs < complains && complains < moves, "{messages:?}");
+        assert_eq!(pings(&messages[complains..moves]), 0, "{messages:?}");
+        assert!(pings(&messages[moves..ended]) >= 3, "{messages:?}");
+        assert_eq!(pings(&messages[ended..]), 0, "{messages:?}");
     }
 
     #[test]
@@ -259,8 +259,8 @@ mod tests {
     #[test]
     fn nobody_is_pinged_who_does_not_wait_for_it() {
         for usec in [None, Some(0)] {
-            let (said, status) = told("no_watchdog", usec);
-            assert!(status.success() && said.is_empty(), "{said:?}");
+            let (messages, status) = messages_of("no_watchdog", usec);
+            assert!(status.success() && messages.is_empty(), "{messages:?}");
         }
         // And without a socket nothing fails.
         a_life();

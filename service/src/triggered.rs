@@ -15,9 +15,9 @@ use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::{ServiceEvent, ServiceEventKind},
     trigger::{
-        Announcer, Capture, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
-        first_packet_id,
-        socket::{self, Hearing, Questions, Teller},
+        Announcer, Capture, Listener, RateLimit, Received, StopResult, TakeName, Trigger,
+        TriggerQueue, first_packet_id,
+        socket::{self, ListenerThread, TakeQueries, TriggerSender},
     },
 };
 use crate::config::TriggerConfig;
@@ -25,7 +25,7 @@ use crate::config::TriggerConfig;
 /// The threads that hear and tell.
 #[derive(Debug)]
 pub struct Triggers {
-    hearing: Option<Hearing>,
+    listening: Option<ListenerThread>,
     stopper: Stopper,
     worker: JoinHandle<()>,
 }
@@ -34,14 +34,14 @@ pub struct Triggers {
 #[derive(Debug)]
 struct Worker {
     control: Arc<dyn Control>,
-    triggers: Queue,
+    triggers: TriggerQueue,
     events: EventFeed,
     announcer: Announcer,
-    teller: Option<Teller>,
+    sender: Option<TriggerSender>,
     /// The take that another program started, which need not be told of it.
-    triggered: Option<Triggered>,
+    triggered: Option<TriggeredTake>,
     /// Of triggers that change nothing: their sender can send a thousand a second.
-    quiet: Quiet,
+    rate_limit: RateLimit,
     stopped: Stopped,
 }
 
@@ -55,7 +55,7 @@ enum Outcome {
 }
 
 #[derive(Debug)]
-struct Triggered {
+struct TriggeredTake {
     take: String,
     by: IpAddr,
 }
@@ -77,42 +77,42 @@ impl Triggers {
         getrandom(&mut mark, GetRandomFlags::empty())?;
         let mark = u64::from_le_bytes(mark);
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let triggers = Queue::default();
+        let triggers = TriggerQueue::default();
         let (stopper, stopped) = threads::stop();
-        let mut hearing = None;
+        let mut listening = None;
         if let Some(address) = config.listen {
-            let (names, takes, words) =
+            let (names, takes, notifier) =
                 (Arc::clone(control), Arc::clone(control), Arc::clone(control));
-            let questions = Questions {
+            let queries = TakeQueries {
                 exists: Box::new(move |name| names.take_path(name).is_ok()),
                 recording: Box::new(move || takes.status().take.map(|take| take.name)),
             };
-            let say = move |text: &str| words.tell(ServiceEventKind::Trigger, text);
+            let report = move |text: &str| notifier.tell(ServiceEventKind::Trigger, text);
             let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
             let socket = socket::bind(address)?;
-            hearing = Some(socket::listen(socket, listener, questions, triggers.clone(), say)?);
+            listening = Some(socket::listen(socket, listener, queries, triggers.clone(), report)?);
         }
-        let teller = match config.send_to.is_empty() {
+        let sender = match config.send_to.is_empty() {
             true => None,
-            false => Some(Teller::new(config.send_to.clone())?),
+            false => Some(TriggerSender::new(config.send_to.clone())?),
         };
         let worker = Worker {
             control: Arc::clone(control),
             triggers,
             events: control.events(),
             announcer: Announcer::new(rig, mark, first_packet_id(now.as_secs())),
-            teller,
+            sender,
             triggered: None,
-            quiet: Quiet::default(),
+            rate_limit: RateLimit::default(),
             stopped,
         };
         let worker = threads::spawn("mocapd-triggered", move || worker.run())?;
-        Ok(Some(Self { hearing, stopper, worker }))
+        Ok(Some(Self { listening, stopper, worker }))
     }
 
     /// Hears and tells no more.
     pub fn close(self) {
-        drop(self.hearing);
+        drop(self.listening);
         drop(self.stopper);
         // A thread that panicked has told so already.
         drop(self.worker.join());
@@ -123,7 +123,7 @@ impl Worker {
     fn run(mut self) {
         while !self.stopped.is_stopped() {
             match self.triggers.take_due() {
-                Some(received) => self.carry_out(&received),
+                Some(received) => self.execute(&received),
                 None => self.wait(),
             }
             self.announce();
@@ -150,19 +150,19 @@ impl Worker {
         }
     }
 
-    fn carry_out(&mut self, received: &Received) {
+    fn execute(&mut self, received: &Received) {
         let note = received.trigger.note(received.from.ip());
         let outcome = match &received.trigger {
             Trigger::Start(start) => self.start(start, received.sender(), &note),
             Trigger::Stop(stop) => self.stop(stop, received, &note),
             Trigger::Complete(_) => Outcome::Nothing(note),
         };
-        let words = match outcome {
-            Outcome::Acted(words) => Some(words),
-            Outcome::Nothing(words) => self.quiet.say(&words, self.triggers.now()),
+        let message = match outcome {
+            Outcome::Acted(message) => Some(message),
+            Outcome::Nothing(message) => self.rate_limit.admit(&message, self.triggers.now()),
         };
-        if let Some(words) = words {
-            self.control.tell(ServiceEventKind::Trigger, &words);
+        if let Some(message) = message {
+            self.control.tell(ServiceEventKind::Trigger, &message);
         }
     }
 
@@ -171,9 +171,9 @@ impl Worker {
         let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
         match self.control.start(&start) {
             Ok(started) => {
-                let words = format!("{note}: recording {}", started.name);
-                self.triggered = Some(Triggered { take: started.name, by });
-                Outcome::Acted(words)
+                let message = format!("{note}: recording {}", started.name);
+                self.triggered = Some(TriggeredTake { take: started.name, by });
+                Outcome::Acted(message)
             }
             Err(refusal) => Outcome::Nothing(format!("{note}: not started: {refusal}")),
         }
@@ -184,19 +184,19 @@ impl Worker {
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);
         // A stop that means no take that is being recorded can mean a start that waits.
-        let of_waiting = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
+        let cancel_pending = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
         {
             0 => Outcome::Nothing(format!("{note}: {otherwise}")),
             n => Outcome::Acted(format!("{note}: starts that waited, now cancelled: {n}")),
         };
         let Some(recording) = recording.as_deref() else {
-            return of_waiting(match was_recording {
+            return cancel_pending(match was_recording {
                 Some(was) => format!("{was} was over already"),
                 None => "no take is being recorded".to_owned(),
             });
         };
         if name.is_some_and(|name| name != recording) {
-            return of_waiting(format!("another take is being recorded, {recording}: it goes on"));
+            return cancel_pending(format!("another take is being recorded, {recording}: it goes on"));
         }
         // Without a name the take is meant that was being recorded when the trigger came, and no later one. Where there
         // was none, its sender can only mean a start of its own, which came before it and was not carried out yet.
@@ -207,7 +207,7 @@ impl Worker {
             None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
                 let goes_on =
                     format!("no take was being recorded when it came: {recording} goes on");
-                return of_waiting(goes_on);
+                return cancel_pending(goes_on);
             }
             _ => {}
         }
@@ -239,16 +239,16 @@ impl Worker {
             return;
         }
         for datagram in self.datagrams(event, name) {
-            let failed = self.teller.as_ref().map(|teller| teller.tell(&datagram));
-            for words in failed.unwrap_or_default() {
-                self.control.tell(ServiceEventKind::Warning, &words);
+            let failed = self.sender.as_ref().map(|sender| sender.send(&datagram));
+            for message in failed.unwrap_or_default() {
+                self.control.tell(ServiceEventKind::Warning, &message);
             }
         }
     }
 
     fn datagrams(&mut self, event: &ServiceEvent, name: &str) -> Vec<Vec<u8>> {
         let Some(name) = TakeName::of(name) else { return Vec::new() };
-        let Self { announcer, teller: Some(_), .. } = self else { return Vec::new() };
+        let Self { announcer, sender: Some(_), .. } = self else { return Vec::new() };
         match event.kind {
             ServiceEventKind::TakeStarted => {
                 vec![announcer.start(&name, event.notes.as_deref().unwrap_or_default())]

@@ -148,7 +148,7 @@ pub(crate) fn size_text(bytes: u64) -> String {
 /// A moment on the clock of this machine's time zone, to the second, with its offset from UTC, such as `2026-11-23T14:05:09+01:00`. `None` for one that no calendar has.
 #[must_use]
 pub fn local_time(unix_ms: i64) -> Option<String> {
-    Timestamp::from_millisecond(unix_ms).ok().map(|time| words(time, TimeZone::system()))
+    Timestamp::from_millisecond(unix_ms).ok().map(|time| format_local(time, TimeZone::system()))
 }
 
 /// Now, to the microsecond. Programs get milliseconds since 1970 or UTC, in JSON and in takes.
@@ -158,7 +158,7 @@ pub fn local_now() -> String {
     now.strftime("%Y-%m-%dT%H:%M:%S%.6f%:z").to_string()
 }
 
-fn words(time: Timestamp, zone: TimeZone) -> String {
+fn format_local(time: Timestamp, zone: TimeZone) -> String {
     time.to_zoned(zone).strftime("%Y-%m-%dT%H:%M:%S%:z").to_string()
 }
 
@@ -233,7 +233,7 @@ mod tests {
     #[test]
     fn a_time_has_its_offset() {
         let time = Timestamp::from_second(1_763_899_509).unwrap();
-        let at = |seconds| words(time, Offset::from_seconds(seconds).unwrap().to_time_zone());
+        let at = |seconds| format_local(time, Offset::from_seconds(seconds).unwrap().to_time_zone());
         assert_eq!(at(0), "2025-11-23T12:05:09+00:00");
         assert_eq!(at(3600), "2025-11-23T13:05:09+01:00");
         assert_eq!(at(-12_600), "2025-11-23T08:35:09-03:30");

@@ -15,16 +15,16 @@ const USBFS_MIB: &str = "/sys/module/usbcore/parameters/usbfs_memory_mb";
 /// Its default leaves room for one rig and little else.
 const USBFS_MIB_LEAST: u64 = 16;
 
-pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
+pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
     match registry::devices() {
-        Err(error) => tell(Finding::warning("devices", error.to_string(), "mount /sys and /dev")),
+        Err(error) => report(Finding::warning("devices", error.to_string(), "mount /sys and /dev")),
         Ok(devices) if devices.is_empty() => {
-            tell(Finding::note("devices", "none is attached; `mocapd demo` needs none"));
+            report(Finding::note("devices", "none is attached; `mocapd demo` needs none"));
         }
         Ok(devices) => {
             for device in devices.into_iter().filter(|device| device.family.is_some()) {
                 let what = device.candidate.location.to_string();
-                tell(match device.access {
+                report(match device.access {
                     Access::Accessible => Finding::good(&what, "can be opened"),
                     Access::Refused(error) => Finding::failure(
                         &what,
@@ -36,12 +36,12 @@ pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
         }
     }
     for adapter in adapters(Path::new(ADAPTERS)) {
-        tell(adapter);
+        report(adapter);
     }
     if let Some(finding) = fs::read_to_string(USBFS_MIB).ok().and_then(|text| usbfs(&text)) {
-        tell(finding);
+        report(finding);
     }
-    tell(rules(&["/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"]));
+    report(rules(&["/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"]));
 }
 
 /// The latency timers of adapters that have one.

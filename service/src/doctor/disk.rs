@@ -32,18 +32,18 @@ const HOUR_BYTES: u64 = 216_000_000;
 /// Between two syncs.
 const SYNC_NS_MAX: u64 = 500_000_000;
 
-pub(super) fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(Finding)) {
+pub(super) fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Finding)) {
     match statvfs(folder) {
         Err(error) => {
             let seen = format!("{}: {}", folder.display(), io::Error::from(error));
-            tell(Finding::failure("disk", seen, "give another folder with --dir"));
+            report(Finding::failure("disk", seen, "give another folder with --dir"));
         }
         Ok(disk) => {
             let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
-            tell(space(free_bytes, keep_free_bytes));
+            report(space(free_bytes, keep_free_bytes));
             if let Ok(disk) = statfs(folder) {
                 // Some kernels' numbers are signed.
-                tell(kind(disk.f_type as u64 & 0xffff_ffff));
+                report(kind(disk.f_type as u64 & 0xffff_ffff));
             }
             // What a recording would not take is not taken to measure, either.
             let spare = free_bytes.saturating_sub(keep_free_bytes);
@@ -51,8 +51,8 @@ pub(super) fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(
                 return;
             }
             match measure(folder, spare / 2) {
-                Ok(measured) => measured.into_iter().for_each(tell),
-                Err(error) => tell(cannot_write(folder, &error)),
+                Ok(measured) => measured.into_iter().for_each(report),
+                Err(error) => report(cannot_write(folder, &error)),
             }
         }
     }

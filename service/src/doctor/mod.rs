@@ -60,12 +60,12 @@ impl Finding {
 
 /// Looks at everything, telling each finding as it comes; takes some seconds. Takes would go to `folder`, of whose
 /// disk so much is to stay free.
-pub fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(Finding)) {
-    devices::examine(tell);
-    disk::examine(folder, keep_free_bytes, tell);
-    clocks(tell);
-    processors_and_memory(tell);
-    service::examine(tell);
+pub fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Finding)) {
+    devices::examine(report);
+    disk::examine(folder, keep_free_bytes, report);
+    clocks(report);
+    processors_and_memory(report);
+    service::examine(report);
 }
 
 const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
@@ -77,12 +77,12 @@ const SLEEP: Duration = Duration::from_millis(1);
 /// A reader that is woken later has sixteen frames of 1000 Hz at once: nothing is lost, and latency is.
 const LATE_NS_MAX: u64 = 16_000_000;
 
-fn clocks(tell: &mut dyn FnMut(Finding)) {
+fn clocks(report: &mut dyn FnMut(Finding)) {
     if let Ok(text) = fs::read_to_string(SOURCE) {
-        tell(source(text.trim()));
+        report(source(text.trim()));
     }
-    tell(wakes());
-    tell(synchronised(timedatectl().as_deref()));
+    report(timer_latency());
+    report(synchronised(timedatectl().as_deref()));
 }
 
 fn source(name: &str) -> Finding {
@@ -98,17 +98,17 @@ fn source(name: &str) -> Finding {
 }
 
 /// How late a thread that sleeps is woken: what a reader would see of it.
-fn wakes() -> Finding {
+fn timer_latency() -> Finding {
     let mut late = Latency::default();
     for _ in 0..SLEEPS {
         let before = Instant::now();
         std::thread::sleep(SLEEP);
         late.add(before.elapsed().saturating_sub(SLEEP).as_nanos() as u64);
     }
-    late_wakes(&late)
+    timer_finding(&late)
 }
 
-fn late_wakes(late: &Latency) -> Finding {
+fn timer_finding(late: &Latency) -> Finding {
     let us = |ns: u64| ns / 1000;
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
     let seen = format!(
@@ -145,18 +145,18 @@ fn synchronised(answer: Option<&str>) -> Finding {
             "follows no time server: a take says when it was made by it",
             "`sudo timedatectl set-ntp true`",
         ),
-        _ => Finding::note(what, "systemd does not tell whether it follows a time server"),
+        _ => Finding::note(what, "systemd does not report whether it follows a time server"),
     }
 }
 
 /// The rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much for everything else.
 const MEMORY_MIB_LEAST: u64 = 600;
 
-fn processors_and_memory(tell: &mut dyn FnMut(Finding)) {
+fn processors_and_memory(report: &mut dyn FnMut(Finding)) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    tell(processors(cores));
+    report(processors(cores));
     if let Some(finding) = fs::read_to_string("/proc/meminfo").ok().and_then(|text| memory(&text)) {
-        tell(finding);
+        report(finding);
     }
 }
 
@@ -196,9 +196,9 @@ mod tests {
         assert_eq!(synchronised(None).verdict, Verdict::Note);
         let mut late = Latency::default();
         (0..100).for_each(|_| late.add(60_000));
-        assert_eq!(late_wakes(&late).verdict, Verdict::Good);
+        assert_eq!(timer_finding(&late).verdict, Verdict::Good);
         (0..10).for_each(|_| late.add(30_000_000));
-        assert_eq!(late_wakes(&late).verdict, Verdict::Warning);
+        assert_eq!(timer_finding(&late).verdict, Verdict::Warning);
     }
 
     #[test]

@@ -20,18 +20,18 @@ const EXAMPLE: &str = "example";
 /// Rigs that are told of: a machine has one, or a few.
 const RIGS_MAX: usize = 64;
 
-pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
+pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
     // What runs on a machine without systemd starts it in another way.
     if Path::new("/run/systemd/system").exists() {
         let rigs = rigs(Path::new(CONFIGURATIONS));
-        tell(installed(&UNITS, &rigs));
-        rigs.iter().filter_map(|name| Some(rig(name, &state(name)?))).for_each(&mut *tell);
+        report(installed(&UNITS, &rigs));
+        rigs.iter().filter_map(|name| Some(rig(name, &state(name)?))).for_each(&mut *report);
     }
     let Ok(groups) = fs::read_to_string("/etc/group") else { return };
-    let me = Me::now();
+    let me = CurrentUser::now();
     let why = ["open serial ports and rigs", "read the service's takes and speak to it"];
     for (name, why) in ["dialout", "mocapd"].into_iter().zip(why) {
-        group(&groups, &me, name, why).into_iter().for_each(&mut *tell);
+        group(&groups, &me, name, why).into_iter().for_each(&mut *report);
     }
 }
 
@@ -97,7 +97,7 @@ fn rig(name: &str, state: &UnitState) -> Finding {
     let what = format!("mocapd@{name}");
     let status = match state.status.as_str() {
         "" => String::new(),
-        words => format!(": {words}"),
+        text => format!(": {text}"),
     };
     let at_boot = state.enabled.starts_with("enabled");
     match (state.active.as_str(), at_boot) {
@@ -129,13 +129,13 @@ fn with_remedy(finding: Finding, remedy: impl Into<String>) -> Finding {
 
 /// Who asks.
 #[derive(Debug)]
-struct Me {
+struct CurrentUser {
     name: Option<String>,
     is_root: bool,
     groups: Vec<u32>,
 }
 
-impl Me {
+impl CurrentUser {
     fn now() -> Self {
         let uid = rustix::process::getuid().as_raw();
         let mut groups = vec![rustix::process::getegid().as_raw()];
@@ -152,7 +152,7 @@ impl Me {
 }
 
 /// Whether one is in a group; nothing where there is no such group.
-fn group(groups: &str, me: &Me, name: &str, why: &str) -> Option<Finding> {
+fn group(groups: &str, me: &CurrentUser, name: &str, why: &str) -> Option<Finding> {
     let line = groups.lines().find(|line| line.split(':').next() == Some(name))?;
     let mut fields = line.split(':').skip(2);
     let id: u32 = fields.next()?.parse().ok()?;
@@ -224,12 +224,12 @@ mod tests {
     #[test]
     fn who_is_in_a_group_and_who_has_to_log_in_again() {
         let groups = "root:x:0:\ndialout:x:20:ann\nmocapd:x:990:ann,bob\n";
-        let me = |name: &str, groups: &[u32]| Me {
+        let me = |name: &str, groups: &[u32]| CurrentUser {
             name: Some(name.to_owned()),
             is_root: false,
             groups: groups.to_vec(),
         };
-        let found = |me: &Me| group(groups, me, "mocapd", "read takes").unwrap();
+        let found = |me: &CurrentUser| group(groups, me, "mocapd", "read takes").unwrap();
         let member = found(&me("ann", &[1000, 990]));
         assert_eq!((member.verdict, member.remedy), (Verdict::Good, None));
         assert!(member.seen.contains("read takes"), "{}", member.seen);
@@ -238,7 +238,7 @@ mod tests {
         let outside = found(&me("eve", &[1002]));
         assert_eq!(outside.verdict, Verdict::Note);
         assert!(outside.remedy.unwrap().contains(join));
-        let root = Me { is_root: true, ..me("root", &[0]) };
+        let root = CurrentUser { is_root: true, ..me("root", &[0]) };
         assert_eq!(found(&root).verdict, Verdict::Good);
         assert_eq!(group(groups, &root, "uucp", "x"), None);
     }

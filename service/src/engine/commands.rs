@@ -21,29 +21,29 @@ use super::{
     session::{NamedTake, OpenTake},
 };
 use crate::{
-    config::in_keys,
+    config::message_with_keys,
     control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
     notify,
     status::ServiceEventKind,
 };
 
 /// How long a device may take to be opened and started.
-const ARMED_WITHIN: Duration = Duration::from_secs(10);
+const ARM_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// How long the first frame may take to be on disk.
-const FIRST_WITHIN: Duration = Duration::from_secs(5);
+const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How long a take may take to be closed: a disk that stalls for half a minute is waited for.
-const CLOSED_WITHIN: Duration = Duration::from_secs(40);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(40);
 
 /// How long the copy of a take that was removed may take when the service stops: 30 GB at 50 MB a second.
-const COPIED_WITHIN: Duration = Duration::from_secs(600);
+const COPY_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// Between two requests for more time to stop in.
-const EXTEND_EVERY: Duration = Duration::from_secs(10);
+const EXTEND_INTERVAL: Duration = Duration::from_secs(10);
 
 /// How long the reader may take to place a mark.
-const MARKED_WITHIN: Duration = Duration::from_secs(1);
+const MARK_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Longest text of a mark and of notes, in bytes.
 const TEXT_BYTES_MAX: usize = 1024;
@@ -52,12 +52,12 @@ const TEXT_BYTES_MAX: usize = 1024;
 const NAMES_MAX: u32 = 10_000;
 
 /// The right to carry out a command.
-type Command<'a> = MutexGuard<'a, ()>;
+type CommandGuard<'a> = MutexGuard<'a, ()>;
 
 impl Inner {
     /// Makes the device run.
-    pub(super) fn arm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
-        let until = Instant::now() + ARMED_WITHIN;
+    pub(super) fn arm(&self, _command: &CommandGuard<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARM_TIMEOUT;
         let mut core = self.core();
         core.failure = None;
         core.wanted = true;
@@ -73,31 +73,31 @@ impl Inner {
                 return Ok(());
             }
             if let Some(obstacle) = &core.device.obstacle {
-                let words = format!("{obstacle}; the device is armed as soon as it is there");
-                return Err(Refusal::new(RefusalKind::Device, words));
+                let message = format!("{obstacle}; the device is armed as soon as it is there");
+                return Err(Refusal::new(RefusalKind::Device, message));
             }
             if Instant::now() >= until {
-                let words = "the device does not start: look at the status, and try again";
-                return Err(Refusal::new(RefusalKind::Device, words));
+                let message = "the device does not start: look at the status, and try again";
+                return Err(Refusal::new(RefusalKind::Device, message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
         }
     }
 
-    pub(super) fn disarm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
-        let until = Instant::now() + ARMED_WITHIN;
+    pub(super) fn disarm(&self, _command: &CommandGuard<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARM_TIMEOUT;
         let mut core = self.core();
         if let Some(take) = &core.take {
-            return Err(is_recorded(take));
+            return Err(already_recording(take));
         }
         core.wanted = false;
         core.failure = None;
         while let Some(session) = &core.session {
             session.stop.store(true, Ordering::Relaxed);
             if Instant::now() >= until {
-                let words = "the device does not stop: look at the status";
-                return Err(Refusal::new(RefusalKind::Device, words));
+                let message = "the device does not stop: look at the status";
+                return Err(Refusal::new(RefusalKind::Device, message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
@@ -107,13 +107,13 @@ impl Inner {
 
     pub(super) fn start_take(
         &self,
-        command: &Command<'_>,
+        command: &CommandGuard<'_>,
         start: &Start,
     ) -> Result<Started, Refusal> {
         let asked_ns = monotonic_ns();
         let core = self.core();
         if let Some(take) = &core.take {
-            return Err(is_recorded(take));
+            return Err(already_recording(take));
         }
         let pre_roll = match start.pre_roll_s {
             None => core.options.arm.include_pre_roll,
@@ -121,15 +121,15 @@ impl Inner {
         };
         let away = core.away();
         drop(core);
-        if let Some(words) = away {
-            return Err(Refusal::new(RefusalKind::Device, words));
+        if let Some(message) = away {
+            return Err(Refusal::new(RefusalKind::Device, message));
         }
         let (name, notes) = (start.name.as_deref(), start.notes.as_deref());
         let (named, take) = self.new_take(name, notes, pre_roll, asked_ns)?;
         let begun = self.arm(command).and_then(|()| self.begin_take(&named, take));
         let first = begun.inspect_err(|_| named.discard())?;
-        let Ok(first) = first.recv_timeout(FIRST_WITHIN) else {
-            return Err(self.begun_in_vain(command));
+        let Ok(first) = first.recv_timeout(FIRST_FRAME_TIMEOUT) else {
+            return Err(self.no_first_frame(command));
         };
         let mut core = self.core();
         if let Some(take) = &mut core.take {
@@ -142,7 +142,7 @@ impl Inner {
         let NamedTake { id, name, path, .. } = named;
         let notes = notes.filter(|notes| !notes.is_empty());
         let kind = ServiceEventKind::TakeStarted;
-        self.say_noted(kind, &format!("recording {name}"), Some(&name), notes);
+        self.publish_with_notes(kind, &format!("recording {name}"), Some(&name), notes);
         let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
         let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
         let first_frame = FirstFrame {
@@ -156,11 +156,11 @@ impl Inner {
     /// From now on it is being recorded. Gives where its first row is told.
     fn begin_take(&self, named: &NamedTake, take: NewTake) -> Result<Receiver<FirstRow>, Refusal> {
         let mut core = self.core();
-        let Some(session) = &mut core.session else { return Err(gone()) };
+        let Some(session) = &mut core.session else { return Err(device_gone()) };
         let begun = session.takes.begin(session.with_header(take)).map_err(|e| busy(&e))?;
         let take = OpenTake {
             named: named.clone(),
-            file_told: session.progress.file_changes(),
+            changes_reported: session.progress.file_changes(),
             asked_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz: session.header.rate_hz,
@@ -175,7 +175,7 @@ impl Inner {
     }
 
     /// No frame came: the take ends, and so does its file.
-    fn begun_in_vain(&self, command: &Command<'_>) -> Refusal {
+    fn no_first_frame(&self, command: &CommandGuard<'_>) -> Refusal {
         let away = self.core().away();
         let refused = self.stop_take(command, EndingKind::Stopped);
         match refused {
@@ -184,37 +184,37 @@ impl Inner {
                 RefusalKind::Device,
                 format!(
                     "no frame was on disk within {} s: is the device capturing? What came is in {}",
-                    FIRST_WITHIN.as_secs(),
+                    FIRST_FRAME_TIMEOUT.as_secs(),
                     stopped.path.display()
                 ),
             ),
-            Err(refusal) => away.map_or(refusal, |words| Refusal::new(RefusalKind::Device, words)),
+            Err(refusal) => away.map_or(refusal, |message| Refusal::new(RefusalKind::Device, message)),
         }
     }
 
     /// Ends the take, by the right to carry out a command.
     pub(super) fn stop_take(
         &self,
-        _command: &Command<'_>,
+        _command: &CommandGuard<'_>,
         ending: EndingKind,
     ) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
-            if let Some(words) = &core.data_lost {
-                let words = format!("no take is being recorded: {words}");
-                return Err(Refusal::new(RefusalKind::DataLost, words));
+            if let Some(message) = &core.data_lost {
+                let message = format!("no take is being recorded: {message}");
+                return Err(Refusal::new(RefusalKind::DataLost, message));
             }
             // A take that failed is over, and the answer is what it came to.
             if let Some(failure) = &core.failure {
-                let words = format!("no take is being recorded: {failure}");
-                return Err(Refusal::new(RefusalKind::Conflict, words));
+                let message = format!("no take is being recorded: {failure}");
+                return Err(Refusal::new(RefusalKind::Conflict, message));
             }
             let before = core.last_take.as_ref().and_then(|take| Some((&take.name, take.ending?)));
-            let words = before.map_or_else(
+            let message = before.map_or_else(
                 || "no take is being recorded".to_owned(),
                 |(name, ending)| format!("no take is being recorded: {name} has ended ({ending})"),
             );
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         let is_first = take.ending.is_none();
         take.ending.get_or_insert(ending);
@@ -230,7 +230,7 @@ impl Inner {
             return Err(busy(&error));
         }
         drop(core);
-        match ended.recv_timeout(CLOSED_WITHIN) {
+        match ended.recv_timeout(CLOSE_TIMEOUT) {
             Ok(end) => self.finish_take(end),
             Err(RecvTimeoutError::Disconnected) => self.finish_unanswered(),
             Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
@@ -244,26 +244,26 @@ impl Inner {
         check_text(text, "a mark")?;
         let core = self.core();
         let (Some(session), Some(take)) = (&core.session, &core.take) else {
-            let words = "no take is being recorded: nothing to mark";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "no take is being recorded: nothing to mark";
+            return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         if take.ending.is_some() {
-            let words = "the take is being ended: a mark would be behind it";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "the take is being ended: a mark would be behind it";
+            return Err(Refusal::new(RefusalKind::Conflict, message));
         }
         let name = take.named.name.clone();
         let Some(rows_before) = take.first.map(|first| first.row) else {
-            let words = "the take has no frame yet: mark it when it has begun";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "the take has no frame yet: mark it when it has begun";
+            return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         let row = session.takes.mark(text, monotonic_ns());
         drop(core);
         let row = row.map_err(|error| busy(&error))?;
-        let row = row.row.recv_timeout(MARKED_WITHIN).map_err(|_| {
-            let words = "the mark was not placed in time: the device is away or the host too slow";
-            Refusal::new(RefusalKind::Unavailable, words)
+        let row = row.row.recv_timeout(MARK_TIMEOUT).map_err(|_| {
+            let message = "the mark was not placed in time: the device is away or the host too slow";
+            Refusal::new(RefusalKind::Unavailable, message)
         })?;
-        self.say_event(
+        self.publish(
             ServiceEventKind::Mark,
             if text.is_empty() { "a mark" } else { text },
             Some(&name),
@@ -271,20 +271,20 @@ impl Inner {
         Ok(Marked { row: row.saturating_sub(rows_before) })
     }
 
-    pub(super) fn save_held(
+    pub(super) fn save_pre_roll(
         &self,
-        _command: &Command<'_>,
+        _command: &CommandGuard<'_>,
         save: &SaveLast,
     ) -> Result<Stopped, Refusal> {
         let asked_ns = monotonic_ns();
         let last = seconds(save.seconds, "seconds")?;
         if last.is_zero() {
-            let words = "seconds is 0: nothing would be saved";
-            return Err(Refusal::new(RefusalKind::Invalid, words));
+            let message = "seconds is 0: nothing would be saved";
+            return Err(Refusal::new(RefusalKind::Invalid, message));
         }
         if self.core().session.is_none() {
-            let words = "not armed: nothing is held";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "not armed: nothing is held";
+            return Err(Refusal::new(RefusalKind::Conflict, message));
         }
         let (named, take) = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
         let mut core = self.core();
@@ -293,14 +293,14 @@ impl Inner {
                 let saved = session.takes.save(session.with_header(take));
                 saved.map(|saved| (saved.ended, session.header.rate_hz)).map_err(|e| busy(&e))
             }
-            None => Err(gone()),
+            None => Err(device_gone()),
         };
         let _closing = self.closing(&mut core);
         drop(core);
         let late =
             |_| Refusal::new(RefusalKind::Unavailable, "the disk has not taken the take yet");
         let end = saved.and_then(|(ended, rate_hz)| {
-            Ok((ended.recv_timeout(CLOSED_WITHIN).map_err(late)?, rate_hz))
+            Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });
         let (end, rate_hz) = end.inspect_err(|_| named.discard())?;
         Ok(with_shortfall(self.closed(end, &named, rate_hz)?, last))
@@ -318,7 +318,7 @@ impl Inner {
             return Err(stopping());
         }
         let options = std::sync::Arc::clone(&self.core().options);
-        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, in_keys(error));
+        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, message_with_keys(error));
         let (name, path) = self.free_name(name, &options)?;
         check_room(&path, options.take.keep_free_bytes)
             .map_err(|error| refused(RefusalKind::Disk, &error))?;
@@ -351,17 +351,17 @@ impl Inner {
         let path = |name: &str| options.take.directory.join(format!("{name}.take"));
         let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
         if let Some(name) = name {
-            let name = names::checked(name)?;
+            let name = names::normalised(name)?;
             let path = path(name);
             if !is_free(&path) {
-                let words = format!("a take called {name} exists: choose another name");
-                return Err(Refusal::new(RefusalKind::Exists, words));
+                let message = format!("a take called {name} exists: choose another name");
+                return Err(Refusal::new(RefusalKind::Exists, message));
             }
             return Ok((name.to_owned(), path));
         }
         for count in 1..NAMES_MAX {
             let name = options.name_take(count);
-            let name = names::checked(&name)?.to_owned();
+            let name = names::normalised(&name)?.to_owned();
             // A template without a count gets one when it has to.
             let counted = format!("{name}-{count}");
             let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
@@ -370,8 +370,8 @@ impl Inner {
                 return Ok((name, path));
             }
         }
-        let words = "every name that the configuration gives is taken: name the take";
-        Err(Refusal::new(RefusalKind::Exists, words))
+        let message = "every name that the configuration gives is taken: name the take";
+        Err(Refusal::new(RefusalKind::Exists, message))
     }
 
     /// Another thread may still be closing a take: a disk that stalls is waited for, and a copy as long as it takes.
@@ -382,12 +382,12 @@ impl Inner {
             let core = self.core();
             let (is_open, is_closing) = (core.take.is_some(), core.closing > 0);
             drop(core);
-            let within = if is_closing { COPIED_WITHIN } else { CLOSED_WITHIN };
+            let within = if is_closing { COPY_TIMEOUT } else { CLOSE_TIMEOUT };
             if !(is_open || is_closing) || begun.elapsed() >= within {
                 return;
             }
-            if extended.is_none_or(|last| last.elapsed() >= EXTEND_EVERY) {
-                notify::extend_stop(2 * EXTEND_EVERY + super::STOP_WITHIN);
+            if extended.is_none_or(|last| last.elapsed() >= EXTEND_INTERVAL) {
+                notify::extend_stop(2 * EXTEND_INTERVAL + super::STOP_TIMEOUT);
                 extended = Some(Instant::now());
             }
             std::thread::sleep(Duration::from_millis(20));
@@ -400,7 +400,7 @@ impl Inner {
             return;
         }
         // A client's stop may be under way: then that one closes the take.
-        let command = self.command_within(super::STOP_WITHIN);
+        let command = self.command_within(super::STOP_TIMEOUT);
         let is_mine = command.as_ref().ok().filter(|_| self.core().take.is_some());
         let close = || {
             if let Some(command) = is_mine {
@@ -455,21 +455,21 @@ fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {
     if (0.0..=SECONDS_MAX).contains(&value) {
         return Ok(Duration::from_secs_f64(value));
     }
-    let words = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
-    Err(Refusal::new(RefusalKind::Invalid, words))
+    let message = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
+    Err(Refusal::new(RefusalKind::Invalid, message))
 }
 
 fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
     if text.len() <= TEXT_BYTES_MAX && !text.contains('\0') {
         return Ok(());
     }
-    let words = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
-    Err(Refusal::new(RefusalKind::Invalid, words))
+    let message = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
+    Err(Refusal::new(RefusalKind::Invalid, message))
 }
 
-fn is_recorded(take: &OpenTake) -> Refusal {
-    let words = format!("the take {} is being recorded: stop it first", take.named.name);
-    Refusal::new(RefusalKind::Conflict, words)
+fn already_recording(take: &OpenTake) -> Refusal {
+    let message = format!("the take {} is being recorded: stop it first", take.named.name);
+    Refusal::new(RefusalKind::Conflict, message)
 }
 
 /// The pipeline has not yet done what it was asked before.
@@ -481,6 +481,6 @@ fn stopping() -> Refusal {
     Refusal::new(RefusalKind::Unavailable, "the service is stopping")
 }
 
-fn gone() -> Refusal {
+fn device_gone() -> Refusal {
     Refusal::new(RefusalKind::Device, "the device has just gone away: try again")
 }

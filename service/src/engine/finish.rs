@@ -23,8 +23,8 @@ impl Inner {
     pub(super) fn finish_take(&self, end: TakeEnd) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = core.take.take() else {
-            let words = "the take was ended by somebody else: look at the status";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "the take was ended by somebody else: look at the status";
+            return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         let _closing = self.closing(&mut core);
         // Whoever sees that the take has ended must not take the one before it for what it came to.
@@ -52,8 +52,8 @@ impl Inner {
         if let Some(take) = self.core().take.take() {
             take.named.discard();
         }
-        let words = "the device went away before the take began: try again";
-        Err(Refusal::new(RefusalKind::Device, words))
+        let message = "the device went away before the take began: try again";
+        Err(Refusal::new(RefusalKind::Device, message))
     }
 
     /// A take was written to its end, or not.
@@ -63,14 +63,14 @@ impl Inner {
         take: &NamedTake,
         rate_hz: f64,
     ) -> Result<Stopped, Refusal> {
-        let (written, mut output) = end.map_err(|failed| self.broken(failed, take))?;
+        let (written, mut output) = end.map_err(|failed| self.write_failed(failed, take))?;
         if written.ledger.recorded == 0 {
-            return Err(self.empty(written.ending.kind, take));
+            return Err(self.discard_empty(written.ending.kind, take));
         }
         let name = &take.name;
         let settled = output.settle();
-        if let Some(words) = settled.words() {
-            self.say_event(ServiceEventKind::Warning, &words, Some(name));
+        if let Some(message) = settled.words() {
+            self.publish(ServiceEventKind::Warning, &message, Some(name));
         }
         let stopped = stopped(&written, take, &settled, rate_hz);
         self.remember(&written, &settled, &stopped);
@@ -85,31 +85,31 @@ impl Inner {
             format!("{} frames lost", written.ledger.frames_lost())
         };
         let Stopped { name: name_now, seconds, bytes, .. } = &stopped;
-        let words =
+        let message =
             format!("{name_now} is closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
         let kind = match ending {
             EndingKind::Saved => ServiceEventKind::TakeSaved,
             _ => ServiceEventKind::TakeStopped,
         };
-        self.say_event(kind, &words, Some(name));
+        self.publish(kind, &message, Some(name));
         if ending == EndingKind::DiskFull {
-            let words = "the disk is full: no take is begun before something is deleted";
-            self.say_event(ServiceEventKind::Warning, words, None);
+            let message = "the disk is full: no take is begun before something is deleted";
+            self.publish(ServiceEventKind::Warning, message, None);
         }
         Ok(stopped)
     }
 
     /// Only the header was written: an empty take helps nobody.
-    fn empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
+    fn discard_empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
         take.discard();
         if ending == EndingKind::Saved {
-            let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
-            return Refusal::new(RefusalKind::Conflict, words);
+            let message = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
+            return Refusal::new(RefusalKind::Conflict, message);
         }
         let name = &take.name;
-        let words = format!("no frame came, so there is no take {name}: is the device capturing?");
-        self.say_event(ServiceEventKind::Warning, &words, Some(name));
-        Refusal::new(RefusalKind::Device, words)
+        let message = format!("no frame came, so there is no take {name}: is the device capturing?");
+        self.publish(ServiceEventKind::Warning, &message, Some(name));
+        Refusal::new(RefusalKind::Device, message)
     }
 
     /// What the status tells of it from now on.
@@ -143,23 +143,23 @@ impl Inner {
 
     /// The take has ended, and no name leads to its file.
     fn vanished(&self, name: &str, settled: &Settled, file: Box<dyn TakeOutput>) -> Refusal {
-        let words = self.keep_open(settled, file);
+        let message = self.keep_open(settled, file);
         let mut core = self.core();
-        core.failure = Some(words.clone());
-        core.data_lost = Some(words.clone());
+        core.failure = Some(message.clone());
+        core.data_lost = Some(message.clone());
         drop(core);
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::Failure, &words, Some(name));
-        Refusal::new(RefusalKind::Vanished, words)
+        self.publish(ServiceEventKind::Failure, &message, Some(name));
+        Refusal::new(RefusalKind::Vanished, message)
     }
 
     /// Keeps a file open that no name leads to, where that helps, and says so.
     fn keep_open(&self, settled: &Settled, file: Box<dyn TakeOutput>) -> String {
-        let words = settled.words().unwrap_or_default();
+        let message = settled.words().unwrap_or_default();
         // A file system that was unmounted waits for the file to be closed.
         let displaced = settled.displaced.as_ref();
         let Some(displaced) = displaced.filter(|_| settled.state != FileState::Unmounted) else {
-            return words;
+            return message;
         };
         let mut core = self.core();
         let is_full = core.kept_open.len() == KEPT_OPEN_MAX;
@@ -168,35 +168,35 @@ impl Inner {
         drop(core);
         if let Some(oldest) = oldest {
             let left = oldest.displaced().map(|oldest| oldest.created_as.display().to_string());
-            let words = format!(
+            let message = format!(
                 "{KEPT_OPEN_MAX} removed takes are kept open: the oldest is given up, {}",
                 left.unwrap_or_default()
             );
             // A large file without a name takes its time to close.
             drop(oldest);
-            self.say_event(ServiceEventKind::Warning, &words, None);
+            self.publish(ServiceEventKind::Warning, &message, None);
         }
         let open_at = displaced.open_at.display();
         format!(
-            "{words}; it stays open until the next take has begun or the service ends: cp {open_at} NEW.take"
+            "{message}; it stays open until the next take has begun or the service ends: cp {open_at} NEW.take"
         )
     }
 
     /// The take could not be written to its end. What is in it stays.
-    fn broken(&self, failed: TakeFailed, take: &NamedTake) -> Refusal {
+    fn write_failed(&self, failed: TakeFailed, take: &NamedTake) -> Refusal {
         let NamedTake { name, path, file, .. } = take;
         let TakeFailed { error, output } = failed;
-        let words = if error.is::<NothingRecorded>() {
+        let message = if error.is::<NothingRecorded>() {
             let left = match file.remove(path) {
                 Ok(()) => format!("there is no take {name}"),
                 Err(e) => format!("{} holds nothing and cannot be removed ({e})", path.display()),
             };
             format!("{error:#}: {left}; look at the disk, and try again")
         } else {
-            format!("the take {name} ends early: {error:#}; {}", self.left_of(output))
+            format!("the take {name} ends early: {error:#}; {}", self.remains(output))
         };
         let mut core = self.core();
-        core.failure = Some(words.clone());
+        core.failure = Some(message.clone());
         // The pipeline goes on without a take, and its pre-roll with keys as often as that needs. A save that failed
         // leaves the take beside it alone.
         if core.take.is_none()
@@ -206,20 +206,20 @@ impl Inner {
         }
         drop(core);
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::Failure, &words, Some(name));
-        Refusal::new(RefusalKind::Disk, words)
+        self.publish(ServiceEventKind::Failure, &message, Some(name));
+        Refusal::new(RefusalKind::Disk, message)
     }
 }
 
 impl Inner {
     /// What is left of a take that could not be written to its end, and where.
-    fn left_of(&self, output: Option<Box<dyn TakeOutput>>) -> String {
+    fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` closes it";
         let Some(mut file) = output else { return format!("of what is in it, {recover}") };
         let settled = file.settle();
         match (settled.words(), &settled.path) {
             (None, _) => format!("what is in it can be read, and {recover}"),
-            (Some(words), Some(_)) => format!("{words}, and {recover}"),
+            (Some(message), Some(_)) => format!("{message}, and {recover}"),
             (Some(_), None) => self.keep_open(&settled, file),
         }
     }
@@ -392,7 +392,7 @@ mod tests {
                 rate_hz: 100.0,
                 first: None,
                 ended: crossbeam_channel::never(),
-                file_told: 0,
+                changes_reported: 0,
                 ending: None,
             });
         };

@@ -26,21 +26,21 @@ use crate::{
 const FILES_MAX: usize = 100_000;
 
 /// Takes whose ends are remembered, some 300 bytes each: four times the longest list.
-const REMEMBERED_MAX: usize = 4000;
+const CACHED_MAX: usize = 4000;
 
 /// What the ends of files said, by path.
 #[derive(Debug, Default)]
-pub(super) struct Remembered(HashMap<PathBuf, (Stamp, TakeSummary)>);
+pub(super) struct SummaryCache(HashMap<PathBuf, (FileStamp, TakeSummary)>);
 
 /// A file that has the same ones holds the same bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Stamp {
+struct FileStamp {
     file: FileId,
     bytes: u64,
     modified_ns: i128,
 }
 
-impl Stamp {
+impl FileStamp {
     fn of(file: &Metadata) -> Self {
         Self {
             file: FileId::of(file),
@@ -50,14 +50,14 @@ impl Stamp {
     }
 }
 
-impl Remembered {
-    fn get(&self, path: &Path, stamp: Stamp) -> Option<TakeSummary> {
+impl SummaryCache {
+    fn get(&self, path: &Path, stamp: FileStamp) -> Option<TakeSummary> {
         let (known, summary) = self.0.get(path)?;
         (*known == stamp).then(|| summary.clone())
     }
 
-    fn add(&mut self, listed: Vec<(PathBuf, Stamp, TakeSummary)>) {
-        if self.0.len() + listed.len() > REMEMBERED_MAX {
+    fn add(&mut self, listed: Vec<(PathBuf, FileStamp, TakeSummary)>) {
+        if self.0.len() + listed.len() > CACHED_MAX {
             let kept: HashSet<&PathBuf> = listed.iter().map(|(path, ..)| path).collect();
             self.0.retain(|path, _| kept.contains(path));
         }
@@ -74,8 +74,8 @@ impl Inner {
         let last = core.last_take.clone();
         drop(core);
         let cannot = |error: std::io::Error| {
-            let words = format!("cannot read the folder {}: {error}", directory.display());
-            Refusal::new(RefusalKind::Disk, words)
+            let message = format!("cannot read the folder {}: {error}", directory.display());
+            Refusal::new(RefusalKind::Disk, message)
         };
         let mut found = Vec::new();
         for entry in fs::read_dir(&directory).map_err(cannot)?.take(FILES_MAX).flatten() {
@@ -84,7 +84,7 @@ impl Inner {
             let Ok(file) = entry.metadata() else { continue };
             if is_take && file.is_file() {
                 let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-                found.push((modified, Stamp::of(&file), path));
+                found.push((modified, FileStamp::of(&file), path));
             }
         }
         found.sort_by(|(a, _, a_path), (b, _, b_path)| (b, b_path).cmp(&(a, a_path)));
@@ -92,18 +92,18 @@ impl Inner {
         let mut new = Vec::new();
         let mut summaries = Vec::with_capacity(found.len());
         for (modified, stamp, path) in found {
-            if let Some(known) = lock(&self.remembered).get(&path, stamp) {
+            if let Some(known) = lock(&self.summaries).get(&path, stamp) {
                 summaries.push(known);
                 continue;
             }
             let is_open = open == Some(stamp.file);
-            let (summary, is_lasting) = look_into(&path, stamp.bytes, modified, is_open);
+            let (summary, is_lasting) = read_summary(&path, stamp.bytes, modified, is_open);
             if is_lasting {
                 new.push((path, stamp, summary.clone()));
             }
             summaries.push(summary);
         }
-        lock(&self.remembered).add(new);
+        lock(&self.summaries).add(new);
         // Why the newest ended is known, also where it could not be written.
         for summary in &mut summaries {
             if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id)
@@ -118,7 +118,7 @@ impl Inner {
     }
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
-        let name = names::checked_as_it_is(name)?;
+        let name = names::check(name)?;
         let directory = self.core().options.take.directory.clone();
         // The name as the list has it, else as a file's.
         for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
@@ -136,11 +136,11 @@ impl Inner {
 pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
     let file = path.symlink_metadata().ok().filter(Metadata::is_file)?;
     let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-    Some(look_into(path, file.len(), modified, false).0)
+    Some(read_summary(path, file.len(), modified, false).0)
 }
 
 /// What the two ends of a file tell, and whether that lasts as long as the file does not change.
-fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
+fn read_summary(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
     let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let mut summary = TakeSummary {
         name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),

@@ -20,14 +20,14 @@ use mocapd_take::{
     record::{Header, Subject},
 };
 
-use super::{Inner, quality::Judgements};
+use super::{Inner, quality::MarkerStatistics};
 use crate::{
     live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
     subject::{FaceUnderMarkers, live_limbs, with_limbs},
 };
 
 /// Between two looks at the tap: it holds a quarter of a second.
-const LOOK_EVERY: Duration = Duration::from_millis(8);
+const POLL_INTERVAL: Duration = Duration::from_millis(8);
 
 /// Messages that wait for a viewer: a tenth of a second. Later ones are newer, so these are dropped first.
 const WAITING_MAX: usize = 4;
@@ -89,8 +89,8 @@ impl Viewers {
         lock(&self.all).clear();
     }
 
-    fn show(&self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) {
-        lock(&self.all).retain_mut(|viewer| viewer.show(table, frame));
+    fn send(&self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) {
+        lock(&self.all).retain_mut(|viewer| viewer.send(table, frame));
     }
 
     fn is_empty(&self) -> bool {
@@ -100,7 +100,7 @@ impl Viewers {
 
 impl Viewer {
     /// `false` when it is gone.
-    fn show(&mut self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) -> bool {
+    fn send(&mut self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) -> bool {
         if self.feed.strong_count() == 0 {
             return false;
         }
@@ -150,20 +150,20 @@ impl Hub {
                 if let Ok(session) = self.sessions.try_recv() {
                     self.begin(session);
                 }
-                self.show_frames();
-                std::thread::sleep(LOOK_EVERY);
+                self.publish_frames();
+                std::thread::sleep(POLL_INTERVAL);
             }
             self.session = None;
         }
     }
 
     fn begin(&mut self, session: NewSession) {
-        *lock(&self.inner.judgements) = Judgements::new(session.header.rate_hz);
+        *lock(&self.inner.statistics) = MarkerStatistics::new(session.header.rate_hz);
         self.session = Some(session);
         self.table = Arc::default();
     }
 
-    fn show_frames(&mut self) {
+    fn publish_frames(&mut self) {
         let Some(session) = &mut self.session else { return };
         // A monotonic time in microseconds since 1970.
         let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
@@ -180,7 +180,7 @@ impl Hub {
                 }
                 self.positions.truncate(self.table.labels.len());
             }
-            lock(&self.inner.judgements).frame(&head, &self.positions);
+            lock(&self.inner.statistics).frame(&head, &self.positions);
             if !head.is_shown || self.inner.viewers.is_empty() {
                 continue;
             }
@@ -189,7 +189,7 @@ impl Hub {
             let positions_mm = self.positions.clone();
             let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
             let frame = LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face };
-            self.inner.viewers.show(&self.table, &Arc::new(frame));
+            self.inner.viewers.send(&self.table, &Arc::new(frame));
         }
     }
 }

@@ -10,12 +10,12 @@
 //!
 //! The state is a value behind a lock that is held for moments: neither a disk nor a device is waited for under it.
 
-mod answers;
 mod commands;
 mod events;
 mod finish;
 mod folder;
 mod hub;
+mod idempotency;
 mod names;
 mod options;
 mod quality;
@@ -40,11 +40,11 @@ use mocapd_take::record::EndingKind;
 
 pub use self::options::EngineOptions;
 use self::{
-    answers::Answers,
-    events::Events,
-    folder::Remembered,
+    events::EventPublisher,
+    folder::SummaryCache,
     hub::{Hub, Viewers},
-    quality::Judgements,
+    idempotency::IdempotentReplies,
+    quality::MarkerStatistics,
     session::{Core, Rates},
 };
 use super::{
@@ -57,10 +57,10 @@ use super::{
 };
 
 /// How long a command waits for the one before it: as long as that may take with a disk that stalls.
-const COMMAND_WITHIN: Duration = Duration::from_secs(60);
+const COMMAND_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// How long the service takes to stop at most: systemd kills it later.
-const STOP_WITHIN: Duration = Duration::from_secs(5);
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The service without its doors.
 #[derive(Debug)]
@@ -77,12 +77,12 @@ struct Inner {
     changed: Condvar,
     /// Held by the command that is being carried out.
     command: Mutex<()>,
-    answers: Mutex<Answers>,
-    events: Events,
+    replies: Mutex<IdempotentReplies>,
+    events: EventPublisher,
     viewers: Viewers,
-    judgements: Mutex<Judgements>,
+    statistics: Mutex<MarkerStatistics>,
     /// What the takes of the folder said of themselves.
-    remembered: Mutex<Remembered>,
+    summaries: Mutex<SummaryCache>,
     rates: Rates,
     stopping: AtomicBool,
     began: Instant,
@@ -101,11 +101,11 @@ impl Engine {
             core: Mutex::new(Core::new(options)),
             changed: Condvar::new(),
             command: Mutex::new(()),
-            answers: Mutex::new(Answers::default()),
-            events: Events::default(),
+            replies: Mutex::new(IdempotentReplies::default()),
+            events: EventPublisher::default(),
             viewers: Viewers::default(),
-            judgements: Mutex::new(Judgements::default()),
-            remembered: Mutex::default(),
+            statistics: Mutex::new(MarkerStatistics::default()),
+            summaries: Mutex::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
             began: Instant::now(),
@@ -137,13 +137,13 @@ impl Engine {
         let mut core = lock(&self.inner.core);
         core.options = Arc::new(options);
         drop(core);
-        self.inner.say_event(ServiceEventKind::State, "the configuration was read again", None);
+        self.inner.publish(ServiceEventKind::State, "the configuration was read again", None);
     }
 
     /// Finishes the take, stops the device, and ends the threads.
     pub fn stop_service(&self) {
         self.inner.shut_down();
-        let until = Instant::now() + STOP_WITHIN;
+        let until = Instant::now() + STOP_TIMEOUT;
         for thread in lock(&self.threads).drain(..) {
             while !thread.is_finished() && Instant::now() < until {
                 std::thread::sleep(Duration::from_millis(5));
@@ -176,7 +176,7 @@ impl Inner {
 
     /// The right to carry out a command.
     fn command(&self) -> Result<MutexGuard<'_, ()>, Refusal> {
-        self.command_within(COMMAND_WITHIN)
+        self.command_within(COMMAND_TIMEOUT)
     }
 
     fn command_within(&self, at_most: Duration) -> Result<MutexGuard<'_, ()>, Refusal> {
@@ -242,7 +242,7 @@ impl Control for Engine {
 
     fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
         self.inner.once("save_last", save.request_id.as_deref(), |inner| {
-            inner.save_held(&inner.command()?, save)
+            inner.save_pre_roll(&inner.command()?, save)
         })
     }
 
@@ -262,7 +262,7 @@ impl Control for Engine {
     }
 
     fn tell(&self, kind: ServiceEventKind, message: &str) {
-        self.inner.say_event(kind, message, None);
+        self.inner.publish(kind, message, None);
     }
 
     fn events(&self) -> EventFeed {

@@ -6,12 +6,12 @@ use crate::{
 };
 
 /// A name for a new take: a file's in the takes' folder and nothing else. `.take` is ours to add, once.
-pub(super) fn checked(name: &str) -> Result<&str, Refusal> {
+pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
     let mut name = name;
     while let Some(shorter) = without_ending(name) {
         name = shorter;
     }
-    checked_as_it_is(name)
+    check(name)
 }
 
 /// Without `.take`, where it ends so.
@@ -21,8 +21,8 @@ pub(super) fn without_ending(name: &str) -> Option<&str> {
 }
 
 /// The name of a take that is there: files that others put into the folder may end in `.take.take`.
-pub(super) fn checked_as_it_is(name: &str) -> Result<&str, Refusal> {
-    let invalid = |words: String| Err(Refusal::new(RefusalKind::Invalid, words));
+pub(super) fn check(name: &str) -> Result<&str, Refusal> {
+    let invalid = |message: String| Err(Refusal::new(RefusalKind::Invalid, message));
     if name.is_empty() || name.len() > NAME_BYTES_MAX {
         return invalid(format!("a take's name has 1 to {NAME_BYTES_MAX} bytes"));
     }
@@ -44,12 +44,12 @@ mod tests {
     #[test]
     fn names_are_names_and_never_paths() {
         for good in ["jump", "Max Müller 3", "2026-11-22_walk", "a.b", "x.take"] {
-            assert!(checked(good).is_ok(), "{good}");
+            assert!(normalised(good).is_ok(), "{good}");
         }
         for (given, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
-            assert_eq!(checked(given).unwrap(), name);
+            assert_eq!(normalised(given).unwrap(), name);
         }
-        assert_eq!(checked_as_it_is("x.take").unwrap(), "x.take");
+        assert_eq!(check("x.take").unwrap(), "x.take");
         let long = "x".repeat(201);
         for bad in [
             "",
@@ -67,7 +67,7 @@ mod tests {
             "turned \u{202e}round",
             &long,
         ] {
-            assert_eq!(checked(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");
+            assert_eq!(normalised(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");
         }
     }
 }

@@ -7,7 +7,7 @@ use jiff::Zoned;
 use mocapd_drivers::{registry, uri::DeviceUri};
 use mocapd_take::record::Subject;
 
-use crate::config::{ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, choose};
+use crate::config::{ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, auto_device};
 
 /// The engine's part of a configuration.
 #[derive(Debug, Clone)]
@@ -44,7 +44,7 @@ impl EngineOptions {
         match &self.device.uri {
             DeviceChoice::At(uri) => Ok(uri.clone()),
             auto @ DeviceChoice::Auto => {
-                choose(auto, &registry::devices()?).map_err(|error| anyhow!(error))
+                auto_device(auto, &registry::devices()?).map_err(|error| anyhow!(error))
             }
         }
     }

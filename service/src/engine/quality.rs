@@ -23,9 +23,9 @@ const APART_MM: f64 = 120.0;
 
 /// By slot.
 #[derive(Debug, Default)]
-pub(super) struct Judgements {
+pub(super) struct MarkerStatistics {
     rate_hz: f64,
-    markers: Vec<Judged>,
+    markers: Vec<MarkerRecord>,
     /// Positions of the last frame that was shown.
     before: Vec<Position>,
     /// The row of the last frame.
@@ -34,26 +34,26 @@ pub(super) struct Judgements {
 }
 
 #[derive(Debug, Clone)]
-struct Judged {
+struct MarkerRecord {
     noise: NoiseEstimator,
     noise_mm: Option<f64>,
     swaps: u64,
 }
 
-impl Default for Judged {
+impl Default for MarkerRecord {
     fn default() -> Self {
         Self { noise: NoiseEstimator::new(NOISE_DIFFERENCES), noise_mm: None, swaps: 0 }
     }
 }
 
-impl Judgements {
+impl MarkerStatistics {
     pub(super) fn new(rate_hz: f64) -> Self {
         Self { rate_hz, ..Self::default() }
     }
 
     /// A frame of the tap.
     pub(super) fn frame(&mut self, head: &TapHead, positions: &[Position]) {
-        self.markers.resize_with(positions.len(), Judged::default);
+        self.markers.resize_with(positions.len(), MarkerRecord::default);
         // Between two bursts, and where frames were lost, samples do not follow each other.
         if self.last_row.is_none_or(|last| head.row != last + 1) {
             self.markers.iter_mut().for_each(|marker| marker.noise.end_run());
@@ -108,17 +108,17 @@ impl Inner {
         let (progress, seen) = (session.progress.clone(), session.seen.clone());
         drop(core);
         let channels = lock(&progress.channels).clone();
-        let judgements = lock(&self.judgements);
+        let statistics = lock(&self.statistics);
         let of_slot = |(slot, channel): (usize, mocapd_take::record::Channel)| {
             let seen = seen.get(slot).unwrap_or_default();
-            let judged = judgements.markers.get(slot);
+            let judged = statistics.markers.get(slot);
             let noise_mm = judged.and_then(|judged| judged.noise_mm);
             MarkerQuality {
                 label: channel.label,
                 labelled: channel.labelled,
                 visible: seen.present as f64 / seen.rows.max(1) as f64,
                 gaps: seen.gaps,
-                longest_gap_s: seen.longest_gap as f64 / judgements.rate_hz.max(1e-3),
+                longest_gap_s: seen.longest_gap as f64 / statistics.rate_hz.max(1e-3),
                 noise_mm,
                 still_sigma_mm: noise_mm,
                 swaps_suspected: judged.map_or(0, |judged| judged.swaps),
@@ -135,17 +135,17 @@ mod tests {
     const RATE_HZ: u64 = 240;
 
     /// Bursts of the tap for 12 s, and one frame in eight between them.
-    fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<Judged> {
-        let mut judgements = Judgements::new(RATE_HZ as f64);
+    fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<MarkerRecord> {
+        let mut statistics = MarkerStatistics::new(RATE_HZ as f64);
         for row in 0..12 * RATE_HZ {
             let is_shown = row % 8 == 0;
             if is_shown || row % 60 < 16 {
                 let arrival_ns = 1_000_000_000 + row * 1_000_000_000 / RATE_HZ;
                 let head = TapHead { row, arrival_ns, is_shown, ..TapHead::default() };
-                judgements.frame(&head, &position(row));
+                statistics.frame(&head, &position(row));
             }
         }
-        judgements.markers
+        statistics.markers
     }
 
     /// A normal number: the same for the same arguments.

@@ -62,12 +62,12 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
         match recover(&path, &output) {
             Ok(losses) => {
                 let to = output.file_stem().unwrap_or_default().to_string_lossy();
-                let words = format!("the take {name} was cut off, and is closed as {to}: {losses}");
-                inner.say_event(ServiceEventKind::Warning, &words, Some(&name));
+                let message = format!("the take {name} was cut off, and is closed as {to}: {losses}");
+                inner.publish(ServiceEventKind::Warning, &message, Some(&name));
             }
             Err(error) => {
-                let words = format!("the take {name} is cut off and cannot be closed: {error:#}");
-                inner.say_event(ServiceEventKind::Warning, &words, Some(&name));
+                let message = format!("the take {name} is cut off and cannot be closed: {error:#}");
+                inner.publish(ServiceEventKind::Warning, &message, Some(&name));
             }
         }
     }

@@ -114,7 +114,7 @@ pub(super) struct OpenTake {
     pub(super) first: Option<FirstRow>,
     pub(super) ended: Receiver<TakeEnd>,
     /// How many changes of its file have been reported.
-    pub(super) file_told: u32,
+    pub(super) changes_reported: u32,
     /// Why it was told to end, once it was.
     pub(super) ending: Option<EndingKind>,
 }

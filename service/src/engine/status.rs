@@ -50,13 +50,13 @@ impl Core {
     }
 }
 
-fn get(n: &AtomicU64) -> u64 {
+fn load(n: &AtomicU64) -> u64 {
     n.load(Ordering::Relaxed)
 }
 
 impl Inner {
     pub(super) fn status(&self) -> Status {
-        let measured_hz = f64::from_bits(get(&self.rates.frames_hz));
+        let measured_hz = f64::from_bits(load(&self.rates.frames_hz));
         let core = self.core();
         let options = &core.options;
         let mut status = Status {
@@ -67,7 +67,7 @@ impl Inner {
             uptime_s: self.began.elapsed().as_secs_f64(),
             device: DeviceStatus {
                 uri: core.device.uri.clone(),
-                presence: core.presence(measured_hz, get(&self.rates.session)),
+                presence: core.presence(measured_hz, load(&self.rates.session)),
                 model: core.device.hello.model.clone(),
                 serial: core.device.hello.serial.clone(),
                 firmware: core.device.hello.firmware.clone(),
@@ -80,7 +80,7 @@ impl Inner {
                 outage: None,
             },
             input: InputStatus {
-                cpu_cores: f64::from_bits(get(&self.rates.cpu_cores)),
+                cpu_cores: f64::from_bits(load(&self.rates.cpu_cores)),
                 ..InputStatus::default()
             },
             pre_roll: PreRollStatus {
@@ -97,9 +97,9 @@ impl Inner {
             },
         };
         status.device.is_awaited = core.wanted && status.device.presence == Presence::Absent;
-        core.tell_session(&mut status, measured_hz);
+        core.fill_session(&mut status, measured_hz);
         drop(core);
-        status.disk.free_bytes = get(&self.rates.free_bytes).checked_sub(1);
+        status.disk.free_bytes = load(&self.rates.free_bytes).checked_sub(1);
         if status.disk.left_s.is_none() {
             status.disk.left_s = estimated_left_s(&status);
         }
@@ -108,10 +108,10 @@ impl Inner {
 }
 
 impl Core {
-    fn tell_session(&self, status: &mut Status, measured_hz: f64) {
+    fn fill_session(&self, status: &mut Status, measured_hz: f64) {
         let Some(session) = &self.session else { return };
         let progress = &session.progress;
-        status.device.outages = u32::try_from(get(&progress.outages)).unwrap_or(u32::MAX);
+        status.device.outages = u32::try_from(load(&progress.outages)).unwrap_or(u32::MAX);
         status.device.markers = lock(&progress.channels).len();
         status.device.outage = match status.device.presence {
             Presence::Absent => Some(session.outage(Some(session.reconnect))),
@@ -119,19 +119,19 @@ impl Core {
             Presence::Present | Presence::Streaming | Presence::Other => None,
         };
         let input = &mut status.input;
-        input.frames = get(&progress.frames);
-        input.lost = get(&progress.lost);
+        input.frames = load(&progress.frames);
+        input.lost = load(&progress.lost);
         input.measured_hz = measured_hz;
-        input.ring_fill = get(&progress.ring_fill_permille) as f64 / 1000.0;
-        input.ring_latency_p99_us = get(&progress.ring_latency_p99_ns).div_ceil(1000);
-        input.jitter_p99_us = get(&progress.jitter_p99_us);
+        input.ring_fill = load(&progress.ring_fill_permille) as f64 / 1000.0;
+        input.ring_latency_p99_us = load(&progress.ring_latency_p99_ns).div_ceil(1000);
+        input.jitter_p99_us = load(&progress.jitter_p99_us);
         input.drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 / 1e3;
         status.pre_roll.wanted_s = session.pre_roll.as_secs_f64();
-        status.pre_roll.held_s = get(&progress.held_ms) as f64 / 1e3;
-        status.pre_roll.held_bytes = get(&progress.held_bytes);
+        status.pre_roll.held_s = load(&progress.held_ms) as f64 / 1e3;
+        status.pre_roll.held_bytes = load(&progress.held_bytes);
         status.pre_roll.is_cut = progress.held_cut.load(Ordering::Relaxed);
         let Some(take) = &self.take else { return };
-        let left_s = get(&progress.disk_left_s);
+        let left_s = load(&progress.disk_left_s);
         status.disk.left_s = (left_s != u64::MAX && left_s > 0).then_some(left_s);
         let now = lock(&progress.take).clone().unwrap_or_default();
         status.take = Some(TakeStatus {
@@ -158,7 +158,7 @@ impl Core {
 impl Session {
     /// The time since the last frame. A device that is away is given up after `patience`.
     fn outage(&self, patience: Option<Duration>) -> OutageStatus {
-        let since_ns = get(&self.progress.last_arrival_ns).max(self.armed_ns);
+        let since_ns = load(&self.progress.last_arrival_ns).max(self.armed_ns);
         let seconds = monotonic_ns().saturating_sub(since_ns) as f64 * 1e-9;
         OutageStatus {
             seconds,

@@ -29,15 +29,15 @@ use super::{
     session::{Core, KnownDevice, Session},
 };
 use crate::{
-    config::{in_keys, with_key},
+    config::{message_with_keys, key_hint},
     status::ServiceEventKind,
 };
 
 /// Between two looks for a device that is not there or does not answer.
-const TRY_EVERY: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Between two looks whether an idle device is attached.
-const PRESENCE_EVERY: Duration = Duration::from_secs(2);
+const PRESENCE_INTERVAL: Duration = Duration::from_secs(2);
 
 /// A device that ends its stream at once, again and again, is started no oftener.
 const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
@@ -47,8 +47,8 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
     let mut watch = UsbWatch::new();
     while !inner.is_stopping() {
         if !inner.core().wanted {
-            inner.look_for_device();
-            inner.wait_while(PRESENCE_EVERY, |core| !core.wanted);
+            inner.check_presence();
+            inner.wait_while(PRESENCE_INTERVAL, |core| !core.wanted);
             continue;
         }
         let begun = Instant::now();
@@ -66,8 +66,8 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
                 }
             }
             Err(error) => {
-                inner.met(&in_keys(&error));
-                watch.wait(TRY_EVERY);
+                inner.report_obstacle(&message_with_keys(&error));
+                watch.wait(RETRY_INTERVAL);
             }
         }
     }
@@ -85,7 +85,7 @@ impl Inner {
         drop(self.changed.wait_timeout_while(core, at_most, goes_on));
     }
 
-    fn look_for_device(&self) {
+    fn check_presence(&self) {
         let options = Arc::clone(&self.core().options);
         let found = options.find_device();
         let present = found.as_ref().is_ok_and(is_attached);
@@ -97,20 +97,20 @@ impl Inner {
         if changed {
             let what =
                 if present { "the device is attached" } else { "the device is not attached" };
-            self.say_event(ServiceEventKind::Device, what, None);
+            self.publish(ServiceEventKind::Device, what, None);
         }
     }
 
     /// Something is in the way of arming: told once.
-    fn met(&self, words: &str) {
+    fn report_obstacle(&self, message: &str) {
         let mut core = self.core();
-        let is_new = core.device.obstacle.as_deref() != Some(words);
-        core.device.obstacle = Some(words.to_owned());
+        let is_new = core.device.obstacle.as_deref() != Some(message);
+        core.device.obstacle = Some(message.to_owned());
         core.device.present = false;
         drop(core);
         self.changed.notify_all();
         if is_new {
-            self.say_event(ServiceEventKind::Warning, words, None);
+            self.publish(ServiceEventKind::Warning, message, None);
         }
     }
 
@@ -171,7 +171,7 @@ impl Inner {
         let name = log.path().display().to_string();
         match log.finish() {
             Ok(logged) if logged.is_whole() => {}
-            Ok(logged) => self.say_event(
+            Ok(logged) => self.publish(
                 ServiceEventKind::Warning,
                 &format!(
                     "{} bytes of the line are not in the raw log {name}",
@@ -180,7 +180,7 @@ impl Inner {
                 None,
             ),
             Err(error) => {
-                self.say_event(
+                self.publish(
                     ServiceEventKind::Warning,
                     &format!("the raw log {name}: {error:#}"),
                     None,
@@ -195,12 +195,12 @@ impl Inner {
         let (intake, pipeline) = match self.begin_session(&rig, &stop, sessions) {
             Ok(begun) => begun,
             Err(error) => {
-                self.met(&format!("{error:#}"));
+                self.report_obstacle(&format!("{error:#}"));
                 return false;
             }
         };
-        self.say_event(ServiceEventKind::State, "armed", None);
-        let say = |words: &str| self.events.say(words);
+        self.publish(ServiceEventKind::State, "armed", None);
+        let say = |message: &str| self.events.defer(message);
         let options = ReadOptions {
             stop: &stop,
             rows_max: None,
@@ -208,20 +208,20 @@ impl Inner {
             for_one_take: false,
             say: &say,
             how_to_end: "",
-            how_to_set: with_key,
+            how_to_set: key_hint,
         };
         let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);
         // No take begins here any more, and one that is written ends.
         self.core().session = None;
         let joined = pipeline.join();
-        let words = match (&read, &joined) {
+        let message = match (&read, &joined) {
             (_, Err(error)) => {
                 self.fail(&format!("{error:#}"));
                 "the data plane failed"
             }
             (Err(error), _) => {
-                self.met(&in_keys(error));
+                self.report_obstacle(&message_with_keys(error));
                 "the device cannot be read"
             }
             (Ok(recording), _) => match recording.ending {
@@ -239,7 +239,7 @@ impl Inner {
             },
         };
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::State, words, None);
+        self.publish(ServiceEventKind::State, message, None);
         progress.frames.load(Ordering::Relaxed) > 0
     }
 
@@ -289,10 +289,10 @@ impl Inner {
     }
 
     /// The data plane failed: somebody has to look.
-    pub(super) fn fail(&self, words: &str) {
-        self.core().failure = Some(words.to_owned());
+    pub(super) fn fail(&self, message: &str) {
+        self.core().failure = Some(message.to_owned());
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::Failure, words, None);
+        self.publish(ServiceEventKind::Failure, message, None);
     }
 }
 

@@ -16,52 +16,52 @@ use super::{Inner, session::Core, status::free_bytes};
 use crate::{process, status::ServiceEventKind};
 
 /// Between two looks.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Between two figures of a rate.
-const RATES_EVERY: Duration = Duration::from_secs(1);
+const RATES_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Until the service ends.
 pub(super) fn run(inner: &Arc<Inner>) {
     // Without it nobody would know that this thread hangs; with sixty others it is not needed.
     let beat = inner.heartbeat.beat(Who::Supervisor).ok();
-    let mut rates = Measured::default();
+    let mut rates = RateMeter::default();
     while !inner.is_stopping() {
         if let Some(beat) = &beat {
             beat.moved();
         }
-        inner.tell_what_was_said();
+        inner.publish_deferred();
         // A take that ends by itself is waited for, and its disk may stall.
         if let Some(beat) = &beat {
             beat.at_disk();
         }
-        inner.end_what_is_over();
-        rates.look(inner, beat.as_ref());
+        inner.end_finished_takes();
+        rates.update(inner, beat.as_ref());
         // Without a session only the disk changes.
         let is_idle = inner.core().session.is_none();
         if is_idle {
-            inner.wait_while(RATES_EVERY, |core| core.session.is_none());
+            inner.wait_while(RATES_INTERVAL, |core| core.session.is_none());
         } else {
-            inner.wait_while(LOOK_EVERY, |_| true);
+            inner.wait_while(POLL_INTERVAL, |_| true);
         }
     }
-    inner.tell_what_was_said();
+    inner.publish_deferred();
 }
 
 impl Inner {
-    fn tell_what_was_said(&self) {
-        while let Some(words) = self.events.said() {
+    fn publish_deferred(&self) {
+        while let Some(message) = self.events.next_deferred() {
             let take = self.core().take.as_ref().map(|take| take.named.name.clone());
-            self.say_event(ServiceEventKind::Device, &words, take.as_deref());
+            self.publish(ServiceEventKind::Device, &message, take.as_deref());
         }
     }
 
     /// Takes whose length, disk, device or writer is over. Not while somebody carries out a command: that one will tell.
-    fn end_what_is_over(&self) {
+    fn end_finished_takes(&self) {
         let Ok(command) = self.command.try_lock() else { return };
-        self.warn_of_file();
+        self.report_file_changes();
         let core = self.core();
-        let why = core.why_over();
+        let why = core.due_ending();
         let ended = core.take.as_ref().map(|take| take.ended.try_recv());
         let exhausted = core.is_exhausted();
         drop(core);
@@ -73,7 +73,7 @@ impl Inner {
             _ => {}
         }
         if exhausted {
-            self.say_event(
+            self.publish(
                 ServiceEventKind::Warning,
                 "every channel of the reserve is used by markers that appeared: the pre-roll begins anew",
                 None,
@@ -87,7 +87,7 @@ impl Inner {
 
 impl Inner {
     /// Says once what others did to the take's file; how that ends a take is said with its end.
-    fn warn_of_file(&self) {
+    fn report_file_changes(&self) {
         let mut core = self.core();
         let Some(progress) = core.session.as_ref().map(|session| Arc::clone(&session.progress))
         else {
@@ -95,20 +95,20 @@ impl Inner {
         };
         let Some(take) = &mut core.take else { return };
         let changes = progress.file_changes();
-        let is_new = std::mem::replace(&mut take.file_told, changes) != changes;
+        let is_new = std::mem::replace(&mut take.changes_reported, changes) != changes;
         let name = take.named.name.clone();
         drop(core);
         if is_new
             && !progress.file_state().ends_take()
             && let Some(displaced) = progress.displaced()
         {
-            self.say_event(ServiceEventKind::Warning, &displaced.words(), Some(&name));
+            self.publish(ServiceEventKind::Warning, &displaced.words(), Some(&name));
         }
     }
 }
 
 impl Core {
-    fn why_over(&self) -> Option<EndingKind> {
+    fn due_ending(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
         if self.options.take.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
             return Some(EndingKind::Length);
@@ -135,13 +135,13 @@ impl Core {
 
 /// Counters at the last look.
 #[derive(Debug, Default)]
-struct Measured {
+struct RateMeter {
     last: Option<(Instant, u64, u64, f64)>,
 }
 
-impl Measured {
-    fn look(&mut self, inner: &Inner, beat: Option<&Beat>) {
-        if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_EVERY) {
+impl RateMeter {
+    fn update(&mut self, inner: &Inner, beat: Option<&Beat>) {
+        if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_INTERVAL) {
             return;
         }
         let now = Instant::now();

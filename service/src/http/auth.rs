@@ -41,11 +41,11 @@ fn hash(secret: &[u8]) -> Hash {
 #[derive(Debug)]
 pub(super) struct Auth {
     token: Option<Hash>,
-    sessions: Mutex<VecDeque<Session>>,
+    sessions: Mutex<VecDeque<LoginSession>>,
 }
 
 #[derive(Debug)]
-struct Session {
+struct LoginSession {
     id: Hash,
     until: Instant,
 }
@@ -64,20 +64,20 @@ impl Auth {
     }
 
     /// Whether this is the token; anything is where there is none.
-    pub(super) fn is_token(&self, said: &[u8]) -> bool {
-        self.token.as_ref().is_none_or(|token| bool::from(hash(said).ct_eq(token)))
+    pub(super) fn is_token(&self, sent: &[u8]) -> bool {
+        self.token.as_ref().is_none_or(|token| bool::from(hash(sent).ct_eq(token)))
     }
 
     /// Whether a request shows the token, or the cookie of a session.
-    pub(super) fn lets_in(&self, headers: &HeaderMap) -> bool {
+    pub(super) fn is_authorized(&self, headers: &HeaderMap) -> bool {
         if self.token.is_none() {
             return true;
         }
-        if let Some(said) = headers.get(header::AUTHORIZATION) {
-            let said = said.as_bytes();
+        if let Some(sent) = headers.get(header::AUTHORIZATION) {
+            let sent = sent.as_bytes();
             let scheme =
-                said.get(..7).is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer "));
-            return scheme && self.is_token(said[7..].trim_ascii());
+                sent.get(..7).is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer "));
+            return scheme && self.is_token(sent[7..].trim_ascii());
         }
         session_id(headers).is_some_and(|id| self.is_session(id))
     }
@@ -104,7 +104,7 @@ impl Auth {
             sessions.pop_front();
         }
         sessions
-            .push_back(Session { id: hash(id.as_bytes()), until: Instant::now() + SESSION_MAX });
+            .push_back(LoginSession { id: hash(id.as_bytes()), until: Instant::now() + SESSION_MAX });
         Ok(id)
     }
 
@@ -153,7 +153,7 @@ pub enum TokenError {
     NotAFile(PathBuf),
     /// Others may read or change it.
     #[error("the token file {} has mode {mode:04o}, and others may use it: chmod 600 {}", .file.display(), .file.display())]
-    Open {
+    Permissions {
         /// The file.
         file: PathBuf,
         /// Its mode.
@@ -171,7 +171,7 @@ pub enum TokenError {
     },
     /// What is in it is no token.
     #[error("the token file {} {why}: write one line of at least 16 letters, digits or signs without spaces", .file.display())]
-    NoToken {
+    Malformed {
         /// The file.
         file: PathBuf,
         /// What is in it.
@@ -202,14 +202,14 @@ impl Token {
         }
         let mode = meta.mode() & 0o7777;
         if mode & !0o600 != 0 {
-            return Err(TokenError::Open { file: file.to_owned(), mode });
+            return Err(TokenError::Permissions { file: file.to_owned(), mode });
         }
         if meta.uid() != user {
             return Err(TokenError::Foreign { file: file.to_owned(), owner: meta.uid(), user });
         }
         let mut text = String::new();
         let limited = opened.by_ref().take(FILE_BYTES_MAX + 1).read_to_string(&mut text);
-        let no_token = |why| TokenError::NoToken { file: file.to_owned(), why };
+        let no_token = |why| TokenError::Malformed { file: file.to_owned(), why };
         limited.map_err(|error| match error.kind() {
             io::ErrorKind::InvalidData => no_token("holds no text"),
             _ => unreadable(error),
@@ -256,8 +256,8 @@ mod tests {
     #[test]
     fn the_token_and_nothing_like_it() {
         let auth = Auth::new(Some("0123456789abcdef"));
-        let lets_in = |value: &str| auth.lets_in(&with(header::AUTHORIZATION, value));
-        assert!(lets_in("Bearer 0123456789abcdef") && lets_in("bearer  0123456789abcdef"));
+        let is_authorized = |value: &str| auth.is_authorized(&with(header::AUTHORIZATION, value));
+        assert!(is_authorized("Bearer 0123456789abcdef") && is_authorized("bearer  0123456789abcdef"));
         for value in [
             "",
             "Bearer",
@@ -266,10 +266,10 @@ mod tests {
             "Bearer 0123456789abcde",
             "Basic 0123456789abcdef",
         ] {
-            assert!(!lets_in(value), "{value}");
+            assert!(!is_authorized(value), "{value}");
         }
-        assert!(!auth.lets_in(&HeaderMap::new()));
-        assert!(Auth::new(None).lets_in(&HeaderMap::new()));
+        assert!(!auth.is_authorized(&HeaderMap::new()));
+        assert!(Auth::new(None).is_authorized(&HeaderMap::new()));
     }
 
     #[test]
@@ -277,17 +277,17 @@ mod tests {
         let auth = Auth::new(Some("0123456789abcdef"));
         let cookie = |id: &str| with(header::COOKIE, &format!("a=b; {COOKIE}={id}; c=d"));
         let first = auth.open_session().unwrap();
-        assert!(auth.lets_in(&cookie(&first)));
-        assert!(!auth.lets_in(&cookie("")) && !auth.lets_in(&cookie(&first[1..])));
+        assert!(auth.is_authorized(&cookie(&first)));
+        assert!(!auth.is_authorized(&cookie("")) && !auth.is_authorized(&cookie(&first[1..])));
         let more: Vec<_> = (0..SESSIONS_MAX).map(|_| auth.open_session().unwrap()).collect();
-        assert!(!auth.lets_in(&cookie(&first)), "the first made room");
-        assert!(more.iter().all(|id| auth.lets_in(&cookie(id))));
+        assert!(!auth.is_authorized(&cookie(&first)), "the first made room");
+        assert!(more.iter().all(|id| auth.is_authorized(&cookie(id))));
         auth.close_session(&cookie(&more[0]));
-        assert!(!auth.lets_in(&cookie(&more[0])) && auth.lets_in(&cookie(&more[1])));
+        assert!(!auth.is_authorized(&cookie(&more[0])) && auth.is_authorized(&cookie(&more[1])));
         // A wrong token is not mended by a good cookie.
         let mut both = cookie(&more[1]);
         both.insert(header::AUTHORIZATION, HeaderValue::from_static("Bearer no"));
-        assert!(!auth.lets_in(&both));
+        assert!(!auth.is_authorized(&both));
     }
 
     const SECRET: &str = "0123456789abcdef";
@@ -309,7 +309,7 @@ mod tests {
 
     fn no_token(content: &[u8]) -> &'static str {
         match refused(0o600, content) {
-            TokenError::NoToken { why, .. } => why,
+            TokenError::Malformed { why, .. } => why,
             other => panic!("{other:?}"),
         }
     }
@@ -328,7 +328,7 @@ mod tests {
     fn what_others_may_read_or_change_is_refused() {
         for mode in [0o640, 0o604, 0o620, 0o602, 0o644, 0o700, 0o1600] {
             let open = refused(mode, SECRET.as_bytes());
-            assert!(matches!(open, TokenError::Open { mode: found, .. } if found == mode));
+            assert!(matches!(open, TokenError::Permissions { mode: found, .. } if found == mode));
             assert!(open.to_string().contains("chmod 600"), "{open}");
         }
         let (_dir, path) = file(0o600, SECRET.as_bytes());

@@ -40,9 +40,9 @@ identified!(control::Request, Start, Mark, SaveLast);
 
 /// A JSON object as the body, or nothing, which is an empty object.
 #[derive(Debug)]
-pub(super) struct Asked<T>(pub(super) T);
+pub(super) struct JsonBody<T>(pub(super) T);
 
-impl<T: Identified> FromRequest<Shared> for Asked<T> {
+impl<T: Identified> FromRequest<Shared> for JsonBody<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, app: &Shared) -> Result<Self, Problem> {
@@ -57,13 +57,13 @@ impl<T: Identified> FromRequest<Shared> for Asked<T> {
         }
         let bytes = read(body, &parts.headers, app).await?;
         // serde would take a list for an object whose names were left out.
-        let mut asked: T = match bytes.trim_ascii().first() {
+        let mut request: T = match bytes.trim_ascii().first() {
             None if bytes.is_empty() => parse(b"{}")?,
             Some(b'{') => parse(&bytes)?,
             _ => return Err(Problem::invalid("the body is no JSON object")),
         };
-        let id = asked.request_id();
-        let key = parts.headers.get(IDEMPOTENCY_KEY).map(key_of).transpose()?;
+        let id = request.request_id();
+        let key = parts.headers.get(IDEMPOTENCY_KEY).map(idempotency_key).transpose()?;
         match (key, id.as_deref()) {
             (Some(key), Some(id)) if key != id => {
                 return Err(Problem::invalid("Idempotency-Key and request_id differ: send one"));
@@ -72,21 +72,21 @@ impl<T: Identified> FromRequest<Shared> for Asked<T> {
             (None, _) => {}
         }
         if id.as_deref().is_some_and(|id| !is_request_id(id)) {
-            let words =
+            let message =
                 format!("a request's id has 1 to {ID_BYTES_MAX} printable ASCII characters");
-            return Err(Problem::invalid(words));
+            return Err(Problem::invalid(message));
         }
-        Ok(Self(asked))
+        Ok(Self(request))
     }
 }
 
 fn parse<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
     serde_json::from_slice(text)
-        .map_err(|error| Problem::invalid(format!("the body is not what is asked for: {error}")))
+        .map_err(|error| Problem::invalid(format!("unexpected request body: {error}")))
 }
 
 /// The header's value, with or without the quotes that its draft has it in.
-fn key_of(value: &HeaderValue) -> Result<String, Problem> {
+fn idempotency_key(value: &HeaderValue) -> Result<String, Problem> {
     let text = value.to_str().unwrap_or_default();
     let key = text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text);
     if key.is_empty() {
@@ -101,9 +101,9 @@ fn is_request_id(id: &str) -> bool {
 
 /// Whether the body is said to be of this type; parameters may follow.
 pub(super) fn is_type(headers: &HeaderMap, wanted: &str) -> bool {
-    let said = headers.get(header::CONTENT_TYPE).and_then(|said| said.to_str().ok());
-    said.is_some_and(|said| {
-        said.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(wanted)
+    let value = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
+    value.is_some_and(|value| {
+        value.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(wanted)
     })
 }
 
@@ -114,12 +114,12 @@ pub(super) async fn read(
     app: &Shared,
 ) -> Result<axum::body::Bytes, Problem> {
     let too_large = || {
-        let words = format!("the body is larger than {BODY_BYTES_MAX} bytes");
-        Problem::new(StatusCode::PAYLOAD_TOO_LARGE, ProblemKind::TooLarge, words)
+        let message = format!("the body is larger than {BODY_BYTES_MAX} bytes");
+        Problem::new(StatusCode::PAYLOAD_TOO_LARGE, ProblemKind::TooLarge, message)
     };
-    let said =
-        headers.get(header::CONTENT_LENGTH).and_then(|said| said.to_str().ok()?.parse().ok());
-    if said.is_some_and(|said: u64| said > BODY_BYTES_MAX as u64) {
+    let value =
+        headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    if value.is_some_and(|value: u64| value > BODY_BYTES_MAX as u64) {
         return Err(too_large());
     }
     match tokio::time::timeout(app.limits.body, to_bytes(body, BODY_BYTES_MAX)).await {

@@ -11,7 +11,7 @@ use mocapd_acquire::listing::{self, ListedDevice};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Shared, Via, body::Asked, problem::Problem};
+use super::{Shared, Via, body::JsonBody, problem::Problem};
 use crate::{
     control::{Control, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped},
     status::{MarkerQuality, State as ServiceState, Status},
@@ -51,10 +51,10 @@ pub(super) async fn healthz(
     if status.state != ServiceState::Failed {
         return Ok(Json(Health { state: status.state }));
     }
-    let knows = matches!(via, Via::Unix) || app.auth.lets_in(&headers);
+    let knows = matches!(via, Via::Unix) || app.auth.is_authorized(&headers);
     let reason = status.failure.filter(|_| knows);
-    let words = reason.unwrap_or_else(|| "the service has failed: see /v1/status".to_owned());
-    let mut problem = Problem::internal(words);
+    let message = reason.unwrap_or_else(|| "the service has failed: see /v1/status".to_owned());
+    let mut problem = Problem::internal(message);
     problem.status = StatusCode::SERVICE_UNAVAILABLE.as_u16();
     Err(problem)
 }
@@ -65,19 +65,19 @@ pub(super) async fn healthz(
 #[utoipa::path(get, path = "/v1/devices", tag = "status",
     responses((status = 200, body = Vec<ListedDevice>)))]
 pub(super) async fn devices(State(app): State<Shared>) -> Result<Json<Vec<ListedDevice>>, Problem> {
-    let listed = app.lanes.files.run(listing::devices).await?;
+    let listed = app.queues.files.run(listing::devices).await?;
     Ok(Json(listed.map_err(|error| Problem::internal(error.to_string()))?))
 }
 
 type Answer<T> = Result<Json<T>, Problem>;
 
 /// Carries it out on a thread that may wait.
-async fn carry_out<T: Send + 'static>(
+async fn execute<T: Send + 'static>(
     app: &Shared,
     what: impl FnOnce(&dyn Control) -> Result<T, Refusal> + Send + 'static,
 ) -> Answer<T> {
     let control = Arc::clone(&app.control);
-    let done = app.lanes.commands.run(move || what(control.as_ref())).await?;
+    let done = app.queues.commands.run(move || what(control.as_ref())).await?;
     Ok(Json(done?))
 }
 
@@ -86,8 +86,8 @@ async fn carry_out<T: Send + 'static>(
 /// Armed already: nothing to do.
 #[utoipa::path(post, path = "/v1/arm", tag = "commands", request_body = Request,
     responses((status = 200, body = Status)))]
-pub(super) async fn arm(State(app): State<Shared>, Asked(asked): Asked<Request>) -> Answer<Status> {
-    carry_out(&app, move |control| control.arm(&asked)).await
+pub(super) async fn arm(State(app): State<Shared>, JsonBody(request): JsonBody<Request>) -> Answer<Status> {
+    execute(&app, move |control| control.arm(&request)).await
 }
 
 /// Stop the device and forget the pre-roll
@@ -95,9 +95,9 @@ pub(super) async fn arm(State(app): State<Shared>, Asked(asked): Asked<Request>)
     responses((status = 200, body = Status)))]
 pub(super) async fn disarm(
     State(app): State<Shared>,
-    Asked(asked): Asked<Request>,
+    JsonBody(request): JsonBody<Request>,
 ) -> Answer<Status> {
-    carry_out(&app, move |control| control.disarm(&asked)).await
+    execute(&app, move |control| control.disarm(&request)).await
 }
 
 /// Begin a take
@@ -107,9 +107,9 @@ pub(super) async fn disarm(
     responses((status = 200, body = Started)))]
 pub(super) async fn start(
     State(app): State<Shared>,
-    Asked(asked): Asked<Start>,
+    JsonBody(request): JsonBody<Start>,
 ) -> Answer<Started> {
-    carry_out(&app, move |control| control.start(&asked)).await
+    execute(&app, move |control| control.start(&request)).await
 }
 
 /// End the take
@@ -119,16 +119,16 @@ pub(super) async fn start(
     responses((status = 200, body = Stopped)))]
 pub(super) async fn stop(
     State(app): State<Shared>,
-    Asked(asked): Asked<Request>,
+    JsonBody(request): JsonBody<Request>,
 ) -> Answer<Stopped> {
-    carry_out(&app, move |control| control.stop(&asked)).await
+    execute(&app, move |control| control.stop(&request)).await
 }
 
 /// Put a mark into the take at the frame that comes next
 #[utoipa::path(post, path = "/v1/mark", tag = "commands", request_body = Mark,
     responses((status = 200, body = Marked)))]
-pub(super) async fn mark(State(app): State<Shared>, Asked(asked): Asked<Mark>) -> Answer<Marked> {
-    carry_out(&app, move |control| control.mark(&asked)).await
+pub(super) async fn mark(State(app): State<Shared>, JsonBody(request): JsonBody<Mark>) -> Answer<Marked> {
+    execute(&app, move |control| control.mark(&request)).await
 }
 
 /// Write a take of what the pre-roll holds, and go on
@@ -136,7 +136,7 @@ pub(super) async fn mark(State(app): State<Shared>, Asked(asked): Asked<Mark>) -
     responses((status = 200, body = Stopped)))]
 pub(super) async fn save_last(
     State(app): State<Shared>,
-    Asked(asked): Asked<SaveLast>,
+    JsonBody(request): JsonBody<SaveLast>,
 ) -> Answer<Stopped> {
-    carry_out(&app, move |control| control.save_last(&asked)).await
+    execute(&app, move |control| control.save_last(&request)).await
 }

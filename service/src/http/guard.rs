@@ -18,7 +18,7 @@ use axum::{
 use super::{
     Counts, Shared, Via,
     login::{self, LOGIN_PATH},
-    places::Place,
+    slots::ConnectionSlot,
     problem::{PROBLEM_JSON, Problem, ProblemKind},
 };
 
@@ -45,24 +45,24 @@ pub(super) async fn guard(State(app): State<Shared>, request: Request, next: Nex
 fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     let refuse = |problem: Problem| Err(Box::new(problem.into_response()));
     let (uri, headers) = (request.uri(), request.headers());
-    let said = uri.path_and_query().map_or(0, |said| said.as_str().len());
-    if said > URI_BYTES_MAX {
-        let words = format!("a path of {said} bytes: {URI_BYTES_MAX} at most");
-        return refuse(Problem::new(StatusCode::URI_TOO_LONG, ProblemKind::TooLarge, words));
+    let value = uri.path_and_query().map_or(0, |value| value.as_str().len());
+    if value > URI_BYTES_MAX {
+        let message = format!("a path of {value} bytes: {URI_BYTES_MAX} at most");
+        return refuse(Problem::new(StatusCode::URI_TOO_LONG, ProblemKind::TooLarge, message));
     }
     let via = request.extensions().get::<Via>().copied();
     let host = host(uri, headers);
     // Nobody's browser reaches a Unix socket by itself: a proxy does, under a name of its own.
     if !matches!(via, Some(Via::Unix)) {
         match &host {
-            Some(host) if is_ours(host, via, &app.allowed_hosts.borrow()) => {}
+            Some(host) if is_known_host(host, via, &app.allowed_hosts.borrow()) => {}
             Some(host) => {
-                let words = format!(
+                let message = format!(
                     "'{}' is not a name of this service: put it into allowed_hosts, if it is",
                     host.host()
                 );
                 let (status, kind) = (StatusCode::MISDIRECTED_REQUEST, ProblemKind::Forbidden);
-                return refuse(Problem::new(status, kind, words));
+                return refuse(Problem::new(status, kind, message));
             }
             None => return refuse(Problem::invalid("the header Host is missing, or is no host")),
         }
@@ -72,18 +72,18 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     {
         return refuse(problem);
     }
-    let is_authorized = matches!(via, Some(Via::Unix)) || app.auth.lets_in(headers);
-    if is_authorized && let Some(place) = request.extensions().get::<Arc<Place>>() {
-        place.authorize();
+    let is_authorized = matches!(via, Some(Via::Unix)) || app.auth.is_authorized(headers);
+    if is_authorized && let Some(slot) = request.extensions().get::<Arc<ConnectionSlot>>() {
+        slot.authorize();
     }
     if is_authorized || is_open(uri.path()) {
         return Ok(());
     }
-    if request.method() == Method::GET && login::is_wanted(headers) {
+    if request.method() == Method::GET && login::wants_html(headers) {
         return Err(Box::new(Redirect::to(LOGIN_PATH).into_response()));
     }
-    let words = "a token is needed: send `Authorization: Bearer …`, or log in at /login";
-    refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words))
+    let message = "a token is needed: send `Authorization: Bearer …`, or log in at /login";
+    refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, message))
 }
 
 /// What can be had without a token: the way in with what it looks like, and whether the service lives.
@@ -111,7 +111,7 @@ fn host(uri: &Uri, headers: &HeaderMap) -> Option<Authority> {
 }
 
 /// Whether that is a name of this service. Ports are not looked at: `ssh -L` gives others.
-fn is_ours(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
+fn is_known_host(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
     let name = host.host().trim_start_matches('[').trim_end_matches(']');
     if name.eq_ignore_ascii_case("localhost")
         || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(name))
@@ -131,17 +131,17 @@ fn is_ours(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
 /// Whether what changes something comes from our own pages, or from no page at all.
 fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Problem> {
     let forbidden =
-        |words: String| Problem::new(StatusCode::FORBIDDEN, ProblemKind::Forbidden, words);
+        |message: String| Problem::new(StatusCode::FORBIDDEN, ProblemKind::Forbidden, message);
     let mut origins = headers.get_all(header::ORIGIN).iter();
     if let Some(origin) = origins.next() {
-        let said = origin.to_str().unwrap_or_default();
-        let from = said.strip_prefix("http://").or_else(|| said.strip_prefix("https://"));
+        let value = origin.to_str().unwrap_or_default();
+        let from = value.strip_prefix("http://").or_else(|| value.strip_prefix("https://"));
         let same = from
             .is_some_and(|from| host.is_some_and(|host| host.as_str().eq_ignore_ascii_case(from)));
         if !same || origins.next().is_some() {
             return Err(forbidden(format!(
                 "a page of '{}' may not change anything here",
-                said.escape_default()
+                value.escape_default()
             )));
         }
     }
@@ -156,7 +156,7 @@ fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Proble
 pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let is_api = path.starts_with("/v1/");
-    let is_page = !is_api && login::is_wanted(request.headers());
+    let is_page = !is_api && login::wants_html(request.headers());
     Counts::add(&app.counts.requests, 1);
     let mut response = next.run(request).await;
     let status = response.status();
@@ -199,7 +199,7 @@ mod tests {
 
     fn ours(host: &str, local: &str) -> bool {
         let via = Some(Via::Tcp(local.parse().unwrap()));
-        is_ours(&host.parse().unwrap(), via, &["rig.lab".to_owned()])
+        is_known_host(&host.parse().unwrap(), via, &["rig.lab".to_owned()])
     }
 
     #[test]

@@ -56,11 +56,11 @@ pub(super) async fn login(
         ));
     }
     let form = body::read(body, &parts.headers, &app).await?;
-    let said = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
-    if !app.auth.is_token(said.as_bytes()) {
+    let token = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
+    if !app.auth.is_token(token.as_bytes()) {
         tokio::time::sleep(WRONG_TOKEN_WAIT).await;
-        let words = "wrong token: it stands in the file that the configuration names";
-        return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words));
+        let message = "wrong token: it stands in the file that the configuration names";
+        return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, message));
     }
     let mut response = Redirect::to("/").into_response();
     if app.auth.is_on() {

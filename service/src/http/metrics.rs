@@ -37,7 +37,7 @@ pub(super) async fn metrics(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let mut registry = Registry::with_prefix("mocapd");
-    let figures = Figures { status: app.control.status(), counts: Arc::clone(&app.counts) };
+    let figures = StatusMetrics { status: app.control.status(), counts: Arc::clone(&app.counts) };
     registry.register_collector(Box::new(figures));
     let mut text = String::new();
     encode(&mut text, &registry).map_err(|error| Problem::internal(error.to_string()))?;
@@ -59,8 +59,8 @@ fn classic(text: &str) -> String {
         .collect();
     let mut out = String::with_capacity(text.len());
     for line in text.lines().filter(|line| !line.starts_with("# UNIT ") && *line != "# EOF") {
-        let mut words = line.splitn(4, ' ');
-        match (words.next(), words.next(), words.next(), words.next()) {
+        let mut parts = line.splitn(4, ' ');
+        match (parts.next(), parts.next(), parts.next(), parts.next()) {
             (Some("#"), Some(what), Some(name), Some(rest)) if counters.contains(&name) => {
                 out += &format!("# {what} {name}_total {rest}\n");
             }
@@ -75,14 +75,14 @@ fn classic(text: &str) -> String {
 
 /// The figures at one time: names in Prometheus' base units, and what each means.
 #[derive(Debug)]
-struct Figures {
+struct StatusMetrics {
     status: Status,
     counts: Arc<Counts>,
 }
 
-impl Collector for Figures {
+impl Collector for StatusMetrics {
     fn encode(&self, encoder: DescriptorEncoder<'_>) -> Result<(), Error> {
-        let mut out = Out(encoder);
+        let mut out = MetricWriter(encoder);
         self.service(&mut out)?;
         self.device(&mut out)?;
         self.input(&mut out)?;
@@ -99,9 +99,9 @@ impl Collector for Figures {
 }
 
 /// Writes one figure after the other.
-struct Out<'a>(DescriptorEncoder<'a>);
+struct MetricWriter<'a>(DescriptorEncoder<'a>);
 
-impl Out<'_> {
+impl MetricWriter<'_> {
     /// A name ends with its unit, where it has one.
     fn gauge(
         &mut self,
@@ -168,8 +168,8 @@ macro_rules! figures {
     };
 }
 
-impl Figures {
-    fn service(&self, out: &mut Out<'_>) -> Result<(), Error> {
+impl StatusMetrics {
+    fn service(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
         let status = &self.status;
         let mut build =
             out.0.encode_descriptor("build_info", "Program and rig", None, MetricType::Gauge)?;
@@ -189,7 +189,7 @@ impl Figures {
         out.one_of("state", "What the service is doing: 1 for the state it is in", &names, state)
     }
 
-    fn device(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn device(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
         let device = &self.status.device;
         let names = ["absent", "present", "streaming", "silent"];
         let help = "Whether the device is there: 1 for how it is";
@@ -218,7 +218,7 @@ impl Figures {
         Ok(())
     }
 
-    fn input(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn input(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
         let input = &self.status.input;
         figures! { out:
             /// Frames taken in since the device was armed
@@ -241,7 +241,7 @@ impl Figures {
         Ok(())
     }
 
-    fn pre_roll_and_disk(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn pre_roll_and_disk(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
         let (pre_roll, disk) = (&self.status.pre_roll, &self.status.disk);
         figures! { out:
             /// Pre-roll that is to be held
@@ -272,7 +272,7 @@ impl Figures {
         Ok(())
     }
 
-    fn http(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn http(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
         let counts = &self.counts;
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         figures! { out:
@@ -295,7 +295,7 @@ impl Figures {
     }
 }
 
-fn of_take(take: &TakeStatus, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> Result<(), Error> {
     figures! { out:
         /// When the take was asked for, since 1970
         gauge take_started_timestamp in Seconds = take.started_unix_ms as f64 / 1e3;
@@ -315,7 +315,7 @@ fn of_take(take: &TakeStatus, out: &mut Out<'_>) -> Result<(), Error> {
     Ok(())
 }
 
-fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> Result<(), Error> {
     figures! { out:
         /// Frames that the device sent for the take, as far as is known
         gauge take_frames_sent = ledger.frames_sent as f64;
@@ -363,7 +363,7 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
     out.by("take_link_messages", "Messages of the line during the take", "fate", &messages)
 }
 
-fn of_last_take(take: &TakeSummary, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> Result<(), Error> {
     figures! { out:
         /// The file of the take before
         gauge last_take_size in Bytes = take.bytes as f64;
@@ -388,7 +388,7 @@ mod tests {
 
     fn text(status: Status) -> String {
         let mut registry = Registry::with_prefix("mocapd");
-        registry.register_collector(Box::new(Figures { status, counts: Arc::default() }));
+        registry.register_collector(Box::new(StatusMetrics { status, counts: Arc::default() }));
         let mut text = String::new();
         encode(&mut text, &registry).unwrap();
         text

@@ -16,11 +16,11 @@ mod broadcast;
 mod commands;
 mod connection;
 mod guard;
-mod lanes;
+
 mod login;
 mod metrics;
 mod options;
-mod places;
+
 mod problem;
 mod routes;
 mod server;
@@ -42,8 +42,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use self::{
     auth::Auth,
-    broadcast::{EventHub, LiveHub},
-    lanes::Lanes,
+    broadcast::{EventBroadcast, LiveBroadcast},
+    work_queues::WorkQueues,
 };
 pub use self::{
     auth::{Token, TokenError},
@@ -60,13 +60,13 @@ use crate::control::Control;
 #[derive(Debug)]
 struct App {
     control: Arc<dyn Control>,
-    lanes: Lanes,
+    queues: WorkQueues,
     auth: Arc<Auth>,
     counts: Arc<Counts>,
     limits: TimeLimits,
     allowed_hosts: watch::Receiver<Vec<String>>,
-    events: Arc<EventHub>,
-    live: Arc<LiveHub>,
+    events: Arc<EventBroadcast>,
+    live: Arc<LiveBroadcast>,
     /// The API's description of itself.
     document: Bytes,
     /// Answers that go on for as long as the client likes: half of the listener's connections, so that
@@ -80,14 +80,14 @@ struct App {
 type Shared = Arc<App>;
 
 /// Held by an answer that goes on.
-type StreamPlace = OwnedSemaphorePermit;
+type StreamPermit = OwnedSemaphorePermit;
 
 impl App {
     /// A place for an answer that goes on for as long as the client likes.
     ///
     /// # Errors
     /// 503 when there are too many.
-    fn stream_place(&self) -> Result<StreamPlace, Problem> {
+    fn stream_permit(&self) -> Result<StreamPermit, Problem> {
         Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
             Problem::unavailable(
                 "too many streams and downloads: close one, or try again in a second",
@@ -132,16 +132,16 @@ impl Counts {
 
 /// Counts a connection as open while it lives.
 #[derive(Debug)]
-struct Open(Arc<Counts>);
+struct OpenConnection(Arc<Counts>);
 
-impl Open {
+impl OpenConnection {
     fn new(counts: Arc<Counts>) -> Self {
         counts.connections.fetch_add(1, Ordering::Relaxed);
         Self(counts)
     }
 }
 
-impl Drop for Open {
+impl Drop for OpenConnection {
     fn drop(&mut self) {
         self.0.connections.fetch_sub(1, Ordering::Relaxed);
     }

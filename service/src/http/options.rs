@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use anyhow::{bail, ensure};
 
-use super::{auth::TOKEN_BYTES_MIN, lanes};
+use super::{auth::TOKEN_BYTES_MIN, work_queues};
 
 /// Connections at once at most, each on the Unix socket and on TCP: a studio's browsers and scripts, each with a few, and
 /// room for those that never finish a request. Each costs 50 KB at most. Connections must leave descriptors for takes.
@@ -17,7 +17,7 @@ pub(super) const LINGER_MAX: usize = 32;
 /// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
 /// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the
 /// socket always gets in.
-pub(super) const UNIX_MORE: usize = lanes::REQUESTS_MAX;
+pub(super) const UNIX_MORE: usize = work_queues::REQUESTS_MAX;
 
 /// Descriptors that a process may open unless it is given more: Linux' and systemd's soft limit.
 const DESCRIPTORS: usize = 1024;

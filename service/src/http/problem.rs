@@ -47,7 +47,7 @@ impl Problem {
 
     /// For an answer that axum or hyper made, which has a status and hardly a word.
     pub(super) fn of_status(status: StatusCode) -> Self {
-        let (kind, words) = match status {
+        let (kind, message) = match status {
             StatusCode::NOT_FOUND => {
                 (ProblemKind::NotFound, "there is nothing here: see /openapi.json")
             }
@@ -63,7 +63,7 @@ impl Problem {
             }
             _ => (ProblemKind::Invalid, "the request makes no sense"),
         };
-        Self::new(status, kind, words)
+        Self::new(status, kind, message)
     }
 
     pub(super) fn status_code(&self) -> StatusCode {

@@ -78,7 +78,7 @@ pub(super) fn router(app: &Shared) -> Router {
 #[openapi(
     info(
         title = "mocapd",
-        description = "A recorder for optical motion capture, as a service. docs/api.md has the words to it.",
+        description = "A recorder for optical motion capture, as a service. docs/api.md has the message to it.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
     components(schemas(Problem)),

@@ -24,11 +24,11 @@ use tokio::{
 use super::{
     App, Counts,
     auth::Auth,
-    broadcast::{EventHub, LiveHub},
-    connection::Doorway,
-    lanes::{self, Lanes},
+    broadcast::{EventBroadcast, LiveBroadcast},
+    connection::Acceptor,
+    work_queues::{self, WorkQueues},
     options::{HttpOptions, UNIX_MORE},
-    places::Places,
+    slots::ConnectionSlots,
     routes,
 };
 use crate::control::Control;
@@ -40,9 +40,9 @@ pub struct HttpServer {
     within: watch::Sender<Duration>,
     /// Of the listeners.
     threads: Vec<JoinHandle<()>>,
-    hub_stopper: Option<Stopper>,
+    broadcast_stopper: Option<Stopper>,
     /// Those that listen to the service for everybody.
-    hub_threads: Vec<JoinHandle<()>>,
+    broadcast_threads: Vec<JoinHandle<()>>,
     tcp: Option<SocketAddr>,
     allowed_hosts: watch::Sender<Vec<String>>,
 }
@@ -66,30 +66,30 @@ impl HttpServer {
         let counts = Arc::new(Counts::default());
         let run = format!("{:x}", Timestamp::now().as_millisecond());
         let feed = control.events();
-        let events = Arc::new(EventHub::new(run, Arc::clone(&counts)));
-        let live = Arc::new(LiveHub::new(Arc::clone(&counts)));
+        let events = Arc::new(EventBroadcast::new(run, Arc::clone(&counts)));
+        let live = Arc::new(LiveBroadcast::new(Arc::clone(&counts)));
         let auth = Arc::new(Auth::new(token.as_deref()));
         let document: Bytes = routes::openapi()?.into();
-        let (hub_stopper, stopped) = threads::stop();
+        let (broadcast_stopper, stopped) = threads::stop();
         let mut server = Self {
             stop,
             within,
             threads: Vec::with_capacity(2),
-            hub_stopper: Some(hub_stopper),
-            hub_threads: Vec::with_capacity(2),
+            broadcast_stopper: Some(broadcast_stopper),
+            broadcast_threads: Vec::with_capacity(2),
             tcp: tcp_address,
             allowed_hosts: allow_hosts,
         };
         let (hub, is_stopped) = (Arc::clone(&events), stopped.clone());
         let listen = move || hub.listen(&feed, &is_stopped);
-        server.hub_threads.push(threads::spawn("mocapd-events", listen)?);
+        server.broadcast_threads.push(threads::spawn("mocapd-events", listen)?);
         let (hub, shown) = (Arc::clone(&live), Arc::clone(&control));
         let run = move || hub.run(shown.as_ref(), &stopped);
-        server.hub_threads.push(threads::spawn("mocapd-live", run)?);
-        let serving = move |places: usize| {
+        server.broadcast_threads.push(threads::spawn("mocapd-live", run)?);
+        let serving = move |slots: usize| {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
-                lanes: Lanes::new(limits.work),
+                queues: WorkQueues::new(limits.work),
                 auth: Arc::clone(&auth),
                 counts: Arc::clone(&counts),
                 events: Arc::clone(&events),
@@ -102,28 +102,28 @@ impl HttpServer {
             });
             // Nothing is ever sent: that the other ends are gone is the message.
             let (gone, alive) = watch::channel(());
-            let doorway = Doorway {
+            let acceptor = Acceptor {
                 router: routes::router(&app),
                 limits,
                 counts: Arc::clone(&counts),
-                places: Places::new(places),
-                lingering: Doorway::lingering(),
+                slots: ConnectionSlots::new(slots),
+                lingering: Acceptor::lingering(),
                 stopping: stopping.clone(),
                 alive,
             };
-            Serving { doorway, gone, how_long: how_long.clone() }
+            Serving { acceptor, gone, how_long: how_long.clone() }
         };
         if let Some(Listening { runtime, listener }) = unix {
             let serving = serving(connections_max + UNIX_MORE);
             let run = move || {
-                let UnixDoor { listener, file } = listener;
-                serving.run(runtime, |doorway| doorway.serve_unix(listener), file);
+                let BoundSocket { listener, file } = listener;
+                serving.run(runtime, |acceptor| acceptor.serve_unix(listener), file);
             };
             server.threads.push(threads::spawn("mocapd-socket", run)?);
         }
         if let Some(Listening { runtime, listener }) = tcp {
             let serving = serving(connections_max);
-            let run = move || serving.run(runtime, |doorway| doorway.serve_tcp(listener), ());
+            let run = move || serving.run(runtime, |acceptor| acceptor.serve_tcp(listener), ());
             server.threads.push(threads::spawn("mocapd-tcp", run)?);
         }
         Ok(server)
@@ -154,8 +154,8 @@ impl HttpServer {
         self.stop.send_replace(true);
         // One that panicked has ended already, which `join` reports.
         let joined = self.threads.drain(..).map(threads::join).fold(Ok(()), Result::and);
-        drop(self.hub_stopper.take());
-        self.hub_threads.drain(..).map(threads::join).fold(joined, Result::and)
+        drop(self.broadcast_stopper.take());
+        self.broadcast_threads.drain(..).map(threads::join).fold(joined, Result::and)
     }
 }
 
@@ -177,7 +177,7 @@ impl<L> Listening<L> {
         let runtime = Builder::new_current_thread()
             .enable_io()
             .enable_time()
-            .max_blocking_threads(lanes::THREADS)
+            .max_blocking_threads(work_queues::THREADS)
             .thread_name("mocapd-http-job")
             .build()
             .context("cannot start the runtime of the HTTP API")?;
@@ -190,7 +190,7 @@ impl<L> Listening<L> {
 
 /// What the thread of a listener works with.
 struct Serving {
-    doorway: Doorway,
+    acceptor: Acceptor,
     gone: watch::Sender<()>,
     how_long: watch::Receiver<Duration>,
 }
@@ -200,13 +200,13 @@ impl Serving {
     fn run<F: Future<Output = ()> + Send + 'static>(
         self,
         runtime: Runtime,
-        accept: impl FnOnce(Doorway) -> F,
+        accept: impl FnOnce(Acceptor) -> F,
         file: impl Sized,
     ) {
-        let Self { doorway, gone, how_long } = self;
+        let Self { acceptor, gone, how_long } = self;
         let deadline = runtime.block_on(async move {
-            let mut stopping = doorway.stopping.clone();
-            tokio::spawn(accept(doorway));
+            let mut stopping = acceptor.stopping.clone();
+            tokio::spawn(accept(acceptor));
             // Its sender lives as long as the server: an error is the end as well.
             stopping.wait_for(|&stopping| stopping).await.ok();
             drop(file);
@@ -228,7 +228,7 @@ const SOCKET_MODE: u32 = 0o660;
 
 /// A listening Unix socket. Its file goes with it.
 #[derive(Debug)]
-struct UnixDoor {
+struct BoundSocket {
     listener: UnixListener,
     file: SocketFile,
 }
@@ -241,8 +241,8 @@ struct SocketFile {
 }
 
 /// Listens on `path`. A socket that a killed service left there makes way; one that answers does not.
-fn listen_unix(path: &Path) -> anyhow::Result<UnixDoor> {
-    make_way(path)?;
+fn listen_unix(path: &Path) -> anyhow::Result<BoundSocket> {
+    remove_stale_socket(path)?;
     let context = || format!("cannot listen on {}", path.display());
     let socket = UnixSocket::new_stream().with_context(context)?;
     socket.bind(path).with_context(context)?;
@@ -251,10 +251,10 @@ fn listen_unix(path: &Path) -> anyhow::Result<UnixDoor> {
     let inode = fs::symlink_metadata(path).with_context(context)?.ino();
     let file = SocketFile { path: path.to_owned(), inode };
     let listener = socket.listen(BACKLOG).with_context(context)?;
-    Ok(UnixDoor { listener, file })
+    Ok(BoundSocket { listener, file })
 }
 
-fn make_way(path: &Path) -> anyhow::Result<()> {
+fn remove_stale_socket(path: &Path) -> anyhow::Result<()> {
     let found = match fs::symlink_metadata(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
         found => found.with_context(|| format!("cannot look at {}", path.display()))?,

@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Shared, StreamPlace,
-    broadcast::{Following, Told},
+    Shared, StreamPermit,
+    broadcast::{Delivery, EventSubscription},
     problem::Problem,
     until,
 };
@@ -57,16 +57,16 @@ pub(super) async fn events(
         after.map_err(|_| Problem::invalid("`after` is the number of an event"))?;
     let resumed =
         headers.get(LAST_EVENT_ID).and_then(|id| resume(id.to_str().ok()?, &app.events.run));
-    let (after, anew) = match resumed {
+    let (after, is_other_run) = match resumed {
         Some(Resumed::At(number)) => (Some(number), false),
-        Some(Resumed::Anew) => (Some(0), true),
+        Some(Resumed::OtherRun) => (Some(0), true),
         None => (after, false),
     };
-    let following = app.events.follow(after);
-    let place = app.stream_place()?;
+    let subscription = app.events.follow(after);
+    let permit = app.stream_permit()?;
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
-    let listener = Listener { app, following, pending: None, anew, _place: place };
-    Ok(Sse::new(stream::unfold(listener, Listener::next)).keep_alive(keep_alive))
+    let event_stream = EventStream { app, subscription, pending: None, is_other_run, _permit: permit };
+    Ok(Sse::new(stream::unfold(event_stream, EventStream::next)).keep_alive(keep_alive))
 }
 
 #[derive(Debug, PartialEq, Eq)]
@@ -74,7 +74,7 @@ enum Resumed {
     /// In this run of the service.
     At(u64),
     /// In another one, or nobody knows where.
-    Anew,
+    OtherRun,
 }
 
 /// An id is `RUN-NUMBER`; a bare number means this run.
@@ -86,40 +86,40 @@ fn resume(id: &str, run: &str) -> Option<Resumed> {
     let (of, number) = id.rsplit_once('-').unwrap_or((run, id));
     Some(match number.parse() {
         Ok(number) if of == run => Resumed::At(number),
-        _ => Resumed::Anew,
+        _ => Resumed::OtherRun,
     })
 }
 
-struct Listener {
+struct EventStream {
     app: Shared,
-    following: Following,
-    pending: Option<Told>,
+    subscription: EventSubscription,
+    pending: Option<Delivery>,
     /// It has to be told first that this is another run.
-    anew: bool,
-    _place: StreamPlace,
+    is_other_run: bool,
+    _permit: StreamPermit,
 }
 
-impl Listener {
+impl EventStream {
     async fn next(mut self) -> Option<(Result<Event, Infallible>, Self)> {
-        if std::mem::take(&mut self.anew) {
+        if std::mem::take(&mut self.is_other_run) {
             return Some((Ok(missed(None)), self));
         }
-        let told = match self.pending.take() {
-            Some(told) => told,
+        let delivery = match self.pending.take() {
+            Some(delivery) => delivery,
             None => {
                 let mut stopping = self.app.stopping.clone();
-                until(&mut stopping, self.following.next()).await??
+                until(&mut stopping, self.subscription.next()).await??
             }
         };
-        if told.missed > 0 {
-            let event = missed(Some(told.missed));
-            self.pending = Some(Told { missed: 0, ..told });
+        if delivery.missed > 0 {
+            let event = missed(Some(delivery.missed));
+            self.pending = Some(Delivery { missed: 0, ..delivery });
             return Some((Ok(event), self));
         }
-        let id = format!("{}-{}", self.app.events.run, told.event.number);
+        let id = format!("{}-{}", self.app.events.run, delivery.event.number);
         // Strings and numbers are always JSON, on one line.
-        let data = serde_json::to_string(told.event.as_ref()).unwrap_or_default();
-        let kind = told.event.kind.to_string();
+        let data = serde_json::to_string(delivery.event.as_ref()).unwrap_or_default();
+        let kind = delivery.event.kind.to_string();
         Some((Ok(Event::default().id(id).event(kind).data(data)), self))
     }
 }
@@ -141,15 +141,15 @@ fn missed(missed: Option<u64>) -> Event {
     responses((status = 200, description = "Messages, until the client closes", body = Vec<u8>,
         content_type = "application/octet-stream")))]
 pub(super) async fn live(State(app): State<Shared>) -> Result<Response, Problem> {
-    let place = app.stream_place()?;
+    let permit = app.stream_permit()?;
     if app.live.is_over() {
         return Err(Problem::unavailable("the service is stopping: there are no more frames"));
     }
-    let viewing = app.live.view();
-    let state = (app.stopping.clone(), viewing, place);
-    let messages = stream::unfold(state, |(mut stopping, mut viewing, place)| async move {
-        let bytes = until(&mut stopping, viewing.next()).await??;
-        Some((Ok::<_, Infallible>(bytes), (stopping, viewing, place)))
+    let subscription = app.live.view();
+    let state = (app.stopping.clone(), subscription, permit);
+    let messages = stream::unfold(state, |(mut stopping, mut subscription, permit)| async move {
+        let bytes = until(&mut stopping, subscription.next()).await??;
+        Some((Ok::<_, Infallible>(bytes), (stopping, subscription, permit)))
     });
     let mut response = Response::new(Body::from_stream(messages));
     let headers = response.headers_mut();
@@ -167,7 +167,7 @@ mod tests {
         assert_eq!(resume(" 7 ", "18f"), Some(Resumed::At(7)));
         assert_eq!(resume("", "18f"), None);
         for id in ["17a-7", "18f-", "18f-x", "x", "18f--1"] {
-            assert_eq!(resume(id, "18f"), Some(Resumed::Anew), "{id}");
+            assert_eq!(resume(id, "18f"), Some(Resumed::OtherRun), "{id}");
         }
     }
 }

@@ -36,8 +36,8 @@ use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use super::{
-    Shared, StreamPlace,
-    body::Asked,
+    Shared, StreamPermit,
+    body::JsonBody,
     problem::{Problem, ProblemKind},
 };
 use crate::{
@@ -73,12 +73,12 @@ pub(super) async fn takes(
         return Err(refused());
     }
     let control = Arc::clone(&app.control);
-    Ok(Json(app.lanes.files.run(move || control.takes(limit)).await??))
+    Ok(Json(app.queues.files.run(move || control.takes(limit)).await??))
 }
 
 /// A take's file.
 #[derive(Debug)]
-pub(super) struct OpenTake {
+pub(super) struct OpenedTake {
     pub(super) file: File,
     /// Its bytes; of a take that is being written, those that would survive a power cut.
     pub(super) len: u64,
@@ -92,7 +92,7 @@ pub(super) struct OpenTake {
 ///
 /// # Errors
 /// 404 for what is no take, and for what leads anywhere else.
-pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Problem> {
+pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Problem> {
     let not_there = || Problem::not_found("there is no take of that name: see /v1/takes");
     if !is_name(name) {
         return Err(not_there());
@@ -117,7 +117,7 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Proble
         found.mtime_nsec() + found.mtime() * 1_000_000_000,
         found.ino()
     );
-    Ok(OpenTake {
+    Ok(OpenedTake {
         file,
         len: growing.as_ref().map_or(found.len(), |take| take.durable_bytes.min(found.len())),
         is_growing: growing.is_some(),
@@ -126,8 +126,8 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Proble
 }
 
 pub(super) fn unreadable(error: &io::Error) -> Problem {
-    let words = format!("the take cannot be read: {error}");
-    Problem::new(StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk, words)
+    let message = format!("the take cannot be read: {error}");
+    Problem::new(StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk, message)
 }
 
 /// Whether that can be a name in a folder. The service looks as well; a path is read here only.
@@ -140,7 +140,7 @@ fn is_name(name: &str) -> bool {
 }
 
 /// Bytes that are read at once: a disk's while, and what a slow client costs in memory.
-const PIECE_BYTES: u64 = 128 << 10;
+const CHUNK_BYTES: u64 = 128 << 10;
 
 /// The file of a take
 ///
@@ -161,10 +161,10 @@ pub(super) async fn download(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let name = take_name(name)?;
-    let place = app.stream_place()?;
+    let permit = app.stream_permit()?;
     let (control, asked) = (Arc::clone(&app.control), name.clone());
-    let take = app.lanes.files.run(move || open(control.as_ref(), &asked)).await??;
-    answer(app, take, &name, &headers, place)
+    let take = app.queues.files.run(move || open(control.as_ref(), &asked)).await??;
+    answer(app, take, &name, &headers, permit)
 }
 
 /// The name in a path.
@@ -174,24 +174,24 @@ pub(super) fn take_name(name: Result<Path<String>, PathRejection>) -> Result<Str
 
 fn answer(
     app: Shared,
-    take: OpenTake,
+    take: OpenedTake,
     name: &str,
     headers: &HeaderMap,
-    place: StreamPlace,
+    permit: StreamPermit,
 ) -> Result<Response, Problem> {
-    let said = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+    let header_text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
     let tag = take.tag.as_deref();
-    if tag.is_some_and(|tag| said(header::IF_NONE_MATCH) == Some(tag)) {
+    if tag.is_some_and(|tag| header_text(header::IF_NONE_MATCH) == Some(tag)) {
         return Ok(StatusCode::NOT_MODIFIED.into_response());
     }
     // Bytes that are there never change while a take grows. A date is never the tag: then it is sent whole.
-    let same = said(header::IF_RANGE).is_none_or(|known| take.is_growing || Some(known) == tag);
-    let (status, bytes) = match wanted(said(header::RANGE).filter(|_| same), take.len) {
-        Wanted::Whole => (StatusCode::OK, 0..take.len),
-        Wanted::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
-        Wanted::Nothing => return not_there(take.len),
+    let same = header_text(header::IF_RANGE).is_none_or(|known| take.is_growing || Some(known) == tag);
+    let (status, bytes) = match requested_range(header_text(header::RANGE).filter(|_| same), take.len) {
+        RequestedRange::Whole => (StatusCode::OK, 0..take.len),
+        RequestedRange::Partial(range) => (StatusCode::PARTIAL_CONTENT, range),
+        RequestedRange::Unsatisfiable => return unsatisfiable(take.len),
     };
-    let mut response = Response::new(pieces(app, take.file, bytes.clone(), place));
+    let mut response = Response::new(chunks(app, take.file, bytes.clone(), permit));
     *response.status_mut() = status;
     let out = response.headers_mut();
     out.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
@@ -208,9 +208,9 @@ fn answer(
     Ok(response)
 }
 
-fn not_there(len: u64) -> Result<Response, Problem> {
-    let words = format!("there are {len} bytes, and the range lies behind them");
-    let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, ProblemKind::Range, words);
+fn unsatisfiable(len: u64) -> Result<Response, Problem> {
+    let message = format!("there are {len} bytes, and the range lies behind them");
+    let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, ProblemKind::Range, message);
     let mut response = problem.into_response();
     response.headers_mut().insert(header::CONTENT_RANGE, value(&format!("bytes */{len}"))?);
     Ok(response)
@@ -238,19 +238,19 @@ fn disposition(name: &str) -> String {
 }
 
 /// Reads a piece when the one before is gone: a slow client costs one piece, and holds no thread.
-fn pieces(app: Shared, file: File, bytes: Range<u64>, place: StreamPlace) -> Body {
-    let state = (app, Arc::new(file), bytes, place);
-    Body::from_stream(stream::unfold(state, |(app, file, bytes, place)| async move {
+fn chunks(app: Shared, file: File, bytes: Range<u64>, permit: StreamPermit) -> Body {
+    let state = (app, Arc::new(file), bytes, permit);
+    Body::from_stream(stream::unfold(state, |(app, file, bytes, permit)| async move {
         if bytes.is_empty() {
             return None;
         }
-        let len = PIECE_BYTES.min(bytes.end - bytes.start);
+        let len = CHUNK_BYTES.min(bytes.end - bytes.start);
         let (from, source) = (bytes.start, Arc::clone(&file));
-        let read = app.lanes.files.run_patiently(move || read(&source, from, len)).await;
+        let read = app.queues.files.run_when_free(move || read(&source, from, len)).await;
         // What was announced and does not come closes the connection: the client sees that it is cut off.
         let piece = read.unwrap_or_else(|problem| Err(io::Error::other(problem.message)));
         let rest = if piece.is_ok() { from + len..bytes.end } else { bytes.end..bytes.end };
-        Some((piece, (app, file, rest, place)))
+        Some((piece, (app, file, rest, permit)))
     }))
 }
 
@@ -262,31 +262,31 @@ fn read(file: &File, from: u64, len: u64) -> io::Result<Bytes> {
 
 /// What the header `Range` comes to for a file of so many bytes.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Wanted {
+pub(super) enum RequestedRange {
     /// All of it: nothing else was asked for, or nothing that is understood here, which a server may pass over.
     Whole,
     /// These bytes.
-    Part(Range<u64>),
+    Partial(Range<u64>),
     /// Bytes that are not there.
-    Nothing,
+    Unsatisfiable,
 }
 
-pub(super) fn wanted(header: Option<&str>, len: u64) -> Wanted {
+pub(super) fn requested_range(header: Option<&str>, len: u64) -> RequestedRange {
     let Some((unit, spec)) = header.and_then(|header| header.split_once('=')) else {
-        return Wanted::Whole;
+        return RequestedRange::Whole;
     };
     if !unit.trim().eq_ignore_ascii_case("bytes") {
-        return Wanted::Whole;
+        return RequestedRange::Whole;
     }
-    let Some((first, last)) = spec.trim().split_once('-') else { return Wanted::Whole };
+    let Some((first, last)) = spec.trim().split_once('-') else { return RequestedRange::Whole };
     let range = match (number(first), number(last)) {
         (Some(first), Some(last)) if first <= last => first..last.saturating_add(1).min(len),
         (Some(first), None) if last.is_empty() => first..len,
         (None, Some(last)) if first.is_empty() => len.saturating_sub(last)..len,
         // Several ranges, or none.
-        _ => return Wanted::Whole,
+        _ => return RequestedRange::Whole,
     };
-    if range.is_empty() { Wanted::Nothing } else { Wanted::Part(range) }
+    if range.is_empty() { RequestedRange::Unsatisfiable } else { RequestedRange::Partial(range) }
 }
 
 /// Digits alone: `parse` would take a sign. More than fit are more than any file has.
@@ -296,7 +296,7 @@ fn number(text: &str) -> Option<u64> {
 }
 
 /// Problems and contradictions that are told each: a badly damaged take has one a stretch.
-const TOLD_MAX: usize = 100;
+const LISTED_MAX: usize = 100;
 
 /// What was found in a take.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
@@ -341,7 +341,7 @@ pub struct TakeCheck {
 pub(super) async fn verify(
     State(app): State<Shared>,
     name: Result<Path<String>, PathRejection>,
-    Asked(_): Asked<Request>,
+    JsonBody(_): JsonBody<Request>,
 ) -> Result<Json<TakeCheck>, Problem> {
     let name = take_name(name)?;
     // Dropped with the request, which is when the client is gone.
@@ -351,25 +351,25 @@ pub(super) async fn verify(
     let work = move || {
         let take = open(control.as_ref(), &asked)?;
         if take.is_growing {
-            let words = format!("{asked} is being recorded: stop it first");
-            return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, words));
+            let message = format!("{asked} is being recorded: stop it first");
+            return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, message));
         }
-        let input = While { input: SparseFile::of(take.file), is_wanted, stopping };
+        let input = CancellableReader { input: SparseFile::of(take.file), is_wanted, stopping };
         check(asked, take.len, Summary::read(BufReader::new(input)))
     };
-    let checked = app.lanes.checks.run(work).await?;
+    let checked = app.queues.checks.run(work).await?;
     drop(wanted);
     Ok(Json(checked?))
 }
 
 /// Reads while somebody wants to know.
-struct While<R> {
+struct CancellableReader<R> {
     input: R,
     is_wanted: Weak<()>,
     stopping: watch::Receiver<bool>,
 }
 
-impl<R: Read> Read for While<R> {
+impl<R: Read> Read for CancellableReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.is_wanted.strong_count() == 0 || *self.stopping.borrow() {
             return Err(io::Error::other("nobody waits for the check any more"));
@@ -378,7 +378,7 @@ impl<R: Read> Read for While<R> {
     }
 }
 
-impl<R: Seek> Seek for While<R> {
+impl<R: Seek> Seek for CancellableReader<R> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.input.seek(to)
     }
@@ -395,7 +395,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         }
     };
     let Verdict { problems, mut contradictions, .. } = Verdict::of(&summary);
-    contradictions.truncate(TOLD_MAX);
+    contradictions.truncate(LISTED_MAX);
     let header = &summary.take.header;
     let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
     Ok(TakeCheck {
@@ -410,7 +410,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         samples: summary.samples(),
         tolerance_mm: header.tolerance_mm,
         max_error_mm: summary.max_error_mm(),
-        problems: problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
+        problems: problems.iter().take(LISTED_MAX).map(ToString::to_string).collect(),
         contradictions,
         ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
     })
@@ -443,8 +443,8 @@ mod tests {
 
     #[test]
     fn ranges_and_what_is_none() {
-        let of_ten = |header| wanted(Some(header), 10);
-        assert_eq!(wanted(None, 10), Wanted::Whole);
+        let of_ten = |header| requested_range(Some(header), 10);
+        assert_eq!(requested_range(None, 10), RequestedRange::Whole);
         for (header, range) in [
             ("bytes=0-0", 0..1),
             ("bytes=2-5", 2..6),
@@ -454,10 +454,10 @@ mod tests {
             ("bytes=-99", 0..10),
             ("bytes=0-9", 0..10),
         ] {
-            assert_eq!(of_ten(header), Wanted::Part(range), "{header}");
+            assert_eq!(of_ten(header), RequestedRange::Partial(range), "{header}");
         }
         for header in ["bytes=10-", "bytes=10-12", "bytes=-0", "bytes=99999999999999999999-"] {
-            assert_eq!(of_ten(header), Wanted::Nothing, "{header}");
+            assert_eq!(of_ten(header), RequestedRange::Unsatisfiable, "{header}");
         }
         for header in [
             "",
@@ -470,8 +470,8 @@ mod tests {
             "rows=1-2",
             "bytes=+1-2",
         ] {
-            assert_eq!(of_ten(header), Wanted::Whole, "{header}");
+            assert_eq!(of_ten(header), RequestedRange::Whole, "{header}");
         }
-        assert_eq!(wanted(Some("bytes=0-"), 0), Wanted::Nothing);
+        assert_eq!(requested_range(Some("bytes=0-"), 0), RequestedRange::Unsatisfiable);
     }
 }

@@ -17,7 +17,7 @@ use crate::live::{FacePose, LiveFace};
 /// # Errors
 /// Which places it does not have, and which it has.
 pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Result<()> {
-    const TOLD: usize = 5;
+    const LISTED_MAX: usize = 5;
     let n = face.vertices_mm.len();
     let is_nowhere = |marker: &&Marker| marker.place.vertex(&face.features, n).is_none();
     let nowhere: Vec<String> = mapping
@@ -29,15 +29,15 @@ pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Resu
             Place::Vertex(index) => format!("{} at {index}", marker.label),
         })
         .collect();
-    let others = match nowhere.len().saturating_sub(TOLD) {
+    let others = match nowhere.len().saturating_sub(LISTED_MAX) {
         0 => String::new(),
         more => format!(", and {more} more"),
     };
-    let told: Vec<_> = nowhere.iter().take(TOLD).map(String::as_str).collect();
+    let listed: Vec<_> = nowhere.iter().take(LISTED_MAX).map(String::as_str).collect();
     ensure!(
         nowhere.is_empty(),
         "places that the face does not have: {}{others}; it has vertices from 0 to {}, and the names under \"features\" in its file",
-        told.join(", "),
+        listed.join(", "),
         n.saturating_sub(1)
     );
     Ok(())

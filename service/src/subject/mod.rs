@@ -155,9 +155,9 @@ pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]>
 /// said of them.
 #[must_use]
 pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
-    let mut words = Vec::new();
+    let mut notes = Vec::new();
     if limbs_between(subject, labels).is_some_and(|limbs| limbs.is_empty()) {
-        words.push(
+        notes.push(
             "no bone of the skeleton has a marker at both its ends, by the labels: it is in the take and shows nothing".to_owned(),
         );
     }
@@ -166,16 +166,16 @@ pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
         let n_here = markers.iter().filter(|marker| slots.contains_key(&marker.label)).count();
         let n = markers.len();
         if n_here < MARKERS_MIN {
-            words.push(format!(
+            notes.push(format!(
                 "{n_here} of the {n} markers of the face are in the take, {MARKERS_MIN} are needed: it shows no face"
             ));
         } else if n_here < n {
-            words.push(format!(
+            notes.push(format!(
                 "{n_here} of the {n} markers of the face are in the take: they alone hold it"
             ));
         }
     }
-    words
+    notes
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ pub fn first_packet_id(unix_seconds: u64) -> u64 {
 #[derive(Debug)]
 pub struct Announcer {
     rig: String,
-    mark: u64,
+    instance_id: u64,
     next_packet_id: u64,
 }
 
@@ -27,9 +27,9 @@ impl Announcer {
     /// For a rig of this name; `mark` is any number that nobody else has, by which the
     /// [`Listener`](super::Listener) knows our own datagrams.
     #[must_use]
-    pub fn new(rig: &str, mark: u64, first_packet_id: u64) -> Self {
+    pub fn new(rig: &str, instance_id: u64, first_packet_id: u64) -> Self {
         let next_packet_id = first_packet_id % PACKET_IDS_END;
-        Self { rig: rig.to_owned(), mark, next_packet_id }
+        Self { rig: rig.to_owned(), instance_id, next_packet_id }
     }
 
     /// A take began.
@@ -70,24 +70,24 @@ impl Announcer {
              <Name VALUE=\"{}\"/>{notes}<Description VALUE=\"{}\"/><DatabasePath VALUE=\"\"/>\
              <Delay VALUE=\"0\"/><PacketID VALUE=\"{packet_id}\"/></{element}>\0",
             escaped(name.text()),
-            escaped(&description(&self.rig, self.mark)),
+            escaped(&description(&self.rig, self.instance_id)),
         )
         .into_bytes()
     }
 }
 
 /// Who sent it, with the mark at its end.
-fn description(rig: &str, mark: u64) -> String {
-    format!("mocapd {rig} {mark:016x}")
+fn description(rig: &str, instance_id: u64) -> String {
+    format!("mocapd {rig} {instance_id:016x}")
 }
 
 /// Whether a trigger is one of an announcer with this mark.
-pub(super) fn has_mark(trigger: &Trigger, mark: u64) -> bool {
-    let mark = format!(" {mark:016x}");
+pub(super) fn is_from_instance(trigger: &Trigger, instance_id: u64) -> bool {
+    let instance_id = format!(" {instance_id:016x}");
     let is_ours = |(what, text): &(String, String)| {
-        what == "Description" && text.starts_with("mocapd ") && text.ends_with(&mark)
+        what == "Description" && text.starts_with("mocapd ") && text.ends_with(&instance_id)
     };
-    trigger.capture().about.said.iter().any(is_ours)
+    trigger.capture().about.fields.iter().any(is_ours)
 }
 
 /// A text as an attribute's value, of a bounded length; what XML cannot hold is replaced.

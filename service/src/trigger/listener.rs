@@ -12,7 +12,7 @@ use std::{
 use ipnet::IpNet;
 
 use super::{Refusal, Trigger, encode, parse};
-use crate::config::problem::short;
+use crate::config::problem::excerpt;
 
 /// What became of a datagram that was understood.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,16 +30,16 @@ pub enum Heard {
 pub struct Listener {
     allow_from: Vec<Network>,
     delay_max: Duration,
-    mark: u64,
-    seen: Seen,
+    instance_id: u64,
+    seen: RecentTriggers,
 }
 
 impl Listener {
     /// Listens to these networks, or to everybody where there are none, for delays of at most `delay_max`; `mark` is the
     /// [`Announcer`](super::Announcer)'s, so that our own datagrams are known.
     #[must_use]
-    pub fn new(allow_from: Vec<Network>, delay_max: Duration, mark: u64) -> Self {
-        Self { allow_from, delay_max, mark, seen: Seen::default() }
+    pub fn new(allow_from: Vec<Network>, delay_max: Duration, instance_id: u64) -> Self {
+        Self { allow_from, delay_max, instance_id, seen: RecentTriggers::default() }
     }
 
     /// Whether a sender is one of those that are named.
@@ -65,7 +65,7 @@ impl Listener {
             return Err(Refusal::NotAllowed(from));
         }
         let trigger = parse(datagram)?;
-        if encode::has_mark(&trigger, self.mark) {
+        if encode::is_from_instance(&trigger, self.instance_id) {
             return Ok(Heard::Own);
         }
         if self.seen.is_repeat(from, &trigger, datagram, now) {
@@ -119,7 +119,7 @@ impl FromStr for Network {
         let bits = prefix.parse().ok().filter(|_| is_number);
         let network = bits.and_then(|bits| IpNet::new(address, bits).ok()).ok_or_else(|| {
             let bits = alone.max_prefix_len();
-            format!("its prefix '{}' is no number from 0 to {bits}", short(prefix))
+            format!("its prefix '{}' is no number from 0 to {bits}", excerpt(prefix))
         })?;
         if network != network.trunc() {
             return Err(format!(
@@ -171,11 +171,11 @@ impl Identity {
 
 /// 64 senders of 64 numbers, 40 bytes each: 160 kB at most.
 #[derive(Debug, Default)]
-pub(super) struct Seen {
+pub(super) struct RecentTriggers {
     senders: HashMap<IpAddr, VecDeque<(Identity, Duration)>>,
 }
 
-impl Seen {
+impl RecentTriggers {
     /// Whether it is a repeat; it is remembered in any case, until it is [forgotten](Self::forget).
     pub(super) fn is_repeat(
         &mut self,
@@ -185,7 +185,7 @@ impl Seen {
         now: Duration,
     ) -> bool {
         let identity = Identity::of(trigger, datagram);
-        self.make_room(from, now);
+        self.evict(from, now);
         let heard = self.senders.entry(from).or_insert_with(|| VecDeque::with_capacity(IDS_MAX));
         if let Some(known) = heard.iter_mut().find(|(known, _)| *known == identity) {
             known.1 = now;
@@ -206,7 +206,7 @@ impl Seen {
         }
     }
 
-    fn make_room(&mut self, from: IpAddr, now: Duration) {
+    fn evict(&mut self, from: IpAddr, now: Duration) {
         let is_old = |at: &Duration| now.saturating_sub(*at) > REMEMBERED;
         for heard in self.senders.values_mut() {
             heard.retain(|(_, at)| !is_old(at));
@@ -222,7 +222,7 @@ impl Seen {
     }
 
     #[cfg(test)]
-    pub(super) fn n_remembered(&self) -> (usize, usize) {
+    pub(super) fn sizes(&self) -> (usize, usize) {
         (self.senders.len(), self.senders.values().map(VecDeque::len).sum())
     }
 }
@@ -262,9 +262,9 @@ mod tests {
             ("::/129", &["0 to 128"]),
             ("::ffff:10.0.0.1", &["10.0.0.1"]),
         ] {
-            let said = refused(text);
-            assert!(facts.iter().all(|fact| said.contains(fact)), "{text}: {said}");
-            assert_ne!(said.replace(&format!("'{text}'"), ""), no_address);
+            let reason = refused(text);
+            assert!(facts.iter().all(|fact| reason.contains(fact)), "{text}: {reason}");
+            assert_ne!(reason.replace(&format!("'{text}'"), ""), no_address);
         }
     }
 }

@@ -18,8 +18,8 @@ pub use self::{
     encode::{Announcer, first_packet_id},
     listener::{Heard, IDS_MAX, Listener, Network, REMEMBERED, SENDERS_MAX},
     parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, parse},
-    queue::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Queue, Received, Waiting},
-    socket::Quiet,
+    queue::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, TriggerQueue, Waiting},
+    socket::RateLimit,
 };
 
 /// What a datagram asks for, or tells.
@@ -55,7 +55,7 @@ pub struct About {
     pub packet_id: Option<u64>,
     /// `Notes`, `Description`, `DatabasePath` and whatever else stands in it, with what it says, in the order of the
     /// datagram; what says nothing is left out.
-    pub said: Vec<(String, String)>,
+    pub fields: Vec<(String, String)>,
     /// What was cut or replaced in it, in words.
     pub changed: Vec<String>,
 }
@@ -127,7 +127,7 @@ impl Trigger {
         if let Some(result) = result {
             note += &format!(", result {}", result.word());
         }
-        for (what, text) in &about.said {
+        for (what, text) in &about.fields {
             note += &format!(", {what} \"{text}\"");
         }
         for changed in &about.changed {

@@ -20,7 +20,7 @@ const ATTRIBUTES_MAX: usize = 256;
 pub const TEXT_BYTES_MAX: usize = 1024;
 
 /// Elements that are kept beside those we know.
-const SAID_MAX: usize = 16;
+const FIELDS_MAX: usize = 16;
 
 /// The longest lead time that can be meant, and that `trigger.delay_max` can allow: more is a number of something else.
 pub const DELAY_MAX: Duration = Duration::from_secs(60);
@@ -95,14 +95,14 @@ fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
             "Name" if name.is_none() => name = Some(take_name(value, &mut about)?),
             "Delay" if delay.is_none() => delay = Some(milliseconds(value)?),
             "PacketID" if about.packet_id.is_none() => about.packet_id = Some(packet_id(value)?),
-            _ => keep(element, value, &mut about),
+            _ => keep_field(element, value, &mut about),
         }
     }
     let result = attribute(root, "RESULT").map(|word| match word.trim() {
         "SUCCESS" => StopResult::Success,
         "FAIL" => StopResult::Fail,
         "CANCEL" => StopResult::Cancel,
-        other => StopResult::Other(cut(&plain(other), SHOWN_MAX)),
+        other => StopResult::Other(cut(&printable(other), SHOWN_MAX)),
     });
     Ok(Capture { name, result, delay: delay.unwrap_or_default(), about })
 }
@@ -115,9 +115,9 @@ fn attribute<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
 }
 
 fn take_name(value: &str, about: &mut About) -> Result<TakeName, Refusal> {
-    let name = TakeName::of(value).ok_or_else(|| Refusal::Name(cut(&plain(value), SHOWN_MAX)))?;
+    let name = TakeName::of(value).ok_or_else(|| Refusal::Name(cut(&printable(value), SHOWN_MAX)))?;
     if name.was_changed() {
-        let sent = cut(&plain(value), SHOWN_MAX);
+        let sent = cut(&printable(value), SHOWN_MAX);
         about.changed.push(format!("the name \"{sent}\" became {name}"));
     }
     Ok(name)
@@ -128,7 +128,7 @@ fn packet_id(value: &str) -> Result<u64, Refusal> {
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
     text.parse().ok().filter(|_| is_number).ok_or_else(|| Refusal::Number {
         what: "PacketID",
-        found: cut(&plain(value), SHOWN_MAX),
+        found: cut(&printable(value), SHOWN_MAX),
         wanted: "send a whole number",
     })
 }
@@ -138,30 +138,30 @@ fn milliseconds(value: &str) -> Result<Duration, Refusal> {
     let delay = found.filter(|ms| (0.0..=DELAY_MAX.as_millis() as f64).contains(ms));
     delay.map(|ms| Duration::from_secs_f64(ms / 1000.0)).ok_or_else(|| Refusal::Number {
         what: "Delay",
-        found: cut(&plain(value), SHOWN_MAX),
+        found: cut(&printable(value), SHOWN_MAX),
         wanted: "send milliseconds, 0 to 60000",
     })
 }
 
-fn keep(element: &str, value: &str, about: &mut About) {
+fn keep_field(element: &str, value: &str, about: &mut About) {
     let element = cut(element, SHOWN_MAX);
-    if about.said.len() == SAID_MAX {
-        let words = format!("more than {SAID_MAX} elements, the rest is left out");
-        if about.changed.last() != Some(&words) {
-            about.changed.push(words);
+    if about.fields.len() == FIELDS_MAX {
+        let message = format!("more than {FIELDS_MAX} elements, the rest is left out");
+        if about.changed.last() != Some(&message) {
+            about.changed.push(message);
         }
         return;
     }
-    let text = plain(value);
+    let text = printable(value);
     let kept = cut(&text, TEXT_BYTES_MAX);
     if kept.len() != text.len() {
         about.changed.push(format!("{element} had {} bytes", value.len()));
     }
-    about.said.push((element, kept));
+    about.fields.push((element, kept));
 }
 
 /// On one line, with nothing that a terminal would obey.
-fn plain(text: &str) -> String {
+fn printable(text: &str) -> String {
     let shown = |c: char| match c {
         '\n' | '\r' | '\t' => ' ',
         c if c.is_control() => char::REPLACEMENT_CHARACTER,

@@ -141,7 +141,7 @@ impl Waiting {
 
 /// Those that wait, between two threads.
 #[derive(Debug, Clone)]
-pub struct Queue {
+pub struct TriggerQueue {
     waiting: Arc<Mutex<Waiting>>,
     /// One message at most: that the first deadline may be another one.
     wake: Sender<()>,
@@ -149,14 +149,14 @@ pub struct Queue {
     begin: Instant,
 }
 
-impl Default for Queue {
+impl Default for TriggerQueue {
     fn default() -> Self {
         let (wake, woken) = bounded(1);
         Self { waiting: Arc::default(), wake, woken, begin: Instant::now() }
     }
 }
 
-impl Queue {
+impl TriggerQueue {
     /// The time that deadlines are compared with.
     #[must_use]
     pub fn now(&self) -> Duration {

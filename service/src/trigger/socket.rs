@@ -16,19 +16,19 @@ use rustix::{
     pipe::{PipeFlags, pipe_with},
 };
 
-use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Queue, Received};
+use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Received, TriggerQueue};
 
 /// A network that is down is down for a while.
-const TRY_AGAIN_AFTER: Duration = Duration::from_millis(100);
+const RETRY_DELAY: Duration = Duration::from_millis(100);
 
 /// Hears triggers until it is dropped.
 #[derive(Debug)]
-pub struct Hearing {
+pub struct ListenerThread {
     stop: Option<OwnedFd>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for Hearing {
+impl Drop for ListenerThread {
     fn drop(&mut self) {
         // Its other end is readable then.
         drop(self.stop.take());
@@ -40,16 +40,16 @@ impl Drop for Hearing {
 }
 
 /// What the thread that hears triggers asks the service.
-pub struct Questions {
+pub struct TakeQueries {
     /// Whether there is a take of a name.
     pub exists: Box<dyn Fn(&str) -> bool + Send>,
     /// Which take is being recorded.
     pub recording: Box<dyn Fn() -> Option<String> + Send>,
 }
 
-impl std::fmt::Debug for Questions {
+impl std::fmt::Debug for TakeQueries {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Questions").finish_non_exhaustive()
+        f.debug_struct("TakeQueries").finish_non_exhaustive()
     }
 }
 
@@ -85,21 +85,21 @@ pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
 pub fn listen(
     socket: UdpSocket,
     mut listener: Listener,
-    questions: Questions,
-    queue: Queue,
-    mut say: impl FnMut(&str) + Send + 'static,
-) -> anyhow::Result<Hearing> {
+    queries: TakeQueries,
+    queue: TriggerQueue,
+    mut report: impl FnMut(&str) + Send + 'static,
+) -> anyhow::Result<ListenerThread> {
     let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).context("cannot open a pipe")?;
     let thread = threads::spawn("mocapd-trigger", move || {
-        let mut quiet = Quiet::default();
+        let mut rate_limit = RateLimit::default();
         let mut buffer = vec![0; DATAGRAM_BYTES_MAX];
-        while comes(&socket, &stopped) {
+        while wait_readable(&socket, &stopped) {
             let received = socket.recv_from(&mut buffer);
             let now = queue.now();
-            let words = match received {
+            let message = match received {
                 Ok((n_bytes, from)) => {
                     let datagram = buffer.get(..n_bytes).unwrap_or_default();
-                    let heard = listener.hear(from.ip(), datagram, now, &questions.exists);
+                    let heard = listener.hear(from.ip(), datagram, now, &queries.exists);
                     let accepted = heard.and_then(|heard| match heard {
                         Heard::Repeat | Heard::Own => Ok(()),
                         Heard::Trigger(trigger) => {
@@ -107,7 +107,7 @@ pub fn listen(
                                 from,
                                 trigger: trigger.clone(),
                                 is_known: listener.is_known(from.ip()),
-                                recording: (questions.recording)(),
+                                recording: (queries.recording)(),
                             });
                             if pushed.is_err() {
                                 listener.forget(from.ip(), &trigger, datagram);
@@ -122,27 +122,27 @@ pub fn listen(
                 }
                 Err(error) if is_idle(&error) => continue,
                 Err(error) => {
-                    std::thread::sleep(TRY_AGAIN_AFTER);
+                    std::thread::sleep(RETRY_DELAY);
                     format!("cannot hear triggers: {error}")
                 }
             };
-            if let Some(words) = quiet.say(&words, now) {
-                say(&words);
+            if let Some(message) = rate_limit.admit(&message, now) {
+                report(&message);
             }
         }
     })?;
-    Ok(Hearing { stop: Some(stop), thread: Some(thread) })
+    Ok(ListenerThread { stop: Some(stop), thread: Some(thread) })
 }
 
 /// Waits for a datagram. `false`: it is time to end.
-fn comes(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
+fn wait_readable(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
     let mut fds = [PollFd::new(socket, PollFlags::IN), PollFd::new(stopped, PollFlags::IN)];
     match poll(&mut fds, None) {
         Ok(_) => fds[1].revents().is_empty(),
         Err(Errno::INTR) => true,
         // Without memory it is tried again, like a network that is down.
         Err(_) => {
-            std::thread::sleep(TRY_AGAIN_AFTER);
+            std::thread::sleep(RETRY_DELAY);
             true
         }
     }
@@ -155,13 +155,13 @@ fn is_idle(error: &io::Error) -> bool {
 
 /// Sends datagrams, to broadcast addresses too.
 #[derive(Debug)]
-pub struct Teller {
+pub struct TriggerSender {
     to: Vec<SocketAddr>,
     ipv4: Option<UdpSocket>,
     ipv6: Option<UdpSocket>,
 }
 
-impl Teller {
+impl TriggerSender {
     /// For these addresses.
     ///
     /// # Errors
@@ -186,7 +186,7 @@ impl Teller {
 
     /// Sends one to all of them. Returns what could not be sent, a line each.
     #[must_use]
-    pub fn tell(&self, datagram: &[u8]) -> Vec<String> {
+    pub fn send(&self, datagram: &[u8]) -> Vec<String> {
         let mut failed = Vec::new();
         for to in &self.to {
             let Some(socket) = (if to.is_ipv4() { &self.ipv4 } else { &self.ipv6 }) else {
@@ -204,26 +204,26 @@ impl Teller {
 const BURST: u32 = 5;
 
 /// One more after so long.
-const EACH: Duration = Duration::from_secs(10);
+const REFILL_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Lets a few words through, and counts the others: anybody can send a thousand datagrams a second.
 #[derive(Debug)]
-pub struct Quiet {
+pub struct RateLimit {
     left: u32,
     since: Duration,
     held_back: u64,
 }
 
-impl Default for Quiet {
+impl Default for RateLimit {
     fn default() -> Self {
         Self { left: BURST, since: Duration::ZERO, held_back: 0 }
     }
 }
 
-impl Quiet {
+impl RateLimit {
     /// The words, when it is time for them, with how many were held back since the last ones.
-    pub fn say(&mut self, words: &str, now: Duration) -> Option<String> {
-        let earned = now.saturating_sub(self.since).as_secs() / EACH.as_secs();
+    pub fn admit(&mut self, message: &str, now: Duration) -> Option<String> {
+        let earned = now.saturating_sub(self.since).as_secs() / REFILL_INTERVAL.as_secs();
         if earned > 0 {
             let earned = u32::try_from(earned).unwrap_or(u32::MAX);
             self.left = self.left.saturating_add(earned).min(BURST);
@@ -236,8 +236,8 @@ impl Quiet {
         self.left -= 1;
         let held_back = std::mem::take(&mut self.held_back);
         Some(match held_back {
-            0 => words.to_owned(),
-            n => format!("{words}; {n} more were not told"),
+            0 => message.to_owned(),
+            n => format!("{message}; {n} more were not told"),
         })
     }
 }
@@ -248,14 +248,14 @@ mod tests {
 
     #[test]
     fn a_flood_becomes_a_few_words() {
-        let mut quiet = Quiet::default();
-        let said: Vec<String> =
-            (0..60_000_u64).filter_map(|ms| quiet.say("no", Duration::from_millis(ms))).collect();
-        assert_eq!(said.len(), 5 + 5, "{said:?}");
-        assert_eq!(said[4], "no");
-        assert!(said[5].starts_with("no") && said[5].contains("9995"), "{}", said[5]);
+        let mut rate_limit = RateLimit::default();
+        let reason: Vec<String> =
+            (0..60_000_u64).filter_map(|ms| rate_limit.admit("no", Duration::from_millis(ms))).collect();
+        assert_eq!(reason.len(), 5 + 5, "{reason:?}");
+        assert_eq!(reason[4], "no");
+        assert!(reason[5].starts_with("no") && reason[5].contains("9995"), "{}", reason[5]);
         // What was silent for long may say a few again, and no more.
-        let later = (0..100).filter(|_| quiet.say("no", Duration::from_secs(86_400)).is_some());
+        let later = (0..100).filter(|_| rate_limit.admit("no", Duration::from_secs(86_400)).is_some());
         assert_eq!(later.count(), 5);
     }
 }

@@ -63,13 +63,13 @@ const RULES: &[Rule] = &[
     Rule {
         says: "nothing on the sample path waits for a lock",
         words: &["Mutex", "RwLock", "Condvar"],
-        // The log's gate and the queue of triggers are used by threads that may wait. The service waits for the data
+        // The log's rate limit and the queue of triggers are used by threads that may wait. The service waits for the data
         // plane, which meets it in one place: once a stretch, in the writer.
         allowed: &[
             "acquire/src/pipeline/progress.rs",
             "service/src/engine/",
             "service/src/http/",
-            "service/src/log/gate.rs",
+            "service/src/log/rate_limit.rs",
             "service/src/trigger/queue.rs",
         ],
     },

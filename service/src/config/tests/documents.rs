@@ -35,10 +35,10 @@ fn the_example_is_good_as_it_is_and_with_every_key() {
     let changes = defaults.changes(&parse(&uncommented()).unwrap());
     // What has a default has that one in the example; the others show what they may be.
     for key in KEYS {
-        let is_example = matches!(key.preset, Preset::Absent(_) | Preset::Told { .. });
+        let is_example = matches!(key.default, DefaultValue::Absent(_) | DefaultValue::Dynamic { .. });
         let changed = changes.iter().any(|change| change.key == key.path);
         assert!(!changed || is_example, "{} has another default in the example", key.path);
-        assert!(changed || !matches!(key.preset, Preset::Absent(_)), "{} is not in it", key.path);
+        assert!(changed || !matches!(key.default, DefaultValue::Absent(_)), "{} is not in it", key.path);
     }
     let widest = example().lines().map(|line| line.chars().count()).max().unwrap();
     assert!(widest <= 110, "{widest} letters");
@@ -65,8 +65,8 @@ fn every_key_is_told_well_and_once() {
             assert!(sentence.ends_with('.') && sentence.len() > 20, "{}: {sentence}", key.path);
         }
         // What is told to be written is taken.
-        let advised = match key.preset {
-            Preset::NoItems(item) => format!("[\"{item}\"]"),
+        let advised = match key.default {
+            DefaultValue::EmptyList(item) => format!("[\"{item}\"]"),
             _ => key.example(),
         };
         let text = format!("[{}]\n{} = {advised}", key.section(), key.name());

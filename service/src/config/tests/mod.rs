@@ -1,7 +1,7 @@
-mod choose;
+mod auto_device;
 mod documents;
 mod sweep;
-mod words;
+mod messages;
 
 use super::*;
 
@@ -138,11 +138,11 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     let config = parse(text, &Overrides::default()).unwrap();
     assert_eq!(config.take.directory, PathBuf::from("/srv"));
     assert_eq!(config.http.listen, None);
-    let said = |text: &str| Some(text.to_owned());
+    let text_of = |text: &str| Some(text.to_owned());
     let overrides = Overrides {
-        device: said("serial:/dev/b"),
-        directory: said("/mnt"),
-        listen: said("127.0.0.1:0"),
+        device: text_of("serial:/dev/b"),
+        directory: text_of("/mnt"),
+        listen: text_of("127.0.0.1:0"),
     };
     let config = parse(text, &overrides).unwrap();
     let DeviceChoice::At(uri) = &config.device.uri else { panic!("{config:?}") };
@@ -151,7 +151,7 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     assert_eq!(config.http.listen, Some("127.0.0.1:0".parse().unwrap()));
 
     // What the command line says is refused with the option's name.
-    let overrides = Overrides { listen: said("0.0.0.0:80"), ..Overrides::default() };
+    let overrides = Overrides { listen: text_of("0.0.0.0:80"), ..Overrides::default() };
     let error = parse("", &overrides).unwrap_err();
     let ConfigError::Refused { problems, .. } = &error else { panic!("{error}") };
     let [Problem { place: Place::Option("--listen"), key: Some("http.listen"), message }] =
@@ -161,7 +161,7 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     };
     assert!(message.contains("0.0.0.0:80"), "{message}");
     assert!(error.to_string().contains("--listen"), "{error}");
-    let overrides = Overrides { device: said("ttyUSB0"), ..Overrides::default() };
+    let overrides = Overrides { device: text_of("ttyUSB0"), ..Overrides::default() };
     let error = parse("", &overrides).unwrap_err().to_string();
     assert!(error.contains("--device") && error.contains("serial:PATH"), "{error}");
 }
@@ -174,9 +174,9 @@ fn changes_say_when_they_hold() {
     )
     .unwrap();
     let changes = old.changes(&new);
-    let told: Vec<_> = changes.iter().map(|change| (change.key, change.when)).collect();
+    let found: Vec<_> = changes.iter().map(|change| (change.key, change.when)).collect();
     assert_eq!(
-        told,
+        found,
         [
             ("take.name", When::NextTake),
             ("arm.pre_roll", When::NextArm),

@@ -38,7 +38,7 @@ fn what_is_sent() {
 
 #[test]
 fn the_bounds_are_those_of_the_code() {
-    for words in [
+    for message in [
         format!("at most {} KiB", DATAGRAM_BYTES_MAX >> 10),
         format!("0 to {}", DELAY_MAX.as_millis()),
         format!("| {DELAYED_MAX} of all of these senders | {DUE_MAX} in all |"),
@@ -49,7 +49,7 @@ fn the_bounds_are_those_of_the_code() {
         format!("Of each sender {IDS_MAX} numbers are remembered, and of {SENDERS_MAX} senders"),
         format!("cut after {} bytes", crate::config::NAME_BYTES_MAX),
     ] {
-        assert!(PAGE.contains(&words), "docs/triggers.md does not say '{words}'");
+        assert!(PAGE.contains(&message), "docs/triggers.md does not say '{message}'");
     }
     assert_eq!(REMEMBERED, Duration::from_secs(60), "the page says a minute");
 }

@@ -14,8 +14,8 @@ fn start(inside: &str) -> String {
 
 fn refused(datagram: impl AsRef<[u8]>) -> Refusal {
     let refusal = parse(datagram.as_ref()).unwrap_err();
-    let said = refusal.to_string();
-    assert!(said.chars().count() < 300 && !said.contains(char::is_control), "{said:?}");
+    let reason = refusal.to_string();
+    assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
     refusal
 }
 
@@ -29,7 +29,7 @@ fn what_is_said_is_understood() {
     assert_eq!(start.delay, Duration::from_micros(12_500));
     assert_eq!(start.about.packet_id, Some(u64::MAX));
     // A line end in an attribute is a space by the rules of XML.
-    assert_eq!(start.about.said, [("Notes".to_owned(), "two lines <é>".to_owned())]);
+    assert_eq!(start.about.fields, [("Notes".to_owned(), "two lines <é>".to_owned())]);
     assert_eq!(start.about.changed, [""; 0]);
 
     for (word, result) in [
@@ -59,11 +59,11 @@ fn nothing_that_is_said_is_lost_without_a_word() {
     let about = parse(long.as_bytes()).unwrap().capture().about.clone();
     let [changed] = &about.changed[..] else { panic!("{:?}", about.changed) };
     assert!(changed.contains("Notes") && changed.contains("2048"), "{changed}");
-    assert_eq!(about.said[0].1, format!("{}...", "é".repeat(TEXT_BYTES_MAX / 2)));
+    assert_eq!(about.fields[0].1, format!("{}...", "é".repeat(TEXT_BYTES_MAX / 2)));
 
     let many: String = (0..40).map(|n| format!("<A{n} VALUE='x'/>")).collect();
     let about = parse(start(&many).as_bytes()).unwrap().capture().about.clone();
-    assert_eq!((about.said.len(), about.changed.len()), (16, 1));
+    assert_eq!((about.fields.len(), about.changed.len()), (16, 1));
     assert!(about.changed[0].contains("16"), "{:?}", about.changed);
 
     let path = parse(start("<DatabasePath VALUE='/etc/&#x85;x'/>").as_bytes()).unwrap();
@@ -107,8 +107,8 @@ fn what_is_no_trigger_is_refused_in_words() {
         number("PacketID", id);
     }
     for delay in ["-1", "60001", "nan", "inf", "1e300", "soon"] {
-        let said = number("Delay", delay);
-        assert!(said.contains(&DELAY_MAX.as_millis().to_string()), "{said}");
+        let reason = number("Delay", delay);
+        assert!(reason.contains(&DELAY_MAX.as_millis().to_string()), "{reason}");
     }
     assert_eq!(refused(start("<Name VALUE='...'/>")), Refusal::Name("...".to_owned()));
     let bomb = "<!DOCTYPE x [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;&a;'>]>\
@@ -158,12 +158,12 @@ fn repeats_do_nothing() {
 
 #[test]
 fn what_is_remembered_is_bounded() {
-    let mut seen = listener::Seen::default();
+    let mut seen = listener::RecentTriggers::default();
     let mut repeat = |from: u32, id: u64, at_s| {
         let from = IpAddr::V4(from.into());
         let trigger = parse(packet(id).as_bytes()).unwrap();
         let is_repeat = seen.is_repeat(from, &trigger, b"", Duration::from_secs(at_s));
-        let (n_senders, n_ids) = seen.n_remembered();
+        let (n_senders, n_ids) = seen.sizes();
         assert!(n_senders <= SENDERS_MAX && n_ids <= SENDERS_MAX * IDS_MAX);
         is_repeat
     };
@@ -190,8 +190,8 @@ fn who_is_not_allowed_is_refused_before_anything_is_read() {
     }
     let refusal = hear(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
     assert_eq!(refusal, Refusal::NotAllowed("10.0.1.1".parse().unwrap()));
-    let said = refusal.to_string();
-    assert!(said.contains("10.0.1.1") && said.contains("trigger.allow_from"), "{said}");
+    let reason = refusal.to_string();
+    assert!(reason.contains("10.0.1.1") && reason.contains("trigger.allow_from"), "{reason}");
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     assert!(hear(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
 }
@@ -234,7 +234,7 @@ fn our_own_come_back_and_do_nothing() {
             trigger
                 .capture()
                 .about
-                .said
+                .fields
                 .contains(&("Description".to_owned(), "mocapd left 0000000000000007".to_owned()))
         );
     }

@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::{
-    socket::{Hearing, Questions, Teller, bind, listen},
+    socket::{ListenerThread, TakeQueries, TriggerSender, bind, listen},
     *,
 };
 
@@ -15,13 +15,13 @@ const GIVE_UP: Duration = Duration::from_secs(20);
 
 struct Service {
     at: SocketAddr,
-    triggers: Queue,
-    said: crossbeam_channel::Receiver<String>,
-    hearing: Hearing,
+    triggers: TriggerQueue,
+    reports: crossbeam_channel::Receiver<String>,
+    listening: ListenerThread,
 }
 
 /// The next one that is due, as soon as it is, within `timeout`.
-fn next(triggers: &Queue, timeout: Duration) -> Option<Received> {
+fn next(triggers: &TriggerQueue, timeout: Duration) -> Option<Received> {
     let until = Instant::now() + timeout;
     loop {
         let due = triggers.take_due();
@@ -38,14 +38,14 @@ impl Service {
     fn start(mark: u64) -> Self {
         let socket = bind("127.0.0.1:0".parse().unwrap()).unwrap();
         let at = socket.local_addr().unwrap();
-        let triggers = Queue::default();
-        let (to_said, said) = crossbeam_channel::bounded(1000);
+        let triggers = TriggerQueue::default();
+        let (sender, reports) = crossbeam_channel::bounded(1000);
         let listener = Listener::new(Vec::new(), DELAY_MAX, mark);
-        let say = move |words: &str| to_said.send(words.to_owned()).unwrap();
-        let questions =
-            Questions { exists: Box::new(|name| name == "old"), recording: Box::new(|| None) };
-        let hearing = listen(socket, listener, questions, triggers.clone(), say).unwrap();
-        Self { at, triggers, said, hearing }
+        let report = move |message: &str| sender.send(message.to_owned()).unwrap();
+        let queries =
+            TakeQueries { exists: Box::new(|name| name == "old"), recording: Box::new(|| None) };
+        let listening = listen(socket, listener, queries, triggers.clone(), report).unwrap();
+        Self { at, triggers, reports, listening }
     }
 
     fn next(&self) -> Received {
@@ -53,28 +53,28 @@ impl Service {
     }
 
     fn end(self) {
-        drop(self.hearing);
+        drop(self.listening);
     }
 }
 
 #[test]
 fn what_one_tells_another_hears_and_itself_ignores() {
     let (own, other) = (Service::start(7), Service::start(8));
-    let teller = Teller::new(vec![own.at, other.at]).unwrap();
+    let sender = TriggerSender::new(vec![own.at, other.at]).unwrap();
     let mut announcer = Announcer::new("left", 7, 1);
     let name = TakeName::of("walk").unwrap();
     let sent = announcer.start(&name, "");
     for _ in 0..3 {
-        assert_eq!(teller.tell(&sent), [""; 0]);
+        assert_eq!(sender.send(&sent), [""; 0]);
     }
-    assert_eq!(teller.tell(&announcer.stop(&name, &StopResult::Success)), [""; 0]);
+    assert_eq!(sender.send(&announcer.stop(&name, &StopResult::Success)), [""; 0]);
     assert!(matches!(other.next().trigger, Trigger::Start(_)));
     // The repeats are none, and what comes next is the stop.
     assert!(matches!(other.next().trigger, Trigger::Stop(_)));
     // Its own were read before this one, and gave nothing.
-    assert_eq!(teller.tell(b"<CaptureComplete/>"), [""; 0]);
+    assert_eq!(sender.send(b"<CaptureComplete/>"), [""; 0]);
     assert!(matches!(own.next().trigger, Trigger::Complete(_)));
-    assert!(own.said.is_empty() && other.said.is_empty());
+    assert!(own.reports.is_empty() && other.reports.is_empty());
     own.end();
     other.end();
 }
@@ -89,11 +89,11 @@ fn refusals_are_said_a_few_at_a_time() {
     }
     client.send_to(packet(1000).as_bytes(), service.at).unwrap();
     service.next();
-    let said: Vec<String> = service.said.try_iter().collect();
-    assert_eq!(said.len(), 5, "{said:?}");
+    let reports: Vec<String> = service.reports.try_iter().collect();
+    assert_eq!(reports.len(), 5, "{reports:?}");
     let from = client.local_addr().unwrap();
     let taken = Refusal::NameTaken("old".to_owned()).to_string();
-    assert!(said[0].contains(&from.to_string()) && said[0].contains(&taken), "{}", said[0]);
+    assert!(reports[0].contains(&from.to_string()) && reports[0].contains(&taken), "{}", reports[0]);
     service.end();
 }
 
@@ -104,10 +104,10 @@ fn more_than_fit_are_lost_and_said() {
     for id in 0..=DUE_EACH_MAX as u64 {
         client.send_to(packet(id).as_bytes(), service.at).unwrap();
     }
-    let said = service.said.recv_timeout(GIVE_UP).unwrap();
+    let reports = service.reports.recv_timeout(GIVE_UP).unwrap();
     let sender = client.local_addr().unwrap().ip();
     let refusal = Refusal::TooManyOfSender { waiting: DUE_EACH_MAX, sender };
-    assert!(said.contains(&refusal.to_string()), "{said}");
+    assert!(reports.contains(&refusal.to_string()), "{reports}");
     for _ in 0..DUE_EACH_MAX {
         service.next();
     }
@@ -140,7 +140,7 @@ fn a_trigger_that_found_no_place_acts_when_it_is_repeated() {
             sender.send_to(numbered(packet).as_bytes(), service.at).unwrap();
         }
         sender.send_to(late.as_bytes(), service.at).unwrap();
-        service.said.recv_timeout(GIVE_UP).unwrap();
+        service.reports.recv_timeout(GIVE_UP).unwrap();
         for _ in 0..DUE_EACH_MAX {
             service.next();
         }

@@ -86,8 +86,8 @@ fn check(datagram: &[u8]) -> bool {
             true
         }
         Err(refusal) => {
-            let words = refusal.to_string();
-            assert!(words.len() < 500 && !words.contains(char::is_control), "{words:?}");
+            let message = refusal.to_string();
+            assert!(message.len() < 500 && !message.contains(char::is_control), "{message:?}");
             false
         }
     }

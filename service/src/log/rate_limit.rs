@@ -28,7 +28,7 @@ use super::Level;
 /// Of the same message so many in so long a time: who reads sees that it happens again and again, and a device that
 /// fails a hundred times a second fills no disk.
 const BURST: u32 = 10;
-const PER: Duration = Duration::from_secs(60);
+const WINDOW: Duration = Duration::from_secs(60);
 
 /// Messages told apart: there are fewer places in the source that say something. What comes beyond is counted as one.
 const MESSAGES_MAX: usize = 256;
@@ -41,12 +41,12 @@ pub(super) const SUMMARY: &str = "mocapd_service::log::summary";
 
 /// Decides, for every thread.
 #[derive(Debug)]
-pub(super) struct Gate {
+pub(super) struct LogFilter {
     level: AtomicU8,
-    limiter: Mutex<Limiter>,
+    limiter: Mutex<RateLimiter>,
 }
 
-impl Gate {
+impl LogFilter {
     pub(super) fn new(level: Level) -> Self {
         Self { level: AtomicU8::new(level as u8), limiter: Mutex::default() }
     }
@@ -61,16 +61,16 @@ impl Gate {
     }
 
     /// What was left out and is over, or all of it: how many, and one of them.
-    pub(super) fn left_out(&self, now: Instant, all: bool) -> Vec<(u64, String)> {
-        self.limiter.lock().unwrap_or_else(PoisonError::into_inner).left_out(now, all)
+    pub(super) fn take_suppressed(&self, now: Instant, all: bool) -> Vec<(u64, String)> {
+        self.limiter.lock().unwrap_or_else(PoisonError::into_inner).take_suppressed(now, all)
     }
 }
 
 /// The gate as the subscriber asks it.
 #[derive(Debug)]
-pub(super) struct Layer(pub(super) Arc<Gate>);
+pub(super) struct FilterLayer(pub(super) Arc<LogFilter>);
 
-impl<S: Subscriber> tracing_subscriber::Layer<S> for Layer {
+impl<S: Subscriber> tracing_subscriber::Layer<S> for FilterLayer {
     fn register_callsite(&self, _: &'static Metadata<'static>) -> Interest {
         // The level may change.
         Interest::sometimes()
@@ -84,22 +84,22 @@ impl<S: Subscriber> tracing_subscriber::Layer<S> for Layer {
         if event.metadata().target() == SUMMARY {
             return true;
         }
-        let mut said = Said::default();
-        event.record(&mut said);
+        let mut visitor = MessageVisitor::default();
+        event.record(&mut visitor);
         let mut hasher = DefaultHasher::new();
         event.metadata().callsite().hash(&mut hasher);
         // `back after 3.1 s` and `back after 7.4 s` are the same message.
-        said.0.bytes().filter(|b| !b.is_ascii_digit()).for_each(|b| b.hash(&mut hasher));
+        visitor.0.bytes().filter(|b| !b.is_ascii_digit()).for_each(|b| b.hash(&mut hasher));
         let mut limiter = self.0.limiter.lock().unwrap_or_else(PoisonError::into_inner);
-        limiter.may_pass(hasher.finish(), &said.0, Instant::now())
+        limiter.allows(hasher.finish(), &visitor.0, Instant::now())
     }
 }
 
 /// An event's message.
 #[derive(Default)]
-struct Said(String);
+struct MessageVisitor(String);
 
-impl Visit for Said {
+impl Visit for MessageVisitor {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
             // A string takes everything.
@@ -109,47 +109,47 @@ impl Visit for Said {
 }
 
 #[derive(Debug, Default)]
-struct Limiter {
-    messages: HashMap<u64, Told>,
+struct RateLimiter {
+    messages: HashMap<u64, MessageCount>,
 }
 
 #[derive(Debug)]
-struct Told {
+struct MessageCount {
     since: Instant,
-    told: u32,
-    left_out: u64,
+    passed: u32,
+    suppressed: u64,
     sample: String,
 }
 
-impl Limiter {
-    fn may_pass(&mut self, message: u64, words: &str, now: Instant) -> bool {
+impl RateLimiter {
+    fn allows(&mut self, message: u64, text: &str, now: Instant) -> bool {
         // What is over and was told in full is forgotten; what was not is kept until somebody has told of it.
         if self.messages.len() >= MESSAGES_MAX {
-            self.messages.retain(|_, told| told.left_out > 0 || !told.is_over(now));
+            self.messages.retain(|_, count| count.suppressed > 0 || !count.is_over(now));
         }
         let is_full = self.messages.len() >= MESSAGES_MAX && !self.messages.contains_key(&message);
         let key = if is_full { 0 } else { message };
-        let told = self.messages.entry(key).or_insert_with(|| Told::new(now));
-        if told.left_out == 0 && told.is_over(now) {
-            *told = Told::new(now);
+        let count = self.messages.entry(key).or_insert_with(|| MessageCount::new(now));
+        if count.suppressed == 0 && count.is_over(now) {
+            *count = MessageCount::new(now);
         }
-        if told.told < BURST {
-            told.told += 1;
+        if count.passed < BURST {
+            count.passed += 1;
             return true;
         }
-        told.left_out += 1;
-        if told.sample.is_empty() {
-            told.sample = words.chars().take(SAMPLE_BYTES_MAX / 4).collect();
+        count.suppressed += 1;
+        if count.sample.is_empty() {
+            count.sample = text.chars().take(SAMPLE_BYTES_MAX / 4).collect();
         }
         false
     }
 
-    fn left_out(&mut self, now: Instant, all: bool) -> Vec<(u64, String)> {
+    fn take_suppressed(&mut self, now: Instant, all: bool) -> Vec<(u64, String)> {
         let mut found = Vec::new();
-        self.messages.retain(|_, told| {
-            let is_due = all || told.is_over(now);
-            if is_due && told.left_out > 0 {
-                found.push((told.left_out, std::mem::take(&mut told.sample)));
+        self.messages.retain(|_, count| {
+            let is_due = all || count.is_over(now);
+            if is_due && count.suppressed > 0 {
+                found.push((count.suppressed, std::mem::take(&mut count.sample)));
             }
             !is_due
         });
@@ -157,27 +157,27 @@ impl Limiter {
     }
 }
 
-impl Told {
+impl MessageCount {
     fn new(since: Instant) -> Self {
-        Self { since, told: 0, left_out: 0, sample: String::new() }
+        Self { since, passed: 0, suppressed: 0, sample: String::new() }
     }
 
     fn is_over(&self, now: Instant) -> bool {
-        now.saturating_duration_since(self.since) >= PER
+        now.saturating_duration_since(self.since) >= WINDOW
     }
 }
 
 /// How often what was left out is looked at.
-const SUM_UP_EVERY: Duration = Duration::from_secs(5);
+const SUMMARY_INTERVAL: Duration = Duration::from_secs(5);
 
 /// The thread that tells what was left out. Dropping it tells the rest.
 #[derive(Debug)]
-pub(super) struct Summaries {
+pub(super) struct SummaryThread {
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for Summaries {
+impl Drop for SummaryThread {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
@@ -186,16 +186,16 @@ impl Drop for Summaries {
     }
 }
 
-impl Summaries {
-    pub(super) fn start(gate: Arc<Gate>) -> anyhow::Result<Self> {
+impl SummaryThread {
+    pub(super) fn start(filter: Arc<LogFilter>) -> anyhow::Result<Self> {
         let (stop, stopped) = bounded::<()>(1);
         // A subscriber that holds for this thread alone holds for the new one, too: so it is in tests.
         let dispatch = tracing::dispatcher::get_default(Clone::clone);
         let run = move || {
-            while stopped.recv_timeout(SUM_UP_EVERY) == Err(RecvTimeoutError::Timeout) {
-                sum_up(&gate, false);
+            while stopped.recv_timeout(SUMMARY_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                log_summaries(&filter, false);
             }
-            sum_up(&gate, true);
+            log_summaries(&filter, true);
         };
         let thread = threads::spawn("mocapd-log", move || {
             tracing::dispatcher::with_default(&dispatch, run);
@@ -204,8 +204,8 @@ impl Summaries {
     }
 }
 
-fn sum_up(gate: &Gate, all: bool) {
-    for (n, sample) in gate.left_out(Instant::now(), all) {
+fn log_summaries(filter: &LogFilter, all: bool) {
+    for (n, sample) in filter.take_suppressed(Instant::now(), all) {
         tracing::warn!(target: SUMMARY, left_out = n, "{n} more like this were left out: {}", visible(&sample));
     }
 }
@@ -224,26 +224,26 @@ mod tests {
 
     #[test]
     fn the_same_is_said_ten_times_a_minute_and_the_rest_is_counted() {
-        let (mut limiter, start) = (Limiter::default(), Instant::now());
-        let passed = (0..100).filter(|_| limiter.may_pass(1, "it stalls", start)).count();
+        let (mut limiter, start) = (RateLimiter::default(), Instant::now());
+        let passed = (0..100).filter(|_| limiter.allows(1, "it stalls", start)).count();
         assert_eq!(passed, 10);
-        assert!(limiter.may_pass(2, "something else", start), "another message");
-        assert_eq!(limiter.left_out(start + PER / 2, false), [], "not over");
-        let later = start + PER;
-        assert_eq!(limiter.left_out(later, false), [(90, "it stalls".to_owned())]);
-        assert!(limiter.may_pass(1, "it stalls", later), "a new minute");
-        assert_eq!(limiter.left_out(later, true), [], "nothing was left out since");
+        assert!(limiter.allows(2, "something else", start), "another message");
+        assert_eq!(limiter.take_suppressed(start + WINDOW / 2, false), [], "not over");
+        let later = start + WINDOW;
+        assert_eq!(limiter.take_suppressed(later, false), [(90, "it stalls".to_owned())]);
+        assert!(limiter.allows(1, "it stalls", later), "a new minute");
+        assert_eq!(limiter.take_suppressed(later, true), [], "nothing was left out since");
     }
 
     #[test]
     fn what_is_left_out_is_told_even_when_messages_are_many() {
-        let (mut limiter, start) = (Limiter::default(), Instant::now());
+        let (mut limiter, start) = (RateLimiter::default(), Instant::now());
         let mut passed = 0;
         for message in 1..=10_000 {
-            passed += u64::from(limiter.may_pass(message, "m", start));
+            passed += u64::from(limiter.allows(message, "m", start));
         }
         assert!(limiter.messages.len() <= MESSAGES_MAX + 1, "{}", limiter.messages.len());
-        let left_out: u64 = limiter.left_out(start, true).iter().map(|(n, _)| n).sum();
+        let left_out: u64 = limiter.take_suppressed(start, true).iter().map(|(n, _)| n).sum();
         assert_eq!(passed + left_out, 10_000);
         assert!(limiter.messages.is_empty());
     }
@@ -271,14 +271,14 @@ mod tests {
     }
 
     /// Runs `scene` with a log, and gives what it wrote until it ended.
-    fn logged(level: Level, scene: impl FnOnce(&Gate)) -> String {
-        let (memory, gate) = (Memory::default(), Arc::new(Gate::new(level)));
+    fn logged(level: Level, scene: impl FnOnce(&LogFilter)) -> String {
+        let (memory, filter) = (Memory::default(), Arc::new(LogFilter::new(level)));
         let registry = tracing_subscriber::registry()
             .with(lines(memory.clone()))
-            .with(Layer(Arc::clone(&gate)));
+            .with(FilterLayer(Arc::clone(&filter)));
         tracing::subscriber::with_default(registry, || {
-            let _running = Summaries::start(Arc::clone(&gate)).unwrap();
-            scene(&gate);
+            let _running = SummaryThread::start(Arc::clone(&filter)).unwrap();
+            scene(&filter);
         });
         String::from_utf8(memory.0.lock().unwrap().clone()).unwrap()
     }
@@ -296,9 +296,9 @@ mod tests {
 
     #[test]
     fn the_level_can_change() {
-        let text = logged(Level::Error, |gate| {
+        let text = logged(Level::Error, |filter| {
             tracing::debug!("before");
-            gate.set_level(Level::Debug);
+            filter.set_level(Level::Debug);
             tracing::debug!("after");
         });
         assert!(!text.contains("before") && text.contains("after"), "{text}");

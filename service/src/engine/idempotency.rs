@@ -8,14 +8,14 @@ use super::Inner;
 use crate::control::{Refusal, RefusalKind};
 
 /// Answers that are remembered: a client repeats a request within seconds, and nobody asks hundreds of times a second.
-const ANSWERS_MAX: usize = 256;
+const REPLIES_MAX: usize = 256;
 
 /// Longest id of a request, in bytes.
 const ID_BYTES_MAX: usize = 64;
 
 /// By request id, oldest first.
 #[derive(Debug, Default)]
-pub(super) struct Answers(VecDeque<(String, Known)>);
+pub(super) struct IdempotentReplies(VecDeque<(String, Known)>);
 
 /// A request: what it asks for, and its answer.
 #[derive(Debug, Clone)]
@@ -40,7 +40,7 @@ impl Inner {
         carry_out: impl FnOnce(&Self) -> Result<T, Refusal>,
     ) -> Result<T, Refusal> {
         let Some(id) = id else { return carry_out(self) };
-        let invalid = |words: &str| Refusal::new(RefusalKind::Invalid, words);
+        let invalid = |message: &str| Refusal::new(RefusalKind::Invalid, message);
         if id.is_empty() || id.len() > ID_BYTES_MAX || id.chars().any(char::is_control) {
             return Err(invalid("a request_id has 1 to 64 bytes and no control characters"));
         }
@@ -50,22 +50,22 @@ impl Inner {
                 return Err(invalid(other));
             }
             let Slot::Answered(answer) = known.slot else {
-                let words = "the same request is being carried out: ask again in a moment";
-                return Err(Refusal::new(RefusalKind::Unavailable, words));
+                let message = "the same request is being carried out: ask again in a moment";
+                return Err(Refusal::new(RefusalKind::Unavailable, message));
             };
             let answer = answer.downcast_ref::<Result<T, Refusal>>();
             return answer.cloned().unwrap_or_else(|| Err(invalid(other)));
         }
         let answer = carry_out(self);
-        let mut answers = lock(&self.answers);
-        let at = answers.0.iter().rposition(|(known, _)| known == id);
+        let mut replies = lock(&self.replies);
+        let at = replies.0.iter().rposition(|(known, _)| known == id);
         if let Some(at) = at {
             match &answer {
                 // What was not tried can be tried again.
                 Err(refusal) if refusal.kind == RefusalKind::Unavailable => {
-                    answers.0.remove(at);
+                    replies.0.remove(at);
                 }
-                _ => answers.0[at].1.slot = Slot::Answered(Arc::new(answer.clone())),
+                _ => replies.0[at].1.slot = Slot::Answered(Arc::new(answer.clone())),
             }
         }
         answer
@@ -73,14 +73,14 @@ impl Inner {
 
     /// What is known of a request; of one that is new, it is known from now on that it is carried out.
     fn claim(&self, what: &'static str, id: &str) -> Option<Known> {
-        let mut answers = lock(&self.answers);
-        if let Some((_, known)) = answers.0.iter().find(|(known, _)| known == id) {
+        let mut replies = lock(&self.replies);
+        if let Some((_, known)) = replies.0.iter().find(|(known, _)| known == id) {
             return Some(known.clone());
         }
-        if answers.0.len() == ANSWERS_MAX {
-            answers.0.pop_front();
+        if replies.0.len() == REPLIES_MAX {
+            replies.0.pop_front();
         }
-        answers.0.push_back((id.to_owned(), Known { what, slot: Slot::Open }));
+        replies.0.push_back((id.to_owned(), Known { what, slot: Slot::Open }));
         None
     }
 }

@@ -41,21 +41,21 @@ impl Peer {
 
 /// The connections of one listener.
 #[derive(Debug)]
-pub(super) struct Places {
+pub(super) struct ConnectionSlots {
     max: usize,
-    open: Mutex<Vec<Arc<Place>>>,
+    open: Mutex<Vec<Arc<ConnectionSlot>>>,
 }
 
 /// One connection's place.
 #[derive(Debug)]
-pub(super) struct Place {
+pub(super) struct ConnectionSlot {
     peer: Peer,
-    standing: Mutex<Standing>,
+    state: Mutex<SlotState>,
     evicted: Notify,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Standing {
+struct SlotState {
     /// A request of it was allowed, and not only one that everybody may make.
     is_authorized: bool,
     /// A request has arrived whole, and its answer is not sent.
@@ -70,76 +70,76 @@ struct Standing {
 
 /// A taken place, given back when it is dropped.
 #[derive(Debug)]
-pub(super) struct Taken {
-    places: Arc<Places>,
-    place: Arc<Place>,
+pub(super) struct SlotGuard {
+    slots: Arc<ConnectionSlots>,
+    slot: Arc<ConnectionSlot>,
 }
 
-impl Places {
+impl ConnectionSlots {
     pub(super) fn new(max: usize) -> Arc<Self> {
         Arc::new(Self { max, open: Mutex::new(Vec::with_capacity(max)) })
     }
 
     /// A place for a connection of this peer. `None` when every other one is busy.
-    pub(super) fn take(self: &Arc<Self>, peer: Peer) -> Option<Taken> {
+    pub(super) fn take(self: &Arc<Self>, peer: Peer) -> Option<SlotGuard> {
         let mut open = self.lock();
         if open.len() >= self.max {
             // Its task hears of it a moment later: for so long one connection more than `max` is open.
             let at = evictable(&open)?;
             open.swap_remove(at).evicted.notify_one();
         }
-        let standing = Standing {
+        let state = SlotState {
             is_authorized: false,
             is_busy: false,
             is_flushing: false,
             has_answered: false,
             since: Instant::now(),
         };
-        let place =
-            Arc::new(Place { peer, standing: Mutex::new(standing), evicted: Notify::new() });
-        open.push(Arc::clone(&place));
-        Some(Taken { places: Arc::clone(self), place })
+        let slot =
+            Arc::new(ConnectionSlot { peer, state: Mutex::new(state), evicted: Notify::new() });
+        open.push(Arc::clone(&slot));
+        Some(SlotGuard { slots: Arc::clone(self), slot })
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Place>>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<ConnectionSlot>>> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Which connection makes room: of the peer that holds most places that may be taken, the one that has held its place
 /// for longest.
-fn evictable(open: &[Arc<Place>]) -> Option<usize> {
-    let standings: Vec<Standing> = open.iter().map(|place| *place.lock()).collect();
-    let is_stranger = |standing: &Standing| !standing.is_authorized;
-    let only_strangers = standings.iter().any(is_stranger);
+fn evictable(open: &[Arc<ConnectionSlot>]) -> Option<usize> {
+    let states: Vec<SlotState> = open.iter().map(|slot| *slot.lock()).collect();
+    let is_unauthorized = |state: &SlotState| !state.is_authorized;
+    let only_unauthorized = states.iter().any(is_unauthorized);
     let candidates: Vec<usize> = (0..open.len())
-        .filter(|&at| match only_strangers {
-            true => is_stranger(&standings[at]),
-            false => !standings[at].is_busy,
+        .filter(|&at| match only_unauthorized {
+            true => is_unauthorized(&states[at]),
+            false => !states[at].is_busy,
         })
         .collect();
     let mut held: HashMap<Peer, usize> = HashMap::new();
     for &at in &candidates {
         *held.entry(open[at].peer).or_default() += 1;
     }
-    let rank = |at: usize| (held.get(&open[at].peer), Reverse(standings[at].since));
+    let rank = |at: usize| (held.get(&open[at].peer), Reverse(states[at].since));
     candidates.into_iter().max_by_key(|&at| rank(at))
 }
 
-impl Taken {
+impl SlotGuard {
     /// What routes see of it.
-    pub(super) fn place(&self) -> &Arc<Place> {
-        &self.place
+    pub(super) fn slot(&self) -> &Arc<ConnectionSlot> {
+        &self.slot
     }
 }
 
-impl Drop for Taken {
+impl Drop for SlotGuard {
     fn drop(&mut self) {
-        self.places.lock().retain(|place| !Arc::ptr_eq(place, &self.place));
+        self.slots.lock().retain(|slot| !Arc::ptr_eq(slot, &self.slot));
     }
 }
 
-impl Place {
+impl ConnectionSlot {
     /// A request was allowed that not everybody may make.
     pub(super) fn authorize(&self) {
         self.lock().is_authorized = true;
@@ -161,34 +161,34 @@ impl Place {
             self.arrived();
             return body;
         }
-        Body::new(Tracked { body, place: Arc::clone(self), direction: Direction::Request })
+        Body::new(Tracked { body, slot: Arc::clone(self), direction: Direction::Request })
     }
 
     /// The answer with its progress noted here.
     pub(super) fn response_body(self: &Arc<Self>, body: Body) -> Body {
         self.lock().has_answered = true;
-        Body::new(Tracked { body, place: Arc::clone(self), direction: Direction::Response })
+        Body::new(Tracked { body, slot: Arc::clone(self), direction: Direction::Response })
     }
 
     /// Everything that was written to the connection is with the kernel.
     pub(super) fn flushed(&self) {
-        let mut standing = self.lock();
-        if standing.is_flushing {
-            standing.is_flushing = false;
-            standing.is_busy = false;
-            standing.since = Instant::now();
+        let mut state = self.lock();
+        if state.is_flushing {
+            state.is_flushing = false;
+            state.is_busy = false;
+            state.since = Instant::now();
         }
     }
 
     /// A request is there to its end. An answer that is still being sent then belongs to the one before it.
     fn arrived(&self) {
-        let mut standing = self.lock();
-        standing.is_busy = true;
-        standing.is_flushing = false;
+        let mut state = self.lock();
+        state.is_busy = true;
+        state.is_flushing = false;
     }
 
-    fn lock(&self) -> MutexGuard<'_, Standing> {
-        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, SlotState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -202,7 +202,7 @@ enum Direction {
 #[derive(Debug)]
 struct Tracked {
     body: Body,
-    place: Arc<Place>,
+    slot: Arc<ConnectionSlot>,
     direction: Direction,
 }
 
@@ -217,7 +217,7 @@ impl HttpBody for Tracked {
         let polled = Pin::new(&mut self.body).poll_frame(cx);
         let is_whole = matches!(polled, Poll::Ready(None)) || self.body.is_end_stream();
         if is_whole && self.direction == Direction::Request {
-            self.place.arrived();
+            self.slot.arrived();
         }
         polled
     }
@@ -234,7 +234,7 @@ impl HttpBody for Tracked {
 impl Drop for Tracked {
     fn drop(&mut self) {
         if self.direction == Direction::Response {
-            self.place.lock().is_flushing = true;
+            self.slot.lock().is_flushing = true;
         }
     }
 }
@@ -247,52 +247,52 @@ mod tests {
         Peer::of_address(IpAddr::from([192, 0, 2, last]))
     }
 
-    fn is_evicted(taken: &Taken) -> bool {
-        !taken.places.lock().iter().any(|place| Arc::ptr_eq(place, &taken.place))
+    fn is_evicted(guard: &SlotGuard) -> bool {
+        !guard.slots.lock().iter().any(|slot| Arc::ptr_eq(slot, &guard.slot))
     }
 
     #[test]
-    fn strangers_make_room_and_most_of_all_those_of_one_peer() {
-        let places = Places::new(4);
-        let known = places.take(address(1)).unwrap();
-        known.place.authorize();
-        let single = places.take(address(2)).unwrap();
-        let crowd = [places.take(address(3)).unwrap(), places.take(address(3)).unwrap()];
-        let newcomer = places.take(address(4)).unwrap();
+    fn unauthorized_connections_are_evicted_first_and_most_of_all_those_of_one_peer() {
+        let slots = ConnectionSlots::new(4);
+        let known = slots.take(address(1)).unwrap();
+        known.slot.authorize();
+        let single = slots.take(address(2)).unwrap();
+        let crowd = [slots.take(address(3)).unwrap(), slots.take(address(3)).unwrap()];
+        let newcomer = slots.take(address(4)).unwrap();
         let evicted = [&known, &single, &crowd[0], &crowd[1], &newcomer].map(is_evicted);
         assert_eq!(evicted, [false, false, true, false, false]);
         // What was evicted gives nothing back that is not its own.
         drop(crowd);
-        assert_eq!(places.lock().len(), 3);
+        assert_eq!(slots.lock().len(), 3);
     }
 
     #[test]
     fn a_busy_connection_is_never_evicted_and_an_idle_one_is() {
-        let places = Places::new(2);
-        let taken: Vec<Taken> = (0..2).map(|_| places.take(address(1)).unwrap()).collect();
-        for taken in &taken {
-            taken.place.authorize();
-            drop(taken.place.request_body(Body::empty()));
+        let slots = ConnectionSlots::new(2);
+        let guards: Vec<SlotGuard> = (0..2).map(|_| slots.take(address(1)).unwrap()).collect();
+        for guard in &guards {
+            guard.slot.authorize();
+            drop(guard.slot.request_body(Body::empty()));
         }
-        assert!(places.take(address(2)).is_none());
-        drop(taken[1].place.response_body(Body::empty()));
-        assert!(places.take(address(2)).is_none(), "its answer is not sent");
-        taken[0].place.flushed();
-        taken[1].place.flushed();
-        let newcomer = places.take(address(2)).unwrap();
-        assert!(!is_evicted(&taken[0]) && is_evicted(&taken[1]) && !is_evicted(&newcomer));
+        assert!(slots.take(address(2)).is_none());
+        drop(guards[1].slot.response_body(Body::empty()));
+        assert!(slots.take(address(2)).is_none(), "its answer is not sent");
+        guards[0].slot.flushed();
+        guards[1].slot.flushed();
+        let newcomer = slots.take(address(2)).unwrap();
+        assert!(!is_evicted(&guards[0]) && is_evicted(&guards[1]) && !is_evicted(&newcomer));
     }
 
     #[test]
     fn a_request_is_busy_when_its_body_is_whole() {
-        let places = Places::new(1);
-        let taken = places.take(address(1)).unwrap();
-        taken.place.authorize();
-        let mut body = taken.place.request_body(Body::from("{}"));
-        assert!(!taken.place.lock().is_busy);
+        let slots = ConnectionSlots::new(1);
+        let guard = slots.take(address(1)).unwrap();
+        guard.slot.authorize();
+        let mut body = guard.slot.request_body(Body::from("{}"));
+        assert!(!guard.slot.lock().is_busy);
         let mut cx = Context::from_waker(std::task::Waker::noop());
         assert!(Pin::new(&mut body).poll_frame(&mut cx).is_ready());
-        assert!(taken.place.lock().is_busy);
+        assert!(guard.slot.lock().is_busy);
     }
 
     #[test]

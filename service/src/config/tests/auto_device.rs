@@ -26,7 +26,7 @@ fn the_surest_and_only_one_is_meant() {
     };
     let mouse = || listed("usb:046d:c077", Some((0x046d, 0xc077)), Claim::No);
     let auto =
-        |attached: &[Listed]| choose(&DeviceChoice::Auto, attached).map(|uri| uri.to_string());
+        |attached: &[Listed]| auto_device(&DeviceChoice::Auto, attached).map(|uri| uri.to_string());
     assert_eq!(auto(&[bare(), mouse(), rig(1), adapter(0)]).unwrap(), "usb:1209:0001:1");
     assert_eq!(auto(&[bare(), adapter(0)]).unwrap(), "serial:/dev/ttyUSB0");
     for none in [&[][..], &[bare()], &[mouse()]] {
@@ -41,5 +41,5 @@ fn the_surest_and_only_one_is_meant() {
 #[test]
 fn a_named_device_is_taken_as_it_is() {
     let uri: DeviceUri = "serial:/tmp/rig?driver=ndi".parse().unwrap();
-    assert_eq!(choose(&DeviceChoice::At(uri.clone()), &[]), Ok(uri));
+    assert_eq!(auto_device(&DeviceChoice::At(uri.clone()), &[]), Ok(uri));
 }

@@ -7,72 +7,72 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::problem::Problem;
 
 /// Requests to the service that are carried out at once: a start, a stop, a mark and one more.
-const COMMANDS: Size = Size { at_work: 4, in_line: 16 };
+const COMMANDS: Size = Size { running: 4, waiting: 16 };
 
 /// Looks into files: listings and pieces of downloads. One disk serves two at once about as well as four.
-const FILES: Size = Size { at_work: 2, in_line: 32 };
+const FILES: Size = Size { running: 2, waiting: 32 };
 
 /// Takes that are read to the end and decoded: a core's work for as long as it takes.
-const CHECKS: Size = Size { at_work: 1, in_line: 0 };
+const CHECKS: Size = Size { running: 1, waiting: 0 };
 
 /// Threads that the runtime of a listener may have for all of these.
-pub(super) const THREADS: usize = COMMANDS.at_work + FILES.at_work + CHECKS.at_work;
+pub(super) const THREADS: usize = COMMANDS.running + FILES.running + CHECKS.running;
 
 /// Requests that can be at work or in line at once; others are answered as soon as they have arrived.
 pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all();
 
 #[derive(Debug, Clone, Copy)]
 struct Size {
-    at_work: usize,
-    in_line: usize,
+    running: usize,
+    waiting: usize,
 }
 
 impl Size {
     const fn all(self) -> usize {
-        self.at_work + self.in_line
+        self.running + self.waiting
     }
 }
 
 /// The lanes of one listener. What fills one keeps nobody from the others, and nobody from those of another listener.
 #[derive(Debug)]
-pub(super) struct Lanes {
+pub(super) struct WorkQueues {
     /// What changes something.
-    pub(super) commands: Lane,
+    pub(super) commands: WorkQueue,
     /// What looks into files.
-    pub(super) files: Lane,
+    pub(super) files: WorkQueue,
     /// What reads a take to its end.
-    pub(super) checks: Lane,
+    pub(super) checks: WorkQueue,
 }
 
-impl Lanes {
+impl WorkQueues {
     pub(super) fn new(work_max: Duration) -> Self {
         Self {
-            commands: Lane::new(
+            commands: WorkQueue::new(
                 "too many requests are being carried out",
                 COMMANDS,
                 Some(work_max),
             ),
-            files: Lane::new("too many files are being read", FILES, Some(work_max)),
-            checks: Lane::new("another take is being checked", CHECKS, None),
+            files: WorkQueue::new("too many files are being read", FILES, Some(work_max)),
+            checks: WorkQueue::new("another take is being checked", CHECKS, None),
         }
     }
 }
 
 /// One kind of work.
 #[derive(Debug)]
-pub(super) struct Lane {
+pub(super) struct WorkQueue {
     busy_with: &'static str,
-    places: Arc<Semaphore>,
+    slots: Arc<Semaphore>,
     workers: Arc<Semaphore>,
     time_max: Option<Duration>,
 }
 
-impl Lane {
+impl WorkQueue {
     fn new(busy_with: &'static str, size: Size, time_max: Option<Duration>) -> Self {
         Self {
             busy_with,
-            places: Arc::new(Semaphore::new(size.all())),
-            workers: Arc::new(Semaphore::new(size.at_work)),
+            slots: Arc::new(Semaphore::new(size.all())),
+            workers: Arc::new(Semaphore::new(size.running)),
             time_max,
         }
     }
@@ -85,11 +85,11 @@ impl Lane {
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, Problem> {
-        let Ok(place) = Arc::clone(&self.places).try_acquire_owned() else {
-            let words = format!("{}: try again in a second", self.busy_with);
-            return Err(Problem::unavailable(words));
+        let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() else {
+            let message = format!("{}: try again in a second", self.busy_with);
+            return Err(Problem::unavailable(message));
         };
-        let done = self.in_turn(place, work);
+        let done = self.in_turn(permit, work);
         let Some(time_max) = self.time_max else { return done.await };
         tokio::time::timeout(time_max, done).await.unwrap_or_else(|_| {
             Err(Problem::unavailable(format!(
@@ -104,24 +104,24 @@ impl Lane {
     ///
     /// # Errors
     /// When it panicked.
-    pub(super) async fn run_patiently<T: Send + 'static>(
+    pub(super) async fn run_when_free<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, Problem> {
-        let place = Arc::clone(&self.places).acquire_owned().await;
-        let place = place.map_err(|_| Problem::unavailable("the service is stopping"))?;
-        self.in_turn(place, work).await
+        let permit = Arc::clone(&self.slots).acquire_owned().await;
+        let permit = permit.map_err(|_| Problem::unavailable("the service is stopping"))?;
+        self.in_turn(permit, work).await
     }
 
     async fn in_turn<T: Send + 'static>(
         &self,
-        place: OwnedSemaphorePermit,
+        permit: OwnedSemaphorePermit,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, Problem> {
         let worker = Arc::clone(&self.workers).acquire_owned().await;
         let worker = worker.map_err(|_| Problem::unavailable("the service is stopping"))?;
         // The place is held for as long as the thread is, though the client may be gone by then.
-        let held = (place, worker);
+        let held = (permit, worker);
         let job = tokio::task::spawn_blocking(move || {
             let done = work();
             drop(held);
@@ -146,26 +146,26 @@ mod tests {
     fn a_full_lane_says_so_and_a_gone_client_keeps_its_place_until_the_work_is_done() {
         let runtime = runtime();
         let _inside = runtime.enter();
-        let lane = Lane::new("x", Size { at_work: 1, in_line: 1 }, Some(Duration::from_millis(50)));
+        let queue = WorkQueue::new("x", Size { running: 1, waiting: 1 }, Some(Duration::from_millis(50)));
         let (release, released) = sync_channel::<()>(0);
-        let slow = runtime.block_on(lane.run(move || released.recv().is_ok())).unwrap_err();
+        let slow = runtime.block_on(queue.run(move || released.recv().is_ok())).unwrap_err();
         assert_eq!((slow.status, slow.kind), (503, ProblemKind::Unavailable));
         assert!(slow.message.contains("/v1/status"), "it goes on: {}", slow.message);
         // One is at work still, and one more may wait; it waits in vain, and leaves its place.
-        assert_eq!(runtime.block_on(lane.run(|| ())), Err(slow.clone()));
-        let place = Arc::clone(&lane.places).try_acquire_owned().unwrap();
-        let full = runtime.block_on(lane.run(|| ())).unwrap_err();
+        assert_eq!(runtime.block_on(queue.run(|| ())), Err(slow.clone()));
+        let permit = Arc::clone(&queue.slots).try_acquire_owned().unwrap();
+        let full = runtime.block_on(queue.run(|| ())).unwrap_err();
         assert_eq!((full.status, full.kind), (503, ProblemKind::Unavailable));
         assert!(full.message.starts_with("x:") && full.message != slow.message, "{}", full.message);
-        drop(place);
+        drop(permit);
         release.send(()).unwrap();
-        assert_eq!(runtime.block_on(lane.run(|| 7)).unwrap(), 7);
+        assert_eq!(runtime.block_on(queue.run(|| 7)).unwrap(), 7);
     }
 
     #[test]
     fn a_panic_is_an_answer() {
-        let lane = Lane::new("x", Size { at_work: 1, in_line: 0 }, None);
-        let problem = runtime().block_on(lane.run(|| panic!("planted"))).unwrap_err();
+        let queue = WorkQueue::new("x", Size { running: 1, waiting: 0 }, None);
+        let problem = runtime().block_on(queue.run(|| panic!("planted"))).unwrap_err();
         assert_eq!(problem.status, 500);
     }
 }
