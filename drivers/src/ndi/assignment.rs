@@ -1,25 +1,25 @@
-//! Which of these is which of those: the pairs whose costs add up to the least.
+//! The assignment problem: the pairs of rows and columns with the least sum of costs.
 //!
-//! With squared distances as costs that is the pairing that a motion which all share does not change: it
-//! adds the same to every way of pairing them. The method is Kuhn's and Munkres', one shortest
-//! augmenting path a row; rows that find their column free, as most do, cost one pass over the columns.
-//! 63 markers of a person over a slow line cost 0.1 ms a frame; 255 that are thrown at random into a cube
-//! of 60 cm anew each frame, the worst that was found, 16 to 32 ms, and their answer takes 34 ms on the
+//! With squared distances as costs, a motion that all points share does not change the optimal pairing: it
+//! adds the same amount to every pairing. The method is that of Kuhn and Munkres, with one shortest
+//! augmenting path per row; rows whose column is free, as most are, cost one pass over the columns.
+//! 63 markers of a person over a slow line take 0.1 ms a frame; 255 thrown at random into a cube
+//! of 60 cm anew each frame, the worst case found, 16 to 32 ms, while their reply takes 34 ms on the
 //! fastest line.
 
-/// A column, and what the search at hand knows of it.
+/// A column and its state in the current search.
 #[derive(Debug, Clone, Copy, Default)]
 struct Column {
-    /// The row that has it, from 1; 0: none.
+    /// The row assigned to it, counted from 1; 0 when free.
     row: usize,
     potential: f64,
-    /// The least reduced cost at which it was reached, and from which column.
+    /// The least reduced cost of reaching it, and the column before it on that path.
     min_cost: f64,
     from: usize,
     visited: bool,
 }
 
-/// Memory for the search.
+/// Solver with reusable memory.
 #[derive(Debug)]
 pub(super) struct Assignment {
     potentials: Vec<f64>,
@@ -27,7 +27,7 @@ pub(super) struct Assignment {
 }
 
 impl Assignment {
-    /// For up to so many rows and columns, without allocating again.
+    /// Makes a solver that does not allocate for up to this many rows and columns.
     pub(super) fn new(rows_max: usize, columns_max: usize) -> Self {
         Self {
             potentials: Vec::with_capacity(rows_max + 1),
@@ -35,8 +35,8 @@ impl Assignment {
         }
     }
 
-    /// Pairs rows with columns. `cost` is infinite where the two do not fit; a row without a column
-    /// costs `alone`.
+    /// Assigns rows to columns. `cost` is infinite for pairs that are not allowed; a row without a column costs
+    /// `unassigned_cost`.
     pub(super) fn solve(
         &mut self,
         n_rows: usize,
@@ -46,7 +46,7 @@ impl Assignment {
     ) {
         self.potentials.clear();
         self.potentials.resize(n_rows + 1, 0.0);
-        // Column 0 is where a search begins; behind those that are given each row has one of its own.
+        // Column 0 is the root of a search; behind the given columns each row has a private one.
         self.columns.clear();
         self.columns.resize(1 + n_columns + n_rows, Column::default());
         for row in 1..=n_rows {
@@ -63,13 +63,13 @@ impl Assignment {
         self.columns.truncate(1 + n_columns);
     }
 
-    /// Row and column of every pair, by column.
+    /// Row and column of every pair, in the order of columns.
     pub(super) fn pairs(&self) -> impl Iterator<Item = (usize, usize)> {
         let columns = self.columns.iter().skip(1).enumerate();
         columns.filter(|(_, column)| column.row > 0).map(|(index, column)| (column.row - 1, index))
     }
 
-    /// The cheapest way to give this row a column, others moving on where that costs less.
+    /// Assigns a column to this row along the shortest augmenting path, reassigning other rows where cheaper.
     fn augment(&mut self, row: usize, cost: &dyn Fn(usize, usize) -> f64) {
         let Self { potentials, columns } = self;
         for column in columns.iter_mut() {
@@ -102,7 +102,7 @@ impl Assignment {
                 }
             }
             current = next;
-            // There is always one: the row's own.
+            // A free column always exists: the row's private one.
             if columns[current].row == 0 {
                 break;
             }
@@ -121,7 +121,7 @@ mod tests {
 
     use super::*;
 
-    /// The least sum there is, by trying everything.
+    /// The least sum of costs, by exhaustive search.
     fn least_cost(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
         let Some(of_row) = costs.get(row) else { return 0.0 };
         let mut best = alone + least_cost(row + 1, costs, alone, taken);
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn no_other_pairing_costs_less() {
+    fn the_sum_of_costs_is_minimal() {
         let mut random = Random::new(0x5EED);
         let mut assignment = Assignment::new(5, 6);
         for _ in 0..2000 {

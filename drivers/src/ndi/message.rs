@@ -166,27 +166,27 @@ pub(super) fn parse_reply(reply: &[u8]) -> Reply<'_> {
 }
 
 fn parse_binary_reply(reply: &[u8], length_bytes: usize) -> Reply<'_> {
-    let header_bytes = 2 + length_bytes + 2;
-    let Some((header, rest)) = reply.split_at_checked(header_bytes) else { return Reply::Incomplete };
+    let n_header = 2 + length_bytes + 2;
+    let Some((header, rest)) = reply.split_at_checked(n_header) else { return Reply::Incomplete };
     let Some(header) = strip_crc(header) else { return Reply::Damaged };
     let length = header.iter().skip(2).rev().fold(0, |n, byte| n << 8 | usize::from(*byte));
-    if header_bytes + 2 > REPLY_BYTES_MAX.saturating_sub(length) {
+    if n_header + 2 > REPLY_BYTES_MAX.saturating_sub(length) {
         return Reply::Damaged;
     }
-    let Some((block, trailing)) = rest.split_at_checked(length + 2) else { return Reply::Incomplete };
+    let Some((block, extra)) = rest.split_at_checked(length + 2) else { return Reply::Incomplete };
     match strip_crc(block) {
-        Some(block) if trailing.is_empty() => Reply::Binary(block),
+        Some(block) if extra.is_empty() => Reply::Binary(block),
         _ => Reply::Damaged,
     }
 }
 
 fn parse_text_reply(reply: &[u8]) -> Reply<'_> {
     let Some(end) = reply.iter().position(|byte| *byte == b'\r') else { return Reply::Incomplete };
-    let (line, trailing) = reply.split_at(end);
+    let (line, extra) = reply.split_at(end);
     let Some((text, digits)) = line.split_last_chunk::<4>() else { return Reply::Damaged };
     let crc = std::str::from_utf8(digits).ok().filter(|_| digits.is_ascii());
     let crc = crc.and_then(|digits| u16::from_str_radix(digits, 16).ok());
-    if crc == Some(crc16(text)) && trailing == b"\r" { Reply::Text(text) } else { Reply::Damaged }
+    if crc == Some(crc16(text)) && extra == b"\r" { Reply::Text(text) } else { Reply::Damaged }
 }
 
 /// Strips and checks the checksum; `None` when it is wrong.
@@ -223,7 +223,7 @@ pub mod code {
 /// left to the guide.
 pub(super) fn advice(code: u8) -> &'static str {
     match code {
-        0x01 => "it does not know the command; update its firmware, which is too old for this driver",
+        0x01 => "unknown command; update its firmware, which is too old for this driver",
         0x02 | 0x03 | 0x07 => "the command does not fit its firmware; update it",
         0x04 => "the command arrived damaged; check the cable, or use a lower baud rate",
         0x05 => "internal time-out; switch it off and on again",
@@ -247,7 +247,7 @@ pub(super) fn advice(code: u8) -> &'static str {
         0x1A => "internal error; switch it off and on again",
         0x1D..=0x20 => "it cannot read the tool's memory; clean the tool's connector",
         0x21 => "the tool draws the wrong current; have the tool repaired",
-        0x23 => "a value is out of range; update its firmware, which may be too old for this driver",
+        0x23 => "value out of range; update its firmware, which may be too old for this driver",
         0x28 => "its hardware changed while it was running; switch it off and on again",
         0x2A => "it is out of memory; unplug tools, and switch it off and on again",
         0x2B | 0x2C => "the tool was disconnected; plug it in again",

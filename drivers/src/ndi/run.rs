@@ -1,15 +1,15 @@
-//! The frames of a run: when to poll for the next, and what their numbers say of those that nobody saw.
+//! A run of tracking: the timing of polls, and the accounting of frames by their numbers.
 
 use crate::device::Status;
 
-/// How much earlier each poll is tried, as a part of the period: 0.26 ms at 60 Hz. The moment at
-/// which frames become ready is found anew every few frames, and so are clocks that drift apart.
+/// How much earlier each poll is sent, as a fraction of the period: 0.26 ms at 60 Hz. This finds the moment
+/// at which frames become ready anew every few frames, and so follows clocks that drift apart.
 const EARLIER_DIVISOR: u64 = 64;
 
-/// How long to wait after a poll that came too early, as a part of the period: 1 ms at 60 Hz.
+/// Wait after a poll that was too early, as a fraction of the period: 1 ms at 60 Hz.
 const RETRY_DIVISOR: u64 = 16;
 
-/// Follows the moment at which the device's frames become ready.
+/// Schedules polls by tracking when the device's frames become ready.
 #[derive(Debug, Default)]
 pub(super) struct PollPacer {
     period_ns: u64,
@@ -18,88 +18,88 @@ pub(super) struct PollPacer {
 }
 
 impl PollPacer {
-    /// Frames come with this period, the first one now or later.
+    /// Restarts with this frame period; the first frame is ready now or later.
     pub(super) fn restart(&mut self, period_ns: u64, now_ns: u64) {
         *self = Self { period_ns: period_ns.max(1), due_ns: now_ns };
     }
 
-    /// The poll brought the frame that is so many after the last one.
+    /// A poll returned the frame `after_last` numbers after the previous one.
     pub(super) fn new_frame(&mut self, after_last: u32, now_ns: u64) {
         let after_ns = u64::from(after_last.max(1)).saturating_mul(self.period_ns);
         let earlier_ns = self.period_ns / EARLIER_DIVISOR;
         self.due_ns = self.due_ns.saturating_add(after_ns).saturating_sub(earlier_ns);
-        // A counter that jumped, or a rate that is not what the device said.
+        // Limits the effect of a counter jump, or of a wrong rate from the device.
         let (first, last) = (now_ns.saturating_sub(self.period_ns), now_ns + self.period_ns);
         self.due_ns = self.due_ns.clamp(first, last);
     }
 
-    /// The poll, answered now, brought nothing new.
+    /// A poll returned no new frame.
     pub(super) fn no_new_frame(&mut self, now_ns: u64) {
         self.due_ns = now_ns.max(self.due_ns) + self.period_ns / RETRY_DIVISOR;
     }
 }
 
-/// A number this far ahead is loss, and one this far behind came late; anything else is a counter that
-/// began anew. The same holds where frames are put on record.
+/// A number up to this far ahead means loss, and one up to this far behind a late frame. Anything else is a
+/// counter that restarted. The recorder applies the same rule.
 const ADVANCE_MAX: i32 = 1 << 20;
 const LATE_MIN: i32 = -64;
 
-/// Frames that came over a line that is good: ten seconds at 60 Hz.
+/// Received frames after which a line counts as reliable: ten seconds at 60 Hz.
 pub(super) const RELIABLE_FRAMES: u64 = 600;
 
-/// What a frame's number says.
+/// Position of a frame relative to the previous one, by its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct FrameStep {
-    /// By how many it is ahead of the last one; 0 when it came late.
+    /// Frames since the previous one; 0 for a late frame.
     pub(super) advance: u32,
-    /// Of those in between, the ones that were never fetched.
+    /// Frames in between that were never fetched.
     pub(super) dropped: u32,
 }
 
-/// From a Start to its end. A system that is lost and found again is started again, and with that a new run begins: a
-/// host counts its reports from there.
+/// Accounting from a Start to its end. A system that is lost and found is started again, which begins a new
+/// run: the host counts the status reports from there.
 ///
-/// A system keeps one frame. Those that its number skips were replaced before a poll came: they never
-/// left it. But an answer that was damaged or did not come may have held one: of the frames that are
-/// skipped then, one for each such answer counts as lost on the link.
+/// A system buffers one frame. Frames that its number skips were replaced before a poll: they never left it.
+/// But a damaged or missing reply may have held one, so one skipped frame per such reply counts as lost on
+/// the link.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct TrackingRun {
-    /// The last frame's number, in tracked frames.
+    /// Number of the last frame, in tracked frames.
     last: Option<u32>,
-    /// Frames as far as their numbers tell, those that did not come too.
+    /// Frames by their numbers, including those that were not received.
     produced: u64,
-    /// Of these, never fetched.
+    /// Frames of these that were never fetched.
     dropped: u64,
-    /// Polls since the last frame whose answers could not be read.
+    /// Polls since the last frame without a readable reply.
     n_unread: u32,
-    /// The device's clock at the last frame; 0 before the first.
+    /// Device clock at the last frame; 0 before the first.
     pub(super) ticks: u64,
     started: bool,
-    /// What was said already.
+    /// Notes that were sent already.
     slow_noted: bool,
     clock_noted: bool,
 }
 
 impl TrackingRun {
-    /// Before a Start.
+    /// Begins a run, unless one has begun.
     pub(super) fn begin(&mut self) {
         if !self.started {
             *self = Self { ticks: self.ticks, started: true, ..Self::default() };
         }
     }
 
-    /// The system is lost: what was counted of it was told. What was said of the line holds.
+    /// Resets the counters after losing the system; they have been reported. Sent notes stay sent.
     pub(super) fn reset_counts(&mut self) {
         let Self { ticks, started, slow_noted, clock_noted, .. } = *self;
         *self = Self { ticks, started, slow_noted, clock_noted, ..Self::default() };
     }
 
-    /// At its end; whether there was one to end.
+    /// Ends the run, and returns whether there was one.
     pub(super) fn end(&mut self) -> bool {
         std::mem::take(&mut self.started)
     }
 
-    /// Whether it had frames for so long that the line is good.
+    /// Whether enough frames were received for the line to count as reliable.
     pub(super) fn is_line_reliable(&self) -> bool {
         self.produced - self.dropped >= RELIABLE_FRAMES
     }
@@ -108,12 +108,12 @@ impl TrackingRun {
         self.last == Some(number)
     }
 
-    /// A poll had no answer that could be read.
+    /// Counts a poll without a readable reply.
     pub(super) fn count_unread(&mut self) {
         self.n_unread = self.n_unread.saturating_add(1);
     }
 
-    /// A frame came.
+    /// Counts a received frame.
     pub(super) fn frame(&mut self, number: u32, ticks: u64) -> FrameStep {
         let advance = self.last.map_or(1, |last| number.wrapping_sub(last).cast_signed());
         let advance = match advance {
@@ -137,12 +137,12 @@ impl TrackingRun {
         }
     }
 
-    /// Whether to say that the line is slow: once.
+    /// Returns `true` once: whether to send the note about the slow line.
     pub(super) fn first_slow_note(&mut self) -> bool {
         !std::mem::replace(&mut self.slow_noted, true)
     }
 
-    /// Whether to say what the clock is: once.
+    /// Returns `true` once: whether to send the note about the clock.
     pub(super) fn first_clock_note(&mut self) -> bool {
         !std::mem::replace(&mut self.clock_noted, true)
     }
@@ -153,9 +153,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn finds_the_frames_and_loses_none_under_late_wake_ups() {
+    fn polls_lose_no_frame_under_late_wake_ups() {
         const PERIOD: u64 = 16_666_667;
-        // Frames 0.02 % faster than said, first one 9 ms after the start; polls take 3 ms.
+        // Frames come 0.02 % faster than announced, the first 9 ms after the start; polls take 3 ms.
         let ready_at = |number: u64| 9_000_000 + number * (PERIOD - PERIOD / 5000);
         let mut pacer = PollPacer::default();
         pacer.restart(PERIOD, 0);
@@ -188,20 +188,20 @@ mod tests {
         let mut run = TrackingRun::default();
         run.begin();
         let step = |advance, dropped| FrameStep { advance, dropped };
-        assert_eq!(run.frame(1000, 10), step(1, 0), "where a run begins nobody knows");
+        assert_eq!(run.frame(1000, 10), step(1, 0), "nothing is known before the first frame");
         assert_eq!(run.frame(1001, 20), step(1, 0));
         assert_eq!(run.frame(1005, 60), step(4, 3));
         run.count_unread();
-        assert_eq!(run.frame(1007, 80), step(2, 0), "the damaged answer had it");
+        assert_eq!(run.frame(1007, 80), step(2, 0), "the damaged reply held it");
         run.count_unread();
         run.count_unread();
         assert_eq!(run.frame(1012, 130), step(5, 2));
-        assert_eq!(run.frame(1014, 150), step(2, 1), "those are accounted for");
+        assert_eq!(run.frame(1014, 150), step(2, 1), "unreadable replies are used up");
         let Status { frames_produced, frames_dropped, .. } = run.status();
         assert_eq!((frames_produced, frames_dropped), (15, 6));
-        // Late, and a counter that began anew.
+        // A late frame, and a counter that restarted.
         assert_eq!(run.frame(1013, 140), step(0, 0));
-        assert_eq!(run.frame(1015, 160), step(1, 0), "what came late moves nothing");
+        assert_eq!(run.frame(1015, 160), step(1, 0), "a late frame moves nothing");
         assert_eq!(run.frame(3, 5), step(1, 0));
         assert_eq!(run.status().frames_produced, 17);
         assert!(run.end() && !run.end());

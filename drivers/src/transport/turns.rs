@@ -1,13 +1,13 @@
-//! Lines on which the host has to speak first, again and again.
+//! Polled lines: transports to devices that only reply to requests.
 //!
-//! Whoever reads a device calls [`Transport::read`] and gives the bytes to a
-//! [`Protocol`](crate::device::Protocol); it writes only what people ask for. A device that must be
-//! polled needs more: a request after every answer, at the right time, and on a serial line a break
-//! or another speed now and then. Its protocol leaves such [`Order`]s on a [`Desk`], and a
-//! [`TurnTransport`] around the line carries them out at the beginning of the next read, which
-//! follows at once. It also tells the protocol the time, so that the protocol needs no clock.
+//! A reader calls [`Transport::read`] and passes the bytes to a [`Protocol`](crate::device::Protocol);
+//! it writes only the commands of the user. A polled device needs more: a request after every reply, at the
+//! right time, and on a serial line a break or another baud rate now and then. Its protocol sends these as
+//! [`Order`]s through a [`Desk`], and the [`PolledTransport`] around the line executes them at the start of
+//! the next read, which follows immediately. The transport also publishes the time, so that the protocol
+//! needs no clock.
 //!
-//! Both ends live on the reader's thread: the queue between them is never waited for.
+//! Sender and receiver live on the reader's thread, and neither ever waits for the other.
 
 use std::{
     sync::{
@@ -21,17 +21,17 @@ use std::{
 
 use super::{READ_TIMEOUT, Transport, TransportError};
 
-/// Orders that are kept: a protocol leaves at most a few between two reads, say a break, a speed
-/// and a request.
-pub const ORDERS_MAX: usize = 8;
+/// Capacity of the channel: a protocol sends at most a few commands between two reads, such as a break, a
+/// baud rate and a request.
+pub const LINE_COMMANDS_MAX: usize = 8;
 
-/// Bytes of a request. The longest of the families at hand takes 60.
+/// Most bytes of a request. The longest of the current families takes 60.
 pub const REQUEST_BYTES_MAX: usize = 96;
 
-/// How long a device may take to confirm a farewell.
-const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
+/// Time-out of the reply to a goodbye request.
+const GOODBYE_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// Bytes that are written whole, without memory of their own.
+/// A short request, stored inline so that sending it does not allocate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
     bytes: [u8; REQUEST_BYTES_MAX],
@@ -45,7 +45,7 @@ impl Default for Request {
 }
 
 impl Request {
-    /// `None` when it is longer than [`REQUEST_BYTES_MAX`].
+    /// Copies `bytes`; `None` when they exceed [`REQUEST_BYTES_MAX`].
     #[must_use]
     pub fn new(bytes: &[u8]) -> Option<Self> {
         let mut kept = [0; REQUEST_BYTES_MAX];
@@ -53,144 +53,144 @@ impl Request {
         Some(Self { bytes: kept, len: bytes.len() })
     }
 
-    /// The bytes.
+    /// The bytes of the request.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         self.bytes.get(..self.len).unwrap_or_default()
     }
 }
 
-/// What a line is to do.
+/// A command of a protocol to its line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Order {
-    /// Write a request, not before the desk's clock says so.
+    /// Write a request at a given time or later.
     Write {
-        /// The bytes.
+        /// The request.
         request: Request,
-        /// On the clock of [`Desk::now_ns`].
+        /// Earliest time, on the clock of [`Desk::now_ns`].
         not_before_ns: u64,
     },
-    /// Send a break.
+    /// Send a break, if the line has one.
     Break,
-    /// Change the speed.
+    /// Change the baud rate. A rate that the port does not support is ignored.
     Baud(u32),
-    /// What to write when the line is closed, so that the next host finds the device as this one
-    /// did; it replaces an earlier farewell.
+    /// Requests to write when the line is closed, so that the next host finds the device as this one did.
+    /// Replaces the earlier ones.
     Farewell(Vec<Request>),
-    /// End the session: the next read fails with these words.
+    /// End the session: the next read fails with this message.
     Fail(String),
 }
 
-/// The protocol's end.
+/// The sender of line commands, held by the protocol.
 #[derive(Debug)]
 pub struct Desk {
-    orders: SyncSender<Order>,
+    commands: SyncSender<Order>,
     now_ns: Arc<AtomicU64>,
 }
 
 impl Desk {
-    /// Nanoseconds since the line was opened, when it was last read.
+    /// Time of the last read, in nanoseconds since the line was opened.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
         self.now_ns.load(Ordering::Relaxed)
     }
 
-    /// `false` when the queue is full, or the line gone: nothing was ordered then.
-    pub fn order(&self, order: Order) -> bool {
-        self.orders.try_send(order).is_ok()
+    /// Sends a command; `false` when the queue is full or the line gone.
+    pub fn order(&self, command: Order) -> bool {
+        self.commands.try_send(command).is_ok()
     }
 }
 
-/// The line's end.
+/// The receiver of line commands, held by the transport.
 #[derive(Debug)]
 pub struct Orders {
-    orders: Receiver<Order>,
+    commands: Receiver<Order>,
     now_ns: Arc<AtomicU64>,
 }
 
 impl Orders {
-    /// The next one.
+    /// Takes the next command, if there is one.
     pub fn next_order(&self) -> Option<Order> {
-        self.orders.try_recv().ok()
+        self.commands.try_recv().ok()
     }
 
-    /// Tells the protocol the time.
+    /// Publishes the time to the protocol.
     pub fn set_now_ns(&self, now_ns: u64) {
         self.now_ns.store(now_ns, Ordering::Relaxed);
     }
 }
 
-/// A desk, and the orders left on it.
+/// Makes a channel for line commands.
 #[must_use]
 pub fn desk() -> (Desk, Orders) {
-    let (sender, receiver) = sync_channel(ORDERS_MAX);
+    let (sender, receiver) = sync_channel(LINE_COMMANDS_MAX);
     let now_ns = Arc::new(AtomicU64::new(0));
-    (Desk { orders: sender, now_ns: Arc::clone(&now_ns) }, Orders { orders: receiver, now_ns })
+    (Desk { commands: sender, now_ns: Arc::clone(&now_ns) }, Orders { commands: receiver, now_ns })
 }
 
-/// A line that carries out orders before it reads.
+/// A transport that executes line commands before it reads.
 #[derive(Debug)]
-pub struct TurnTransport {
+pub struct PolledTransport {
     line: Box<dyn Transport>,
-    orders: Orders,
-    opened: Instant,
-    /// Whose time has not come.
-    held: Option<Order>,
-    farewell: Vec<Request>,
+    queue: Orders,
+    opened_at: Instant,
+    /// A write whose time has not come.
+    next: Option<Order>,
+    goodbye: Vec<Request>,
 }
 
-impl TurnTransport {
-    /// A line around `line`.
+impl PolledTransport {
+    /// Wraps `line`.
     #[must_use]
-    pub fn new(line: Box<dyn Transport>, orders: Orders) -> Self {
-        Self { line, orders, opened: Instant::now(), held: None, farewell: Vec::new() }
+    pub fn new(line: Box<dyn Transport>, queue: Orders) -> Self {
+        Self { line, queue, opened_at: Instant::now(), next: None, goodbye: Vec::new() }
     }
 
-    fn tell_time(&self) -> u64 {
-        let now_ns = u64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(u64::MAX);
-        self.orders.set_now_ns(now_ns);
+    fn publish_time(&self) -> u64 {
+        let now_ns = u64::try_from(self.opened_at.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.queue.set_now_ns(now_ns);
         now_ns
     }
 
-    /// `false` when the next order's time has not come within a read's patience.
-    fn carry_out(&mut self) -> Result<bool, TransportError> {
-        // As many as there can be: a protocol gets no turn in between.
-        for _ in 0..=ORDERS_MAX {
-            let Some(order) = self.held.take().or_else(|| self.orders.next_order()) else { break };
-            match order {
+    /// Executes the queued commands; `false` when the next write is not due within the time-out of a read.
+    fn execute(&mut self) -> Result<bool, TransportError> {
+        // The queue holds no more, and the protocol cannot add any in between.
+        for _ in 0..=LINE_COMMANDS_MAX {
+            let Some(command) = self.next.take().or_else(|| self.queue.next_order()) else { break };
+            match command {
                 Order::Write { request, not_before_ns } => {
-                    let early_ns = not_before_ns.saturating_sub(self.tell_time());
-                    let patience_ns = READ_TIMEOUT.as_nanos() as u64;
-                    thread::sleep(Duration::from_nanos(early_ns.min(patience_ns)));
-                    if early_ns > patience_ns {
-                        self.held = Some(order);
+                    let early_ns = not_before_ns.saturating_sub(self.publish_time());
+                    let timeout_ns = READ_TIMEOUT.as_nanos() as u64;
+                    thread::sleep(Duration::from_nanos(early_ns.min(timeout_ns)));
+                    if early_ns > timeout_ns {
+                        self.next = Some(command);
                         return Ok(false);
                     }
                     self.line.write_all(request.as_bytes())?;
                 }
                 Order::Break => drop(self.line.send_break()?),
                 Order::Baud(baud) => match self.line.set_baud(baud) {
-                    // What is asked at the old speed is not answered, and the search goes on.
+                    // The device does not reply at the old rate, and the search continues.
                     Ok(()) | Err(TransportError::Refused(_)) => {}
                     Err(error) => return Err(error),
                 },
-                Order::Farewell(farewell) => self.farewell = farewell,
-                Order::Fail(words) => return Err(TransportError::Refused(words)),
+                Order::Farewell(goodbye) => self.goodbye = goodbye,
+                Order::Fail(message) => return Err(TransportError::Refused(message)),
             }
         }
         Ok(true)
     }
 
-    /// Says goodbye, waiting a moment for each answer: a port that is closed at once may drop what
-    /// it has not sent.
-    fn take_leave(&mut self) -> Result<(), TransportError> {
-        let mut answer = [0; 64];
-        for request in std::mem::take(&mut self.farewell) {
+    /// Writes the goodbye requests, and waits briefly for each reply: a port may discard unsent bytes when it is
+    /// closed.
+    fn send_goodbye(&mut self) -> Result<(), TransportError> {
+        let mut reply = [0; 64];
+        for request in std::mem::take(&mut self.goodbye) {
             self.line.write_all(request.as_bytes())?;
-            let said = Instant::now();
-            while said.elapsed() < FAREWELL_WITHIN {
-                let n = self.line.read(&mut answer)?;
-                if answer.get(..n).is_some_and(|answer| answer.ends_with(b"\r")) {
+            let sent_at = Instant::now();
+            while sent_at.elapsed() < GOODBYE_TIMEOUT {
+                let n = self.line.read(&mut reply)?;
+                if reply.get(..n).is_some_and(|reply| reply.ends_with(b"\r")) {
                     break;
                 }
             }
@@ -199,11 +199,11 @@ impl TurnTransport {
     }
 }
 
-impl Transport for TurnTransport {
+impl Transport for PolledTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
-        let may_read = self.carry_out()?;
+        let may_read = self.execute()?;
         let n = if may_read { self.line.read(buf)? } else { 0 };
-        self.tell_time();
+        self.publish_time();
         Ok(n)
     }
 
@@ -224,10 +224,10 @@ impl Transport for TurnTransport {
     }
 }
 
-impl Drop for TurnTransport {
+impl Drop for PolledTransport {
     fn drop(&mut self) {
-        if self.take_leave().is_err() {
-            // The line is closed either way; a device that is gone needs no farewell.
+        if self.send_goodbye().is_err() {
+            // The line is closed either way, and a disconnected device needs no goodbye.
         }
     }
 }
