@@ -1,13 +1,13 @@
 //! Chunks {type, varint length, payload, CRC-32}, and the search for the next one after damage.
 
-mod marks;
+mod prefix_crcs;
 mod search;
 
 #[cfg(test)]
-pub(crate) use self::marks::HASHED_BYTES;
+pub(crate) use self::prefix_crcs::HASHED_BYTES;
 pub(crate) use self::{
-    marks::Marks,
-    search::{LongChunks, Next, Search, front_by_marks, resync},
+    prefix_crcs::PrefixCrcs,
+    search::{LongChunkScan, LongChunks, ResyncOutcome, indexed_front, resync},
 };
 use crate::{TakeError, varint};
 
@@ -107,15 +107,15 @@ pub fn front(bytes: &[u8]) -> Front<'_> {
 fn crc_matches(chunk: &[u8]) -> bool {
     chunk
         .split_last_chunk::<4>()
-        .is_some_and(|(body, crc)| marks::append(0, body).to_le_bytes() == *crc)
+        .is_some_and(|(body, crc)| prefix_crcs::extend_crc(0, body).to_le_bytes() == *crc)
 }
 
 /// Parses the chunk at the front of `bytes` without checking its CRC.
 pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
     match head(bytes) {
-        Head::Short(wanted) => Front::Short(wanted),
-        Head::Bad => Front::Damaged,
-        Head::Of { kind, len, head_bytes } => {
+        ChunkHead::Short(wanted) => Front::Short(wanted),
+        ChunkHead::Invalid => Front::Damaged,
+        ChunkHead::Valid { kind, len, head_bytes } => {
             let chunk = usize::try_from(len).ok().and_then(|len| bytes.get(..len));
             match chunk.and_then(|chunk| chunk.get(head_bytes..chunk.len() - CRC_BYTES)) {
                 Some(payload) => {
@@ -129,28 +129,28 @@ pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
 
 /// Type and length of a chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Head {
+pub(crate) enum ChunkHead {
     /// The bytes end within them; parsing needs at least this many.
     Short(u64),
     /// Not a chunk of version 1.
-    Bad,
+    Invalid,
     /// A chunk of `len` bytes from its type to its CRC, with `head_bytes` of type and length.
-    Of { kind: u8, len: u64, head_bytes: usize },
+    Valid { kind: u8, len: u64, head_bytes: usize },
 }
 
-pub(crate) fn head(bytes: &[u8]) -> Head {
+pub(crate) fn head(bytes: &[u8]) -> ChunkHead {
     let mut cursor = varint::Cursor::new(bytes);
-    let Some(kind) = cursor.byte() else { return Head::Short(1) };
+    let Some(kind) = cursor.byte() else { return ChunkHead::Short(1) };
     match cursor.varint() {
-        Some(payload_bytes) if payload_bytes > PAYLOAD_BYTES_MAX => Head::Bad,
+        Some(payload_bytes) if payload_bytes > PAYLOAD_BYTES_MAX => ChunkHead::Invalid,
         Some(payload_bytes) => {
             let head_bytes = bytes.len() - cursor.rest().len();
             let len = head_bytes as u64 + payload_bytes + CRC_BYTES as u64;
-            Head::Of { kind, len, head_bytes }
+            ChunkHead::Valid { kind, len, head_bytes }
         }
         // Every valid length has at most five bytes.
-        None if bytes.len() < HEAD_BYTES_MAX => Head::Short(bytes.len() as u64 + 1),
-        None => Head::Bad,
+        None if bytes.len() < HEAD_BYTES_MAX => ChunkHead::Short(bytes.len() as u64 + 1),
+        None => ChunkHead::Invalid,
     }
 }
 

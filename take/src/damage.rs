@@ -153,7 +153,7 @@ impl Problem {
 }
 
 /// Appends a problem. After [`PROBLEMS_MAX`] it appends [`Problem::More`] once, and then only the cut-off.
-pub(crate) fn note(problems: &mut Vec<Problem>, problem: Problem) {
+pub(crate) fn push_problem(problems: &mut Vec<Problem>, problem: Problem) {
     if problems.len() < PROBLEMS_MAX || problem == Problem::CutOff {
         problems.push(problem);
     } else if problems.len() == PROBLEMS_MAX {
@@ -183,44 +183,44 @@ pub enum Why {
 
 /// Tracks the stretches that were read, and the rows lost between them.
 #[derive(Debug)]
-pub(crate) struct Losses {
+pub(crate) struct LossTracker {
     /// The lost rows; `None` if they are not collected.
     pub(crate) lost: Option<Vec<LostRows>>,
     /// The row after the last stretch that was read.
     pub(crate) end_row: u64,
     /// The key stretch of a seek, until it is reached; earlier stretches were skipped.
-    pub(crate) sought: Option<IndexEntry>,
+    pub(crate) seek_key: Option<IndexEntry>,
     rows_min: u64,
 }
 
-impl Losses {
+impl LossTracker {
     /// A tracker at the start of a take; it appends lost rows to `lost` if that is a list.
     pub(crate) fn new(lost: Option<Vec<LostRows>>) -> Self {
-        Self { lost, end_row: 0, sought: None, rows_min: 0 }
+        Self { lost, end_row: 0, seek_key: None, rows_min: 0 }
     }
 
     /// The next stretch is this key stretch.
     pub(crate) fn seek(&mut self, key: IndexEntry) {
-        self.sought = Some(key);
-        self.at_least(key.first_row);
+        self.seek_key = Some(key);
+        self.raise_rows_min(key.first_row);
     }
 
     /// Whether the stretch at file offset `offset` overlaps rows that were read or skipped, or declares such rows lost.
     ///
     /// After a seek, only the key stretch itself states where the rows before it end, because it records the rows lost
     /// before it.
-    pub(crate) fn has(&mut self, offset: u64, stretch: &Stretch<'_>) -> bool {
+    pub(crate) fn is_repeated(&mut self, offset: u64, stretch: &Stretch<'_>) -> bool {
         let from_row = stretch.from_row();
-        if self.sought.is_some_and(|key| key.offset == offset) && stretch.span.key {
-            self.sought = None;
+        if self.seek_key.is_some_and(|key| key.offset == offset) && stretch.span.key {
+            self.seek_key = None;
             self.end_row = self.end_row.max(from_row);
         }
-        let is_passed = |key: IndexEntry| stretch.span.first_row < key.first_row;
-        from_row < self.end_row || self.sought.is_some_and(is_passed)
+        let is_skipped = |key: IndexEntry| stretch.span.first_row < key.first_row;
+        from_row < self.end_row || self.seek_key.is_some_and(is_skipped)
     }
 
     /// Adds a stretch that was read. Returns the rows lost before it, or lost by its own record.
-    pub(crate) fn stretch(&mut self, stretch: &Stretch<'_>) -> u64 {
+    pub(crate) fn add_stretch(&mut self, stretch: &Stretch<'_>) -> u64 {
         let from_row = stretch.from_row();
         let mut sum = self.push(from_row, Why::Damaged);
         self.end_row = self.end_row.max(from_row);
@@ -239,7 +239,7 @@ impl Losses {
     }
 
     /// Raises the least number of rows of the take, from a stretch that was not read or from the footer.
-    pub(crate) fn at_least(&mut self, rows: u64) {
+    pub(crate) fn raise_rows_min(&mut self, rows: u64) {
         self.rows_min = self.rows_min.max(rows);
     }
 
@@ -275,9 +275,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_list_ends_and_says_so() {
+    fn a_full_list_ends_with_more() {
         let mut problems = Vec::new();
-        (0..2 * PROBLEMS_MAX as u64).for_each(|i| note(&mut problems, Problem::HeaderByte(i)));
+        (0..2 * PROBLEMS_MAX as u64)
+            .for_each(|i| push_problem(&mut problems, Problem::HeaderByte(i)));
         assert_eq!(problems.len(), PROBLEMS_MAX + 1);
         assert_eq!(problems[PROBLEMS_MAX - 1], Problem::HeaderByte(PROBLEMS_MAX as u64 - 1));
         assert_eq!(problems[PROBLEMS_MAX], Problem::More);

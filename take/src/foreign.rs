@@ -70,7 +70,7 @@ impl ForeignPart {
     ) -> Result<Self, TakeError> {
         let mut cursor = varint::Cursor::new(front);
         let (kind, data_bytes) =
-            front_of(&mut cursor).map_err(|message| corrupt(offset, message))?;
+            parse_front(&mut cursor).map_err(|message| corrupt(offset, message))?;
         let in_front = (front.len() - cursor.rest().len()) as u64;
         Ok(Self {
             kind: kind.to_owned(),
@@ -124,14 +124,14 @@ pub(crate) const FRONT_BYTES: usize = 10 + LONG_KIND_BYTES_MAX as usize + 10;
 
 /// Whether these bytes are a plausible start of a long FOREIGN chunk's payload.
 pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
-    front_of(&mut varint::Cursor::new(payload)).is_ok_and(|(kind, _)| {
-        let is_name = kind.bytes().all(|byte| byte.is_ascii_graphic());
-        is_name && (1..=LONG_KIND_BYTES_MAX).contains(&(kind.len() as u64))
+    parse_front(&mut varint::Cursor::new(payload)).is_ok_and(|(kind, _)| {
+        let is_printable = kind.bytes().all(|byte| byte.is_ascii_graphic());
+        is_printable && (1..=LONG_KIND_BYTES_MAX).contains(&(kind.len() as u64))
     })
 }
 
 /// Parses the kind and the length of the content.
-fn front_of<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
+fn parse_front<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
     let kind = cursor
         .varint()
         .and_then(|n| cursor.take(n))
@@ -150,14 +150,14 @@ const INFLATED_BYTES: usize = 1 << 13;
 
 /// Inflates a part to validate it, and discards the output.
 #[derive(Debug)]
-pub(crate) struct Inflation {
+pub(crate) struct InflateCheck {
     inflater: Decompress,
     stated_bytes: u64,
     is_ended: bool,
     message: Option<String>,
 }
 
-impl Inflation {
+impl InflateCheck {
     /// A check of a part whose content has `stated_bytes`.
     pub(crate) fn new(stated_bytes: u64) -> Self {
         Self { inflater: Decompress::new(false), stated_bytes, is_ended: false, message: None }
@@ -206,7 +206,7 @@ mod tests {
     fn read(payload: &[u8]) -> Result<Foreign, TakeError> {
         let len = payload.len() as u64;
         let part = ForeignPart::of_payload(payload, (0, len), 0)?;
-        let mut inflation = Inflation::new(part.data_bytes);
+        let mut inflation = InflateCheck::new(part.data_bytes);
         payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
         inflation.finish(0)?;
         part.read(&mut Cursor::new(payload), &mut Spool::new(|| unreachable!("few bytes")))

@@ -7,7 +7,7 @@ use std::{
 
 use crate::{
     TakeError,
-    damage::{Problem, note},
+    damage::{Problem, push_problem},
     foreign::{
         Foreign, ForeignPart,
         content::{Content, ScratchFile, Spool},
@@ -72,7 +72,7 @@ impl<R: Read + Seek> TakeFrames<R> {
             }
             foreign_bytes = foreign_bytes.saturating_add(*data_bytes);
             if foreign_bytes > FOREIGN_BYTES_MAX {
-                note(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
+                push_problem(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
             } else {
                 info.foreign.push(part.read(&mut input, &mut spool)?);
             }
@@ -129,7 +129,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         self.current = None;
         let span = self.stretches.next_stretch();
         let found = self.stretches.take_problems();
-        found.into_iter().for_each(|problem| note(&mut self.map.problems, problem));
+        found.into_iter().for_each(|problem| push_problem(&mut self.map.problems, problem));
         match span? {
             Some(span) if span.n_rows > 0 => {
                 self.current = Some(span);

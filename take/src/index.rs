@@ -140,13 +140,13 @@ impl Footer {
 const READ_BYTES: u64 = 16 << 10;
 
 /// Most bytes of a record's chunk beside its content: type, a length of at most five bytes, CRC-32, and the version.
-const BESIDE_BYTES: u64 = 1 + 5 + 4 + 2;
+const OVERHEAD_BYTES: u64 = 1 + 5 + 4 + 2;
 
 /// Longest chunk of a record.
-const RECORD_BYTES_MAX: u64 = LIMIT_BYTES as u64 + BESIDE_BYTES;
+const RECORD_BYTES_MAX: u64 = LIMIT_BYTES as u64 + OVERHEAD_BYTES;
 
 /// Longest SUMMARY chunk.
-const SUMMARY_CHUNK_BYTES_MAX: u64 = SUMMARY_BYTES_MAX as u64 + BESIDE_BYTES;
+const SUMMARY_CHUNK_BYTES_MAX: u64 = SUMMARY_BYTES_MAX as u64 + OVERHEAD_BYTES;
 
 /// What a take states at its start and at its end.
 #[derive(Debug, Clone, PartialEq)]
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn every_cut_and_every_wrong_byte_is_told_from_a_whole_end() {
+    fn every_cut_and_every_wrong_byte_is_detected() {
         let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
         for cut in 0..bytes.len() {
             let read = TakeEnds::read(&mut Cursor::new(&bytes[..cut]));
@@ -338,15 +338,15 @@ mod tests {
     }
 
     /// Seeks like a file: offsets beyond `i64::MAX` are errors.
-    struct File(Cursor<Vec<u8>>);
+    struct SignedOffsetFile(Cursor<Vec<u8>>);
 
-    impl Read for File {
+    impl Read for SignedOffsetFile {
         fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
             self.0.read(bytes)
         }
     }
 
-    impl Seek for File {
+    impl Seek for SignedOffsetFile {
         fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
             match to {
                 SeekFrom::Start(at) if i64::try_from(at).is_err() => {
@@ -358,14 +358,14 @@ mod tests {
     }
 
     #[test]
-    fn a_footer_that_tells_of_a_ledger_behind_itself_has_none() {
+    fn a_ledger_offset_behind_the_footer_is_ignored() {
         let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
         let footer_at = bytes.len() - Footer::CHUNK_BYTES;
         for ledger_offset in [footer_at as u64, bytes.len() as u64, i64::MAX as u64 + 1, u64::MAX] {
             let mut changed = bytes[..footer_at].to_vec();
             let footer = Footer { index_offset: u64::MAX, ledger_offset, n_rows: 0 };
             chunk::put(&mut changed, types::FOOTER, &footer.to_payload()).unwrap();
-            let ends = TakeEnds::read(&mut File(Cursor::new(changed))).unwrap();
+            let ends = TakeEnds::read(&mut SignedOffsetFile(Cursor::new(changed))).unwrap();
             assert_eq!(ends.end, Some(TakeEnd { footer, ledger: None, ending: None }));
         }
     }

@@ -71,7 +71,7 @@ impl TakeMap {
     }
 
     /// Adds the content of an event, except motion and channel table.
-    pub(crate) fn keep(&mut self, event: TakeEvent<'_>) {
+    pub(crate) fn add_content(&mut self, event: TakeEvent<'_>) {
         match event {
             TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),

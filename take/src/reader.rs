@@ -8,19 +8,19 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
 use serde::Serialize;
 
-pub(crate) use self::{chunks::record, damage::mend_head};
+pub(crate) use self::{chunks::record, damage::repair_head};
 
 use self::{
-    chunks::{Passing, Step},
+    chunks::{LongChunk, Step},
     damage::Damage,
 };
 use crate::{
     NotATake, TakeError,
-    chunk::{self, LongChunks, Marks, Search, WINDOW_BYTES, types},
+    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
-    stretch::{Chain, Stretch},
+    stretch::{Stretch, StretchChain},
 };
 
 /// One element of a take.
@@ -75,7 +75,7 @@ pub enum TakeEvent<'a> {
     },
     /// The type or length of the next chunk was damaged and has been restored from the position of the chunk behind it
     /// and from its CRC. No content is lost.
-    Mended {
+    Repaired {
         /// File offset of the chunk.
         offset: u64,
     },
@@ -101,7 +101,7 @@ const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
 pub struct TakeReader {
     buffer: Vec<u8>,
     /// Prefix CRCs of `buffer`.
-    marks: Marks,
+    prefixes: PrefixCrcs,
     /// Bytes at the front of `buffer` that were processed.
     used: usize,
     /// File offset of the front of `buffer`.
@@ -109,19 +109,19 @@ pub struct TakeReader {
     /// Number of unprocessed bytes needed before the next attempt to parse.
     wanted: u64,
     /// `None` before the header.
-    chain: Option<Chain>,
+    chain: Option<StretchChain>,
     /// Entries of the channel table so far.
     n_channels: usize,
     bytes: TakeBytes,
     /// A damaged region whose end is being searched for.
     damage: Option<Damage>,
     /// A chunk with a matching CRC that is too long to hold and is read piece by piece.
-    passing: Option<Passing>,
+    long_chunk: Option<LongChunk>,
     /// Which long chunks have matching CRCs, within the range that was scanned.
     long: LongChunks,
     /// The scan ahead that finds the long chunks.
-    search: Option<Search>,
-    goes_back_to: Option<u64>,
+    scan: Option<LongChunkScan>,
+    seek_request: Option<u64>,
     /// End of the region that held only an incomplete header.
     header_cut_until: u64,
     seen_magic: bool,
@@ -145,18 +145,18 @@ impl TakeReader {
     /// # Errors
     /// `Unsupported` or `Codec` when this build cannot use the header.
     pub fn from_key(header: &Header, key: IndexEntry) -> Result<Self, TakeError> {
-        let mut chain = Chain::of(header)?;
-        chain.go_to(key.first_row);
+        let mut chain = StretchChain::of(header)?;
+        chain.seek(key.first_row);
         Ok(Self { base: key.offset, chain: Some(chain), seen_magic: true, ..Self::default() })
     }
 
     /// Appends bytes of the file, in order, in pieces of any size.
     pub fn push(&mut self, bytes: &[u8]) {
-        let done = self.done_with();
+        let done = self.consumed();
         // Waiting for a quarter of the buffer moves each byte only a few times.
         if done >= self.buffer.len() / 4 {
             self.buffer.drain(..done);
-            self.marks.drain(done);
+            self.prefixes.drain(done);
             self.base += done as u64;
             self.used -= done;
         }
@@ -172,17 +172,17 @@ impl TakeReader {
 
     /// The file offset from which the caller must push next, if it is not where the last bytes ended. Each request is
     /// returned once.
-    pub fn goes_back_to(&mut self) -> Option<u64> {
-        let offset = self.goes_back_to.take()?;
+    pub fn seek_request(&mut self) -> Option<u64> {
+        let offset = self.seek_request.take()?;
         self.complete = false;
         Some(offset)
     }
 
     /// Bytes at the front of the buffer that are no longer needed.
-    fn done_with(&self) -> usize {
+    fn consumed(&self) -> usize {
         match &self.damage {
             // A region that turns out to be one chunk with a damaged head is needed as a whole.
-            Some(damage) if !damage.is_far && self.search.is_none() => {
+            Some(damage) if !damage.is_far && self.scan.is_none() => {
                 damage.offset.checked_sub(self.base).map_or(self.used, |at| at as usize)
             }
             _ => self.used,
@@ -218,16 +218,16 @@ impl TakeReader {
             return Ok(None);
         }
         loop {
-            if self.goes_back_to.is_some() {
+            if self.seek_request.is_some() {
                 return Ok(None);
             }
-            if self.search.is_some() {
-                if !self.look_ahead() {
+            if self.scan.is_some() {
+                if !self.scan_ahead() {
                     return Ok(None);
                 }
-            } else if self.passing.is_some() {
-                return if self.pass() {
-                    self.passed().map(|event| self.at(event))
+            } else if self.long_chunk.is_some() {
+                return if self.read_long_chunk() {
+                    self.finish_long_chunk().map(|event| self.located(event))
                 } else {
                     Ok(None)
                 };
@@ -235,11 +235,11 @@ impl TakeReader {
                 return Ok(None);
             } else if self.damage.is_some() {
                 if let Some(event) = self.find_next() {
-                    return Ok(self.at(event));
+                    return Ok(self.located(event));
                 }
             } else if self.used == self.buffer.len() {
                 return if self.complete {
-                    self.end().map(|event| self.at(event))
+                    self.end().map(|event| self.located(event))
                 } else {
                     Ok(None)
                 };
@@ -249,13 +249,13 @@ impl TakeReader {
                         let end = self.offset();
                         return self.interpret(kind, start, len).map(|event| Some((end, event)));
                     }
-                    Step::Again => {}
+                    Step::Retry => {}
                 }
             }
         }
     }
 
-    fn at(&self, event: TakeEvent<'static>) -> Option<(u64, TakeEvent<'static>)> {
+    fn located(&self, event: TakeEvent<'static>) -> Option<(u64, TakeEvent<'static>)> {
         Some((self.offset(), event))
     }
 
@@ -350,7 +350,7 @@ impl TakeBytes {
             TakeEvent::Unplaced { .. }
             | TakeEvent::Skipped { .. }
             | TakeEvent::Damaged { .. }
-            | TakeEvent::Mended { .. }
+            | TakeEvent::Repaired { .. }
             | TakeEvent::End { .. } => &mut self.other,
         };
         *counter += len;
@@ -423,8 +423,8 @@ impl<T: AsRef<[u8]>> TakeInput for Cursor<T> {
 ///
 /// # Errors
 /// `Io`.
-pub fn pull(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(), TakeError> {
-    if let Some(offset) = reader.goes_back_to() {
+pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(), TakeError> {
+    if let Some(offset) = reader.seek_request() {
         input.seek(SeekFrom::Start(offset))?;
     }
     let mut buffer = [0; READ_BYTES];
@@ -461,7 +461,7 @@ pub fn read_events(
                     return Ok(());
                 }
             }
-            None => pull(&mut input, &mut reader)?,
+            None => feed(&mut input, &mut reader)?,
         }
     }
 }

@@ -4,14 +4,14 @@
 //! [`Survey::read`] reads and decodes the file once; [`Survey::write`] then copies its valid chunks. No stretch is
 //! encoded again, so every error bound that its encoder proved still holds.
 
-mod account;
+mod ledger_tally;
+mod scan;
 mod start;
-mod survey;
 mod write;
 
 pub use self::{
-    start::{MendedStart, mend_start},
-    survey::{ChannelCount, Survey},
+    scan::{ChannelCount, Survey},
+    start::{RepairedStart, mend_start},
 };
 
 use crate::{chunk::types, record::Channel, stretch::Span};
@@ -21,9 +21,9 @@ pub const RECOVERED: &str = "recovered";
 
 /// One element of the new take.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Piece {
+enum OutputChunk {
     /// A chunk copied from the damaged file.
-    Chunk {
+    Copied {
         offset: u64,
         len: u64,
         kind: u8,
@@ -86,7 +86,7 @@ impl Kind {
     }
 
     /// Whether chunks of this kind follow the last ledger of a closed take.
-    fn is_at_the_end(self) -> bool {
+    fn follows_last_ledger(self) -> bool {
         matches!(self, Self::Summary | Self::Index | Self::Footer)
     }
 

@@ -2,13 +2,13 @@
 //! unit.
 
 mod chain;
-mod front;
+mod header;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use self::chain::{Chain, Placed};
-use self::front::Front;
-pub use self::front::{FrontWriter, put_moved};
+pub(crate) use self::chain::{Placement, StretchChain};
+use self::header::StretchHeader;
+pub use self::header::{FrontWriter, put_moved};
 
 use std::iter;
 
@@ -85,7 +85,7 @@ impl Span {
 
 /// Bytes of a stretch's payload, by purpose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Sizes {
+pub struct StretchSizes {
     /// The header, without the time line.
     pub framing: u64,
     /// Runs and times.
@@ -111,7 +111,7 @@ pub struct Stretch<'a> {
     /// have no samples.
     pub blocks: Vec<&'a [u8]>,
     /// The bytes of its payload, by purpose.
-    pub sizes: Sizes,
+    pub sizes: StretchSizes,
 }
 
 impl Stretch<'_> {
@@ -122,7 +122,7 @@ impl Stretch<'_> {
     }
 
     /// Whether the stretch has no rows and replaces damaged stretches of a recovered take.
-    pub(crate) fn stands_for_damaged(&self) -> bool {
+    pub(crate) fn replaces_damaged(&self) -> bool {
         let runs = self.timeline.as_ref().map_or(&[][..], |timeline| &timeline.runs);
         self.span.n_rows == 0 && all_damaged(runs)
     }
@@ -140,7 +140,7 @@ impl Stretch<'_> {
 
 /// Whether these bytes are a plausible start of a long stretch's payload.
 pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
-    Front::may_begin_with(payload)
+    StretchHeader::may_begin_with(payload)
 }
 
 /// Whether all runs are of rows that were damaged before a recovery.
@@ -162,7 +162,7 @@ fn take_blocks<'a>(
     cursor: &mut varint::Cursor<'a>,
     alone: bool,
     n_rows: u32,
-    sizes: &mut Sizes,
+    sizes: &mut StretchSizes,
 ) -> Result<Vec<&'a [u8]>, &'static str> {
     let all = cursor.rest();
     let mut blocks = Vec::new();
@@ -196,14 +196,14 @@ pub struct StretchDecoder {
     /// Numbers of the groups to decode; `None`: all.
     wanted: Option<Vec<usize>>,
     /// Decoders by group, created with the group's first block.
-    groups: Vec<Option<Group>>,
+    groups: Vec<Option<GroupDecoder>>,
     /// The previous stretch was not decoded, so decoding resumes at the next key stretch.
     waits_for_key: bool,
 }
 
 /// The decoder of one group of channels.
 #[derive(Debug)]
-struct Group {
+struct GroupDecoder {
     decoder: Box<dyn BlockDecoder>,
     /// Channels in its last block since the key stretch.
     n_channels: usize,
@@ -265,7 +265,7 @@ impl StretchDecoder {
                 group.n_channels = 0;
             }
             if !block.is_empty() {
-                let group = group.get_or_insert_with(|| Group::new(self.settings));
+                let group = group.get_or_insert_with(|| GroupDecoder::new(self.settings));
                 group.n_channels = stated_channels(block).unwrap_or(group.n_channels);
                 n_channels += group.n_channels;
             }
@@ -274,7 +274,7 @@ impl StretchDecoder {
             Err(CodecError::Corrupt("more samples than a stretch can hold"))?;
         }
         for (group, block) in self.groups.iter_mut().zip(blocks) {
-            if let Some(Group { decoder, rows, .. }) = group {
+            if let Some(GroupDecoder { decoder, rows, .. }) = group {
                 decoder.decode(block, stretch.shared, n_rows as usize, key, rows)?;
             }
         }
@@ -291,7 +291,7 @@ impl StretchDecoder {
     }
 }
 
-impl Group {
+impl GroupDecoder {
     fn new(settings: Settings) -> Self {
         Self { decoder: settings.decoder(), n_channels: 0, rows: Vec::new() }
     }

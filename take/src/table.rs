@@ -9,12 +9,12 @@ pub(crate) struct ChannelTable {
     channels: Vec<Channel>,
     /// The header's entries have been read.
     begun: bool,
-    hole: Option<Hole>,
+    missing: Option<MissingEntries>,
 }
 
 /// A position at which entries may be missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Hole {
+struct MissingEntries {
     /// The column before which they are missing.
     column: usize,
     /// Entries may be missing at other positions behind it, too, so that names and columns cannot be matched.
@@ -23,7 +23,7 @@ struct Hole {
 
 /// Entries that a stretch revealed as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Renamed {
+pub struct LostEntries {
     /// The first column without a name.
     pub first: usize,
     /// Columns that had no entry.
@@ -45,39 +45,39 @@ impl ChannelTable {
     }
 
     /// Reports a damaged region, which may have contained entries if it follows the header.
-    pub(crate) fn damaged(&mut self) {
+    pub(crate) fn add_damage(&mut self) {
         if !self.begun {
             return;
         }
         let column = self.channels.len();
-        match &mut self.hole {
-            Some(hole) => hole.several |= hole.column != column,
-            None => self.hole = Some(Hole { column, several: false }),
+        match &mut self.missing {
+            Some(missing) => missing.several |= missing.column != column,
+            None => self.missing = Some(MissingEntries { column, several: false }),
         }
     }
 
     /// Reports that a stretch has at least `n_channels` channels. Returns the entries that this reveals as lost.
-    pub(crate) fn stated(&mut self, n_channels: usize) -> Option<Renamed> {
+    pub(crate) fn reconcile(&mut self, n_channels: usize) -> Option<LostEntries> {
         let len = self.channels.len();
         if n_channels < len {
             return None;
         }
-        let hole = self.hole.take();
+        let missing = self.missing.take();
         let inserted = n_channels - len;
         if inserted == 0 {
             return None;
         }
-        let Hole { column: first, several } = hole.unwrap_or(Hole { column: len, several: false });
+        let (first, several) = missing.map_or((len, false), |at| (at.column, at.several));
         let nameless = if several { n_channels - first } else { inserted };
         let replaced = if several { first..len } else { first..first };
-        let new: Vec<_> = (first..first + nameless).map(nameless_channel).collect();
+        let new: Vec<_> = (first..first + nameless).map(unnamed_channel).collect();
         self.channels.splice(replaced, new);
-        Some(Renamed { first, inserted, nameless })
+        Some(LostEntries { first, inserted, nameless })
     }
 }
 
 /// A generated entry for a channel whose own is lost.
-fn nameless_channel(column: usize) -> Channel {
+fn unnamed_channel(column: usize) -> Channel {
     Channel { marker_id: u16::MAX, label: Channel::unlabelled_name(column), labelled: false }
 }
 
@@ -99,47 +99,47 @@ mod tests {
     fn a_lost_entry_leaves_the_others_their_names() {
         let mut table = ChannelTable::default();
         table.append(&channels(&["a", "b"]));
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["d"]));
-        assert_eq!(table.stated(2), None);
-        assert_eq!(table.stated(4), Some(Renamed { first: 2, inserted: 1, nameless: 1 }));
+        assert_eq!(table.reconcile(2), None);
+        assert_eq!(table.reconcile(4), Some(LostEntries { first: 2, inserted: 1, nameless: 1 }));
         assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
         table.append(&channels(&["e"]));
-        assert_eq!(table.stated(5), None);
-        assert_eq!(table.stated(6), Some(Renamed { first: 5, inserted: 1, nameless: 1 }));
+        assert_eq!(table.reconcile(5), None);
+        assert_eq!(table.reconcile(6), Some(LostEntries { first: 5, inserted: 1, nameless: 1 }));
     }
 
     #[test]
     fn damage_that_hid_no_entry_is_forgotten() {
         let mut table = ChannelTable::default();
         table.append(&channels(&["a"]));
-        table.damaged();
-        assert_eq!(table.stated(1), None);
+        table.add_damage();
+        assert_eq!(table.reconcile(1), None);
         table.append(&channels(&["b"]));
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["d"]));
-        table.stated(4);
+        table.reconcile(4);
         assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
     }
 
     #[test]
     fn damage_before_the_header_hides_no_entry() {
         let mut table = ChannelTable::default();
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["a", "b"]));
-        table.damaged();
-        table.stated(3);
+        table.add_damage();
+        table.reconcile(3);
         assert_eq!(labels(&table), ["a", "b", "u003"]);
     }
 
     #[test]
-    fn where_nobody_knows_no_name_is_given() {
+    fn ambiguous_entries_lose_their_names() {
         let mut table = ChannelTable::default();
         table.append(&channels(&["a"]));
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["b or c"]));
-        table.damaged();
-        assert_eq!(table.stated(3), Some(Renamed { first: 1, inserted: 1, nameless: 2 }));
+        table.add_damage();
+        assert_eq!(table.reconcile(3), Some(LostEntries { first: 1, inserted: 1, nameless: 2 }));
         assert_eq!(labels(&table), ["a", "u002", "u003"]);
     }
 }

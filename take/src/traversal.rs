@@ -15,17 +15,17 @@ use mocapd_codec::DecodedRows;
 use crate::{
     TakeError, TakeEvent, TakeReader,
     chunk::MAGIC,
-    damage::{Losses, Problem, Refusal, note},
+    damage::{LossTracker, Problem, Refusal, push_problem},
     index::IndexEntry,
     map::TakeMap,
-    reader::{TakeInput, pull},
+    reader::{TakeInput, feed},
     record::Channel,
     stretch::{Span, Stretch, StretchDecoder},
     table::ChannelTable,
     timeline::Timeline,
 };
 
-pub use crate::table::Renamed;
+pub use crate::table::LostEntries;
 
 /// What a traversal decodes of each stretch.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -49,7 +49,7 @@ pub struct Found<'a> {
     /// For a stretch: its rows are unavailable, and the last problem gives the reason.
     pub is_refused: bool,
     /// For a stretch: it revealed lost entries of the channel table.
-    pub renamed: Option<Renamed>,
+    pub renamed: Option<LostEntries>,
 }
 
 /// The state of a traversal.
@@ -60,26 +60,26 @@ pub struct Progress {
     /// By channel, rows lost to damage since the channel was announced.
     pub rows_damaged: Vec<u64>,
     table: ChannelTable,
-    losses: Losses,
+    losses: LossTracker,
     decoder: Option<StretchDecoder>,
     decode: Decode,
-    tells: Tells,
+    scope: ProblemScope,
     /// The damage that explains a missing stretch was already reported.
-    damage_told: bool,
+    damage_reported: bool,
     timeline: Option<Timeline>,
 }
 
 /// Which problems a traversal reports, and whether it builds a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Tells {
+enum ProblemScope {
     /// All problems; builds the map.
     All,
     /// All but those of decoding, which a later traversal reports; builds the map.
     Map,
     /// All problems; the existing map was built without reading stretches.
-    Part,
+    Unscanned,
     /// Those of decoding; the existing map has all others.
-    PartOfScanned,
+    Decoding,
 }
 
 impl Progress {
@@ -106,34 +106,34 @@ impl Progress {
         self.decoder.iter().flat_map(StretchDecoder::rows)
     }
 
-    fn new(decode: Decode, tells: Tells) -> Self {
-        let makes_map = matches!(tells, Tells::All | Tells::Map);
+    fn new(decode: Decode, scope: ProblemScope) -> Self {
+        let makes_map = matches!(scope, ProblemScope::All | ProblemScope::Map);
         let read = makes_map.then_some(0);
         Self {
             take: TakeMap { n_held: read, longest_stretch: read, ..TakeMap::default() },
             rows_damaged: Vec::new(),
             table: ChannelTable::default(),
-            losses: Losses::new(makes_map.then(Vec::new)),
+            losses: LossTracker::new(makes_map.then(Vec::new)),
             decoder: None,
             decode,
-            tells,
-            damage_told: false,
+            scope,
+            damage_reported: false,
             timeline: None,
         }
     }
 
     fn makes_map(&self) -> bool {
-        matches!(self.tells, Tells::All | Tells::Map)
+        matches!(self.scope, ProblemScope::All | ProblemScope::Map)
     }
 
-    fn note(&mut self, problem: Problem) {
-        let is_told = match self.tells {
-            Tells::All | Tells::Part => true,
-            Tells::Map => !problem.is_of_decoding(),
-            Tells::PartOfScanned => problem.is_of_decoding(),
+    fn report(&mut self, problem: Problem) {
+        let is_reported = match self.scope {
+            ProblemScope::All | ProblemScope::Unscanned => true,
+            ProblemScope::Map => !problem.is_of_decoding(),
+            ProblemScope::Decoding => problem.is_of_decoding(),
         };
-        if is_told {
-            note(&mut self.take.problems, problem);
+        if is_reported {
+            push_problem(&mut self.take.problems, problem);
         }
     }
 
@@ -158,20 +158,20 @@ impl Progress {
         self.rows_damaged.iter_mut().for_each(|channel| *channel += rows);
     }
 
-    fn missing(&mut self, problem: Problem) {
+    fn report_missing(&mut self, problem: Problem) {
         self.take.damaged = true;
-        if !std::mem::take(&mut self.damage_told) {
-            self.note(problem);
+        if !std::mem::take(&mut self.damage_reported) {
+            self.report(problem);
         }
     }
 
     /// Applies an event to the state. Returns whether a stretch is refused, and which channel table entries it revealed
     /// as lost.
-    fn meet(
+    fn apply(
         &mut self,
         offset: u64,
         event: &TakeEvent<'_>,
-    ) -> Result<(bool, Option<Renamed>), TakeError> {
+    ) -> Result<(bool, Option<LostEntries>), TakeError> {
         match event {
             TakeEvent::Header(header) if self.makes_map() => {
                 self.take.header.clone_from(header);
@@ -183,28 +183,28 @@ impl Progress {
             TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
                 let from_row = self.n_rows();
                 if *missing_before {
-                    self.missing(Problem::MissingFrom { row: from_row });
+                    self.report_missing(Problem::MissingFrom { row: from_row });
                 }
                 self.take.damaged = true;
-                self.note(Problem::Unplaced { n_rows: *n_rows, from_row });
-                self.losses.at_least(*rows_min);
+                self.report(Problem::Unplaced { n_rows: *n_rows, from_row });
+                self.losses.raise_rows_min(*rows_min);
             }
             TakeEvent::Damaged { offset, len, message, .. } => {
                 let (offset, len, message) = (*offset, *len, message.clone());
-                self.note(Problem::Damaged { offset, len, message });
-                self.damage_told = true;
+                self.report(Problem::Damaged { offset, len, message });
+                self.damage_reported = true;
                 self.take.damaged = true;
-                self.table.damaged();
+                self.table.add_damage();
             }
-            TakeEvent::Mended { offset } => self.note(Problem::Mended { offset: *offset }),
+            TakeEvent::Repaired { offset } => self.report(Problem::Mended { offset: *offset }),
             TakeEvent::Footer(footer) => {
-                let (told, found) = (footer.n_rows, self.n_rows());
+                let (stated, found) = (footer.n_rows, self.n_rows());
                 // Rows may be lost to damage that was reported; the footer adds no problem then.
-                if told < found || told > found && !self.take.damaged {
-                    self.note(Problem::FooterRows { told, found });
+                if stated < found || stated > found && !self.take.damaged {
+                    self.report(Problem::FooterRows { told: stated, found });
                 }
                 if self.take.damaged {
-                    self.losses.at_least(told);
+                    self.losses.raise_rows_min(stated);
                 }
             }
             TakeEvent::End { finished, .. } => self.end(*finished),
@@ -213,22 +213,22 @@ impl Progress {
         Ok((false, None))
     }
 
-    fn stretch(&mut self, offset: u64, stretch: &Stretch<'_>) -> (bool, Option<Renamed>) {
+    fn stretch(&mut self, offset: u64, stretch: &Stretch<'_>) -> (bool, Option<LostEntries>) {
         let Span { first_row, n_rows, key, .. } = stretch.span;
         if stretch.missing_before {
-            self.missing(Problem::MissingBefore { row: first_row });
+            self.report_missing(Problem::MissingBefore { row: first_row });
         }
         let told =
-            self.losses.sought.filter(|key| key.offset == offset && key.first_row != first_row);
+            self.losses.seek_key.filter(|key| key.offset == offset && key.first_row != first_row);
         if let Some(IndexEntry { first_row: told, .. }) = told {
             // The seek to it may have skipped rows that exist.
-            self.note(Problem::IndexRow { told, found: first_row });
+            self.report(Problem::IndexRow { told, found: first_row });
             self.take.damaged = true;
         }
         if let Err(refusal) = self.decode(offset, stretch) {
-            self.note(Problem::Refused { first_row, n_rows, refusal });
+            self.report(Problem::Refused { first_row, n_rows, refusal });
             self.take.damaged = true;
-            self.losses.at_least(stretch.span.end_row());
+            self.losses.raise_rows_min(stretch.span.end_row());
             return (true, None);
         }
         let mut renamed = None;
@@ -246,15 +246,15 @@ impl Progress {
                 *held += u64::from(n_rows);
             }
         }
-        let lost = self.losses.stretch(stretch);
+        let lost = self.losses.add_stretch(stretch);
         self.lose(lost);
         (false, renamed)
     }
 
     fn decode(&mut self, offset: u64, stretch: &Stretch<'_>) -> Result<(), Refusal> {
-        let is_again = self.losses.has(offset, stretch);
+        let is_repeated = self.losses.is_repeated(offset, stretch);
         let Some(decoder) = &mut self.decoder else { return Ok(()) };
-        if is_again {
+        if is_repeated {
             decoder.pass();
             Err(Refusal::Twice)
         } else if decoder.depends_on_lost(stretch.span) {
@@ -267,9 +267,9 @@ impl Progress {
     }
 
     /// Adds entries for channels that a stretch has and the table lacks.
-    fn name_channels(&mut self, n_channels: usize) -> Option<Renamed> {
-        let renamed = self.table.stated(n_channels)?;
-        self.note(Problem::NamesLost { markers: renamed.nameless });
+    fn name_channels(&mut self, n_channels: usize) -> Option<LostEntries> {
+        let renamed = self.table.reconcile(n_channels)?;
+        self.report(Problem::NamesLost { markers: renamed.nameless });
         let at = renamed.first.min(self.rows_damaged.len());
         self.rows_damaged.splice(at..at, std::iter::repeat_n(0, renamed.inserted));
         Some(renamed)
@@ -279,9 +279,9 @@ impl Progress {
         let lost = self.losses.finish();
         self.lose(lost);
         if !finished {
-            self.note(Problem::CutOff);
+            self.report(Problem::CutOff);
         } else if self.makes_map() && self.take.ledger.is_none() {
-            self.note(Problem::NoLedger);
+            self.report(Problem::NoLedger);
         }
         self.take.finished = finished;
         self.take.n_rows = self.losses.end_row;
@@ -307,12 +307,12 @@ pub struct TakeTraversal<R> {
 impl<R: Read + Seek> TakeTraversal<R> {
     /// A traversal from start to end.
     pub fn new(input: impl TakeInput<Input = R>, decode: Decode) -> Self {
-        Self::with(input.input(), Progress::new(decode, Tells::All))
+        Self::with(input.input(), Progress::new(decode, ProblemScope::All))
     }
 
     /// A traversal that decodes nothing. Problems of decoding are left to a later traversal.
-    pub(crate) fn of_bytes(input: R) -> Self {
-        Self::with(input, Progress::new(Decode::Groups(Vec::new()), Tells::Map))
+    pub(crate) fn without_decoding(input: R) -> Self {
+        Self::with(input, Progress::new(Decode::Groups(Vec::new()), ProblemScope::Map))
     }
 
     fn with(input: R, progress: Progress) -> Self {
@@ -328,8 +328,8 @@ impl<R: Read + Seek> TakeTraversal<R> {
     pub fn of_map(mut input: R, map: &TakeMap, decode: Decode) -> Result<Self, TakeError> {
         input.seek(SeekFrom::Start(0))?;
         let is_scanned = map.n_held.is_some();
-        let tells = if is_scanned { Tells::PartOfScanned } else { Tells::Part };
-        let mut progress = Progress::new(decode, tells);
+        let scope = if is_scanned { ProblemScope::Decoding } else { ProblemScope::Unscanned };
+        let mut progress = Progress::new(decode, scope);
         progress.take.header = map.header.clone();
         progress.take.keys.clone_from(&map.keys);
         progress.start_decoding()?;
@@ -356,11 +356,11 @@ impl<R: Read + Seek> TakeTraversal<R> {
         visit: impl FnOnce(&Found<'_>, &Progress) -> Result<(), TakeError>,
     ) -> Result<(), TakeError> {
         let Some((end, event)) = self.reader.next_located()? else {
-            return pull(&mut self.input, &mut self.reader);
+            return feed(&mut self.input, &mut self.reader);
         };
         // Events are contiguous in the file.
         let offset = std::mem::replace(&mut self.at, end);
-        let (is_refused, renamed) = self.progress.meet(offset, &event)?;
+        let (is_refused, renamed) = self.progress.apply(offset, &event)?;
         let len = end.saturating_sub(offset);
         let found = Found { offset, len, event, is_refused, renamed };
         visit(&found, &self.progress)?;
@@ -373,7 +373,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
                 self.current = Some(stretch.span);
                 self.progress.timeline = stretch.timeline;
             }
-            event if self.progress.makes_map() => self.progress.take.keep(event),
+            event if self.progress.makes_map() => self.progress.take.add_content(event),
             _ => {}
         }
         Ok(())
@@ -404,7 +404,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
             decoder.pass();
         }
         self.progress.losses.seek(key);
-        self.progress.damage_told = false;
+        self.progress.damage_reported = false;
         self.current = None;
         Ok(())
     }

@@ -118,7 +118,7 @@ impl<'a> Plan<'a> {
     /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
-        PartEncoder { plan: self, encoder: self.codec.encoder(), columns: Columns::default() }
+        PartEncoder { plan: self, encoder: self.codec.encoder(), columns: ColumnBuffer::default() }
     }
 }
 
@@ -127,7 +127,7 @@ impl<'a> Plan<'a> {
 pub struct PartEncoder<'a> {
     plan: &'a Plan<'a>,
     encoder: Box<dyn BlockEncoder>,
-    columns: Columns,
+    columns: ColumnBuffer,
 }
 
 impl PartEncoder<'_> {
@@ -222,12 +222,12 @@ impl<'a, W: Write> WholeWriter<'a, W> {
 
 /// Samples of one part, column by column; reused from part to part.
 #[derive(Debug, Default)]
-struct Columns {
+struct ColumnBuffer {
     positions: Vec<Vec<Position>>,
     present: Vec<Vec<bool>>,
 }
 
-impl Columns {
+impl ColumnBuffer {
     /// Copies the samples of `part` out of `motion`.
     fn fill(&mut self, motion: &Motion, part: Part) {
         self.positions.resize_with(part.n_markers, Vec::new);
@@ -261,7 +261,7 @@ fn shared(motion: &Motion, codec: &Settings) -> Result<Vec<u8>, CodecError> {
     if codec.kind.is_live() {
         return Ok(Vec::new());
     }
-    let mut columns = Columns::default();
+    let mut columns = ColumnBuffer::default();
     let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
     if n_markers > 0 {
         columns.fill(motion, Part { first_row: 0, n_rows, first_marker: 0, n_markers });

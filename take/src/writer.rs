@@ -81,12 +81,12 @@ impl<W: Write> TakeWriter<W> {
     /// # Errors
     /// `Io`; `InvalidArgument` when it has more rows than a reader accepts, or too many rows were lost before it.
     pub fn stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
-        self.account(span)?;
+        self.add_span(span)?;
         self.chunk(types::STRETCH, payload)
     }
 
     /// Validates the span of the next stretch, and adds it to the index.
-    fn account(&mut self, span: Span) -> Result<(), TakeError> {
+    fn add_span(&mut self, span: Span) -> Result<(), TakeError> {
         check_rows(span.n_rows, self.rows_max)?;
         let passed = span.end_row().saturating_sub(self.n_rows);
         if passed > ROWS_PASSED_MAX {
@@ -204,7 +204,7 @@ impl<W: Write> TakeWriter<W> {
         mut chunk: impl Read,
         len: u64,
     ) -> Result<bool, TakeError> {
-        span.map_or(Ok(()), |span| self.account(span))?;
+        span.map_or(Ok(()), |span| self.add_span(span))?;
         let mut crc = Hasher::new();
         let mut left = len.saturating_sub(chunk::CRC_BYTES as u64);
         while left > 0 {

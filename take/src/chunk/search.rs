@@ -9,8 +9,8 @@
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{
-    CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, Head, crc_matches, head,
-    marks::{Marks, append, moved},
+    CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, Front, HEAD_BYTES_MAX, crc_matches, head,
+    prefix_crcs::{PrefixCrcs, extend_crc, shifted_crc},
     split, types,
 };
 use crate::{foreign, stretch};
@@ -23,14 +23,14 @@ const ZEROS: [u8; 64] = [0; 64];
 
 /// The outcome of a search in the buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Next {
+pub(crate) enum ResyncOutcome {
     /// A valid chunk of a known type begins here.
-    At(usize),
+    Found(usize),
     /// No chunk begins before this position; one that may begin here is incomplete.
-    Until(usize),
+    NotBefore(usize),
     /// No chunk begins before this position; one that may begin here is too long for the window, so the file must be
     /// [scanned](LongChunkScan).
-    Unknown(usize),
+    NeedsScan(usize),
 }
 
 /// Searches `bytes` for a valid chunk that begins at or after `from`. `complete`: the file ends with `bytes`.
@@ -42,11 +42,11 @@ pub(crate) enum Next {
 /// and reuses `prefixes`.
 pub(crate) fn resync(
     bytes: &[u8],
-    marks: &mut Marks,
+    prefixes: &mut PrefixCrcs,
     from: usize,
     complete: bool,
     is_long_whole: impl Fn(usize) -> Option<bool>,
-) -> Next {
+) -> ResyncOutcome {
     let mut at = from;
     while let Some(&kind) = bytes.get(at) {
         if kind == 0 {
@@ -54,64 +54,64 @@ pub(crate) fn resync(
             continue;
         }
         if types::ALL.contains(&kind) {
-            match look(bytes, at, marks) {
-                Candidate::Whole => return Next::At(at),
-                Candidate::No => {}
-                Candidate::Short if complete => {}
-                Candidate::Short => return Next::Until(at),
-                Candidate::Long if complete => {}
-                Candidate::Long => match is_long_whole(at) {
-                    Some(true) => return Next::At(at),
+            match classify(bytes, at, prefixes) {
+                ChunkCandidate::Whole => return ResyncOutcome::Found(at),
+                ChunkCandidate::Invalid => {}
+                ChunkCandidate::Incomplete if complete => {}
+                ChunkCandidate::Incomplete => return ResyncOutcome::NotBefore(at),
+                ChunkCandidate::Long if complete => {}
+                ChunkCandidate::Long => match is_long_whole(at) {
+                    Some(true) => return ResyncOutcome::Found(at),
                     Some(false) => {}
-                    None if may_be_one(&bytes[at..]) => return Next::Unknown(at),
+                    None if may_be_long(&bytes[at..]) => return ResyncOutcome::NeedsScan(at),
                     None => {}
                 },
             }
         }
         at += 1;
     }
-    Next::Until(bytes.len())
+    ResyncOutcome::NotBefore(bytes.len())
 }
 
 /// What may begin at a position.
-enum Candidate {
+enum ChunkCandidate {
     Whole,
-    No,
+    Invalid,
     /// The chunk ends behind the buffered bytes.
-    Short,
+    Incomplete,
     /// The chunk is longer than the buffer.
     Long,
 }
 
-fn look(bytes: &[u8], at: usize, marks: &mut Marks) -> Candidate {
+fn classify(bytes: &[u8], at: usize, prefixes: &mut PrefixCrcs) -> ChunkCandidate {
     let len = match head(&bytes[at..]) {
-        Head::Bad => return Candidate::No,
-        Head::Short(_) => return Candidate::Short,
-        Head::Of { len, .. } => len,
+        ChunkHead::Invalid => return ChunkCandidate::Invalid,
+        ChunkHead::Short(_) => return ChunkCandidate::Incomplete,
+        ChunkHead::Valid { len, .. } => len,
     };
     let end = usize::try_from(len).ok().and_then(|len| at.checked_add(len));
     let Some(end) = end.filter(|&end| end <= bytes.len()) else {
         let is_long = len > CHUNK_HELD_MAX;
-        return if is_long { Candidate::Long } else { Candidate::Short };
+        return if is_long { ChunkCandidate::Long } else { ChunkCandidate::Incomplete };
     };
-    if is_whole(bytes, at, end, marks) { Candidate::Whole } else { Candidate::No }
+    if is_whole(bytes, at, end, prefixes) { ChunkCandidate::Whole } else { ChunkCandidate::Invalid }
 }
 
 /// Parses the chunk at `bytes[at..]` like [`front`](super::front), with the help of the prefix CRCs of `bytes`.
-pub(crate) fn front_by_marks<'a>(bytes: &'a [u8], at: usize, marks: &mut Marks) -> Front<'a> {
+pub(crate) fn indexed_front<'a>(bytes: &'a [u8], at: usize, crcs: &mut PrefixCrcs) -> Front<'a> {
     match split(&bytes[at..]) {
-        Front::Whole { len, .. } if !is_whole(bytes, at, at + len, marks) => Front::Damaged,
+        Front::Whole { len, .. } if !is_whole(bytes, at, at + len, crcs) => Front::Damaged,
         front => front,
     }
 }
 
 /// Whether the CRC of the chunk `bytes[at..end]` matches.
-fn is_whole(bytes: &[u8], at: usize, end: usize, marks: &mut Marks) -> bool {
+fn is_whole(bytes: &[u8], at: usize, end: usize, prefixes: &mut PrefixCrcs) -> bool {
     if end - at <= HASHED_BYTES {
         return crc_matches(&bytes[at..end]);
     }
     let crc_at = end - CRC_BYTES;
-    let crc = marks.crc(bytes, at, crc_at);
+    let crc = prefixes.crc(bytes, at, crc_at);
     bytes[crc_at..].first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes())
 }
 
@@ -159,8 +159,8 @@ impl LongChunks {
 
 /// Whether bytes after damage look like the beginning of a long chunk that this version writes. A long chunk of another
 /// type is recognised only behind a valid chunk.
-fn may_be_one(bytes: &[u8]) -> bool {
-    let Head::Of { kind, len, head_bytes } = head(bytes) else { return false };
+fn may_be_long(bytes: &[u8]) -> bool {
+    let ChunkHead::Valid { kind, len, head_bytes } = head(bytes) else { return false };
     let payload = &bytes[head_bytes..];
     len > CHUNK_HELD_MAX
         && match kind {
@@ -172,13 +172,13 @@ fn may_be_one(bytes: &[u8]) -> bool {
 
 /// A position at which the scan must act; ordered by position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Stop {
+struct ScanEvent {
     at: u64,
-    what: What,
+    kind: ScanEventKind,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum What {
+enum ScanEventKind {
     /// The CRC of a candidate is stored here.
     Crc {
         /// Where the candidate begins.
@@ -186,34 +186,34 @@ enum What {
         /// The CRC of all scanned bytes before it.
         crc_before: u32,
         /// The candidate follows a valid chunk.
-        in_step: bool,
+        in_sync: bool,
     },
     /// A chunk begins here, because the one before it is valid.
-    Front,
+    ChunkStart,
 }
 
 /// Scans a file for long chunks. Bytes are pushed in order, and are not kept.
 #[derive(Debug)]
-pub(crate) struct Search {
+pub(crate) struct LongChunkScan {
     from: u64,
     /// Offset of the next byte.
     at: u64,
     /// CRC of the bytes from `from` to `at`.
     crc: u32,
-    stops: BinaryHeap<Reverse<Stop>>,
+    events: BinaryHeap<Reverse<ScanEvent>>,
     whole: Vec<u64>,
     /// The scan began at a long chunk that proved valid, and has nothing else to find.
-    is_answered: bool,
+    is_done: bool,
 }
 
-impl Search {
+impl LongChunkScan {
     /// Starts at byte `from`. `in_sync`: a chunk begins there, because the bytes before it are valid.
-    pub(crate) fn new(from: u64, in_step: bool) -> Self {
-        let mut stops = BinaryHeap::new();
-        if in_step {
-            stops.push(Reverse(Stop { at: from, what: What::Front }));
+    pub(crate) fn new(from: u64, in_sync: bool) -> Self {
+        let mut events = BinaryHeap::new();
+        if in_sync {
+            events.push(Reverse(ScanEvent { at: from, kind: ScanEventKind::ChunkStart }));
         }
-        Self { from, at: from, crc: 0, stops, whole: Vec::new(), is_answered: false }
+        Self { from, at: from, crc: 0, events, whole: Vec::new(), is_done: false }
     }
 
     /// The offset at which the scan began, and to which the reader goes back.
@@ -222,8 +222,8 @@ impl Search {
     }
 
     /// Whether the scan needs no more bytes.
-    pub(crate) fn is_answered(&self) -> bool {
-        self.is_answered
+    pub(crate) fn is_done(&self) -> bool {
+        self.is_done
     }
 
     /// Ends the scan.
@@ -231,7 +231,7 @@ impl Search {
         // Chunks were found in the order of their ends, and one may begin within another.
         self.whole.sort_unstable();
         let (to, end) =
-            if self.is_answered { (self.from + 1, None) } else { (u64::MAX, Some(self.at)) };
+            if self.is_done { (self.from + 1, None) } else { (u64::MAX, Some(self.at)) };
         LongChunks { from: self.from, to, whole: self.whole, end }
     }
 
@@ -241,45 +241,45 @@ impl Search {
         let start = self.at;
         let end = if complete { bytes.len() } else { bytes.len().saturating_sub(FRONT_BYTES) };
         let mut from = 0;
-        while from < end && !self.is_answered {
+        while from < end && !self.is_done {
             let next = next_candidate(&bytes[..end], from);
-            self.settle(start + next as u64, start, bytes);
-            if next < end && may_be_one(&bytes[next..]) && self.stops.len() < CANDIDATES_MAX {
-                self.advance(start + next as u64, start, bytes);
-                self.follow(start + next as u64, false, &bytes[next..]);
+            self.handle_events(start + next as u64, start, bytes);
+            if next < end && may_be_long(&bytes[next..]) && self.events.len() < CANDIDATES_MAX {
+                self.update_crc(start + next as u64, start, bytes);
+                self.track(start + next as u64, false, &bytes[next..]);
             }
             from = next + 1;
         }
-        if !self.is_answered {
-            self.settle(start + end as u64, start, bytes);
-            self.advance(start + end as u64, start, bytes);
+        if !self.is_done {
+            self.handle_events(start + end as u64, start, bytes);
+            self.update_crc(start + end as u64, start, bytes);
         }
         end
     }
 
     /// Handles all events before byte `to`.
-    fn settle(&mut self, to: u64, start: u64, bytes: &[u8]) {
-        while let Some(&Reverse(Stop { at, what })) = self.stops.peek() {
-            if at >= to || self.is_answered {
+    fn handle_events(&mut self, to: u64, start: u64, bytes: &[u8]) {
+        while let Some(&Reverse(ScanEvent { at, kind })) = self.events.peek() {
+            if at >= to || self.is_done {
                 return;
             }
-            self.stops.pop();
-            self.advance(at, start, bytes);
+            self.events.pop();
+            self.update_crc(at, start, bytes);
             let Some(rest) = at.checked_sub(start).and_then(|by| bytes.get(by as usize..)) else {
                 continue;
             };
-            match what {
-                What::Front => {
+            match kind {
+                ScanEventKind::ChunkStart => {
                     // A chunk that was tracked several times ends here as often; track the next one once.
-                    while self.stops.peek() == Some(&Reverse(Stop { at, what })) {
-                        self.stops.pop();
+                    while self.events.peek() == Some(&Reverse(ScanEvent { at, kind })) {
+                        self.events.pop();
                     }
-                    self.follow(at, true, rest);
+                    self.track(at, true, rest);
                 }
-                What::Crc { start: chunk, crc_before, in_step } => {
-                    let crc = self.crc ^ moved(crc_before, at - chunk);
+                ScanEventKind::Crc { start: chunk, crc_before, in_sync } => {
+                    let crc = self.crc ^ shifted_crc(crc_before, at - chunk);
                     if rest.first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes()) {
-                        self.found(chunk, at + CRC_BYTES as u64, in_step);
+                        self.add_whole(chunk, at + CRC_BYTES as u64, in_sync);
                     }
                 }
             }
@@ -288,30 +288,30 @@ impl Search {
 
     /// Records a valid chunk. The same chunk may be found as a candidate and as the successor of a valid one; the two
     /// events are adjacent.
-    fn found(&mut self, chunk: u64, end: u64, in_step: bool) {
+    fn add_whole(&mut self, chunk: u64, end: u64, in_sync: bool) {
         let is_known = self.whole.last() == Some(&chunk);
         if end - chunk > CHUNK_HELD_MAX && !is_known && self.whole.len() < FOUND_MAX {
             self.whole.push(chunk);
         }
-        self.is_answered = in_step && chunk == self.from;
-        self.stops.push(Reverse(Stop { at: end, what: What::Front }));
+        self.is_done = in_sync && chunk == self.from;
+        self.events.push(Reverse(ScanEvent { at: end, kind: ScanEventKind::ChunkStart }));
     }
 
     /// Tracks the chunk that may begin at `at`, up to its CRC.
-    fn follow(&mut self, at: u64, in_step: bool, bytes: &[u8]) {
-        if let Head::Of { len, .. } = head(bytes) {
-            let what = What::Crc { start: at, crc_before: self.crc, in_step };
-            self.stops.push(Reverse(Stop { at: at + len - CRC_BYTES as u64, what }));
+    fn track(&mut self, at: u64, in_sync: bool, bytes: &[u8]) {
+        if let ChunkHead::Valid { len, .. } = head(bytes) {
+            let kind = ScanEventKind::Crc { start: at, crc_before: self.crc, in_sync };
+            self.events.push(Reverse(ScanEvent { at: at + len - CRC_BYTES as u64, kind }));
         }
     }
 
     /// Updates the running CRC up to byte `to`.
-    fn advance(&mut self, to: u64, start: u64, bytes: &[u8]) {
+    fn update_crc(&mut self, to: u64, start: u64, bytes: &[u8]) {
         let part = |at: u64| at.checked_sub(start).and_then(|by| usize::try_from(by).ok());
         if let (Some(from), Some(end)) = (part(self.at), part(to))
             && let Some(passed) = bytes.get(from..end)
         {
-            self.crc = append(self.crc, passed);
+            self.crc = extend_crc(self.crc, passed);
             self.at = to;
         }
     }
@@ -339,8 +339,8 @@ mod tests {
     use super::*;
     use crate::chunk::{front, put};
 
-    fn next(bytes: &[u8]) -> Next {
-        resync(bytes, &mut Marks::default(), 1, true, |_| None)
+    fn next(bytes: &[u8]) -> ResyncOutcome {
+        resync(bytes, &mut PrefixCrcs::default(), 1, true, |_| None)
     }
 
     #[test]
@@ -353,7 +353,7 @@ mod tests {
             for flip in 1..=255_u8 {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= flip;
-                assert_eq!(next(&damaged), Next::At(len), "{at} {flip}");
+                assert_eq!(next(&damaged), ResyncOutcome::Found(len), "{at} {flip}");
             }
         }
     }
@@ -371,11 +371,13 @@ mod tests {
         }
         bytes[150_000] ^= 1;
         assert_eq!(front(&bytes), Front::Damaged);
-        assert_eq!(next(&bytes), Next::At(found));
+        assert_eq!(next(&bytes), ResyncOutcome::Found(found));
         // Without the end of the next chunk, nothing behind its beginning is judged.
-        let marks = &mut Marks::default();
-        let found_part = resync(&bytes[..found + 1000], marks, 1, false, |_| Some(false));
-        let Next::Until(at) = found_part else { panic!("the end of the next chunk is not there") };
+        let prefixes = &mut PrefixCrcs::default();
+        let found_part = resync(&bytes[..found + 1000], prefixes, 1, false, |_| Some(false));
+        let ResyncOutcome::NotBefore(at) = found_part else {
+            panic!("the end of the next chunk is not there")
+        };
         assert!(at <= found);
     }
 
@@ -404,23 +406,23 @@ mod tests {
     fn each_of_many_long_chunks_behind_damage_is_found_once() {
         const CHUNKS: usize = 400;
         let chunk = long_chunk();
-        let mut search = Search::new(0, false);
+        let mut scan = LongChunkScan::new(0, false);
         let mut waiting = VecDeque::from([0_u8; 100]);
-        let (mut offsets, mut at, mut stops_max) = (Vec::new(), waiting.len() as u64, 0);
+        let (mut offsets, mut at, mut events_max) = (Vec::new(), waiting.len() as u64, 0);
         for number in 0..CHUNKS {
             offsets.push(at);
             at += chunk.len() as u64;
             waiting.extend(&chunk);
-            let done = search.push(waiting.make_contiguous(), number + 1 == CHUNKS);
+            let done = scan.push(waiting.make_contiguous(), number + 1 == CHUNKS);
             waiting.drain(..done);
-            stops_max = stops_max.max(search.stops.len());
+            events_max = events_max.max(scan.events.len());
         }
-        let found = search.whole.len();
-        let long = search.finish();
+        let found = scan.whole.len();
+        let long = scan.finish();
         let missed = offsets.iter().position(|&offset| long.is_whole(offset) != Some(true));
         assert_eq!((missed, found), (None, CHUNKS));
         // The chunk is tracked as a candidate and as the successor of a valid chunk.
-        assert!(stops_max <= 2, "{stops_max}");
+        assert!(events_max <= 2, "{events_max}");
         assert_eq!(long.is_whole(offsets[1] + 1), Some(false));
     }
 }

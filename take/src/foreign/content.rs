@@ -34,10 +34,10 @@ const BLOCK_BYTES: usize = 1 << 16;
 
 /// The bytes of a foreign part.
 #[derive(Debug, Clone)]
-pub struct Content(Place);
+pub struct Content(Storage);
 
 #[derive(Debug, Clone)]
-enum Place {
+enum Storage {
     Memory(Vec<u8>),
     /// `len` bytes of a file, from byte `from` on.
     Scratch {
@@ -52,8 +52,8 @@ impl Content {
     #[must_use]
     pub fn len(&self) -> u64 {
         match &self.0 {
-            Place::Memory(bytes) => bytes.len() as u64,
-            Place::Scratch { len, .. } => *len,
+            Storage::Memory(bytes) => bytes.len() as u64,
+            Storage::Scratch { len, .. } => *len,
         }
     }
 
@@ -84,12 +84,12 @@ impl Content {
         let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
         match &self.0 {
-            Place::Memory(held) => {
+            Storage::Memory(held) => {
                 let held = held.get(at as usize..end as usize);
                 bytes.copy_from_slice(held.ok_or(io::ErrorKind::UnexpectedEof)?);
                 Ok(())
             }
-            Place::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
+            Storage::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
         }
     }
 
@@ -106,8 +106,8 @@ impl Content {
     /// A copy that can be [overwritten](Self::write_at); a clone shares the bytes of a scratch file.
     pub(crate) fn copy(&self) -> io::Result<Self> {
         match &self.0 {
-            Place::Memory(_) => Ok(self.clone()),
-            Place::Scratch { scratch, len, .. } => scratch.put(&mut self.reader(), *len),
+            Storage::Memory(_) => Ok(self.clone()),
+            Storage::Scratch { scratch, len, .. } => scratch.put(&mut self.reader(), *len),
         }
     }
 
@@ -116,12 +116,12 @@ impl Content {
         let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
         match &mut self.0 {
-            Place::Memory(held) => {
+            Storage::Memory(held) => {
                 let held = held.get_mut(at as usize..end as usize);
                 held.ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(bytes);
                 Ok(())
             }
-            Place::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),
+            Storage::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),
         }
     }
 }
@@ -134,14 +134,14 @@ impl Default for Content {
 
 impl From<Vec<u8>> for Content {
     fn from(bytes: Vec<u8>) -> Self {
-        Self(Place::Memory(bytes))
+        Self(Storage::Memory(bytes))
     }
 }
 
 /// Compares the bytes, wherever they are stored. Bytes that cannot be read equal nothing.
 impl PartialEq for Content {
     fn eq(&self, other: &Self) -> bool {
-        if let (Place::Memory(a), Place::Memory(b)) = (&self.0, &other.0) {
+        if let (Storage::Memory(a), Storage::Memory(b)) = (&self.0, &other.0) {
             return a == b;
         }
         let [mut a, mut b] = [[0; BLOCK_BYTES]; 2];
@@ -238,7 +238,7 @@ impl Scratch {
             self.file.write_at(from + written, &block[..n])?;
             written += n as u64;
         }
-        Ok(Content(Place::Scratch { scratch: Arc::clone(self), from, len: written }))
+        Ok(Content(Storage::Scratch { scratch: Arc::clone(self), from, len: written }))
     }
 }
 
@@ -316,7 +316,7 @@ mod tests {
         let lengths = [0, 5, 70_000, HELD_BYTES_MAX, 0, HELD_BYTES_MAX + 3];
         for len in lengths {
             let content = spool.put(&mut &bytes(len)[..], len).unwrap();
-            let is_in_file = matches!(content.0, Place::Scratch { .. });
+            let is_in_file = matches!(content.0, Storage::Scratch { .. });
             assert_eq!(is_in_file, len >= HELD_BYTES_MAX, "{len}");
             assert_eq!(content, bytes(len).into());
             assert_eq!(content.to_vec(len).unwrap().unwrap(), bytes(len));

@@ -32,7 +32,7 @@ impl TakeMap {
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn open(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
-        if let Some(map) = by_heads(input)? {
+        if let Some(map) = map_from_heads(input)? {
             return Ok(map);
         }
         Self::scan(input)
@@ -44,7 +44,7 @@ impl TakeMap {
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         input.seek(SeekFrom::Start(0))?;
-        let mut map = TakeTraversal::of_bytes(input).run(|_, _| Ok(()))?.take;
+        let mut map = TakeTraversal::without_decoding(input).run(|_, _| Ok(()))?.take;
         // A recovered take states its lost rows itself.
         map.damaged |= map.damage.iter().any(|lost| lost.why == Why::BeforeRecovery);
         Ok(map)
@@ -52,9 +52,9 @@ impl TakeMap {
 }
 
 /// The map of a take whose footer, index and chunk heads agree exactly; `None` for any other.
-fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
     let file_bytes = input.seek(SeekFrom::End(0))?;
-    let mut chunks = Chunks { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
+    let mut chunks = ChunkCursor { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
     let Some((footer, keys)) = chunks.end(file_bytes)? else { return Ok(None) };
     chunks.go_to(0)?;
     let mut magic = [0; MAGIC.len()];
@@ -83,7 +83,7 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
             }
             _ => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
-                add(&mut map, kind, &payload, offset)
+                add_record(&mut map, kind, &payload, offset)
             }
         };
         if !is_known {
@@ -108,7 +108,7 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
 }
 
 /// Adds a chunk other than a stretch. Returns whether it is valid.
-fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool {
+fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool {
     let Some(map) = map else {
         let header = Header::from_payload(payload, offset).ok();
         let header = header.filter(|header| kind == types::HEADER && header.check().is_ok());
@@ -121,7 +121,7 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
     };
     match record(kind, payload, offset) {
         Some(Ok(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
-        Some(Ok(event)) => map.keep(event),
+        Some(Ok(event)) => map.add_content(event),
         // A newer version that a reader may skip.
         Some(Err(TakeError::Unsupported { .. })) if kind & MAY_SKIP != 0 => {}
         Some(Err(_)) => return false,
@@ -132,12 +132,12 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
 }
 
 /// Reads a file chunk by chunk.
-struct Chunks<R> {
+struct ChunkCursor<R> {
     input: BufReader<R>,
     at: u64,
 }
 
-impl<R: Read + Seek> Chunks<R> {
+impl<R: Read + Seek> ChunkCursor<R> {
     fn go_to(&mut self, offset: u64) -> Result<(), TakeError> {
         match i64::try_from(i128::from(offset) - i128::from(self.at)) {
             Ok(by) => self.input.seek_relative(by)?,

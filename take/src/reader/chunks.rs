@@ -4,13 +4,13 @@ use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
     NotATake, TakeError,
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, Head, LongChunks, MAY_SKIP, Marks,
-        Search, types,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, Front, HEAD_BYTES_MAX, LongChunkScan,
+        LongChunks, MAY_SKIP, PrefixCrcs, types,
     },
-    foreign::{self, ForeignPart, Inflation},
+    foreign::{self, ForeignPart, InflateCheck},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
-    stretch::{self, CHANNELS_MAX, Chain, Placed},
+    stretch::{self, CHANNELS_MAX, Placement, StretchChain},
 };
 
 /// The next step of the reader.
@@ -18,42 +18,42 @@ pub(super) enum Step {
     /// A complete chunk is in the buffer.
     Chunk { kind: u8, start: usize, len: usize },
     /// The state changed; try again.
-    Again,
+    Retry,
 }
 
 /// The file ends inside a chunk.
 const CUT: &str = "the file ends inside a chunk";
 
 /// A chunk's CRC does not match.
-const WRONG: &str = "checksum does not match";
+const BAD_CRC: &str = "checksum does not match";
 
 impl TakeReader {
     /// Parses the chunk at the front of the unprocessed bytes, which follow the magic or a valid chunk.
     pub(super) fn next_chunk(&mut self) -> Step {
         let waiting = &self.buffer[self.used..];
-        let have = waiting.len() as u64;
+        let held_max = CHUNK_HELD_MAX.max(waiting.len() as u64);
         let offset = self.offset();
         let is_header = offset == chunk::MAGIC.len() as u64;
         let begin_damage =
             |message| Some(Damage::new(offset, waiting, message, is_header && message == CUT));
         match chunk::head(waiting) {
-            Head::Of { kind, len, .. } if len > have && len > CHUNK_HELD_MAX && !self.complete => {
+            ChunkHead::Valid { kind, len, .. } if len > held_max && !self.complete => {
                 match self.long.is_whole(offset) {
-                    None => self.search = Some(Search::new(offset, true)),
+                    None => self.scan = Some(LongChunkScan::new(offset, true)),
                     Some(false) if self.long.is_cut(offset + len) => {
                         self.damage = begin_damage(CUT);
                     }
-                    Some(false) => self.damage = begin_damage(WRONG),
+                    Some(false) => self.damage = begin_damage(BAD_CRC),
                     Some(true) if kind == types::STRETCH && len <= stretch::BYTES_MAX => {
                         self.wanted = len;
                     }
-                    Some(true) => self.passing = Some(Passing::new(kind, offset, len)),
+                    Some(true) => self.long_chunk = Some(LongChunk::new(kind, offset, len)),
                 }
-                return Step::Again;
+                return Step::Retry;
             }
             _ => {}
         }
-        match chunk::front_by_marks(&self.buffer, self.used, &mut self.marks) {
+        match chunk::indexed_front(&self.buffer, self.used, &mut self.prefixes) {
             Front::Whole { kind, len, .. } => {
                 let start = self.used;
                 self.used += len;
@@ -62,25 +62,25 @@ impl TakeReader {
             }
             Front::Short(wanted) if !self.complete => self.wanted = wanted,
             Front::Short(_) => self.damage = begin_damage(CUT),
-            Front::Damaged => self.damage = begin_damage(WRONG),
+            Front::Damaged => self.damage = begin_damage(BAD_CRC),
         }
-        Step::Again
+        Step::Retry
     }
 
     /// Scans the file ahead for long chunks. Returns whether the scan is complete; the reader then goes back to where
     /// it began.
-    pub(super) fn look_ahead(&mut self) -> bool {
-        let Some(search) = &mut self.search else { return true };
-        self.used += search.push(&self.buffer[self.used..], self.complete);
-        if !search.is_answered() && !self.complete {
+    pub(super) fn scan_ahead(&mut self) -> bool {
+        let Some(scan) = &mut self.scan else { return true };
+        self.used += scan.push(&self.buffer[self.used..], self.complete);
+        if !scan.is_done() && !self.complete {
             return false;
         }
-        let from = search.from();
-        self.long = self.search.take().map_or_else(LongChunks::default, Search::finish);
+        let from = scan.from();
+        self.long = self.scan.take().map_or_else(LongChunks::default, LongChunkScan::finish);
         self.buffer.clear();
-        self.marks = Marks::default();
+        self.prefixes = PrefixCrcs::default();
         (self.base, self.used, self.wanted) = (from, 0, 1);
-        self.goes_back_to = Some(from);
+        self.seek_request = Some(from);
         true
     }
 }
@@ -101,7 +101,7 @@ impl TakeReader {
             if kind == types::HEADER {
                 let header = Header::from_payload(payload, offset)?;
                 header.check()?;
-                self.chain = Some(Chain::of(&header)?);
+                self.chain = Some(StretchChain::of(&header)?);
                 self.bytes.header += len as u64;
                 self.n_channels = header.channels.len();
                 return Ok(TakeEvent::Header(Box::new(header)));
@@ -115,7 +115,7 @@ impl TakeReader {
                 let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
                 let place = (payload_at, payload.len() as u64);
                 ForeignPart::of_payload(payload, place, offset).and_then(|part| {
-                    let mut inflation = Inflation::new(part.data_bytes);
+                    let mut inflation = InflateCheck::new(part.data_bytes);
                     let from = (part.deflated_at() - payload_at) as usize;
                     inflation.push(&payload[from..]);
                     inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
@@ -125,7 +125,7 @@ impl TakeReader {
                 TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
             }),
             types::FOOTER => Footer::from_payload(payload, offset)
-                .and_then(|footer| footer.check(chain.rows_believed_max(), offset))
+                .and_then(|footer| footer.check(chain.plausible_rows_max(), offset))
                 .inspect(|_| self.seen_footer = true)
                 .map(TakeEvent::Footer),
             _ => match record(kind, payload, offset) {
@@ -187,11 +187,11 @@ fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'stati
     TakeEvent::Damaged { offset, len, kind, message }
 }
 
-impl<'a> From<Placed<'a>> for TakeEvent<'a> {
-    fn from(placed: Placed<'a>) -> Self {
+impl<'a> From<Placement<'a>> for TakeEvent<'a> {
+    fn from(placed: Placement<'a>) -> Self {
         match placed {
-            Placed::Stretch(stretch) => Self::Stretch(stretch),
-            Placed::Unplaced { missing_before, n_rows, rows_min } => {
+            Placement::Stretch(stretch) => Self::Stretch(stretch),
+            Placement::Unplaced { missing_before, n_rows, rows_min } => {
                 Self::Unplaced { missing_before, n_rows, rows_min }
             }
         }
@@ -207,15 +207,15 @@ fn may_be_skipped(kind: u8) -> bool {
 
 /// A chunk that is too long to hold.
 #[derive(Debug)]
-pub(super) struct Passing {
+pub(super) struct LongChunk {
     kind: u8,
     offset: u64,
     len: u64,
     /// For a FOREIGN chunk: its header, once that was read, and the check of the content read so far.
-    part: Option<Result<(ForeignPart, Inflation), TakeError>>,
+    part: Option<Result<(ForeignPart, InflateCheck), TakeError>>,
 }
 
-impl Passing {
+impl LongChunk {
     pub(super) fn new(kind: u8, offset: u64, len: u64) -> Self {
         Self { kind, offset, len, part: None }
     }
@@ -225,19 +225,19 @@ impl Passing {
     }
 
     /// Checks the next bytes of a FOREIGN chunk, which begin at file offset `at`.
-    fn look_at(&mut self, at: u64, bytes: &[u8]) {
+    fn check(&mut self, at: u64, bytes: &[u8]) {
         if self.kind != types::FOREIGN {
             return;
         }
         let part = self.part.get_or_insert_with(|| {
-            let Head::Of { head_bytes, .. } = chunk::head(bytes) else {
+            let ChunkHead::Valid { head_bytes, .. } = chunk::head(bytes) else {
                 return Err(TakeError::NotATake(NotATake::Changed));
             };
             let payload_at = self.offset + head_bytes as u64;
             let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
             let front = &bytes[head_bytes..];
             ForeignPart::of_payload(front, (payload_at, payload_bytes), self.offset)
-                .map(|part| (Inflation::new(part.data_bytes), part))
+                .map(|part| (InflateCheck::new(part.data_bytes), part))
                 .map(|(inflation, part)| (part, inflation))
         });
         if let Ok((part, inflation)) = part {
@@ -251,29 +251,29 @@ impl Passing {
 
 impl TakeReader {
     /// Reads on through the long chunk. Returns whether its end was reached.
-    pub(super) fn pass(&mut self) -> bool {
+    pub(super) fn read_long_chunk(&mut self) -> bool {
         let at = self.offset();
-        let Some(passing) = &mut self.passing else { return true };
+        let Some(long_chunk) = &mut self.long_chunk else { return true };
         let waiting = &self.buffer[self.used..];
         let front_bytes = HEAD_BYTES_MAX + foreign::FRONT_BYTES;
-        if at == passing.offset && waiting.len() < front_bytes && !self.complete {
+        if at == long_chunk.offset && waiting.len() < front_bytes && !self.complete {
             return false;
         }
-        let left = usize::try_from(passing.end() - at).unwrap_or(usize::MAX);
+        let left = usize::try_from(long_chunk.end() - at).unwrap_or(usize::MAX);
         let next = &waiting[..waiting.len().min(left)];
-        passing.look_at(at, next);
+        long_chunk.check(at, next);
         self.used += next.len();
         self.wanted = 1;
         next.len() == left || self.complete
     }
 
     /// The event of a long chunk that was read to its end.
-    pub(super) fn passed(&mut self) -> Result<TakeEvent<'static>, TakeError> {
+    pub(super) fn finish_long_chunk(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         let end = self.offset();
-        let Some(passing) = self.passing.take().filter(|passing| passing.end() == end) else {
+        let Some(chunk) = self.long_chunk.take().filter(|chunk| chunk.end() == end) else {
             return Err(TakeError::NotATake(NotATake::Changed));
         };
-        let Passing { kind, offset, len, part } = passing;
+        let LongChunk { kind, offset, len, part } = chunk;
         let Some(chain) = self.chain.as_mut() else {
             self.bytes.other += len;
             let message = format!("a chunk of type {kind:02x} before the header");

@@ -6,8 +6,8 @@ use crc32fast::Hasher;
 use super::{TakeEvent, TakeReader};
 use crate::{
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, HEAD_BYTES_MAX, Head, Next, PAYLOAD_BYTES_MAX, Search,
-        WINDOW_BYTES, types,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, HEAD_BYTES_MAX, LongChunkScan,
+        PAYLOAD_BYTES_MAX, ResyncOutcome, WINDOW_BYTES, types,
     },
     varint,
 };
@@ -47,7 +47,7 @@ impl Damage {
     fn is_one_other_chunk(&self, damaged_bytes: u64) -> bool {
         matches!(
             chunk::head(&self.head),
-            Head::Of { kind, len, .. }
+            ChunkHead::Valid { kind, len, .. }
                 if len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)
         )
     }
@@ -64,19 +64,19 @@ impl TakeReader {
         }
         let from = self.used + usize::from(self.offset() == offset);
         let is_whole = |at: usize| self.long.is_whole(self.base + at as u64);
-        match chunk::resync(&self.buffer, &mut self.marks, from, self.complete, is_whole) {
-            Next::At(at) => return self.end_damage(at),
-            Next::Until(at) if self.complete => return self.end_damage(at),
-            Next::Until(at) => {
+        match chunk::resync(&self.buffer, &mut self.prefixes, from, self.complete, is_whole) {
+            ResyncOutcome::Found(at) => return self.end_damage(at),
+            ResyncOutcome::NotBefore(at) if self.complete => return self.end_damage(at),
+            ResyncOutcome::NotBefore(at) => {
                 self.used = at;
                 if let Some(damage) = &mut self.damage {
                     damage.is_far = true;
                 }
             }
-            Next::Unknown(at) => {
+            ResyncOutcome::NeedsScan(at) => {
                 let begun = if is_far { self.base + at as u64 } else { offset };
                 self.used = (begun - self.base) as usize;
-                self.search = Some(Search::new(begun, false));
+                self.scan = Some(LongChunkScan::new(begun, false));
             }
         }
         None
@@ -92,10 +92,10 @@ impl TakeReader {
         let len = self.offset() - offset;
         if !damage.is_far && len <= CHUNK_HELD_MAX {
             let start = (offset - self.base) as usize;
-            if mend_head(&mut self.buffer[start..at]) {
-                self.marks.forget(at);
+            if repair_head(&mut self.buffer[start..at]) {
+                self.prefixes.discard_before(at);
                 self.used = start;
-                return Some(TakeEvent::Mended { offset });
+                return Some(TakeEvent::Repaired { offset });
             }
         }
         self.bytes.other += len;
@@ -114,7 +114,7 @@ impl TakeReader {
 
 /// Restores the head of the one chunk that `region` holds, if its CRC matches with one of the chunk types. Returns
 /// whether it did. By chance, one of the twelve types fits one in 3.6 * 10^8 damaged regions.
-pub(crate) fn mend_head(region: &mut [u8]) -> bool {
+pub(crate) fn repair_head(region: &mut [u8]) -> bool {
     let Some(payload_len) = payload_len(region.len() as u64) else { return false };
     let mut head = vec![0];
     varint::put(&mut head, payload_len);
@@ -159,15 +159,15 @@ mod tests {
             for at in 0..good.len().min(300) {
                 let mut damaged = good.clone();
                 damaged[at] ^= 0x41;
-                assert_eq!(mend_head(&mut damaged), at < head_len, "byte {at} of {n}");
+                assert_eq!(repair_head(&mut damaged), at < head_len, "byte {at} of {n}");
                 assert_eq!(damaged == good, at < head_len, "byte {at} of {n}");
             }
             let mut gone = good.clone();
             gone[..head_len].fill(0);
-            assert!(mend_head(&mut gone) && gone == good, "{n}");
-            assert!(!mend_head(&mut good[1..].to_vec()));
+            assert!(repair_head(&mut gone) && gone == good, "{n}");
+            assert!(!repair_head(&mut good[1..].to_vec()));
         }
-        assert!(!mend_head(&mut []));
-        assert!(!mend_head(&mut [0; 5]));
+        assert!(!repair_head(&mut []));
+        assert!(!repair_head(&mut [0; 5]));
     }
 }

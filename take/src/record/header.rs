@@ -266,19 +266,19 @@ const ENTRY_BYTES: usize = 32;
 
 /// The previous entry, from which the next one is predicted.
 #[derive(Default)]
-struct Before<'a> {
+struct PreviousEntry<'a> {
     label: &'a [u8],
     /// `None` before the first entry.
     marker_id: Option<u16>,
     unlabelled: bool,
 }
 
-impl<'a> Before<'a> {
+impl<'a> PreviousEntry<'a> {
     fn next_id(&self) -> u16 {
         self.marker_id.map_or(0, |id| id.wrapping_add(1))
     }
 
-    fn follow(&mut self, marker_id: u16, label: &'a [u8], labelled: bool) {
+    fn set(&mut self, marker_id: u16, label: &'a [u8], labelled: bool) {
         *self = Self { label, marker_id: Some(marker_id), unlabelled: !labelled };
     }
 }
@@ -290,12 +290,12 @@ fn shared(a: &[u8], b: &[u8]) -> usize {
 /// Encodes a channel table.
 fn write_channels(channels: &[Channel]) -> Vec<u8> {
     let mut out = Vec::new();
-    let mut before = Before::default();
+    let mut previous = PreviousEntry::default();
     for Channel { marker_id, label, labelled } in channels {
         let label = label.as_bytes();
-        let shared = shared(before.label, label);
+        let shared = shared(previous.label, label);
         let suffix = &label[shared..];
-        let usual = *marker_id == before.next_id() && *labelled != before.unlabelled;
+        let usual = *marker_id == previous.next_id() && *labelled != previous.unlabelled;
         let short = u8::try_from(suffix.len()).ok().filter(|&n| n < LONG);
         let low = if usual { short.unwrap_or(LONG) } else { UNUSUAL };
         out.push((shared as u8) << 4 | low);
@@ -306,7 +306,7 @@ fn write_channels(channels: &[Channel]) -> Vec<u8> {
             varint::put(&mut out, suffix.len() as u64);
         }
         out.extend_from_slice(suffix);
-        before.follow(*marker_id, label, *labelled);
+        previous.set(*marker_id, label, *labelled);
     }
     out
 }
@@ -322,24 +322,24 @@ fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
         if channels.len() == CHANNELS_MAX {
             return Err("there are more than 65536 markers");
         }
-        let before = match channels.last() {
-            Some(last) => Before {
+        let previous = match channels.last() {
+            Some(last) => PreviousEntry {
                 label: last.label.as_bytes(),
                 marker_id: Some(last.marker_id),
                 unlabelled: !last.labelled,
             },
-            None => Before::default(),
+            None => PreviousEntry::default(),
         };
         let head = bytes.byte().ok_or(CUT)?;
         let shared = usize::from(head >> 4);
-        let (mut marker_id, mut labelled) = (before.next_id(), !before.unlabelled);
+        let (mut marker_id, mut labelled) = (previous.next_id(), !previous.unlabelled);
         if head & 15 == UNUSUAL {
             let both = bytes.varint().ok_or(CUT)?;
             labelled = both & 1 == 1;
             marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id is beyond 65535")?;
         }
         let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
-        let beginning = before.label.get(..shared).ok_or("a label begins like a shorter one")?;
+        let beginning = previous.label.get(..shared).ok_or("a label begins like a shorter one")?;
         // Limit the memory of the table like that of other records: a byte here may claim at most as much.
         claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
         if claimed > LIMIT_BYTES as u64 {

@@ -17,7 +17,7 @@ const POLYNOMIAL: u32 = 0xedb8_8320;
 
 /// A file whose first bytes are replaced by repaired ones.
 #[derive(Debug)]
-pub struct MendedStart<R> {
+pub struct RepairedStart<R> {
     input: R,
     start: Vec<u8>,
     at: u64,
@@ -32,30 +32,30 @@ pub struct MendedStart<R> {
 /// all. So ordinary readers do not repair headers, and a recovery reports the repair.
 /// # Errors
 /// Any error of reading `input`.
-pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, Vec<Problem>)> {
+pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>, Vec<Problem>)> {
     let mut start = Vec::new();
     input.seek(SeekFrom::Start(0))?;
     input.by_ref().take(START_BYTES_MAX).read_to_end(&mut start)?;
     input.seek(SeekFrom::Start(0))?;
-    let mut mended = Vec::new();
+    let mut repaired = Vec::new();
     if let Some((magic, rest)) = start.split_at_mut_checked(MAGIC.len()) {
-        if let Some(at) = mend_header(rest) {
-            mended.push(Problem::HeaderByte((MAGIC.len() + at) as u64));
+        if let Some(at) = repair_header(rest) {
+            repaired.push(Problem::HeaderByte((MAGIC.len() + at) as u64));
         }
         let header = matches!(chunk::front(rest), Front::Whole { kind: types::HEADER, .. });
         if header && *magic != MAGIC {
             magic.copy_from_slice(&MAGIC);
-            mended.push(Problem::Magic);
+            repaired.push(Problem::Magic);
         }
     }
-    if mended.is_empty() {
+    if repaired.is_empty() {
         start = Vec::new();
     }
-    Ok((MendedStart { input, start, at: 0 }, mended))
+    Ok((RepairedStart { input, start, at: 0 }, repaired))
 }
 
 /// Corrects the one wrong byte of the header at the front of `bytes`, if there is exactly one. Returns its position.
-fn mend_header(bytes: &mut [u8]) -> Option<usize> {
+fn repair_header(bytes: &mut [u8]) -> Option<usize> {
     if chunk::front(bytes) != Front::Damaged {
         return None;
     }
@@ -102,27 +102,27 @@ fn table() -> [u32; 256] {
     })
 }
 
-impl<R: Read> Read for MendedStart<R> {
+impl<R: Read> Read for RepairedStart<R> {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let n = self.input.read(bytes)?;
         let from = usize::try_from(self.at).unwrap_or(usize::MAX);
-        if let Some(mended) = self.start.get(from..) {
-            let n = n.min(mended.len());
-            bytes[..n].copy_from_slice(&mended[..n]);
+        if let Some(repaired) = self.start.get(from..) {
+            let n = n.min(repaired.len());
+            bytes[..n].copy_from_slice(&repaired[..n]);
         }
         self.at += n as u64;
         Ok(n)
     }
 }
 
-impl<R: Seek> Seek for MendedStart<R> {
+impl<R: Seek> Seek for RepairedStart<R> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.at = self.input.seek(to)?;
         Ok(self.at)
     }
 }
 
-impl<R: Read + Seek> TakeInput for MendedStart<R> {
+impl<R: Read + Seek> TakeInput for RepairedStart<R> {
     type Input = Self;
 
     fn input(self) -> Self {

@@ -2,11 +2,11 @@
 
 use std::io::{Read, Seek, SeekFrom, Write};
 
-use super::{Piece, RECOVERED, Survey};
+use super::{OutputChunk, RECOVERED, Survey};
 use crate::{
     TakeError,
     chunk::{self, CHUNK_HELD_MAX, Front},
-    reader::mend_head,
+    reader::repair_head,
     record::{Event, EventKind, Header, SummaryRecord},
     stretch::{FrontWriter, NUMBERS, ROWS_PASSED_MAX, Span},
     timeline::{Timeline, TimelineEncoder},
@@ -20,24 +20,24 @@ impl Survey {
         if !self.lost_anything() {
             return "nothing was lost".to_owned();
         }
-        let mut words = Vec::new();
+        let mut parts = Vec::new();
         match self.rows_damaged() {
             0 => {}
-            1 => words.push("1 frame was damaged".to_owned()),
-            rows => words.push(format!("{rows} frames were damaged")),
+            1 => parts.push("1 frame was damaged".to_owned()),
+            rows => parts.push(format!("{rows} frames were damaged")),
         }
         if !self.finished {
-            words.push("the end was cut off".to_owned());
+            parts.push("the end was cut off".to_owned());
         }
         if self.discarded_bytes > 0 {
-            words.push(format!("{} bytes could not be read", self.discarded_bytes));
+            parts.push(format!("{} bytes could not be read", self.discarded_bytes));
         }
         if self.contradicted {
-            words.push("a ledger was missing or wrong".to_owned());
-        } else if words.is_empty() {
-            words.push("names of markers were lost".to_owned());
+            parts.push("a ledger was missing or wrong".to_owned());
+        } else if parts.is_empty() {
+            parts.push("names of markers were lost".to_owned());
         }
-        words.join(", ")
+        parts.join(", ")
     }
 
     /// Writes the new take and returns its size in bytes. `input` is the file that was read; `software` names the
@@ -52,20 +52,20 @@ impl Survey {
         software: &str,
     ) -> Result<u64, TakeError> {
         let mut header = self.header.clone();
-        let told = format!("by {software}: {}", self.losses_in_words());
-        header.settings.push((RECOVERED.to_owned(), told.clone()));
+        let note = format!("by {software}: {}", self.losses_in_words());
+        header.settings.push((RECOVERED.to_owned(), note.clone()));
         let mut take = TakeWriter::new(output, &header)?;
-        let mut fronts = fronts(&header);
+        let mut headers = header_writer(&header);
         let mut bytes = Vec::new();
-        for piece in &self.pieces {
-            match piece {
-                Piece::Chunk { offset, len, span, .. } if *len > CHUNK_HELD_MAX => {
+        for chunk in &self.output {
+            match chunk {
+                OutputChunk::Copied { offset, len, span, .. } if *len > CHUNK_HELD_MAX => {
                     input.seek(SeekFrom::Start(*offset))?;
                     if !take.copy_long(*span, &mut input, *len)? {
                         return Err(changed(*offset));
                     }
                 }
-                Piece::Chunk { offset, len, kind, span } => {
+                OutputChunk::Copied { offset, len, kind, span } => {
                     read_chunk(&mut input, *offset, *len, &mut bytes)?;
                     let payload = payload(&mut bytes, *kind, *offset)?;
                     match span {
@@ -73,14 +73,14 @@ impl Survey {
                         None => take.copy(*kind, payload)?,
                     }
                 }
-                Piece::Channels(channels) => take.channels(channels)?,
-                Piece::Lost { first_row, rows, number } => {
-                    lost(&mut take, &mut fronts, *first_row, *rows, *number)?;
+                OutputChunk::Channels(channels) => take.channels(channels)?,
+                OutputChunk::Lost { first_row, rows, number } => {
+                    write_lost(&mut take, &mut headers, *first_row, *rows, *number)?;
                 }
             }
         }
         if self.lost_anything() {
-            take.event(&host_event(self.rows, format!("recovered {told}")))?;
+            take.event(&host_event(self.rows, format!("recovered {note}")))?;
         }
         let summary = SummaryRecord { ending: self.ending.clone() };
         let (mut output, written) = take.finish_with(&self.ledger, &summary)?;
@@ -89,15 +89,15 @@ impl Survey {
     }
 }
 
-fn fronts(header: &Header) -> FrontWriter {
+fn header_writer(header: &Header) -> FrontWriter {
     let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
     FrontWriter::with_times(header.stretch_rows, TimelineEncoder::new(tick_hz, header.rate_hz))
 }
 
 /// Writes stretches without rows in place of lost rows, and an event that reports the loss.
-fn lost<W: Write>(
+fn write_lost<W: Write>(
     take: &mut TakeWriter<W>,
-    fronts: &mut FrontWriter,
+    headers: &mut FrontWriter,
     first_row: u64,
     rows: u64,
     number: u8,
@@ -115,7 +115,7 @@ fn lost<W: Write>(
         let number = (number + NUMBERS - back) % NUMBERS;
         let span = Span { first_row: to, n_rows: 0, key: true, number };
         let mut payload = Vec::new();
-        fronts.put(span, &timeline, &[], true, &mut payload);
+        headers.put(span, &timeline, &[], true, &mut payload);
         take.stretch(span, &payload)?;
     }
     if rows > 0 {
@@ -149,7 +149,7 @@ fn read_chunk(
 /// The payload of a chunk that is valid, or whose head can be repaired.
 fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
     if !matches!(chunk::front(bytes), Front::Whole { .. }) {
-        mend_head(bytes);
+        repair_head(bytes);
     }
     match chunk::front(bytes) {
         Front::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {

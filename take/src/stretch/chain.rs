@@ -1,6 +1,6 @@
 //! Continuity from stretch to stretch: the first row of each, and the state of the clocks before it.
 
-use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, front::Front, rows_max, take_blocks};
+use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, header::StretchHeader, rows_max, take_blocks};
 use crate::{
     TakeError,
     record::Header,
@@ -10,7 +10,7 @@ use crate::{
 
 /// A stretch with known rows, or the remains of one whose rows are unknown.
 #[derive(Debug)]
-pub(crate) enum Placed<'a> {
+pub(crate) enum Placement<'a> {
     Stretch(Stretch<'a>),
     /// The stretch continues one that is missing or damaged.
     Unplaced {
@@ -26,7 +26,7 @@ pub(crate) enum Placed<'a> {
 /// A key stretch states its row and clocks; any other stretch continues the previous one. After anything that may have
 /// contained a stretch, no row is assigned up to the next key stretch, because the blocks could not be decoded either.
 #[derive(Debug)]
-pub(crate) struct Chain {
+pub(crate) struct StretchChain {
     rows_max: u64,
     stretch_rows: u32,
     times: TimelineDecoder,
@@ -38,7 +38,7 @@ pub(crate) struct Chain {
     broken: bool,
 }
 
-impl Chain {
+impl StretchChain {
     /// Starts at the first stretch of the take with this header.
     pub(crate) fn of(header: &Header) -> Result<Self, TakeError> {
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
@@ -59,7 +59,7 @@ impl Chain {
     }
 
     /// Continues at a key stretch that begins at `row`.
-    pub(crate) fn go_to(&mut self, row: u64) {
+    pub(crate) fn seek(&mut self, row: u64) {
         self.broken = true;
         self.next_row = row;
         self.next_number = None;
@@ -74,60 +74,60 @@ impl Chain {
     ///
     /// Lost rows are read as gaps, one by one. A number that no loss explains must not create more of them than fit on
     /// a disk.
-    pub(crate) fn rows_believed_max(&self) -> u64 {
+    pub(crate) fn plausible_rows_max(&self) -> u64 {
         self.next_row.saturating_add(ROWS_PASSED_MAX)
     }
 
     /// Parses the payload of the next STRETCH chunk. The error is a message.
-    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placed<'a>, &'static str> {
+    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placement<'a>, &'static str> {
         // An error below leaves the stretch as good as missing.
         let was_broken = std::mem::replace(&mut self.broken, true);
         let mut cursor = varint::Cursor::new(payload);
-        let front = Front::take(&mut cursor, self.rows_max, self.stretch_rows)?;
-        let mut sizes = front.sizes;
-        let blocks = take_blocks(&mut cursor, front.alone, front.n_rows, &mut sizes)?;
-        let mut missing_before = self.next_number.is_some_and(|number| number != front.number);
-        let from_row = match front.from_row {
+        let header = StretchHeader::take(&mut cursor, self.rows_max, self.stretch_rows)?;
+        let mut sizes = header.sizes;
+        let blocks = take_blocks(&mut cursor, header.alone, header.n_rows, &mut sizes)?;
+        let mut missing_before = self.next_number.is_some_and(|number| number != header.number);
+        let from_row = match header.from_row {
             Some(row) => {
-                if row > self.rows_believed_max() {
+                if row > self.plausible_rows_max() {
                     return Err("its row is further ahead than rows can be lost");
                 }
                 // As many stretches as there are numbers may be missing, or more.
                 missing_before |= !was_broken && row > self.next_row;
                 // A stretch of a recovered take accounts for the rows before it.
-                missing_before &= row > self.next_row || !front.stands_for_damaged();
+                missing_before &= row > self.next_row || !header.replaces_damaged();
                 row
             }
             None if was_broken || missing_before => {
-                self.next_number = Some((front.number + 1) % NUMBERS);
-                self.next_row = self.next_row.saturating_add(front.rows_passed);
-                let (n_rows, rows_min) = (front.n_rows, self.next_row);
-                return Ok(Placed::Unplaced { missing_before, n_rows, rows_min });
+                self.next_number = Some((header.number + 1) % NUMBERS);
+                self.next_row = self.next_row.saturating_add(header.rows_passed);
+                let (n_rows, rows_min) = (header.n_rows, self.next_row);
+                return Ok(Placement::Unplaced { missing_before, n_rows, rows_min });
             }
             None => self.next_row,
         };
         let end_row =
-            from_row.checked_add(front.rows_passed).ok_or("its rows do not fit a counter")?;
-        let timeline = match front.runs {
+            from_row.checked_add(header.rows_passed).ok_or("its rows do not fit a counter")?;
+        let timeline = match header.runs {
             Some(runs) => {
                 let mut timeline = Timeline { first_row: from_row, runs, times: Vec::new() };
                 self.times
-                    .decode(&mut timeline, front.key, front.times)
+                    .decode(&mut timeline, header.key, header.times)
                     .ok_or("its times make no sense")?;
                 Some(timeline)
             }
             None => None,
         };
         self.next_row = end_row;
-        self.next_number = Some((front.number + 1) % NUMBERS);
+        self.next_number = Some((header.number + 1) % NUMBERS);
         self.broken = false;
         let span = Span {
-            first_row: end_row - u64::from(front.n_rows),
-            n_rows: front.n_rows,
-            key: front.key,
-            number: front.number,
+            first_row: end_row - u64::from(header.n_rows),
+            n_rows: header.n_rows,
+            key: header.key,
+            number: header.number,
         };
-        let shared = front.shared;
-        Ok(Placed::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
+        let shared = header.shared;
+        Ok(Placement::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
     }
 }

@@ -3,8 +3,8 @@
 use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 
 use super::{
-    Chain, FrontWriter, LIVE_ROWS_MAX, NUMBERS, Placed, Sizes, Span, Stretch, StretchDecoder,
-    put_block, put_moved, take_blocks,
+    FrontWriter, LIVE_ROWS_MAX, NUMBERS, Placement, Span, Stretch, StretchChain, StretchDecoder,
+    StretchSizes, put_block, put_moved, take_blocks,
 };
 use crate::{
     timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder},
@@ -53,10 +53,10 @@ fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
     (0..n).map(stretch).collect()
 }
 
-fn placed<'a>(chain: &mut Chain, payload: &'a [u8]) -> Option<Stretch<'a>> {
+fn placed<'a>(chain: &mut StretchChain, payload: &'a [u8]) -> Option<Stretch<'a>> {
     match chain.place(payload).unwrap() {
-        Placed::Stretch(stretch) => Some(stretch),
-        Placed::Unplaced { .. } => None,
+        Placement::Stretch(stretch) => Some(stretch),
+        Placement::Unplaced { .. } => None,
     }
 }
 
@@ -73,7 +73,7 @@ fn assert_same(found: &Stretch<'_>, span: Span, timeline: &Timeline) {
 
 #[test]
 fn all_come_back_and_their_bytes_are_counted() {
-    let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     for (i, (span, timeline, payload)) in written(100).into_iter().enumerate() {
         let stretch = placed(&mut chain, &payload).unwrap();
         assert!(!stretch.missing_before);
@@ -93,7 +93,7 @@ fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
     let written = written(64);
     for n_missing in [1, 2, 19, 20, 31] {
         for first in 0..30 {
-            let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+            let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
             for (i, (span, timeline, payload)) in written.iter().enumerate() {
                 if (first..first + n_missing).contains(&i) {
                     continue;
@@ -112,7 +112,7 @@ fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
 #[test]
 fn what_may_have_hidden_a_stretch_breaks_the_chain() {
     let written = written(25);
-    let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     let mut found = written.iter().enumerate().map(|(i, (.., payload))| {
         if i == 7 {
             chain.break_off();
@@ -134,7 +134,7 @@ fn a_take_may_end_with_lost_rows() {
     let span = Span { first_row: 77, n_rows: 0, key: true, number: 0 };
     let mut payload = Vec::new();
     front.put(span, &timeline, &[], false, &mut payload);
-    let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     let stretch = placed(&mut chain, &payload).unwrap();
     assert_eq!((stretch.span, stretch.blocks.len()), (span, 0));
     let runs = stretch.timeline.unwrap().runs;
@@ -144,7 +144,7 @@ fn a_take_may_end_with_lost_rows() {
 #[test]
 fn an_import_has_no_time_line_and_states_every_row() {
     let mut front = FrontWriter::new(600);
-    let mut chain = Chain::new(LIVE_ROWS_MAX, 600, 1);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, 600, 1);
     for (number, n_rows) in [(0, 600), (1, 600), (2, 55)] {
         let span = Span { first_row: u64::from(number) * 600, n_rows, key: true, number };
         let mut payload = Vec::new();
@@ -162,16 +162,16 @@ fn an_import_has_no_time_line_and_states_every_row() {
 #[test]
 fn every_cut_and_every_mutation_gives_an_error_or_a_stretch() {
     let written = written(6);
-    let before = |chain: &mut Chain| {
+    let before = |chain: &mut StretchChain| {
         written[..5].iter().for_each(|(.., payload)| drop(chain.place(payload)));
     };
     let payload = &written[5].2;
     for at in 0..payload.len() {
-        let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+        let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
         before(&mut chain);
         drop(chain.place(&payload[..at]));
         for value in 0..=255 {
-            let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+            let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
             before(&mut chain);
             let mut damaged = payload.clone();
             damaged[at] = value;
@@ -202,7 +202,7 @@ fn groups_are_decoded_side_by_side() {
             put_block(&block, false, &mut payload);
         }
         let mut cursor = varint::Cursor::new(&payload);
-        let blocks = take_blocks(&mut cursor, false, 30, &mut Sizes::default()).unwrap();
+        let blocks = take_blocks(&mut cursor, false, 30, &mut StretchSizes::default()).unwrap();
         let span = Span { first_row: 0, n_rows: 30, key, number: 0 };
         let stretch = Stretch {
             span,
@@ -210,7 +210,7 @@ fn groups_are_decoded_side_by_side() {
             timeline: None,
             shared: &[],
             blocks,
-            sizes: Sizes::default(),
+            sizes: StretchSizes::default(),
         };
         decoder.decode(&stretch).unwrap();
         let seen_in = |channel: usize| {
@@ -232,7 +232,7 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
     let all = written(100);
     for begin in [0, 20, 60] {
         let rows_before = all[begin].1.first_row;
-        let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+        let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
         for (number, (span, timeline, payload)) in all[begin..].iter().enumerate() {
             let number = (number % usize::from(NUMBERS)) as u8;
             let mut moved = Vec::new();

@@ -4,50 +4,50 @@ use mocapd_codec::range::{BinaryCoder, RangeDecoder, RangeEncoder};
 
 use super::{
     RowTime, Timeline,
-    predict::{Line, Number, Pace, Period, SHIFT_MAX, Timecodes},
+    predict::{ArrivalModel, FramePeriod, ResidualModel, SHIFT_MAX, TickPredictor, TimecodeModel},
 };
 use crate::varint;
 
 /// State that continues from row to row and across stretches, up to the next key stretch.
 #[derive(Debug)]
-pub(super) struct State {
+pub(super) struct TimelineState {
     last_row: u64,
-    pace: Pace,
-    line: Line,
-    errors: Number,
-    timecodes: Timecodes,
+    pace: TickPredictor,
+    line: ArrivalModel,
+    errors: ResidualModel,
+    timecodes: TimecodeModel,
 }
 
 /// The clock state that a key stretch states for its first recorded row.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Anchor {
+pub(super) struct TimelineAnchor {
     pub(super) shift: u8,
-    pub(super) period: Period,
+    pub(super) period: FramePeriod,
     pub(super) ticks: u64,
     pub(super) arrival_10us: u64,
 }
 
-impl State {
+impl TimelineState {
     /// The state before any row: everything is coded as a difference from zero.
-    pub(super) fn nothing_known(tick_hz: u64) -> Self {
+    pub(super) fn initial(tick_hz: u64) -> Self {
         Self {
             last_row: 0,
-            pace: Pace::still(),
-            line: Line::new(tick_hz, 0, 0, 0),
-            errors: Number::new(4),
-            timecodes: Timecodes::new(),
+            pace: TickPredictor::still(),
+            line: ArrivalModel::new(tick_hz, 0, 0, 0),
+            errors: ResidualModel::new(4),
+            timecodes: TimecodeModel::new(),
         }
     }
 
-    pub(super) fn at(anchor: &Anchor, row: u64, tick_hz: u64) -> Option<Self> {
+    pub(super) fn at(anchor: &TimelineAnchor, row: u64, tick_hz: u64) -> Option<Self> {
         if anchor.shift > SHIFT_MAX {
             return None;
         }
         Some(Self {
             last_row: row,
-            pace: Pace::new(anchor.period, anchor.ticks)?,
-            line: Line::new(tick_hz, anchor.shift, anchor.ticks, anchor.arrival_10us),
-            ..Self::nothing_known(tick_hz)
+            pace: TickPredictor::new(anchor.period, anchor.ticks)?,
+            line: ArrivalModel::new(tick_hz, anchor.shift, anchor.ticks, anchor.arrival_10us),
+            ..Self::initial(tick_hz)
         })
     }
 
@@ -70,10 +70,10 @@ impl State {
         coder: &mut impl BinaryCoder,
         anchored: bool,
         rows: impl Iterator<Item = (u64, RowTime)>,
-        mut give: impl FnMut(RowTime),
+        mut emit: impl FnMut(RowTime),
     ) {
         for (i, (row, time)) in rows.enumerate() {
-            give(if anchored && i == 0 {
+            emit(if anchored && i == 0 {
                 RowTime { timecode: self.timecodes.code(coder, time.timecode), ..time }
             } else {
                 self.row(coder, row, time)
@@ -82,7 +82,7 @@ impl State {
     }
 }
 
-impl Anchor {
+impl TimelineAnchor {
     pub(super) fn put(&self, out: &mut Vec<u8>) {
         out.push(self.shift);
         varint::put(out, self.period.rows);
@@ -95,7 +95,7 @@ impl Anchor {
         let shift = cursor.byte()?;
         let (rows, period_ticks) = (cursor.varint()?, cursor.varint()?);
         let (ticks, arrival_10us) = (cursor.varint()?, cursor.varint()?);
-        Some(Self { shift, period: Period { ticks: period_ticks, rows }, ticks, arrival_10us })
+        Some(Self { shift, period: FramePeriod { ticks: period_ticks, rows }, ticks, arrival_10us })
     }
 
     /// Skips the anchor and the coded times at the front of `cursor`.
@@ -110,7 +110,7 @@ impl Anchor {
 /// Splits what [`TimelineEncoder::encode`] wrote off the front of `cursor`.
 pub(crate) fn take_times<'a>(cursor: &mut varint::Cursor<'a>, key: bool) -> Option<&'a [u8]> {
     let all = cursor.rest();
-    Anchor::pass(cursor, key)?;
+    TimelineAnchor::pass(cursor, key)?;
     all.get(..all.len() - cursor.rest().len())
 }
 
@@ -123,10 +123,10 @@ const SHIFTS: [u8; 3] = [6, 5, 4];
 #[derive(Debug)]
 pub struct TimelineEncoder {
     tick_hz: u64,
-    nominal: Period,
+    nominal: FramePeriod,
     /// The quantisation step of arrivals.
     pub(super) shift: u8,
-    state: State,
+    state: TimelineState,
     /// First and last recorded row since the last key stretch, with their ticks.
     measured: Option<((u64, u64), (u64, u64))>,
     coded: Vec<u8>,
@@ -139,9 +139,9 @@ impl TimelineEncoder {
         let longest = |shift: &u8| (1 << shift) as f64 * rate_hz * 16.0 <= 100_000.0;
         Self {
             tick_hz,
-            nominal: Period::of_rate(tick_hz, rate_hz),
+            nominal: FramePeriod::of_rate(tick_hz, rate_hz),
             shift: SHIFTS.into_iter().find(longest).unwrap_or(SHIFTS[2]),
-            state: State::nothing_known(tick_hz),
+            state: TimelineState::initial(tick_hz),
             measured: None,
             coded: Vec::new(),
         }
@@ -157,18 +157,18 @@ impl TimelineEncoder {
     /// recorded row.
     pub(crate) fn encode(&mut self, timeline: &Timeline, key: bool, out: &mut Vec<u8>) {
         if key {
-            self.state = State::nothing_known(self.tick_hz);
+            self.state = TimelineState::initial(self.tick_hz);
         }
         let Some((row, time)) = timeline.recorded().next() else { return };
         if key {
-            let anchor = Anchor {
+            let anchor = TimelineAnchor {
                 shift: self.shift,
                 period: self.period(timeline),
                 ticks: time.device_ticks,
                 arrival_10us: time.arrival_10us,
             };
             self.measured = None;
-            if let Some(state) = State::at(&anchor, row, self.tick_hz) {
+            if let Some(state) = TimelineState::at(&anchor, row, self.tick_hz) {
                 self.state = state;
             }
             anchor.put(out);
@@ -187,16 +187,16 @@ impl TimelineEncoder {
 
     /// Chooses among the nominal period, the period measured since the last key stretch, and that of this stretch: the
     /// one that mispredicts the fewest rows.
-    fn period(&self, timeline: &Timeline) -> Period {
+    fn period(&self, timeline: &Timeline) -> FramePeriod {
         let ends = timeline.recorded().next().zip(timeline.recorded().last());
         let here = ends.and_then(|(first, last)| {
-            Period::between((first.0, first.1.device_ticks), (last.0, last.1.device_ticks))
+            FramePeriod::between((first.0, first.1.device_ticks), (last.0, last.1.device_ticks))
         });
-        let before = self.measured.and_then(|(first, last)| Period::between(first, last));
-        let wrong = |period: &Period| {
+        let before = self.measured.and_then(|(first, last)| FramePeriod::between(first, last));
+        let wrong = |period: &FramePeriod| {
             let mut rows = timeline.recorded();
             let (Some(first), mut n_wrong) = (rows.next(), 0) else { return 0 };
-            let Some(mut pace) = Pace::new(*period, first.1.device_ticks) else {
+            let Some(mut pace) = TickPredictor::new(*period, first.1.device_ticks) else {
                 return usize::MAX;
             };
             let mut last_row = first.0;
@@ -218,12 +218,12 @@ impl TimelineEncoder {
 #[derive(Debug)]
 pub(crate) struct TimelineDecoder {
     tick_hz: u64,
-    state: State,
+    state: TimelineState,
 }
 
 impl TimelineDecoder {
     pub(crate) fn new(tick_hz: u64) -> Self {
-        Self { tick_hz, state: State::nothing_known(tick_hz) }
+        Self { tick_hz, state: TimelineState::initial(tick_hz) }
     }
 
     /// Decodes the times of `timeline`, whose runs are known. Unless `key`, the previous stretch must have been
@@ -235,7 +235,7 @@ impl TimelineDecoder {
         times: &[u8],
     ) -> Option<()> {
         if key {
-            self.state = State::nothing_known(self.tick_hz);
+            self.state = TimelineState::initial(self.tick_hz);
         }
         let n = timeline.n_recorded();
         if n == 0 {
@@ -244,8 +244,8 @@ impl TimelineDecoder {
         let mut cursor = varint::Cursor::new(times);
         timeline.times.resize(usize::try_from(n).ok()?, RowTime::default());
         if key {
-            let anchor = Anchor::take(&mut cursor)?;
-            self.state = State::at(&anchor, first_row(timeline), self.tick_hz)?;
+            let anchor = TimelineAnchor::take(&mut cursor)?;
+            self.state = TimelineState::at(&anchor, first_row(timeline), self.tick_hz)?;
             timeline.times[0].device_ticks = anchor.ticks;
             timeline.times[0].arrival_10us = anchor.arrival_10us;
         }

@@ -17,7 +17,7 @@ const CLASSES: [u32; 5] = [12, 48, 128, 320, 1024];
 
 /// An adaptive model of one kind of signed integer.
 #[derive(Debug)]
-pub(super) struct Number {
+pub(super) struct ResidualModel {
     nonzero: [Bit; CONTEXTS],
     negative: [Bit; CONTEXTS],
     longer: [[Bit; LONGER]; CLASSES.len() + 1],
@@ -27,7 +27,7 @@ pub(super) struct Number {
     activity: u32,
 }
 
-impl Number {
+impl ResidualModel {
     /// `odds`: the initial probability, in 1/256, that a value after two zeros is not zero.
     pub(super) fn new(odds: u8) -> Self {
         let mut nonzero = [Bit::expecting(128); CONTEXTS];
@@ -88,13 +88,13 @@ const ROWS_MAX: u64 = 0xffff;
 
 /// A frame period, as a number of ticks in a number of rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Period {
+pub(super) struct FramePeriod {
     pub(super) ticks: u64,
     /// At least 1, at most 65 535.
     pub(super) rows: u64,
 }
 
-impl Period {
+impl FramePeriod {
     /// The shortest period that is within one tick per million rows of the rate, or the closest.
     pub(super) fn of_rate(tick_hz: u64, rate_hz: f64) -> Self {
         let wanted = tick_hz.max(1) as f64 / rate_hz;
@@ -130,23 +130,23 @@ impl Period {
 
 /// Predicts the ticks of each row from those of the previous one.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pace {
-    period: Period,
+pub(super) struct TickPredictor {
+    period: FramePeriod,
     ticks: u64,
     /// Elapsed fraction of the next tick, in 1/`period.rows`.
     part: u64,
 }
 
-impl Pace {
+impl TickPredictor {
     /// Starts at a row with these ticks. `None` for a period of no rows or too many.
-    pub(super) fn new(period: Period, ticks: u64) -> Option<Self> {
+    pub(super) fn new(period: FramePeriod, ticks: u64) -> Option<Self> {
         let part = period.rows / 2;
         (1..=ROWS_MAX).contains(&period.rows).then_some(Self { period, ticks, part })
     }
 
     /// A clock that does not advance.
     pub(super) fn still() -> Self {
-        Self { period: Period { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
+        Self { period: FramePeriod { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
     }
 
     /// The ticks predicted for the row that is `rows` rows further on.
@@ -183,7 +183,7 @@ const SLOPE_SHIFT: u32 = 12;
 const STEPS_MAX: u64 = 64;
 
 /// Largest offset from the start of the line: six hours. The limit of the slope per row is the same.
-const STRAY_MAX: i64 = 1 << 47;
+const LINE_MAX: i64 = 1 << 47;
 
 /// Most rows that are counted as arriving together with the previous row.
 const BATCH_MAX: usize = 7;
@@ -193,7 +193,7 @@ pub(super) const SHIFT_MAX: u8 = 24;
 
 /// Predicts arrivals from row to row.
 #[derive(Debug)]
-pub(super) struct Line {
+pub(super) struct ArrivalModel {
     tick_hz: u64,
     /// The quantisation step is 10 us times two to this power.
     shift: u8,
@@ -203,12 +203,12 @@ pub(super) struct Line {
     offset: i64,
     slope: i64,
     last_10us: u64,
-    steps: Number,
+    steps: ResidualModel,
     together: [Bit; BATCH_MAX + 1],
     n_together: usize,
 }
 
-impl Line {
+impl ArrivalModel {
     /// Starts at a row with these ticks and this arrival.
     pub(super) fn new(tick_hz: u64, shift: u8, ticks: u64, arrival_10us: u64) -> Self {
         let mut together = [Bit::expecting(128); BATCH_MAX + 1];
@@ -221,7 +221,7 @@ impl Line {
             offset: 0,
             slope: 0,
             last_10us: arrival_10us,
-            steps: Number::new(32),
+            steps: ResidualModel::new(32),
             together,
             n_together: 0,
         }
@@ -237,7 +237,7 @@ impl Line {
         arrival_10us: u64,
     ) -> u64 {
         let rows = i64::try_from(rows).unwrap_or(i64::MAX);
-        self.offset = stray(self.offset.saturating_add(self.slope.saturating_mul(rows)));
+        self.offset = clamp_line(self.offset.saturating_add(self.slope.saturating_mul(rows)));
         let half = 1_u64 << self.shift >> 1;
         let with_last = distance(arrival_10us, self.last_10us).unsigned_abs() <= half;
         if coder.bit(&mut self.together[self.n_together], with_last) {
@@ -260,15 +260,15 @@ impl Line {
             self.offset = 0;
         } else {
             let by = steps << self.shift << FRACTION;
-            self.offset = stray(self.offset + (by >> OFFSET_SHIFT));
-            self.slope = stray(self.slope + (by >> SLOPE_SHIFT));
+            self.offset = clamp_line(self.offset + (by >> OFFSET_SHIFT));
+            self.slope = clamp_line(self.slope + (by >> SLOPE_SHIFT));
         }
         self.last_10us
     }
 }
 
-fn stray(value: i64) -> i64 {
-    value.clamp(-STRAY_MAX, STRAY_MAX)
+fn clamp_line(value: i64) -> i64 {
+    value.clamp(-LINE_MAX, LINE_MAX)
 }
 
 /// The signed distance from `b` to `a` modulo 2^64.
@@ -283,7 +283,7 @@ const HELD_MAX: usize = 16;
 
 /// Predicts each timecode from the previous one.
 #[derive(Debug)]
-pub(super) struct Timecodes {
+pub(super) struct TimecodeModel {
     last: Option<[u8; 4]>,
     /// Rows since the last change.
     n_held: usize,
@@ -296,7 +296,7 @@ pub(super) struct Timecodes {
     carry: [Bit; 2],
 }
 
-impl Timecodes {
+impl TimecodeModel {
     pub(super) fn new() -> Self {
         Self {
             last: None,

@@ -7,7 +7,7 @@ use crate::varint::Cursor;
 
 /// The rows of one stretch.
 #[derive(Debug, Clone)]
-struct Part {
+struct TestRows {
     key: bool,
     lost_before: Vec<u64>,
     lost_within: bool,
@@ -26,15 +26,15 @@ fn time() -> impl Strategy<Value = RowTime> {
     })
 }
 
-fn part() -> impl Strategy<Value = Part> {
+fn part() -> impl Strategy<Value = TestRows> {
     let lost_before = prop::collection::vec(0..1_000_u64, 0..4);
     let times = prop::collection::vec(time(), 0..40);
     (any::<bool>(), lost_before, any::<bool>(), times).prop_map(
-        |(key, lost_before, lost_within, times)| Part { key, lost_before, lost_within, times },
+        |(key, lost_before, lost_within, times)| TestRows { key, lost_before, lost_within, times },
     )
 }
 
-fn timeline(first_row: u64, part: &Part) -> Timeline {
+fn timeline(first_row: u64, part: &TestRows) -> Timeline {
     let mut timeline = Timeline::default();
     timeline.restart(first_row);
     for (i, &rows) in part.lost_before.iter().enumerate() {
@@ -48,7 +48,7 @@ fn timeline(first_row: u64, part: &Part) -> Timeline {
 }
 
 /// Encodes and decodes consecutive stretches; returns the bytes.
-fn there_and_back(parts: &[Part], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
+fn there_and_back(parts: &[TestRows], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
     let mut encoder = TimelineEncoder::new(tick_hz, rate_hz);
     let mut decoder = TimelineDecoder::new(tick_hz);
     let half_step = (1 << encoder.shift) / 2;
@@ -108,7 +108,7 @@ proptest! {
 }
 
 /// Stretches of half a second with keys every ten seconds; arrivals are late by `late_10us`.
-fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<Part> {
+fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<TestRows> {
     let rows = (rate_hz / 2.0) as u64;
     let time = |row: u64| {
         // The counter started before the recording.
@@ -119,7 +119,7 @@ fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<Par
             timecode: None,
         }
     };
-    let part = |i: u64| Part {
+    let part = |i: u64| TestRows {
         key: i.is_multiple_of(20),
         lost_before: Vec::new(),
         lost_within: false,

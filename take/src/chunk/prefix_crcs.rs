@@ -9,32 +9,32 @@ const STEP: usize = 256;
 /// CRCs of the prefixes of a buffer, at every [`STEP`] bytes, computed on demand. They are kept for as long as the
 /// bytes are, so each byte is hashed once, however many candidate chunks begin before it.
 #[derive(Debug)]
-pub(crate) struct Marks {
+pub(crate) struct PrefixCrcs {
     /// Position in the buffer of the first prefix's end.
     first: usize,
     /// `crcs[i]` is the CRC from a fixed position at or before `first` up to `first + i * STEP`; never empty.
     crcs: Vec<u32>,
 }
 
-impl Default for Marks {
+impl Default for PrefixCrcs {
     fn default() -> Self {
         Self { first: 0, crcs: vec![0] }
     }
 }
 
-impl Marks {
+impl PrefixCrcs {
     /// Removes the first `n` bytes from the front of the buffer.
     pub(crate) fn drain(&mut self, n: usize) {
-        self.forget(n);
+        self.discard_before(n);
         self.first -= n;
     }
 
     /// Discards the CRCs of bytes before `at`, which have changed or will.
-    pub(crate) fn forget(&mut self, at: usize) {
-        let gone = at.saturating_sub(self.first).div_ceil(STEP);
-        if gone < self.crcs.len() {
-            self.crcs.drain(..gone);
-            self.first += gone * STEP;
+    pub(crate) fn discard_before(&mut self, at: usize) {
+        let n_gone = at.saturating_sub(self.first).div_ceil(STEP);
+        if n_gone < self.crcs.len() {
+            self.crcs.drain(..n_gone);
+            self.first += n_gone * STEP;
         } else {
             // No CRC was computed behind it.
             *self = Self { first: at, ..Self::default() };
@@ -47,14 +47,14 @@ impl Marks {
         if start > end || end > bytes.len() {
             return 0;
         }
-        let marked = self.first.clamp(start, end);
-        let before = append(0, &bytes[start..marked]);
-        if marked == end {
+        let split = self.first.clamp(start, end);
+        let before = extend_crc(0, &bytes[start..split]);
+        if split == end {
             return before;
         }
         let crc =
-            self.crc_to(bytes, end) ^ moved(self.crc_to(bytes, marked), (end - marked) as u64);
-        if marked == start { crc } else { crc ^ moved(before, (end - marked) as u64) }
+            self.crc_to(bytes, end) ^ shifted_crc(self.crc_to(bytes, split), (end - split) as u64);
+        if split == start { crc } else { crc ^ shifted_crc(before, (end - split) as u64) }
     }
 
     /// The CRC up to `end`, which is not before `first`.
@@ -63,10 +63,10 @@ impl Marks {
         while self.crcs.len() <= mark {
             let last = self.crcs.len() - 1;
             let at = self.first + last * STEP;
-            let crc = append(self.crcs[last], &bytes[at..at + STEP]);
+            let crc = extend_crc(self.crcs[last], &bytes[at..at + STEP]);
             self.crcs.push(crc);
         }
-        append(self.crcs[mark], &bytes[self.first + mark * STEP..end])
+        extend_crc(self.crcs[mark], &bytes[self.first + mark * STEP..end])
     }
 }
 
@@ -77,7 +77,7 @@ thread_local! {
 }
 
 /// The CRC of bytes with CRC `crc`, followed by `bytes`.
-pub(super) fn append(crc: u32, bytes: &[u8]) -> u32 {
+pub(super) fn extend_crc(crc: u32, bytes: &[u8]) -> u32 {
     #[cfg(test)]
     HASHED_BYTES.set(HASHED_BYTES.get() + bytes.len() as u64);
     let mut hasher = Hasher::new_with_initial(crc);
@@ -87,7 +87,7 @@ pub(super) fn append(crc: u32, bytes: &[u8]) -> u32 {
 
 /// The contribution of a prefix with CRC `crc` to the CRC of the prefix and `len` more bytes. The CRC of two parts is
 /// this contribution of the first part XOR the CRC of the second.
-pub(super) fn moved(crc: u32, len: u64) -> u32 {
+pub(super) fn shifted_crc(crc: u32, len: u64) -> u32 {
     let mut hasher = Hasher::new_with_initial(crc);
     hasher.combine(&Hasher::new_with_initial_len(0, len));
     hasher.finalize()
@@ -101,13 +101,13 @@ mod tests {
         (0..3000_u32).map(|i| (i * i / 7) as u8).collect()
     }
 
-    const PLACES: [usize; 13] = [0, 1, 99, 100, 255, 256, 257, 511, 512, 1000, 2047, 2999, 3000];
+    const POSITIONS: [usize; 13] = [0, 1, 99, 100, 255, 256, 257, 511, 512, 1000, 2047, 2999, 3000];
 
-    fn check(marks: &mut Marks, bytes: &[u8]) {
-        for start in PLACES.into_iter().filter(|&start| start <= bytes.len()) {
-            for end in PLACES.into_iter().filter(|&end| (start..=bytes.len()).contains(&end)) {
+    fn check(prefixes: &mut PrefixCrcs, bytes: &[u8]) {
+        for start in POSITIONS.into_iter().filter(|&start| start <= bytes.len()) {
+            for end in POSITIONS.into_iter().filter(|&end| (start..=bytes.len()).contains(&end)) {
                 let hashed = crc32fast::hash(&bytes[start..end]);
-                assert_eq!(marks.crc(bytes, start, end), hashed, "{start}..{end}");
+                assert_eq!(prefixes.crc(bytes, start, end), hashed, "{start}..{end}");
             }
         }
     }
@@ -115,39 +115,39 @@ mod tests {
     #[test]
     fn every_part_has_the_crc_that_hashing_gives() {
         let bytes = bytes();
-        let mut marks = Marks::default();
-        check(&mut marks, &bytes);
-        assert_eq!(marks.crc(&bytes, 5, 3001), 0);
-        assert_eq!(marks.crc(&bytes, 6, 5), 0);
+        let mut prefixes = PrefixCrcs::default();
+        check(&mut prefixes, &bytes);
+        assert_eq!(prefixes.crc(&bytes, 5, 3001), 0);
+        assert_eq!(prefixes.crc(&bytes, 6, 5), 0);
     }
 
     #[test]
-    fn marks_move_with_the_bytes_and_forget_those_that_changed() {
-        for first in PLACES {
-            for second in PLACES.into_iter().filter(|second| first + second <= 3000) {
-                for asked in PLACES {
+    fn prefixes_move_with_the_bytes_and_changed_ones_are_discarded() {
+        for first in POSITIONS {
+            for second in POSITIONS.into_iter().filter(|second| first + second <= 3000) {
+                for asked in POSITIONS {
                     let mut bytes = bytes();
-                    let mut marks = Marks::default();
-                    marks.crc(&bytes, 0, asked);
+                    let mut prefixes = PrefixCrcs::default();
+                    prefixes.crc(&bytes, 0, asked);
                     bytes.drain(..first);
-                    marks.drain(first);
-                    marks.crc(&bytes, 0, asked.min(bytes.len()));
+                    prefixes.drain(first);
+                    prefixes.crc(&bytes, 0, asked.min(bytes.len()));
                     bytes[..second].fill(9);
-                    marks.forget(second);
-                    check(&mut marks, &bytes);
+                    prefixes.discard_before(second);
+                    check(&mut prefixes, &bytes);
                 }
             }
         }
     }
 
     #[test]
-    fn what_was_hashed_is_not_hashed_again() {
+    fn no_byte_is_hashed_twice() {
         let bytes = bytes();
-        let mut marks = Marks::default();
-        marks.crc(&bytes, 0, 3000);
-        marks.drain(700);
+        let mut prefixes = PrefixCrcs::default();
+        prefixes.crc(&bytes, 0, 3000);
+        prefixes.drain(700);
         let before = HASHED_BYTES.get();
-        marks.crc(&bytes[700..], 100, 2300);
+        prefixes.crc(&bytes[700..], 100, 2300);
         assert!(HASHED_BYTES.get() - before < 2 * STEP as u64);
     }
 }

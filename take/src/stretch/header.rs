@@ -1,6 +1,6 @@
 //! The header of a stretch, before its blocks: docs/take-format.md, "STRETCH".
 
-use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, RUNS_MAX, Sizes, Span};
+use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, RUNS_MAX, Span, StretchSizes};
 use crate::{
     TakeError,
     timeline::{Causes, Run, Timeline, TimelineEncoder, take_times},
@@ -91,7 +91,7 @@ fn flag(set: bool, bit: u8) -> u8 {
 
 /// The parsed header of a stretch, not yet related to the previous stretch.
 #[derive(Debug)]
-pub(crate) struct Front<'a> {
+pub(crate) struct StretchHeader<'a> {
     pub(crate) key: bool,
     pub(crate) alone: bool,
     pub(crate) number: u8,
@@ -104,10 +104,10 @@ pub(crate) struct Front<'a> {
     pub(crate) rows_passed: u64,
     pub(crate) times: &'a [u8],
     pub(crate) shared: &'a [u8],
-    pub(crate) sizes: Sizes,
+    pub(crate) sizes: StretchSizes,
 }
 
-impl Front<'_> {
+impl StretchHeader<'_> {
     /// Whether these bytes are a plausible start of a stretch's payload, by the fields that are cheap to check.
     pub(super) fn may_begin_with(payload: &[u8]) -> bool {
         let mut cursor = varint::Cursor::new(payload);
@@ -127,7 +127,7 @@ fn is_known(shape: u8) -> bool {
         && shape & (HAS_TIMES | RUNS_LISTED) != RUNS_LISTED
 }
 
-impl<'a> Front<'a> {
+impl<'a> StretchHeader<'a> {
     /// Parses the header at the front of `cursor`. The stretch has `stretch_rows` rows unless it lists another number,
     /// and at most `rows_max`. The error is a message.
     pub(crate) fn take(
@@ -187,19 +187,19 @@ impl<'a> Front<'a> {
             rows_passed,
             times,
             shared,
-            sizes: Sizes {
+            sizes: StretchSizes {
                 framing: framing as u64,
                 time_line: in_time_line as u64,
                 blocks: shared.len() as u64,
-                ..Sizes::default()
+                ..StretchSizes::default()
             },
         })
     }
 }
 
-impl Front<'_> {
+impl StretchHeader<'_> {
     /// Whether the stretch has no rows and replaces damaged stretches of a recovered take.
-    pub(crate) fn stands_for_damaged(&self) -> bool {
+    pub(crate) fn replaces_damaged(&self) -> bool {
         self.n_rows == 0 && super::all_damaged(self.runs.as_deref().unwrap_or_default())
     }
 }

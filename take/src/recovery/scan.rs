@@ -1,6 +1,6 @@
 //! The first pass over the file: which chunks can be kept, and what is lost.
 
-use super::{KINDS, Kind, KindCount, Piece, account::Account};
+use super::{KINDS, Kind, KindCount, OutputChunk, ledger_tally::LedgerTally};
 use crate::{
     NotATake, TakeError, TakeEvent,
     chunk::types,
@@ -8,12 +8,12 @@ use crate::{
     reader::TakeInput,
     record::{Channel, EndingKind, Header, Ledger, TakeEnding},
     stretch::{NUMBERS, Span, Stretch},
-    traversal::{Decode, Found, Progress, Renamed, TakeTraversal},
+    traversal::{Decode, Found, Progress, LostEntries, TakeTraversal},
 };
 
 /// Most chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the shortest
 /// stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
-const PIECES_MAX: usize = 1 << 23;
+const CHUNKS_MAX: usize = 1 << 23;
 
 /// Counts of one channel, over the whole take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -51,7 +51,7 @@ pub struct Survey {
     pub finished: bool,
     /// Bytes that are damaged or depend on damaged ones.
     pub discarded_bytes: u64,
-    pub(super) pieces: Vec<Piece>,
+    pub(super) output: Vec<OutputChunk>,
     names_lost: bool,
     /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
     pub(super) contradicted: bool,
@@ -63,10 +63,10 @@ impl Survey {
     /// # Errors
     /// `NotATake` without a header, `Unsupported`, `Io`. Damage is not an error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
-        let mut surveyor = Surveyor::default();
+        let mut scanner = RecoveryScanner::default();
         let traversal = TakeTraversal::new(input, Decode::All);
-        let progress = traversal.run(|found, progress| surveyor.found(found, progress));
-        progress.map_err(as_recovery).map(|progress| surveyor.finish(progress))
+        let progress = traversal.run(|found, progress| scanner.found(found, progress));
+        progress.map_err(without_recovery_advice).map(|progress| scanner.finish(progress))
     }
 
     /// Rows lost to damage in this file.
@@ -89,7 +89,7 @@ impl Survey {
 }
 
 /// Replaces the advice to run a recovery.
-fn as_recovery(error: TakeError) -> TakeError {
+fn without_recovery_advice(error: TakeError) -> TakeError {
     match error {
         TakeError::NotATake(NotATake::HeaderDamaged) => TakeError::NotATake(NotATake::HeaderLost),
         other => other,
@@ -98,23 +98,23 @@ fn as_recovery(error: TakeError) -> TakeError {
 
 /// What happens to a chunk.
 #[derive(Debug, Clone, Copy)]
-enum Fate {
+enum ChunkAction {
     /// Copy it.
-    Kept,
+    Copy,
     /// Write a new one in its place.
-    Anew,
+    Rewrite,
     /// Discard it.
-    Discarded,
+    Discard,
 }
 
 /// The state of the first pass.
 #[derive(Debug)]
-struct Surveyor {
+struct RecoveryScanner {
     kinds: [KindCount; KINDS.len()],
-    pieces: Vec<Piece>,
-    account: Account,
+    output: Vec<OutputChunk>,
+    tally: LedgerTally,
     samples: Vec<u64>,
-    /// Position in `pieces` at which channel table entries may be missing.
+    /// Position in `output` at which channel table entries may be missing.
     hole: Option<usize>,
     end_row: u64,
     next_number: u8,
@@ -125,14 +125,14 @@ struct Surveyor {
     contradiction: Option<Problem>,
 }
 
-impl Default for Surveyor {
+impl Default for RecoveryScanner {
     fn default() -> Self {
         Self {
             kinds: KINDS.map(|(kind, ..)| KindCount { kind, recovered: 0, discarded: 0 }),
-            pieces: Vec::new(),
-            account: Account::default(),
+            output: Vec::new(),
+            tally: LedgerTally::default(),
             samples: Vec::new(),
-            hole: None,
+            missing_at: None,
             end_row: 0,
             next_number: 0,
             discarded_bytes: 0,
@@ -143,7 +143,7 @@ impl Default for Surveyor {
     }
 }
 
-impl Surveyor {
+impl RecoveryScanner {
     fn found(&mut self, found: &Found<'_>, progress: &Progress) -> Result<(), TakeError> {
         if let Some(renamed) = found.renamed {
             self.name_channels(renamed, progress.channels());
@@ -153,58 +153,58 @@ impl Surveyor {
             && stretch.stated_channels() >= progress.channels().len()
         {
             // No channel table entry is missing.
-            self.hole = None;
+            self.missing_at = None;
         }
         self.samples.resize(progress.channels().len(), 0);
         let mut span = None;
-        let (kind, fate) = match &found.event {
-            TakeEvent::Header(_) => (types::HEADER, Fate::Anew),
-            TakeEvent::Channels(_) => (types::CHANNELS, Fate::Kept),
-            TakeEvent::Stretch(_) if found.is_refused => (types::STRETCH, Fate::Discarded),
+        let (kind, action) = match &found.event {
+            TakeEvent::Header(_) => (types::HEADER, ChunkAction::Rewrite),
+            TakeEvent::Channels(_) => (types::CHANNELS, ChunkAction::Copy),
+            TakeEvent::Stretch(_) if found.is_refused => (types::STRETCH, ChunkAction::Discard),
             TakeEvent::Stretch(stretch) => {
                 self.stretch(stretch, progress);
                 span = Some(stretch.span);
-                (types::STRETCH, Fate::Kept)
+                (types::STRETCH, ChunkAction::Copy)
             }
-            TakeEvent::Unplaced { .. } => (types::STRETCH, Fate::Discarded),
-            TakeEvent::Event(_) => (types::EVENT, Fate::Kept),
-            TakeEvent::Clock(_) => (types::CLOCK, Fate::Kept),
-            TakeEvent::Subject(_) => (types::SUBJECT, Fate::Kept),
-            TakeEvent::Foreign(_) => (types::FOREIGN, Fate::Kept),
+            TakeEvent::Unplaced { .. } => (types::STRETCH, ChunkAction::Discard),
+            TakeEvent::Event(_) => (types::EVENT, ChunkAction::Copy),
+            TakeEvent::Clock(_) => (types::CLOCK, ChunkAction::Copy),
+            TakeEvent::Subject(_) => (types::SUBJECT, ChunkAction::Copy),
+            TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
-                self.account.ledger();
-                let (frames, samples) = (self.account.recorded(), self.samples.iter().sum());
-                let (told, found) = (Counts::of(ledger), Counts { frames, samples });
-                if told != found && !ledger.finished && !progress.take.damaged {
-                    self.contradiction = Some(Problem::LedgerCounts { told, found });
+                self.tally.mark_ledger();
+                let (frames, samples) = (self.tally.recorded(), self.samples.iter().sum());
+                let (stated, found) = (Counts::of(ledger), Counts { frames, samples });
+                if stated != found && !ledger.finished && !progress.take.damaged {
+                    self.contradiction = Some(Problem::LedgerCounts { told: stated, found });
                 }
                 // A ledger behind damage counts more than is kept; its counts go into the new last ledger.
-                let is_superseded = ledger.finished || progress.take.damaged || told != found;
-                (types::LEDGER, if is_superseded { Fate::Anew } else { Fate::Kept })
+                let is_stale = ledger.finished || progress.take.damaged || stated != found;
+                (types::LEDGER, if is_stale { ChunkAction::Rewrite } else { ChunkAction::Copy })
             }
-            TakeEvent::Summary(_) => (types::SUMMARY, Fate::Anew),
+            TakeEvent::Summary(_) => (types::SUMMARY, ChunkAction::Rewrite),
             // An index that is too long to hold has the old offsets, too.
             TakeEvent::Index(_) | TakeEvent::Skipped { kind: types::INDEX } => {
-                (types::INDEX, Fate::Anew)
+                (types::INDEX, ChunkAction::Rewrite)
             }
             TakeEvent::Footer(_) => {
                 self.closed = true;
-                (types::FOOTER, Fate::Anew)
+                (types::FOOTER, ChunkAction::Rewrite)
             }
-            TakeEvent::Skipped { kind } => (*kind, Fate::Kept),
+            TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy),
             TakeEvent::Damaged { kind, .. } => {
                 if self.kinds[Kind::Header as usize].recovered > 0 {
-                    self.hole.get_or_insert(self.pieces.len());
+                    self.missing_at.get_or_insert(self.output.len());
                 }
                 // Only summary, index and footer follow the last ledger.
-                let is_of_end = Kind::of(*kind).is_at_the_end();
+                let is_of_end = Kind::of(*kind).follows_last_ledger();
                 let kind = if self.closed && !is_of_end { Some(types::INDEX) } else { *kind };
-                (kind.unwrap_or_default(), Fate::Discarded)
+                (kind.unwrap_or_default(), ChunkAction::Discard)
             }
-            TakeEvent::Mended { .. } | TakeEvent::End { .. } => return Ok(()),
+            TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
         };
-        self.chunk(found, kind, span, fate)?;
+        self.chunk(found, kind, span, action)?;
         self.end_row = progress.end_row();
         Ok(())
     }
@@ -214,24 +214,24 @@ impl Surveyor {
         found: &Found<'_>,
         kind: u8,
         span: Option<Span>,
-        fate: Fate,
+        action: ChunkAction,
     ) -> Result<(), TakeError> {
         let (offset, len) = (found.offset, found.len);
         let count = &mut self.kinds[Kind::of(Some(kind)) as usize];
-        match fate {
-            Fate::Discarded => {
+        match action {
+            ChunkAction::Discard => {
                 count.discarded += 1;
                 self.discarded_bytes += len;
             }
-            Fate::Anew => count.recovered += 1,
-            Fate::Kept => {
+            ChunkAction::Rewrite => count.recovered += 1,
+            ChunkAction::Copy => {
                 count.recovered += 1;
-                self.pieces.push(Piece::Chunk { offset, len, kind, span });
+                self.output.push(OutputChunk::Copied { offset, len, kind, span });
             }
         }
-        if self.pieces.len() > PIECES_MAX {
+        if self.output.len() > CHUNKS_MAX {
             return Err(TakeError::InvalidArgument(format!(
-                "it has more than {PIECES_MAX} chunks, which is more than a recovery can hold"
+                "it has more than {CHUNKS_MAX} chunks, which is more than a recovery can hold"
             )));
         }
         Ok(())
@@ -241,11 +241,11 @@ impl Surveyor {
     fn stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
         let span = stretch.span;
         let from_row = stretch.from_row();
-        let jumps = span.number != self.next_number && !stretch.stands_for_damaged();
-        if span.key && (from_row > self.end_row || jumps) {
+        let skips_number = span.number != self.next_number && !stretch.replaces_damaged();
+        if span.key && (from_row > self.end_row || skips_number) {
             let number = (span.number + NUMBERS - 1) % NUMBERS;
             let rows = from_row - self.end_row;
-            self.pieces.push(Piece::Lost { first_row: self.end_row, rows, number });
+            self.output.push(OutputChunk::Lost { first_row: self.end_row, rows, number });
         }
         self.next_number = (span.number + 1) % NUMBERS;
         let mut samples = 0;
@@ -256,27 +256,27 @@ impl Surveyor {
                 samples += present as u64;
             }
         }
-        self.account.stretch(stretch, progress.channels().len(), samples);
+        self.tally.add_stretch(stretch, progress.channels().len(), samples);
     }
 
     /// Inserts entries for the lost ones at the same place in the new take.
-    fn name_channels(&mut self, renamed: Renamed, channels: &[Channel]) {
+    fn name_channels(&mut self, renamed: LostEntries, channels: &[Channel]) {
         self.names_lost = true;
         let first = renamed.first.min(self.samples.len());
         self.samples.splice(first..first, std::iter::repeat_n(0, renamed.inserted));
-        let at = self.hole.take().unwrap_or(self.pieces.len());
+        let at = self.missing_at.take().unwrap_or(self.output.len());
         if renamed.nameless > renamed.inserted {
             // Entries whose columns are unknown.
             let mut seen = 0;
-            self.pieces.retain(|piece| {
+            self.output.retain(|chunk| {
                 seen += 1;
-                let doubtful = matches!(piece, Piece::Chunk { kind: types::CHANNELS, .. });
-                !(doubtful && seen > at)
+                let uncertain = matches!(chunk, OutputChunk::Copied { kind: types::CHANNELS, .. });
+                !(uncertain && seen > at)
             });
         }
         let nameless = renamed.first..renamed.first + renamed.nameless;
         let nameless = channels.get(nameless).unwrap_or_default();
-        self.pieces.insert(at.min(self.pieces.len()), Piece::Channels(nameless.to_vec()));
+        self.output.insert(at.min(self.output.len()), OutputChunk::Channels(nameless.to_vec()));
     }
 
     fn finish(mut self, progress: Progress) -> Survey {
@@ -284,7 +284,7 @@ impl Surveyor {
         let rows = take.n_rows - self.end_row;
         if rows > 0 {
             let (first_row, number) = (self.end_row, self.next_number);
-            self.pieces.push(Piece::Lost { first_row, rows, number });
+            self.output.push(OutputChunk::Lost { first_row, rows, number });
         }
         let mut problems = take.problems;
         let lacks_ledger = problems.contains(&Problem::NoLedger);
@@ -296,37 +296,37 @@ impl Surveyor {
         }
         let here: Vec<_> =
             take.damage.iter().filter(|lost| lost.why == Why::Damaged).copied().collect();
-        let counted = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
-        let mut survey = Survey {
+        let channel_count = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
+        let mut scan = Survey {
             header: take.header,
-            ledger: self.account.close(take.ledger.as_ref(), &here),
+            ledger: self.tally.close(take.ledger.as_ref(), &here),
             ending,
             kinds: self.kinds,
             channels: take.channels,
-            per_channel: self.samples.into_iter().zip(rows_damaged).map(counted).collect(),
+            per_channel: self.samples.into_iter().zip(rows_damaged).map(channel_count).collect(),
             problems,
             damage: take.damage,
             rows: take.n_rows,
-            recorded: self.account.recorded(),
+            recorded: self.tally.recorded(),
             finished: self.closed,
             discarded_bytes: self.discarded_bytes,
-            pieces: self.pieces,
+            output: self.output,
             names_lost: self.names_lost,
             contradicted: self.contradiction.is_some() || lacks_ledger,
         };
-        survey.problems.extend(self.contradiction);
+        scan.problems.extend(self.contradiction);
         // Without loss, the original ledger stands.
         if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
-            && !survey.lost_anything()
+            && !scan.lost_anything()
         {
-            let (told, found) = (Counts::of(&ledger), Counts::of(&survey.ledger));
-            if told == found {
-                survey.ledger = ledger;
+            let (stated, found) = (Counts::of(&ledger), Counts::of(&scan.ledger));
+            if stated == found {
+                scan.ledger = ledger;
             } else {
-                survey.contradicted = true;
-                survey.problems.push(Problem::LedgerCounts { told, found });
+                scan.contradicted = true;
+                scan.problems.push(Problem::LedgerCounts { told: stated, found });
             }
         }
-        survey
+        scan
     }
 }

@@ -9,7 +9,7 @@ use crate::{
 
 /// Rows by outcome, counted from the stretches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Rows {
+struct RowCounts {
     recorded: u64,
     not_received: u64,
     ring_full: u64,
@@ -18,7 +18,7 @@ struct Rows {
     damaged: u64,
 }
 
-impl Rows {
+impl RowCounts {
     fn add(&mut self, run: &Run) {
         let counter = match run.lost {
             None => &mut self.recorded,
@@ -50,17 +50,17 @@ impl Rows {
 
 /// Counts rows and samples while the file is read.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Account {
-    rows: Rows,
+pub(super) struct LedgerTally {
+    rows: RowCounts,
     announced: u64,
     present: u64,
     /// The counts at the last ledger.
-    at_ledger: Rows,
+    at_ledger: RowCounts,
 }
 
-impl Account {
+impl LedgerTally {
     /// Adds a stretch that is kept, with the number of channels announced and of samples decoded.
-    pub(super) fn stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize, samples: u64) {
+    pub(super) fn add_stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize, samples: u64) {
         let before = self.rows.recorded;
         match &stretch.timeline {
             Some(timeline) => timeline.runs.iter().for_each(|run| self.rows.add(run)),
@@ -72,7 +72,7 @@ impl Account {
     }
 
     /// Remembers the counts at a ledger.
-    pub(super) fn ledger(&mut self) {
+    pub(super) fn mark_ledger(&mut self) {
         self.at_ledger = self.rows;
     }
 
@@ -90,11 +90,11 @@ impl Account {
         let rows_then = ledger.frames_sent;
         let since = self.rows.since(before);
         let lost_then = ledger.recorded.saturating_sub(before.recorded);
-        let behind = |lost: &LostRows| {
+        let rows_behind = |lost: &LostRows| {
             let end = lost.first_row.saturating_add(lost.rows);
             end.saturating_sub(lost.first_row.max(rows_then))
         };
-        let lost_since = if ledger.finished { 0 } else { lost.iter().map(behind).sum() };
+        let lost_since = if ledger.finished { 0 } else { lost.iter().map(rows_behind).sum() };
 
         let add = |counter: &mut u64, by: u64| *counter = counter.saturating_add(by);
         add(&mut ledger.frames_sent, since.sum());
