@@ -79,8 +79,8 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         keep_free_bytes: options.keep_free_bytes,
         ..NewTake::new(file, header)
     };
-    let begun = Pipeline::start(&config, take);
-    let outcome = begun.map(|(intake, pipeline)| {
+    let opened = Pipeline::start(&config, take);
+    let outcome = opened.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| frame_at(length, rate_hz));
         let read = ReadOptions {
@@ -101,18 +101,18 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         Ok(()) => error,
         Err(e) => error.context(format!("{name} is empty and cannot be removed ({e})")),
     };
-    let is_nothing = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
+    let is_empty = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
     match outcome {
         Err(error) => Err(nothing_recorded(error)),
         Ok((Err(error), written)) => Err(match written {
             Ok((written, _)) if written.ledger.recorded == 0 => nothing_recorded(error),
-            Ok((_, mut file)) => ends_early(options.take, error, Some(&mut *file)),
-            Err(failed) if is_nothing(&failed) => nothing_recorded(error),
-            Err(mut failed) => ends_early(options.take, error, failed.output.as_deref_mut()),
+            Ok((_, mut file)) => explain_early_end(options.take, error, Some(&mut *file)),
+            Err(failed) if is_empty(&failed) => nothing_recorded(error),
+            Err(mut failed) => explain_early_end(options.take, error, failed.output.as_deref_mut()),
         }),
-        Ok((Ok(_), Err(failed))) if is_nothing(&failed) => Err(nothing_recorded(failed.error)),
+        Ok((Ok(_), Err(failed))) if is_empty(&failed) => Err(nothing_recorded(failed.error)),
         Ok((Ok(_), Err(mut failed))) => {
-            Err(ends_early(options.take, failed.error, failed.output.as_deref_mut()))
+            Err(explain_early_end(options.take, failed.error, failed.output.as_deref_mut()))
         }
         Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
@@ -132,21 +132,21 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
 }
 
 /// Adds to an error where the unfinished take is, and saves a copy if the file was removed.
-fn ends_early(
+fn explain_early_end(
     take: &Path,
     error: anyhow::Error,
     file: Option<&mut (dyn TakeOutput + 'static)>,
 ) -> anyhow::Error {
     let take = take.display();
     let settled = file.map(TakeOutput::settle);
-    let words = match settled.as_ref().and_then(Settled::words) {
-        Some(words) => format!("the take {take} ends early; {words}"),
+    let text = match settled.as_ref().and_then(Settled::words) {
+        Some(what) => format!("the take {take} ends early; {what}"),
         None if settled.is_some_and(|file| file.state == FileState::InPlace) => {
             format!("the take {take} ends early; what was recorded can be read")
         }
         None => format!("the take {take} ends early"),
     };
-    error.context(words)
+    error.context(text)
 }
 
 #[cfg(test)]
@@ -162,14 +162,14 @@ mod tests {
         let mut file = TakeFile::create(&path).unwrap();
         file.write_all(b"frames").unwrap();
         let error = || anyhow!("the device fails");
-        let lost = ends_early(&path, error(), None).to_string();
-        let said = ends_early(&path, error(), Some(&mut file)).to_string();
-        assert!(said.contains("a.take") && lost.contains("a.take"), "{said}; {lost}");
-        assert_ne!(said, lost, "what is in its place can be read");
+        let lost = explain_early_end(&path, error(), None).to_string();
+        let message = explain_early_end(&path, error(), Some(&mut file)).to_string();
+        assert!(message.contains("a.take") && lost.contains("a.take"), "{message}; {lost}");
+        assert_ne!(message, lost, "what is in its place can be read");
         std::fs::remove_file(&path).unwrap();
-        let said = ends_early(&path, error(), Some(&mut file)).to_string();
+        let message = explain_early_end(&path, error(), Some(&mut file)).to_string();
         let saved = dir.path().join("a.saved.take");
-        assert!(said.contains("a.saved.take"), "{said}");
+        assert!(message.contains("a.saved.take"), "{message}");
         assert_eq!(std::fs::read(saved).unwrap(), b"frames");
     }
 }

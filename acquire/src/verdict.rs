@@ -27,7 +27,7 @@ pub enum Finding<'a> {
     /// The last ledger states another number of samples than the take holds.
     Samples {
         /// Samples that the ledger states.
-        told: u64,
+        stated: u64,
         /// Samples found in the take.
         found: u64,
     },
@@ -38,8 +38,8 @@ impl fmt::Display for Finding<'_> {
         match self {
             Self::Damage(problem) => problem.fmt(f),
             Self::LedgerOpen => f.write_str("the ledger does not close"),
-            Self::Samples { told, found } => {
-                write!(f, "the ledger states {told} samples, but the take holds {found}")
+            Self::Samples { stated, found } => {
+                write!(f, "the ledger states {stated} samples, but the take holds {found}")
             }
         }
     }
@@ -56,11 +56,11 @@ impl<'a> Verdict<'a> {
             problems.push(Finding::LedgerOpen);
         }
         // In an undamaged take every ledger was compared already, and a difference is a contradiction.
-        if let Some(&Ledger { samples_present: told, .. }) = take.ledger.as_ref()
+        if let Some(&Ledger { samples_present: stated, .. }) = take.ledger.as_ref()
             && (take.finished && take.damaged)
-            && told != summary.samples()
+            && stated != summary.samples()
         {
-            problems.push(Finding::Samples { told, found: summary.samples() });
+            problems.push(Finding::Samples { stated, found: summary.samples() });
         }
         problems.extend(take.problems.iter().map(Finding::Damage));
         let mut contradictions = summary.contradictions().to_vec();
@@ -78,34 +78,34 @@ impl<'a> Verdict<'a> {
 mod tests {
     use super::*;
 
-    fn found(summary: &Summary) -> Vec<String> {
+    fn problems_of(summary: &Summary) -> Vec<String> {
         Verdict::of(summary).problems.iter().map(ToString::to_string).collect()
     }
 
     #[test]
     fn a_ledger_that_does_not_close_is_a_problem_before_the_end_too() {
         let mut summary = Summary::default();
-        assert_eq!(found(&summary), [""; 0], "no ledger");
+        assert_eq!(problems_of(&summary), [""; 0], "no ledger");
         summary.take.ledger = Some(Ledger { recorded: 1, ..Ledger::default() });
         for finished in [false, true] {
             summary.take.finished = finished;
-            assert_eq!(found(&summary), ["the ledger does not close"]);
+            assert_eq!(problems_of(&summary), ["the ledger does not close"]);
         }
         assert!(Verdict::of(&summary).contradictions.is_empty());
         // Whatever else is damaged.
         let damage = Problem::MissingBefore { row: 7 };
         summary.take.problems = vec![damage.clone(); 2];
         let damage = damage.to_string();
-        assert_eq!(found(&summary), ["the ledger does not close", &damage, &damage]);
+        assert_eq!(problems_of(&summary), ["the ledger does not close", &damage, &damage]);
     }
 
     #[test]
-    fn the_samples_of_a_damaged_take_are_held_against_its_ledger() {
+    fn the_samples_of_a_damaged_take_are_compared_with_its_ledger() {
         let mut summary = Summary::default();
         let ledger = Ledger { samples_announced: 3, samples_present: 3, ..Ledger::default() };
         summary.take.ledger = Some(ledger);
-        assert_eq!(found(&summary), [""; 0]);
+        assert_eq!(problems_of(&summary), [""; 0]);
         (summary.take.finished, summary.take.damaged) = (true, true);
-        assert_eq!(found(&summary), ["the ledger states 3 samples, but the take holds 0"]);
+        assert_eq!(problems_of(&summary), ["the ledger states 3 samples, but the take holds 0"]);
     }
 }

@@ -31,10 +31,10 @@ use crate::{
 const READ_BYTES: usize = 64 << 10;
 
 /// Time that a device has to answer a command.
-const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Attempts at a command before the device counts as not answering.
-const TRIES: usize = 5;
+const ATTEMPTS_MAX: usize = 5;
 
 /// A device that has been opened and identified.
 #[derive(Debug)]
@@ -51,9 +51,9 @@ pub struct Rig {
     /// Identifies the device after it was plugged in again.
     identity: Candidate,
     /// How long to wait for a device that was disconnected.
-    patience: Duration,
+    replug_timeout: Duration,
     /// Length of a stretch and time between syncs, if the user chose them.
-    risk: Option<(Duration, Duration)>,
+    loss_limits: Option<(Duration, Duration)>,
     /// Also receives every byte, when a raw log is written.
     raw_log: Option<Tap>,
 }
@@ -108,7 +108,7 @@ impl Rig {
     /// Bounds the loss: a killed process loses at most the open stretch, a power cut also what came since the last
     /// sync.
     pub fn risk_at_most(&mut self, stretch: Duration, sync_every: Duration) {
-        self.risk = Some((stretch, sync_every));
+        self.loss_limits = Some((stretch, sync_every));
     }
 
     /// How the device identified itself.
@@ -143,7 +143,7 @@ impl Rig {
         });
         let new = PipelineConfig::new;
         let config = new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect());
-        match self.risk {
+        match self.loss_limits {
             Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
             None => config,
         }
@@ -178,42 +178,42 @@ impl Rig {
     /// # Errors
     /// When the device refuses the rate. The message states the rates it supports.
     pub fn set_rate(&mut self, rate_hz: f64) -> anyhow::Result<()> {
-        self.set_rate_unless(rate_hz, &|| false)
+        self.try_set_rate(rate_hz, &|| false)
     }
 
-    fn set_rate_unless(&mut self, rate_hz: f64, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
+    fn try_set_rate(&mut self, rate_hz: f64, cancel: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let rate_mhz = (rate_hz * 1000.0).round();
         if !(1.0..=4e9).contains(&rate_mhz) {
-            return Err(out_of_range(&format!("cannot run a device at {rate_hz} Hz"), &self.hello));
+            return Err(rate_error(&format!("cannot run a device at {rate_hz} Hz"), &self.hello));
         }
-        let answer = self.ask(Command::SetRate(rate_mhz as u32), give_up, |event| match event {
+        let answer = self.request(Command::SetRate(rate_mhz as u32), cancel, |event| match event {
             DeviceEvent::RateSet(set) => Some(Ok(set)),
             DeviceEvent::Refused(budget) => Some(Err(budget)),
             _ => None,
         })?;
         match answer {
             Ok(set) => self.hello.rate_mhz = set,
-            Err(budget) if !budget.fits() => return Err(refusal(budget, rate_hz, &self.hello)),
+            Err(budget) if !budget.fits() => return Err(too_slow(budget, rate_hz, &self.hello)),
             Err(_) => {
                 let why = format!("the device refuses {rate_hz} Hz");
-                return Err(out_of_range(&why, &self.hello));
+                return Err(rate_error(&why, &self.hello));
             }
         }
         Ok(())
     }
 
-    /// Sends a command, again when no answer comes in time, until `answer` recognises the answer or `is_cancelled`.
-    fn ask<T>(
+    /// Sends a command, and repeats it until `answer` recognises the answer or `cancel` returns true.
+    fn request<T>(
         &mut self,
         command: Command,
-        give_up: &dyn Fn() -> bool,
+        cancel: &dyn Fn() -> bool,
         mut answer: impl FnMut(DeviceEvent<'_>) -> Option<T>,
     ) -> anyhow::Result<T> {
-        for _ in 0..TRIES {
-            self.say(command)?;
-            let asked_ns = monotonic_ns();
-            while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
-                ensure!(!give_up(), "gave up waiting for {}", self.uri);
+        for _ in 0..ATTEMPTS_MAX {
+            self.send(command)?;
+            let sent_ns = monotonic_ns();
+            while monotonic_ns() - sent_ns < ANSWER_TIMEOUT.as_nanos() as u64 {
+                ensure!(!cancel(), "gave up waiting for {}", self.uri);
                 let n = self.transport.read(&mut self.buffer).context("reading from the device")?;
                 let mut found = None;
                 self.protocol.push(&self.buffer[..n], &mut |event| {
@@ -240,7 +240,7 @@ impl Rig {
         )
     }
 
-    fn say(&mut self, command: Command) -> Result<(), TransportError> {
+    fn send(&mut self, command: Command) -> Result<(), TransportError> {
         self.outbox.clear();
         self.protocol.command(command, &mut self.outbox);
         self.transport.write_all(&self.outbox)
@@ -248,7 +248,7 @@ impl Rig {
 }
 
 /// The error for an unsupported rate, which states the supported ones.
-fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
+fn rate_error(why: &str, hello: &Hello) -> anyhow::Error {
     let [min_hz, max_hz] =
         [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
     if min_hz < max_hz {
@@ -259,7 +259,7 @@ fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
 }
 
 /// The error for a start that the device refused because its line is too slow.
-fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
+fn too_slow(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
     let why = format!(
         "the line is too slow for {} Hz: the frames need {} bytes per second, the line carries {}",
         rate_hz, budget.needed_bytes_per_s, budget.available_bytes_per_s
@@ -289,32 +289,32 @@ impl Rig {
             markers: Vec::new(),
             not_finite_before: 0,
             identity,
-            patience: Duration::ZERO,
-            risk: None,
+            replug_timeout: Duration::ZERO,
+            loss_limits: None,
             raw_log,
         };
-        rig.introduce(&|| false)?;
+        rig.query_identity(&|| false)?;
         Ok(rig)
     }
 
     /// Asks the device for its identity and marker table, in whatever state it is.
-    pub(super) fn introduce(&mut self, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
+    pub(super) fn query_identity(&mut self, cancel: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let damaged_before = self.protocol.counters().messages_damaged;
-        for _ in 0..TRIES {
+        for _ in 0..ATTEMPTS_MAX {
             // A device still streaming to an earlier host would delay the marker table.
-            self.say(Command::Stop)?;
+            self.send(Command::Stop)?;
             let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
             let mut markers = Vec::new();
-            self.say(Command::Identify)?;
+            self.send(Command::Identify)?;
             let host_ns = monotonic_ns();
-            self.ask(Command::Ping { host_ns }, give_up, |event| {
+            self.request(Command::Ping { host_ns }, cancel, |event| {
                 match event {
-                    DeviceEvent::Hello(said) => {
-                        hello = Some(said.clone());
+                    DeviceEvent::Hello(new) => {
+                        hello = Some(new.clone());
                         markers.clear();
                     }
-                    DeviceEvent::Markers(more) => add(&mut markers, more),
+                    DeviceEvent::Markers(more) => merge_markers(&mut markers, more),
                     // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
                     _ => {}
@@ -341,8 +341,8 @@ impl Rig {
 }
 
 /// Merges markers into the table. Repeated commands repeat markers: the last description of an id counts.
-fn add(table: &mut Vec<MarkerInfo>, more: &[MarkerInfo]) {
-    for marker in more {
+fn merge_markers(table: &mut Vec<MarkerInfo>, new: &[MarkerInfo]) {
+    for marker in new {
         match table.iter_mut().find(|known| known.id == marker.id) {
             Some(known) => known.clone_from(marker),
             None => table.push(marker.clone()),

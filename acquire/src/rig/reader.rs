@@ -15,7 +15,7 @@ use mocapd_drivers::{
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
 
-use super::{ANSWER_WITHIN, Rig, TRIES, refusal};
+use super::{ANSWER_TIMEOUT, ATTEMPTS_MAX, Rig, too_slow};
 use crate::{
     clock::Prober,
     files::FileState,
@@ -26,10 +26,10 @@ use crate::{
 };
 
 /// Report silence of the device after this time.
-const SILENCE: Duration = Duration::from_secs(3);
+const SILENCE_MAX: Duration = Duration::from_secs(3);
 
 /// How long to wait for the end of the stream after Stop.
-const STOP_WITHIN: Duration = Duration::from_secs(2);
+const STOP_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// How long to wait for frames in transit when the time is up.
 const GRACE_NS: u64 = 1_000_000_000;
@@ -69,10 +69,10 @@ pub struct Recording {
 }
 
 /// How often the latency is published.
-const LATENCY_EVERY_NS: u64 = 1_000_000_000;
+const LATENCY_INTERVAL_NS: u64 = 1_000_000_000;
 
 /// A device that keeps stalling must fill neither the take nor the screen.
-const STALLS_TOLD_MAX: u32 = 32;
+const STALLS_REPORTED_MAX: u32 = 32;
 
 /// Notes of the driver kept from one read, for the same reason.
 const NOTES_MAX: usize = 8;
@@ -90,14 +90,14 @@ impl Rig {
         let mut reader = Reader {
             intake: &mut intake,
             latency: Latency::default(),
-            latency_told_ns: 0,
+            latency_published_ns: 0,
             prober: Prober::new(),
             end: None,
             started: None,
-            began_anew: None,
-            asked: None,
+            new_hello: None,
+            query: None,
             last_status: None,
-            started_again: 0,
+            restarts: 0,
             outages: 0,
             notes: Vec::new(),
             due_until_ns: None,
@@ -106,7 +106,7 @@ impl Rig {
         let Reader { latency, outages, .. } = reader;
         intake.link(self.link_counters());
         // An open take gets this ending.
-        intake.ends(match &outcome {
+        intake.set_ending(match &outcome {
             Ok(ending) => (*ending).into(),
             Err(error) => TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
         });
@@ -126,18 +126,18 @@ impl Rig {
         let started_ns = monotonic_ns();
         let length_ns = options.length.map(|length| length.as_nanos() as u64);
         reader.due_until_ns = length_ns.map(|length_ns| started_ns.saturating_add(length_ns));
-        let told = Cell::new(reader.intake.progress().file_changes());
+        let reported = Cell::new(reader.intake.progress().file_changes());
         let is_over = |reader: &Reader<'_>| {
-            tell_file(reader.intake.progress(), options, &told);
+            report_file_change(reader.intake.progress(), options, &reported);
             options.stop.load(Ordering::Relaxed)
-                || end_of_take(reader.intake, options).is_some()
+                || take_ending(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
                 || reader
                     .due_until_ns
                     .is_some_and(|due_ns| monotonic_ns() > due_ns.saturating_add(GRACE_NS))
         };
         loop {
-            let or_end = |ending, intake: &Intake| end_of_take(intake, options).unwrap_or(ending);
+            let or_end = |ending, intake: &Intake| take_ending(intake, options).unwrap_or(ending);
             let ending = match self.read_until_gone(reader, options, &is_over)? {
                 EndingKind::Stopped if options.stop.load(Ordering::Relaxed) => {
                     or_end(EndingKind::Stopped, reader.intake)
@@ -165,31 +165,31 @@ impl Rig {
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> anyhow::Result<EndingKind> {
-        let mut silence = Silence { last_frame_ns: monotonic_ns(), is_told: false };
-        let mut stalls = Stalls { cleared: self.transport.stalls_cleared(), told: 0 };
+        let mut silence = Silence { last_frame_ns: monotonic_ns(), is_reported: false };
+        let mut stalls = Stalls { cleared: self.transport.stalls_cleared(), reported: 0 };
         let mut stopped_ns = None;
         loop {
-            let frames_before = reader.intake.counts_seen();
-            match self.pump(reader) {
+            let frames_before = reader.intake.frames_seen();
+            match self.read_once(reader) {
                 Ok(()) => {}
                 Err(TransportError::Disconnected { .. }) => return Ok(EndingKind::DeviceGone),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
             reader.notes.drain(..).for_each(|note| (options.say)(&note));
             let now_ns = monotonic_ns();
-            if reader.intake.counts_seen() != frames_before {
-                silence = Silence { last_frame_ns: now_ns, is_told: false };
-                reader.asked = None;
+            if reader.intake.frames_seen() != frames_before {
+                silence = Silence { last_frame_ns: now_ns, is_reported: false };
+                reader.query = None;
             }
-            silence.tell(now_ns, options);
-            stalls.tell(self.transport.stalls_cleared(), reader.intake, options);
+            silence.report(now_ns, options);
+            stalls.report(self.transport.stalls_cleared(), reader.intake, options);
             if stopped_ns.is_none() {
                 self.probe(reader);
-                if silence.is_told {
-                    self.ask_who(reader, silence.last_frame_ns, now_ns);
+                if silence.is_reported {
+                    self.check_alive(reader, silence.last_frame_ns, now_ns);
                 }
-                if let Some(now) = reader.began_anew.take() {
-                    match self.follow_hello(reader, &now, options) {
+                if let Some(now) = reader.new_hello.take() {
+                    match self.handle_hello(reader, &now, options) {
                         Ok(true) => {}
                         Ok(false) | Err(TransportError::Disconnected { .. }) => {
                             return Ok(EndingKind::DeviceGone);
@@ -204,7 +204,7 @@ impl Rig {
                 return Ok(stopped_ns.map_or(EndingKind::DeviceEnded, |_| EndingKind::Stopped));
             }
             if reader.intake.has_failed() {
-                self.say(Command::Stop).ok();
+                self.send(Command::Stop).ok();
                 return Ok(EndingKind::CutOff);
             }
             match stopped_ns {
@@ -214,7 +214,7 @@ impl Rig {
                     }
                     stopped_ns = Some(now_ns);
                 }
-                Some(stopped_ns) if now_ns - stopped_ns > STOP_WITHIN.as_nanos() as u64 => {
+                Some(stopped_ns) if now_ns - stopped_ns > STOP_TIMEOUT.as_nanos() as u64 => {
                     (options.say)(
                         "the device does not confirm the stop: its last frames may be missing",
                     );
@@ -232,7 +232,7 @@ impl Rig {
         options: &ReadOptions<'_>,
         now_ns: u64,
     ) -> Option<EndingKind> {
-        match self.say(Command::Stop) {
+        match self.send(Command::Stop) {
             Ok(()) => {}
             Err(TransportError::Disconnected { .. }) => return Some(EndingKind::DeviceGone),
             // The device takes no commands: the take ends with its last frame.
@@ -243,7 +243,7 @@ impl Rig {
         }
         let due_until_ns = reader.due_until_ns.map_or(now_ns, |due| due.min(now_ns));
         reader.intake.no_frames_due_after(due_until_ns);
-        reader.no_longer_asking();
+        reader.clear_query();
         None
     }
 
@@ -254,18 +254,18 @@ impl Rig {
         options: &ReadOptions<'_>,
     ) -> anyhow::Result<bool> {
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-        for _ in 0..TRIES {
-            self.say(Command::Start { line_bytes_per_s })?;
-            let asked_ns = monotonic_ns();
-            while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
-                self.pump(reader)?;
+        for _ in 0..ATTEMPTS_MAX {
+            self.send(Command::Start { line_bytes_per_s })?;
+            let sent_ns = monotonic_ns();
+            while monotonic_ns() - sent_ns < ANSWER_TIMEOUT.as_nanos() as u64 {
+                self.read_once(reader)?;
                 if options.stop.load(Ordering::Relaxed) {
-                    self.say(Command::Stop)?;
+                    self.send(Command::Stop)?;
                     return Ok(false);
                 }
                 match reader.started {
                     Some(Ok(())) => return Ok(true),
-                    Some(Err(budget)) => return Err(refusal(budget, self.rate_hz(), &self.hello)),
+                    Some(Err(budget)) => return Err(too_slow(budget, self.rate_hz(), &self.hello)),
                     None => {}
                 }
             }
@@ -283,7 +283,7 @@ impl Rig {
         // Sleeps only on a line that sends in batches, between two batches, when nothing arrives.
         std::thread::sleep(Duration::from_nanos(due_ns.saturating_sub(now_ns)));
         let host_ns = monotonic_ns();
-        match self.say(Command::Ping { host_ns }) {
+        match self.send(Command::Ping { host_ns }) {
             Ok(()) if !self.outbox.is_empty() => reader.prober.sent(host_ns),
             // The driver has no ping, or the device does not read: record without. A disconnected device shows in the
             // next read.
@@ -299,7 +299,7 @@ impl Rig {
     }
 
     /// One read, and all messages that it completes.
-    fn pump(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
+    fn read_once(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
         let n = self.transport.read(&mut self.buffer)?;
         let arrival_ns = monotonic_ns();
         self.protocol.push(&self.buffer[..n], &mut |event| reader.event(event, arrival_ns));
@@ -314,47 +314,47 @@ impl Rig {
 /// When the last frame came, and whether the silence since then was reported.
 struct Silence {
     last_frame_ns: u64,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Silence {
-    fn tell(&mut self, now_ns: u64, options: &ReadOptions<'_>) {
-        if self.is_told || now_ns - self.last_frame_ns <= SILENCE.as_nanos() as u64 {
+    fn report(&mut self, now_ns: u64, options: &ReadOptions<'_>) {
+        if self.is_reported || now_ns - self.last_frame_ns <= SILENCE_MAX.as_nanos() as u64 {
             return;
         }
         let how_to_end = options.how_to_end;
         (options.say)(&format!(
             "no frame for 3 s: is the device capturing? Still waiting{how_to_end}"
         ));
-        self.is_told = true;
+        self.is_reported = true;
     }
 }
 
 /// Stalls of the device that the transport has cleared, and how many were reported.
 struct Stalls {
     cleared: u64,
-    told: u32,
+    reported: u32,
 }
 
 impl Stalls {
-    fn tell(&mut self, cleared: u64, intake: &mut Intake, options: &ReadOptions<'_>) {
+    fn report(&mut self, cleared: u64, intake: &mut Intake, options: &ReadOptions<'_>) {
         if cleared <= self.cleared {
             return;
         }
         self.cleared = cleared;
-        self.told += 1;
-        if self.told <= STALLS_TOLD_MAX {
+        self.reported += 1;
+        if self.reported <= STALLS_REPORTED_MAX {
             intake.event(host_event("the device stalled and its endpoint was cleared"));
             (options.say)("the device stalled and its endpoint was cleared: data may be lost");
         }
-        if self.told == STALLS_TOLD_MAX {
+        if self.reported == STALLS_REPORTED_MAX {
             (options.say)("the device keeps stalling: further stalls are not reported");
         }
     }
 }
 
 /// The ending of a single take that the writer asks for.
-fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
+fn take_ending(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
     let progress = intake.progress();
     match progress.file_state() {
         _ if !options.for_one_take => None,
@@ -365,10 +365,10 @@ fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind>
 }
 
 /// Reports each change of the take's file once. A change that ends the take is reported with its end.
-fn tell_file(progress: &Progress, options: &ReadOptions<'_>, told: &Cell<u32>) {
+fn report_file_change(progress: &Progress, options: &ReadOptions<'_>, reported: &Cell<u32>) {
     let changes = progress.file_changes();
-    let is_said = changes == told.replace(changes);
-    if !options.for_one_take || is_said || progress.file_state().ends_take() {
+    let is_reported = changes == reported.replace(changes);
+    if !options.for_one_take || is_reported || progress.file_state().ends_take() {
         return;
     }
     if let Some(displaced) = progress.displaced() {
@@ -379,18 +379,18 @@ fn tell_file(progress: &Progress, options: &ReadOptions<'_>, told: &Cell<u32>) {
 pub(super) struct Reader<'a> {
     pub(super) intake: &'a mut Intake,
     latency: Latency,
-    latency_told_ns: u64,
+    latency_published_ns: u64,
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     pub(super) end: Option<()>,
     /// A hello received during the stream: the device identified itself again.
-    began_anew: Option<Hello>,
+    new_hello: Option<Hello>,
     /// Open while the device's identity was queried because no frame came.
-    pub(super) asked: Option<Asked>,
+    pub(super) query: Option<IdentityQuery>,
     /// The device's last status report of this run.
     pub(super) last_status: Option<Status>,
     /// Restarts without a disconnection.
-    pub(super) started_again: u32,
+    pub(super) restarts: u32,
     outages: u32,
     /// Messages for the user.
     notes: Vec<String>,
@@ -403,13 +403,13 @@ impl Reader<'_> {
     pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
         self.started = None;
         self.end = None;
-        self.began_anew = None;
-        self.count_anew();
+        self.new_hello = None;
+        self.reset_counters();
         self.intake.announce(markers);
     }
 
     /// The device's counter, clock and status reports may start again from zero.
-    pub(super) fn count_anew(&mut self) {
+    pub(super) fn reset_counters(&mut self) {
         self.last_status = None;
         self.prober = Prober::new();
         self.intake.rejoin();
@@ -421,9 +421,9 @@ impl Reader<'_> {
                 self.intake.frame(&frame, arrival_ns);
                 let done_ns = monotonic_ns();
                 self.latency.add(done_ns.saturating_sub(arrival_ns));
-                if done_ns.saturating_sub(self.latency_told_ns) > LATENCY_EVERY_NS {
-                    self.latency_told_ns = done_ns;
-                    self.intake.tell_latency(&self.latency);
+                if done_ns.saturating_sub(self.latency_published_ns) > LATENCY_INTERVAL_NS {
+                    self.latency_published_ns = done_ns;
+                    self.intake.publish_latency(&self.latency);
                 }
             }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
@@ -436,7 +436,7 @@ impl Reader<'_> {
                 self.notes.push(text.to_owned());
             }
             // Some devices confirm that the query stopped their stream.
-            DeviceEvent::EndOfStream(status) if self.is_asking() => {
+            DeviceEvent::EndOfStream(status) if self.is_querying() => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);
             }
@@ -455,8 +455,8 @@ impl Reader<'_> {
             }
             // A late answer to a command of the handshake.
             DeviceEvent::Hello(hello) if self.started.is_some() => {
-                self.began_anew = Some(hello.clone());
-                self.no_longer_asking();
+                self.new_hello = Some(hello.clone());
+                self.clear_query();
             }
             DeviceEvent::Pong(Pong { host_ns, device_ticks }) => {
                 if self.prober.answered(host_ns, arrival_ns) {
@@ -477,78 +477,78 @@ pub(super) fn host_event(text: &str) -> Event {
 
 /// A device that sent frames and is silent is asked for its identity after this time, and again each time it passes: a
 /// device that is starting up needs a while, and the query stops one that only pauses.
-const ASK_EVERY: Duration = Duration::from_secs(10);
+const IDENTIFY_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Restarts that are reported: a device restarted in vain must fill neither the take nor the screen.
-const STARTS_TOLD_MAX: u32 = 32;
+const RESTARTS_REPORTED_MAX: u32 = 32;
 
 /// After this many answers that came with damaged messages the last one is believed: on a line that is never clean the
 /// device must still be restarted.
-const ASKED_MAX: u32 = 5;
+const IDENTIFY_ATTEMPTS_MAX: u32 = 5;
 
 /// A query for the device's identity.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Asked {
+pub(super) struct IdentityQuery {
     at_ns: u64,
     /// Damaged messages counted when it was sent.
     damaged: u64,
     /// Queries since the last frame.
-    times: u32,
+    attempts: u32,
     /// Not answered yet.
-    waits: bool,
+    is_pending: bool,
 }
 
 impl Rig {
     /// Asks a device that has stopped sending frames for its identity. It may have lost its power while its line stayed
     /// up: it then answers, and is started again.
-    pub(super) fn ask_who(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
-        let since_ns = reader.asked.map_or(last_frame_ns, |asked| asked.at_ns);
-        let is_due = now_ns.saturating_sub(since_ns) > ASK_EVERY.as_nanos() as u64;
-        if is_due && reader.intake.counts_seen() > 0 {
-            reader.asked = Some(Asked {
+    pub(super) fn check_alive(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
+        let since_ns = reader.query.map_or(last_frame_ns, |query| query.at_ns);
+        let is_due = now_ns.saturating_sub(since_ns) > IDENTIFY_INTERVAL.as_nanos() as u64;
+        if is_due && reader.intake.frames_seen() > 0 {
+            reader.query = Some(IdentityQuery {
                 at_ns: now_ns,
                 damaged: self.protocol.counters().messages_damaged,
-                times: reader.asked.map_or(1, |asked| asked.times.saturating_add(1)),
-                waits: true,
+                attempts: reader.query.map_or(1, |query| query.attempts.saturating_add(1)),
+                is_pending: true,
             });
             // A device that is gone shows in the next read.
-            self.say(Command::Identify).ok();
+            self.send(Command::Identify).ok();
         }
     }
 
     /// The device identified itself during the stream: either its stream had ended, or it is restarted. Returns `false`
     /// for another device.
-    pub(super) fn follow_hello(
+    pub(super) fn handle_hello(
         &mut self,
         reader: &mut Reader<'_>,
         now: &Hello,
         options: &ReadOptions<'_>,
     ) -> Result<bool, TransportError> {
-        if let Some(status) = reader.end_that_was_lost(now) {
-            let words =
+        if let Some(status) = reader.lost_end_status(now) {
+            let text =
                 "the end of the stream was lost on the line: the device says that it has ended";
-            reader.intake.event(host_event(words));
-            (options.say)(words);
+            reader.intake.event(host_event(text));
+            (options.say)(text);
             reader.intake.status(status, true);
             reader.end = Some(());
             return Ok(true);
         }
         let damaged = self.protocol.counters().messages_damaged;
-        if let Some(asked) = &mut reader.asked
+        if let Some(query) = &mut reader.query
             && now.n_frames > 0
-            && damaged > asked.damaged
-            && asked.times < ASKED_MAX
+            && damaged > query.damaged
+            && query.attempts < IDENTIFY_ATTEMPTS_MAX
         {
             // The message that its motion is over may be lost again: wait, and query again when that is due.
-            asked.waits = true;
+            query.is_pending = true;
             return Ok(true);
         }
-        self.start_again(reader, now, options)
+        self.restart_device(reader, now, options)
     }
 
     /// Restarts a device that identified itself during the stream, with its settings. Returns `false` for another
     /// device.
-    fn start_again(
+    fn restart_device(
         &mut self,
         reader: &mut Reader<'_>,
         now: &Hello,
@@ -558,40 +558,40 @@ impl Rig {
             (options.say)(&format!("another device answers, {} {}", now.model, now.serial));
             return Ok(false);
         }
-        reader.started_again += 1;
-        reader.count_anew();
-        if reader.started_again <= STARTS_TOLD_MAX {
+        reader.restarts += 1;
+        reader.reset_counters();
+        if reader.restarts <= RESTARTS_REPORTED_MAX {
             reader.intake.event(host_event("the device identified itself and was restarted"));
             (options.say)(
                 "the device identified itself, as after a reset, a power loss or a long silence: it was restarted",
             );
         }
         if now.rate_mhz != self.hello.rate_mhz {
-            self.say(Command::SetRate(self.hello.rate_mhz))?;
+            self.send(Command::SetRate(self.hello.rate_mhz))?;
         }
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-        self.say(Command::Start { line_bytes_per_s })?;
+        self.send(Command::Start { line_bytes_per_s })?;
         Ok(true)
     }
 }
 
 impl Reader<'_> {
     /// Whether an answer is expected.
-    pub(super) fn is_asking(&self) -> bool {
-        self.asked.is_some_and(|asked| asked.waits)
+    pub(super) fn is_querying(&self) -> bool {
+        self.query.is_some_and(|query| query.is_pending)
     }
 
     /// The device answered, or is not asked any more.
-    pub(super) fn no_longer_asking(&mut self) {
-        if let Some(asked) = &mut self.asked {
-            asked.waits = false;
+    pub(super) fn clear_query(&mut self) {
+        if let Some(query) = &mut self.query {
+            query.is_pending = false;
         }
     }
 
     /// The last status report of a device that was queried because no frame came, if it had sent its whole motion: then
     /// the end of its stream was lost on the line.
-    fn end_that_was_lost(&self, now: &Hello) -> Option<Status> {
-        let of_all = |status: &Status| now.n_frames > 0 && status.frames_produced >= now.n_frames;
-        self.last_status.filter(of_all).filter(|_| self.asked.is_some())
+    fn lost_end_status(&self, now: &Hello) -> Option<Status> {
+        let complete = |status: &Status| now.n_frames > 0 && status.frames_produced >= now.n_frames;
+        self.last_status.filter(complete).filter(|_| self.query.is_some())
     }
 }

@@ -13,13 +13,13 @@ use crate::{host_clock::monotonic_ns, setting};
 
 /// Polling interval where udev does not notify: twenty attempts in the two seconds within which a device that is back
 /// has to be recording again.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Time to wait after a device that is present could not be started: it may be starting up, or be another one.
-const LOOK_AFTER_FAILURE: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Report an obstacle that lasts this long: udev needs a moment to set permissions.
-const TELL_AFTER: Duration = Duration::from_secs(1);
+const REPORT_AFTER: Duration = Duration::from_secs(1);
 
 /// The result of an attempt to reconnect.
 enum Attempt {
@@ -32,19 +32,19 @@ enum Attempt {
 
 /// The reason why the device cannot be reconnected, reported once if it lasts.
 struct Obstacle {
-    words: String,
+    message: String,
     since_ns: u64,
-    told: bool,
+    reported: bool,
 }
 
 impl Obstacle {
-    fn met(&mut self, words: String, say: &dyn Fn(&str)) {
+    fn update(&mut self, message: String, notify: &dyn Fn(&str)) {
         let now_ns = monotonic_ns();
-        if words != self.words {
-            *self = Self { words, since_ns: now_ns, told: false };
-        } else if !self.told && now_ns - self.since_ns > TELL_AFTER.as_nanos() as u64 {
-            say(&format!("still waiting: {}", self.words));
-            self.told = true;
+        if message != self.message {
+            *self = Self { message, since_ns: now_ns, reported: false };
+        } else if !self.reported && now_ns - self.since_ns > REPORT_AFTER.as_nanos() as u64 {
+            notify(&format!("still waiting: {}", self.message));
+            self.reported = true;
         }
     }
 }
@@ -52,8 +52,8 @@ impl Obstacle {
 impl Rig {
     /// Sets how long a recording waits for a disconnected device before the take ends. By default it does not wait.
     /// does not wait.
-    pub fn wait_for_replug(&mut self, patience: Duration) {
-        self.patience = patience;
+    pub fn wait_for_replug(&mut self, replug_timeout: Duration) {
+        self.replug_timeout = replug_timeout;
     }
 
     /// Waits for the device and starts it. Returns `false` if it did not come back in time, or `is_over`.
@@ -65,39 +65,39 @@ impl Rig {
     ) -> bool {
         // Closed before anything else: an open port keeps its name from the device that comes back.
         self.transport = Box::new(Unplugged);
-        if self.patience.is_zero() || is_over(reader) {
+        if self.replug_timeout.is_zero() || is_over(reader) {
             return false;
         }
         let gone_ns = monotonic_ns();
         (options.say)(&format!(
             "{} is gone: plug it in again within {} s to continue {}{}",
             self.uri,
-            (self.patience.as_secs_f64() * 10.0).round() / 10.0,
+            (self.replug_timeout.as_secs_f64() * 10.0).round() / 10.0,
             if options.for_one_take { "the take" } else { "recording" },
             options.how_to_end
         ));
-        let mut obstacle = Obstacle { words: String::new(), since_ns: gone_ns, told: true };
+        let mut obstacle = Obstacle { message: String::new(), since_ns: gone_ns, reported: true };
         let mut watch = UsbWatch::new();
-        while !is_over(reader) && monotonic_ns() - gone_ns < self.patience.as_nanos() as u64 {
-            let give_up_ns = gone_ns.saturating_add(self.patience.as_nanos() as u64);
-            let give_up = |reader: &Reader<'_>| {
+        while !is_over(reader) && monotonic_ns() - gone_ns < self.replug_timeout.as_nanos() as u64 {
+            let give_up_ns = gone_ns.saturating_add(self.replug_timeout.as_nanos() as u64);
+            let cancel = |reader: &Reader<'_>| {
                 // Called between any two attempts: a handshake may take longer than the watchdog's limit.
-                reader.intake.alive();
+                reader.intake.keep_alive();
                 is_over(reader) || monotonic_ns() > give_up_ns
             };
-            let wait = match self.attempt(reader, options, &give_up) {
+            let wait = match self.attempt(reader, options, &cancel) {
                 Attempt::Back => {
                     // The first frame shows how long it was away.
                     (options.say)("the device is back");
                     return true;
                 }
-                Attempt::Absent(words) => {
-                    obstacle.met(words, options.say);
-                    LOOK_EVERY
+                Attempt::Absent(message) => {
+                    obstacle.update(message, options.say);
+                    POLL_INTERVAL
                 }
-                Attempt::Failed(words) => {
-                    obstacle.met(words, options.say);
-                    LOOK_AFTER_FAILURE
+                Attempt::Failed(message) => {
+                    obstacle.update(message, options.say);
+                    RETRY_INTERVAL
                 }
             };
             watch.wait(wait);
@@ -111,7 +111,7 @@ impl Rig {
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
-        give_up: &dyn Fn(&Reader<'_>) -> bool,
+        cancel: &dyn Fn(&Reader<'_>) -> bool,
     ) -> Attempt {
         match registry::open_again(&self.uri, &self.identity) {
             Ok(line) => {
@@ -123,7 +123,7 @@ impl Rig {
             }
             Err(error) => return Attempt::Absent(error.to_string()),
         }
-        match self.rejoin(reader, options, give_up) {
+        match self.rejoin(reader, options, cancel) {
             Ok(()) => Attempt::Back,
             Err(error) => {
                 self.transport = Box::new(Unplugged);
@@ -137,12 +137,12 @@ impl Rig {
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
-        give_up: &dyn Fn(&Reader<'_>) -> bool,
+        cancel: &dyn Fn(&Reader<'_>) -> bool,
     ) -> anyhow::Result<()> {
         let before = self.hello.clone();
-        let introduced = self.introduce(&|| give_up(reader));
+        let queried = self.query_identity(&|| cancel(reader));
         let now = std::mem::replace(&mut self.hello, before);
-        introduced?;
+        queried?;
         let was = &self.hello;
         ensure!(
             (&now.model, &now.serial) == (&was.model, &was.serial),
@@ -153,7 +153,7 @@ impl Rig {
             was.serial
         );
         if now.rate_mhz != was.rate_mhz {
-            self.set_rate_unless(self.rate_hz(), &|| give_up(reader))?;
+            self.try_set_rate(self.rate_hz(), &|| cancel(reader))?;
         }
         reader.restart(&self.markers);
         self.start(reader, options).map(drop)
