@@ -141,8 +141,8 @@ impl Server<'_> {
                 return Ok(());
             }
             let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));
-            let pause = sleep.min(until_wake).min(SLEEP_MAX);
-            let ready = if is_full { self.line.wait_for_room(pause) } else { self.line.wait(pause) };
+            let idle = sleep.min(until_wake).min(SLEEP_MAX);
+            let ready = if is_full { self.line.wait_for_room(idle) } else { self.line.wait(idle) };
             if ready.map_err(self.failed("waiting"))? {
                 self.read()?;
             }

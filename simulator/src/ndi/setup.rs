@@ -1,21 +1,21 @@
-//! Commands that are not about frames, and the port handles that most of them are about.
+//! Commands that set the system up, and the port handles on which most of them act.
 
 use mocapd_drivers::ndi::{BAUD_AT_RESET, BAUDS, code};
 
 use super::NdiDevice;
 
-/// The answer when there is nothing to say.
+/// The answer without data.
 const OKAY: &str = "OKAY";
 
-/// Commands that work before `INIT`.
+/// Commands that are allowed before `INIT`.
 const ALWAYS: [&str; 7] = ["INIT", "RESET", "ECHO", "VER", "APIREV", "GETINFO", "COMM"];
 
-/// Commands that do not work while it tracks.
+/// Commands that are not allowed in tracking mode.
 const SETUP_ONLY: [&str; 9] =
     ["COMM", "PHRQ", "PHF", "PVWR", "PINIT", "PENA", "PDIS", "SET", "TSTART"];
 
 impl NdiDevice {
-    /// The answer to a command, without its checksum, or the error's number.
+    /// Executes a command; returns the answer without its checksum, or the error code.
     pub(super) fn execute(&mut self, name: &str, args: &str) -> Result<String, u8> {
         if !self.initialized && !ALWAYS.contains(&name) {
             return Err(code::NOT_INITIALIZED);
@@ -78,7 +78,7 @@ impl NdiDevice {
         }
     }
 
-    /// Its value, and what else `GETINFO` says: type, attributes, range, names, a description.
+    /// The value of a parameter, and the rest of the answer to `GETINFO`: type, attributes, range, names, description.
     fn parameter(&self, name: &str) -> Result<(String, &'static str), u8> {
         match name {
             "Features.Firmware.Version" => Ok((
@@ -99,7 +99,7 @@ impl NdiDevice {
         }
     }
 
-    /// What is set already may be set; anything else is out of range.
+    /// Accepts the current value only; every other value is out of range.
     fn set(&self, args: &str) -> Result<String, u8> {
         let (name, value) = args.split_once('=').ok_or(code::PARAMETERS)?;
         let (known, _) = self.parameter(name)?;
@@ -120,7 +120,7 @@ impl NdiDevice {
         }
     }
 
-    /// Handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
+    /// Lists handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
     fn list(&self, args: &str) -> Result<String, u8> {
         let wanted = |port: &&Port| match args {
             "00" | "" => true,
@@ -140,7 +140,7 @@ impl NdiDevice {
         Ok(text)
     }
 
-    /// `hhaaaa` and 64 bytes in hexadecimal.
+    /// Writes a page of a tool definition: `hhaaaa` and 64 bytes in hexadecimal.
     fn write_rom(&mut self, args: &str) -> Result<String, u8> {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         let address = args.get(2..6).and_then(|a| usize::from_str_radix(a, 16).ok());
@@ -163,7 +163,7 @@ impl NdiDevice {
         Ok(OKAY.to_owned())
     }
 
-    /// `hhm`: the priority is static, dynamic or button box.
+    /// Enables a tool: `hhm`, where the priority is static, dynamic or button box.
     fn enable(&mut self, args: &str) -> Result<String, u8> {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         match args.get(2..) {
@@ -206,39 +206,39 @@ fn handle(args: &str) -> Result<u8, u8> {
     u8::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS)
 }
 
-/// Bytes of a tool's definition: sixteen pages of 64.
+/// Size of a tool definition: sixteen pages of 64 bytes.
 const ROM_BYTES: usize = 1024;
 
-/// Bytes that `PVWR` writes at once.
+/// Size of a page, which `PVWR` writes at once.
 pub(super) const PAGE_BYTES: usize = 64;
 
-/// Where a definition has the part number, and how long it is.
+/// The part number's bytes in a tool definition.
 const PART_NUMBER: std::ops::Range<usize> = 592..612;
 
-/// Handles that a host may ask for beside the tools that are plugged in.
+/// Most handles that a host may request in addition to the tools that are plugged in.
 const LOADED_MAX: usize = 32;
 
-/// One handle.
+/// A port handle and its tool.
 #[derive(Debug, Clone)]
 pub(super) struct Port {
     pub(super) handle: u8,
-    /// The column of the motion that the tool is; `None` when it is never seen.
+    /// The tool's column in the motion; `None` when it is never visible.
     pub(super) column: Option<usize>,
     pub(super) part_number: String,
     pub(super) initialized: bool,
     pub(super) enabled: bool,
-    /// The definition that a host loaded; `None` for a tool that is plugged in.
+    /// The tool definition loaded by a host; `None` for a tool that is plugged in.
     rom: Option<Box<[u8; ROM_BYTES]>>,
     pub(super) written: bool,
 }
 
 impl Port {
-    /// Bits: occupied (1), initialized (16), enabled (32).
+    /// Status bits: occupied (1), initialized (16), enabled (32).
     pub(super) fn status(&self) -> u32 {
         1 | u32::from(self.initialized) << 4 | u32::from(self.enabled) << 5
     }
 
-    /// `false` when the page lies outside the definition, or the tool is plugged in.
+    /// Writes a page; `false` when it lies outside the definition, or the tool is plugged in.
     pub(super) fn write(&mut self, address: usize, page: &[u8; PAGE_BYTES]) -> bool {
         let Some(rom) = &mut self.rom else { return false };
         let Some(place) = rom.get_mut(address..).and_then(|rest| rest.get_mut(..PAGE_BYTES)) else {
@@ -261,7 +261,7 @@ pub(super) struct Ports {
 }
 
 impl Ports {
-    /// Tools that are plugged in: their part numbers and columns.
+    /// Creates the handles of the tools that are plugged in, from their part numbers and columns.
     pub(super) fn new(tools: Vec<(String, usize)>, n_columns: usize) -> Self {
         let port = |(handle, (part_number, column))| Port {
             handle,
@@ -275,7 +275,7 @@ impl Ports {
         Self { ports: (1..).zip(tools).map(port).collect(), n_columns }
     }
 
-    /// As after power-on: what was loaded is gone.
+    /// Restores the state after power-on: loaded tools are gone.
     pub(super) fn reset(&mut self) {
         self.ports.retain(|port| port.rom.is_none());
         for port in &mut self.ports {
@@ -295,7 +295,7 @@ impl Ports {
         self.ports.iter().filter(|port| port.enabled)
     }
 
-    /// A handle for a tool that will be loaded: the first marker that is no tool yet plays it.
+    /// Creates a handle for a tool to be loaded; the first marker that is not a tool yet acts as this tool.
     pub(super) fn request(&mut self) -> Option<u8> {
         let loaded = self.ports.iter().filter(|port| port.rom.is_some()).count();
         if loaded >= LOADED_MAX {
@@ -317,14 +317,15 @@ impl Ports {
         Some(handle)
     }
 
-    /// `false` when there is no such handle. A tool that is plugged in keeps its own.
+    /// Frees the handle of a loaded tool; a tool that is plugged in keeps its own. `false` when there is no such
+    /// handle.
     pub(super) fn free(&mut self, handle: u8) -> bool {
         let before = self.ports.len();
         self.ports.retain(|port| port.handle != handle || port.rom.is_none());
         before > self.ports.len() || self.ports.iter().any(|port| port.handle == handle)
     }
 
-    /// Whether the marker of a column is reported as a tool.
+    /// Whether the marker in this column is reported as a tool.
     pub(super) fn is_tool(&self, column: usize) -> bool {
         self.enabled().any(|port| port.column == Some(column))
     }
