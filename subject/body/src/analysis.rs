@@ -1,4 +1,8 @@
-//! One scan, from a clean surface to joints: the methods in the order in which they are tried.
+//! Analysis of one scan, from a clean surface to joint centres.
+//!
+//! The default method finds the extremities ([`extremity`]), refines them and places landmarks and joints ([`locate`]),
+//! then checks the result: proportions ([`plausible`]), volume, neck, and parts missing from the scan. Doubtful joints
+//! get a larger standard deviation or are left out, each with a note.
 
 use super::extremity::{self, Extremities, NamingMode};
 use super::geodesic::{Adjacency, Graph, Workspace};
@@ -8,43 +12,43 @@ use super::plausible::{self, Plausibility};
 use super::skeleton::Method;
 use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
 
-/// A body narrows by this below its head, at least: whole ones do by 1.24 and more, as they are and in other builds, and those
-/// that are cut off above the throat do not.
+/// Least ratio of the girths of head and neck. Whole bodies have 1.24 or more, in their own and in other builds; bodies
+/// cut off above the throat have less.
 const NECK_NARROWING_MIN: f64 = 1.12;
 
-/// How far a wrist may be off besides where its arm is none by its length, in body scales: half a hand (0.108, Drillis and Contini
-/// 1966), for whether the hand is there cannot be told from ways that lead through contact.
+/// Additional standard deviation of a wrist whose arm has no plausible length, in body scales: half a hand (0.108,
+/// Drillis and Contini 1966), since distances that cross a contact do not show whether the hand is there.
 const ARMLESS_WRIST_SIGMA: f64 = 0.054;
 
-const HEAD_UNCERTAIN: &str = "what was taken for the top of the head is not what is farthest from the neck, and may be the \
-                           forehead, a temple or an open mouth: its +- mm is larger; scan with the head bare and the mouth \
-                           closed";
+const HEAD_UNCERTAIN: &str = "the point taken for the top of the head is not the one farthest from the neck and may be the \
+                              forehead, a temple or an open mouth: its +- mm is larger; scan with the head bare and the \
+                              mouth closed";
 
-/// What a scan gives.
+/// Joints and extremities of one scan, and how far to trust them.
 #[derive(Debug, Clone)]
 pub struct Survey {
     /// The joints, in the mesh's frame and unit.
     pub joints: Joints,
     /// Head, hands and feet.
     pub extremities: Extremities,
-    /// How sure the ends are told apart, from 0 to 1; 1 where nobody asked.
+    /// Confidence in the identification of the extremities, 0 to 1; always 1 for [`Method::Paper`].
     pub confidence: f64,
-    /// Whether limbs touch, so that ways along the surface may lead from one into another.
+    /// Whether limbs touch, so that geodesic paths may cross from one limb to another.
     pub in_contact: bool,
-    /// About the stature, in the mesh's unit, whatever the pose; nothing of [`Method::Paper`].
+    /// Body scale: about the stature in the mesh's unit, whatever the pose; none for [`Method::Paper`].
     pub body_scale: Option<f64>,
-    /// What whoever reads the joints should know.
+    /// Remarks for readers of the joints.
     pub notes: Vec<Note>,
-    /// Level sets and Reeb graph of the distance from the head (Yu et al. 2008): of the method that is built upon them,
-    /// and where [`Survey::with_levels`] asked for them.
+    /// Level sets and Reeb graph of the geodesic distance from the head (Yu et al. 2008): always for [`Method::Paper`],
+    /// otherwise after [`Survey::with_levels`].
     pub levels: Option<Levels>,
 }
 
 impl Survey {
-    /// Finds the joints of a body on a closed surface of one piece.
+    /// Finds the joints of a body on a closed, connected surface.
     ///
     /// # Errors
-    /// [`Refusal`], with what to do: what cannot be told with confidence is refused, and never guessed.
+    /// [`Refusal`] if the result would be ambiguous, with what to do.
     pub fn new(mesh: &Mesh, method: Method) -> Result<Self, Refusal> {
         match method {
             Method::Default => Self::by_default(mesh),
@@ -60,8 +64,8 @@ impl Survey {
         let (extremities, confidence) = (ends.extremities, ends.confidence());
         let margin = ends.margin;
         let refined = refine_ends(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
-        // An end that nobody reaches, ways that contradict each other, a limb without a middle, or a trunk longer than any:
-        // the surface is joined where a body is not.
+        // An unreachable extremity, contradictory distances, a limb without a centre line, an implausibly long trunk:
+        // the surface is fused where a body is not.
         let handles = adjacency.handles();
         let contact = Refusal::Contact { handles };
         let landmarks = Landmarks::new(mesh, &refined.fields()).ok_or(contact)?;
@@ -75,7 +79,7 @@ impl Survey {
         let mut notes = Vec::new();
         match Plausibility::of(&joints) {
             Plausibility::Whole => {}
-            // Contact does not explain it, but a limb that was taken for another does.
+            // Contact does not explain implausible arms here; a limb mistaken for another does.
             Plausibility::WithoutArms if ends.mode == NamingMode::CutLimb => {
                 return Err(Refusal::Ambiguous { margin });
             }
@@ -89,7 +93,7 @@ impl Survey {
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
             notes.push(limbs_cut_note(landmarks.missing));
         }
-        // Arms of another length than most people's are no sign of contact by themselves.
+        // Unusual arm lengths alone are no sign of contact.
         let scale = landmarks.scale;
         if let Some(by) = plausible::size_shortfall(mesh, scale, touching || handles > 0) {
             notes.push(plausible::widen_sigmas(&mut joints, scale, by));
@@ -121,7 +125,8 @@ impl Survey {
         })
     }
 
-    /// What is at fault where the published method refuses: the scan, as the better method sees it, or the method itself.
+    /// The cause of a refusal by the published method: the scan, if the default method refuses it too, or the method
+    /// itself.
     fn explain_refusal(
         mesh: &Mesh,
         adjacency: &Adjacency,
@@ -136,7 +141,7 @@ impl Survey {
         }
     }
 
-    /// Level sets and Reeb graph for a picture, where the method has none of its own; `mesh` is the one that was surveyed.
+    /// Adds level sets and Reeb graph for a picture, if there are none. `mesh` is the mesh that was analysed.
     #[must_use]
     pub fn with_levels(mut self, mesh: &Mesh) -> Self {
         if self.levels.is_none() {
@@ -146,7 +151,7 @@ impl Survey {
     }
 }
 
-/// Takes out the joints that nothing tells of where arms have grown together with the trunk.
+/// Removes shoulders and elbows where arms have fused with the trunk.
 fn remove_arms(joints: &mut Joints, scale: f64) -> Note {
     for side in Side::BOTH {
         joints.estimates.remove(&Joint::Shoulder(side));
@@ -155,12 +160,11 @@ fn remove_arms(joints: &mut Joints, scale: f64) -> Note {
             wrist.sigma = wrist.sigma.hypot(ARMLESS_WRIST_SIGMA * scale);
         }
     }
-    let text = "the arms touch the body, and are no arms by their lengths: shoulders and elbows are left out; scan \
-                with arms apart";
+    let text = "the arms touch the body and have no plausible lengths: left out shoulders and elbows; scan with arms apart";
     Note::new("arms-left-out", text)
 }
 
-/// What is left out of limbs that end early.
+/// The note on limbs that end early.
 fn limbs_cut_note(missing: [[f64; 2]; 2]) -> Note {
     let longest = |parts: [f64; 2]| 100.0 * parts[0].max(parts[1]);
     let of = |name: &str, names: &str, parts: [f64; 2]| {
@@ -171,17 +175,17 @@ fn limbs_cut_note(missing: [[f64; 2]; 2]) -> Note {
     let parts = [of("an arm", "both arms", arms), of("a leg", "both legs", legs)];
     let parts = parts.into_iter().flatten().collect::<Vec<_>>().join(" and ");
     let text = format!(
-        "part of a limb is not in the scan ({parts} of stature, about): joints that are missing with it are left out, \
-         those beside it are unsure; scan the whole body"
+        "part of a limb is missing from the scan ({parts} of stature, estimated): left out its missing joints, those \
+         beside them are uncertain; scan the whole body"
     );
     Note::new("limb-cut-off", text)
 }
 
-/// Takes out the joints of a head that is not there.
+/// Removes the joints of a missing head.
 fn remove_head(joints: &mut Joints) -> Note {
     joints.estimates.remove(&Joint::Head);
     joints.estimates.remove(&Joint::Throat);
-    let text = "nothing narrows to a neck below the head: the head is not in the scan, or hidden by hair or a hood; it is \
-                left out with the throat, and lengths may be off by some per cent; scan all of the body";
+    let text = "found no neck below the head: the head is missing from the scan, or hidden by hair or a hood; left out head \
+                and throat, lengths may be off by some per cent; scan the whole body with the head bare";
     Note::new("head-left-out", text)
 }

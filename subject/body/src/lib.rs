@@ -1,7 +1,16 @@
-//! A body scan becomes a skeleton: joint centres, with how sure each is (Yu et al. 2008, and past it).
+//! Joint centres from a body scan: any pose, any orientation, no markers and no template body.
 //!
-//! It is made before a capture, once a subject, and knows nothing of takes: a take carries it as plain data. Joints rest
-//! on weights learned from two drawn bodies; the script is `benches/subject/learn.py`.
+//! A scan becomes a skeleton in four steps. [`read`] parses a mesh file; [`repair`] closes it into one manifold
+//! surface; [`Survey`] finds head, hands, feet and joint centres, each with its standard deviation; [`skeleton`]
+//! combines one scan or several into bone lengths and writes JSON. [`picture`] draws the result as SVG.
+//!
+//! Two methods share these steps. The default ([`locate`]) extends the one of Yu et al. 2008; [`paper`] implements
+//! theirs as printed, for comparison. Both rest on geodesic distances along the surface, which hardly change with the
+//! pose.
+//!
+//! A skeleton is prepared once per subject, before a capture. This crate knows nothing of takes; a take carries the
+//! skeleton as a document. The default method's weights were learned from two synthetic bodies by
+//! `benches/subject/learn.py`.
 
 mod diagnosis;
 pub mod extremity;

@@ -1,37 +1,37 @@
-//! Shortest paths from one vertex, or several, to all.
+//! Shortest paths from one vertex or several to all others.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::graph::Graph;
 
-/// Turns over all vertices before a heap takes over, whose time is bounded. Bodies need some ten.
+/// Most sweeps over all vertices before Dijkstra's method takes over, whose time is bounded. Bodies need about ten.
 const SWEEPS_MAX: usize = 48;
-/// How often a vertex may be come to in them, on average. On bodies it is 1.3 to 1.7 times.
+/// Mean number of visits per vertex in the sweeps, at most. Bodies need 1.3 to 1.7.
 const VISITS_MAX: usize = 4;
 
-/// What one run leaves for the next, so that a dozen sources cost little more than their links.
+/// State that runs reuse, so that a dozen sources cost little more than their links.
 ///
-/// It may be used with any graph: what it leaves changes how long a run takes, and never what it gives.
+/// Any graph may follow any other: the workspace affects only the time of a run, never its result.
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
-    // Lengths are never negative, and the bits of such numbers are in the order of the numbers.
+    // Distances are never negative, and the bits of such numbers are in the order of the numbers.
     heap: BinaryHeap<Reverse<(u64, u32)>>,
-    /// Every vertex once, in the order in which the first run came to them.
+    /// Every vertex once, in the order in which the first run reached them.
     order: Vec<u32>,
-    /// Which vertices have come nearer since their links were last followed.
+    /// Vertices that came nearer since their links were last followed.
     active: Vec<bool>,
 }
 
-/// The length of the shortest way from `source` to every vertex, in the mesh's unit; infinite where there is none.
+/// The length of the shortest path from `source` to every vertex, in the mesh's unit; infinite if there is none.
 #[must_use]
 pub fn distances(graph: &Graph, source: u32, workspace: &mut Workspace) -> Vec<f64> {
     distances_from(graph, [(source, 0.0)], workspace)
 }
 
-/// The same from several sources at once, each with a length that its ways start with: the least of all.
+/// The least distance from several sources, each with an initial length.
 ///
-/// A source that is no vertex is passed over.
+/// A source that is no vertex is ignored.
 #[must_use]
 pub fn distances_from(
     graph: &Graph,
@@ -56,7 +56,7 @@ pub fn distances_from(
         heap.extend(nearer.map(|(vertex, far)| Reverse((far.to_bits(), vertex))));
         let reached = dijkstra(graph, heap, &mut found);
         order.clear();
-        // What was known and did not help is forgotten: the next run begins without.
+        // An order that did not help is dropped: the next run starts without one.
         if !known {
             let apart = (0_u32..).zip(&found).filter(|(_, far)| far.is_infinite());
             order.extend(reached.into_iter().chain(apart.map(|(vertex, _)| vertex)));
@@ -65,7 +65,7 @@ pub fn distances_from(
     found
 }
 
-/// Dijkstra's method, from what lies in the heap; gives the vertices in the order in which it came to them.
+/// Dijkstra's method from the vertices in the heap. Returns the vertices in the order in which they were reached.
 fn dijkstra(
     graph: &Graph,
     heap: &mut BinaryHeap<Reverse<(u64, u32)>>,
@@ -90,12 +90,12 @@ fn dijkstra(
     reached
 }
 
-/// Follows the links of what has come nearer, there and back in an `order` that was right for another source, until
-/// nothing comes nearer; false if that takes too many turns.
+/// Relaxes links in alternating sweeps over an `order` computed for another source, until nothing changes; false if
+/// that takes too many sweeps.
 ///
-/// Limbs are tubes: along each, the order of any source is that of this one or its reverse. So most vertices are come to
-/// when they are final, and no heap and no branch is in the way. Lengths are the least sums along ways, as a heap gives
-/// them, to the last bit.
+/// Limbs are tubes, and along each the order for any source is this one or its reverse. Most vertices are final when
+/// visited, without a heap or a branch. The distances are the least sums along paths, equal to those of Dijkstra's
+/// method to the last bit.
 fn sweep(graph: &Graph, order: &[u32], found: &mut [f64], active: &mut [bool]) -> bool {
     let mut left = VISITS_MAX * order.len();
     for pass in 0..SWEEPS_MAX {

@@ -1,4 +1,4 @@
-//! Fewer faces: vertices that lie together, and hang together, become one.
+//! Decimation: connected vertices that lie close together become one.
 
 use super::RepairError;
 use super::clean::remove_degenerate_triangles;
@@ -6,19 +6,18 @@ use crate::mesh::{Point, distance};
 use crate::topology::{HalfEdge, SparseRows, edges, half_edges};
 use crate::{Mesh, Note};
 
-/// Balls that are tried, each a fifth larger.
+/// Number of radii that are tried, each a fifth larger.
 const ROUNDS: usize = 20;
-/// Radius of the first balls, in the edge of a square of which there are as many as vertices.
+/// First radius, in side lengths of a square with the mean area per vertex.
 const FIRST_RADIUS: f64 = 0.7;
 
-/// Makes the surface coarser until it has at most so many faces.
+/// Decimates the surface to at most `n_faces` faces.
 ///
-/// Each ball begins at the first vertex that is in none, and takes what it reaches over edges within its radius, so that
-/// sheets that merely come close, such as an arm beside a trunk, stay apart. No grid is laid: a turned mesh gives the
-/// same balls.
+/// Each cluster grows from the first unassigned vertex along edges within the radius, so sheets that merely come close,
+/// such as an arm beside the trunk, stay apart. There is no grid: a rotated mesh gives the same clusters.
 ///
 /// # Errors
-/// [`RepairError::Tangled`] where no ball makes so few: the surface is more knot than sheet.
+/// [`RepairError::Tangled`] if no radius gives so few faces: the surface is more knot than sheet.
 pub(super) fn decimate(
     mesh: &mut Mesh,
     n_faces: usize,
@@ -39,7 +38,7 @@ pub(super) fn decimate(
     if mesh.triangles.len() > n_faces {
         return Err(RepairError::Tangled);
     }
-    let text = format!("{before} faces are more than {n_faces}: made {}", mesh.triangles.len());
+    let text = format!("decimated {before} faces to {}", mesh.triangles.len());
     notes.push(Note::new("decimated", text));
     Ok(())
 }
@@ -78,7 +77,7 @@ fn coarsen(mesh: &mut Mesh, radius: f64) {
     }
     mesh.triangles.as_flattened_mut().iter_mut().for_each(|c| *c = ball[*c as usize]);
     mesh.positions = middles;
-    // Most triangles lie within a ball, and are none now.
+    // Most triangles lie within one cluster and are degenerate now.
     remove_degenerate_triangles(mesh, &mut Vec::new());
 }
 

@@ -1,4 +1,4 @@
-//! Holes: borders of the surface, closed.
+//! Closing of holes.
 
 use super::RepairError;
 use super::manifold::{NONE, pair_half_edges};
@@ -6,13 +6,13 @@ use crate::mesh::{Point, distance, mean};
 use crate::topology::ends;
 use crate::{Mesh, Note};
 
-/// Largest area that is closed, in areas of the surface. A sole that was not scanned has 0.01, a neck 0.007, the leg of
-/// a hip 0.02, the waist of half a body 0.05.
+/// Largest patch that is closed, as a fraction of the surface. A missing sole has 0.01, a neck 0.007, a leg cut at the
+/// hip 0.02, a body cut at the waist 0.05.
 const AREA_MAX: f64 = 0.03;
-/// Rings of vertices that a large hole is filled with, at most.
+/// Most rings of vertices that fill a hole.
 const RINGS_MAX: usize = 24;
 
-/// Closes every hole with rings of triangles around its middle.
+/// Closes every hole with rings of triangles around its centroid.
 pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
     let borders = borders(mesh);
     if borders.is_empty() {
@@ -36,7 +36,8 @@ pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), Repair
         }
     }
     let text = format!(
-        "{count} holes were closed, the longest {:.1} % of the extent around and {:.2} % of the surface",
+        "closed {count} {}, the longest {:.1} % of the extent around and {:.2} % of the surface",
+        if count == 1 { "hole" } else { "holes" },
         100.0 * longest.0 / across,
         100.0 * longest.1 / whole
     );
@@ -44,7 +45,7 @@ pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), Repair
     Ok(())
 }
 
-/// The vertices of each border, in the direction of its triangles. In a manifold each vertex is on one border at most.
+/// The vertices of each border loop, in the direction of its triangles. In a manifold a vertex lies on at most one.
 fn borders(mesh: &Mesh) -> Vec<Vec<u32>> {
     let (across, _) = pair_half_edges(mesh);
     let mut after = vec![NONE; mesh.positions.len()];
@@ -77,7 +78,8 @@ fn perimeter(mesh: &Mesh, border: &[u32]) -> f64 {
     points.iter().zip(after).map(|(&a, &b)| distance(a, b)).sum()
 }
 
-/// As many rings as make triangles about as long as the border's edges; the innermost is one vertex.
+/// Fills a border loop with as many rings as make triangles about as long as its edges; the innermost ring is one
+/// vertex.
 fn fill(mesh: &mut Mesh, border: &[u32], perimeter: f64) {
     if let [a, b, c] = border[..] {
         mesh.triangles.push([c, b, a]);

@@ -81,7 +81,7 @@ fn several_scans_are_averaged_and_their_spread_told() {
         assert!(bone.spread_mm.is_some_and(|mm| mm > 0.5 && mm < 20.0), "{bone:?}");
     }
     let noted = |text: &str| skeleton.notes.iter().any(|note| note.contains(text));
-    assert!(noted("l_shoulder: the centre that l_elbow turned about"), "{:?}", skeleton.notes);
+    assert!(noted("l_shoulder: centre of rotation of l_elbow"), "{:?}", skeleton.notes);
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn limbs_that_turn_tell_their_centres() {
     let skeleton =
         Skeleton::new(Method::Default, &[biased(Pose::A), biased(Pose::A), biased(Pose::A)]);
     let notes = skeleton.unwrap().notes;
-    assert!(notes.iter().any(|note| note.contains("degrees, 40 are needed")), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("at least 40 are needed")), "{notes:?}");
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn what_is_written_of_any_joints_can_be_read() {
     let skeleton = Skeleton::new(Method::Default, &[scan(Pose::A, odd)]).unwrap();
     assert_eq!(skeleton.joints.len(), 12);
     assert!(skeleton.bones.iter().all(|bone| bone.name != "r_thigh"));
-    assert!(skeleton.notes.iter().any(|note| note.starts_with("3 joints have no position")));
+    assert!(skeleton.notes.iter().any(|note| note.ends_with("finite position: 3")));
     assert_eq!(Skeleton::from_json(skeleton.to_json().as_bytes()), Ok(skeleton));
 }
 
@@ -230,7 +230,7 @@ fn a_foreign_document_is_refused_with_the_reason() {
     let head = text.find("\"head\"").unwrap();
     for (from, to, expected) in [
         ("mocapd-skeleton", "other", "other"),
-        ("\"version\": 1", "\"version\": 2", "it is version 2 of mocapd-skeleton"),
+        ("\"version\": 1", "\"version\": 2", "version 2 of mocapd-skeleton"),
         (
             "\"version\": 1",
             "\"version\": 0",
