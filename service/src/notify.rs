@@ -1,6 +1,6 @@
-//! What systemd is told: that the service runs, how it is, and that its data plane moves.
+//! Notifies systemd that the service is ready, of its status, and that its data plane is making progress.
 //!
-//! Started by anything else, nobody is told, and nothing fails for it.
+//! Without systemd, notifications do nothing.
 
 use std::{
     thread::JoinHandle,
@@ -15,23 +15,24 @@ use sd_notify::NotifyState;
 pub use mocapd_acquire::heartbeat::{Beat, Heartbeat, Who};
 use mocapd_acquire::threads;
 
-/// Longer words are cut: `systemctl status` has one line for them.
+/// Longest status text in bytes: `systemctl status` shows one line.
 const STATUS_BYTES_MAX: usize = 512;
 
-/// Tells the service manager that started this process, if one did.
+/// Notifies the service manager, if one started this process.
 #[derive(Debug, Clone, Default)]
 pub struct Notifier {
     status: String,
 }
 
 impl Notifier {
-    /// Supervision runs: what waits for this unit may go on. `status` says how the device is, which need not be there.
+    /// Reports that the service is ready, so that units waiting for it can start. `status` may say that the device is
+    /// missing.
     pub fn ready(&mut self, status: &str) {
         self.status = one_line(status);
         send(&[NotifyState::Ready, NotifyState::Status(&self.status)]);
     }
 
-    /// How it is, in words. The same words are said once.
+    /// Reports a status text, unless it has not changed.
     pub fn status(&mut self, status: &str) {
         let status = one_line(status);
         if status != self.status {
@@ -40,31 +41,32 @@ impl Notifier {
         }
     }
 
-    /// The configuration is read again, from now until [`ready`](Self::ready).
+    /// Reports that the configuration is being reloaded, until the next [`ready`](Self::ready).
     pub fn reloading(&mut self) {
-        self.status = "reading the configuration again".to_owned();
+        self.status = "reloading the configuration".to_owned();
         match NotifyState::monotonic_usec_now() {
             Ok(now) => send(&[NotifyState::Reloading, now, NotifyState::Status(&self.status)]),
             Err(_) => send(&[NotifyState::Reloading, NotifyState::Status(&self.status)]),
         }
     }
 
-    /// It ends; `status` says what is still done: a take is finished.
+    /// Reports that the service is stopping; `status` says what it is still doing, such as finishing a take.
     pub fn stopping(&mut self, status: &str) {
         self.status = one_line(status);
         send(&[NotifyState::Stopping, NotifyState::Status(&self.status)]);
     }
 
-    /// Pings the watchdog, on a thread of its own and for as long as what this gives is kept, while every thread in
-    /// `heartbeat` moves. `None` when nobody waits for pings.
+    /// Starts a thread that pings the watchdog while every thread in `heartbeat` makes progress, until the returned
+    /// value is dropped. `None` if the watchdog is off.
     ///
     /// # Errors
-    /// When the thread cannot be started.
+    /// The thread cannot be started.
     pub fn watch(heartbeat: &Heartbeat) -> anyhow::Result<Option<Pings>> {
         let Some(watchdog) = sd_notify::watchdog_enabled().filter(|time| !time.is_zero()) else {
             return Ok(None);
         };
-        // A thread that hangs is noticed after half the time, and no ping follows. Two looks fit into that half.
+        // A stalled thread is detected after half the watchdog's time, and pings then stop. Two checks fit into that
+        // half.
         let (limit, every) = (watchdog / 2, watchdog / 4);
         let heartbeat = heartbeat.clone();
         let (stop, stopped) = bounded::<()>(1);
@@ -79,7 +81,7 @@ impl Notifier {
                     }
                     Some(overdue) if !is_reported => {
                         tracing::error!(
-                            "{overdue}: the watchdog is not pinged, and restarts the service"
+                            "{overdue}: not pinging the watchdog, so systemd will restart the service"
                         );
                         send(&[NotifyState::Status(&format!("{overdue}"))]);
                         is_reported = true;
@@ -91,12 +93,12 @@ impl Notifier {
                 }
             }
         })
-        .context("the watchdog cannot be served")?;
+        .context("cannot start the watchdog thread")?;
         Ok(Some(Pings { stop: Some(stop), thread: Some(thread) }))
     }
 }
 
-/// Serves the watchdog until it is dropped.
+/// Pings the watchdog until it is dropped.
 #[derive(Debug)]
 pub struct Pings {
     stop: Option<Sender<()>>,
@@ -112,7 +114,7 @@ impl Drop for Pings {
     }
 }
 
-/// Stopping takes so much longer, from now on, whatever the unit's `TimeoutStopSec=` says.
+/// Asks systemd to wait this much longer for the service to stop, regardless of `TimeoutStopSec=`.
 pub(super) fn extend_stop(by: Duration) {
     let usec = u32::try_from(by.as_micros()).unwrap_or(u32::MAX);
     send(&[NotifyState::ExtendTimeoutUsec(usec)]);
@@ -120,11 +122,11 @@ pub(super) fn extend_stop(by: Duration) {
 
 fn send(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
-        tracing::warn!("systemd is not told: {error}");
+        tracing::warn!("cannot notify systemd: {error}");
     }
 }
 
-/// What may stand in one assignment: a line break would begin another.
+/// Makes a text safe for one assignment of the protocol: a line break would begin another.
 fn one_line(text: &str) -> String {
     let mut line = visible(text).into_owned();
     line.truncate(line.floor_char_boundary(STATUS_BYTES_MAX));
@@ -142,8 +144,8 @@ mod tests {
 
     use super::*;
 
-    /// What a process of its own, in which `scene` is played, tells a socket that is not systemd's. The environment
-    /// belongs to a whole process, and the tests share one.
+    /// Runs `scene` in its own process and collects the messages it sends to a socket in place of systemd's. The
+    /// environment belongs to a whole process, and tests share one.
     fn messages_of(scene: &str, watchdog_usec: Option<u64>) -> (Vec<String>, ExitStatus) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
@@ -156,7 +158,7 @@ mod tests {
         let mut child = child.spawn().unwrap();
         let (mut messages, mut buffer) = (Vec::new(), [0; 4096]);
         loop {
-            // Looked at before the read: what it said before it ended is there by then.
+            // Checked before reading: whatever it sent before it ended has arrived by then.
             let ended = child.try_wait().unwrap();
             while let Ok(n) = socket.recv(&mut buffer) {
                 messages.push(String::from_utf8(buffer[..n].to_vec()).unwrap());
@@ -175,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "played in a process of its own, by the test below"]
+    #[ignore = "run in its own process by the test below"]
     fn a_life() {
         let mut notifier = Notifier::default();
         notifier.ready("idle; the device is not there");
@@ -189,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn systemd_is_told_of_a_life() {
+    fn systemd_is_notified_from_ready_to_stopping() {
         let (messages, status) = messages_of("a_life", None);
         assert!(status.success());
         assert_eq!(messages.len(), 7, "{messages:?}");
@@ -206,9 +208,9 @@ mod tests {
         assert_eq!(messages[6], "EXTEND_TIMEOUT_USEC=25000000\n");
     }
 
-    /// Moves for a second, hangs for one, and moves again.
+    /// Makes progress for a second, stalls for one, and makes progress again.
     #[test]
-    #[ignore = "played in a process of its own, by the test below"]
+    #[ignore = "run in its own process by the test below"]
     fn a_reader_that_hangs() {
         let heartbeat = Heartbeat::default();
         let (reader, idle) = (heartbeat.beat(Who::Reader).unwrap(), heartbeat.beat(Who::Worker));
@@ -251,18 +253,18 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "played in a process of its own, by the test below"]
+    #[ignore = "run in its own process by the test below"]
     fn no_watchdog() {
         assert!(Notifier::watch(&Heartbeat::default()).unwrap().is_none());
     }
 
     #[test]
-    fn nobody_is_pinged_who_does_not_wait_for_it() {
+    fn without_a_watchdog_nothing_is_sent() {
         for usec in [None, Some(0)] {
             let (messages, status) = messages_of("no_watchdog", usec);
             assert!(status.success() && messages.is_empty(), "{messages:?}");
         }
-        // And without a socket nothing fails.
+        // Without a socket nothing fails, either.
         a_life();
     }
 }

@@ -1,4 +1,4 @@
-//! Capture triggers at work: those that are heard start and stop takes, and our starts and stops are told.
+//! Executes capture triggers that are received, and sends triggers for takes that start and stop here.
 
 use std::{
     net::IpAddr,
@@ -22,7 +22,7 @@ use super::{
 };
 use crate::config::TriggerConfig;
 
-/// The threads that hear and tell.
+/// The threads that receive and send triggers.
 #[derive(Debug)]
 pub struct Triggers {
     listening: Option<ListenerThread>,
@@ -30,7 +30,7 @@ pub struct Triggers {
     worker: JoinHandle<()>,
 }
 
-/// Who carries out what is heard.
+/// Executes triggers, and announces takes.
 #[derive(Debug)]
 struct Worker {
     control: Arc<dyn Control>,
@@ -38,19 +38,19 @@ struct Worker {
     events: EventFeed,
     announcer: Announcer,
     sender: Option<TriggerSender>,
-    /// The take that another program started, which need not be told of it.
+    /// The take that another program started: it is not announced, because that program has announced it.
     triggered: Option<TriggeredTake>,
-    /// Of triggers that change nothing: their sender can send a thousand a second.
+    /// Limits messages about triggers without effect, of which a sender can send a thousand a second.
     rate_limit: RateLimit,
     stopped: Stopped,
 }
 
-/// What became of a trigger, in words.
+/// The effect of a trigger, with its message.
 #[derive(Debug)]
 enum Outcome {
-    /// A take began, or ended.
+    /// A take started or stopped.
     Acted(String),
-    /// All is as it was.
+    /// Nothing changed.
     Nothing(String),
 }
 
@@ -61,10 +61,10 @@ struct TriggeredTake {
 }
 
 impl Triggers {
-    /// As configured; `None` where nothing is to be heard or told.
+    /// Starts as configured; `None` if triggers are neither received nor sent.
     ///
     /// # Errors
-    /// When the address cannot be listened on, or the system gives no thread or socket.
+    /// The address is unavailable, or the system refuses a thread or socket.
     pub fn open(
         config: &TriggerConfig,
         rig: &str,
@@ -110,11 +110,11 @@ impl Triggers {
         Ok(Some(Self { listening, stopper, worker }))
     }
 
-    /// Hears and tells no more.
+    /// Stops receiving and sending.
     pub fn close(self) {
         drop(self.listening);
         drop(self.stopper);
-        // A thread that panicked has told so already.
+        // A thread that panicked has reported it already.
         drop(self.worker.join());
     }
 }
@@ -128,11 +128,11 @@ impl Worker {
             }
             self.announce();
         }
-        // The end of the take that was finished when the service stopped.
+        // Announces the end of the take that was finished when the service stopped.
         self.announce();
     }
 
-    /// Until a trigger comes or is due, something happens, or it is over.
+    /// Waits until a trigger arrives or is due, an event happens, or the thread has to stop.
     fn wait(&mut self) {
         let due = self.triggers.due_in().map_or_else(never, after);
         let event = select! {
@@ -143,7 +143,7 @@ impl Worker {
         };
         match event {
             Ok(event) => self.announce_event(&event),
-            // The service ends: nothing more happens, and this thread is told to end soon.
+            // The service is ending: there will be no more events, and this thread will be stopped soon.
             Err(_) => {
                 self.stopped.channel().recv().ok();
             }
@@ -183,42 +183,42 @@ impl Worker {
         let name = stop.name.as_ref().map(TakeName::text);
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);
-        // A stop that means no take that is being recorded can mean a start that waits.
+        // A stop that matches no take in progress may mean a start that is still pending.
         let cancel_pending = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
         {
             0 => Outcome::Nothing(format!("{note}: {otherwise}")),
-            n => Outcome::Acted(format!("{note}: starts that waited, now cancelled: {n}")),
+            n => Outcome::Acted(format!("{note}: cancelled {n} delayed start{}", if n == 1 { "" } else { "s" })),
         };
         let Some(recording) = recording.as_deref() else {
             return cancel_pending(match was_recording {
-                Some(was) => format!("{was} was over already"),
+                Some(was) => format!("{was} had already ended"),
                 None => "no take is being recorded".to_owned(),
             });
         };
         if name.is_some_and(|name| name != recording) {
-            return cancel_pending(format!("another take is being recorded, {recording}: it goes on"));
+            return cancel_pending(format!("another take, {recording}, is being recorded and continues"));
         }
-        // Without a name the take is meant that was being recorded when the trigger came, and no later one. Where there
-        // was none, its sender can only mean a start of its own, which came before it and was not carried out yet.
+        // Without a name, a stop means the take that was being recorded when it arrived, not a later one. If there was
+        // none, it can only mean a start by the same sender that arrived earlier and was not executed yet.
         match was_recording.filter(|_| name.is_none()) {
             Some(was) if was != recording => {
-                return Outcome::Nothing(format!("{note}: {was} was over already"));
+                return Outcome::Nothing(format!("{note}: {was} had already ended"));
             }
             None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
                 let goes_on =
-                    format!("no take was being recorded when it came: {recording} goes on");
+                    format!("no take was being recorded when it arrived; {recording} continues");
                 return cancel_pending(goes_on);
             }
             _ => {}
         }
-        // A take that cannot be marked can be stopped.
+        // A take that cannot be marked can still be stopped.
         self.control.mark(&Mark { text: note.to_owned(), ..Mark::default() }).ok();
         match self.control.stop(&Request::default()) {
             Ok(stopped) => Outcome::Acted(format!("{note}: stopped {}", stopped.name)),
             Err(refusal) if refusal.kind == RefusalKind::Conflict => {
-                Outcome::Nothing(format!("{note}: it was over already"))
+                Outcome::Nothing(format!("{note}: the take had already ended"))
             }
-            // The take may have ended, and with a loss: whoever reads the log must not miss it.
+            // The take may have ended with a loss, which must not be missing from the log.
             Err(refusal) => Outcome::Acted(format!("{note}: not stopped: {refusal}")),
         }
     }

@@ -1,5 +1,5 @@
-//! Who may say what: by level, and how often the same. What was left out is told, by a thread that may wait for the
-//! journal.
+//! Filters log messages by level and limits repeated ones. A thread that may wait for the journal logs how many were
+//! suppressed.
 
 use std::{
     collections::HashMap,
@@ -25,21 +25,21 @@ use tracing_subscriber::layer::Context;
 
 use super::Level;
 
-/// Of the same message so many in so long a time: who reads sees that it happens again and again, and a device that
-/// fails a hundred times a second fills no disk.
+/// At most this many of the same message in this time: the repetition shows, and a device that fails a hundred times a
+/// second does not fill the disk.
 const BURST: u32 = 10;
 const WINDOW: Duration = Duration::from_secs(60);
 
-/// Messages told apart: there are fewer places in the source that say something. What comes beyond is counted as one.
+/// Most messages that are distinguished: fewer places in the source log something. Any others are counted together.
 const MESSAGES_MAX: usize = 256;
 
-/// As much of a message as its summary repeats.
+/// Longest sample of a message in a summary.
 const SAMPLE_BYTES_MAX: usize = 160;
 
-/// Where summaries come from: they are not held back themselves.
+/// The target of summaries, which are not limited themselves.
 pub(super) const SUMMARY: &str = "mocapd_service::log::summary";
 
-/// Decides, for every thread.
+/// The level and rate limit of all threads.
 #[derive(Debug)]
 pub(super) struct LogFilter {
     level: AtomicU8,
@@ -60,19 +60,19 @@ impl LogFilter {
         Level::ALL[usize::from(self.level.load(Ordering::Relaxed)).min(Level::ALL.len() - 1)]
     }
 
-    /// What was left out and is over, or all of it: how many, and one of them.
+    /// Numbers of suppressed messages, with a sample of each, whose time window is over; or of all windows.
     pub(super) fn take_suppressed(&self, now: Instant, all: bool) -> Vec<(u64, String)> {
         self.limiter.lock().unwrap_or_else(PoisonError::into_inner).take_suppressed(now, all)
     }
 }
 
-/// The gate as the subscriber asks it.
+/// The filter as a layer of the subscriber.
 #[derive(Debug)]
 pub(super) struct FilterLayer(pub(super) Arc<LogFilter>);
 
 impl<S: Subscriber> tracing_subscriber::Layer<S> for FilterLayer {
     fn register_callsite(&self, _: &'static Metadata<'static>) -> Interest {
-        // The level may change.
+        // The level may change later.
         Interest::sometimes()
     }
 
@@ -95,14 +95,14 @@ impl<S: Subscriber> tracing_subscriber::Layer<S> for FilterLayer {
     }
 }
 
-/// An event's message.
+/// Extracts the message of an event.
 #[derive(Default)]
 struct MessageVisitor(String);
 
 impl Visit for MessageVisitor {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
-            // A string takes everything.
+            // Writing into a String does not fail.
             write!(self.0, "{value:?}").ok();
         }
     }
@@ -123,7 +123,7 @@ struct MessageCount {
 
 impl RateLimiter {
     fn allows(&mut self, message: u64, text: &str, now: Instant) -> bool {
-        // What is over and was told in full is forgotten; what was not is kept until somebody has told of it.
+        // Windows that are over are forgotten once their suppressed messages have been logged.
         if self.messages.len() >= MESSAGES_MAX {
             self.messages.retain(|_, count| count.suppressed > 0 || !count.is_over(now));
         }
@@ -167,10 +167,10 @@ impl MessageCount {
     }
 }
 
-/// How often what was left out is looked at.
+/// Time between checks for suppressed messages.
 const SUMMARY_INTERVAL: Duration = Duration::from_secs(5);
 
-/// The thread that tells what was left out. Dropping it tells the rest.
+/// The thread that logs how many messages were suppressed. Dropping it logs the rest.
 #[derive(Debug)]
 pub(super) struct SummaryThread {
     stop: Option<Sender<()>>,
@@ -189,7 +189,7 @@ impl Drop for SummaryThread {
 impl SummaryThread {
     pub(super) fn start(filter: Arc<LogFilter>) -> anyhow::Result<Self> {
         let (stop, stopped) = bounded::<()>(1);
-        // A subscriber that holds for this thread alone holds for the new one, too: so it is in tests.
+        // Tests set a subscriber for the current thread only: the new thread inherits it.
         let dispatch = tracing::dispatcher::get_default(Clone::clone);
         let run = move || {
             while stopped.recv_timeout(SUMMARY_INTERVAL) == Err(RecvTimeoutError::Timeout) {
@@ -270,7 +270,7 @@ mod tests {
         }
     }
 
-    /// Runs `scene` with a log, and gives what it wrote until it ended.
+    /// Runs `scene` with a log, and returns what it wrote.
     fn logged(level: Level, scene: impl FnOnce(&LogFilter)) -> String {
         let (memory, filter) = (Memory::default(), Arc::new(LogFilter::new(level)));
         let registry = tracing_subscriber::registry()
@@ -312,7 +312,7 @@ mod tests {
             }
         });
         assert_eq!(text.matches("WARN the device stalled").count(), 10, "{text}");
-        // One line more says how many were left out, and which message they repeat.
+        // One more line has the number of suppressed messages, and a sample.
         let rest: Vec<_> = text.lines().filter(|line| line.contains("left_out=40")).collect();
         assert!(rest.len() == 1 && rest[0].contains("the device stalled"), "{text}");
     }

@@ -1,21 +1,20 @@
-//! What we send: our starts and stops, as others understand them.
+//! Encodes the triggers that announce our takes to other programs.
 
 use super::{StopResult, TEXT_BYTES_MAX, TakeName, Trigger};
 
-/// Numbers of packets end before this one: programs were seen that take ten digits and no more.
+/// Packet numbers stay below this: some programs accept ten digits at most.
 const PACKET_IDS_END: u64 = 10_000_000_000;
 
-/// Numbers of each second of a day: no program sends more triggers.
+/// Packet numbers per second of the day: no program sends more triggers.
 const IDS_PER_SECOND: u64 = 100_000;
 
-/// The number to begin with: another one each second of a day, so that a service that is started again does not
-/// repeat itself.
+/// The first packet number. It differs every second of a day, so that a restarted service does not repeat numbers.
 #[must_use]
 pub fn first_packet_id(unix_seconds: u64) -> u64 {
     unix_seconds % 86_400 * IDS_PER_SECOND + 1
 }
 
-/// Makes our datagrams, each with a number of its own that grows.
+/// Makes our datagrams and numbers them.
 #[derive(Debug)]
 pub struct Announcer {
     rig: String,
@@ -24,27 +23,27 @@ pub struct Announcer {
 }
 
 impl Announcer {
-    /// For a rig of this name; `mark` is any number that nobody else has, by which the
-    /// [`Listener`](super::Listener) knows our own datagrams.
+    /// An announcer for the rig `rig`. `instance_id` is a random number by which the [`Listener`](super::Listener)
+    /// recognises our own datagrams.
     #[must_use]
     pub fn new(rig: &str, instance_id: u64, first_packet_id: u64) -> Self {
         let next_packet_id = first_packet_id % PACKET_IDS_END;
         Self { rig: rig.to_owned(), instance_id, next_packet_id }
     }
 
-    /// A take began.
+    /// A take has started.
     #[must_use]
     pub fn start(&mut self, name: &TakeName, notes: &str) -> Vec<u8> {
         self.datagram("CaptureStart", None, name, Some(notes))
     }
 
-    /// It ended.
+    /// A take has stopped.
     #[must_use]
     pub fn stop(&mut self, name: &TakeName, result: &StopResult) -> Vec<u8> {
         self.datagram("CaptureStop", Some(result), name, None)
     }
 
-    /// It is whole on the disk.
+    /// A take is completely on the disk.
     #[must_use]
     pub fn complete(&mut self, name: &TakeName) -> Vec<u8> {
         self.datagram("CaptureComplete", None, name, None)
@@ -64,7 +63,7 @@ impl Announcer {
             .unwrap_or_default();
         let notes =
             notes.map(|notes| format!("<Notes VALUE=\"{}\"/>", escaped(notes))).unwrap_or_default();
-        // Where our takes are is nobody's business, and no delay is needed: the take has begun.
+        // The path of our takes is not disclosed, and no delay is needed: the take has already begun.
         format!(
             "<?xml version=\"1.0\" encoding=\"UTF-8\" standalone=\"no\"?><{element}{result}>\
              <Name VALUE=\"{}\"/>{notes}<Description VALUE=\"{}\"/><DatabasePath VALUE=\"\"/>\
@@ -76,12 +75,12 @@ impl Announcer {
     }
 }
 
-/// Who sent it, with the mark at its end.
+/// The description of the sender, with the instance id at its end.
 fn description(rig: &str, instance_id: u64) -> String {
     format!("mocapd {rig} {instance_id:016x}")
 }
 
-/// Whether a trigger is one of an announcer with this mark.
+/// Whether a trigger comes from the announcer with this instance id.
 pub(super) fn is_from_instance(trigger: &Trigger, instance_id: u64) -> bool {
     let instance_id = format!(" {instance_id:016x}");
     let is_ours = |(what, text): &(String, String)| {
@@ -90,7 +89,7 @@ pub(super) fn is_from_instance(trigger: &Trigger, instance_id: u64) -> bool {
     trigger.capture().about.fields.iter().any(is_ours)
 }
 
-/// A text as an attribute's value, of a bounded length; what XML cannot hold is replaced.
+/// Escapes a text as an XML attribute of bounded length, and replaces characters that XML does not allow.
 fn escaped(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {
