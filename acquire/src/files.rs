@@ -24,7 +24,7 @@ use rustix::{
 use serde::{Serialize, Serializer};
 
 pub use self::{
-    file_state::{Displaced, FileState, Settled},
+    file_state::{DisplacedFile, FileState, Settled},
     new_file::{NewFile, NewFolder},
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
@@ -105,7 +105,7 @@ pub fn folder_of(path: &Path) -> &Path {
 
 fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
     match error.kind() {
-        io::ErrorKind::AlreadyExists => exists(path),
+        io::ErrorKind::AlreadyExists => name_taken(path),
         io::ErrorKind::NotFound => FileError::NoFolder(folder_of(path).to_owned()).into(),
         io::ErrorKind::PermissionDenied => FileError::NotWritable(path.to_owned()).into(),
         _ => anyhow!("cannot create {}: {error}", path.display()),
@@ -120,12 +120,12 @@ pub struct NameTaken {
     pub path: PathBuf,
 }
 
-fn exists(path: &Path) -> anyhow::Error {
+fn name_taken(path: &Path) -> anyhow::Error {
     NameTaken { path: path.to_owned() }.into()
 }
 
 /// The link in `/proc` to an open file.
-fn own_link(file: &File) -> PathBuf {
+fn proc_link(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
 }
 
@@ -160,7 +160,7 @@ impl ScratchFile for Scratch {
     }
 
     fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
-        self.file.write_all_at(bytes, at).map_err(|error| failed(&self.dir, &error))
+        self.file.write_all_at(bytes, at).map_err(|error| scratch_error(&self.dir, &error))
     }
 }
 
@@ -173,11 +173,11 @@ pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
     let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
     let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
     let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
-    let file = tempfile::tempfile_in(&dir).map_err(|error| failed(&dir, &error))?;
+    let file = tempfile::tempfile_in(&dir).map_err(|error| scratch_error(&dir, &error))?;
     Ok(Arc::new(Scratch { file, dir }))
 }
 
-fn failed(dir: &Path, error: &io::Error) -> io::Error {
+fn scratch_error(dir: &Path, error: &io::Error) -> io::Error {
     let message = format!(
         "no space in {} for a temporary file with the original data of the take ({error}): set TMPDIR to another folder",
         dir.display()
@@ -219,7 +219,7 @@ impl SparseFile {
     }
 
     /// Finds the extent at the current position: data or a hole, and its end.
-    fn look(&mut self) -> io::Result<()> {
+    fn locate_extent(&mut self) -> io::Result<()> {
         let at = self.at;
         (self.hole, self.data) = match seek(&self.file, fs::SeekFrom::Data(at)) {
             Ok(data) if data > at => (at..data, 0..0),
@@ -239,7 +239,7 @@ impl SparseFile {
 impl Read for SparseFile {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         if !self.hole.contains(&self.at) && !self.data.contains(&self.at) {
-            self.look()?;
+            self.locate_extent()?;
         }
         let up_to = |end: u64| {
             let left = usize::try_from(end - self.at).unwrap_or(usize::MAX);
@@ -287,15 +287,15 @@ mod tests {
         file.seek(SeekFrom::Start(300_000)).unwrap();
         file.write_all(b"second").unwrap();
         file.set_len(700_000).unwrap();
-        let mut wanted = Vec::new();
-        File::open(&path).unwrap().read_to_end(&mut wanted).unwrap();
+        let mut expected = Vec::new();
+        File::open(&path).unwrap().read_to_end(&mut expected).unwrap();
         let mut holes = SparseFile::open(&path).unwrap();
         assert_eq!(holes.len_bytes().unwrap(), 700_000);
         for from in [0, 3, 299_999, 300_003, 699_999, 700_000, 800_000] {
             assert_eq!(holes.seek(SeekFrom::Start(from as u64)).unwrap(), from as u64);
             let mut read = Vec::new();
             holes.read_to_end(&mut read).unwrap();
-            assert!(read == wanted.get(from..).unwrap_or_default(), "from byte {from}");
+            assert!(read == expected.get(from..).unwrap_or_default(), "from byte {from}");
         }
         assert_eq!(holes.seek(SeekFrom::End(-400_000)).unwrap(), 300_000);
         assert_eq!(holes.seek(SeekFrom::Current(2)).unwrap(), 300_002);

@@ -11,7 +11,7 @@ use mocapd_take::{
 };
 
 use crate::{
-    clock::{Apart, ClockStatus, LineAgain},
+    clock::{Apart, ClockStatus, LineRefit},
     health::TakeHealth,
 };
 
@@ -55,8 +55,8 @@ pub struct Summary {
     /// Samples present in those rows: the sum of |K in `P_i`|.
     pub samples_in_key_rows: u64,
     in_outage: bool,
-    line_again: LineAgain,
-    claims: Claims,
+    line_refit: LineRefit,
+    claims: ClaimChecker,
     /// Rows up to the last event, including lost ones, and up to the last stretch with rows.
     rows: u64,
     end_of_stretches: u64,
@@ -71,7 +71,7 @@ impl Summary {
         let mut summary = Self::default();
         let Progress { take, rows_damaged, .. } =
             TakeTraversal::new(input, Decode::All).run(|found, progress| {
-                summary.found(found, progress);
+                summary.on_event(found, progress);
                 Ok(())
             })?;
         summary.skip_rows_to(take.n_rows);
@@ -85,7 +85,7 @@ impl Summary {
     /// Statements of the take about itself that its own data contradicts, one sentence each, in bytes that are intact.
     #[must_use]
     pub fn contradictions(&self) -> &[String] {
-        &self.claims.broken
+        &self.claims.contradictions
     }
 
     /// The health of the take.
@@ -115,7 +115,7 @@ impl Summary {
         // A recovered take may lack some observations.
         let recovered = |(name, _): &(String, String)| name == mocapd_take::recovery::RECOVERED;
         let lacks_some = self.take.damaged || self.take.header.settings.iter().any(recovered);
-        if lacks_some { None } else { self.line_again.apart() }
+        if lacks_some { None } else { self.line_refit.apart() }
     }
 
     /// Samples present.
@@ -154,17 +154,17 @@ impl Summary {
         ratio(self.samples() + self.rows_with_samples, 2 * self.knots())
     }
 
-    fn found(&mut self, found: &Found<'_>, progress: &Progress) {
+    fn on_event(&mut self, found: &Found<'_>, progress: &Progress) {
         let is_damaged = progress.take.damaged;
         // A marker that appears later had a gap until then.
         let in_gap = self.rows > 0;
-        let late = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
+        let unseen = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
         if let Some(renamed) = found.renamed {
             let at = renamed.first.min(self.per_channel.len());
-            let new = std::iter::repeat_n(late.clone(), renamed.inserted);
+            let new = std::iter::repeat_n(unseen.clone(), renamed.inserted);
             self.per_channel.splice(at..at, new);
         }
-        self.per_channel.resize(progress.channels().len(), late);
+        self.per_channel.resize(progress.channels().len(), unseen);
         match &found.event {
             TakeEvent::Header(header) => self.claims.tolerance_mm = header.tolerance_mm,
             TakeEvent::Stretch(stretch) => {
@@ -184,7 +184,7 @@ impl Summary {
             TakeEvent::Clock(clock) => {
                 let probes = self.clock.probes + clock.probes.len() as u64;
                 let points = self.clock.points + clock.points.len() as u64;
-                self.line_again.add(clock);
+                self.line_refit.add(clock);
                 self.clock = ClockStatus {
                     segment: clock.segment,
                     tick_hz: clock.tick_hz,
@@ -283,21 +283,21 @@ pub fn size_ratio(samples: u64, file_bytes: u64) -> f64 {
 }
 
 /// Most contradictions to keep; one is enough to distrust a take.
-const TOLD_MAX: usize = 20;
+const CONTRADICTIONS_MAX: usize = 20;
 
 /// Compares a take's statements about itself with its content, counting what ledgers count.
 #[derive(Debug, Default)]
-struct Claims {
+struct ClaimChecker {
     tolerance_mm: f64,
     recorded: u64,
     announced: u64,
     lost: u64,
     index_offset: u64,
     ledger_offset: u64,
-    broken: Vec<String>,
+    contradictions: Vec<String>,
 }
 
-impl Claims {
+impl ClaimChecker {
     /// Counts a decoded stretch; `n_channels` is the number of channels so far.
     fn stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize) {
         let rows = u64::from(stretch.span.n_rows);
@@ -312,20 +312,20 @@ impl Claims {
 
     fn index(&mut self, entries: &[IndexEntry], keys: &[IndexEntry]) {
         if entries != keys {
-            self.tell("the index does not match the key stretches".to_owned());
+            self.report("the index does not match the key stretches".to_owned());
         }
     }
 
     fn footer(&mut self, footer: &Footer) {
         if [footer.index_offset, footer.ledger_offset] != [self.index_offset, self.ledger_offset] {
-            self.tell("the footer does not match the index and the ledger".to_owned());
+            self.report("the footer does not match the index and the ledger".to_owned());
         }
     }
 
     /// Checks the error stated by a block with samples.
     fn block(&mut self, first_row: u64, max_error_mm: f64) {
         if max_error_mm > self.tolerance_mm {
-            self.tell(format!(
+            self.report(format!(
                 "a block of the stretch from frame {first_row} states an error of {max_error_mm} mm, above the tolerance of {} mm",
                 self.tolerance_mm
             ));
@@ -335,25 +335,25 @@ impl Claims {
     /// Checks a ledger against the `samples` found before it. A ledger is true for what precedes it, all of which must
     /// have been read.
     fn ledger(&mut self, ledger: &Ledger, samples: u64) {
-        for (what, told, found) in [
+        for (what, stated, found) in [
             ("recorded frames", ledger.recorded, self.recorded),
             ("samples", ledger.samples_present, samples),
             ("announced samples", ledger.samples_announced, self.announced),
         ] {
-            if told != found {
-                self.tell(format!("a ledger states {told} {what}, but {found} precede it"));
+            if stated != found {
+                self.report(format!("a ledger states {stated} {what}, but {found} precede it"));
             }
         }
         // Frames lost after the last stretch are in no timeline yet.
-        let (told, found) = (ledger.frames_lost(), self.lost);
-        if told < found {
-            self.tell(format!("a ledger states {told} lost frames, but {found} precede it"));
+        let (stated, found) = (ledger.frames_lost(), self.lost);
+        if stated < found {
+            self.report(format!("a ledger states {stated} lost frames, but {found} precede it"));
         }
     }
 
-    fn tell(&mut self, sentence: String) {
-        if self.broken.len() < TOLD_MAX {
-            self.broken.push(sentence);
+    fn report(&mut self, sentence: String) {
+        if self.contradictions.len() < CONTRADICTIONS_MAX {
+            self.contradictions.push(sentence);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The raw log: copies every byte on the device's line to a file, without making the reader wait for the disk.
 //!
-//! A [`Tap`] wraps the transport and copies its bytes into blocks, which a thread writes. When no block is free, the
-//! log records how many bytes are missing, and the recording goes on.
+//! A [`RawLogTap`] wraps the transport and copies its bytes into blocks, which a thread writes. When no block is free,
+//! the log records how many bytes are missing, and the recording goes on.
 
 #[cfg(test)]
 mod tests;
@@ -45,8 +45,8 @@ const BLOCKS: usize = 128;
 pub struct RawLog {
     path: PathBuf,
     file_bytes: Arc<AtomicU64>,
-    tap: Tap,
-    thread: JoinHandle<Written>,
+    tap: RawLogTap,
+    thread: JoinHandle<WriterOutcome>,
 }
 
 /// The account of a finished raw log.
@@ -95,7 +95,7 @@ struct Totals {
     /// Bytes that passed on the line.
     line_bytes: AtomicU64,
     /// Bytes that found no free block, and that the log does not mention yet.
-    untold_bytes: AtomicU64,
+    unreported_bytes: AtomicU64,
 }
 
 impl RawLog {
@@ -123,15 +123,15 @@ impl RawLog {
         }
         let file_bytes = Arc::new(AtomicU64::new(head.len() as u64));
         let counted = Arc::clone(&file_bytes);
-        let work = move || write(file, &counted, sync_every, &blocks, &free);
+        let work = move || write_blocks(file, &counted, sync_every, &blocks, &free);
         let thread = threads::spawn("mocapd-raw", work)?;
-        let tap = Tap::new(monotonic_ns(), full, emptied, Arc::default());
+        let tap = RawLogTap::new(monotonic_ns(), full, emptied, Arc::default());
         Ok(Self { path: path.to_owned(), file_bytes, tap, thread })
     }
 
     /// A tap, which copies a line's bytes into the log.
     #[must_use]
-    pub fn tap(&self) -> Tap {
+    pub fn tap(&self) -> RawLogTap {
         self.tap.clone()
     }
 
@@ -153,7 +153,7 @@ impl RawLog {
     /// When its thread panicked.
     pub fn finish(self) -> anyhow::Result<RawLogged> {
         let passed = self.tap.end();
-        let Written { line_bytes, error } = threads::join(self.thread)?;
+        let WriterOutcome { line_bytes, error } = threads::join(self.thread)?;
         Ok(RawLogged {
             file_bytes: self.file_bytes.load(Ordering::Relaxed),
             line_bytes,
@@ -164,20 +164,20 @@ impl RawLog {
 }
 
 /// Appends a record with the present time.
-fn put(entry: Entry<'_>, began_ns: u64, block: &mut Vec<u8>) {
+fn put_now(entry: Entry<'_>, began_ns: u64, block: &mut Vec<u8>) {
     let time_ns = monotonic_ns().saturating_sub(began_ns);
     put_record(&Record { time_ns, entry }, block);
 }
 
 /// Longest time that bytes stay in a block while the disk keeps up: what the log of a killed recorder loses.
-const BLOCK_NS_MAX: u64 = 100_000_000;
+const BLOCK_AGE_MAX_NS: u64 = 100_000_000;
 
 /// Space kept in a block for the records of missing bytes, a closed line, and the end.
 const SPARE_BYTES: usize = 3 * RECORD_OVERHEAD_BYTES + 8;
 
 /// Copies bytes into a raw log. Clones share the log, each with a block of its own; one is in use at a time.
 #[derive(Debug)]
-pub struct Tap {
+pub struct RawLogTap {
     began_ns: u64,
     full: Sender<Block>,
     free: Receiver<Block>,
@@ -187,13 +187,13 @@ pub struct Tap {
     block_since_ns: u64,
 }
 
-impl Clone for Tap {
+impl Clone for RawLogTap {
     fn clone(&self) -> Self {
         Self::new(self.began_ns, self.full.clone(), self.free.clone(), Arc::clone(&self.totals))
     }
 }
 
-impl Tap {
+impl RawLogTap {
     fn new(began_ns: u64, full: Sender<Block>, free: Receiver<Block>, totals: Arc<Totals>) -> Self {
         Self { began_ns, full, free, totals, block: Block::default(), block_since_ns: 0 }
     }
@@ -203,7 +203,7 @@ impl Tap {
     pub fn on(&self, family: &str, line: Box<dyn Transport>) -> Box<dyn Transport> {
         let mut tap = self.clone();
         tap.put(Entry::Opened(&format!("{family} {}", line.describe())));
-        Box::new(Tapped { line, tap, gone: false })
+        Box::new(TappedTransport { line, tap, is_closed: false })
     }
 
     /// Copies an entry into the block, or counts its bytes as missing. Never waits.
@@ -217,21 +217,21 @@ impl Tap {
             | Entry::Closed
             | Entry::End => 0,
         };
-        let words_bytes = if let Entry::Opened(words) = entry { words.len() } else { 0 };
-        let needed = n_bytes + words_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
+        let text_bytes = if let Entry::Opened(text) = entry { text.len() } else { 0 };
+        let needed = n_bytes + text_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
         self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
         if self.block.bytes.len() + needed > BLOCK_CAPACITY_BYTES {
             self.hand_over();
         }
         if self.block.bytes.capacity() == 0 {
-            let Ok(block) = self.free.try_recv() else { return self.miss(n_bytes) };
+            let Ok(block) = self.free.try_recv() else { return self.count_missing(n_bytes) };
             self.begin(block);
         }
         // A read larger than a block: the largest read of a host fills half of one.
         if self.block.bytes.len() + needed > self.block.bytes.capacity() {
-            return self.miss(n_bytes);
+            return self.count_missing(n_bytes);
         }
-        put(entry, self.began_ns, &mut self.block.bytes);
+        put_now(entry, self.began_ns, &mut self.block.bytes);
         self.block.line_bytes += n_bytes as u64;
         if self.block.bytes.len() >= BLOCK_BYTES {
             self.hand_over();
@@ -242,14 +242,14 @@ impl Tap {
     fn begin(&mut self, block: Block) {
         self.block = block;
         self.block_since_ns = monotonic_ns();
-        let missing = self.totals.untold_bytes.swap(0, Ordering::Relaxed);
+        let missing = self.totals.unreported_bytes.swap(0, Ordering::Relaxed);
         if missing > 0 {
-            put(Entry::Missing(missing), self.began_ns, &mut self.block.bytes);
+            put_now(Entry::Missing(missing), self.began_ns, &mut self.block.bytes);
         }
     }
 
-    fn miss(&mut self, n_bytes: usize) {
-        self.totals.untold_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
+    fn count_missing(&mut self, n_bytes: usize) {
+        self.totals.unreported_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
     }
 
     fn hand_over(&mut self) {
@@ -264,7 +264,7 @@ impl Tap {
         let age_ns = monotonic_ns().saturating_sub(self.block_since_ns);
         // While a disk stalls, a slow line would use up the blocks nearly empty.
         let keeps_up = self.free.len() >= self.free.capacity().unwrap_or(0) / 2;
-        if !self.block.bytes.is_empty() && age_ns > BLOCK_NS_MAX && keeps_up {
+        if !self.block.bytes.is_empty() && age_ns > BLOCK_AGE_MAX_NS && keeps_up {
             self.hand_over();
         }
     }
@@ -283,7 +283,7 @@ impl Tap {
     }
 }
 
-impl Drop for Tap {
+impl Drop for RawLogTap {
     fn drop(&mut self) {
         self.hand_over();
     }
@@ -291,21 +291,21 @@ impl Drop for Tap {
 
 /// A transport with a tap.
 #[derive(Debug)]
-struct Tapped {
+struct TappedTransport {
     line: Box<dyn Transport>,
-    tap: Tap,
+    tap: RawLogTap,
     /// The log says that the line is closed.
-    gone: bool,
+    is_closed: bool,
 }
 
-impl Tapped {
+impl TappedTransport {
     fn close(&mut self) {
-        if !std::mem::replace(&mut self.gone, true) {
+        if !std::mem::replace(&mut self.is_closed, true) {
             self.tap.put(Entry::Closed);
         }
     }
 
-    fn look<T>(&mut self, outcome: Result<T, TransportError>) -> Result<T, TransportError> {
+    fn note_closed<T>(&mut self, outcome: Result<T, TransportError>) -> Result<T, TransportError> {
         if let Err(TransportError::Disconnected { .. }) = outcome {
             self.close();
         }
@@ -313,27 +313,27 @@ impl Tapped {
     }
 }
 
-impl Drop for Tapped {
+impl Drop for TappedTransport {
     fn drop(&mut self) {
         self.close();
     }
 }
 
-impl Transport for Tapped {
+impl Transport for TappedTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         let outcome = self.line.read(buf);
         if let Ok(n @ 1..) = outcome {
             self.tap.put(Entry::FromDevice(buf.get(..n).unwrap_or_default()));
         }
         self.tap.tick();
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
         // Logged first, so that it precedes its answer.
         self.tap.put(Entry::ToDevice(bytes));
         let outcome = self.line.write_all(bytes);
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn send_break(&mut self) -> Result<bool, TransportError> {
@@ -341,7 +341,7 @@ impl Transport for Tapped {
         if let Ok(true) = outcome {
             self.tap.put(Entry::Break);
         }
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
@@ -349,7 +349,7 @@ impl Transport for Tapped {
         if outcome.is_ok() {
             self.tap.put(Entry::Baud(baud));
         }
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn inner(&self) -> Option<&dyn Transport> {
@@ -374,7 +374,7 @@ impl LogOutput for std::fs::File {
 
 /// The result of the writing thread.
 #[derive(Debug, Default)]
-struct Written {
+struct WriterOutcome {
     /// Bytes of the line in blocks that were written completely.
     line_bytes: u64,
     /// The first error, after which nothing more is written.
@@ -383,14 +383,14 @@ struct Written {
 
 /// Writes blocks to the file and returns them to the taps, until the last tap is dropped. After an error it only
 /// returns them.
-fn write(
+fn write_blocks(
     mut file: impl LogOutput,
     file_bytes: &AtomicU64,
     sync_every: Duration,
     blocks: &Receiver<Block>,
     free: &Sender<Block>,
-) -> Written {
-    let mut written = Written::default();
+) -> WriterOutcome {
+    let mut written = WriterOutcome::default();
     // When the oldest unsynced data was written: at first, the head of the log.
     let mut unsynced = Some(Instant::now());
     loop {

@@ -26,8 +26,8 @@ const SPAN_FOR_RATE_S: f64 = 1.0;
 
 /// Cost of a microsecond beyond a bound, relative to a microsecond of mean lateness: more than any rate gains.
 /// The second number is the violation tolerated, more than the resolution of the search for a rate.
-const RULED_OUT: f64 = 100.0;
-const BEYOND_US: f64 = 1.0;
+const VIOLATION_COST: f64 = 100.0;
+const VIOLATION_MAX_US: f64 = 1.0;
 
 /// Frames that come later than this after their round trips are stamped by another clock.
 const LATE_MAX_US: f64 = 10e6;
@@ -36,7 +36,7 @@ const LATE_MAX_US: f64 = 10e6;
 const NOISE_MIN_US: f64 = 3.0;
 
 /// Steps of the search for a rate, each of which reduces the range to two thirds: down to a ten thousandth of a ppm.
-const STEPS: usize = 48;
+const SEARCH_STEPS: usize = 48;
 
 /// The best bounds of several consecutive round trips.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -102,7 +102,7 @@ impl Line {
 }
 
 /// Points that bound the line on one side, as (seconds, microseconds beside the nominal rate).
-struct Side<const N: usize> {
+struct BoundPoints<const N: usize> {
     n: usize,
     x_s: [f64; N],
     y_us: [f64; N],
@@ -110,7 +110,7 @@ struct Side<const N: usize> {
     mean_y_us: f64,
 }
 
-impl<const N: usize> Side<N> {
+impl<const N: usize> BoundPoints<N> {
     fn new(points: impl Iterator<Item = ClockPoint>, at: ClockPoint, tick_hz: f64) -> Self {
         let mut side = Self { n: 0, x_s: [0.0; N], y_us: [0.0; N], mean_x_s: 0.0, mean_y_us: 0.0 };
         for (i, point) in points.take(N).enumerate() {
@@ -124,16 +124,16 @@ impl<const N: usize> Side<N> {
         side
     }
 
-    fn over(&self, ppm: f64) -> impl Iterator<Item = f64> {
+    fn residuals(&self, ppm: f64) -> impl Iterator<Item = f64> {
         self.x_s.iter().zip(&self.y_us).take(self.n).map(move |(x_s, y_us)| y_us - ppm * x_s)
     }
 
-    fn least(&self, ppm: f64) -> f64 {
-        self.over(ppm).fold(f64::INFINITY, f64::min)
+    fn lowest(&self, ppm: f64) -> f64 {
+        self.residuals(ppm).fold(f64::INFINITY, f64::min)
     }
 
-    fn most(&self, ppm: f64) -> f64 {
-        self.over(ppm).fold(f64::NEG_INFINITY, f64::max)
+    fn highest(&self, ppm: f64) -> f64 {
+        self.residuals(ppm).fold(f64::NEG_INFINITY, f64::max)
     }
 
     fn mean(&self, ppm: f64) -> f64 {
@@ -141,24 +141,24 @@ impl<const N: usize> Side<N> {
     }
 }
 
-struct Sides {
-    arrivals: Side<POINTS_MAX>,
-    low: Side<BURSTS_MAX>,
-    high: Side<BURSTS_MAX>,
+struct FitInput {
+    arrivals: BoundPoints<POINTS_MAX>,
+    low: BoundPoints<BURSTS_MAX>,
+    high: BoundPoints<BURSTS_MAX>,
     /// Scatter of the bounds below and above, in microseconds.
     noise_us: [f64; 2],
     probes_tell_the_rate: bool,
 }
 
-impl Sides {
+impl FitInput {
     /// Width between the bounds, in microseconds.
     fn gap(&self, ppm: f64) -> f64 {
-        self.arrivals.least(ppm).min(self.high.least(ppm)) - self.low.most(ppm)
+        self.arrivals.lowest(ppm).min(self.high.lowest(ppm)) - self.low.highest(ppm)
     }
 
     /// Mean distance of the bursts' bounds from the tightest one, below and above, for lines of this rate.
     fn slack(&self, ppm: f64) -> [f64; 2] {
-        [self.low.most(ppm) - self.low.mean(ppm), self.high.mean(ppm) - self.high.least(ppm)]
+        [self.low.highest(ppm) - self.low.mean(ppm), self.high.mean(ppm) - self.high.lowest(ppm)]
     }
 
     /// Score of a rate. It is concave, so that one search finds the maximum.
@@ -166,39 +166,39 @@ impl Sides {
     /// The shortest delay is constant: bounds near it follow a line of the right rate. The side that scatters
     /// less has more weight. Frames determine a rate only while bursts do not, and not one that the bursts
     /// rule out.
-    fn merit(&self, ppm: f64) -> f64 {
+    fn score(&self, ppm: f64) -> f64 {
         let prior = PRIOR_S * ppm.abs();
-        let ruled_out = if self.low.n > 0 { RULED_OUT * self.gap(ppm).min(0.0) } else { 0.0 };
+        let violation = if self.low.n > 0 { VIOLATION_COST * self.gap(ppm).min(0.0) } else { 0.0 };
         if self.probes_tell_the_rate {
             let [low, high] = self.slack(ppm);
             let [low_noise, high_noise] = self.noise_us;
             let slack = low / low_noise + high / high_noise;
-            return ruled_out - prior / (low_noise + high_noise) - slack;
+            return violation - prior / (low_noise + high_noise) - slack;
         }
-        self.arrivals.least(ppm) - self.arrivals.mean(ppm) - prior + ruled_out
+        self.arrivals.lowest(ppm) - self.arrivals.mean(ppm) - prior + violation
     }
 
     /// The largest distance of the true line from a line of the best rate, at the reference point, over all lines that
     /// satisfy the bounds with a rate that oscillators have.
     fn bound(&self, best_ppm: f64, late_us: f64) -> Bound {
-        let keeps = |ppm: f64| self.gap(ppm) >= 0.0;
+        let is_feasible = |ppm: f64| self.gap(ppm) >= 0.0;
         let [from, to] = [-1.0, 1.0].map(|sign| {
             let (mut inside, mut outside) = (best_ppm, sign * USUAL_PPM);
             if (outside - best_ppm) * sign <= 0.0 {
                 return best_ppm;
             }
-            if keeps(outside) {
+            if is_feasible(outside) {
                 return outside;
             }
-            for _ in 0..STEPS {
+            for _ in 0..SEARCH_STEPS {
                 let middle = f64::midpoint(inside, outside);
-                if keeps(middle) { inside = middle } else { outside = middle }
+                if is_feasible(middle) { inside = middle } else { outside = middle }
             }
             inside
         });
-        let high = |ppm: f64| self.arrivals.least(ppm).min(self.high.least(ppm));
-        let highest = high(peak(from, to, high));
-        let lowest = self.low.most(peak(from, to, |ppm| -self.low.most(ppm)));
+        let high = |ppm: f64| self.arrivals.lowest(ppm).min(self.high.lowest(ppm));
+        let highest = high(argmax(from, to, high));
+        let lowest = self.low.highest(argmax(from, to, |ppm| -self.low.highest(ppm)));
         Bound {
             offset_us: (highest - late_us).max(late_us - lowest).max(0.0),
             drift_ppm: (to - best_ppm).max(best_ppm - from),
@@ -207,8 +207,8 @@ impl Sides {
 }
 
 /// The argument that maximises a concave function.
-fn peak(mut from: f64, mut to: f64, height: impl Fn(f64) -> f64) -> f64 {
-    for _ in 0..STEPS {
+fn argmax(mut from: f64, mut to: f64, height: impl Fn(f64) -> f64) -> f64 {
+    for _ in 0..SEARCH_STEPS {
         let third = (to - from) / 3.0;
         if height(from + third) < height(to - third) {
             from += third;
@@ -236,15 +236,15 @@ pub fn fit(points: &[ClockPoint], bursts: &[Burst], tick_hz: f64) -> Option<(Lin
         let bursts = &bursts[outdated..];
         // Points older than the oldest burst in use are as outdated as the earlier bursts.
         let since_us = if outdated == 0 { 0 } else { bursts[0].first_us };
-        if let Some(line) = through(points, since_us, bursts, tick_hz) {
+        if let Some(line) = fit_line(points, since_us, bursts, tick_hz) {
             return Some((line, outdated));
         }
     }
-    let line = through(points, 0, &[], tick_hz)?;
+    let line = fit_line(points, 0, &[], tick_hz)?;
     Some((line, bursts.len()))
 }
 
-fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64) -> Option<Line> {
+fn fit_line(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64) -> Option<Line> {
     let at = *points.last().or(bursts.last().map(|burst| &burst.low))?;
     // The last point always counts: bursts that contradict it belong to another clock.
     let (last, before) =
@@ -254,30 +254,30 @@ fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64)
         [first, .., last] => last.first_us.saturating_sub(first.first_us),
         _ => 0,
     };
-    let sides = Sides {
-        arrivals: Side::new(recent, at, tick_hz),
-        low: Side::new(bursts.iter().map(|burst| burst.low), at, tick_hz),
-        high: Side::new(bursts.iter().map(|burst| burst.high), at, tick_hz),
+    let input = FitInput {
+        arrivals: BoundPoints::new(recent, at, tick_hz),
+        low: BoundPoints::new(bursts.iter().map(|burst| burst.low), at, tick_hz),
+        high: BoundPoints::new(bursts.iter().map(|burst| burst.high), at, tick_hz),
         noise_us: noise_us(bursts),
         probes_tell_the_rate: bursts.len() >= BURSTS_FOR_RATE
             && span_us as f64 >= SPAN_FOR_RATE_S * 1e6,
     };
-    let drift_ppm = if sides.probes_tell_the_rate || sides.arrivals.n > 0 {
-        peak(-DRIFT_MAX_PPM, DRIFT_MAX_PPM, |ppm| sides.merit(ppm))
+    let drift_ppm = if input.probes_tell_the_rate || input.arrivals.n > 0 {
+        argmax(-DRIFT_MAX_PPM, DRIFT_MAX_PPM, |ppm| input.score(ppm))
     } else {
         0.0
     };
-    let earliest = sides.arrivals.least(drift_ppm);
+    let earliest = input.arrivals.lowest(drift_ppm);
     if bursts.is_empty() {
         return Some(Line { at, late_us: earliest, drift_ppm, bound: None });
     }
-    let gap_us = sides.gap(drift_ppm);
-    let contradicts = gap_us < -BEYOND_US
-        || (sides.arrivals.n > 0 && earliest - sides.high.least(drift_ppm) > LATE_MAX_US);
+    let gap_us = input.gap(drift_ppm);
+    let contradicts = gap_us < -VIOLATION_MAX_US
+        || (input.arrivals.n > 0 && earliest - input.high.lowest(drift_ppm) > LATE_MAX_US);
     if contradicts {
         return None;
     }
-    let late_us = sides.low.most(drift_ppm) + gap_us.max(0.0) / 2.0;
-    let bound = Some(sides.bound(drift_ppm, late_us));
+    let late_us = input.low.highest(drift_ppm) + gap_us.max(0.0) / 2.0;
+    let bound = Some(input.bound(drift_ppm, late_us));
     Some(Line { at, late_us, drift_ppm, bound })
 }

@@ -82,7 +82,7 @@ pub struct ClockModel {
     last: Option<(u64, u64)>,
     arrivals: Arrivals,
     bursts: Bursts,
-    judge: Judge,
+    gate: OutlierGate,
     line: Option<Line>,
     lateness: Latency,
     late_squared: f64,
@@ -103,7 +103,7 @@ impl ClockModel {
             last: None,
             arrivals: Arrivals::new(),
             bursts: Bursts::new(),
-            judge: Judge::default(),
+            gate: OutlierGate::default(),
             line: None,
             lateness: Latency::default(),
             late_squared: 0.0,
@@ -131,17 +131,17 @@ impl ClockModel {
         if let Some(line) = self.line {
             let late_us = line.lateness_us(ticks, arrival_ns, self.tick_hz);
             let age_us = host_us.saturating_sub(begun_us);
-            match self.judge.frame(late_us, host_us, age_us, silent_us) {
-                Verdict::Fits => self.count(late_us),
+            match self.gate.frame(late_us, host_us, age_us, silent_us) {
+                Gating::Accepted => self.count(late_us),
                 // The next frame is compared with the one before this.
-                Verdict::Odd => return event,
-                Verdict::Jumped(by_us) => {
+                Gating::Outlier => return event,
+                Gating::Jumped(by_us) => {
                     self.restart(store);
                     self.begun_us = Some(host_us);
                     event = Some(ClockEvent::Jumped(by_us * 1e-6));
                 }
             }
-            self.wants_probes |= self.judge.is_in_doubt();
+            self.wants_probes |= self.gate.is_in_doubt();
         }
         self.last = Some((ticks, host_us));
         let point = ClockPoint { device_ticks: ticks, host_us };
@@ -170,11 +170,11 @@ impl ClockModel {
             let age_us = sent_us.saturating_sub(begun_us);
             let silent_us = self.last.map_or(0, |(_, us)| sent_us.saturating_sub(us));
             let (sent, answered) = (off(sent_ns), off(answered_ns));
-            match self.judge.probe(&line, sent, answered, age_us, silent_us) {
-                Verdict::Fits => {}
+            match self.gate.probe(&line, sent, answered, age_us, silent_us) {
+                Gating::Accepted => {}
                 // Left out of the line, and so of the take: a refit must not find it.
-                Verdict::Odd => return None,
-                Verdict::Jumped(by_us) => {
+                Gating::Outlier => return None,
+                Gating::Jumped(by_us) => {
                     self.restart(store);
                     self.begun_us = Some(sent_us);
                     event = Some(ClockEvent::Jumped(by_us * 1e-6));
@@ -184,7 +184,7 @@ impl ClockModel {
         if store(ClockItem::Probe(self.segment, probe)) {
             self.probes += 1;
             self.bursts.add(probe);
-            self.lay();
+            self.refit();
         }
         event
     }
@@ -200,7 +200,7 @@ impl ClockModel {
         if store(ClockItem::Point(self.segment, point)) {
             self.points += 1;
             self.arrivals.keep(point);
-            self.lay();
+            self.refit();
         }
     }
 
@@ -244,9 +244,9 @@ impl ClockModel {
         self.late_squared += late_us * late_us;
     }
 
-    fn lay(&mut self) {
-        let laid = lines(self.arrivals.points(), &self.bursts, self.drift_ppm(), self.tick_hz);
-        self.line = laid.last().or(self.line);
+    fn refit(&mut self) {
+        let fits = lines(self.arrivals.points(), &self.bursts, self.drift_ppm(), self.tick_hz);
+        self.line = fits.last().or(self.line);
     }
 
     fn drift_ppm(&self) -> f64 {
@@ -288,7 +288,7 @@ impl ClockModel {
         self.begun_us = None;
         self.arrivals = Arrivals::new();
         self.bursts = Bursts::new();
-        self.judge = Judge::default();
+        self.gate = OutlierGate::default();
         self.line = None;
         self.wants_probes = true;
     }
@@ -306,27 +306,27 @@ const YOUNG_SLACK_US: f64 = 100_000.0;
 const STALE_US_PER_S: f64 = 1_000.0;
 
 /// Multiple of the mean lateness that is still normal: batches are late by up to twice their mean.
-const USUAL: f64 = 4.0;
+const LATENESS_FACTOR: f64 = 4.0;
 
-/// Consecutive outliers that make a jump: damage that its checksum does not show is a single one.
-const IN_A_ROW: u32 = 3;
+/// Length of a run of outliers that makes a jump: damage that its checksum does not show is a single one.
+const RUN_MIN: u32 = 3;
 
 /// Frames that stay late for this long are not held up any more: the clock fell behind.
 const LATE_FOR_US: u64 = 30_000_000;
 
 /// How the gate classifies an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Verdict {
-    Fits,
+pub(super) enum Gating {
+    Accepted,
     /// An outlier, which is left out; it may be the first observation after a jump.
-    Odd,
+    Outlier,
     /// The clock jumped ahead by so many microseconds; back when negative.
     Jumped(f64),
 }
 
 /// Separates outliers from jumps of the device's clock, within one segment.
 #[derive(Debug, Default)]
-pub(super) struct Judge {
+pub(super) struct OutlierGate {
     mean_late_us: f64,
     n_late: u64,
     early: u32,
@@ -335,11 +335,11 @@ pub(super) struct Judge {
     late: u32,
 }
 
-impl Judge {
+impl OutlierGate {
     fn slack_us(&self, age_us: u64, silent_us: u64) -> f64 {
         let young = if age_us < YOUNG_US { YOUNG_SLACK_US } else { 0.0 };
         let stale = silent_us as f64 * 1e-6 * STALE_US_PER_S;
-        SLACK_US + young + stale + USUAL * self.mean_late_us
+        SLACK_US + young + stale + LATENESS_FACTOR * self.mean_late_us
     }
 
     /// Classifies a frame: its lateness against the line, its arrival, the age of the segment, and the time since the
@@ -350,27 +350,27 @@ impl Judge {
         host_us: u64,
         age_us: u64,
         silent_us: u64,
-    ) -> Verdict {
+    ) -> Gating {
         let slack_us = self.slack_us(age_us, silent_us);
         if late_us < -slack_us {
             self.early += 1;
-            return if self.early >= IN_A_ROW { Verdict::Jumped(-late_us) } else { Verdict::Odd };
+            return if self.early >= RUN_MIN { Gating::Jumped(-late_us) } else { Gating::Outlier };
         }
         self.early = 0;
         if late_us > slack_us + YOUNG_SLACK_US {
             self.late = self.late.saturating_add(1);
             let since_us = *self.late_since_us.get_or_insert(host_us);
             if host_us.saturating_sub(since_us) > LATE_FOR_US {
-                return Verdict::Jumped(-late_us);
+                return Gating::Jumped(-late_us);
             }
-            return Verdict::Fits;
+            return Gating::Accepted;
         }
         self.late_since_us = None;
         self.late = 0;
         // The mean of the last thousand.
         self.n_late = (self.n_late + 1).min(1000);
         self.mean_late_us += (late_us.max(0.0) - self.mean_late_us) / self.n_late as f64;
-        Verdict::Fits
+        Gating::Accepted
     }
 
     /// Classifies a round trip, given how late its ping and its pong were against the line.
@@ -381,8 +381,8 @@ impl Judge {
         answered_us: f64,
         age_us: u64,
         silent_us: u64,
-    ) -> Verdict {
-        let Some(bound) = line.bound else { return Verdict::Fits };
+    ) -> Gating {
+        let Some(bound) = line.bound else { return Gating::Accepted };
         let young = if age_us < YOUNG_US { YOUNG_SLACK_US } else { 0.0 };
         let slack_us =
             SLACK_US + young + bound.offset_us + silent_us as f64 * 1e-6 * STALE_US_PER_S;
@@ -394,14 +394,14 @@ impl Judge {
             self.missed = 0;
             // Frames that are late together with a round trip that is not show a delay, not another clock.
             self.late_since_us = None;
-            return Verdict::Fits;
+            return Gating::Accepted;
         };
         self.missed += 1;
-        if self.missed >= IN_A_ROW { Verdict::Jumped(off_us) } else { Verdict::Odd }
+        if self.missed >= RUN_MIN { Gating::Jumped(off_us) } else { Gating::Outlier }
     }
 
     /// Whether a round trip would distinguish late frames from a clock that fell behind.
     pub(super) fn is_in_doubt(&self) -> bool {
-        self.late == IN_A_ROW
+        self.late == RUN_MIN
     }
 }

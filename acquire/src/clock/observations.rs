@@ -23,13 +23,13 @@ const PROBES_MAX: usize = PROBES as usize;
 /// of the line, which changes with each observation.
 #[derive(Debug)]
 pub(super) struct Bursts {
-    bursts: [Trips; BURSTS_MAX],
+    bursts: [RoundTrips; BURSTS_MAX],
     n: usize,
 }
 
 /// The round trips of a burst.
 #[derive(Debug, Clone, Copy, Default)]
-struct Trips {
+struct RoundTrips {
     probes: [ClockProbe; PROBES_MAX],
     n: usize,
 }
@@ -47,7 +47,7 @@ impl BestBounds {
     }
 
     /// Whether both select the same round trips.
-    pub(super) fn are_of(&self, other: &Self) -> bool {
+    pub(super) fn selects_same(&self, other: &Self) -> bool {
         let same = |(a, b): (&Burst, &Burst)| (a.low, a.high) == (b.low, b.high);
         self.n == other.n && self.all().iter().zip(other.all()).all(same)
     }
@@ -55,7 +55,7 @@ impl BestBounds {
 
 impl Bursts {
     pub(super) fn new() -> Self {
-        Self { bursts: [Trips::default(); BURSTS_MAX], n: 0 }
+        Self { bursts: [RoundTrips::default(); BURSTS_MAX], n: 0 }
     }
 
     pub(super) fn add(&mut self, probe: ClockProbe) {
@@ -66,10 +66,10 @@ impl Bursts {
             last.add(probe);
             return;
         }
-        let expired = |trips: &&Trips| trips.first_us().saturating_add(WINDOW_US) < probe.sent_us;
+        let expired = |b: &&RoundTrips| b.first_us().saturating_add(WINDOW_US) < probe.sent_us;
         let old = self.bursts[..self.n].iter().take_while(expired).count();
-        self.forget(old.max(usize::from(self.n == BURSTS_MAX)));
-        self.bursts[self.n] = Trips::default();
+        self.drop_oldest(old.max(usize::from(self.n == BURSTS_MAX)));
+        self.bursts[self.n] = RoundTrips::default();
         self.bursts[self.n].add(probe);
         self.n += 1;
     }
@@ -84,13 +84,13 @@ impl Bursts {
     }
 
     /// Drops the oldest bursts.
-    fn forget(&mut self, n: usize) {
+    fn drop_oldest(&mut self, n: usize) {
         self.bursts.copy_within(n..self.n, 0);
         self.n -= n;
     }
 }
 
-impl Trips {
+impl RoundTrips {
     fn first_us(&self) -> u64 {
         self.probes[0].sent_us
     }
@@ -150,11 +150,11 @@ pub(super) struct Arrivals {
     points: [ClockPoint; POINTS_MAX],
     n: usize,
     first_us: Option<u64>,
-    open: Option<Open>,
+    open: Option<OpenBin>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Open {
+struct OpenBin {
     since_us: u64,
     earliest: ClockPoint,
 }
@@ -177,14 +177,14 @@ impl Arrivals {
     ) -> Option<ClockPoint> {
         let first_us = *self.first_us.get_or_insert(frame.host_us);
         let Some(open) = &mut self.open else {
-            self.open = Some(Open { since_us: frame.host_us, earliest: frame });
+            self.open = Some(OpenBin { since_us: frame.host_us, earliest: frame });
             return None;
         };
         let age_us = open.since_us.saturating_sub(first_us);
         let bin_us = BINS_US.iter().find(|bin| age_us < bin.0).map_or(0, |bin| bin.1);
         if frame.host_us.saturating_sub(open.since_us) >= bin_us {
             let closed = open.earliest;
-            self.open = Some(Open { since_us: frame.host_us, earliest: frame });
+            self.open = Some(OpenBin { since_us: frame.host_us, earliest: frame });
             return Some(closed);
         }
         let passed_s = seconds(frame.device_ticks, open.earliest.device_ticks, tick_hz);
@@ -237,7 +237,7 @@ pub(super) fn lines(
         let (ppm, best) = next.take()?;
         let (line, _) = fit(points, best.all(), tick_hz)?;
         let better = bursts.best(line.drift_ppm, tick_hz);
-        let is_same = (line.drift_ppm - ppm).abs() < SAME_PPM && better.are_of(&best);
+        let is_same = (line.drift_ppm - ppm).abs() < SAME_PPM && better.selects_same(&best);
         next = (!is_same).then_some((line.drift_ppm, better));
         Some(line)
     })
@@ -248,8 +248,8 @@ const STORED_PROBES_MAX: usize = 1200;
 
 /// Permitted distance of the two lines, beside a quarter of the bound: the first versions chose the best round trip of
 /// a burst with the rate known at that time, and not with the final one as here.
-const APART_US: f64 = 20.0;
-const APART_PPM: f64 = 2.0;
+const SLACK_US: f64 = 20.0;
+const SLACK_PPM: f64 = 2.0;
 
 /// How far a stored line is from the line refitted to its observations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -266,7 +266,7 @@ pub struct Apart {
 
 /// Refits a take's clock line from its CLOCK records, added in order. Its memory is bounded.
 #[derive(Debug, Default)]
-pub struct LineAgain {
+pub struct LineRefit {
     segment: u32,
     tick_hz: u64,
     points: VecDeque<ClockPoint>,
@@ -274,7 +274,7 @@ pub struct LineAgain {
     line: Option<ClockLine>,
 }
 
-impl LineAgain {
+impl LineRefit {
     /// Adds the next record.
     pub fn add(&mut self, clock: &Clock) {
         if clock.segment != self.segment {
@@ -303,7 +303,7 @@ impl LineAgain {
         }
         // The choice of round trips may cycle between a few lines: take the nearest one.
         let all = lines(&points, &bursts, stored_ppm, tick_hz);
-        let nearest = all.map(|line| apart(&line, &stored, tick_hz)).min_by(|a, b| {
+        let nearest = all.map(|line| deviation(&line, &stored, tick_hz)).min_by(|a, b| {
             let nearer = a.offset_us.abs().total_cmp(&b.offset_us.abs());
             b.agrees.cmp(&a.agrees).then(nearer)
         });
@@ -313,7 +313,7 @@ impl LineAgain {
     }
 }
 
-fn apart(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
+fn deviation(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
     let stored_ppm = stored.drift_ppb as f64 / 1e3;
     let passed_s = seconds(line.at.device_ticks, stored.device_ticks, tick_hz);
     let at_ns = line.at.host_us.wrapping_mul(1000).wrapping_sub(stored.host_ns).cast_signed();
@@ -321,6 +321,6 @@ fn apart(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
     let drift_ppm = line.drift_ppm - stored_ppm;
     let (us, ppm) =
         stored.bound.map_or((0.0, 0.0), |b| (b.offset_us as f64, b.drift_ppb as f64 / 1e3));
-    let agrees = offset_us.abs() <= APART_US + us / 4.0 && drift_ppm.abs() <= APART_PPM + ppm / 4.0;
+    let agrees = offset_us.abs() <= SLACK_US + us / 4.0 && drift_ppm.abs() <= SLACK_PPM + ppm / 4.0;
     Apart { offset_us, drift_ppm, agrees }
 }

@@ -14,22 +14,22 @@ const INTERVALS_S: [u64; 6] = [1, 3, 5, 11, 20, 30];
 
 /// Shortest time between bursts on request. The link's budget allows ten pongs a second (docs/link-protocol.md), and a
 /// clock that jumps with every frame must not be queried all the time.
-const HURRY_NS: u64 = 2 * SECOND_NS;
+const RESTART_AFTER_NS: u64 = 2 * SECOND_NS;
 
 const SECOND_NS: u64 = 1_000_000_000;
 
 /// Time to wait for an answer.
-const ANSWER_NS: u64 = 500_000_000;
+const ANSWER_TIMEOUT_NS: u64 = 500_000_000;
 
 /// Number of unanswered pings in a row after which the device is not queried again until a late answer comes.
 const UNANSWERED_MAX: u32 = 2 * PROBES;
 
 /// Number of pings that may still be answered.
-const PENDING: usize = 8;
+const PENDING_MAX: usize = 8;
 
 /// Time between two round trips of a burst on a line that sends at once, so that one disturbance does not
 /// delay all of them.
-const APART_NS: u64 = 10_000_000;
+const SPACING_NS: u64 = 10_000_000;
 
 /// A shorter round trip did not wait for a batch.
 const QUICK_NS: u64 = 400_000;
@@ -39,7 +39,7 @@ const QUICK_NS: u64 = 400_000;
 const PERIOD_MAX_NS: u64 = 20_000_000;
 
 /// Shortest time from a ping to the batch that answers it: how late a sleep ends on an idle machine.
-const AHEAD_MIN_NS: u64 = 80_000;
+const LEAD_MIN_NS: u64 = 80_000;
 
 /// Number of pings in a row that missed their batch, after which the interval is measured again.
 const MISSES_MAX: u32 = 3;
@@ -53,24 +53,24 @@ pub struct Prober {
     next_burst_ns: u64,
     left: u32,
     ready_ns: u64,
-    waits: bool,
+    sleeps: bool,
     waiting_since_ns: Option<u64>,
     unanswered: u32,
-    pending: [Option<u64>; PENDING],
-    aim: Aim,
+    pending: [Option<u64>; PENDING_MAX],
+    timing: BatchTiming,
 }
 
 #[derive(Debug, Default)]
-struct Aim {
+struct BatchTiming {
     /// The batch interval; 0 while unknown.
     period_ns: u64,
-    ahead_ns: u64,
+    lead_ns: u64,
     misses: u32,
     missed: bool,
     /// Arrival of this burst's last pong.
     last_pong_ns: Option<u64>,
     /// The pending ping was timed to precede a batch.
-    aimed: bool,
+    is_timed: bool,
 }
 
 impl Prober {
@@ -86,7 +86,7 @@ impl Prober {
             return None;
         }
         if let Some(since_ns) = self.waiting_since_ns {
-            if now_ns.saturating_sub(since_ns) < ANSWER_NS {
+            if now_ns.saturating_sub(since_ns) < ANSWER_TIMEOUT_NS {
                 return None;
             }
             self.waiting_since_ns = None;
@@ -101,7 +101,7 @@ impl Prober {
             self.begin(now_ns);
         }
         let soon =
-            now_ns >= self.ready_ns || (self.waits && self.ready_ns - now_ns <= PERIOD_MAX_NS);
+            now_ns >= self.ready_ns || (self.sleeps && self.ready_ns - now_ns <= PERIOD_MAX_NS);
         (soon && !self.off).then_some(self.ready_ns.max(now_ns))
     }
 
@@ -112,9 +112,9 @@ impl Prober {
         self.burst_began_ns = now_ns;
         self.next_burst_ns = now_ns.saturating_add(interval_s * SECOND_NS);
         self.ready_ns = now_ns;
-        self.waits = false;
-        self.aim.last_pong_ns = None;
-        self.aim.aimed = false;
+        self.sleeps = false;
+        self.timing.last_pong_ns = None;
+        self.timing.is_timed = false;
     }
 
     /// Starts the schedule again because the clocks changed, but no sooner than links allow.
@@ -122,7 +122,7 @@ impl Prober {
         if self.bursts > 0 {
             self.bursts = 0;
             self.next_burst_ns =
-                self.next_burst_ns.min(self.burst_began_ns.saturating_add(HURRY_NS));
+                self.next_burst_ns.min(self.burst_began_ns.saturating_add(RESTART_AFTER_NS));
         }
     }
 
@@ -132,7 +132,7 @@ impl Prober {
         self.waiting_since_ns = Some(at_ns);
         self.pending.rotate_right(1);
         self.pending[0] = Some(at_ns);
-        self.aim.aimed = std::mem::take(&mut self.waits);
+        self.timing.is_timed = std::mem::take(&mut self.sleeps);
     }
 
     /// Stops probing: the device cannot be queried.
@@ -151,19 +151,19 @@ impl Prober {
         // A late answer is as good a bound as any, but says nothing about when to send.
         if self.waiting_since_ns == Some(sent_ns) {
             self.waiting_since_ns = None;
-            (self.ready_ns, self.waits) = self.aim.next(sent_ns, now_ns);
+            (self.ready_ns, self.sleeps) = self.timing.next(sent_ns, now_ns);
         }
         true
     }
 }
 
-impl Aim {
+impl BatchTiming {
     /// Corrects the batch interval, which a pong noticed late has made wrong: later pongs show it again, or
     /// twice its length.
     fn correct(&mut self, now_ns: u64, before_ns: Option<u64>) {
         let passed_ns = now_ns.saturating_sub(before_ns.unwrap_or(now_ns));
         let times = (passed_ns + self.period_ns / 2) / self.period_ns.max(1);
-        if (1..=2).contains(&times) && self.period_ns.abs_diff(passed_ns / times) > self.ahead_ns {
+        if (1..=2).contains(&times) && self.period_ns.abs_diff(passed_ns / times) > self.lead_ns {
             self.period_ns = u64::midpoint(self.period_ns, passed_ns / times);
         }
     }
@@ -172,17 +172,17 @@ impl Aim {
     fn next(&mut self, sent_ns: u64, now_ns: u64) -> (u64, bool) {
         let trip_ns = now_ns.saturating_sub(sent_ns);
         let before_ns = self.last_pong_ns.replace(now_ns);
-        if self.aimed {
+        if self.is_timed {
             self.correct(now_ns, before_ns);
             if trip_ns <= self.period_ns / 2 {
                 self.misses = 0;
                 // Halve it until a ping was too late, then reduce it carefully.
-                let less_ns = self.ahead_ns / if self.missed { 4 } else { 2 };
-                self.ahead_ns = (self.ahead_ns - less_ns).max(AHEAD_MIN_NS);
+                let step_ns = self.lead_ns / if self.missed { 4 } else { 2 };
+                self.lead_ns = (self.lead_ns - step_ns).max(LEAD_MIN_NS);
             } else if trip_ns <= 2 * self.period_ns {
                 self.misses += 1;
                 self.missed = true;
-                self.ahead_ns = self.ahead_ns.saturating_mul(2).min(self.period_ns / 2);
+                self.lead_ns = self.lead_ns.saturating_mul(2).min(self.period_ns / 2);
                 if self.misses >= MISSES_MAX {
                     *self = Self { last_pong_ns: self.last_pong_ns, ..Self::default() };
                     return (now_ns, false);
@@ -190,23 +190,23 @@ impl Aim {
             }
         } else if trip_ns < QUICK_NS {
             self.period_ns = 0;
-            return (now_ns.saturating_add(APART_NS), false);
+            return (now_ns.saturating_add(SPACING_NS), false);
         } else if self.period_ns == 0 {
             // A ping sent as soon as the preceding pong came, with a batch, was answered with the next batch.
             if let Some(before_ns) = before_ns
                 && sent_ns.saturating_sub(before_ns) < QUICK_NS
             {
                 self.period_ns = now_ns.saturating_sub(before_ns);
-                self.ahead_ns = (self.period_ns / 16).max(AHEAD_MIN_NS);
+                self.lead_ns = (self.period_ns / 16).max(LEAD_MIN_NS);
                 (self.misses, self.missed) = (0, false);
             } else {
                 return (now_ns, false);
             }
         }
         if (QUICK_NS..=PERIOD_MAX_NS).contains(&self.period_ns) {
-            return (now_ns.saturating_add(self.period_ns - self.ahead_ns), true);
+            return (now_ns.saturating_add(self.period_ns - self.lead_ns), true);
         }
         self.period_ns = 0;
-        (now_ns.saturating_add(APART_NS), false)
+        (now_ns.saturating_add(SPACING_NS), false)
     }
 }

@@ -59,7 +59,7 @@ const USUAL: World = World {
 };
 
 /// The host's clock at the start: one day of uptime.
-const BEGUN_NS: f64 = 86_400e9;
+const START_NS: f64 = 86_400e9;
 
 /// The results of a simulated run.
 struct Run {
@@ -75,7 +75,7 @@ struct Run {
 impl Run {
     /// After each stored item, how far the line was from the line refitted to the stored items.
     fn apart(&self) -> Vec<Apart> {
-        let (mut again, mut n) = (LineAgain::default(), 0);
+        let (mut refit, mut n) = (LineRefit::default(), 0);
         let each = self.lines.iter().filter_map(|(stored, status)| {
             let &ClockStatus { segment, tick_hz, line, .. } = status;
             let mut clock = Clock { segment, tick_hz, line, ..Clock::default() };
@@ -86,8 +86,8 @@ impl Run {
                     ClockItem::Line(..) => {}
                 }
             }
-            again.add(&clock);
-            again.apart()
+            refit.add(&clock);
+            refit.apart()
         });
         each.collect()
     }
@@ -101,7 +101,7 @@ impl Run {
 impl World {
     /// The ticks that the device's clock shows at a host time.
     fn ticks(&self, host_ns: f64) -> u64 {
-        let passed_s = (host_ns - BEGUN_NS) * 1e-9;
+        let passed_s = (host_ns - START_NS) * 1e-9;
         let jumped_s = self.jump.filter(|jump| passed_s >= jump.0).map_or(0.0, |jump| jump.1);
         let device_s = 1_000.0 + passed_s / (1.0 + self.drift_ppm * 1e-6) + jumped_s;
         let ticks = (device_s * self.tick_hz as f64).floor() as u64;
@@ -132,11 +132,11 @@ impl World {
         let mut in_order_ns = 0.0_f64;
         let mut frames = 0_u32;
         // Messages in transit: arrival, ticks, and for a pong the time of its ping.
-        let mut under_way: Vec<(f64, u64, Option<u64>)> = Vec::new();
-        let mut now_ns = BEGUN_NS;
-        let mut next_look_s = 0.1;
-        while now_ns < BEGUN_NS + seconds * 1e9 {
-            while let frame_ns = BEGUN_NS + f64::from(frames) * period_ns
+        let mut in_transit: Vec<(f64, u64, Option<u64>)> = Vec::new();
+        let mut now_ns = START_NS;
+        let mut next_check_s = 0.1;
+        while now_ns < START_NS + seconds * 1e9 {
+            while let frame_ns = START_NS + f64::from(frames) * period_ns
                 && frame_ns < now_ns + 40e6
             {
                 frames += 1;
@@ -145,15 +145,15 @@ impl World {
                     let arrival =
                         self.arrival(frame_ns + self.frame_us * 1e3, &mut random).max(in_order_ns);
                     in_order_ns = arrival;
-                    under_way.push((arrival, self.ticks(frame_ns), None));
+                    in_transit.push((arrival, self.ticks(frame_ns), None));
                 }
             }
-            under_way.sort_by(|a, b| a.0.total_cmp(&b.0));
+            in_transit.sort_by(|a, b| a.0.total_cmp(&b.0));
             // A read waits up to 20 ms for data.
-            let next = under_way.first().map_or(f64::INFINITY, |next| next.0);
+            let next = in_transit.first().map_or(f64::INFINITY, |next| next.0);
             now_ns = now_ns.max(next.min(now_ns + 20e6));
-            let here = under_way.partition_point(|thing| thing.0 <= now_ns);
-            for (_, ticks, ping) in under_way.drain(..here) {
+            let here = in_transit.partition_point(|thing| thing.0 <= now_ns);
+            for (_, ticks, ping) in in_transit.drain(..here) {
                 let now = now_ns as u64;
                 let mut store = |item| {
                     items.push(item);
@@ -166,7 +166,7 @@ impl World {
                     Some(_) => None,
                     None => model.frame(ticks, now, &mut store),
                 };
-                let at_s = (now_ns - BEGUN_NS) * 1e-9;
+                let at_s = (now_ns - START_NS) * 1e-9;
                 events.extend(event.map(|event| (at_s, event)));
                 if model.wants_probes() {
                     prober.hurry();
@@ -178,7 +178,7 @@ impl World {
                     now_ns = at as f64 + 50e3 + delay_ns(&mut random, self.jitter_us * 1e3);
                 }
                 prober.sent(now_ns as u64);
-                let heard_ns =
+                let received_ns =
                     now_ns + self.line_us * 1e3 + delay_ns(&mut random, self.jitter_us * 1e3);
                 let extra_ns = match self.pongs {
                     Pongs::Late(ms) if random.unit() < 0.5 => Some(ms * 1e6),
@@ -186,16 +186,16 @@ impl World {
                     _ => Some(0.0),
                 };
                 if let Some(extra_ns) = extra_ns {
-                    let arrival = self.arrival(heard_ns + extra_ns, &mut random);
-                    under_way.push((arrival, self.ticks(heard_ns), Some(now_ns as u64)));
+                    let arrival = self.arrival(received_ns + extra_ns, &mut random);
+                    in_transit.push((arrival, self.ticks(received_ns), Some(now_ns as u64)));
                 }
             }
             if lines.last().is_none_or(|last| items.len() > last.0) {
                 lines.push((items.len(), model.status()));
             }
-            let at_s = (now_ns - BEGUN_NS) * 1e-9;
-            if at_s >= next_look_s {
-                next_look_s += 0.1;
+            let at_s = (now_ns - START_NS) * 1e-9;
+            if at_s >= next_check_s {
+                next_check_s += 0.1;
                 if let Some(line) = model.line() {
                     let tick_us = 0.5e6 / self.tick_hz as f64;
                     let (ticks, tick_hz) = (self.ticks(now_ns), self.tick_hz as f64);
@@ -346,7 +346,7 @@ fn a_clock_that_jumps_begins_a_segment_and_is_followed() {
 
 /// Ticks continue from an earlier time: only round trips distinguish that from frames that are held up.
 #[test]
-fn a_clock_that_fell_behind_is_found_by_round_trips() {
+fn a_clock_that_fell_behind_is_detected_by_round_trips() {
     let stalls = World { jump: Some((20.0, -0.3)), rate_hz: 2.0, ..USUAL };
     let run = stalls.run(60.0);
     let [(at_s, ClockEvent::Jumped(by_s))] = run.events[..] else { panic!("{:?}", run.events) };
@@ -379,7 +379,7 @@ fn a_single_wrong_time_is_left_out() {
 
 /// A take stores the observations that its line was fitted to: refitted at any time, the line is the same.
 #[test]
-fn the_line_can_be_laid_again_from_what_is_stored_at_any_time() {
+fn the_line_can_be_refitted_from_the_stored_observations_at_any_time() {
     let busy = World { jitter_us: 300.0, stalled: 0.1, ..USUAL };
     let slow = World { pongs: Pongs::Late(400.0), ..busy };
     let swaying = World { jitter_us: 3_000.0, pongs: Pongs::Late(5_000.0), ..USUAL };
@@ -400,7 +400,7 @@ fn the_line_can_be_laid_again_from_what_is_stored_at_any_time() {
 
 /// Pongs stamped by another clock than the frames: the line follows the frames and has no bound.
 #[test]
-fn a_pong_that_lies_does_not_move_the_line() {
+fn pongs_of_another_clock_do_not_move_the_line() {
     for wrong in [0, 1 << 40, u64::MAX / 2] {
         let mut model = ClockModel::new(1_000_000);
         for i in 1..3000_u64 {
@@ -417,7 +417,7 @@ fn a_pong_that_lies_does_not_move_the_line() {
 }
 
 #[test]
-fn a_device_without_an_answer_is_left_alone() {
+fn a_device_that_does_not_answer_is_not_pinged_again() {
     let mut prober = Prober::new();
     let (mut now_ns, mut sent) = (0, 0);
     while now_ns < 600_000_000_000 {
@@ -433,7 +433,7 @@ fn a_device_without_an_answer_is_left_alone() {
 
 /// The device was switched off and on, or stalled: an answer to any of the last pings resumes probing.
 #[test]
-fn a_device_that_answers_late_is_asked_again() {
+fn a_device_that_answers_late_is_pinged_again() {
     let mut prober = Prober::new();
     let mut sent = Vec::new();
     for now_ns in (0..40_000_000_000).step_by(5_000_000) {
@@ -447,7 +447,7 @@ fn a_device_that_answers_late_is_asked_again() {
 }
 
 #[test]
-fn no_more_than_ten_pongs_a_second_are_asked_for() {
+fn at_most_ten_pings_a_second_are_sent() {
     for world in worlds(USUAL).step_by(5) {
         let mut sent_us: Vec<u64> = Vec::new();
         for item in &world.run(60.0).items {

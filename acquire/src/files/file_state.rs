@@ -44,7 +44,7 @@ impl FileState {
 
 /// Details of a file that is not where it was created, or not as long as what was written.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Displaced {
+pub struct DisplacedFile {
     /// What happened.
     pub state: FileState,
     /// The path at which it was created.
@@ -57,7 +57,7 @@ pub struct Displaced {
     pub bytes: (u64, u64),
 }
 
-impl Displaced {
+impl DisplacedFile {
     /// What happened and what to do, for a take that is still being recorded.
     #[must_use]
     pub fn words(&self) -> String {
@@ -92,7 +92,7 @@ pub struct Settled {
     /// Where it is now, or where its copy is if it was removed. `None` if it has no name.
     pub path: Option<PathBuf>,
     /// Details, if it is not in its place.
-    pub displaced: Option<Displaced>,
+    pub displaced: Option<DisplacedFile>,
     /// Why a removed file could not be copied.
     pub problem: Option<String>,
 }

@@ -16,7 +16,7 @@ use rustix::{
     io::Errno,
 };
 
-use super::{cannot_create, exists, folder_of, own_link, sync_name};
+use super::{cannot_create, folder_of, name_taken, proc_link, sync_name};
 use crate::threads;
 
 /// A file that gets its name only when it is complete. Dropping it earlier removes it; on a file system with
@@ -24,7 +24,7 @@ use crate::threads;
 #[derive(Debug)]
 pub struct NewFile {
     file: Option<File>,
-    behind: Behind,
+    sync: BackgroundSync,
     /// Its temporary name, if it needs one.
     hidden: Option<PathBuf>,
     path: PathBuf,
@@ -37,11 +37,11 @@ impl NewFile {
     /// When `path` exists, or nothing can be created there.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
-            return Err(exists(path));
+            return Err(name_taken(path));
         }
         let name =
             path.file_name().with_context(|| format!("{} is not a file name", path.display()))?;
-        if let Some(file) = without_a_name(path)? {
+        if let Some(file) = unnamed_file(path)? {
             return Ok(Self::new(file, None, path));
         }
         let hidden = path.with_file_name(hidden_name(name));
@@ -51,7 +51,7 @@ impl NewFile {
     }
 
     fn new(file: File, hidden: Option<PathBuf>, path: &Path) -> Self {
-        Self { file: Some(file), behind: Behind::default(), hidden, path: path.to_owned() }
+        Self { file: Some(file), sync: BackgroundSync::default(), hidden, path: path.to_owned() }
     }
 
     /// Gives the file its name. A file that appeared there meanwhile is not overwritten.
@@ -60,10 +60,10 @@ impl NewFile {
     /// When a file of that name appeared, or the disk fails.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let Some(file) = self.file.take() else { return Ok(()) };
-        let synced = self.behind.finish().and_then(|()| file.sync_all());
+        let synced = self.sync.finish().and_then(|()| file.sync_all());
         synced.with_context(|| format!("cannot write {}", self.path.display()))?;
         let named = match &self.hidden {
-            None => linkat(CWD, own_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
+            None => linkat(CWD, proc_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
             Some(hidden) => {
                 match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
                     // Some network file systems do not support this rename; a link refuses to overwrite as well.
@@ -75,7 +75,7 @@ impl NewFile {
             }
         };
         match named {
-            Err(Errno::EXIST) => Err(exists(&self.path)),
+            Err(Errno::EXIST) => Err(name_taken(&self.path)),
             Ok(()) => {
                 sync_name(&self.path);
                 Ok(())
@@ -89,7 +89,7 @@ impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let Some(file) = &mut self.file else { return Err(io::ErrorKind::BrokenPipe.into()) };
         let n_bytes = file.write(bytes)?;
-        self.behind.wrote(file, n_bytes)?;
+        self.sync.count(file, n_bytes)?;
         Ok(n_bytes)
     }
 
@@ -130,7 +130,7 @@ impl NewFolder {
     /// When `path` exists, or nothing can be created there.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
-            return Err(exists(path));
+            return Err(name_taken(path));
         }
         let Some(name) = path.file_name() else { bail!("{} is not a folder name", path.display()) };
         let hidden = path.with_file_name(hidden_name(name));
@@ -151,7 +151,7 @@ impl NewFolder {
         }
         match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
             Ok(()) => {}
-            Err(Errno::EXIST) => return Err(exists(&self.path)),
+            Err(Errno::EXIST) => return Err(name_taken(&self.path)),
             // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
             Err(Errno::INVAL | Errno::NOSYS) if self.path.symlink_metadata().is_err() => {
                 fs::rename(hidden, &self.path).with_context(writing)?;
@@ -196,13 +196,13 @@ fn hidden_name(name: &OsStr) -> OsString {
 }
 
 /// Creates an unnamed file in the folder of `path`; `None` where the file system has none.
-fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
+fn unnamed_file(path: &Path) -> anyhow::Result<Option<File>> {
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
     match openat(CWD, folder_of(path), flags, Mode::from_raw_mode(0o666)) {
         Ok(file) => {
             let file = File::from(file);
             // Without /proc it could never be named.
-            Ok(own_link(&file).exists().then_some(file))
+            Ok(proc_link(&file).exists().then_some(file))
         }
         // Network file systems, and kernels that take the flag for a folder to be opened.
         Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Ok(None),
@@ -212,12 +212,12 @@ fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
 
 /// Bytes written between two syncs: half a second of a slow disk, so that the wait at the end is short, and enough to
 /// make the cost of a call negligible.
-const STEP_BYTES: u64 = 32 << 20;
+const SYNC_STEP_BYTES: u64 = 32 << 20;
 
 /// Syncs a file while it is being written, on a thread that starts with the first sync.
 #[derive(Debug, Default)]
-struct Behind {
-    since_bytes: u64,
+struct BackgroundSync {
+    unsynced_bytes: u64,
     syncer: Option<Syncer>,
 }
 
@@ -227,17 +227,17 @@ struct Syncer {
     thread: JoinHandle<io::Result<()>>,
 }
 
-impl Behind {
+impl BackgroundSync {
     /// Counts bytes written to `file` and starts a sync when one is due. Never waits for the disk.
     ///
     /// # Errors
     /// The error of an earlier sync, which the disk reports once only.
-    fn wrote(&mut self, file: &File, n_bytes: usize) -> io::Result<()> {
-        self.since_bytes += n_bytes as u64;
-        if self.since_bytes < STEP_BYTES {
+    fn count(&mut self, file: &File, n_bytes: usize) -> io::Result<()> {
+        self.unsynced_bytes += n_bytes as u64;
+        if self.unsynced_bytes < SYNC_STEP_BYTES {
             return Ok(());
         }
-        self.since_bytes = 0;
+        self.unsynced_bytes = 0;
         if self.syncer.is_none() {
             self.syncer = start(file);
         }
@@ -265,8 +265,8 @@ impl Behind {
 fn start(file: &File) -> Option<Syncer> {
     let file = file.try_clone().ok()?;
     // One queued wake-up is enough.
-    let (wake, woken) = bounded(1);
-    let sync = move || woken.iter().try_for_each(|()| sync(&file));
+    let (wake, wakes) = bounded(1);
+    let sync = move || wakes.iter().try_for_each(|()| sync(&file));
     let thread = threads::spawn("mocapd-sync", sync).ok()?;
     Some(Syncer { wake, thread })
 }
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn what_appeared_meanwhile_stays() {
+    fn a_folder_that_appeared_meanwhile_stays() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("set");
         let late = NewFolder::create(&path).unwrap();
@@ -341,26 +341,26 @@ mod tests {
     }
 
     #[test]
-    fn begins_with_the_first_step_and_ends_when_told() {
+    fn the_background_sync_starts_with_the_first_step_and_ends_on_finish() {
         let file = tempfile::tempfile().unwrap();
-        let mut behind = Behind::default();
-        behind.wrote(&file, STEP_BYTES as usize - 1).unwrap();
-        assert!(behind.syncer.is_none());
-        behind.wrote(&file, 1).unwrap();
-        assert!(behind.syncer.is_some());
-        behind.wrote(&file, STEP_BYTES as usize).unwrap();
-        behind.finish().unwrap();
-        assert!(behind.syncer.is_none());
+        let mut sync = BackgroundSync::default();
+        sync.count(&file, SYNC_STEP_BYTES as usize - 1).unwrap();
+        assert!(sync.syncer.is_none());
+        sync.count(&file, 1).unwrap();
+        assert!(sync.syncer.is_some());
+        sync.count(&file, SYNC_STEP_BYTES as usize).unwrap();
+        sync.finish().unwrap();
+        assert!(sync.syncer.is_none());
     }
 
     #[test]
-    fn an_error_of_the_disk_is_told_once_and_not_lost() {
+    fn an_error_of_the_disk_is_reported_once_and_not_lost() {
         // A pipe cannot be synced: the kernel returns EINVAL.
         let (_reader, writer) = io::pipe().unwrap();
         let file = File::from(std::os::fd::OwnedFd::from(writer));
-        let mut behind = Behind::default();
-        behind.wrote(&file, STEP_BYTES as usize).unwrap();
-        assert_eq!(behind.finish().unwrap_err().kind(), io::ErrorKind::InvalidInput);
-        behind.finish().unwrap();
+        let mut sync = BackgroundSync::default();
+        sync.count(&file, SYNC_STEP_BYTES as usize).unwrap();
+        assert_eq!(sync.finish().unwrap_err().kind(), io::ErrorKind::InvalidInput);
+        sync.finish().unwrap();
     }
 }

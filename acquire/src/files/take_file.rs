@@ -16,7 +16,7 @@ use rustix::{
     io::Errno,
 };
 
-use super::{Displaced, FileState, NewFile, Settled, file_state::is_mounted, own_link};
+use super::{DisplacedFile, FileState, NewFile, Settled, file_state::is_mounted, proc_link};
 
 /// Identifies a file, whatever its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -73,7 +73,7 @@ pub trait TakeOutput: Any + Write + Send {
     ///
     /// # Errors
     /// `StorageFull` or `QuotaExceeded` when there is no space; `Unsupported` when space cannot be allocated ahead.
-    fn hold_back(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
+    fn allocate(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
@@ -91,17 +91,17 @@ pub trait TakeOutput: Any + Write + Send {
     }
 
     /// The state of the output, at most half a second old.
-    fn look(&mut self) -> FileState {
+    fn poll_state(&mut self) -> FileState {
         FileState::InPlace
     }
 
     /// The state of the output now.
-    fn look_now(&mut self) -> FileState {
+    fn check_state(&mut self) -> FileState {
         FileState::InPlace
     }
 
     /// Details, if the output is not in its place.
-    fn displaced(&self) -> Option<Displaced> {
+    fn displaced(&self) -> Option<DisplacedFile> {
         None
     }
 
@@ -118,7 +118,7 @@ impl fmt::Debug for dyn TakeOutput {
 }
 
 /// Time between two checks of the file: short enough to notice changes within a second.
-const LOOK_EVERY: Duration = Duration::from_millis(400);
+const POLL_INTERVAL: Duration = Duration::from_millis(400);
 
 /// Number of names to try for the copy of a removed take.
 const COPIES_MAX: u32 = 100;
@@ -132,7 +132,7 @@ pub struct TakeFile {
     /// Its path according to the kernel when it was created.
     link: Option<PathBuf>,
     written: u64,
-    looked: Option<Instant>,
+    last_check: Option<Instant>,
     state: FileState,
 }
 
@@ -147,8 +147,8 @@ impl TakeFile {
         // Some file systems have no locks; without one, other services take the file for one that was cut off.
         flock(&file, FlockOperation::NonBlockingLockExclusive).ok();
         super::sync_name(path);
-        let (path, link) = (path.to_owned(), own_link(&file).read_link().ok());
-        Ok(Self { file, path, id, link, written: 0, looked: None, state: FileState::InPlace })
+        let (path, link) = (path.to_owned(), proc_link(&file).read_link().ok());
+        Ok(Self { file, path, id, link, written: 0, last_check: None, state: FileState::InPlace })
     }
 
     /// The file's identity.
@@ -164,7 +164,7 @@ impl TakeFile {
     }
 
     /// Determines the state; `None` when that is impossible.
-    fn found(&self) -> Option<FileState> {
+    fn detect_state(&self) -> Option<FileState> {
         let found = self.file.metadata().ok()?;
         if found.len() < self.written {
             return Some(FileState::Truncated);
@@ -175,7 +175,7 @@ impl TakeFile {
         if self.id.is_at(&self.path).ok()? {
             return Some(FileState::InPlace);
         }
-        let link = own_link(&self.file).read_link().ok();
+        let link = proc_link(&self.file).read_link().ok();
         // Not a symbolic link: one that leads elsewhere by now says nothing of the file.
         if let Some(link) = &link
             && self.id.is_at(link).ok()?
@@ -191,13 +191,13 @@ impl TakeFile {
     }
 
     /// The file's present path, if it has one.
-    fn name_now(&self) -> Option<PathBuf> {
+    fn current_path(&self) -> Option<PathBuf> {
         // When that cannot be determined, the file is where it was at the last check.
         let was_there = self.state == FileState::InPlace;
         if self.id.is_at(&self.path).unwrap_or(was_there) {
             return Some(self.path.clone());
         }
-        let link = own_link(&self.file).read_link().ok();
+        let link = proc_link(&self.file).read_link().ok();
         link.filter(|path| self.id.is_at(path).unwrap_or(false))
     }
 
@@ -212,7 +212,7 @@ impl TakeFile {
         let mut names = (1..COPIES_MAX).map(|count| self.path.with_file_name(name(count)));
         let free = names.find(|path| path.symlink_metadata().is_err());
         let path = free.context("every name for a copy is taken")?;
-        let mut input = File::open(own_link(&self.file)).context("cannot reopen it")?;
+        let mut input = File::open(proc_link(&self.file)).context("cannot reopen it")?;
         let mut copy = NewFile::create(&path)?;
         io::copy(&mut input, &mut copy)
             .with_context(|| format!("cannot write {}", path.display()))?;
@@ -243,7 +243,7 @@ impl TakeOutput for TakeFile {
         self.file.sync_data()
     }
 
-    fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
+    fn allocate(&mut self, from: u64, bytes: u64) -> io::Result<()> {
         Ok(fallocate(&self.file, FallocateFlags::KEEP_SIZE, from, bytes)?)
     }
 
@@ -263,40 +263,40 @@ impl TakeOutput for TakeFile {
         Ok(())
     }
 
-    fn look(&mut self) -> FileState {
-        if self.looked.is_none_or(|last| last.elapsed() >= LOOK_EVERY) {
-            self.look_now();
+    fn poll_state(&mut self) -> FileState {
+        if self.last_check.is_none_or(|last| last.elapsed() >= POLL_INTERVAL) {
+            self.check_state();
         }
         self.state
     }
 
-    fn look_now(&mut self) -> FileState {
-        self.looked = Some(Instant::now());
+    fn check_state(&mut self) -> FileState {
+        self.last_check = Some(Instant::now());
         // What was truncated does not come back, and later data would follow a hole.
         if self.state != FileState::Truncated {
-            self.state = self.found().unwrap_or(self.state);
+            self.state = self.detect_state().unwrap_or(self.state);
         }
         self.state
     }
 
-    fn displaced(&self) -> Option<Displaced> {
+    fn displaced(&self) -> Option<DisplacedFile> {
         if self.state == FileState::InPlace {
             return None;
         }
         let found = self.file.metadata().map_or(0, |found| found.len());
-        Some(Displaced {
+        Some(DisplacedFile {
             state: self.state,
             created_as: self.path.clone(),
-            now_at: self.name_now(),
+            now_at: self.current_path(),
             open_at: format!("/proc/{}/fd/{}", std::process::id(), self.file.as_raw_fd()).into(),
             bytes: (found, self.written),
         })
     }
 
     fn settle(&mut self) -> Settled {
-        let state = self.look_now();
+        let state = self.check_state();
         let displaced = self.displaced();
-        let mut settled = Settled { state, path: self.name_now(), displaced, problem: None };
+        let mut settled = Settled { state, path: self.current_path(), displaced, problem: None };
         if state == FileState::Removed {
             match self.save_copy() {
                 Ok(path) => settled.path = Some(path),
@@ -344,19 +344,19 @@ mod tests {
     }
 
     #[test]
-    fn what_others_do_is_noticed_and_what_was_written_is_kept() {
+    fn changes_by_others_are_noticed_and_what_was_written_is_kept() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("takes");
         std::fs::create_dir(&folder).unwrap();
         let path = folder.join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
         take.write_all(b"one").unwrap();
-        assert_eq!((take.look_now(), take.displaced()), (FileState::InPlace, None));
+        assert_eq!((take.check_state(), take.displaced()), (FileState::InPlace, None));
 
         // Renamed, alone and with its folder; and back.
         let other = folder.join("b.take");
         std::fs::rename(&path, &other).unwrap();
-        assert_eq!(take.look_now(), FileState::Renamed);
+        assert_eq!(take.check_state(), FileState::Renamed);
         assert_eq!(take.displaced().unwrap().now_at.as_ref(), Some(&other));
         let moved = dir.path().join("moved");
         std::fs::rename(&folder, &moved).unwrap();
@@ -365,13 +365,13 @@ mod tests {
         assert_eq!((settled.state, settled.path), (FileState::Renamed, Some(moved.join("b.take"))));
         std::fs::rename(&moved, &folder).unwrap();
         std::fs::rename(&other, &path).unwrap();
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
 
         // Removed, while another file has its name; then with its folder.
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, b"another").unwrap();
         take.write_all(b"three").unwrap();
-        assert_eq!(take.look_now(), FileState::Removed);
+        assert_eq!(take.check_state(), FileState::Removed);
         let open_at = take.displaced().unwrap().open_at;
         assert_eq!(std::fs::read(open_at).unwrap(), b"onetwothree");
         for name in ["a.saved.take", "a.saved-2.take"] {
@@ -400,16 +400,16 @@ mod tests {
         point_to(&real);
         let mut take = TakeFile::create(&link.join("a.take")).unwrap();
         point_to(&other);
-        assert_eq!(take.look_now(), FileState::Renamed);
+        assert_eq!(take.check_state(), FileState::Renamed);
         assert_eq!(take.displaced().unwrap().now_at, Some(real.join("a.take")));
         assert_eq!(take.settle().path, Some(real.join("a.take")));
         point_to(&real);
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
     }
 
     /// As on a network file system that does not answer, or in a folder that cannot be searched for a while.
     #[test]
-    fn what_cannot_be_known_changes_nothing() {
+    fn an_unknown_state_changes_nothing() {
         let dir = tempfile::tempdir().unwrap();
         let real = dir.path().join("real");
         std::fs::create_dir(&real).unwrap();
@@ -422,26 +422,26 @@ mod tests {
         std::os::unix::fs::symlink(&link, &link).unwrap();
         take.id().is_at(&path).unwrap_err();
         take.id().remove(&path).unwrap_err();
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
         let settled = take.settle();
         assert_eq!((settled.state, settled.path), (FileState::InPlace, Some(path)));
     }
 
     #[test]
-    fn half_a_write_is_taken_back_without_a_cut() {
+    fn undoing_half_a_write_is_no_truncation() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
         take.write_all(b"chunk and ha").unwrap();
         take.release(5).unwrap();
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
         std::fs::remove_file(&path).unwrap();
         let saved = take.settle().path.unwrap();
         assert_eq!(std::fs::read(saved).unwrap(), b"chunk");
     }
 
     #[test]
-    fn nothing_is_written_behind_a_cut() {
+    fn nothing_is_written_after_a_truncation() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
@@ -449,11 +449,11 @@ mod tests {
         File::options().write(true).open(&path).unwrap().set_len(4).unwrap();
         take.write_all(b"more").unwrap_err();
         take.release(9).unwrap();
-        assert_eq!(take.look_now(), FileState::Truncated);
+        assert_eq!(take.check_state(), FileState::Truncated);
         assert_eq!(take.displaced().unwrap().bytes, (4, 9));
         assert_eq!(std::fs::read(&path).unwrap(), b"some");
         // Truncation is final, even if the file grows again.
         File::options().write(true).open(&path).unwrap().set_len(40).unwrap();
-        assert_eq!(take.look_now(), FileState::Truncated);
+        assert_eq!(take.check_state(), FileState::Truncated);
     }
 }

@@ -23,7 +23,7 @@ use crate::{
     header,
     host_clock::monotonic_ns,
     pipeline::PipelineConfig,
-    raw_log::Tap,
+    raw_log::RawLogTap,
     setting::{Setting, SettingRefused},
 };
 
@@ -55,7 +55,7 @@ pub struct Rig {
     /// Length of a stretch and time between syncs, if the user chose them.
     loss_limits: Option<(Duration, Duration)>,
     /// Also receives every byte, when a raw log is written.
-    raw_log: Option<Tap>,
+    raw_log: Option<RawLogTap>,
 }
 
 impl Rig {
@@ -74,7 +74,7 @@ impl Rig {
     pub fn open_again(
         uri: &DeviceUri,
         identity: &Candidate,
-        raw_log: Option<Tap>,
+        raw_log: Option<RawLogTap>,
     ) -> anyhow::Result<Self> {
         let mut rig = Self::open_logged(&registry::find_again(uri, identity), raw_log)?;
         rig.uri = uri.clone();
@@ -97,7 +97,7 @@ impl Rig {
     ///
     /// # Errors
     /// When the device cannot be opened or does not answer.
-    pub fn open_logged(uri: &DeviceUri, raw_log: Option<Tap>) -> anyhow::Result<Self> {
+    pub fn open_logged(uri: &DeviceUri, raw_log: Option<RawLogTap>) -> anyhow::Result<Self> {
         let opened = registry::open_through(uri, &mut |family, line| match &raw_log {
             Some(tap) => tap.on(family, line),
             None => line,
@@ -275,7 +275,7 @@ impl Rig {
     pub(super) fn identify(
         uri: DeviceUri,
         opened: OpenedDevice,
-        raw_log: Option<Tap>,
+        raw_log: Option<RawLogTap>,
     ) -> anyhow::Result<Self> {
         let OpenedDevice { transport, protocol, family, identity } = opened;
         let mut rig = Self {
