@@ -200,7 +200,7 @@ impl RawLogTap {
 
     /// Wraps a line, whose bytes then go through a tap of its own.
     #[must_use]
-    pub fn on(&self, family: &str, line: Box<dyn Transport>) -> Box<dyn Transport> {
+    pub fn wrap(&self, family: &str, line: Box<dyn Transport>) -> Box<dyn Transport> {
         let mut tap = self.clone();
         tap.put(Entry::Opened(&format!("{family} {}", line.describe())));
         Box::new(TappedTransport { line, tap, is_closed: false })

@@ -291,11 +291,11 @@ mod tests {
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut reserve, progress, start) =
             (DiskReserve::new(50 * MIB), Progress::default(), Instant::now());
-        let beside = Arc::new(AtomicU64::new(9));
-        progress.beside_bytes.set(Arc::clone(&beside)).unwrap();
+        let raw_log = Arc::new(AtomicU64::new(9));
+        progress.beside_bytes.set(Arc::clone(&raw_log)).unwrap();
         for second in 0..10 {
             reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
-            beside.fetch_add(3 * MIB, Ordering::Relaxed);
+            raw_log.fetch_add(3 * MIB, Ordering::Relaxed);
             disk.free -= 3 * MIB;
         }
         let left_s = reserve.state.left_s.unwrap();

@@ -55,7 +55,7 @@ pub fn write_take<W: Write>(
 
 /// Parts per worker that are handed out before the oldest of them is done: enough to keep workers busy while one part
 /// takes long, and the limit of what is in memory.
-const AHEAD: usize = 4;
+const QUEUED_PER_WORKER: usize = 4;
 
 /// Processes parts on `n_workers` threads, each with its own function from `worker`, and passes the
 /// results to `done` on this thread, in the order of the parts.
@@ -74,13 +74,13 @@ where
     W: FnMut(&P) -> anyhow::Result<T>,
 {
     let n_workers = n_workers.max(1);
-    let ahead = AHEAD * n_workers;
+    let queued_max = QUEUED_PER_WORKER * n_workers;
     let mut parts = parts.into_iter();
     let lost = || anyhow::Error::from(ResamplerFailed);
     std::thread::scope(|scope| {
         // Created here, so that they are closed when this closure returns, and the threads end.
-        let (jobs_in, jobs) = bounded::<(usize, P)>(ahead);
-        let (results_in, results) = bounded(ahead);
+        let (jobs_in, jobs) = bounded::<(usize, P)>(queued_max);
+        let (results_in, results) = bounded(queued_max);
         for index in 0..n_workers {
             let (jobs, results_in, worker) = (jobs.clone(), results_in.clone(), &worker);
             Builder::new().name(format!("mocapd-work-{index}")).spawn_scoped(scope, move || {
@@ -96,10 +96,10 @@ where
         }
         drop(results_in);
         // From the oldest part that is not done to the newest one handed out.
-        let mut out: VecDeque<Option<(P, T)>> = VecDeque::with_capacity(ahead);
+        let mut out: VecDeque<Option<(P, T)>> = VecDeque::with_capacity(queued_max);
         let mut n_done = 0;
         loop {
-            while out.len() < ahead
+            while out.len() < queued_max
                 && let Some(part) = parts.next()
             {
                 jobs_in.send((n_done + out.len(), part)).map_err(|_| lost())?;
@@ -157,13 +157,13 @@ mod tests {
             };
             let error = in_order(0..200, 2, refuse, |_, ()| Ok(())).unwrap_err();
             assert_eq!(error.to_string(), format!("part {bad}"));
-            let fall = || {
+            let panicking = || {
                 move |part: &u64| {
                     assert_ne!(*part, bad);
                     Ok(())
                 }
             };
-            let error = in_order(0..200, 2, fall, |_, ()| Ok(())).unwrap_err();
+            let error = in_order(0..200, 2, panicking, |_, ()| Ok(())).unwrap_err();
             assert!(error.is::<ResamplerFailed>(), "{error}");
         }
         let full = |part: &u64, ()| if *part == 9 { Err(anyhow!("full")) } else { Ok(()) };

@@ -18,7 +18,7 @@ fn tap(blocks: usize) -> (RawLogTap, Receiver<Block>, Sender<Block>) {
 fn a_stalled_disk_costs_bytes_of_the_log_and_the_log_counts_them() {
     let (tap, written, free) = tap(2);
     let (mut device, line) = memory::pair(1 << 20);
-    let mut line = tap.on("dvmc", Box::new(line));
+    let mut line = tap.wrap("dvmc", Box::new(line));
     let mut buffer = vec![0; 1 << 16];
     let mut log = Vec::new();
     put_head(&mut log);

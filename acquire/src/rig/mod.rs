@@ -99,7 +99,7 @@ impl Rig {
     /// When the device cannot be opened or does not answer.
     pub fn open_logged(uri: &DeviceUri, raw_log: Option<RawLogTap>) -> anyhow::Result<Self> {
         let opened = registry::open_through(uri, &mut |family, line| match &raw_log {
-            Some(tap) => tap.on(family, line),
+            Some(tap) => tap.wrap(family, line),
             None => line,
         })?;
         Self::identify(uri.clone(), opened, raw_log)

@@ -116,7 +116,7 @@ impl Rig {
         match registry::open_again(&self.uri, &self.identity) {
             Ok(line) => {
                 let line = match &self.raw_log {
-                    Some(tap) => tap.on(self.family, line),
+                    Some(tap) => tap.wrap(self.family, line),
                     None => line,
                 };
                 self.transport = self.protocol.attach(line);

@@ -18,8 +18,8 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeProgress,
-        TakeOutput, Written,
+        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeOutput,
+        TakeProgress, Written,
         commands::Reply,
         disk::DiskReserve,
         lock,
