@@ -1,4 +1,4 @@
-//! Little-endian encoding and decoding of wire_numbers, text and plain structs.
+//! Little-endian encoding and decoding of numbers, text and plain structs.
 
 /// Reads values from untrusted bytes. Every method returns `None` when the bytes do not have that layout.
 #[derive(Debug, Clone, Copy)]

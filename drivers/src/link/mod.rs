@@ -3,12 +3,12 @@
 //! The DVMC-8820 has no public wire specification. This protocol is mocapd's own, in the style of such a
 //! rig, and the simulator speaks it.
 
-mod ends;
+mod endpoints;
 mod envelope;
 mod frame;
 mod messages;
 
-pub use ends::{DeviceLink, HostLink};
+pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
 
 use crate::{

@@ -145,7 +145,7 @@ impl Transport for SerialTransport {
                 Ok(())
             }
             Err(_) if Path::new(&self.device()).exists() => Err(TransportError::Refused(format!(
-"{} does not support {baud} baud",
+                "{} does not support {baud} baud",
                 self.device()
             ))),
             Err(error) => Err(self.session_error("changing its speed", error.into())),

@@ -71,7 +71,7 @@ impl Attached {
 
     fn stall_error(&self) -> TransportError {
         TransportError::Unsupported(format!(
-            "{} stalls again each time it is cleared; unplug it, plug it in again, and check its firmware"
+            "{} stalls again each time it is cleared; unplug it, plug it in again, and check its firmware",
             self.name
         ))
     }
@@ -121,7 +121,7 @@ impl UsbTransport {
         let retry = self.received.may_retry();
         match error {
             TransferError::Stall if retry && !self.record_stall() => {
-                // A device whose halt cannot be cleared is being gone.
+                // A device whose halt cannot be cleared is being disconnected.
                 if !self.received.clear_halt() {
                     return Err(self.device.gone());
                 }

@@ -65,7 +65,7 @@ impl ReadQueue {
     }
 
     /// Without kernel memory either the limit is exhausted, or the kernel has no such memory at all. The first
-    /// transfer tells: it fails at once when the limit is exhausted.
+    /// transfer shows which: it fails at once when the limit is exhausted.
     fn has_memory(&mut self) -> bool {
         match self.rx.wait_next_complete(Duration::ZERO) {
             Some(done) if matches!(done.status, Err(TransferError::Unknown(_))) => false,

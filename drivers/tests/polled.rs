@@ -1,8 +1,8 @@
-//! Lines on which the host speaks first: what is carried out, in which order, and when.
+//! Polled lines: which commands are executed, in which order, and when.
 
 use mocapd_drivers::transport::{
     Transport, TransportError,
-    turns::{self, ORDERS_MAX, Order, REQUEST_BYTES_MAX, Request, TurnTransport, desk},
+    turns::{LINE_COMMANDS_MAX, Order, PolledTransport, REQUEST_BYTES_MAX, Request, desk},
 };
 use mocapd_testkit::memory::pair;
 
@@ -12,33 +12,33 @@ fn write(bytes: &[u8], not_before_ns: u64) -> Order {
 }
 
 #[test]
-fn carries_out_in_order_and_waits() {
+fn executes_in_order_and_waits() {
     let (host, mut device) = pair(64);
-    let (desk, orders) = desk();
-    let mut line = TurnTransport::new(Box::new(host), orders);
-    assert!(desk.order(Order::Baud(115_200)) && desk.order(Order::Break));
-    assert!(desk.order(write(b"one", 0)) && desk.order(write(b"two", 30_000_000)));
+    let (sender, receiver) = desk();
+    let mut line = PolledTransport::new(Box::new(host), receiver);
+    assert!(sender.order(Order::Baud(115_200)) && sender.order(Order::Break));
+    assert!(sender.order(write(b"one", 0)) && sender.order(write(b"two", 30_000_000)));
     let mut buf = [0; 16];
     assert_eq!(line.read(&mut buf).unwrap(), 0, "its time has not come");
     assert_eq!(device.read(&mut buf).unwrap(), 3);
     assert_eq!(line.read(&mut buf).unwrap(), 0);
-    assert!(desk.now_ns() >= 30_000_000, "{}", desk.now_ns());
+    assert!(sender.now_ns() >= 30_000_000, "{}", sender.now_ns());
     assert_eq!(device.read(&mut buf).unwrap(), 3);
     assert_eq!(&buf[..3], b"two");
     device.write_all(b"answer").unwrap();
     assert_eq!(line.read(&mut buf).unwrap(), 6);
-    assert!(desk.order(Order::Fail("pull the plug".to_owned())));
+    assert!(sender.order(Order::Fail("pull the plug".to_owned())));
     let error = line.read(&mut buf).unwrap_err();
     assert!(matches!(&error, TransportError::Refused(why) if why == "pull the plug"), "{error:?}");
 }
 
 #[test]
-fn takes_leave_and_keeps_to_its_bounds() {
+fn sends_goodbye_and_bounds_its_queue() {
     let (host, mut device) = pair(64);
-    let (desk, orders) = desk();
-    let mut line = TurnTransport::new(Box::new(host), orders);
-    let bye = [b"stop\r", b"slow\r"].map(|bytes| Request::new(bytes).unwrap());
-    assert!(desk.order(Order::Farewell(bye.to_vec())));
+    let (sender, receiver) = desk();
+    let mut line = PolledTransport::new(Box::new(host), receiver);
+    let goodbye = [b"stop\r", b"slow\r"].map(|bytes| Request::new(bytes).unwrap());
+    assert!(sender.order(Order::Farewell(goodbye.to_vec())));
     line.read(&mut [0; 4]).unwrap();
     device.write_all(b"OK\r").unwrap();
     drop(line);
@@ -48,8 +48,8 @@ fn takes_leave_and_keeps_to_its_bounds() {
         got.extend_from_slice(&buf[..n]);
     }
     assert_eq!(got, b"stop\rslow\r");
-    assert!(!desk.order(Order::Break), "the line is gone");
+    assert!(!sender.order(Order::Break), "the line is gone");
     assert!(Request::new(&[0; REQUEST_BYTES_MAX + 1]).is_none());
-    let (desk, _orders) = turns::desk();
-    assert_eq!((0..20).filter(|_| desk.order(Order::Break)).count(), ORDERS_MAX);
+    let (sender, _receiver) = desk();
+    assert_eq!((0..20).filter(|_| sender.order(Order::Break)).count(), LINE_COMMANDS_MAX);
 }
