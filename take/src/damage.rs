@@ -11,10 +11,10 @@ pub const PROBLEMS_MAX: usize = 10_000;
 #[non_exhaustive]
 pub enum Problem {
     /// The magic was damaged and has been [repaired](crate::recovery::mend_start).
-    #[error("the eight bytes that a take begins with were damaged")]
+    #[error("the signature of the take was damaged; it has been repaired")]
     Magic,
     /// A byte of the header, at this file offset, was damaged and has been [repaired](crate::recovery::mend_start).
-    #[error("byte {0}, in the header, was damaged; the checksum told what it was")]
+    #[error("byte {0}, in the header, was damaged; the checksum restored it")]
     HeaderByte(u64),
     /// Bytes that are not a chunk, or a chunk with invalid content.
     #[error("{len} bytes at byte {offset}: {message}")]
@@ -27,7 +27,7 @@ pub enum Problem {
         message: String,
     },
     /// The type or length of a chunk was damaged and has been restored.
-    #[error("the head of the chunk at byte {offset} is damaged; its content is whole")]
+    #[error("the head of the chunk at byte {offset} is damaged; its content is intact")]
     Mended {
         /// File offset of the chunk.
         offset: u64,
@@ -61,7 +61,7 @@ pub enum Problem {
         from_row: u64,
     },
     /// A stretch whose rows are unavailable.
-    #[error("the stretch of frames {first_row} to {}: {refusal}",
+    #[error("cannot read the stretch of frames {first_row} to {}: {refusal}",
         first_row.saturating_add(u64::from(*n_rows)).saturating_sub(1))]
     Refused {
         /// Its first row.
@@ -72,7 +72,7 @@ pub enum Problem {
         refusal: Refusal,
     },
     /// The index gives another row for a key stretch.
-    #[error("the index tells of frame {told} where the stretch of frame {found} is")]
+    #[error("the index gives frame {told} for the stretch that begins at frame {found}")]
     IndexRow {
         /// First row according to the index.
         told: u64,
@@ -80,7 +80,7 @@ pub enum Problem {
         found: u64,
     },
     /// The footer gives another number of rows.
-    #[error("the footer tells of {told} frames, {found} were found")]
+    #[error("the footer states {told} frames, but {found} were found")]
     FooterRows {
         /// Rows according to the footer.
         told: u64,
@@ -88,7 +88,7 @@ pub enum Problem {
         found: u64,
     },
     /// The last ledger of an undamaged take contradicts its content.
-    #[error("its ledger tells of {} frames and {} samples, in the file are {} and {}: it is counted again",
+    #[error("the ledger states {} frames and {} samples, but the file has {} and {}; they were recounted",
         told.frames, told.samples, found.frames, found.samples)]
     LedgerCounts {
         /// Counts in the ledger.
@@ -103,7 +103,7 @@ pub enum Problem {
         kind: String,
     },
     /// There are more than [`PROBLEMS_MAX`] problems.
-    #[error("there are more problems than these {PROBLEMS_MAX}")]
+    #[error("there are more problems than the {PROBLEMS_MAX} listed")]
     More,
     /// A closed take has no ledger.
     #[error("the ledger is missing")]

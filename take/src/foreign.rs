@@ -103,18 +103,18 @@ impl ForeignPart {
                 io::ErrorKind::InvalidInput
                 | io::ErrorKind::InvalidData
                 | io::ErrorKind::UnexpectedEof => {
-                    corrupt(self.offset, &format!("not DEFLATE: {error}"))
+                    corrupt(self.offset, &format!("invalid DEFLATE data: {error}"))
                 }
                 _ => error.into(),
             })?;
         if data.len() != self.data_bytes {
-            return Err(corrupt(self.offset, ANOTHER_LENGTH));
+            return Err(corrupt(self.offset, WRONG_LENGTH));
         }
         Ok(Foreign { kind: self.kind.clone(), data })
     }
 }
 
-const ANOTHER_LENGTH: &str = "another length than stated";
+const WRONG_LENGTH: &str = "its length is not the stated one";
 
 /// Longest kind of a part whose chunk is too long to hold. Importers write kinds of at most 20 bytes.
 const LONG_KIND_BYTES_MAX: u64 = 64;
@@ -136,8 +136,8 @@ fn parse_front<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'
         .varint()
         .and_then(|n| cursor.take(n))
         .and_then(|bytes| std::str::from_utf8(bytes).ok())
-        .ok_or("no kind")?;
-    let len = cursor.varint().ok_or("no length")?;
+        .ok_or("its kind is missing or not UTF-8")?;
+    let len = cursor.varint().ok_or("its length is missing")?;
     if len > DATA_BYTES_MAX { Err("longer than a take can hold") } else { Ok((kind, len)) }
 }
 
@@ -170,13 +170,13 @@ impl InflateCheck {
             let before = (self.inflater.total_in(), self.inflater.total_out());
             match self.inflater.decompress(bytes, &mut inflated, FlushDecompress::None) {
                 Ok(status) => self.is_ended = status == Status::StreamEnd,
-                Err(error) => self.message = Some(format!("not DEFLATE: {error}")),
+                Err(error) => self.message = Some(format!("invalid DEFLATE data: {error}")),
             }
             let taken = (self.inflater.total_in() - before.0) as usize;
             let given = (self.inflater.total_out() - before.1) as usize;
             bytes = bytes.get(taken..).unwrap_or_default();
             if self.inflater.total_out() > self.stated_bytes {
-                self.message = Some(ANOTHER_LENGTH.to_owned());
+                self.message = Some(WRONG_LENGTH.to_owned());
             }
             if bytes.is_empty() && given < INFLATED_BYTES || taken == 0 && given == 0 {
                 return;
@@ -188,9 +188,9 @@ impl InflateCheck {
     pub(crate) fn finish(self, offset: u64) -> Result<(), TakeError> {
         match self.message {
             Some(message) => Err(corrupt(offset, &message)),
-            None if !self.is_ended => Err(corrupt(offset, "not DEFLATE: it ends too early")),
+            None if !self.is_ended => Err(corrupt(offset, "invalid DEFLATE data: truncated")),
             None if self.inflater.total_out() != self.stated_bytes => {
-                Err(corrupt(offset, ANOTHER_LENGTH))
+                Err(corrupt(offset, WRONG_LENGTH))
             }
             None => Ok(()),
         }

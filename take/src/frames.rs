@@ -217,7 +217,7 @@ pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<Problem>), Ta
     let n_markers = frames.info.markers.len();
     if frames.info.n_frames.saturating_mul(n_markers.max(1) as u64) > MOTION_SAMPLES_MAX {
         return Err(TakeError::InvalidArgument(format!(
-            "{} frames of {n_markers} markers are more than fit into memory: export a part of the take",
+            "{} frames of {n_markers} markers do not fit into memory; export a part of the take",
             frames.info.n_frames
         )));
     }

@@ -45,7 +45,7 @@ pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeE
     let corrupt = || TakeError::Corrupt {
         what: "index",
         offset,
-        message: "its entries do not fill it, or make no sense".into(),
+        message: "its entries are invalid or do not fill the payload".into(),
     };
     let mut cursor = varint::Cursor::new(payload);
     let count = cursor.varint().ok_or_else(corrupt)?;
@@ -118,7 +118,7 @@ impl Footer {
         .ok_or_else(|| TakeError::Corrupt {
             what: "footer",
             offset,
-            message: format!("{} bytes instead of 24", payload.len()),
+            message: format!("expected 24 bytes, found {}", payload.len()),
         })
     }
 
@@ -130,7 +130,7 @@ impl Footer {
         if self.n_rows <= rows_max {
             return Ok(self);
         }
-        let message = format!("it tells of {} frames, more than can have been lost", self.n_rows);
+        let message = format!("it states {} frames, more than any loss can explain", self.n_rows);
         Err(TakeError::Corrupt { what: "footer", offset, message })
     }
 }

@@ -39,30 +39,28 @@ pub use writer::TakeWriter;
 #[non_exhaustive]
 pub enum NotATake {
     /// The file is shorter than the magic.
-    #[error("the file is shorter than a take's eight bytes")]
+    #[error("the file is shorter than the signature of a take")]
     Short,
     /// The file begins with other bytes.
-    #[error("the file does not begin with a take's eight bytes")]
+    #[error("the file does not begin with the signature of a take")]
     OtherMagic,
     /// A transfer in text mode converted the line ends.
-    #[error("its line ends were changed by a transfer in text mode; copy it again in binary mode")]
+    #[error("a transfer in text mode changed its line ends; copy it again in binary mode")]
     SentAsText,
     /// The file ends inside its header.
-    #[error("the file ends inside its header, and nothing of it can be read")]
+    #[error("the file ends inside its header, so nothing can be read")]
     HeaderCut,
     /// The header is damaged; [`mend_start`](recovery::mend_start) may repair one byte of it.
-    #[error(
-        "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right"
-    )]
+    #[error("its header is damaged; try `mocapd recover`, which can repair one byte of it")]
     HeaderDamaged,
     /// The header has more damage than can be repaired.
-    #[error("more than one byte of its header is damaged, and nothing can be read without it")]
+    #[error("more than one byte of its header is damaged, so nothing can be read")]
     HeaderLost,
     /// The chunk after the magic is damaged, or is not a header.
-    #[error("its header is damaged or not there")]
+    #[error("its header is missing or damaged")]
     NoHeader,
     /// Another program changed the file during the read.
-    #[error("it changed while it was read")]
+    #[error("another program changed it during the read")]
     Changed,
 }
 
@@ -74,7 +72,7 @@ pub enum TakeError {
     #[error("not a take: {0}")]
     NotATake(NotATake),
     /// The take was written by another version.
-    #[error("{what} has version {found}, this build reads {supported}: use {}",
+    #[error("{what} has version {found}, but this build reads version {supported}: use {}",
         if found > supported { "a newer mocapd" } else { "the development version that wrote it" })]
     Unsupported {
         /// The kind of record.

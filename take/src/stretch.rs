@@ -171,17 +171,17 @@ fn take_blocks<'a>(
     }
     while !alone && !cursor.is_empty() {
         if blocks.len() == GROUPS_MAX {
-            return Err("it has more channels than there are marker ids");
+            return Err("it has more channels than marker ids");
         }
         let block = cursor.varint().and_then(|n| cursor.take(n));
-        blocks.push(block.ok_or("its blocks do not fill it")?);
+        blocks.push(block.ok_or("its blocks do not fill the payload")?);
     }
     let with_samples = blocks.iter().filter(|block| !block.is_empty()).count() as u64;
     if u64::from(n_rows) * with_samples > SAMPLES_MAX {
         return Err("it claims more samples than a stretch can hold");
     }
     if n_rows == 0 && with_samples > 0 {
-        return Err("it has blocks and no rows");
+        return Err("it has blocks but no rows");
     }
     let in_blocks = blocks.iter().map(|block| block.len()).sum::<usize>();
     sizes.blocks += in_blocks as u64;

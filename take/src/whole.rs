@@ -85,14 +85,14 @@ impl<'a> Plan<'a> {
         let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
         if n_markers > CHANNELS_MAX {
             return Err(TakeError::InvalidArgument(format!(
-                "a take has at most {CHANNELS_MAX} markers, and these are {n_markers}"
+                "a take has at most {CHANNELS_MAX} markers, but the motion has {n_markers}"
             )));
         }
         let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows, n_markers);
         if stretch_rows as u64 > ROWS_MAX || (stretch_rows * n_markers) as u64 > SAMPLES_MAX {
             return Err(TakeError::InvalidArgument(format!(
-                "{n_rows} frames of {n_markers} markers are more than {} can hold in one piece: \
-                 use dense, fast or lossless",
+                "{n_rows} frames of {n_markers} markers are too many for {}, which encodes them \
+                 as a whole; use dense, fast or lossless",
                 codec.kind
             )));
         }

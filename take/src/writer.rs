@@ -238,7 +238,7 @@ impl<W: Write> TakeWriter<W> {
     fn flush_scratch(&mut self) -> Result<(), TakeError> {
         if self.failed {
             return Err(TakeError::InvalidArgument(
-                "an earlier write failed: nothing more is written to this take".into(),
+                "an earlier write failed; nothing more is written to this take".into(),
             ));
         }
         self.failed = true;

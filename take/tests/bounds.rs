@@ -15,7 +15,7 @@ use mocapd_take::{
     reader::read_events,
     record::{Channel, Device, Header, Ledger},
     recovery::Survey,
-    stretch::{LIVE_ROWS_MAX, ROWS_MAX, Sizes, Span, Stretch, StretchDecoder, rows_max},
+    stretch::{LIVE_ROWS_MAX, ROWS_MAX, Span, Stretch, StretchDecoder, StretchSizes, rows_max},
     traversal::Decode,
 };
 
@@ -156,7 +156,7 @@ fn a_decoder_refuses_it_too() {
                 timeline: None,
                 shared: &[],
                 blocks: vec![&AT_REST],
-                sizes: Sizes::default(),
+                sizes: StretchSizes::default(),
             })
         };
         let refused = decode(ROWS_MAX);
@@ -179,7 +179,7 @@ fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
             timeline: None,
             shared: &[],
             blocks: vec![&full; 5],
-            sizes: Sizes::default(),
+            sizes: StretchSizes::default(),
         });
         assert!(
             matches!(refused, Err(TakeError::Codec(CodecError::Corrupt(m))) if m.contains("samples")),

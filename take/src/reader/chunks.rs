@@ -135,7 +135,7 @@ impl TakeReader {
                         self.n_channels = n_channels;
                         Ok(TakeEvent::Channels(more))
                     } else {
-                        let message = "there are more channels than marker ids".to_owned();
+                        let message = "more channels than marker ids".to_owned();
                         Err(TakeError::Corrupt { what: "channel table", offset, message })
                     }
                 }
@@ -144,7 +144,7 @@ impl TakeReader {
                 None => {
                     let message = match kind {
                         types::HEADER => "a second header".to_owned(),
-                        _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
+                        _ => format!("unknown chunk type {kind:02x}: use a newer mocapd"),
                     };
                     Ok(damaged(offset, len as u64, kind, message))
                 }

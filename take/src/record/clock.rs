@@ -224,7 +224,7 @@ fn entries<T>(
     read: impl FnOnce(&mut Cursor<'_>) -> Option<Vec<T>>,
 ) -> Result<Vec<T>, DecodeError> {
     read(&mut Cursor::new(bytes)).ok_or(DecodeError::Other(
-        "its probes or points are cut short, or are more than a record may hold",
+        "its probes or points are truncated, or more than a record may hold",
     ))
 }
 

@@ -150,7 +150,7 @@ impl Header {
     /// `Codec(InvalidArgument)` naming the field.
     pub fn check(&self) -> Result<(), TakeError> {
         if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
-            let message = format!("a take cannot run at {} Hz", self.rate_hz);
+            let message = format!("invalid frame rate: {} Hz", self.rate_hz);
             return Err(CodecError::InvalidArgument(message).into());
         }
         self.codec().map(drop)
@@ -311,7 +311,7 @@ fn write_channels(channels: &[Channel]) -> Vec<u8> {
     out
 }
 
-const CUT: &str = "the channel table is cut short, or a number in it is longer than it needs to be";
+const CUT: &str = "the channel table is truncated or has an overlong varint";
 
 /// Decodes a channel table that fills `bytes`.
 fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
@@ -320,7 +320,7 @@ fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
     let mut claimed = 0_u64;
     while !bytes.is_empty() {
         if channels.len() == CHANNELS_MAX {
-            return Err("there are more than 65536 markers");
+            return Err("more than 65536 markers");
         }
         let previous = match channels.last() {
             Some(last) => PreviousEntry {
@@ -336,10 +336,10 @@ fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
         if head & 15 == UNUSUAL {
             let both = bytes.varint().ok_or(CUT)?;
             labelled = both & 1 == 1;
-            marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id is beyond 65535")?;
+            marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id exceeds 65535")?;
         }
         let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
-        let beginning = previous.label.get(..shared).ok_or("a label begins like a shorter one")?;
+        let beginning = previous.label.get(..shared).ok_or("a label shares too many bytes")?;
         // Limit the memory of the table like that of other records: a byte here may claim at most as much.
         claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
         if claimed > LIMIT_BYTES as u64 {

@@ -87,7 +87,7 @@ pub trait Record: Encode + Decode<()> {
             });
         }
         let (record, used) = bincode::decode_from_slice(body, CONFIG)
-            .map_err(|e| corrupt(format!("not decodable: {e}")))?;
+            .map_err(|e| corrupt(format!("cannot be decoded: {e}")))?;
         if used != body.len() {
             return Err(corrupt(format!("{} bytes follow the record", body.len() - used)));
         }

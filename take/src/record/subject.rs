@@ -92,7 +92,7 @@ impl Encode for Subject {
             let mut deflate = DeflateEncoder::new(Vec::new(), Compression::best());
             let deflated = deflate.write_all(data).and_then(|()| deflate.finish());
             let deflated =
-                deflated.map_err(|_| EncodeError::Other("a document was not compressed"))?;
+                deflated.map_err(|_| EncodeError::Other("a document could not be compressed"))?;
             deflated.encode(encoder)?;
         }
         Ok(())
@@ -131,9 +131,9 @@ fn inflate(deflated: &[u8], stated: u64) -> Result<Vec<u8>, &'static str> {
     DeflateDecoder::new(deflated)
         .take(stated + 1)
         .read_to_end(&mut data)
-        .map_err(|_| "a document is not DEFLATE")?;
+        .map_err(|_| "a document is not valid DEFLATE data")?;
     if data.len() as u64 != stated {
-        return Err("a document has another length than stated");
+        return Err("the length of a document is not the stated one");
     }
     Ok(data)
 }
@@ -207,7 +207,7 @@ mod tests {
             deflate.write_all(&vec![0; 64 << 20]).unwrap();
             inflate(&deflate.finish().unwrap(), stated)
         };
-        assert_eq!(bomb(10), Err("a document has another length than stated"));
+        assert_eq!(bomb(10), Err("the length of a document is not the stated one"));
         assert_eq!(bomb(64 << 20), Err("a document of more than 1 MiB"));
     }
 }

@@ -227,12 +227,12 @@ impl SummaryRecord {
         let mut cursor = Cursor::new(sections);
         while !cursor.is_empty() {
             let (tag, section) =
-                next_section(&mut cursor).ok_or_else(|| corrupt("its sections do not fill it"))?;
+                next_section(&mut cursor).ok_or_else(|| corrupt("its sections do not fit it"))?;
             if tag != ENDING_TAG {
                 continue;
             }
             if summary.ending.is_some() {
-                return Err(corrupt("it tells twice how the take ended"));
+                return Err(corrupt("it states the ending twice"));
             }
             match TakeEnding::from_payload(section, offset) {
                 // A newer version counts as an unknown section.

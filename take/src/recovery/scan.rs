@@ -88,7 +88,7 @@ impl Survey {
     }
 }
 
-/// Replaces the advice to run a recovery.
+/// An error of a recovery does not advise running one.
 fn without_recovery_advice(error: TakeError) -> TakeError {
     match error {
         TakeError::NotATake(NotATake::HeaderDamaged) => TakeError::NotATake(NotATake::HeaderLost),
@@ -231,7 +231,7 @@ impl RecoveryScanner {
         }
         if self.output.len() > CHUNKS_MAX {
             return Err(TakeError::InvalidArgument(format!(
-                "it has more than {CHUNKS_MAX} chunks, which is more than a recovery can hold"
+                "the file has more than {CHUNKS_MAX} chunks, the most that a recovery can hold"
             )));
         }
         Ok(())

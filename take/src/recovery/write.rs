@@ -35,7 +35,7 @@ impl Survey {
         if self.contradicted {
             parts.push("a ledger was missing or wrong".to_owned());
         } else if parts.is_empty() {
-            parts.push("names of markers were lost".to_owned());
+            parts.push("marker names were lost".to_owned());
         }
         parts.join(", ")
     }

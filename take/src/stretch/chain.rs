@@ -90,7 +90,7 @@ impl StretchChain {
         let from_row = match header.from_row {
             Some(row) => {
                 if row > self.plausible_rows_max() {
-                    return Err("its row is further ahead than rows can be lost");
+                    return Err("its row is further ahead than any loss can explain");
                 }
                 // As many stretches as there are numbers may be missing, or more.
                 missing_before |= !was_broken && row > self.next_row;
@@ -107,13 +107,13 @@ impl StretchChain {
             None => self.next_row,
         };
         let end_row =
-            from_row.checked_add(header.rows_passed).ok_or("its rows do not fit a counter")?;
+            from_row.checked_add(header.rows_passed).ok_or("its row numbers overflow")?;
         let timeline = match header.runs {
             Some(runs) => {
                 let mut timeline = Timeline { first_row: from_row, runs, times: Vec::new() };
                 self.times
                     .decode(&mut timeline, header.key, header.times)
-                    .ok_or("its times make no sense")?;
+                    .ok_or("its times are invalid")?;
                 Some(timeline)
             }
             None => None,

@@ -135,13 +135,13 @@ impl<'a> StretchHeader<'a> {
         rows_max: u64,
         stretch_rows: u32,
     ) -> Result<Self, &'static str> {
-        let short = "its front is cut short";
+        let short = "its header is truncated";
         let before = cursor.rest().len();
         let head = cursor.byte().ok_or(short)?;
         let shape = if head & PLAIN != 0 { HAS_TIMES } else { cursor.byte().ok_or(short)? };
         let key = head & KEY != 0;
         if !is_known(shape) {
-            return Err("its shape is unknown: use a newer mocapd");
+            return Err("unknown shape: use a newer mocapd");
         }
         let from_row = if key { Some(cursor.varint().ok_or(short)?) } else { None };
         let listed = shape & ROWS_LISTED != 0;
@@ -154,7 +154,7 @@ impl<'a> StretchHeader<'a> {
             0 => None,
             HAS_TIMES if n_rows == 0 => Some(Vec::new()),
             HAS_TIMES => Some(vec![Run { rows: n_rows, lost: None }]),
-            _ => Some(take_runs(cursor).ok_or("its runs make no sense")?),
+            _ => Some(take_runs(cursor).ok_or("its runs are invalid")?),
         };
         let rows_of = |runs: &[Run], all: bool| {
             let runs = runs.iter().filter(|run| all || run.lost.is_none());
@@ -163,10 +163,10 @@ impl<'a> StretchHeader<'a> {
         let (rows_passed, n_recorded) =
             runs.as_deref().map_or((n_rows, 0), |runs| (rows_of(runs, true), rows_of(runs, false)));
         if rows_passed < n_rows || n_recorded > RECORDED_MAX {
-            return Err("its runs make no sense");
+            return Err("its runs are invalid");
         }
         if rows_passed > ROWS_PASSED_MAX {
-            return Err("it claims more lost rows than can be between two stretches");
+            return Err("it claims more lost rows than can lie between two stretches");
         }
         let times = if n_recorded > 0 { take_times(cursor, key).ok_or(short)? } else { &[] };
         let in_time_line = before - cursor.rest().len() - in_head;
@@ -230,7 +230,7 @@ pub fn put_moved(
 ) -> Result<(), TakeError> {
     let wrong = |what: &str| TakeError::InvalidArgument(format!("a stretch that {what}"));
     let mut cursor = varint::Cursor::new(payload);
-    let short = || wrong("has no whole front");
+    let short = || wrong("has no complete header");
     let head = cursor.byte().ok_or_else(short)?;
     out.push((head & ((1 << NUMBER_SHIFT) - 1)) | ((number % NUMBERS) << NUMBER_SHIFT));
     if head & PLAIN == 0 {
@@ -239,7 +239,7 @@ pub fn put_moved(
     if head & KEY != 0 {
         let from_row = cursor.varint().ok_or_else(short)?;
         let from_row = from_row.checked_sub(rows_before);
-        varint::put(out, from_row.ok_or_else(|| wrong("begins before its take"))?);
+        varint::put(out, from_row.ok_or_else(|| wrong("begins before the take"))?);
     }
     out.extend_from_slice(cursor.rest());
     Ok(())

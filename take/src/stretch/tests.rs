@@ -248,5 +248,5 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
     let mut out = Vec::new();
     assert!(put_moved(&[], 0, 0, &mut out).is_err());
     let key = &all[20];
-    assert!(put_moved(&key.2, key.1.first_row + 1, 0, &mut out).is_err(), "begins before its take");
+    assert!(put_moved(&key.2, key.1.first_row + 1, 0, &mut out).is_err(), "begins before the take");
 }

@@ -14,7 +14,7 @@ use mocapd_take::{
     chunk::{self, CHUNK_HELD_MAX, WINDOW_BYTES, types},
     foreign::content::ScratchFile,
     motion::{Foreign, UpAxis},
-    reader::{pull, read_events},
+    reader::{feed, read_events},
     record::{Channel, Header, Ledger},
     recovery::Survey,
     stretch::{FrontWriter, Span, put_block},
@@ -91,7 +91,7 @@ fn found(take: &[u8]) -> Found {
                     return;
                 }
                 Some(_) => {}
-                None => pull(&mut input, &mut reader).unwrap(),
+                None => feed(&mut input, &mut reader).unwrap(),
             }
         }
     });
