@@ -143,7 +143,7 @@ pub enum GadgetError {
     NotRoot,
     /// A kernel module or file system is missing.
     #[error("the kernel's USB gadget support is not loaded: run `{remedy}`")]
-    MissingKernelPart {
+    NoSupport {
         /// The command to run.
         remedy: &'static str,
         /// The system's error.
@@ -179,7 +179,7 @@ impl GadgetError {
             }
             _ => return Self::Make(source),
         };
-        Self::MissingKernelPart { remedy, source }
+        Self::NoSupport { remedy, source }
     }
 }
 
@@ -191,7 +191,7 @@ mod tests {
     fn each_missing_part_has_its_command() {
         let from_io = |kind, text| GadgetError::from_io(io::Error::new(kind, text));
         let command = |error: GadgetError| match &error {
-            GadgetError::MissingKernelPart { remedy, .. } if error.to_string().contains(remedy) => *remedy,
+            GadgetError::NoSupport { remedy, .. } if error.to_string().contains(remedy) => *remedy,
             _ => panic!("{error:?}"),
         };
         let no_mount = from_io(ErrorKind::NotFound, "configfs is not mounted");
@@ -202,6 +202,7 @@ mod tests {
         assert!(matches!(no_permission, GadgetError::NotRoot), "{no_permission:?}");
         let no_filesystem = GadgetError::from_io(io::Error::from_raw_os_error(19));
         assert_eq!(command(no_filesystem), "sudo modprobe -a usb_f_fs usb_f_acm");
-        assert!(matches!(GadgetError::from_io(ErrorKind::OutOfMemory.into()), GadgetError::Make(_)));
+        let other = GadgetError::from_io(ErrorKind::OutOfMemory.into());
+        assert!(matches!(other, GadgetError::Make(_)));
     }
 }

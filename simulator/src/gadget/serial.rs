@@ -57,7 +57,7 @@ impl Serial {
     }
 
     /// Closes a port that has hung up because the cable was pulled; it must be reopened.
-    fn close_if_hung_up(&mut self, outcome: io::Result<usize>, may_be_empty: bool) -> io::Result<usize> {
+    fn on_hang_up(&mut self, outcome: io::Result<usize>, may_be_empty: bool) -> io::Result<usize> {
         match outcome {
             Ok(0) if may_be_empty => Ok(0),
             Ok(0) | Err(_) => {
@@ -87,14 +87,14 @@ impl Line for Serial {
         let Some(fd) = &self.open else { return Ok(0) };
         let outcome = or_nothing(rustix::io::write(fd, bytes));
         self.written = Instant::now();
-        self.close_if_hung_up(outcome, true)
+        self.on_hang_up(outcome, true)
     }
 
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let Some(fd) = &self.open else { return Ok(0) };
         match rustix::io::read(fd, buffer) {
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-            outcome => self.close_if_hung_up(outcome.map_err(Into::into), false),
+            outcome => self.on_hang_up(outcome.map_err(Into::into), false),
         }
     }
 

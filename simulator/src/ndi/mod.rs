@@ -74,7 +74,7 @@ impl NdiDevice {
             };
             let part = part_number(label);
             if part != *label {
-                warnings.push(format!("label '{label}' does not fit a part number: sent as '{part}'"));
+                warnings.push(format!("the label '{label}' is sent as part number '{part}'"));
             }
             tools.push((part, column));
         }

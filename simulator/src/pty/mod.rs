@@ -32,7 +32,7 @@ pub enum PtyError {
         source: io::Error,
     },
     /// The link's path exists already.
-    #[error("{} exists and is not a dangling link: remove it, or choose another name", path.display())]
+    #[error("{} exists and is not a dead link: remove it or choose another name", path.display())]
     LinkExists {
         /// The link.
         path: PathBuf,
