@@ -1,4 +1,4 @@
-//! What people ask for, one thing at a time.
+//! Executes the commands of clients, one at a time.
 
 use std::{
     path::PathBuf,
@@ -27,35 +27,35 @@ use crate::{
     status::ServiceEventKind,
 };
 
-/// How long a device may take to be opened and started.
+/// Longest time to open and start a device.
 const ARM_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long the first frame may take to be on disk.
+/// Longest wait until the first frame is on disk.
 const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long a take may take to be closed: a disk that stalls for half a minute is waited for.
+/// Longest wait until a take is closed: a disk may stall for half a minute.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(40);
 
-/// How long the copy of a take that was removed may take when the service stops: 30 GB at 50 MB a second.
+/// Longest wait, when the service stops, until a removed take is copied: 30 GB at 50 MB a second.
 const COPY_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Between two requests for more time to stop in.
+/// Time between two requests to systemd for more time to stop.
 const EXTEND_INTERVAL: Duration = Duration::from_secs(10);
 
-/// How long the reader may take to place a mark.
+/// Longest wait until the reader has placed a mark.
 const MARK_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Longest text of a mark and of notes, in bytes.
+/// Longest text of a mark or of notes, in bytes.
 const TEXT_BYTES_MAX: usize = 1024;
 
-/// Names that are tried for a take that nobody named.
+/// Names to try for a take without a name.
 const NAMES_MAX: u32 = 10_000;
 
-/// The right to carry out a command.
+/// Proof that the caller holds the command lock.
 type CommandGuard<'a> = MutexGuard<'a, ()>;
 
 impl Inner {
-    /// Makes the device run.
+    /// Arms the service: starts the device.
     pub(super) fn arm(&self, _command: &CommandGuard<'_>) -> Result<(), Refusal> {
         let until = Instant::now() + ARM_TIMEOUT;
         let mut core = self.core();
@@ -67,17 +67,17 @@ impl Inner {
             if self.is_stopping() {
                 return Err(stopping());
             }
-            // One that is being ended is none.
+            // A session that is being ended does not count.
             let runs = |s: &super::session::Session| !s.stop.load(Ordering::Relaxed);
             if core.session.as_ref().is_some_and(runs) {
                 return Ok(());
             }
             if let Some(obstacle) = &core.device.obstacle {
-                let message = format!("{obstacle}; the device is armed as soon as it is there");
+                let message = format!("{obstacle}; the service arms itself once the device is available");
                 return Err(Refusal::new(RefusalKind::Device, message));
             }
             if Instant::now() >= until {
-                let message = "the device does not start: look at the status, and try again";
+                let message = "the device does not start: check the status, and try again";
                 return Err(Refusal::new(RefusalKind::Device, message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
@@ -96,7 +96,7 @@ impl Inner {
         while let Some(session) = &core.session {
             session.stop.store(true, Ordering::Relaxed);
             if Instant::now() >= until {
-                let message = "the device does not stop: look at the status";
+                let message = "the device does not stop: check the status";
                 return Err(Refusal::new(RefusalKind::Device, message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
@@ -137,7 +137,7 @@ impl Inner {
         }
         let kept_open = std::mem::take(&mut core.kept_open);
         drop(core);
-        // A large file without a name takes its time to close.
+        // Closing a large file without a name takes time.
         drop(kept_open);
         let NamedTake { id, name, path, .. } = named;
         let notes = notes.filter(|notes| !notes.is_empty());
@@ -153,7 +153,7 @@ impl Inner {
         Ok(Started { take_id: id, name, path, first_frame, remarks })
     }
 
-    /// From now on it is being recorded. Gives where its first row is told.
+    /// Makes the take the current one. Returns the channel that delivers its first row.
     fn begin_take(&self, named: &NamedTake, take: NewTake) -> Result<Receiver<FirstRow>, Refusal> {
         let mut core = self.core();
         let Some(session) = &mut core.session else { return Err(device_gone()) };
@@ -174,16 +174,16 @@ impl Inner {
         Ok(begun.first)
     }
 
-    /// No frame came: the take ends, and so does its file.
+    /// No frame arrived in time: ends the take and its file.
     fn no_first_frame(&self, command: &CommandGuard<'_>) -> Refusal {
         let away = self.core().away();
         let refused = self.stop_take(command, EndingKind::Stopped);
         match refused {
-            // A frame came after all, and a moment too late.
+            // A frame arrived after all, a moment too late.
             Ok(stopped) => Refusal::new(
                 RefusalKind::Device,
                 format!(
-                    "no frame was on disk within {} s: is the device capturing? What came is in {}",
+                    "no frame was on disk within {} s: is the device capturing? The frames that came late are in {}",
                     FIRST_FRAME_TIMEOUT.as_secs(),
                     stopped.path.display()
                 ),
@@ -192,7 +192,7 @@ impl Inner {
         }
     }
 
-    /// Ends the take, by the right to carry out a command.
+    /// Stops the current take. The caller holds the command lock.
     pub(super) fn stop_take(
         &self,
         _command: &CommandGuard<'_>,
@@ -204,7 +204,7 @@ impl Inner {
                 let message = format!("no take is being recorded: {message}");
                 return Err(Refusal::new(RefusalKind::DataLost, message));
             }
-            // A take that failed is over, and the answer is what it came to.
+            // A take that failed is over: the reply says why.
             if let Some(failure) = &core.failure {
                 let message = format!("no take is being recorded: {failure}");
                 return Err(Refusal::new(RefusalKind::Conflict, message));
@@ -219,7 +219,7 @@ impl Inner {
         let is_first = take.ending.is_none();
         take.ending.get_or_insert(ending);
         let ended = take.ended.clone();
-        // Without a session its end is on the way.
+        // Without a session the take is already being ended.
         if let Some(session) = &mut core.session
             && is_first
             && let Err(error) = session.takes.end(ending)
@@ -235,7 +235,7 @@ impl Inner {
             Err(RecvTimeoutError::Disconnected) => self.finish_unanswered(),
             Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
                 RefusalKind::Unavailable,
-                "the disk has not taken the end of the take yet: it is closed as soon as it does; look at the status",
+                "the disk is stalled and the take is not closed yet: it will be closed once the disk responds; check the status",
             )),
         }
     }
@@ -244,23 +244,23 @@ impl Inner {
         check_text(text, "a mark")?;
         let core = self.core();
         let (Some(session), Some(take)) = (&core.session, &core.take) else {
-            let message = "no take is being recorded: nothing to mark";
+            let message = "no take is being recorded: there is nothing to mark";
             return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         if take.ending.is_some() {
-            let message = "the take is being ended: a mark would be behind it";
+            let message = "the take is being stopped: the mark would come after its end";
             return Err(Refusal::new(RefusalKind::Conflict, message));
         }
         let name = take.named.name.clone();
         let Some(rows_before) = take.first.map(|first| first.row) else {
-            let message = "the take has no frame yet: mark it when it has begun";
+            let message = "the take has no frame yet: set the mark once it has begun";
             return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         let row = session.takes.mark(text, monotonic_ns());
         drop(core);
         let row = row.map_err(|error| busy(&error))?;
         let row = row.row.recv_timeout(MARK_TIMEOUT).map_err(|_| {
-            let message = "the mark was not placed in time: the device is away or the host too slow";
+            let message = "the mark was not placed in time: the device is absent or the host is too slow";
             Refusal::new(RefusalKind::Unavailable, message)
         })?;
         self.publish(
@@ -279,11 +279,11 @@ impl Inner {
         let asked_ns = monotonic_ns();
         let last = seconds(save.seconds, "seconds")?;
         if last.is_zero() {
-            let message = "seconds is 0: nothing would be saved";
+            let message = "seconds is 0: there is nothing to save";
             return Err(Refusal::new(RefusalKind::Invalid, message));
         }
         if self.core().session.is_none() {
-            let message = "not armed: nothing is held";
+            let message = "not armed: the pre-roll is empty";
             return Err(Refusal::new(RefusalKind::Conflict, message));
         }
         let (named, take) = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
@@ -298,7 +298,7 @@ impl Inner {
         let _closing = self.closing(&mut core);
         drop(core);
         let late =
-            |_| Refusal::new(RefusalKind::Unavailable, "the disk has not taken the take yet");
+            |_| Refusal::new(RefusalKind::Unavailable, "the disk is stalled: the take is not written yet");
         let end = saved.and_then(|(ended, rate_hz)| {
             Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });
@@ -306,7 +306,7 @@ impl Inner {
         Ok(with_shortfall(self.closed(end, &named, rate_hz)?, last))
     }
 
-    /// A file for a take, whose name is nobody's yet.
+    /// Creates the file of a new take under a free name.
     fn new_take(
         &self,
         name: Option<&str>,
@@ -362,7 +362,7 @@ impl Inner {
         for count in 1..NAMES_MAX {
             let name = options.name_take(count);
             let name = names::normalised(&name)?.to_owned();
-            // A template without a count gets one when it has to.
+            // A template without `{count}` gets a number appended if needed.
             let counted = format!("{name}-{count}");
             let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
             let path = path(&name);
@@ -370,11 +370,11 @@ impl Inner {
                 return Ok((name, path));
             }
         }
-        let message = "every name that the configuration gives is taken: name the take";
+        let message = "all names that take.name can give exist already: give the take a name";
         Err(Refusal::new(RefusalKind::Exists, message))
     }
 
-    /// Another thread may still be closing a take: a disk that stalls is waited for, and a copy as long as it takes.
+    /// Waits until no take is being closed by another thread: longer if a removed take is being copied.
     fn wait_until_closed(&self) {
         let begun = Instant::now();
         let mut extended: Option<Instant> = None;
@@ -394,12 +394,12 @@ impl Inner {
         }
     }
 
-    /// Finishes what is being recorded, and tells everybody that it is over.
+    /// Finishes the take in progress, and tells all threads and viewers that the service is ending.
     pub(super) fn shut_down(&self) {
         if self.stopping.swap(true, Ordering::SeqCst) {
             return;
         }
-        // A client's stop may be under way: then that one closes the take.
+        // If a client's stop is under way, that one closes the take.
         let command = self.command_within(super::STOP_TIMEOUT);
         let is_mine = command.as_ref().ok().filter(|_| self.core().take.is_some());
         let close = || {
@@ -418,9 +418,9 @@ impl Inner {
     }
 }
 
-/// More may be asked for than is held: the answer says by how much.
+/// Adds how much less was held than requested.
 fn with_shortfall(mut saved: Stopped, asked: Duration) -> Stopped {
-    /// A take ends at the frame that came last, and frames are rounded to rows.
+    /// A take ends at the latest frame, and frames are rounded to rows.
     const MARGIN_S: f64 = 0.1;
     let (asked_s, held_s) = (asked.as_secs_f64(), saved.seconds);
     if asked_s <= held_s + MARGIN_S {
@@ -429,23 +429,23 @@ fn with_shortfall(mut saved: Stopped, asked: Duration) -> Stopped {
     saved.short_by_s = asked_s - held_s;
     saved
         .remarks
-        .push(format!("{held_s:.1} s were held, not the {asked_s:.1} s that were asked for"));
+        .push(format!("only {held_s:.1} s of the requested {asked_s:.1} s were held"));
     saved
 }
 
-/// Takes begin at key stretches: what the take has of the time before is told when it is not what was asked for.
+/// Takes begin at key stretches: remarks on a pre-roll that differs noticeably from the requested one.
 fn pre_roll_remark(asked: Duration, before_request_s: f64) -> Option<String> {
     /// Keys are a second apart while armed.
     const USUAL_S: f64 = 1.6;
     let asked_s = asked.as_secs_f64();
     if asked_s > before_request_s + 0.1 {
         return Some(format!(
-            "{before_request_s:.1} s of pre-roll were held, not the {asked_s:.1} s that were asked for"
+            "only {before_request_s:.1} s of the requested {asked_s:.1} s of pre-roll were held"
         ));
     }
     (asked_s > 0.0 && before_request_s > asked_s + USUAL_S).then(|| {
         format!(
-            "the take begins {before_request_s:.1} s before the request, not {asked_s:.1} s: takes begin at key stretches, which are 10 s apart in what was recorded before"
+            "the take begins {before_request_s:.1} s before the request, not {asked_s:.1} s: takes begin at key stretches, which are up to 10 s apart in what was recorded before"
         )
     })
 }
@@ -463,7 +463,7 @@ fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
     if text.len() <= TEXT_BYTES_MAX && !text.contains('\0') {
         return Ok(());
     }
-    let message = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
+    let message = format!("{what} may have at most {TEXT_BYTES_MAX} bytes and no NUL");
     Err(Refusal::new(RefusalKind::Invalid, message))
 }
 
@@ -472,7 +472,7 @@ fn already_recording(take: &OpenTake) -> Refusal {
     Refusal::new(RefusalKind::Conflict, message)
 }
 
-/// The pipeline has not yet done what it was asked before.
+/// The pipeline has not executed the previous command yet.
 fn busy(error: &anyhow::Error) -> Refusal {
     Refusal::new(RefusalKind::Unavailable, format!("{error:#}"))
 }
@@ -482,5 +482,5 @@ fn stopping() -> Refusal {
 }
 
 fn device_gone() -> Refusal {
-    Refusal::new(RefusalKind::Device, "the device has just gone away: try again")
+    Refusal::new(RefusalKind::Device, "the device has just disconnected: try again")
 }

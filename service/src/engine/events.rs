@@ -1,4 +1,4 @@
-//! What happens, told to everybody who listens.
+//! Publishes the events of the service to its subscribers.
 
 use std::{
     collections::VecDeque,
@@ -18,16 +18,16 @@ use crate::{
     status::{ServiceEvent, ServiceEventKind, State},
 };
 
-/// Events that wait for a listener; one that takes none for so many loses the oldest.
+/// Most events waiting for a subscriber; beyond that, the oldest is dropped.
 const WAITING_MAX: usize = 256;
 
-/// Listeners: connections are bounded by whoever lets them in, and this is beyond that.
+/// Most subscribers. The HTTP server limits its connections to fewer.
 const SUBSCRIBERS_MAX: usize = 256;
 
-/// Words from the reader's thread that wait to be told: it never waits itself.
+/// Most deferred messages: the reader's thread must never wait.
 const DEFERRED_MAX: usize = 64;
 
-/// The listeners.
+/// The subscribers, and the messages of threads that must not wait.
 #[derive(Debug)]
 pub(super) struct EventPublisher {
     subscribers: Mutex<Subscribers>,
@@ -44,7 +44,7 @@ struct Subscribers {
 #[derive(Debug)]
 struct Subscriber {
     events: Sender<Arc<ServiceEvent>>,
-    /// To drop the oldest by.
+    /// A receiver of the same channel, to drop the oldest event.
     oldest: Receiver<Arc<ServiceEvent>>,
     missed: Arc<AtomicU64>,
 }
@@ -69,9 +69,9 @@ impl EventPublisher {
         EventFeed { events: feed, missed }
     }
 
-    /// Words from a thread that must not wait. They become events soon.
+    /// Queues a message of a thread that must not wait. It becomes an event soon.
     pub(super) fn defer(&self, message: &str) {
-        // Of a device that chatters, what does not fit is in its take's events all the same.
+        // If the queue is full, a device's message is still stored among its take's events.
         self.deferred.try_send(message.to_owned()).ok();
     }
 
@@ -102,7 +102,7 @@ impl EventPublisher {
 }
 
 impl Subscriber {
-    /// `false` when it is gone: nobody but this holds the other end.
+    /// Sends an event. Returns `false` if the subscriber is gone: nobody else holds its counter.
     fn send(&self, event: &Arc<ServiceEvent>) -> bool {
         if Arc::strong_count(&self.missed) == 1 {
             return false;
@@ -116,12 +116,12 @@ impl Subscriber {
 }
 
 impl Inner {
-    /// Tells an event, and logs it. Not from the reader's thread, and not with the state locked.
+    /// Publishes and logs an event. Neither call it from the reader's thread nor with the state locked.
     pub(super) fn publish(&self, kind: ServiceEventKind, message: &str, take: Option<&str>) {
         self.publish_with_notes(kind, message, take, None);
     }
 
-    /// The same, with the notes of a take.
+    /// Publishes and logs an event with the notes of a take.
     pub(super) fn publish_with_notes(
         &self,
         kind: ServiceEventKind,
@@ -133,7 +133,7 @@ impl Inner {
         let about = (take.map(str::to_owned), notes.map(str::to_owned));
         self.events.publish(kind, message, state, about);
         let device = self.core().device.uri.clone();
-        // Listeners get the text exactly, in JSON; the log shows it.
+        // Subscribers get the exact text in JSON; the log gets it escaped.
         let [take, device, message] = [take.unwrap_or_default(), &device, message].map(visible);
         let (take, device) = (take.as_ref(), device.as_ref());
         match kind {

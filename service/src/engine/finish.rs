@@ -1,4 +1,4 @@
-//! What a take came to.
+//! Closes takes and reports how they ended.
 
 use std::path::Path;
 
@@ -19,20 +19,20 @@ use crate::{
 };
 
 impl Inner {
-    /// The take that was recorded is closed, or cannot be.
+    /// Closes the current take, or reports that it could not be closed.
     pub(super) fn finish_take(&self, end: TakeEnd) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = core.take.take() else {
-            let message = "the take was ended by somebody else: look at the status";
+            let message = "the take has already been stopped: check the status";
             return Err(Refusal::new(RefusalKind::Conflict, message));
         };
         let _closing = self.closing(&mut core);
-        // Whoever sees that the take has ended must not take the one before it for what it came to.
+        // While this take is being closed, clients must not mistake the previous one for it.
         let before = core.last_take.take();
         drop(core);
         self.changed.notify_all();
         let closed = self.closed(end, &take.named, take.rate_hz);
-        // Nothing came of it that is in the list.
+        // If the take left no file, the previous one is still the last.
         let mut core = self.core();
         if core.last_take.is_none() {
             core.last_take = before;
@@ -41,22 +41,22 @@ impl Inner {
         closed
     }
 
-    /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
+    /// Handles a take whose end will not be reported: the pipeline ended before the take began, or its writer died.
     pub(super) fn finish_unanswered(&self) -> Result<Stopped, Refusal> {
         let path = self.core().take.as_ref().map(|take| take.named.path.clone());
         let is_empty = path.and_then(|path| path.metadata().ok()).is_some_and(|f| f.len() == 0);
         if !is_empty {
-            let error = anyhow::anyhow!("the writer is gone");
+            let error = anyhow::anyhow!("the writer thread has ended");
             return self.finish_take(Err(TakeFailed::without_output(error)));
         }
         if let Some(take) = self.core().take.take() {
             take.named.discard();
         }
-        let message = "the device went away before the take began: try again";
+        let message = "the device disconnected before the take began: try again";
         Err(Refusal::new(RefusalKind::Device, message))
     }
 
-    /// A take was written to its end, or not.
+    /// Handles the end of a take: written completely, or failed.
     pub(super) fn closed(
         &self,
         end: TakeEnd,
@@ -78,44 +78,44 @@ impl Inner {
             return Err(self.vanished(name, &settled, output));
         }
         let ending = written.ending.kind;
-        // The ledger counts what was written, and that is not in the file any more.
+        // The ledger counts what was written, which the truncated file no longer contains.
         let lost = if ending == EndingKind::Truncated || settled.state == FileState::Truncated {
-            "all frames behind the cut are lost: `mocapd recover` keeps those before it".to_owned()
+            "all frames after the cut are lost: `mocapd recover` keeps those before it".to_owned()
         } else {
             format!("{} frames lost", written.ledger.frames_lost())
         };
         let Stopped { name: name_now, seconds, bytes, .. } = &stopped;
         let message =
-            format!("{name_now} is closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
+            format!("{name_now} closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
         let kind = match ending {
             EndingKind::Saved => ServiceEventKind::TakeSaved,
             _ => ServiceEventKind::TakeStopped,
         };
         self.publish(kind, &message, Some(name));
         if ending == EndingKind::DiskFull {
-            let message = "the disk is full: no take is begun before something is deleted";
+            let message = "the disk is full: delete something before starting another take";
             self.publish(ServiceEventKind::Warning, message, None);
         }
         Ok(stopped)
     }
 
-    /// Only the header was written: an empty take helps nobody.
+    /// Removes a take of which only the header was written.
     fn discard_empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
         take.discard();
         if ending == EndingKind::Saved {
-            let message = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
+            let message = "nothing is held for that time: the device was absent or sent no frames; ask for more seconds";
             return Refusal::new(RefusalKind::Conflict, message);
         }
         let name = &take.name;
-        let message = format!("no frame came, so there is no take {name}: is the device capturing?");
+        let message = format!("no frame arrived, so the take {name} was removed: is the device capturing?");
         self.publish(ServiceEventKind::Warning, &message, Some(name));
         Refusal::new(RefusalKind::Device, message)
     }
 
-    /// What the status tells of it from now on.
+    /// Stores the take as the last one in the status.
     fn remember(&self, written: &Written, settled: &Settled, stopped: &Stopped) {
         let ending = &written.ending;
-        // As the list has it; where no name leads to it, as it was written.
+        // The same summary as in the list; if no name leads to the file, the data of the writer.
         let listed = settled.path.as_deref().and_then(summary_of);
         let mut summary = listed.unwrap_or_else(|| TakeSummary {
             name: stopped.name.clone(),
@@ -126,7 +126,7 @@ impl Inner {
             take_id: stopped.take_id.clone(),
             ..TakeSummary::default()
         });
-        // A take that was cut short has no place for it.
+        // A truncated file cannot store its ending.
         summary.ending = Some(ending.kind);
         summary.ending_detail.clone_from(&ending.detail);
         let has_lost = settled.path.is_none()
@@ -141,7 +141,7 @@ impl Inner {
         core.data_lost = has_lost.then(lost);
     }
 
-    /// The take has ended, and no name leads to its file.
+    /// The take has ended, but its file has no name any more.
     fn vanished(&self, name: &str, settled: &Settled, file: Box<dyn TakeOutput>) -> Refusal {
         let message = self.keep_open(settled, file);
         let mut core = self.core();
@@ -153,10 +153,10 @@ impl Inner {
         Refusal::new(RefusalKind::Vanished, message)
     }
 
-    /// Keeps a file open that no name leads to, where that helps, and says so.
+    /// Keeps a file without a name open if that helps, and returns the message about it.
     fn keep_open(&self, settled: &Settled, file: Box<dyn TakeOutput>) -> String {
         let message = settled.words().unwrap_or_default();
-        // A file system that was unmounted waits for the file to be closed.
+        // An unmounted file system waits for the file to be closed.
         let displaced = settled.displaced.as_ref();
         let Some(displaced) = displaced.filter(|_| settled.state != FileState::Unmounted) else {
             return message;
@@ -169,36 +169,36 @@ impl Inner {
         if let Some(oldest) = oldest {
             let left = oldest.displaced().map(|oldest| oldest.created_as.display().to_string());
             let message = format!(
-                "{KEPT_OPEN_MAX} removed takes are kept open: the oldest is given up, {}",
+                "{KEPT_OPEN_MAX} removed takes are already kept open: giving up the oldest, {}",
                 left.unwrap_or_default()
             );
-            // A large file without a name takes its time to close.
+            // Closing a large file without a name takes time.
             drop(oldest);
             self.publish(ServiceEventKind::Warning, &message, None);
         }
         let open_at = displaced.open_at.display();
         format!(
-            "{message}; it stays open until the next take has begun or the service ends: cp {open_at} NEW.take"
+            "{message}; it stays open until the next take has begun or the service stops: cp {open_at} NEW.take"
         )
     }
 
-    /// The take could not be written to its end. What is in it stays.
+    /// Handles a take that could not be completed. What was written of it is kept.
     fn write_failed(&self, failed: TakeFailed, take: &NamedTake) -> Refusal {
         let NamedTake { name, path, file, .. } = take;
         let TakeFailed { error, output } = failed;
         let message = if error.is::<NothingRecorded>() {
             let left = match file.remove(path) {
                 Ok(()) => format!("there is no take {name}"),
-                Err(e) => format!("{} holds nothing and cannot be removed ({e})", path.display()),
+                Err(e) => format!("{} is empty and cannot be removed ({e})", path.display()),
             };
-            format!("{error:#}: {left}; look at the disk, and try again")
+            format!("{error:#}: {left}; check the disk, and try again")
         } else {
-            format!("the take {name} ends early: {error:#}; {}", self.remains(output))
+            format!("the take {name} ended early: {error:#}; {}", self.remains(output))
         };
         let mut core = self.core();
         core.failure = Some(message.clone());
-        // The pipeline goes on without a take, and its pre-roll with keys as often as that needs. A save that failed
-        // leaves the take beside it alone.
+        // The pipeline continues without a take, and writes the keys that the pre-roll needs. A failed save does not
+        // affect the take in progress.
         if core.take.is_none()
             && let Some(session) = &mut core.session
         {
@@ -212,26 +212,26 @@ impl Inner {
 }
 
 impl Inner {
-    /// What is left of a take that could not be written to its end, and where.
+    /// What remains of a take that could not be completed, and where.
     fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` closes it";
-        let Some(mut file) = output else { return format!("of what is in it, {recover}") };
+        let Some(mut file) = output else { return format!("{recover}") };
         let settled = file.settle();
         match (settled.words(), &settled.path) {
-            (None, _) => format!("what is in it can be read, and {recover}"),
+            (None, _) => format!("its content can be read, and {recover}"),
             (Some(message), Some(_)) => format!("{message}, and {recover}"),
             (Some(_), None) => self.keep_open(&settled, file),
         }
     }
 
-    /// Until what this returns is dropped, the service does not end: a take that was removed is copied.
+    /// Keeps the service from ending until the returned guard is dropped: a removed take is being copied.
     pub(super) fn closing(&self, core: &mut Core) -> Closing<'_> {
         core.closing += 1;
         Closing(self)
     }
 }
 
-/// A take is being closed.
+/// Counts a take as being closed until it is dropped.
 pub(super) struct Closing<'a>(&'a Inner);
 
 impl Drop for Closing<'_> {
@@ -244,7 +244,7 @@ impl Drop for Closing<'_> {
 fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
-    // What it is called now is what it can be asked for by. Events have the name that it was announced with.
+    // The reply has the current name, by which the take can be requested. Events have the name it started with.
     let stem = file.path.as_deref().and_then(Path::file_stem);
     Stopped {
         take_id: take.id.clone(),
@@ -281,7 +281,7 @@ mod tests {
         heartbeat::Heartbeat,
     };
 
-    /// One that has no device.
+    /// An engine without a device.
     fn engine(directory: &Path) -> Engine {
         let options = EngineOptions {
             rig: "test".to_owned(),
@@ -346,7 +346,7 @@ mod tests {
         drop(core);
     }
 
-    /// Keeps what the status says of the last take while this one is being closed.
+    /// Records the last take in the status while this one is being closed.
     struct SeenWhileClosing(Arc<Inner>, Arc<Mutex<Option<TakeSummary>>>);
 
     impl Write for SeenWhileClosing {

@@ -1,4 +1,4 @@
-//! The takes in the service's folder.
+//! Lists the takes in the service's folder.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -22,17 +22,17 @@ use crate::{
     status::TakeSummary,
 };
 
-/// Files of a folder that are looked at: more is no folder of takes.
+/// Most files of the folder that are read: larger folders are not folders of takes.
 const FILES_MAX: usize = 100_000;
 
-/// Takes whose ends are remembered, some 300 bytes each: four times the longest list.
+/// Most cached summaries, some 300 bytes each: four times the longest list.
 const CACHED_MAX: usize = 4000;
 
-/// What the ends of files said, by path.
+/// Summaries of files by path, valid while the stamp stays the same.
 #[derive(Debug, Default)]
 pub(super) struct SummaryCache(HashMap<PathBuf, (FileStamp, TakeSummary)>);
 
-/// A file that has the same ones holds the same bytes.
+/// Identity, size and modification time: if they are unchanged, so is the content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct FileStamp {
     file: FileId,
@@ -69,7 +69,7 @@ impl Inner {
     pub(super) fn list_takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
         let core = self.core();
         let directory = core.options.take.directory.clone();
-        // By what it is: its name may be another one by now.
+        // Identified by the file, because its name may have changed.
         let open = core.take.as_ref().map(|take| take.named.file);
         let last = core.last_take.clone();
         drop(core);
@@ -104,7 +104,7 @@ impl Inner {
             summaries.push(summary);
         }
         lock(&self.summaries).add(new);
-        // Why the newest ended is known, also where it could not be written.
+        // The reason why the latest take ended is known even if it could not be written.
         for summary in &mut summaries {
             if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id)
                 && summary.ending.is_none()
@@ -120,7 +120,7 @@ impl Inner {
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
         let name = names::check(name)?;
         let directory = self.core().options.take.directory.clone();
-        // The name as the list has it, else as a file's.
+        // The name as listed, or else as a file name.
         for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
             let path = directory.join(format!("{name}.take"));
             // A link could lead out of the folder.
@@ -132,14 +132,14 @@ impl Inner {
     }
 }
 
-/// What the two ends of a file that is closed tell; `None` where it is not there.
+/// The summary of a closed file from its header and end; `None` if there is no file.
 pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
     let file = path.symlink_metadata().ok().filter(Metadata::is_file)?;
     let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
     Some(read_summary(path, file.len(), modified, false).0)
 }
 
-/// What the two ends of a file tell, and whether that lasts as long as the file does not change.
+/// The summary of a file from its header and end, and whether it stays valid until the file changes.
 fn read_summary(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
     let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let mut summary = TakeSummary {
@@ -152,13 +152,13 @@ fn read_summary(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) ->
     let opened = plain_file::open(path).map_err(TakeError::Io);
     let read = opened.and_then(|mut file| {
         let ends = TakeEnds::read(&mut file)?;
-        // By this service, or by another recorder.
+        // By this service or by another recorder.
         summary.is_open |= ends.end.is_none() && is_being_written(&file);
         Ok(ends)
     });
     let ends = match read {
         Ok(ends) => ends,
-        // What a disk cannot read now, it may read the next time.
+        // The disk may be able to read it next time.
         Err(TakeError::Io(_)) => return (summary, false),
         Err(_) => {
             summary.health = TakeHealth::Unreadable;

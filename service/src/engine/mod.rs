@@ -1,14 +1,14 @@
-//! The engine: one rig under supervision, and one take at a time.
+//! The engine: supervises one rig, and records one take at a time.
 //!
 //! ```text
-//! mocapd-rig     opens the device, arms the pipeline, reads; waits for a device that is away
-//! mocapd-hub     shows frames to viewers, and judges markers
-//! mocapd-watch   ends takes whose time, disk or device is over; tells what happened
-//! mocapd-recover recovers the takes that a killed service left, and ends
+//! mocapd-rig     opens the device, arms the pipeline, reads frames; waits for a device that has disconnected
+//! mocapd-hub     passes frames to viewers and to the marker statistics
+//! mocapd-watch   ends takes at their maximum length or when the disk or device fails; publishes events
+//! mocapd-recover recovers the takes that a killed service left, then ends
 //! callers        start, stop, mark: one command at a time
 //! ```
 //!
-//! The state is a value behind a lock that is held for moments: neither a disk nor a device is waited for under it.
+//! The state is a value behind a lock that is held only briefly: never while waiting for a disk or a device.
 
 mod commands;
 mod events;
@@ -56,32 +56,32 @@ use super::{
     status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
 };
 
-/// How long a command waits for the one before it: as long as that may take with a disk that stalls.
+/// Longest wait for the previous command, which may be waiting for a stalled disk.
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// How long the service takes to stop at most: systemd kills it later.
+/// Longest time for the service to stop: systemd kills it later.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The service without its doors.
+/// The service without its interfaces.
 #[derive(Debug)]
 pub struct Engine {
     inner: Arc<Inner>,
     threads: Mutex<Vec<JoinHandle<()>>>,
 }
 
-/// What its threads share.
+/// State shared by the engine's threads.
 #[derive(Debug)]
 struct Inner {
     core: Mutex<Core>,
-    /// Told when `core` changed in a way that somebody may wait for.
+    /// Notified when `core` has changed in a way that others may wait for.
     changed: Condvar,
-    /// Held by the command that is being carried out.
+    /// Held while a command is executed.
     command: Mutex<()>,
     replies: Mutex<IdempotentReplies>,
     events: EventPublisher,
     viewers: Viewers,
     statistics: Mutex<MarkerStatistics>,
-    /// What the takes of the folder said of themselves.
+    /// Summaries of the takes in the folder.
     summaries: Mutex<SummaryCache>,
     rates: Rates,
     stopping: AtomicBool,
@@ -91,10 +91,10 @@ struct Inner {
 }
 
 impl Engine {
-    /// Starts its threads. The device is opened when it is armed.
+    /// Starts the engine's threads. The device is opened when the engine is armed.
     ///
     /// # Errors
-    /// When a thread cannot be started.
+    /// A thread cannot be started.
     pub fn start(options: EngineOptions, heartbeat: &Heartbeat) -> anyhow::Result<Self> {
         let arm_at_start = options.arm.at_start;
         let inner = Arc::new(Inner {
@@ -121,7 +121,7 @@ impl Engine {
         if !cut_off.is_empty() {
             let inner = Arc::clone(&inner);
             let run = move || recoveries::run(&inner, cut_off);
-            // It ends by itself, or when the service does.
+            // It ends when it is done, or with the service.
             drop(threads::spawn("mocapd-recover", run)?);
         }
         threads.extend([
@@ -132,15 +132,15 @@ impl Engine {
         Ok(Self { inner, threads: Mutex::new(threads) })
     }
 
-    /// Takes over other options: from the next take on, or the next time that it is armed.
+    /// Applies other options: with the next take, or when next armed.
     pub fn reload(&self, options: EngineOptions) {
         let mut core = lock(&self.inner.core);
         core.options = Arc::new(options);
         drop(core);
-        self.inner.publish(ServiceEventKind::State, "the configuration was read again", None);
+        self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
     }
 
-    /// Finishes the take, stops the device, and ends the threads.
+    /// Finishes the take, stops the device and ends the threads.
     pub fn stop_service(&self) {
         self.inner.shut_down();
         let until = Instant::now() + STOP_TIMEOUT;
@@ -149,13 +149,13 @@ impl Engine {
                 std::thread::sleep(Duration::from_millis(5));
             }
             if thread.is_finished() {
-                // A thread that panicked has told so already.
+                // A thread that panicked has reported it already.
                 drop(thread.join());
             }
         }
     }
 
-    /// Whether a thread of it has ended though nobody stopped it: nothing works any more then.
+    /// Whether a thread has ended without being stopped: the engine is unusable then.
     #[must_use]
     pub fn has_died(&self) -> bool {
         let stopping = self.inner.is_stopping();
@@ -174,7 +174,7 @@ impl Inner {
         lock(&self.core)
     }
 
-    /// The right to carry out a command.
+    /// Takes the command lock.
     fn command(&self) -> Result<MutexGuard<'_, ()>, Refusal> {
         self.command_within(COMMAND_TIMEOUT)
     }
@@ -193,7 +193,7 @@ impl Inner {
                 Err(std::sync::TryLockError::WouldBlock) => {
                     return Err(Refusal::new(
                         RefusalKind::Unavailable,
-                        "another command is still being carried out: wait, and look at the status",
+                        "another command is still being executed: wait, and check the status",
                     ));
                 }
             }
@@ -275,7 +275,7 @@ impl Control for Engine {
 }
 
 impl Status {
-    /// In one line: what systemd shows.
+    /// The status in one line, as systemd shows it.
     #[must_use]
     pub fn words(&self) -> String {
         let outage = self.device.outage.map(|outage| {
@@ -285,9 +285,9 @@ impl Status {
         match (self.state, outage, &self.take, &self.failure) {
             (State::Failed, _, _, Some(failure)) => format!("failed: {failure}"),
             (State::Recording, Some(outage), Some(take), _) => {
-                format!("{outage}: recording {} waits", take.name)
+                format!("{outage}: recording of {} paused", take.name)
             }
-            (State::Armed, Some(outage), ..) => format!("{outage}: armed, and nothing comes"),
+            (State::Armed, Some(outage), ..) => format!("{outage}: armed, but no frames arrive"),
             (State::Recording, None, Some(take), _) => {
                 format!("recording {}: {:.0} s", take.name, take.seconds)
             }

@@ -1,4 +1,4 @@
-//! What the frames of the tap tell of a marker: its noise, and whether it changed places with another.
+//! Marker statistics from the frames of the tap: noise, and suspected swaps of markers.
 
 use mocapd_acquire::pipeline::{TapHead, lock};
 use mocapd_report::{column::sample, noise::NoiseEstimator};
@@ -7,28 +7,28 @@ use mocapd_take::motion::{Position, is_gap};
 use super::Inner;
 use crate::status::MarkerQuality;
 
-/// Between two figures of the noise: the median of a window is not for every frame.
+/// Time between two noise estimates in nanoseconds: the median over a window is too expensive for every frame.
 const NOISE_EVERY_NS: u64 = 1_000_000_000;
 
-/// Fourth differences that a figure is of, the newest: it scatters by 4 %. At 36 a burst of the tap, and four of these a
-/// second, they are of the last 11 seconds, and take 12 KB a marker.
+/// Fourth differences used for an estimate, the newest: its standard error is 4 %. At 36 per burst of the tap and four
+/// bursts a second they cover the last 11 seconds, and take 12 KB per marker.
 const NOISE_DIFFERENCES: usize = 1536;
 
-/// A marker that is where another was a frame ago, as near as this, in millimetres: what it moved in a thirtieth of a
-/// second at a walk.
+/// Largest distance in millimetres from another marker's previous position to suspect a swap: what a marker moves in a
+/// thirtieth of a second at a walk.
 const SWAPPED_MM: f64 = 40.0;
 
-/// And was so far from it then, in millimetres: nearer, nobody could tell.
+/// Smallest distance in millimetres between the two previous positions: closer markers cannot be distinguished.
 const APART_MM: f64 = 120.0;
 
-/// By slot.
+/// Statistics by slot.
 #[derive(Debug, Default)]
 pub(super) struct MarkerStatistics {
     rate_hz: f64,
     markers: Vec<MarkerRecord>,
-    /// Positions of the last frame that was shown.
+    /// Positions of the latest frame sent to viewers.
     before: Vec<Position>,
-    /// The row of the last frame.
+    /// Row of the latest frame.
     last_row: Option<u64>,
     noise_ns: u64,
 }
@@ -51,10 +51,10 @@ impl MarkerStatistics {
         Self { rate_hz, ..Self::default() }
     }
 
-    /// A frame of the tap.
+    /// Adds a frame of the tap.
     pub(super) fn frame(&mut self, head: &TapHead, positions: &[Position]) {
         self.markers.resize_with(positions.len(), MarkerRecord::default);
-        // Between two bursts, and where frames were lost, samples do not follow each other.
+        // Samples are not consecutive between two bursts, and where frames were lost.
         if self.last_row.is_none_or(|last| head.row != last + 1) {
             self.markers.iter_mut().for_each(|marker| marker.noise.end_run());
         }
@@ -73,14 +73,14 @@ impl MarkerStatistics {
         }
     }
 
-    /// Two that are each where the other was.
+    /// Finds pairs of markers that exchanged their positions.
     fn find_swaps(&mut self, positions: &[Position]) {
         if self.before.len() != positions.len() {
             return;
         }
         for (slot, &now) in positions.iter().enumerate() {
             let was = self.before[slot];
-            // Most markers end here: they moved little.
+            // Ends here for most markers, which moved little.
             if is_gap(now) || is_gap(was) || apart_mm(now, was) < APART_MM {
                 continue;
             }
@@ -94,7 +94,7 @@ impl MarkerStatistics {
     }
 }
 
-/// Infinite where one of them is not seen.
+/// The distance between two positions; infinite if one is not seen.
 fn apart_mm(a: Position, b: Position) -> f64 {
     let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
     let apart = squares.sum::<f64>().sqrt();
@@ -134,7 +134,7 @@ mod tests {
 
     const RATE_HZ: u64 = 240;
 
-    /// Bursts of the tap for 12 s, and one frame in eight between them.
+    /// Plays bursts of the tap for 12 s, and one frame in eight between them.
     fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<MarkerRecord> {
         let mut statistics = MarkerStatistics::new(RATE_HZ as f64);
         for row in 0..12 * RATE_HZ {
@@ -148,7 +148,7 @@ mod tests {
         statistics.markers
     }
 
-    /// A normal number: the same for the same arguments.
+    /// A pseudo-random normal number: the same for the same arguments.
     fn normal(seed: u64, row: u64) -> f32 {
         let mut state =
             seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ row.wrapping_mul(0xD1B5_4A32_D192_ED03);

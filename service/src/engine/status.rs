@@ -1,4 +1,4 @@
-//! How things stand, put together from the state and the data plane's counters.
+//! Assembles the status from the state and the counters of the data plane.
 
 use std::{
     path::Path,
@@ -156,7 +156,7 @@ impl Core {
 }
 
 impl Session {
-    /// The time since the last frame. A device that is away is given up after `patience`.
+    /// The time since the last frame. The device is given up after `patience`.
     fn outage(&self, patience: Option<Duration>) -> OutageStatus {
         let since_ns = load(&self.progress.last_arrival_ns).max(self.armed_ns);
         let seconds = monotonic_ns().saturating_sub(since_ns) as f64 * 1e-9;
@@ -168,20 +168,20 @@ impl Session {
     }
 }
 
-/// What a disk may be slow to tell.
+/// Free space in bytes. The disk may be slow to answer.
 pub(super) fn free_bytes(directory: &Path) -> Option<u64> {
     let disk = statvfs(directory).ok()?;
     Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Before a take has a rate, what the pre-roll takes tells it.
+/// Before a take has a rate of its own, it is estimated from the pre-roll.
 fn estimated_left_s(status: &Status) -> Option<u64> {
     let held = &status.pre_roll;
     if held.held_s < 2.0 || held.held_bytes == 0 {
         return None;
     }
     let bytes_per_s = held.held_bytes as f64 / held.held_s;
-    // What closing a take needs is not for its frames.
+    // The space needed to close a take is not available for its frames.
     let kept = status.disk.keep_free_bytes.saturating_add(HELD_MIN_BYTES);
     let spare = status.disk.free_bytes?.saturating_sub(kept);
     Some((spare as f64 / bytes_per_s) as u64)

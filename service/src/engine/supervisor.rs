@@ -1,4 +1,4 @@
-//! The rig's thread: finds the device, arms the pipeline, reads, and begins again when that is over.
+//! The rig's thread: finds the device, arms the pipeline, reads frames, and starts again when that ends.
 
 use std::{
     sync::{
@@ -33,16 +33,16 @@ use crate::{
     status::ServiceEventKind,
 };
 
-/// Between two looks for a device that is not there or does not answer.
+/// Time between attempts to open a device that is missing or does not respond.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Between two looks whether an idle device is attached.
+/// Time between checks whether an idle device is connected.
 const PRESENCE_INTERVAL: Duration = Duration::from_secs(2);
 
-/// A device that ends its stream at once, again and again, is started no oftener.
+/// Shortest session: limits restarts of a device that keeps ending its stream at once.
 const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
 
-/// Until the service ends.
+/// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
     let mut watch = UsbWatch::new();
     while !inner.is_stopping() {
@@ -78,7 +78,7 @@ impl Inner {
         self.stopping.load(Ordering::Relaxed)
     }
 
-    /// While something is so that whoever changes it notifies of, and the service is not stopping, or so long.
+    /// Waits while `is_so` holds (changes are notified), at most `at_most`, and not while the service is stopping.
     pub(super) fn wait_while(&self, at_most: Duration, is_so: impl Fn(&Core) -> bool) {
         let core = self.core();
         let goes_on = |core: &mut Core| is_so(core) && !self.is_stopping();
@@ -96,12 +96,12 @@ impl Inner {
         drop(core);
         if changed {
             let what =
-                if present { "the device is attached" } else { "the device is not attached" };
+                if present { "device connected" } else { "device disconnected" };
             self.publish(ServiceEventKind::Device, what, None);
         }
     }
 
-    /// Something is in the way of arming: told once.
+    /// Reports an obstacle to arming, once.
     fn report_obstacle(&self, message: &str) {
         let mut core = self.core();
         let is_new = core.device.obstacle.as_deref() != Some(message);
@@ -165,7 +165,7 @@ impl Inner {
         }
     }
 
-    /// The device is not read any more.
+    /// Closes the raw log once the device is no longer read.
     fn finish_log(&self, log: Option<RawLog>) {
         let Some(log) = log else { return };
         let name = log.path().display().to_string();
@@ -174,7 +174,7 @@ impl Inner {
             Ok(logged) => self.publish(
                 ServiceEventKind::Warning,
                 &format!(
-                    "{} bytes of the line are not in the raw log {name}",
+                    "{} received bytes are missing from the raw log {name}",
                     logged.missing_bytes
                 ),
                 None,
@@ -189,7 +189,7 @@ impl Inner {
         }
     }
 
-    /// Whether a frame came.
+    /// Runs a session. Returns whether a frame arrived.
     fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) -> bool {
         let stop = Arc::new(AtomicBool::new(false));
         let (intake, pipeline) = match self.begin_session(&rig, &stop, sessions) {
@@ -212,28 +212,28 @@ impl Inner {
         };
         let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);
-        // No take begins here any more, and one that is written ends.
+        // From here no take can begin, and one in progress ends.
         self.core().session = None;
         let joined = pipeline.join();
         let message = match (&read, &joined) {
             (_, Err(error)) => {
                 self.fail(&format!("{error:#}"));
-                "the data plane failed"
+                "data plane failed"
             }
             (Err(error), _) => {
                 self.report_obstacle(&message_with_keys(error));
-                "the device cannot be read"
+                "device cannot be read"
             }
             (Ok(recording), _) => match recording.ending {
                 EndingKind::DeviceEnded => {
-                    // A replay that is over: it is not begun again by itself.
+                    // A replay that is over is not started again automatically.
                     self.core().wanted = false;
-                    "the device has ended its stream"
+                    "device ended its stream"
                 }
-                EndingKind::DeviceGone => "the device is gone",
+                EndingKind::DeviceGone => "device gone",
                 EndingKind::CutOff => {
                     self.fail("the data plane failed: see the log");
-                    "the data plane failed"
+                    "data plane failed"
                 }
                 _ => "disarmed",
             },
@@ -275,11 +275,11 @@ impl Inner {
             stop: Arc::clone(stop),
             header: header.clone(),
         };
-        // The hub forgets the one before: it looks here in every round.
+        // The hub drops the previous session: it checks this channel in every round.
         sessions.try_send(NewSession { tap: armed.tap, progress, header }).ok();
         let mut core = self.core();
         core.session = Some(session);
-        // What was asked while it was being armed.
+        // A disarm or stop may have been requested during arming.
         if !core.wanted || self.is_stopping() {
             stop.store(true, Ordering::Relaxed);
         }
@@ -288,7 +288,7 @@ impl Inner {
         Ok((intake, pipeline))
     }
 
-    /// The data plane failed: somebody has to look.
+    /// Reports a failure of the data plane, which needs attention.
     pub(super) fn fail(&self, message: &str) {
         self.core().failure = Some(message.to_owned());
         self.changed.notify_all();
@@ -296,14 +296,14 @@ impl Inner {
     }
 }
 
-/// A log of the line, named by the time.
+/// Starts a raw log named by the time.
 fn begin_log(options: &EngineOptions) -> anyhow::Result<RawLog> {
     let now = Zoned::now().strftime("%Y-%m-%d_%H%M%S%.3f");
     let name = format!("{now}_{}.rawlog", options.rig);
     RawLog::start(&options.take.directory.join(name), options.take.sync)
 }
 
-/// A log of a device that was not there helps nobody.
+/// Removes the raw log of a session without frames.
 fn discard(log: Option<RawLog>) {
     let Some(log) = log else { return };
     let path = log.path().to_owned();
@@ -311,7 +311,7 @@ fn discard(log: Option<RawLog>) {
     std::fs::remove_file(path).ok();
 }
 
-/// Whether something is at the place, without opening it.
+/// Whether a device is attached at the location, without opening it.
 fn is_attached(uri: &DeviceUri) -> bool {
     match &uri.location {
         Location::Serial { path, .. } => path.exists(),

@@ -1,4 +1,4 @@
-//! The watcher's thread: takes that end by themselves, figures that need two looks, and words of other threads.
+//! The watcher's thread: ends takes that are over, measures rates, and publishes messages of other threads.
 
 use std::{
     sync::{Arc, atomic::Ordering},
@@ -15,15 +15,15 @@ use mocapd_take::record::EndingKind;
 use super::{Inner, session::Core, status::free_bytes};
 use crate::{process, status::ServiceEventKind};
 
-/// Between two looks.
+/// Time between polls.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Between two figures of a rate.
+/// Time between measurements of a rate.
 const RATES_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Until the service ends.
+/// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>) {
-    // Without it nobody would know that this thread hangs; with sixty others it is not needed.
+    // With sixty other threads registered, a heartbeat may be refused. Then the watchdog does not watch this thread.
     let beat = inner.heartbeat.beat(Who::Supervisor).ok();
     let mut rates = RateMeter::default();
     while !inner.is_stopping() {
@@ -31,13 +31,13 @@ pub(super) fn run(inner: &Arc<Inner>) {
             beat.moved();
         }
         inner.publish_deferred();
-        // A take that ends by itself is waited for, and its disk may stall.
+        // Waits for the end of a take, during which the disk may stall.
         if let Some(beat) = &beat {
             beat.at_disk();
         }
         inner.end_finished_takes();
         rates.update(inner, beat.as_ref());
-        // Without a session only the disk changes.
+        // Without a session only the free disk space changes.
         let is_idle = inner.core().session.is_none();
         if is_idle {
             inner.wait_while(RATES_INTERVAL, |core| core.session.is_none());
@@ -56,7 +56,8 @@ impl Inner {
         }
     }
 
-    /// Takes whose length, disk, device or writer is over. Not while somebody carries out a command: that one will tell.
+    /// Ends takes at their maximum length, or whose disk, device or writer has failed. Not while a command is executed,
+    /// which reports the end itself.
     fn end_finished_takes(&self) {
         let Ok(command) = self.command.try_lock() else { return };
         self.report_file_changes();
@@ -65,7 +66,7 @@ impl Inner {
         let ended = core.take.as_ref().map(|take| take.ended.try_recv());
         let exhausted = core.is_exhausted();
         drop(core);
-        // What there is to say stands in the events.
+        // The events have the details.
         match (ended, why) {
             (Some(Ok(end)), _) => drop(self.finish_take(end)),
             (Some(Err(TryRecvError::Disconnected)), _) => drop(self.finish_unanswered()),
@@ -75,7 +76,7 @@ impl Inner {
         if exhausted {
             self.publish(
                 ServiceEventKind::Warning,
-                "every channel of the reserve is used by markers that appeared: the pre-roll begins anew",
+                "all reserve channels are used by markers that appeared: restarting the pre-roll",
                 None,
             );
             if let Some(session) = &self.core().session {
@@ -86,7 +87,7 @@ impl Inner {
 }
 
 impl Inner {
-    /// Says once what others did to the take's file; how that ends a take is said with its end.
+    /// Reports changes to the take's file once; a change that ends the take is reported with its end.
     fn report_file_changes(&self) {
         let mut core = self.core();
         let Some(progress) = core.session.as_ref().map(|session| Arc::clone(&session.progress))
@@ -122,7 +123,7 @@ impl Core {
         session.progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull)
     }
 
-    /// Markers that came and went have used up the channels: without a take they can be forgotten.
+    /// Markers that appeared and vanished have used up the channels: without a take, they can be forgotten.
     fn is_exhausted(&self) -> bool {
         self.take.is_none()
             && self.session.as_ref().is_some_and(|session| {
@@ -133,7 +134,7 @@ impl Core {
     }
 }
 
-/// Counters at the last look.
+/// Measures rates between two updates.
 #[derive(Debug, Default)]
 struct RateMeter {
     last: Option<(Instant, u64, u64, f64)>,
