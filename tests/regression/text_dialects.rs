@@ -153,7 +153,7 @@ fn motive_exports_are_read() {
         // Twice there, a body's position, and what is left out: each is said.
         let said = |start: &str| source.warnings.iter().any(|warning| warning.starts_with(start));
         assert_eq!(source.warnings.len(), 3, "{:?}", source.warnings);
-        assert!(said("1 markers") && said("6 columns"), "{:?}", source.warnings);
+        assert!(said("1 marker") && said("6 columns"), "{:?}", source.warnings);
     }
     let folder = Folder::new();
     folder.write("motive.csv", motive(true, &columns, &rows));

@@ -61,7 +61,7 @@ fn trc_that_disagrees_with_itself_says_so() {
     // First where the labels stand.
     let warnings = &motion.info.source.warnings;
     assert_eq!(warnings.len(), 5, "{warnings:?}");
-    for fact in ["line 5", "1 samples", "1 frames", "2 frames"] {
+    for fact in ["line 5", "1 sample", "1 frame", "2 frames"] {
         assert!(warnings.iter().any(|said| said.contains(fact)), "{fact}: {warnings:?}");
     }
     for (text, place) in [
@@ -98,7 +98,7 @@ fn tsv_zeros_are_gaps_and_lead_columns_are_known() {
         // Of frame 2: the second of a file that begins with 1, and before one that begins with 11.
         assert_eq!(events, if first == 1 { vec![(1, "kick")] } else { vec![] });
         let warnings = &motion.info.source.warnings;
-        assert!(warnings.len() == 1 && warnings[0].contains("1 samples"), "{warnings:?}");
+        assert!(warnings.len() == 1 && warnings[0].contains("1 sample"), "{warnings:?}");
     }
 }
 

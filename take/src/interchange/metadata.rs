@@ -1,11 +1,11 @@
-//! What is to be known of trajectories beside the numbers, as names and words: metadata of Parquet and MCAP.
+//! The key-value metadata of Parquet and MCAP files (`docs/columns.md`).
 
 use serde_json::json;
 
 use crate::{motion::FrameSource, record::Ledger};
 
-/// Names and words, those of a take where they are of one. What is not a word or a number is JSON.
-pub(super) fn about(frames: &dyn FrameSource) -> Vec<(String, String)> {
+/// Keys and values that describe the trajectories and, if they come from one, the take. Lists and records are JSON.
+pub(super) fn metadata(frames: &dyn FrameSource) -> Vec<(String, String)> {
     let info = frames.info();
     let labels: Vec<&str> = info.markers.iter().map(|marker| &*marker.label).collect();
     let mut all = vec![
@@ -35,10 +35,10 @@ pub(super) fn about(frames: &dyn FrameSource) -> Vec<(String, String)> {
             all.push(("ledger", ledger(found).to_string()));
         }
     }
-    all.into_iter().map(|(name, words)| (format!("mocapd.{name}"), words)).collect()
+    all.into_iter().map(|(name, value)| (format!("mocapd.{name}"), value)).collect()
 }
 
-/// The whole take's counters, by the names that `info --json` has.
+/// The counters of the whole take under the names of `info --json`.
 fn ledger(ledger: &Ledger) -> serde_json::Value {
     json!({
         "frames_sent": ledger.frames_sent,

@@ -1,10 +1,10 @@
-//! Which way is up, and turning what has another axis up.
+//! The up direction, and rotations by quarter and half turns from one up axis to another.
 
 use std::{fmt, str::FromStr};
 
 use crate::motion::{Position, UpAxis};
 
-/// A direction along an axis: `x`, `-z`.
+/// A signed axis: `x`, `-z`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Direction {
     axis: UpAxis,
@@ -12,13 +12,13 @@ pub struct Direction {
 }
 
 impl Direction {
-    /// The axis, whichever way along it.
+    /// The axis without its sign.
     #[must_use]
     pub fn axis(self) -> UpAxis {
         self.axis
     }
 
-    /// Whether it is the way down the axis.
+    /// Whether the direction is opposite to the axis.
     #[must_use]
     pub fn is_negative(self) -> bool {
         self.is_negative
@@ -35,7 +35,7 @@ impl FromStr for Direction {
         };
         UpAxis::from_name(name)
             .map(|axis| Self { axis, is_negative })
-            .ok_or_else(|| format!("'{text}' is no axis: use x, y, z, -x, -y or -z"))
+            .ok_or_else(|| format!("'{text}' is not an axis: use x, y, z, -x, -y or -z"))
     }
 }
 
@@ -46,52 +46,51 @@ impl fmt::Display for Direction {
     }
 }
 
-/// A turn by quarters and halves: coordinates change places and signs, and no bit of their values.
+/// A rotation by multiples of 90° about an axis. It permutes coordinates and flips signs, so it is exact in floating
+/// point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Turn {
-    /// Where each new coordinate comes from.
+pub(crate) struct Rotation {
+    /// For each new coordinate the index of the old one.
     from: [usize; 3],
-    /// Whether it changes its sign.
+    /// Whether the coordinate changes its sign.
     negative: [bool; 3],
 }
 
-impl Turn {
-    /// Everything stays.
-    pub(crate) const NONE: Self = Self { from: [0, 1, 2], negative: [false; 3] };
+impl Rotation {
+    pub(crate) const IDENTITY: Self = Self { from: [0, 1, 2], negative: [false; 3] };
 
-    /// From one axis up to another, about the third one: a quarter turn. `None` where one of them is not known.
+    /// The quarter turn about the third axis that takes the axis `from` to the axis `to`; `None` if either is unknown.
     pub(crate) fn between(from: UpAxis, to: UpAxis) -> Option<Self> {
         let (old, new) = (from.index()?, to.index()?);
         if old == new {
-            return Some(Self::NONE);
+            return Some(Self::IDENTITY);
         }
-        let mut turn = Self::NONE;
-        // What was up is up again; where it goes stands what was there, the other way, so that the third axis, about
-        // which it turns, stays and right-handed axes remain right-handed.
-        turn.from[new] = old;
-        turn.from[old] = new;
-        turn.negative[old] = true;
-        Some(turn)
+        let mut rotation = Self::IDENTITY;
+        // The coordinate along `from` moves to `to`. The one along `to` moves to `from` with its sign flipped: that
+        // keeps the determinant at 1 and so the axes right-handed.
+        rotation.from[new] = old;
+        rotation.from[old] = new;
+        rotation.negative[old] = true;
+        Some(rotation)
     }
 
-    /// A half turn after which what was up is down.
+    /// A half turn that reverses `axis`, about one of the other two.
     pub(crate) fn upside_down(axis: UpAxis) -> Self {
         let negative = match axis {
             UpAxis::Unknown => [false; 3],
             UpAxis::X => [true, false, true],
             UpAxis::Y | UpAxis::Z => [false, true, true],
         };
-        Self { negative, ..Self::NONE }
+        Self { negative, ..Self::IDENTITY }
     }
 
-    /// Whether everything stays.
-    pub(crate) fn is_none(&self) -> bool {
-        *self == Self::NONE
+    pub(crate) fn is_identity(&self) -> bool {
+        *self == Self::IDENTITY
     }
 
-    /// Turns a position, or another vector in space.
-    pub(crate) fn of(&self, at: Position) -> Position {
-        if self.is_none() {
+    /// Rotates a position or another vector.
+    pub(crate) fn apply(&self, at: Position) -> Position {
+        if self.is_identity() {
             return at;
         }
         std::array::from_fn(|axis| {
@@ -107,35 +106,37 @@ mod tests {
 
     const AXES: [UpAxis; 3] = [UpAxis::X, UpAxis::Y, UpAxis::Z];
 
-    fn determinant(turn: Turn) -> f32 {
-        let [a, b, c] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| turn.of(e));
+    fn determinant(rotation: Rotation) -> f32 {
+        let unit_vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let [a, b, c] = unit_vectors.map(|e| rotation.apply(e));
         a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
             + a[2] * (b[0] * c[1] - b[1] * c[0])
     }
 
     #[test]
-    fn turns_keep_up_up_and_axes_right_handed() {
+    fn rotations_keep_up_up_and_axes_right_handed() {
         for from in AXES {
             let mut up = [0.0; 3];
             up[from.index().expect("known")] = 1.0;
             assert_eq!(
-                Turn::upside_down(from).of(up),
+                Rotation::upside_down(from).apply(up),
                 up.map(|v: f32| if v == 0.0 { v } else { -v })
             );
-            assert!((determinant(Turn::upside_down(from)) - 1.0).abs() < 1e-9);
+            assert!((determinant(Rotation::upside_down(from)) - 1.0).abs() < 1e-9);
             for to in AXES {
-                let turn = Turn::between(from, to).expect("both known");
-                assert_eq!(turn.of(up)[to.index().expect("known")].to_bits(), 1f32.to_bits());
-                assert!((determinant(turn) - 1.0).abs() < 1e-9, "{from:?} {to:?}");
+                let rotation = Rotation::between(from, to).expect("both known");
+                let rotated = rotation.apply(up);
+                assert_eq!(rotated[to.index().expect("known")].to_bits(), 1f32.to_bits());
+                assert!((determinant(rotation) - 1.0).abs() < 1e-9, "{from:?} {to:?}");
             }
         }
-        // As is usual from z up to y up.
-        let turn = Turn::between(UpAxis::Z, UpAxis::Y).expect("both known");
-        assert_eq!(turn.of([1.0, 2.0, 3.0]), [1.0, 3.0, -2.0]);
+        // The usual conversion from z up to y up.
+        let rotation = Rotation::between(UpAxis::Z, UpAxis::Y).expect("both known");
+        assert_eq!(rotation.apply([1.0, 2.0, 3.0]), [1.0, 3.0, -2.0]);
     }
 
     #[test]
-    fn directions_are_read_and_written() {
+    fn directions_parse_and_display() {
         for text in ["x", "-x", "y", "-y", "z", "-z"] {
             assert_eq!(text.parse::<Direction>().map(|d| d.to_string()), Ok(text.to_owned()));
         }
