@@ -43,7 +43,7 @@ impl Extremities {
 /// How the extremities were identified, from the most to the least certain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum NamingMode {
-    /// By ways along the surface of a body whose limbs are free.
+    /// By distances along the surface of a body whose limbs are free.
     FreeLimbs,
     /// By distances along the surface of a body from which part of a limb is missing.
     CutLimb,
@@ -56,7 +56,7 @@ pub enum NamingMode {
 /// A vertex far from others.
 #[derive(Debug, Clone)]
 pub struct FarPoint {
-    /// Which one.
+    /// The vertex.
     pub vertex: u32,
     /// Geodesic distances from it to every vertex, in the mesh's unit.
     pub distances: Vec<f64>,

@@ -1,4 +1,4 @@
-//! Charts: circularity against the distance along a part, and the Reeb graph.
+//! Charts of circularity along each part, and the Reeb graph.
 
 use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
 use super::views::{Upright, bounds};
@@ -10,7 +10,7 @@ const TOP: f64 = 830.0;
 const WIDTH: f64 = 360.0;
 const HEIGHT: f64 = 178.0;
 
-/// A line across a chart at each of some values, with the value beside it.
+/// Horizontal grid lines with their values.
 fn grid(sheet: &mut Sheet, [left, width]: [f64; 2], values: Vec<f64>, height: impl Fn(f64) -> f64) {
     for value in values {
         let y = height(value);
@@ -19,7 +19,7 @@ fn grid(sheet: &mut Sheet, [left, width]: [f64; 2], values: Vec<f64>, height: im
     }
 }
 
-/// Round numbers between two, about so many.
+/// About `about` round numbers between two values.
 fn ticks(low: f64, high: f64, about: usize) -> Vec<f64> {
     let raw = (high - low) / about.max(1) as f64;
     if !(raw > 0.0 && raw.is_finite()) {
@@ -58,7 +58,7 @@ pub(super) fn circularity(
         sheet.text(left + WIDTH / 2.0, TOP + HEIGHT / 2.0, "no curve", 12.0, DIM, Anchor::Middle);
         return;
     }
-    // From a round number below the lowest value up to a circle.
+    // The axis runs from a round number below the lowest value to 1, a circle.
     let bottom = ((lowest.max(0.0) - 0.02) * 10.0).floor().max(0.0) / 10.0;
     let at = |s: &[f64; 2]| {
         let x = left + WIDTH * s[0] * mm / longest;
@@ -82,7 +82,7 @@ pub(super) fn circularity(
         );
         sheet.path(&[line], false, &style);
         marks(sheet, curve, row, [left, longest / mm]);
-        // A key, for where there are two.
+        // A legend if there are two curves.
         if curves.len() > 1 {
             let x = left + WIDTH - 150.0 + 76.0 * row as f64;
             sheet.line([x, TOP - 20.0], [x + 18.0, TOP - 20.0], &style);
@@ -92,11 +92,11 @@ pub(super) fn circularity(
     }
 }
 
-/// Width of a letter of the names, on average.
+/// Average width of a letter.
 const LETTER: f64 = 6.3;
 
-/// Where the joints are; names of the first curve above, of the second below. A name that would stand on the one before
-/// it stands beside it.
+/// Joint positions with names, above for the first curve, below for the second. A name that would overlap the previous
+/// one moves beside it.
 fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]) {
     let colour = colour(curve.part);
     let mut taken = f64::NEG_INFINITY;
@@ -108,7 +108,7 @@ fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]
         let (x, anchor) = match x - left {
             _ if row > 0 && x < left + WIDTH - 40.0 => (x + 4.0, Anchor::Left),
             _ if row > 0 => (x - 4.0, Anchor::Right),
-            // Not over the numbers beside the chart.
+            // Keeps clear of the axis labels.
             dx if dx < 24.0 => (x, Anchor::Left),
             dx if dx > WIDTH - 24.0 => (x, Anchor::Right),
             _ => (x, Anchor::Middle),
@@ -135,10 +135,10 @@ fn side_name(part: BodyPart, told: bool) -> &'static str {
     }
 }
 
-/// Left, top, width, height of the Reeb graph.
+/// Left, top, width and height of the Reeb graph.
 const REEB_BOX: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
 
-/// As deep as a level set is far from the head, and as far to the side as it is on the body.
+/// Nodes are as low as their level set is far from the head, and as far aside as it is on the body.
 pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
     let [left, top, width, height] = REEB_BOX;
     let mm = drawing.mm();
@@ -179,7 +179,7 @@ pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
     let degree = |index: usize| {
         drawing.reeb_edges.iter().filter(|edge| edge.from == index || edge.to == index).count()
     };
-    // Only ends and branches: what lies between is a line.
+    // Only ends and forks are drawn; nodes between them are points of a line.
     for index in (0..drawing.reeb_nodes.len()).filter(|&index| degree(index) != 2) {
         if let Some(at) = place(index) {
             sheet.circle(

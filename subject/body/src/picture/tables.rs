@@ -1,4 +1,4 @@
-//! Lengths of the limbs, left and right beside each other; and below everything what whoever reads the picture should know.
+//! The table of limb lengths, left beside right, and the notes at the foot of the page.
 
 use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
 use super::{BodyPart, Drawing, colour};
@@ -9,7 +9,7 @@ use crate::{Joint, Side};
 const LEFT: f64 = 1040.0;
 const TOP: f64 = 476.0;
 const ROW: f64 = 23.0;
-/// Words of a row, with its bones.
+/// Label of a row, with its bones.
 const ROWS: [(&str, &str, &str); 8] = [
     ("upper arm", "l_upper_arm", "r_upper_arm"),
     ("forearm", "l_forearm", "r_forearm"),
@@ -32,7 +32,7 @@ pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
             sheet.circle([x + dx, TOP], 3.5, &style);
         }
     }
-    // Joints may have been left out, and what hangs on them with them.
+    // Joints may be missing, and with them the lengths that need them.
     let rows = ROWS
         .into_iter()
         .map(|(label, left, right)| (label, [left, right].map(|bone| length(drawing, bone))));
@@ -52,7 +52,7 @@ pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
         }
         y += ROW;
     }
-    sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Anchor::Left);
+    sheet.text(LEFT, y, "± one expected standard deviation", 11.0, DIM, Anchor::Left);
 }
 
 fn stature(drawing: &Drawing<'_>) -> Option<String> {
@@ -60,12 +60,12 @@ fn stature(drawing: &Drawing<'_>) -> Option<String> {
     Some(format!("{:.0}{}", skeleton.stature_mm?, plus_minus(skeleton.stature_uncertainty_mm)))
 }
 
-/// How far off it may be, where that is known.
+/// Standard deviation as text, if known.
 fn plus_minus(sigma_mm: Option<f64>) -> String {
     sigma_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"))
 }
 
-/// From the skeleton, and from the joints where there is none.
+/// A length from the skeleton, or from the joints without one.
 fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
     if let Some(skeleton) = drawing.skeleton {
         let bone = skeleton.bones.iter().find(|bone| bone.name == name)?;
@@ -82,18 +82,18 @@ fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
 
 const NOTES_LEFT: f64 = 40.0;
 const NOTES_STEP: f64 = 17.0;
-/// Characters of a line; the sheet has room for more.
+/// Most characters of a line; the page has room for more.
 const LINE_MAX: usize = 150;
-/// Lines of all notes; the skeleton has the rest.
+/// Most lines of notes; the skeleton has all of them.
 const LINES_MAX: usize = 24;
 
-/// The lines of all notes, each of which begins with a mark.
+/// The lines of all notes, each note beginning with a bullet.
 pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
     let mut lines = Vec::new();
     for (i, note) in notes.iter().enumerate() {
         let note = wrapped(note);
         if lines.len() + note.len() >= LINES_MAX {
-            lines.push(format!("• {} more notes stand in the skeleton", notes.len() - i));
+            lines.push(format!("• {} more notes in the skeleton", notes.len() - i));
             break;
         }
         lines.extend(note);
@@ -101,7 +101,7 @@ pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
     lines
 }
 
-/// A note in lines, broken between words, and within those that are longer than a line.
+/// Wraps a note between words, and within words longer than a line.
 fn wrapped(note: &str) -> Vec<String> {
     let mut lines = Vec::new();
     let mut line = "•".to_owned();
@@ -122,7 +122,7 @@ fn wrapped(note: &str) -> Vec<String> {
     lines
 }
 
-/// How much higher the picture is for them.
+/// Additional height of the picture.
 pub(super) fn notes_height(lines: &[String]) -> f64 {
     if lines.is_empty() { 0.0 } else { NOTES_STEP * (lines.len() as f64 + 2.0) }
 }
@@ -135,7 +135,7 @@ pub(super) fn notes(sheet: &mut Sheet, lines: &[String], top: f64) {
     sheet.text(NOTES_LEFT, y, "Notes", 13.0, INK, Anchor::Left);
     for line in lines {
         y += NOTES_STEP;
-        // White space at the beginning is none to SVG.
+        // SVG ignores leading white space.
         let x = if line.starts_with(' ') { NOTES_LEFT + 11.0 } else { NOTES_LEFT };
         sheet.text(x, y, line.trim_start(), 12.0, INK, Anchor::Left);
     }

@@ -1,11 +1,11 @@
-//! Wavefront OBJ: lines of `v x y z` and `f v/vt/vn ...`; what else there is does not change the surface.
+//! Wavefront OBJ: lines of `v x y z` and `f v/vt/vn ...`; other lines do not affect the surface.
 
 use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 use crate::{Note, Unit};
 
-/// Reads a whole file. Indices count from 1, or backwards from the last vertex so far where they are negative. A vertex
-/// may be named before it stands.
+/// Reads an OBJ file. Indices count from 1, or backwards from the latest vertex if negative, and may name vertices that
+/// follow.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut surface = Surface::new(Format::Obj);
     let mut corners = Vec::new();
@@ -16,7 +16,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
             surface.unit = Unit::from_comment(line);
         }
         let line = text::before_comment(line);
-        // A backslash at the end: the line goes on in the next.
+        // A backslash at the end continues the line.
         if let Some(front) = line.trim_ascii_end().strip_suffix(b"\\") {
             joined.extend_from_slice(front);
             joined.push(b' ');
@@ -56,13 +56,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
         }
     }
     if curved > 0 {
-        let text = format!("{curved} curved surfaces are no triangles: left out");
+        let text = format!("left out curved surfaces: {curved}");
         surface.notes.push(Note::new("curved-surfaces", text));
     }
     Ok(surface)
 }
 
-/// `7`, `7/1`, `7//3`, `7/1/3` or `-1`, as an index from 0. Zero is none.
+/// Parses `7`, `7/1`, `7//3`, `7/1/3` or `-1` as an index from 0; 0 is invalid.
 fn index(token: &[u8], n_vertices: usize) -> Option<u32> {
     let vertex = token.split(|&b| b == b'/').next()?;
     let given = text::integer(vertex)?;

@@ -1,9 +1,9 @@
-//! Geomview's object file format: a keyword, three counts, a line a vertex, a line a face.
+//! Geomview OFF: a keyword, three counts, one line per vertex, one line per face.
 
 use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 
-/// Reads a whole file. Colours, normals and texture coordinates stand behind the positions, and are passed over.
+/// Reads an OFF file. Colours, normals and texture coordinates are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut surface = Surface::new(Format::Off);
     let mut lines = text::lines(text::without_bom(bytes))
@@ -22,7 +22,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
             what: "its binary form".to_owned(),
         });
     }
-    // Some writers put the counts behind the keyword, or even at it.
+    // Some writers put the counts on the line of the keyword.
     let counts = if tokens.peek().is_some() {
         counts(number, &mut tokens)
     } else {
@@ -62,7 +62,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     Ok(surface)
 }
 
-/// Vertices and faces; the edges are not needed, and often left at zero.
+/// The counts of vertices and faces; that of edges is not needed and often 0.
 fn counts(number: usize, tokens: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64, u64), ReadError> {
     let mut next = || tokens.next().and_then(text::integer).and_then(|n| u64::try_from(n).ok());
     let counts = next().zip(next());
@@ -73,6 +73,6 @@ fn counts(number: usize, tokens: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64
 
 fn cut_off(what: &str, announced: u64, found: u64) -> ReadError {
     let reason =
-        format!("{announced} {what} announced, {found} found: cut off, export the scan again");
+        format!("expected {announced} {what}, found {found}: cut off, export the scan again");
     Format::Off.malformed("end of file", reason)
 }

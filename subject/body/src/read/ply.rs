@@ -1,11 +1,11 @@
-//! The polygon format of Stanford: a header in text that describes elements and their properties, then their values.
+//! Stanford PLY: a text header that describes elements and their properties, then their values.
 
 use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 use crate::Unit;
 
-/// Reads a whole file. Of the vertices, `x`, `y` and `z` are read, of any type; of the faces, `vertex_indices` or
-/// `vertex_index`; of `tristrips`, the same. All else is passed over.
+/// Reads a PLY file: `x`, `y` and `z` of the vertices in any type, `vertex_indices` or `vertex_index` of faces and of
+/// `tristrips`. Everything else is ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let header = Header::parse(bytes)?;
     let mut surface = Surface::new(Format::Ply);
@@ -20,13 +20,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     Ok(surface)
 }
 
-/// What is done with the values of an element.
+/// What the values of an element are used for.
 enum Role {
-    /// Where x, y and z stand among the properties.
+    /// Indices of x, y and z among the properties.
     Vertices([usize; 3]),
-    /// Where the list of corners stands.
+    /// Index of the list of corners.
     Faces(usize),
-    /// Where the list of a strip's corners stands; -1 begins a new strip.
+    /// Index of the list of a strip's corners; -1 begins a new strip.
     Strips(usize),
     Passed,
 }
@@ -66,7 +66,7 @@ fn elements(
     let mut row = Row::default();
     for element in &header.elements {
         let role = Role::of(element)?;
-        // Nothing stands for it, however many are announced.
+        // An element without properties occupies nothing, whatever its count.
         if element.properties.is_empty() {
             continue;
         }
@@ -78,10 +78,10 @@ fn elements(
     Ok(())
 }
 
-/// What one row holds; kept, so that rows need no memory of their own.
+/// Buffers for one row, reused for all.
 #[derive(Default)]
 struct Row {
-    /// One a property; zero in the place of a list.
+    /// One per property; zero in place of a list.
     scalars: Vec<f64>,
     corners: Vec<u32>,
 }
@@ -106,11 +106,11 @@ impl Row {
             self.scalars.push(0.0);
             if count < 0.0 || count.fract() != 0.0 {
                 return Err(
-                    Format::Ply.malformed(source.place(), "a list whose length is no whole number")
+                    Format::Ply.malformed(source.place(), "a list length that is not an integer")
                 );
             }
             self.corners.clear();
-            // The length is a claim: every item is asked for, and there is an end of bytes.
+            // The length is not trusted: every item is read, and the bytes end.
             let mut left = count;
             while left > 0.0 {
                 let value = source.value(item)?;
@@ -133,7 +133,7 @@ impl Row {
         Ok(())
     }
 
-    /// Every vertex makes a triangle with the two before it; every second one is turned.
+    /// Each vertex of a strip makes a triangle with the two before it; every second triangle is flipped.
     fn strip(
         &mut self,
         value: f64,
@@ -162,19 +162,19 @@ fn index(value: f64, source: &impl ValueSource) -> Result<u32, ReadError> {
         .malformed(source.place(), format!("expected the index of a vertex, found {value}")))
 }
 
-/// Elements of a file, and properties of an element, that are read at most; scanners write fewer than twenty.
+/// Most elements of a file and properties of an element; scanners write fewer than twenty.
 const PARTS_MAX: usize = 256;
-/// Bytes in which the header must end.
+/// Largest header in bytes.
 const LEN_MAX: usize = 1 << 20;
 
-/// How the values are written.
+/// Encoding of the values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Encoding {
     Text,
     Binary { big_endian: bool },
 }
 
-/// A type of numbers, all of which a float64 holds exactly.
+/// A scalar type; float64 holds all values of each exactly.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Scalar {
     I8,
@@ -203,7 +203,7 @@ impl Scalar {
     }
 }
 
-/// One number, or a count and as many.
+/// A scalar, or a list: a count and that many items.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum PropertyType {
     Scalar(Scalar),
@@ -219,7 +219,7 @@ struct Property {
 #[derive(Debug)]
 struct Element {
     name: String,
-    /// As announced.
+    /// As announced in the header.
     count: u64,
     properties: Vec<Property>,
 }
@@ -229,9 +229,9 @@ struct Header {
     encoding: Encoding,
     elements: Vec<Element>,
     unit: Option<Unit>,
-    /// Its bytes, with the end of its last line.
+    /// Length in bytes, its last line end included.
     len: usize,
-    /// Its lines.
+    /// Number of lines.
     n_lines: usize,
 }
 
@@ -304,7 +304,7 @@ fn property(tokens: &mut dyn Iterator<Item = &[u8]>) -> Option<Property> {
     Some(Property { name: String::from_utf8_lossy(tokens.next()?).into_owned(), kind })
 }
 
-/// The first line, and what follows its end: LF, CR LF or CR. A CR is the whole end only where no LF follows.
+/// The first line, and what follows its end: LF, CR LF or CR.
 fn split_line(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let end = bytes.iter().position(|&b| b == b'\n' || b == b'\r')?;
     let (line, rest) = bytes.split_at(end);
@@ -312,17 +312,17 @@ fn split_line(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     Some((line, rest))
 }
 
-/// Where values come from.
+/// A source of values.
 trait ValueSource {
-    /// The next value belongs to the next vertex, face or whatever.
+    /// Begins the next vertex, face or other element.
     fn begin_row(&mut self) -> Result<(), ReadError>;
     /// The next value, which takes at least one byte of the file.
     fn value(&mut self, scalar: Scalar) -> Result<f64, ReadError>;
-    /// Where the last value stood, for messages.
+    /// Position of the last value, for messages.
     fn place(&self) -> String;
 }
 
-/// A line a row, values between blanks.
+/// Text: one row per line, values separated by white space.
 struct Text<'a> {
     lines: Box<dyn Iterator<Item = (usize, &'a [u8])> + 'a>,
     line: &'a [u8],
@@ -330,7 +330,7 @@ struct Text<'a> {
 }
 
 impl<'a> Text<'a> {
-    /// Behind a header of so many lines.
+    /// Starts after a header of `n_lines` lines.
     fn new(bytes: &'a [u8], n_lines: usize) -> Self {
         let lines = text::lines(bytes).map(move |(number, line)| (number + n_lines, line));
         Self { lines: Box::new(lines), line: &[], number: n_lines }
@@ -366,16 +366,16 @@ impl ValueSource for Text<'_> {
     }
 }
 
-/// Values side by side.
+/// Binary: values without separators.
 struct Binary<'a> {
     rest: &'a [u8],
-    /// Bytes of the whole file.
+    /// Length of the whole file.
     len: usize,
     big_endian: bool,
 }
 
 impl<'a> Binary<'a> {
-    /// Behind a header of so many bytes.
+    /// Starts after a header of `header_len` bytes.
     fn new(rest: &'a [u8], header_len: usize, big_endian: bool) -> Self {
         Self { rest, len: rest.len() + header_len, big_endian }
     }

@@ -27,9 +27,7 @@ const LENGTHS_MM: RangeInclusive<f64> = 0.001..=10_000.0;
 #[non_exhaustive]
 pub enum SkeletonError {
     /// The document is too long.
-    #[error(
-        "{0} bytes, a skeleton has at most {LEN_MAX}: use the output of `mocapd subject body`"
-    )]
+    #[error("{0} bytes, a skeleton has at most {LEN_MAX}: use the output of `mocapd subject body`")]
     TooLong(usize),
     /// Not JSON, another kind of document, or a later version.
     #[error("{0}")]

@@ -17,7 +17,7 @@ use crate::topology::{find_root, union};
 #[cfg(test)]
 mod tests;
 
-/// The edge of a cube, as a part of the square root of the surface's area: some 12 mm of an adult.
+/// Edge of a voxel as a fraction of the square root of the surface area: about 12 mm of an adult.
 const STEP: f64 = 1.0 / 110.0;
 /// Layers to remove, in voxels: none, one, and two by diagonal steps. A wrist is about five thick.
 const LAYERS: [f64; 4] = [0.0, 1.0, 1.8, 2.2];
