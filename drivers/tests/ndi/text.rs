@@ -6,7 +6,7 @@ use super::script::{crc, text};
 
 #[test]
 fn the_guides_known_answers() {
-    for (request, known) in [
+    for (text, known) in [
         ("INIT:", 0xE3A5),
         ("OKAY", 0xA896),
         ("RESET", 0xBE6F),
@@ -14,7 +14,7 @@ fn the_guides_known_answers() {
         ("GETINFO:Features.Firmware.Version", 0x0492),
         ("PHSR:00", 0x20FF),
     ] {
-        assert_eq!((crc16(request.as_bytes()), crc(request.as_bytes())), (known, known), "{request}");
+        assert_eq!((crc16(text.as_bytes()), crc(text.as_bytes())), (known, known), "{text}");
     }
     assert_eq!(text("OKAY"), b"OKAYA896\r");
     assert_eq!(text("RESET"), b"RESETBE6F\r");
