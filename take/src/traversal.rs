@@ -218,9 +218,9 @@ impl Progress {
         if stretch.missing_before {
             self.report_missing(Problem::MissingBefore { row: first_row });
         }
-        let told =
+        let misplaced =
             self.losses.seek_key.filter(|key| key.offset == offset && key.first_row != first_row);
-        if let Some(IndexEntry { first_row: told, .. }) = told {
+        if let Some(IndexEntry { first_row: told, .. }) = misplaced {
             // The seek to it may have skipped rows that exist.
             self.report(Problem::IndexRow { told, found: first_row });
             self.take.damaged = true;
