@@ -1,4 +1,4 @@
-//! One photograph, from pixels to fitted wireframes: both chains, whole.
+//! The whole chain: from a photograph to fitted wireframes, by either method.
 
 use std::fmt;
 
@@ -12,22 +12,22 @@ use crate::proportions::ProportionModel;
 use crate::points::{self, FacePoints, RoughFace};
 use crate::vector::{distance, middle};
 
-/// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
+/// Most faces that are fitted, by score: a class, or a team.
 pub const FACES_MAX: usize = 64;
 
 /// Why a photograph gives no face.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoFace {
-    /// Nothing in it looks like one.
+    /// No face was detected.
     #[error(
-        "no face was found: take a photograph from in front, of one person who fills a third of its height, in even light, \
-         with 40 pixels or more between the outer corners of the eyes"
+        "no face found: photograph one person from the front, a third of the picture's height or more, in even light, \
+         with at least 40 pixels between the outer corners of the eyes"
     )]
     NotFound,
-    /// Something does, but its points make no face.
-    #[error("a face was found, but not its parts ({0}): take a sharper photograph, from in front")]
+    /// A face was detected, but its points give no wireframe.
+    #[error("found a face, but not its features ({0}): take a sharper photograph from the front")]
     NotFitted(String),
-    /// The program was built wrong.
+    /// The built-in model is damaged.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
@@ -38,17 +38,17 @@ impl NoFace {
     }
 }
 
-/// Finds the faces of a photograph and fits the wireframe to each, the surest first.
+/// Detects the faces of a photograph and fits the wireframe to each, best detection first.
 ///
 /// # Errors
-/// [`NoFace`] where none was fitted.
+/// [`NoFace`] if no face was fitted.
 pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedFace>, NoFace> {
     let model = Model::generic()?;
     let found: Vec<DetectedFace> = match method {
         Method::Default => find::faces(photo, find::SCORE_MIN),
         Method::Paper => paper::faces(photo),
     };
-    // The paper's chain has no confidence of its own: its points are held against a face's proportions.
+    // The published chain has no confidence of its own; its points are checked against the proportions of a face.
     let proportions = (method == Method::Paper).then(|| ProportionModel::of(model));
     let mut fitted = Vec::new();
     let mut why = NoFace::NotFound;
@@ -78,15 +78,15 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
     if fitted.is_empty() { Err(why) } else { Ok(fitted) }
 }
 
-/// What a chain makes of the points of a face.
+/// Result of a chain for one face.
 struct FaceFit {
     camera: Camera,
     points: Vec<Landmark>,
     vertices_mm: Vec<[f64; 3]>,
 }
 
-/// Pose, shape and depth by the shape model; what was not seen is where the model has it. So is the hairline: what is seen up
-/// there is the border of hair, and would squeeze the forehead into it.
+/// Fits pose, shape and depth by the shape model. Points that were not located take the model's place. So does the
+/// hairline: what is visible there is the edge of the hair, which would squeeze the forehead.
 fn by_default(model: &Model, found: &FacePoints) -> Result<FaceFit, NoFace> {
     let fit = model.fit_shape(&found.found(), &FitOptions::default());
     let fit = fit.map_err(NoFace::not_fitted)?;
@@ -106,8 +106,8 @@ fn by_default(model: &Model, found: &FacePoints) -> Result<FaceFit, NoFace> {
     Ok(FaceFit { camera, points, vertices_mm: adapted.vertices_mm })
 }
 
-/// The average face, turned as its outline says (Yang et al. 2004, sections 4 and 5); points that were not found are left
-/// to the others.
+/// Adapts the average face, with yaw from the outline (Yang et al. 2004, sections 4 and 5). Points that were not
+/// located are left out.
 fn by_paper(model: &Model, face: &DetectedFace, found: &FacePoints) -> Result<FaceFit, NoFace> {
     let yaw_deg = found.yaw_deg.unwrap_or(0.0);
     let corner = |ibug| {

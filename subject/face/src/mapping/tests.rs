@@ -122,7 +122,7 @@ fn mappings_are_written_and_read_and_refused() {
         ("", "no version: write \"version\": 1"),
         (r#""version": 0,"#, "no version 0 of mocapd-face-mapping: write \"version\": 1"),
         (r#""version": 2,"#, "use a newer mocapd"),
-        (r#""version": 1,"#, "`markers[1].at` is \"\": expected"),
+        (r#""version": 1,"#, "`markers[1].at` is \"\", expected"),
     ] {
         let markers = r#""markers": [{"label": "a", "at": 0}, {"label": "b", "at": ""}]"#;
         let text = format!(r#"{{"format": "mocapd-face-mapping", {head} {markers}}}"#);

@@ -1,4 +1,4 @@
-//! The file of a model (`docs/subject-face-model.md`).
+//! The model file format (`docs/subject-face-model.md`).
 
 use serde::Deserialize;
 use thiserror::Error;
@@ -8,13 +8,13 @@ use crate::shortened;
 
 const FORMAT: &str = "mocapd-face-model";
 const VERSION: u32 = 2;
-/// Far above any wireframe that is worth drawing; what the arithmetic of a fit costs grows with it.
+/// More than any wireframe needs; the cost of a fit grows with it.
 const MAX_VERTICES: usize = 20_000;
 const MAX_MODES: usize = 200;
-/// Beyond any head, and within what a fit can compute with.
+/// Beyond any head, and within what a fit can handle.
 const MAX_COORDINATE_MM: f64 = 1e7;
 
-/// Why a text is no model.
+/// Why a text is not a model.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("not a face model: {0}")]
 pub struct ModelError(String);
@@ -29,7 +29,7 @@ struct ModelFile {
     model: Model,
 }
 
-/// Reads what `subject/face/data/build/face_model.py` writes.
+/// Reads the output of `subject/face/data/build/face_model.py`.
 pub(super) fn model(text: &str) -> Result<Model, ModelError> {
     let wrong = |what: String| ModelError(shortened(&what));
     let file: ModelFile = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
@@ -46,7 +46,7 @@ pub(super) fn model(text: &str) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// What is wrong with the numbers of a model.
+/// Checks counts, indices and coordinates.
 fn check(model: &Model) -> Result<(), String> {
     let count = model.vertices.len();
     if count > MAX_VERTICES || model.triangles.len() > 2 * MAX_VERTICES {

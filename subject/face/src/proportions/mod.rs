@@ -1,9 +1,8 @@
-//! Whether points that were found feature by feature are those of one face: what contradicts the generic face's
-//! proportions, in whatever pose fits best.
+//! Check of independently located points against the proportions of the generic face, in the pose that fits best.
 //!
-//! Nothing here is learned from photographs. A proportion's expected value and its standard deviation are those of the
-//! [model](super::model): each mode at one standard deviation, and an annotator's noise. What is further off than
-//! `LIMIT_SD` is said.
+//! Nothing here is learned from photographs. The expected value and standard deviation of a proportion follow from the
+//! [model](super::model): one standard deviation of each mode, and an annotator's noise. Deviations beyond `LIMIT_SD`
+//! are reported.
 
 #[cfg(test)]
 mod tests;
@@ -14,13 +13,13 @@ use super::model::{Camera, FeatureId, FitOptions, Model};
 use super::vector::{mean, middle};
 use Noise::{Outline, Pair, Part};
 
-/// From so many standard deviations on a proportion is none of a face: one in 370 is, of each, by the model.
+/// Reporting limit in standard deviations: by the model, one face in 370 exceeds it for each proportion.
 const LIMIT_SD: f64 = 3.0;
-/// Poses that are tried: turned, and nodding, so far and in such steps (degrees).
+/// Range and step of the poses that are tried, in degrees.
 const YAW_DEG: (i32, i32) = (40, 8);
 const PITCH_DEG: (i32, i32) = (20, 5);
 
-/// What the proportions of a face are, in every pose that is tried.
+/// Expected proportions of a face in every pose that is tried.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProportionModel {
     poses: Vec<PoseExpectation>,
@@ -29,13 +28,13 @@ pub struct ProportionModel {
 /// Mean and standard deviation of each proportion in one pose.
 #[derive(Debug, Clone, PartialEq)]
 struct PoseExpectation {
-    /// Squared standard deviations that the pose itself is from one that looks ahead.
+    /// Prior cost of the pose: squared standard deviations from a frontal one.
     cost: f64,
     expected: Vec<(f64, f64)>,
 }
 
 impl ProportionModel {
-    /// From the modes of a model.
+    /// Computes the expectations from the modes of a model.
     #[must_use]
     pub fn of(model: &Model) -> Self {
         let options = FitOptions::default();
@@ -73,12 +72,13 @@ impl ProportionModel {
         Self { poses: poses.filter_map(|(yaw, pitch)| pose(yaw, pitch)).collect() }
     }
 
-    /// What of the 53 points, by [`FeatureId::index`] in pixels, contradicts the rest; nothing of a face. Each is a phrase,
-    /// lower case and without a dot: `the mouth lies 1.12 of the eyes' width below the eyes, where 0.83 is expected`.
+    /// Reports which of the 53 points (by [`FeatureId::index`], in pixels) contradict the rest; empty for a face. Each
+    /// report is a phrase, lower case, no dot: `the mouth lies 1.12 of the eyes' width below the eyes, where 0.83 is
+    /// expected`.
     #[must_use]
     pub fn contradictions(&self, points: &[[f64; 2]; FeatureId::COUNT]) -> Vec<String> {
         let Some(values) = proportions(points) else {
-            return vec!["the corners of the eyes lie in one place".to_owned()];
+            return vec!["the corners of the eyes coincide".to_owned()];
         };
         let off = |pose: &PoseExpectation| -> Vec<Deviation> {
             let each = PROPORTIONS.iter().zip(&pose.expected).zip(values);
@@ -89,7 +89,7 @@ impl ProportionModel {
             })
             .collect()
         };
-        // What is wrong counts no more than what is just wrong: the others tell the pose.
+        // A deviation beyond the limit costs no more than one at it, so the other proportions determine the pose.
         let cost = |pose: &PoseExpectation| {
             let each = off(pose).into_iter().map(|off| off.sd.abs().min(LIMIT_SD).powi(2));
             pose.cost + each.sum::<f64>()
@@ -109,31 +109,31 @@ fn measure(model: &Model, shape: &[[f64; 3]], camera: &Camera) -> Option<[f64; P
     proportions(&points)
 }
 
-/// A proportion, what it is called, and of what points it is.
+/// A proportion: its wording, the noise of its points, and how to compute it.
 struct Proportion {
-    /// `the mouth`, `lies`, `below the eyes`.
+    /// Subject, verb and relation: `the mouth`, `lies`, `below the eyes`.
     phrase: [&'static str; 3],
     noise: Noise,
     value: fn(&Upright) -> f64,
 }
 
-/// What points a proportion is of.
+/// The noise of a proportion's points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Noise {
-    /// A part as a whole, whose points err together.
+    /// A feature as a whole, whose points err together.
     Part,
-    /// Two points, each with its own error.
+    /// Two points with independent errors.
     Pair,
-    /// Outline and lips. What is found of the outline is often hair or neck, which is no matter; lips beyond it are.
+    /// Outline and lips. The located outline is often hair or neck, which is harmless; lips outside of it are not.
     Outline,
 }
 
-/// How far a proportion is off.
+/// Deviation of a proportion.
 #[derive(Debug, Clone, Copy)]
 struct Deviation {
     value: f64,
     mean: f64,
-    /// In standard deviations.
+    /// Deviation in standard deviations.
     sd: f64,
 }
 
@@ -147,7 +147,7 @@ const MOUTH: Range<usize> = 39..53;
 const MOUTH_CORNERS: [usize; 2] = [39, 45];
 const LIPS: [usize; 2] = [42, 48];
 
-/// Eyes are the measure of everything else, and the outline's width is told by hair.
+/// The eyes are the unit of all proportions. The outline's width is left out, since hair determines it.
 const PROPORTIONS: [Proportion; 11] = [
     Proportion::new(["the mouth", "lies", "below the eyes"], Part, |face| face.middle(MOUTH)[1]),
     Proportion::new(
@@ -180,7 +180,7 @@ impl Proportion {
         Self { phrase, noise, value }
     }
 
-    /// Standard deviation of its points where the face is known.
+    /// Standard deviation from the noise of its points, as a fraction of the outer interocular distance.
     fn noise_interocular(&self, options: &FitOptions) -> f64 {
         match self.noise {
             Part => options.noise_interocular,
@@ -189,13 +189,13 @@ impl Proportion {
         }
     }
 
-    /// How many standard deviations something is off; none where that is no matter.
+    /// Deviation in standard deviations; 0 if it is harmless.
     fn deviation(&self, value: f64, mean: f64, sd: f64) -> f64 {
         let off = (value - mean) / sd;
         if self.noise == Outline { off.min(0.0) } else { off }
     }
 
-    /// `the mouth lies 1.12 of the eyes' width below the eyes, where 0.83 is expected`.
+    /// The report, such as `the mouth lies 1.12 of the eyes' width below the eyes, where 0.83 is expected`.
     fn message(&self, off: &Deviation) -> String {
         let [subject, verb, below] = self.phrase;
         let Deviation { value, mean, .. } = off;
@@ -205,16 +205,16 @@ impl Proportion {
     }
 }
 
-/// All of them; nothing where the eyes are in one place.
+/// All proportions of a face; none if the eyes coincide.
 fn proportions(points: &[[f64; 2]; FeatureId::COUNT]) -> Option<[f64; PROPORTIONS.len()]> {
     let face = Upright::new(points)?;
     let values = PROPORTIONS.map(|proportion| (proportion.value)(&face));
     values.iter().all(|value| value.is_finite()).then_some(values)
 }
 
-/// A face with its eyes level, 1 apart.
+/// A face rotated upright and scaled to an outer interocular distance of 1.
 struct Upright {
-    /// To the right of the picture, and down, from the middle of the outer eye corners.
+    /// x to the right of the picture, y down, from the midpoint of the outer eye corners.
     at: [[f64; 2]; FeatureId::COUNT],
 }
 
