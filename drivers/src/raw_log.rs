@@ -11,7 +11,7 @@ pub const MAGIC: [u8; 8] = *b"\x89MRL\r\n\x1a\n";
 pub const VERSION: u8 = 1;
 
 /// Bytes of the file header: magic number and version.
-pub const HEAD_BYTES: usize = MAGIC.len() + 1;
+pub const HEADER_BYTES: usize = MAGIC.len() + 1;
 
 /// Bytes around every payload: type, time, length and checksum.
 pub const RECORD_OVERHEAD_BYTES: usize = 1 + 8 + 4 + 4;
@@ -147,7 +147,7 @@ pub struct Records<'a> {
 pub fn records(log: &[u8]) -> Result<Records<'_>, RawLogError> {
     let rest = log.strip_prefix(&MAGIC[..]).ok_or(RawLogError::NotALog)?;
     match rest.first() {
-        Some(&VERSION) => Ok(Records { log, offset: HEAD_BYTES, ended: false }),
+        Some(&VERSION) => Ok(Records { log, offset: HEADER_BYTES, ended: false }),
         Some(&found) => Err(RawLogError::Version { found }),
         None => Err(RawLogError::CutOff { offset: MAGIC.len() }),
     }
@@ -229,7 +229,7 @@ mod tests {
         let (log, expected) = sample_log();
         let found: Result<Vec<_>, _> = records(&log).unwrap().collect();
         assert_eq!(found.unwrap(), expected);
-        assert_eq!(log.len(), HEAD_BYTES + 9 * RECORD_OVERHEAD_BYTES + 11 + 3 + 4 + 300 + 8);
+        assert_eq!(log.len(), HEADER_BYTES + 9 * RECORD_OVERHEAD_BYTES + 11 + 3 + 4 + 300 + 8);
     }
 
     #[test]
