@@ -1,18 +1,18 @@
-//! How a command ended, and the one place where that becomes an exit code.
+//! How a command ended, and its exit code.
 
 use std::{fmt, process::ExitCode};
 
-/// A command that did what it was asked.
+/// The result of a command that ran to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// Nothing was lost.
     Done,
-    /// Done, but data was lost; what was lost has been said.
+    /// Done, but data was lost; the command has already reported which.
     DataLost,
 }
 
 impl Outcome {
-    /// `DataLost` when `lost`.
+    /// `DataLost` if `lost`, else `Done`.
     #[must_use]
     pub fn of(lost: bool) -> Self {
         if lost { Self::DataLost } else { Self::Done }
@@ -25,7 +25,7 @@ impl Outcome {
     }
 }
 
-/// An argument that cannot be meant: exit code 2 instead of 1.
+/// An invalid argument: exit code 2 instead of 1.
 #[derive(Debug)]
 pub struct UsageError(pub String);
 
@@ -37,7 +37,7 @@ impl fmt::Display for UsageError {
 
 impl std::error::Error for UsageError {}
 
-/// What was asked for was done, and data was lost: exit code 3 instead of 1.
+/// The command was carried out, but data was lost: exit code 3 instead of 1.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct DataLostError(pub String);

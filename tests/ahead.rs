@@ -2,7 +2,7 @@
 
 use std::{fs::File, io::BufReader};
 
-use mocapd::ahead::Ahead;
+use mocapd::parallel_frames::ParallelFrames;
 use mocapd_take::{
     TakeFrames,
     motion::{FrameSource, GAP, Position, is_gap},
@@ -31,31 +31,33 @@ fn several_threads_find_what_one_does() {
         std::fs::write(&path, take).unwrap();
         let open = || TakeFrames::open(BufReader::new(File::open(&path).unwrap())).unwrap();
         let mut one = open();
-        let mut ahead = Ahead::start(&path, &open(), 0, 3).unwrap().expect("a take without a flaw");
-        assert_eq!(ahead.info(), one.info());
+        let mut parallel =
+            ParallelFrames::start(&path, &open(), 0, 3).unwrap().expect("an intact take");
+        assert_eq!(parallel.info(), one.info());
         let mut rows = [vec![GAP; motion.info.markers.len()], vec![GAP; motion.info.markers.len()]];
         let [mine, its] = &mut rows;
         let mut n_present = 0;
         for index in 0..one.info().n_frames {
-            assert!(one.next_frame(mine).unwrap() && ahead.next_frame(its).unwrap());
+            assert!(one.next_frame(mine).unwrap() && parallel.next_frame(its).unwrap());
             let same = mine.iter().zip(&*its).all(|(&a, &b)| bits(a) == bits(b));
             assert!(same, "{name}: frame {index}");
             n_present += mine.iter().filter(|&&position| !is_gap(position)).count();
         }
-        assert!(!ahead.next_frame(its).unwrap() && !ahead.has_flaw());
+        assert!(!parallel.next_frame(its).unwrap() && !parallel.is_damaged());
         // From the middle on: at a key, behind one, and in the rows that were lost.
         for first in [n as u64 / 3, n as u64 / 2 + 50, n as u64 - 1] {
             let mut whole = open();
             whole.seek(first).unwrap();
-            let mut ahead = Ahead::start(&path, &open(), first, 2).unwrap().expect("no flaw");
+            let mut parallel =
+                ParallelFrames::start(&path, &open(), first, 2).unwrap().expect("an intact take");
             while whole.next_frame(mine).unwrap() {
-                assert!(ahead.next_frame(its).unwrap());
+                assert!(parallel.next_frame(its).unwrap());
                 assert!(
                     mine.iter().zip(&*its).all(|(&a, &b)| bits(a) == bits(b)),
                     "{name}: from {first}"
                 );
             }
-            assert!(!ahead.next_frame(its).unwrap());
+            assert!(!parallel.next_frame(its).unwrap());
         }
         assert!(n_present > motion.positions_mm.len() / 2, "{name}: {n_present}");
     }

@@ -1,4 +1,4 @@
-//! Frames that are lost to damage, as JSON and as words, the same for `info`, `verify` and `recover`.
+//! Frames lost to damage, as JSON and as text, for `info`, `verify` and `recover`.
 
 use std::{fmt::Write, path::Path};
 
@@ -11,8 +11,8 @@ use super::{
     values::{count, thousands},
 };
 
-/// Ranges that are told one by one; more of them are summed up.
-const TOLD_MAX: usize = 20;
+/// Most ranges that are listed; the rest are summed up in one line.
+const SHOWN_MAX: usize = 20;
 
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct DamageReport {
@@ -34,7 +34,7 @@ impl DamageReport {
         lost.iter().map(report).collect()
     }
 
-    fn words(&self) -> String {
+    fn text(&self) -> String {
         let Self { first_frame, frames, cause } = self;
         let last = first_frame.saturating_add(frames.saturating_sub(1));
         match frames {
@@ -49,26 +49,26 @@ impl DamageReport {
     }
 }
 
-/// Whether a recovery makes a better take of it.
+/// Whether `recover` would produce a better take.
 pub(crate) fn is_recoverable(summary: &Summary) -> bool {
     !summary.take.problems.is_empty()
 }
 
-/// How.
+/// The hint to recover a damaged take.
 pub(crate) fn recoverable(take: &Path) -> String {
     let name = take.display();
-    format!("{name}: `mocapd recover {name} -o NEW.take` makes a whole take of what is there")
+    format!("{name}: `mocapd recover {name} -o NEW.take` writes a new take from what can be read")
 }
 
-/// That a take of which nothing is known to be lost may lack what came after its end.
+/// The warning that a take without known losses ended before the motion did.
 pub(crate) fn ended_early(take: &Path, ending: &str) -> String {
-    format!("{}: it ended early ({ending}): what came then is not in it", take.display())
+    format!("{}: the recording ended early ({ending}): later frames are missing", take.display())
 }
 
-/// Which frames are lost, a line each.
+/// The lost ranges, one line each.
 pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
-    let mut lines: Vec<String> = damage.iter().take(TOLD_MAX).map(DamageReport::words).collect();
-    if let Some(more) = damage.get(TOLD_MAX..).filter(|more| !more.is_empty()) {
+    let mut lines: Vec<String> = damage.iter().take(SHOWN_MAX).map(DamageReport::text).collect();
+    if let Some(more) = damage.get(SHOWN_MAX..).filter(|more| !more.is_empty()) {
         let frames = more.iter().map(|damage| damage.frames).sum();
         lines.push(format!(
             "{} more, {}",
@@ -79,7 +79,7 @@ pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
     lines
 }
 
-/// How many frames each marker lost, markers of the same number together; empty when none lost any.
+/// Frames lost by each marker, markers with equal losses on one line; empty if no marker lost any.
 pub(crate) fn by_marker(markers: &[(&str, u64)]) -> String {
     let mut groups: Vec<(u64, Vec<&str>)> = Vec::new();
     for &(label, frames) in markers {
@@ -91,12 +91,12 @@ pub(crate) fn by_marker(markers: &[(&str, u64)]) -> String {
     let whole = groups.len() == 1;
     let mut out = String::new();
     for (frames, labels) in groups.iter().filter(|(frames, _)| *frames > 0) {
-        let who = match labels.as_slice() {
+        let markers = match labels.as_slice() {
             [label] => plain(label).into_owned(),
             labels if whole => format!("each of {}", count(labels.len() as u64, "marker")),
             labels => plain(&labels.join(", ")).into_owned(),
         };
-        writeln!(out, "  {:>15} lost to damage: {who}", count(*frames, "frame")).ok();
+        writeln!(out, "  {:>15} lost to damage: {markers}", count(*frames, "frame")).ok();
     }
     out
 }
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn markers_that_lost_the_same_stand_together() {
+    fn markers_with_equal_losses_share_a_line() {
         let markers = [("a", 30), ("b", 30), ("c", 0), ("d", 7)];
         assert_eq!(
             by_marker(&markers),

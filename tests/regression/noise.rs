@@ -2,8 +2,8 @@
 
 use mocapd_codec::Settings;
 use mocapd_report::{
-    coded::Coded,
-    plot::{MarkerQuality, Quality},
+    dedecoded::DecodedTake,
+    plot::{MarkerQuality, QualityPlot},
 };
 use mocapd_service::control::Control;
 use mocapd_take::motion::Motion;
@@ -56,10 +56,10 @@ fn shown(
     original: Option<(&Motion, Option<Settings>)>,
 ) -> Vec<Option<f64>> {
     let take = record(motion, &config(motion, settings), 0..motion.n_frames()).1;
-    let coded = Coded::read(&take[..]).unwrap();
-    let all = MarkerQuality::all(&Quality {
+    let decoded = DecodedTake::read(&take[..]).unwrap();
+    let all = MarkerQuality::all(&QualityPlot {
         name: "noisy",
-        coded: &coded,
+        take: &decoded,
         original: original.map(|(motion, _)| motion),
         original_settings: original.and_then(|(_, settings)| settings),
     });

@@ -1,4 +1,4 @@
-//! What `info` says, as docs/json.md has it.
+//! The report of `info`, documented in docs/json.md.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ use crate::cli::{
 };
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct InfoReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     pub(super) take: PathBuf,
     pub(super) finished: bool,
@@ -41,7 +41,7 @@ pub(super) struct Report {
     pub(super) tolerance_mm: f64,
     pub(super) up_axis: Option<&'static str>,
     pub(super) device: Option<Device>,
-    pub(super) source: Option<SourceReport>,
+    pub(super) source: Option<ImportSourceReport>,
     pub(super) subject: Option<SubjectReport>,
     pub(super) foreign_parts: Vec<ForeignReport>,
     pub(super) frames: u64,
@@ -65,11 +65,12 @@ pub(super) struct Report {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct SourceReport {
+pub(super) struct ImportSourceReport {
     #[serde(flatten)]
     pub(super) file: ImportSource,
-    /// What was given as the unit instead, and as what is up.
+    /// The value of `import --unit`, if given.
     pub(super) unit_given: Option<String>,
+    /// The value of `import --up`, if given.
     pub(super) up_given: Option<String>,
 }
 
@@ -99,7 +100,7 @@ pub(super) struct ChannelReport {
     pub(super) frames_damaged: u64,
 }
 
-impl Report {
+impl InfoReport {
     pub(super) fn new(take: &Path, summary: &Summary, file_bytes: u64) -> Self {
         let header = &summary.take.header;
         let channels = summary.take.channels.iter().zip(&summary.per_channel);
@@ -122,7 +123,7 @@ impl Report {
             tolerance_mm: header.tolerance_mm,
             up_axis: header.up_axis.name(),
             device: header.device.clone(),
-            source: header.source.clone().map(|file| SourceReport {
+            source: header.source.clone().map(|file| ImportSourceReport {
                 file,
                 unit_given: given.unit.map(|unit| unit.to_string()),
                 up_given: given.up.map(|up| up.to_string()),
@@ -173,29 +174,29 @@ impl Report {
         }
     }
 
-    /// Frames in the take, by its ledger; the last one of a take that was cut off counts fewer than there are.
+    /// Recorded frames, by the final ledger; `None` for a take that was cut off, whose last ledger may count too few.
     pub(super) fn frames_recorded(&self) -> Option<u64> {
         self.ledger.as_ref().filter(|_| self.finished).map(|ledger| ledger.recorded)
     }
 
-    /// What was lost before it reached the take, in one line.
+    /// Frames and samples lost before they reached the take, in one line.
     pub(super) fn losses(&self) -> Option<String> {
         ledger::losses(self.ledger.as_ref()?)
     }
 
-    /// Why its ledger does not close, in one line.
+    /// Why the ledger does not close, in one line.
     pub(super) fn not_closing(&self) -> Option<String> {
         ledger::not_closing(self.ledger.as_ref()?)
     }
 }
 
-/// More about how it ended, where there is more.
+/// Details of why the take ended, if it states any.
 fn detail(summary: &Summary) -> Option<String> {
     let detail = &summary.take.ending.as_ref()?.detail;
     (!detail.is_empty()).then(|| detail.clone())
 }
 
-/// When the take was begun, where that is known: an import has no time of its own.
+/// When the recording began; `None` for an import.
 fn created_unix_ms(header: &Header) -> Option<i64> {
     Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)
 }
@@ -204,8 +205,8 @@ fn utc(unix_ms: i64) -> Option<String> {
     Some(jiff::Timestamp::from_millisecond(unix_ms).ok()?.to_string())
 }
 
-/// What its recoveries say, where it was recovered.
+/// The remarks of all recoveries of the take; `None` if it was never recovered.
 fn recovered(header: &Header) -> Option<String> {
-    let told = header.settings.iter().filter(|(key, _)| key == RECOVERED);
-    told.map(|(_, words)| words.clone()).reduce(|all, next| format!("{all}; again {next}"))
+    let remarks = header.settings.iter().filter(|(key, _)| key == RECOVERED);
+    remarks.map(|(_, text)| text.clone()).reduce(|all, next| format!("{all}; again {next}"))
 }

@@ -1,4 +1,4 @@
-//! What `record` says when it is done, as docs/json.md has it, and for people.
+//! The report of `record`, as JSON (docs/json.md) and as text.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use crate::cli::{
 };
 
 #[derive(Debug, Serialize)]
-pub(crate) struct Report {
+pub(crate) struct RecordReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     ending: &'static str,
@@ -60,7 +60,7 @@ pub(crate) struct ProcessReport {
     pub(crate) peak_memory_bytes: u64,
 }
 
-impl Report {
+impl RecordReport {
     pub(crate) fn new(take: &Path, recorded: &Recorded, codec: &Settings) -> Self {
         let written = &recorded.written;
         let latency = &recorded.recording.ring_latency;
@@ -107,42 +107,42 @@ impl Report {
         }
     }
 
-    /// With what came of the log of the line.
+    /// Adds the report of the raw log.
     pub(super) fn with_log(self, raw_log: Option<RawLogReport>) -> Self {
         Self { raw_log, ..self }
     }
 
-    /// Whether that has less than the line had.
+    /// Whether the raw log lacks bytes of the line.
     pub(super) fn log_lost(&self) -> bool {
         self.raw_log.as_ref().is_some_and(RawLogReport::lost)
     }
 
-    /// What was lost, in one line.
+    /// What was lost, by cause and in one line.
     pub(crate) fn losses(&self) -> Option<String> {
         ledger::losses(&self.ledger)
     }
 
-    /// Why its ledger does not close, in one line.
+    /// Why the ledger does not close, in one line.
     pub(crate) fn not_closing(&self) -> Option<String> {
         ledger::not_closing(&self.ledger)
     }
 
-    /// Why the take ended.
+    /// The warning that the take ended because the disk is full.
     pub(crate) fn disk_full(&self) -> String {
         let free = self.disk.free_bytes.map_or("little".to_owned(), bytes);
         format!(
-            "the disk is nearly full ({free} left): the take ends here, and is whole; delete something before the next"
+            "the disk is nearly full ({free} left): the take was closed early and is intact; free some space before the next"
         )
     }
 
-    /// How long the device was away.
+    /// The outages of the device, in one line.
     pub(crate) fn outages(&self) -> Option<String> {
-        self.outages.words()
+        self.outages.text()
     }
 
-    /// Those without a name are announced by no device: they come as they appear, and may come again under
-    /// another number.
-    fn markers_in_words(&self) -> String {
+    /// The number of markers. Unlabelled markers are not announced: they appear during the recording, and the same one
+    /// may reappear under another number.
+    fn markers_text(&self) -> String {
         let announced = count(self.markers as u64, "marker");
         match self.markers_appeared {
             0 => announced,
@@ -150,17 +150,17 @@ impl Report {
         }
     }
 
-    pub(crate) fn words(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         format!(
             "{}: {} of {} at {} Hz, {}\n{}{}{}",
-            shown(&self.take),
+            plain_path(&self.take),
             frames_of(self.frames, self.ledger.frames_sent),
-            self.markers_in_words(),
+            self.markers_text(),
             self.rate_hz,
-            self.size.words(),
-            self.raw_log.as_ref().map(RawLogReport::words).unwrap_or_default(),
-            ledger::words(&self.ledger),
-            self.clock.as_ref().map(ClockReport::words).unwrap_or_default()
+            self.size.text(),
+            self.raw_log.as_ref().map(RawLogReport::text).unwrap_or_default(),
+            ledger::text(&self.ledger),
+            self.clock.as_ref().map(ClockReport::text).unwrap_or_default()
         )
     }
 }

@@ -1,4 +1,4 @@
-//! What `recover` says, as docs/json.md has it, and for people.
+//! The report of `recover`, as JSON (docs/json.md) and as text.
 
 use std::{fmt::Write, path::PathBuf};
 
@@ -14,7 +14,7 @@ use crate::cli::{
 };
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct RecoverReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
@@ -28,7 +28,7 @@ pub(super) struct Report {
     frames_damaged: u64,
     samples: u64,
     damage: Vec<DamageReport>,
-    markers: Vec<MarkerReport>,
+    markers: Vec<RecoveredMarkerReport>,
     take_bytes: u64,
     discarded_bytes: u64,
     output_bytes: u64,
@@ -43,16 +43,16 @@ struct ChunkReport {
 }
 
 #[derive(Debug, Serialize)]
-struct MarkerReport {
+struct RecoveredMarkerReport {
     label: String,
     samples: u64,
     frames_damaged: u64,
 }
 
-impl Report {
+impl RecoverReport {
     pub(super) fn new(
         args: &Args,
-        survey: &Survey,
+        scan: &Survey,
         problems: Vec<String>,
         take_bytes: u64,
         output_bytes: u64,
@@ -63,30 +63,30 @@ impl Report {
             discarded: count.discarded,
         };
         let there = |count: &&KindCount| count.recovered + count.discarded > 0;
-        let markers = survey.channels.iter().zip(&survey.per_channel);
+        let markers = scan.channels.iter().zip(&scan.per_channel);
         Self {
             take: args.take.clone(),
             output: args.output.clone(),
-            lost: survey.lost_anything(),
-            finished: survey.finished,
+            lost: scan.lost_anything(),
+            finished: scan.finished,
             problems,
-            chunks: survey.kinds.iter().filter(there).map(chunk).collect(),
-            frames: survey.rows,
-            frames_recovered: survey.recorded,
-            frames_damaged: survey.rows_damaged(),
-            samples: survey.per_channel.iter().map(|channel| channel.samples).sum(),
-            damage: DamageReport::all(&survey.damage),
+            chunks: scan.kinds.iter().filter(there).map(chunk).collect(),
+            frames: scan.rows,
+            frames_recovered: scan.recorded,
+            frames_damaged: scan.rows_damaged(),
+            samples: scan.per_channel.iter().map(|channel| channel.samples).sum(),
+            damage: DamageReport::all(&scan.damage),
             markers: markers
-                .map(|(channel, found)| MarkerReport {
+                .map(|(channel, found)| RecoveredMarkerReport {
                     label: channel.label.clone(),
                     samples: found.samples,
                     frames_damaged: found.rows_damaged,
                 })
                 .collect(),
             take_bytes,
-            discarded_bytes: survey.discarded_bytes,
+            discarded_bytes: scan.discarded_bytes,
             output_bytes,
-            ledger: LedgerDocument::from(&survey.ledger),
+            ledger: LedgerDocument::from(&scan.ledger),
         }
     }
 
@@ -94,7 +94,7 @@ impl Report {
         &self.problems
     }
 
-    pub(super) fn words(&self) -> String {
+    pub(super) fn text(&self) -> String {
         let mut out = format!(
             "{}: {} of {}, {}, {} of the {} read\n",
             plain(&self.output.display().to_string()),

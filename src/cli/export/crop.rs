@@ -1,4 +1,4 @@
-//! The frames of a take from one time to another.
+//! `--from` and `--to`: the frames of a take within a range of time.
 
 use std::{
     io,
@@ -17,43 +17,43 @@ use mocapd_take::{
     motion::{FrameSource, MotionInfo, Position, frame_at},
 };
 
-/// Most lost frames that are written unasked into a file that has fewer others: four hours at 1000 Hz. The
-/// few bytes that a loss takes can claim as many frames as fill a disk with gaps.
+/// Most lost frames that are exported without `--to` if the take has fewer recorded ones: four hours at 1000 Hz. A loss
+/// takes a few bytes in a take, but may state so many frames that their gaps would fill the disk.
 const LOST_UNASKED_MAX: u64 = 1 << 24;
 
-/// What is left of a source between two times, counted as it is read.
-pub(super) struct Part<'a> {
+/// The next frames of a source, up to the end of a range; counts them as they are read.
+pub(super) struct CroppedFrames<'a> {
     frames: &'a mut dyn FrameSource,
     info: MotionInfo,
     left: u64,
     counter: Arc<AtomicU64>,
 }
 
-/// The frames of a take at or after `from` and before `to`; `n_held` of all lie in its stretches.
+/// The frames of a take at or after `from` and before `to`; its stretches hold `n_held` frames.
 ///
 /// # Errors
-/// That there are no frames at all; a usage error when there are none between the times, or, without `to`, hours of
-/// lost ones and fewer others.
+/// If the take has no frames; a usage error if none is in the range, or if `to` is missing and lost frames outnumber
+/// both the recorded ones and [`LOST_UNASKED_MAX`].
 pub(super) fn range(
     info: &MotionInfo,
     n_held: u64,
     from: Option<Duration>,
     to: Option<Duration>,
 ) -> anyhow::Result<Range<u64>> {
-    ensure!(info.n_frames > 0, "the take holds no frames: there is nothing to export");
+    ensure!(info.n_frames > 0, "the take has no frames: nothing to export");
     let first = from.map_or(0, |time| frame_at(time, info.rate_hz));
     let end = to.map_or(info.n_frames, |time| frame_at(time, info.rate_hz)).min(info.n_frames);
     if first >= end {
         let length_s = info.n_frames as f64 / info.rate_hz;
         return Err(UsageError(format!(
-            "no frames there: the take is {length_s:.3} s long, so give a --from below that and a --to above it"
+            "no frames between --from and --to: the take is {length_s:.3} s long"
         ))
         .into());
     }
     let lost = info.n_frames.saturating_sub(n_held);
     if to.is_none() && lost > LOST_UNASKED_MAX.max(n_held) {
         return Err(UsageError(format!(
-            "{lost} of the {} frames hold nothing, and each would be a row of gaps: give a --to, the time up to which to write",
+            "{lost} of the {} frames are empty, and each would be a row of gaps: give --to to limit the export",
             info.n_frames
         ))
         .into());
@@ -61,8 +61,8 @@ pub(super) fn range(
     Ok(first..end)
 }
 
-impl<'a> Part<'a> {
-    /// The frames of a range, of a source that gives the first of them next.
+impl<'a> CroppedFrames<'a> {
+    /// The frames of `range`; the next frame of the source must be the first of them.
     pub(super) fn new(
         frames: &'a mut dyn FrameSource,
         range: &Range<u64>,
@@ -74,7 +74,7 @@ impl<'a> Part<'a> {
     }
 }
 
-impl FrameSource for Part<'_> {
+impl FrameSource for CroppedFrames<'_> {
     fn info(&self) -> &MotionInfo {
         &self.info
     }
@@ -107,7 +107,7 @@ mod tests {
 
     use super::*;
 
-    /// A take of 600 empty rows, and as many behind so many lost ones.
+    /// A take of 600 empty rows, `lost` lost ones, and 600 more empty rows.
     fn take(lost: u64) -> Vec<u8> {
         let mut header = Header {
             software: String::new(),
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn hours_of_nothing_are_written_when_asked_for() {
+    fn hours_of_lost_frames_are_exported_only_with_an_end() {
         let part = |lost: u64, to_s: Option<u64>| {
             let frames = TakeFrames::open(Cursor::new(take(lost))).unwrap();
             range(
@@ -156,7 +156,7 @@ mod tests {
         assert_eq!(part(LOST_UNASKED_MAX - 1200, None), Ok(LOST_UNASKED_MAX));
         let refused = part(1 << 31, None).unwrap_err();
         assert!(
-            refused.starts_with("2147484848 of the 2147484848 frames hold nothing"),
+            refused.starts_with("2147484848 of the 2147484848 frames are empty"),
             "{refused}"
         );
         assert_eq!(part(1 << 31, Some(10)), Ok(600));

@@ -1,4 +1,4 @@
-//! The service's answers for people.
+//! The service's answers as text.
 
 use std::fmt::Write;
 
@@ -25,10 +25,10 @@ pub(super) fn state(state: State) -> &'static str {
     }
 }
 
-/// A few lines.
+/// The status, one line each for state, device, input, pre-roll, take and disk.
 pub(super) fn status(status: &Status) -> String {
     let mut out = format!("{}: {}\n", plain(&status.rig), line(status));
-    // Writing into a string cannot fail, here and below.
+    // Writing to a string does not fail, here and below.
     if let Some(failure) = &status.failure {
         writeln!(out, "  {}", plain(failure)).ok();
     }
@@ -45,12 +45,12 @@ pub(super) fn status(status: &Status) -> String {
     let lost = thousands(input.lost);
     writeln!(
         out,
-        "  input     {}, {lost} lost since it was armed, {:.1} Hz",
+        "  input     {}, {lost} lost since arming, {:.1} Hz",
         count(input.frames, "frame"),
         input.measured_hz
     )
     .ok();
-    let cut = if pre_roll.is_cut { ", cut by its bound on memory" } else { "" };
+    let cut = if pre_roll.is_cut { ", limited by arm.memory_max" } else { "" };
     let (held, wanted) = (pre_roll.held_s, pre_roll.wanted_s);
     writeln!(out, "  pre-roll  {held:.1} s of {wanted} s{cut}").ok();
     if let Some(take) = &status.take {
@@ -85,7 +85,7 @@ pub(super) fn status(status: &Status) -> String {
     out
 }
 
-/// One line.
+/// The state in one line.
 pub(super) fn line(status: &Status) -> String {
     let now = match &status.take {
         Some(take) => {
@@ -100,15 +100,15 @@ pub(super) fn line(status: &Status) -> String {
     }
 }
 
-/// One line of `status --watch`: with what can go wrong next while a device runs.
-pub(super) fn watched(status: &Status) -> String {
+/// One line of `status --watch`: while a device runs, also its losses, rate and pre-roll, and the disk.
+pub(super) fn watch_line(status: &Status) -> String {
     let mut out = line(status);
     if !matches!(status.state, State::Armed | State::Recording) {
         return out;
     }
     let (input, pre_roll) = (&status.input, &status.pre_roll);
     if status.take.is_none() {
-        out += &format!(", {} lost since it was armed", thousands(input.lost));
+        out += &format!(", {} lost since arming", thousands(input.lost));
     }
     out += &format!(", {:.1} Hz", input.measured_hz);
     if pre_roll.wanted_s > 0.0 {
@@ -117,9 +117,9 @@ pub(super) fn watched(status: &Status) -> String {
     out + &format!(", disk {}", disk(status))
 }
 
-/// What is free, and for how long that is enough.
+/// Free disk space, and how long it lasts.
 fn disk(status: &Status) -> String {
-    // What is not known lasts for a time that is not known either; the end of a full disk is what a take has reserved.
+    // On a full disk a take still has its reserve, so the remaining time would be wrong.
     let Some(free_bytes) = status.disk.free_bytes else { return "unknown free".to_owned() };
     let free = bytes(free_bytes);
     let left = status.disk.left_s.filter(|_| free_bytes > 0);
@@ -127,14 +127,13 @@ fn disk(status: &Status) -> String {
     format!("{free} free{}", left.unwrap_or_default())
 }
 
-/// That nothing which happens now is recorded, since when, what it costs, and how it goes on: before everything else
-/// on its line.
+/// The warning that no frames arrive: since when, how many are missing, and what happens next. It begins the line.
 fn without_device(status: &Status) -> Option<String> {
     let device = &status.device;
     let Some(outage) = device.outage else {
         return match status.state {
             State::Idle if device.is_awaited => {
-                Some("NO DEVICE, armed as soon as it is there".to_owned())
+                Some("NO DEVICE, arms when it is connected".to_owned())
             }
             State::Failed if device.presence == Presence::Absent => Some("NO DEVICE".to_owned()),
             _ => None,
@@ -150,7 +149,7 @@ fn without_device(status: &Status) -> Option<String> {
             ends.unwrap_or_default()
         );
     } else {
-        out += ", nothing can be recorded before it is back";
+        out += ", nothing can be recorded until it is back";
     }
     Some(out)
 }
@@ -192,7 +191,7 @@ pub(super) fn takes(takes: &[TakeSummary]) -> String {
     out
 }
 
-/// Why a take ended, and nothing where that is unknown.
+/// Why a take ended; empty if that is unknown.
 fn ended(take: &TakeSummary) -> String {
     let detail = match take.ending_detail.as_str() {
         "" => String::new(),
@@ -201,7 +200,7 @@ fn ended(take: &TakeSummary) -> String {
     take.ending.map_or_else(String::new, |ending| format!("  ({ending}{detail})"))
 }
 
-/// In the time zone of this machine, to the second.
+/// A time in the local time zone, to the second.
 pub(super) fn time(unix_ms: i64) -> String {
     units::local_time(unix_ms).unwrap_or_else(|| "?".to_owned())
 }
@@ -213,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn losses_are_told_by_cause() {
+    fn losses_are_listed_by_cause() {
         assert_eq!(losses(&LedgerDocument { duplicates: 4, ..LedgerDocument::default() }), None);
         let ledger =
             LedgerDocument { lost_on_link: 1, markers_dropped: 1200, ..LedgerDocument::default() };
@@ -226,8 +225,8 @@ mod tests {
     #[test]
     fn hostile_names_stay_on_their_lines() {
         let take = TakeSummary { name: "a\nb\x1b[2J".to_owned(), ..TakeSummary::default() };
-        let said = takes(&[take]);
-        assert_eq!(said.lines().count(), 1);
-        assert!(!said.contains('\x1b') && said.starts_with(&time(0)), "{said}");
+        let text = takes(&[take]);
+        assert_eq!(text.lines().count(), 1);
+        assert!(!text.contains('\x1b') && text.starts_with(&time(0)), "{text}");
     }
 }

@@ -1,10 +1,10 @@
-//! What `info` says, for people.
+//! The report of `info` as text.
 
 use std::fmt::Write;
 
 use mocapd_service::units;
 
-use super::{LABEL_COLUMNS_MAX, report::Report};
+use super::{LABEL_COLUMNS_MAX, report::InfoReport};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
@@ -12,8 +12,8 @@ use crate::cli::{
     values::{bytes, count, frames_of, thousands},
 };
 
-/// A paragraph of facts, the ledger, and a table of the markers.
-pub(super) fn words(report: &Report) -> String {
+/// The whole report: a list of facts, the ledger, the clock and a table of the markers.
+pub(super) fn text(report: &InfoReport) -> String {
     let mut out = String::new();
     let mut line = |name: &str, value: &str| {
         writeln!(out, "{name:<10} {}", plain(value)).ok();
@@ -28,14 +28,14 @@ pub(super) fn words(report: &Report) -> String {
     line("health", &health(report));
     origin(report, &mut line);
     if let Some(subject) = &report.subject {
-        subject.words(&mut line);
+        subject.lines(&mut line);
     }
     motion(report, &mut line);
     size(report, &mut line);
     for lost in damage::lines(&report.damage) {
         line("lost", &lost);
     }
-    // Frames are numbered as in the file that was imported, and in what is exported.
+    // Frames are numbered as in the imported file, and as in exports.
     let first_frame = report.source.as_ref().map_or(0, |source| source.file.first_frame);
     for event in &report.events {
         let frame = thousands(first_frame.saturating_add(event.frame));
@@ -44,18 +44,18 @@ pub(super) fn words(report: &Report) -> String {
         line("event", &what);
     }
     if let Some(document) = &report.ledger {
-        let words = match report.source {
-            Some(_) => ledger::words_of_import(document),
-            None => ledger::words(document),
+        let text = match report.source {
+            Some(_) => ledger::import_text(document),
+            None => ledger::text(document),
         };
-        out.push_str(&words);
+        out.push_str(&text);
     }
-    if let Some(outages) = report.outages.words() {
+    if let Some(outages) = report.outages.text() {
         writeln!(out, "{:<10} {outages}", "outages").ok();
     }
-    let by_ledger = || report.ledger.as_ref().and_then(ledger::clock_words);
+    let by_ledger = || report.ledger.as_ref().and_then(ledger::clock_text);
     out.push_str(
-        &report.clock.as_ref().map(ClockReport::words).or_else(by_ledger).unwrap_or_default(),
+        &report.clock.as_ref().map(ClockReport::text).or_else(by_ledger).unwrap_or_default(),
     );
     markers(report, &mut out);
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
@@ -63,11 +63,11 @@ pub(super) fn words(report: &Report) -> String {
     out
 }
 
-/// How it is and how it ended.
-fn health(report: &Report) -> String {
+/// The health of the take and how it ended.
+fn health(report: &InfoReport) -> String {
     let mut out = report.health.word().to_owned();
     if let Some(ending) = report.ending {
-        out += &format!("; it ended: {ending}");
+        out += &format!("; ended: {ending}");
     }
     if let Some(detail) = &report.ending_detail {
         out += &format!(" ({detail})");
@@ -75,7 +75,7 @@ fn health(report: &Report) -> String {
     out
 }
 
-fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
+fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     if let Some(device) = &report.device {
         let firmware = if device.firmware.is_empty() {
             String::new()
@@ -95,7 +95,7 @@ fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
             unit += &format!(", read as {given}");
         }
         if let Some(given) = &source.up_given {
-            unit += &format!(", {given} up as given");
+            unit += &format!(", {given} up (--up)");
         }
         let file_line = format!(
             "{} ({}, {unit}, first frame {})",
@@ -111,7 +111,7 @@ fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
     }
 }
 
-fn motion(report: &Report, line: &mut impl FnMut(&str, &str)) {
+fn motion(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let up = report.up_axis.map_or(String::new(), |axis| format!(", {axis} is up"));
     let recorded = report.frames_recorded().unwrap_or(report.frames);
     let frames = frames_of(recorded, report.frames);
@@ -133,11 +133,11 @@ fn motion(report: &Report, line: &mut impl FnMut(&str, &str)) {
     );
 }
 
-fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
+fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let knots: u64 = report.channels.iter().map(|channel| channel.knots).sum();
     let bound = if report.tolerance_mm > 0.0 {
         format!(
-            "within {} mm (no error above {:.4} mm), {} kept",
+            "within {} mm (largest error {:.4} mm), {} kept",
             report.tolerance_mm,
             report.max_error_mm,
             count(knots, "sample")
@@ -158,15 +158,15 @@ fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
     if !report.foreign_parts.is_empty() {
         let blocks = report.bytes.blocks;
         let ratio = report.raw_bytes as f64 / blocks.max(1) as f64;
-        let words = format!("{} of it are trajectories, {ratio:.1}:1", bytes(blocks));
-        line("", &format!("{words}; the rest is mostly the header and what was put beside them"));
+        let trajectories = format!("{} of it for trajectories, {ratio:.1}:1", bytes(blocks));
+        line("", &format!("{trajectories}; the rest is mostly the header and foreign data"));
     }
     if let (Some(sr1), Some(sr2)) = (report.sr1, report.sr2) {
         line("SR1, SR2", &format!("{sr1:.2}, {sr2:.2} (Shi et al. 2012, eq. 7 and 8)"));
     }
 }
 
-fn markers(report: &Report, out: &mut String) {
+fn markers(report: &InfoReport, out: &mut String) {
     let label = |channel: &super::report::ChannelReport| {
         let note = if channel.labelled { "" } else { " (unlabelled)" };
         format!("{}{note}", plain(&channel.label))

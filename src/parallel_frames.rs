@@ -1,8 +1,7 @@
-//! A take as frames, decoded by several threads ahead of who reads them: each decodes what lies between two key
-//! stretches.
+//! Parallel decoding of a take: worker threads decode ranges between key stretches, and the frames come out in order.
 //!
-//! Only for takes without a flaw: whoever knows what a damaged one is missing is [`TakeFrames`]. One that turns up later
-//! is an error, and [`Ahead::has_flaw`].
+//! Only intact takes are decoded in parallel; [`TakeFrames`] reads damaged ones and accounts for what they lost. Damage
+//! that shows up while decoding is an error and sets [`ParallelFrames::is_damaged`].
 
 #[cfg(test)]
 mod tests;
@@ -24,56 +23,57 @@ use mocapd_take::{
     traversal::Decode,
 };
 
-/// Most bytes that all threads may hold of what they decode.
+/// Limit on the memory of all worker threads together, bytes.
 const MEMORY_MAX: u64 = 128 << 20;
 
-/// Bytes a sample of the stretch that a thread works on: position, flags, and what a decoder keeps beside them.
+/// Memory per sample of the stretch that a thread decodes, bytes: position, flags and decoder state.
 const SAMPLE_BYTES: u64 = 24;
 
-/// Samples of a piece of the take, where keys are near enough: milliseconds of work, beside which it costs nothing to begin
-/// one.
-const PIECE_SAMPLES: u64 = 1 << 16;
+/// Target size of a job, samples, where key stretches are close enough together: some milliseconds of work, so that
+/// the cost of starting a job is negligible.
+const JOB_SAMPLES: u64 = 1 << 16;
 
-/// Samples that are handed over at once: 200 kB, which stay in a processor's cache while their columns become rows.
-const ROWS_SAMPLES: usize = 1 << 14;
+/// Samples per batch of rows: 200 kB, which stay in the processor's cache while columns are transposed to rows.
+const BATCH_SAMPLES: usize = 1 << 14;
 
-/// Rows of a piece that wait to be read: so many that no thread waits while another's are read. They are 8 MB at most.
-const WAITING_MAX: usize = 40;
+/// Batches of one job that may be queued for the reader, 8 MB at most: enough that no thread blocks while the reader
+/// drains the queue of another.
+const BATCHES_QUEUED_MAX: usize = 40;
 
-/// Frames of a take in order.
+/// The frames of an intact take in order, decoded by several threads.
 #[derive(Debug)]
-pub struct Ahead {
+pub struct ParallelFrames {
     info: MotionInfo,
     take: TakeMap,
-    /// Those that no thread has yet.
+    /// Row ranges that have not been queued yet.
     pieces: vec::IntoIter<Range<u64>>,
     jobs: Sender<Job>,
-    /// What comes of the others, in order.
+    /// The output of the queued jobs, in order of their rows.
     decoded: VecDeque<Receiver<Decoded>>,
-    /// Most of these.
-    under_way_max: usize,
+    /// Limit on the number of queued jobs.
+    queued_max: usize,
     current: Rows,
     next_row: u64,
-    has_flaw: bool,
+    is_damaged: bool,
 }
 
-/// A piece for a thread, whichever is the next that has nothing to do.
+/// A range of rows for the next idle thread to decode, and where to send them.
 struct Job {
     rows: Range<u64>,
     decoded: Sender<Decoded>,
 }
 
-/// What a thread gives of a piece.
+/// The output of a job, one message after another.
 enum Decoded {
     Rows(Rows),
-    /// That was all.
+    /// All rows of the job were sent.
     End,
-    /// Something of the take is missing.
-    Flaw,
+    /// The take turned out to be damaged.
+    Damaged,
     Failed(TakeError),
 }
 
-/// Successive rows, frame by frame.
+/// A batch of consecutive rows, row-major: `n_rows` times one position per marker.
 #[derive(Debug, Default)]
 struct Rows {
     first_row: u64,
@@ -81,9 +81,11 @@ struct Rows {
     positions: Vec<Position>,
 }
 
-impl Ahead {
-    /// Starts threads for the take at `path`, which `frames` was opened of, from `first_row` on; `None` where that is better
-    /// read by one: where it has a flaw, or where stretches are so long that there is memory for one of them only.
+impl ParallelFrames {
+    /// Starts threads that decode the take at `path` from `first_row` on; `frames` was opened from the same file.
+    ///
+    /// `None` if the take should be read by one thread: if it is damaged, or if its stretches are so long that only one
+    /// of them fits into memory.
     ///
     /// # Errors
     /// When the file cannot be opened again, or the system refuses a thread.
@@ -95,7 +97,7 @@ impl Ahead {
     ) -> anyhow::Result<Option<Self>> {
         let (take, n_markers) = (frames.map(), frames.info().markers.len() as u64);
         let n_samples = take.n_rows.saturating_sub(first_row).saturating_mul(n_markers);
-        let n_pieces = (n_samples / PIECE_SAMPLES).max(n_threads as u64);
+        let n_pieces = (n_samples / JOB_SAMPLES).max(n_threads as u64);
         let pieces = take.pieces(&(first_row..take.n_rows), n_pieces as usize);
         let n_threads = threads_max(take, n_markers).min(n_threads);
         if !frames.problems().is_empty() || n_threads < 2 || n_markers == 0 {
@@ -112,9 +114,9 @@ impl Ahead {
         n_threads: usize,
     ) -> anyhow::Result<Self> {
         let (info, take) = (frames.info().clone(), frames.map().clone());
-        // One is read, each thread has one, and one is next.
-        let under_way_max = n_threads + 2;
-        let (jobs, to_do) = bounded::<Job>(under_way_max);
+        // One job is being read, each thread works on one, and one waits.
+        let queued_max = n_threads + 2;
+        let (jobs, to_do) = bounded::<Job>(queued_max);
         let n_markers = info.markers.len();
         for index in 0..n_threads {
             let to_do = to_do.clone();
@@ -128,27 +130,27 @@ impl Ahead {
             next_row: pieces.first().map_or(0, |rows| rows.start),
             pieces: pieces.into_iter(),
             jobs,
-            decoded: VecDeque::with_capacity(under_way_max),
-            under_way_max,
+            decoded: VecDeque::with_capacity(queued_max),
+            queued_max,
             current: Rows::default(),
-            has_flaw: false,
+            is_damaged: false,
         })
     }
 
-    /// Whether something turned out to be missing: then what was read is not to be used.
+    /// Whether the take turned out to be damaged; the frames read so far must then be discarded.
     #[must_use]
-    pub fn has_flaw(&self) -> bool {
-        self.has_flaw
+    pub fn is_damaged(&self) -> bool {
+        self.is_damaged
     }
 
-    /// Takes rows until some of them come at or after the next, or there are no more.
+    /// Receives batches until one holds or follows the next row, or no batch is left.
     fn advance(&mut self) -> io::Result<()> {
-        let failed = || io::Error::other("a thread failed");
+        let failed = || io::Error::other("a decoder thread ended early");
         while self.current.end_row() <= self.next_row {
-            while self.decoded.len() < self.under_way_max
+            while self.decoded.len() < self.queued_max
                 && let Some(rows) = self.pieces.next()
             {
-                let (to_reader, decoded) = bounded(WAITING_MAX);
+                let (to_reader, decoded) = bounded(BATCHES_QUEUED_MAX);
                 let job = Job { rows, decoded: to_reader };
                 self.jobs.send(job).map_err(|_| failed())?;
                 self.decoded.push_back(decoded);
@@ -157,9 +159,9 @@ impl Ahead {
             match decoded.recv().map_err(|_| failed())? {
                 Decoded::Rows(rows) => self.current = rows,
                 Decoded::End => drop(self.decoded.pop_front()),
-                Decoded::Flaw => {
-                    self.has_flaw = true;
-                    return Err(io::Error::new(io::ErrorKind::InvalidData, "the take has a flaw"));
+                Decoded::Damaged => {
+                    self.is_damaged = true;
+                    return Err(io::Error::new(io::ErrorKind::InvalidData, "the take is damaged"));
                 }
                 Decoded::Failed(error) => return Err(io::Error::other(error)),
             }
@@ -168,7 +170,7 @@ impl Ahead {
     }
 }
 
-impl FrameSource for Ahead {
+impl FrameSource for ParallelFrames {
     fn info(&self) -> &MotionInfo {
         &self.info
     }
@@ -178,7 +180,7 @@ impl FrameSource for Ahead {
             return Ok(false);
         }
         self.advance()?;
-        // Rows that were lost before the take was written are in no stretch.
+        // No stretch holds the rows that were lost before the take was written.
         match self.current.row(self.next_row, row.len()) {
             Some(found) => row.copy_from_slice(found),
             None => row.fill(GAP),
@@ -193,12 +195,12 @@ impl FrameSource for Ahead {
 }
 
 impl Rows {
-    /// The row after the last.
+    /// One past the last row.
     fn end_row(&self) -> u64 {
         self.first_row + self.n_rows
     }
 
-    /// A row, if it is one of these.
+    /// The positions of `row`, if this batch holds it.
     fn row(&self, row: u64, n_markers: usize) -> Option<&[Position]> {
         let index = usize::try_from(row.checked_sub(self.first_row)?).ok()?;
         let start = index.checked_mul(n_markers)?;
@@ -206,23 +208,23 @@ impl Rows {
     }
 }
 
-/// Threads for whose stretches there is memory.
+/// How many threads fit into [`MEMORY_MAX`] while each decodes a stretch of the largest size.
 fn threads_max(take: &TakeMap, n_markers: u64) -> usize {
     let samples = take.longest_stretch.unwrap_or_default().saturating_mul(n_markers);
     (MEMORY_MAX / samples.saturating_mul(SAMPLE_BYTES).max(1)) as usize
 }
 
-/// Does one job after another, until nobody wants them any more.
+/// Decodes one job after another, until the channel of jobs or that of the output is disconnected.
 fn work(mut take: TakeTraversal<File>, n_markers: usize, jobs: &Receiver<Job>) {
     for Job { rows, decoded } in jobs {
-        let read = take.read_rows(&rows, |take, held, offset| {
-            // Before anything behind it is read as if nothing were missing.
+        let read = take.read_rows(&rows, |take, range, offset| {
+            // Checked before sending: rows behind a damaged chunk would look as if nothing were missing.
             let sent =
-                take.is_intact() && send_rows(take, held, offset, n_markers, &decoded).is_some();
+                take.is_intact() && send_rows(take, range, offset, n_markers, &decoded).is_some();
             if sent { Ok(()) } else { Err(io::Error::from(io::ErrorKind::BrokenPipe).into()) }
         });
         let last = match read {
-            _ if !take.is_intact() => Decoded::Flaw,
+            _ if !take.is_intact() => Decoded::Damaged,
             Ok(()) => Decoded::End,
             Err(error) => Decoded::Failed(error),
         };
@@ -232,19 +234,19 @@ fn work(mut take: TakeTraversal<File>, n_markers: usize, jobs: &Receiver<Job>) {
     }
 }
 
-/// Sends rows of a stretch, of which they begin at `offset`, columns turned into rows; `None` when nobody wants them any
-/// more.
+/// Transposes the rows `range` of a stretch, the first of which is at `offset` in it, and sends them in batches; `None`
+/// if the receiver is gone.
 fn send_rows(
     take: &TakeTraversal<File>,
-    held: Range<u64>,
+    range: Range<u64>,
     offset: usize,
     n_markers: usize,
     decoded: &Sender<Decoded>,
 ) -> Option<()> {
-    let step = (ROWS_SAMPLES / n_markers.max(1)).max(1);
-    for first_row in held.clone().step_by(step) {
-        let n = (held.end - first_row).min(step as u64) as usize;
-        let skipped = offset + (first_row - held.start) as usize;
+    let step = (BATCH_SAMPLES / n_markers.max(1)).max(1);
+    for first_row in range.clone().step_by(step) {
+        let n = (range.end - first_row).min(step as u64) as usize;
+        let skipped = offset + (first_row - range.start) as usize;
         let mut positions = vec![GAP; n * n_markers];
         for (column, rows) in take.rows().take(n_markers).enumerate() {
             let Some(rows) = rows else { continue };

@@ -1,11 +1,11 @@
-//! Takes and files of the field alike, read whole, for what looks at all of a motion at once.
+//! Reading takes and motion files whole into memory, for commands that analyse a motion, and writing their output.
 
 use std::{io::BufReader, path::Path};
 
 use anyhow::Context;
 use mocapd_acquire::files::{NewFile, SparseFile};
 use mocapd_codec::Settings;
-use mocapd_report::coded::Coded;
+use mocapd_report::decoded::DecodedTake;
 use mocapd_take::{
     TakeFrames,
     interchange::ReadOptions,
@@ -14,40 +14,40 @@ use mocapd_take::{
 
 use super::{
     original::{read_motion, read_motion_with},
-    output::say,
+    output::notify,
     paths,
 };
 
-/// A take, with what it keeps. What is damaged in it is said, and is gaps.
+/// Decodes a take. Damage is reported on stderr, and the lost samples are gaps.
 ///
 /// # Errors
-/// Why it cannot be read.
-pub(super) fn read_coded(path: &Path) -> anyhow::Result<Coded> {
+/// If it cannot be read.
+pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
     let file = BufReader::new(SparseFile::open(path)?);
-    let coded = Coded::read(file).with_context(|| format!("cannot read {}", path.display()))?;
-    for problem in &coded.problems {
-        say(&format!("{}: {problem}", path.display()));
+    let take = DecodedTake::read(file).with_context(|| format!("cannot read {}", path.display()))?;
+    for problem in &take.problems {
+        notify(&format!("{}: {problem}", path.display()));
     }
-    Ok(coded)
+    Ok(take)
 }
 
-/// The samples of a take or of a file of the field, and what the take was coded with.
+/// The motion of a take or a motion file, and the settings that the take was coded with.
 ///
 /// # Errors
-/// Why it cannot be read.
+/// If it cannot be read.
 pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settings>)> {
     if paths::is_take(path) {
-        let coded = read_coded(path)?;
-        return Ok((coded.motion, coded.settings));
+        let take = read_take(path)?;
+        return Ok((take.motion, take.settings));
     }
     Ok((read_motion(path)?, None))
 }
 
-/// The samples of a take's original: a take, with what that was coded with, or a file of the field, read as the take was
-/// imported from it.
+/// The motion of a take's original: either another take, with its settings, or a motion file, read with the options
+/// with which the take was imported.
 ///
 /// # Errors
-/// Why it, or the take, cannot be read.
+/// If the original or the take cannot be read.
 pub(super) fn read_original(
     take: &Path,
     original: &Path,
@@ -60,21 +60,21 @@ pub(super) fn read_original(
     Ok((read_motion_with(original, &read_options(&frames))?, None))
 }
 
-/// What a take's file was read with when it was imported.
+/// The options with which a take was imported.
 pub(super) fn read_options(take: &dyn FrameSource) -> ReadOptions {
     let settings = take.take().map(|take| ReadOptions::from_settings(&take.header.settings));
     settings.unwrap_or_default()
 }
 
-/// The name of a file without its folders.
-pub(super) fn name(path: &Path) -> String {
+/// The name of a file, without its folders.
+pub(super) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// Writes a whole file under its own name, or none.
+/// Writes a new file atomically: under its name there is the whole file or none.
 ///
 /// # Errors
-/// That it exists, or the disk's.
+/// If it exists or cannot be written.
 pub(super) fn write_new(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let mut file = NewFile::create(path)?;
     std::io::Write::write_all(&mut file, bytes)

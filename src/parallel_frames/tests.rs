@@ -48,21 +48,22 @@ fn the_same_frames_for_any_number_of_threads() {
         assert_eq!(expected.len(), 3200);
         for n_threads in [1, 2, 3, 9] {
             let pieces = frames.map().pieces(&(0..3200), 4);
-            let mut ahead = Ahead::with_threads(&path, &frames, pieces, n_threads).unwrap();
-            assert!(rows(&mut ahead) == expected, "{kind}, {n_threads} threads");
-            assert!(!ahead.has_flaw());
+            let mut parallel =
+                ParallelFrames::with_threads(&path, &frames, pieces, n_threads).unwrap();
+            assert!(rows(&mut parallel) == expected, "{kind}, {n_threads} threads");
+            assert!(!parallel.is_damaged());
         }
     }
 }
 
 #[test]
-fn threads_end_when_nobody_wants_more() {
+fn threads_end_when_a_channel_is_disconnected() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let map = open(&path).map().clone();
     let traversal =
         || TakeTraversal::of_map(File::open(&path).unwrap(), &map, Decode::All).unwrap();
-    // What comes of jobs is wanted no more: the thread ends instead of waiting.
+    // The receiver of the rows is gone: the thread ends instead of waiting.
     let (jobs, to_do) = bounded(2);
     for _ in 0..2 {
         let (decoded, from_job) = bounded(1);
@@ -71,7 +72,7 @@ fn threads_end_when_nobody_wants_more() {
     }
     work(traversal(), 70, &to_do);
     assert_eq!(to_do.len(), 1);
-    // Nobody has jobs any more.
+    // The sender of jobs is gone.
     drop(jobs);
     let worker = threads::spawn("test", {
         let take = traversal();
@@ -81,17 +82,17 @@ fn threads_end_when_nobody_wants_more() {
 }
 
 #[test]
-fn a_take_with_a_flaw_is_not_read_ahead() {
+fn a_damaged_take_is_not_decoded_in_parallel() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
-    assert!(Ahead::start(&path, &open(&path), 0, 4).unwrap().is_none());
+    assert!(ParallelFrames::start(&path, &open(&path), 0, 4).unwrap().is_none());
 }
 
-/// Between two pieces no thread would meet it.
+/// A repeated section between two jobs would be seen by neither thread.
 #[test]
-fn a_section_that_comes_twice_is_read_by_one_and_told() {
+fn a_repeated_section_is_reported_and_read_by_one_thread() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let keys = open(&path).map().keys.clone();
@@ -102,38 +103,38 @@ fn a_section_that_comes_twice_is_read_by_one_and_told() {
     fs::write(&path, &bytes).unwrap();
     let frames = open(&path);
     let problems: Vec<String> = frames.problems().iter().map(ToString::to_string).collect();
-    assert!(problems.iter().any(|told| told.contains("it comes twice")), "{problems:?}");
-    assert!(Ahead::start(&path, &frames, 0, 4).unwrap().is_none());
+    assert!(problems.iter().any(|text| text.contains("it comes twice")), "{problems:?}");
+    assert!(ParallelFrames::start(&path, &frames, 0, 4).unwrap().is_none());
 }
 
 #[test]
-fn stretches_that_fill_the_memory_are_read_by_one() {
+fn stretches_that_fill_the_memory_are_read_by_one_thread() {
     let folder = tempfile::tempdir().unwrap();
     // A whole take in one stretch: 70 markers of 3200 rows are 5 MB a thread.
     let path = take("spline", folder.path());
     let frames = open(&path);
     let memory = MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES);
     assert_eq!(threads_max(frames.map(), 70) as u64, memory);
-    assert!(Ahead::start(&path, &frames, 0, 1000).unwrap().is_some());
-    assert!(Ahead::start(&path, &frames, 0, 1).unwrap().is_none());
+    assert!(ParallelFrames::start(&path, &frames, 0, 1000).unwrap().is_some());
+    assert!(ParallelFrames::start(&path, &frames, 0, 1).unwrap().is_none());
 }
 
 #[test]
-fn a_file_that_shrinks_meanwhile_has_a_flaw() {
+fn a_file_that_shrinks_meanwhile_is_damaged() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let frames = open(&path);
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..100]).unwrap();
-    let mut ahead = Ahead::start(&path, &frames, 0, 2).unwrap().unwrap();
+    let mut parallel = ParallelFrames::start(&path, &frames, 0, 2).unwrap().unwrap();
     let mut row = vec![GAP; 70];
-    assert!(ahead.next_frame(&mut row).is_err());
-    assert!(ahead.has_flaw());
+    assert!(parallel.next_frame(&mut row).is_err());
+    assert!(parallel.is_damaged());
 }
 
-/// A file that changes, or a disk that gives other bytes, after it was opened: nothing of that may become a gap.
+/// A file that changes, or a disk that returns other bytes, after the take was opened: none of it may become a gap.
 #[test]
-fn a_byte_that_is_wrong_meanwhile_is_a_flaw() {
+fn a_byte_that_changes_meanwhile_is_damage() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let (frames, bytes) = (open(&path), fs::read(&path).unwrap());
@@ -141,14 +142,14 @@ fn a_byte_that_is_wrong_meanwhile_is_a_flaw() {
         let mut wrong = bytes.clone();
         wrong[at] ^= 0x10;
         fs::write(&path, &wrong).unwrap();
-        let mut ahead = Ahead::start(&path, &frames, 0, 2).unwrap().unwrap();
+        let mut parallel = ParallelFrames::start(&path, &frames, 0, 2).unwrap().unwrap();
         let mut row = vec![GAP; 70];
         let end = loop {
-            match ahead.next_frame(&mut row) {
+            match parallel.next_frame(&mut row) {
                 Ok(true) => {}
                 end => break end,
             }
         };
-        assert!(end.is_err() && ahead.has_flaw(), "byte {at}");
+        assert!(end.is_err() && parallel.is_damaged(), "byte {at}");
     }
 }

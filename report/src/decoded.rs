@@ -1,4 +1,4 @@
-//! What a take holds, read whole: its samples, and which of them it keeps.
+//! A take decoded into memory: its samples, and which of them are knots.
 
 use mocapd_codec::{ResamplerKind, Settings};
 use mocapd_take::{
@@ -12,43 +12,43 @@ use mocapd_take::{
 
 use crate::{ReportError, measures::Counts};
 
-/// Most rows times markers of a take that is looked at whole: 100 million, 1.3 GB in memory.
+/// Largest take that is decoded into memory, rows times markers: 100 million, 1.3 GB.
 pub const SAMPLES_MAX: u64 = 100_000_000;
 
-/// A take in memory.
+/// A take decoded into memory.
 #[derive(Debug, Clone)]
-pub struct Coded {
-    /// Its samples. Of what stands beside them, the rate, the markers, the subject and the number of frames
-    /// are here.
+pub struct DecodedTake {
+    /// The samples. Of the metadata only the rate, the up axis, the markers, the subject and the number of frames are
+    /// set.
     pub motion: Motion,
-    /// By channel and row: whether the sample was kept, rather than interpolated.
+    /// By channel and row: whether the sample was kept (a knot) rather than interpolated.
     pub kept: Vec<Vec<bool>>,
-    /// What it was coded with.
+    /// The resampler and tolerance of the take.
     pub settings: Option<Settings>,
-    /// What could not be read.
+    /// Damage found while reading.
     pub problems: Vec<Problem>,
 }
 
 /// The rows of a channel in one stretch.
-struct Piece {
+struct StretchRows {
     first_row: usize,
     positions: Vec<[f32; 3]>,
     present: Vec<bool>,
     kept: Vec<bool>,
 }
 
-impl Coded {
-    /// Reads a take to its end. What is damaged is a gap, and a problem.
+impl DecodedTake {
+    /// Reads a take to its end. Damaged samples become gaps, and the damage is listed in `problems`.
     ///
     /// # Errors
-    /// That it is no take, or larger than [`SAMPLES_MAX`].
+    /// If it is not a take, or is larger than [`SAMPLES_MAX`].
     pub fn read(take: impl TakeInput) -> Result<Self, ReportError> {
-        let mut pieces: Vec<Vec<Piece>> = Vec::new();
-        let mut n_held = 0;
+        let mut stretches: Vec<Vec<StretchRows>> = Vec::new();
+        let mut n_stored = 0;
         let traversal = TakeTraversal::new(take, Decode::All);
         let take = traversal.run(|found, progress| match &found.event {
             TakeEvent::Stretch(stretch) if !found.is_refused && stretch.span.n_rows > 0 => {
-                hold(progress, stretch.span, &mut pieces, &mut n_held)
+                store(progress, stretch.span, &mut stretches, &mut n_stored)
             }
             _ => Ok(()),
         })?;
@@ -61,17 +61,18 @@ impl Coded {
             subject: take.subject,
             ..MotionInfo::default()
         };
-        let mut coded = Self {
+        let mut decoded = Self {
             motion: Motion { info, positions_mm: Vec::new() },
             kept: Vec::new(),
             settings: Some(take.header.codec()?),
             problems: take.problems,
         };
-        coded.place(&pieces)?;
-        Ok(coded)
+        decoded.place(&stretches)?;
+        Ok(decoded)
     }
 
-    fn place(&mut self, pieces: &[Vec<Piece>]) -> Result<(), ReportError> {
+    /// Copies the decoded stretches of each channel to their rows.
+    fn place(&mut self, stretches: &[Vec<StretchRows>]) -> Result<(), ReportError> {
         let MotionInfo { n_frames, markers, .. } = &self.motion.info;
         let (n_rows, n_markers) = (*n_frames as usize, markers.len());
         let n_samples = n_frames.saturating_mul(n_markers as u64);
@@ -80,13 +81,13 @@ impl Coded {
         }
         self.motion.positions_mm = vec![GAP; n_rows * n_markers];
         self.kept = vec![vec![false; n_rows]; n_markers];
-        for ((marker, kept), pieces) in self.kept.iter_mut().enumerate().zip(pieces) {
-            for piece in pieces {
-                for (i, position) in piece.positions.iter().enumerate() {
-                    if piece.present[i] {
-                        let row = piece.first_row + i;
+        for ((marker, kept), stretches) in self.kept.iter_mut().enumerate().zip(stretches) {
+            for stretch in stretches {
+                for (i, position) in stretch.positions.iter().enumerate() {
+                    if stretch.present[i] {
+                        let row = stretch.first_row + i;
                         self.motion.positions_mm[row * n_markers + marker] = *position;
-                        kept[row] = piece.kept[i];
+                        kept[row] = stretch.kept[i];
                     }
                 }
             }
@@ -94,7 +95,7 @@ impl Coded {
         Ok(())
     }
 
-    /// The counts of its samples and of those that it keeps.
+    /// Counts of samples present and kept, for the storage measures.
     #[must_use]
     pub fn counts(&self) -> Counts {
         let present: Vec<Vec<bool>> = (0..self.kept.len())
@@ -106,7 +107,7 @@ impl Coded {
         Counts::of(&channels)
     }
 
-    /// The largest distance between its samples and those of what it was made of, mm.
+    /// The largest distance between a sample and that of `original`, mm.
     #[must_use]
     pub fn max_error_mm(&self, original: &Motion) -> f64 {
         let pairs = self.motion.positions_mm.iter().zip(&original.positions_mm);
@@ -117,9 +118,9 @@ impl Coded {
             .fold(0.0, f64::max)
     }
 
-    /// How it was coded, in words: `dense at 0.5 mm`.
+    /// The resampler and tolerance as text: `dense at 0.5 mm`.
     #[must_use]
-    pub fn how(&self) -> String {
+    pub fn coding(&self) -> String {
         match self.settings {
             Some(Settings { kind: ResamplerKind::Lossless, .. }) => "lossless".to_owned(),
             Some(Settings { kind, tolerance }) => format!("{kind} at {} mm", tolerance.mm()),
@@ -130,28 +131,28 @@ impl Coded {
 
 fn too_large(n_samples: u64) -> TakeError {
     TakeError::InvalidArgument(format!(
-        "{n_samples} positions are more than are looked at in one piece ({SAMPLES_MAX}): export a part of the take, \
-         and import that"
+        "{n_samples} positions do not fit into memory (at most {SAMPLES_MAX}): export a part of the take with --from \
+         and --to, and import that"
     ))
 }
 
-/// Keeps what was decoded of a stretch.
-fn hold(
+/// Stores the decoded rows of a stretch.
+fn store(
     progress: &Progress,
     span: Span,
-    pieces: &mut Vec<Vec<Piece>>,
-    n_held: &mut u64,
+    stretches: &mut Vec<Vec<StretchRows>>,
+    n_stored: &mut u64,
 ) -> Result<(), TakeError> {
     for (channel, rows) in progress.rows().enumerate() {
         let Some(rows) = rows.filter(|rows| rows.has_samples()) else { continue };
-        *n_held += rows.positions.len() as u64;
-        if *n_held > SAMPLES_MAX {
-            return Err(too_large(*n_held));
+        *n_stored += rows.positions.len() as u64;
+        if *n_stored > SAMPLES_MAX {
+            return Err(too_large(*n_stored));
         }
-        if pieces.len() <= channel {
-            pieces.resize_with(channel + 1, Vec::new);
+        if stretches.len() <= channel {
+            stretches.resize_with(channel + 1, Vec::new);
         }
-        pieces[channel].push(Piece {
+        stretches[channel].push(StretchRows {
             first_row: span.first_row as usize,
             positions: rows.positions.clone(),
             present: rows.present.clone(),
