@@ -33,7 +33,7 @@ const START: Command = Command::Start { line_bytes_per_s: 0 };
 const BUDGET: LinkBudget =
     LinkBudget { needed_bytes_per_s: 1, available_bytes_per_s: 2, rate_fits_mhz: 60_000 };
 
-/// A talk of two seconds, in which the host pinged at 5 and the device answered 100 ms later.
+/// A log of two seconds, in which a Ping with the time 5 is answered after 100 ms.
 fn log() -> Vec<u8> {
     let pong = |host_ns| from_device(|link, out| link.pong(Pong { host_ns, device_ticks: 9 }, out));
     let entries: [(u64, bool, Vec<u8>); 9] = [
@@ -59,58 +59,58 @@ fn log() -> Vec<u8> {
     log
 }
 
-/// What it says until it waits for the host, with the milliseconds at which it did.
-fn says(device: &mut LogDevice, now_ms: &mut u64) -> Vec<(u64, String)> {
+/// Plays until the device waits for the host; returns its messages and their times in milliseconds.
+fn play(device: &mut LogDevice, now_ms: &mut u64) -> Vec<(u64, String)> {
     let mut host = HostLink::new();
-    let mut said = Vec::new();
+    let mut sent = Vec::new();
     loop {
         let next_ns = device.poll(*now_ms * MS);
         let bytes = device.pending().to_vec();
         device.sent(bytes.len());
         host.push(&bytes, &mut |event| {
-            let words = match event {
+            let name = match event {
                 DeviceEvent::Hello(_) => "hello".to_owned(),
                 DeviceEvent::Pong(pong) => format!("pong {}", pong.host_ns),
                 DeviceEvent::Started(_) => "started".to_owned(),
                 DeviceEvent::EndOfStream(_) => "end".to_owned(),
                 other => format!("{other:?}"),
             };
-            said.push((*now_ms, words));
+            sent.push((*now_ms, name));
         });
         if next_ns == u64::MAX {
-            return said;
+            return sent;
         }
         *now_ms = next_ns.div_ceil(MS);
     }
 }
 
-fn told(said: &[(u64, &str)]) -> Vec<(u64, String)> {
-    said.iter().map(|(at, words)| (*at, (*words).to_owned())).collect()
+fn owned(sent: &[(u64, &str)]) -> Vec<(u64, String)> {
+    sent.iter().map(|(at, name)| (*at, (*name).to_owned())).collect()
 }
 
 #[test]
-fn it_waits_for_its_host_and_keeps_the_time_of_the_log() {
+fn the_replay_waits_for_its_host_and_keeps_the_logged_times() {
     for speed in [1.0, 2.0, 0.5] {
         let at = |ms: u64| (ms as f64 / speed) as u64;
         let mut device = LogDevice::new(&log(), speed).unwrap();
         assert!(device.problems().is_empty() && !device.unplugs());
         let mut now_ms = 7000;
-        assert_eq!(says(&mut device, &mut now_ms), []);
-        // A second host after the first gets the same again.
+        assert_eq!(play(&mut device, &mut now_ms), []);
+        // A second host gets the same replay.
         for begin_ms in [10_000, 20_000] {
             now_ms = begin_ms;
             device.on_bytes(&command(Command::Stop), now_ms * MS);
             device.on_bytes(&command(Command::Identify), now_ms * MS);
-            // Its ping comes later than that of the log: the Pong waits, and says its time.
-            assert_eq!(says(&mut device, &mut now_ms), told(&[(begin_ms + at(40), "hello")]));
+            // Its ping comes later than the logged one: the Pong waits, and echoes its time.
+            assert_eq!(play(&mut device, &mut now_ms), owned(&[(begin_ms + at(40), "hello")]));
             now_ms = begin_ms + 3000;
             device.on_bytes(&command(Command::Ping { host_ns: 77 }), now_ms * MS);
-            assert_eq!(says(&mut device, &mut now_ms), told(&[(begin_ms + 3000, "pong 77")]));
+            assert_eq!(play(&mut device, &mut now_ms), owned(&[(begin_ms + 3000, "pong 77")]));
             now_ms = begin_ms + 4000;
             device.on_bytes(&command(START), now_ms * MS);
             let wanted = [(at(10), "started"), (at(500), "pong 6"), (at(1890), "end")];
-            let wanted = wanted.map(|(ms, words)| (begin_ms + 4000 + ms, words));
-            assert_eq!(says(&mut device, &mut now_ms), told(&wanted));
+            let wanted = wanted.map(|(ms, name)| (begin_ms + 4000 + ms, name));
+            assert_eq!(play(&mut device, &mut now_ms), owned(&wanted));
             assert!(device.has_ended());
         }
         assert_eq!(device.log().starts, 2);
@@ -118,21 +118,21 @@ fn it_waits_for_its_host_and_keeps_the_time_of_the_log() {
 }
 
 #[test]
-fn a_ping_is_answered_with_ticks_that_are_no_older_than_it() {
+fn a_pong_is_never_older_than_its_ping() {
     for (pinged_ms, answer) in [(580, "pong 88"), (605, "pong 6")] {
         let mut device = LogDevice::new(&log(), 1.0).unwrap();
         let mut now_ms = 0;
         let greeting = [Command::Identify, Command::Ping { host_ns: 77 }].map(command).concat();
         device.on_bytes(&greeting, 0);
-        says(&mut device, &mut now_ms);
-        // From here on the times are those of the log, in which the ping before `pong 6` was said at 600.
+        play(&mut device, &mut now_ms);
+        // From here on the times are those of the log, in which the ping of `pong 6` came at 600.
         device.on_bytes(&command(START), 110 * MS);
         device.poll(110 * MS);
         device.poll(pinged_ms * MS);
         device.on_bytes(&command(Command::Ping { host_ns: 88 }), pinged_ms * MS);
         now_ms = pinged_ms;
-        let said = says(&mut device, &mut now_ms);
-        assert!(said.contains(&(610, answer.to_owned())), "{pinged_ms}: {said:?}");
+        let sent = play(&mut device, &mut now_ms);
+        assert!(sent.contains(&(610, answer.to_owned())), "{pinged_ms}: {sent:?}");
     }
 }
 
@@ -154,16 +154,16 @@ fn a_host_that_needs_fewer_tries_than_the_logged_one_gets_its_frames() {
     let mut now_ms = 0;
     let greeting = [Command::Identify, Command::Ping { host_ns: 77 }].map(command).concat();
     device.on_bytes(&greeting, 0);
-    assert_eq!(says(&mut device, &mut now_ms), told(&[(40, "hello")]));
+    assert_eq!(play(&mut device, &mut now_ms), owned(&[(40, "hello")]));
     now_ms = 1000;
     device.on_bytes(&command(START), now_ms * MS);
-    let said = says(&mut device, &mut now_ms);
-    assert_eq!(said[0], (1010, "started".to_owned()));
-    assert_eq!(said.last(), Some(&(2890, "end".to_owned())));
+    let sent = play(&mut device, &mut now_ms);
+    assert_eq!(sent[0], (1010, "started".to_owned()));
+    assert_eq!(sent.last(), Some(&(2890, "end".to_owned())));
 }
 
 #[test]
-fn logs_that_cannot_be_a_device_are_refused_in_words() {
+fn unusable_logs_are_refused() {
     use LogDeviceError::{Driver, Log, Silent, Speed, Unreadable};
     let error = |log: &[u8]| LogDevice::new(log, 1.0).unwrap_err();
     assert!(matches!(error(b"time,x\n"), Log(RawLogError::NotALog)));
@@ -184,7 +184,7 @@ fn logs_that_cannot_be_a_device_are_refused_in_words() {
 }
 
 #[test]
-fn a_log_without_an_end_of_stream_is_played_once_and_then_the_device_is_gone() {
+fn a_log_without_an_end_of_stream_is_played_once() {
     let whole = log();
     let mut again = Vec::new();
     put_head(&mut again);
@@ -193,8 +193,8 @@ fn a_log_without_an_end_of_stream_is_played_once_and_then_the_device_is_gone() {
         again.len()
     };
     let ends: Vec<usize> = records(&whole).unwrap().map(put).collect();
-    // Started, the ping and its pong, the end of stream: the last of which may be cut off, or damaged, or not be there
-    // because the cable was pulled for good.
+    // Started, ping, pong, end of stream: the last may be cut off, damaged, or missing because the cable was pulled for
+    // good.
     let n = ends.len();
     let mut damaged = whole.clone();
     damaged[ends[n - 4] + 20] ^= 1;
@@ -209,32 +209,32 @@ fn a_log_without_an_end_of_stream_is_played_once_and_then_the_device_is_gone() {
     ] {
         let mut device = LogDevice::new(log, 1.0).unwrap();
         assert_eq!(device.problems().len(), usize::from(what != "unplugged"), "{what}");
-        assert!(!device.unplugs(), "it needs no name that lasts: {what}");
+        assert!(!device.unplugs(), "it needs no stable name: {what}");
         let greeting =
             [Command::Stop, Command::Identify, Command::Ping { host_ns: 77 }].map(command).concat();
         let mut now_ms = 1000;
         device.on_bytes(&greeting, now_ms * MS);
-        says(&mut device, &mut now_ms);
+        play(&mut device, &mut now_ms);
         now_ms = 2000;
         device.on_bytes(&command(START), now_ms * MS);
-        let said = says(&mut device, &mut now_ms);
-        assert_eq!(said, told(&[(2010, "started"), (2500, "pong 6")]), "{what}");
+        let sent = play(&mut device, &mut now_ms);
+        assert_eq!(sent, owned(&[(2010, "started"), (2500, "pong 6")]), "{what}");
         assert_eq!((now_ms, device.is_gone()), (2000 + gone_ms, true), "{what}");
         assert!(!device.has_ended(), "{what}");
-        // Whoever asks now hears nothing.
+        // A host that asks now gets no answer.
         now_ms = 20_000;
         device.on_bytes(&greeting, now_ms * MS);
-        assert_eq!(says(&mut device, &mut now_ms), [], "{what}");
+        assert_eq!(play(&mut device, &mut now_ms), [], "{what}");
     }
 }
 
 #[test]
-fn only_a_host_that_opened_the_line_anew_gets_the_log_from_its_beginning() {
+fn only_a_host_that_opens_the_line_restarts_the_log() {
     let greeting = [Command::Stop, Command::Identify].map(command).concat();
     let begun = || {
         let mut device = LogDevice::new(&log(), 1.0).unwrap();
         device.on_bytes(&[&greeting[..], &command(Command::Ping { host_ns: 7 })].concat(), 0);
-        says(&mut device, &mut 0);
+        play(&mut device, &mut 0);
         device.on_bytes(&command(START), 110 * MS);
         device.poll(110 * MS);
         device.poll(500 * MS);
@@ -242,21 +242,21 @@ fn only_a_host_that_opened_the_line_anew_gets_the_log_from_its_beginning() {
         device.sent(n);
         device
     };
-    // One that hears no frame asks who it is: the log says nothing of it, and goes on.
+    // A host that misses frames sends Identify: the log has no answer, and goes on.
     let mut device = begun();
     device.on_bytes(&command(Command::Identify), 500 * MS);
     let mut now_ms = 500;
-    let rest = told(&[(610, "pong 6"), (2000, "end")]);
-    assert_eq!(says(&mut device, &mut now_ms), rest);
+    let rest = owned(&[(610, "pong 6"), (2000, "end")]);
+    assert_eq!(play(&mut device, &mut now_ms), rest);
     // Another one after a recorder that was killed.
     let mut device = begun();
     device.on_bytes(&greeting, 500 * MS);
     now_ms = 500;
-    assert_eq!(says(&mut device, &mut now_ms), told(&[(540, "hello")]));
+    assert_eq!(play(&mut device, &mut now_ms), owned(&[(540, "hello")]));
 }
 
 #[test]
-fn a_log_that_is_cut_off_or_has_holes_is_played_and_says_so() {
+fn a_log_that_is_cut_off_or_has_gaps_is_played_with_a_warning() {
     let whole = log();
     let cut = LogDevice::new(&whole[..whole.len() - 30], 1.0).unwrap();
     let [LogProblem::Unreadable(RawLogError::CutOff { offset })] = cut.problems() else {
@@ -270,9 +270,9 @@ fn a_log_that_is_cut_off_or_has_holes_is_played_and_says_so() {
     assert_eq!(holes.problems(), [LogProblem::Missing { bytes: 99 }]);
 }
 
-/// Logs of any records in any order, and hosts that say anything: it never panics, and never stands still at a time.
+/// Logs of any records in any order, and hosts that send anything: the replay never panics or stops making progress.
 #[test]
-fn any_log_and_any_host_come_to_an_end() {
+fn any_log_and_any_host_reach_an_end() {
     for seed in 0..300 {
         let mut rng = crate::generator::Rng::new(seed);
         let mut below = |n: u64| rng.next_u64() % n;
@@ -290,10 +290,10 @@ fn any_log_and_any_host_come_to_an_end() {
         put_record(&Record { time_ns, entry: Entry::Opened("dvmc x") }, &mut log);
         for _ in 0..40 {
             time_ns = (time_ns + below(400 * MS)).saturating_sub(below(100 * MS));
-            let said = command(commands[below(5) as usize]);
+            let sent = command(commands[below(5) as usize]);
             let noise: Vec<u8> = (0..below(60)).map(|_| below(5) as u8).collect();
             let entry = match below(8) {
-                0 => Entry::ToDevice(&said),
+                0 => Entry::ToDevice(&sent),
                 1 => Entry::ToDevice(&noise),
                 2 => Entry::Closed,
                 3 => Entry::Opened("dvmc y"),
@@ -314,7 +314,7 @@ fn any_log_and_any_host_come_to_an_end() {
             let next_ns = device.poll(now_ns);
             let n = device.pending().len();
             device.sent(n);
-            assert!(next_ns > now_ns || n > 0, "seed {seed}: it is due and does nothing");
+            assert!(next_ns > now_ns || n > 0, "seed {seed}: due, but no progress");
             now_ns = next_ns.min(now_ns + 50 * MS).max(now_ns);
         }
         assert!(device.log().bytes_sent < 400 * 40 * 60, "seed {seed}");
@@ -322,7 +322,7 @@ fn any_log_and_any_host_come_to_an_end() {
 }
 
 #[test]
-fn bytes_pass_as_they_are_however_they_are_cut() {
+fn other_bytes_pass_unchanged_in_pieces_of_any_size() {
     let frames: Vec<u8> = (0..4000u32).map(|i| ((i * i) >> 3) as u8 % 7).collect();
     let pong = from_device(|link, out| link.pong(Pong { host_ns: 1, device_ticks: 2 }, out));
     let all = [&frames[..], &[0], &pong, &frames, &[0, 0, 0], &pong].concat();
