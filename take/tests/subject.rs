@@ -1,4 +1,4 @@
-//! SUBJECT in a take: where it stands, who keeps it, and that nobody needs it.
+//! SUBJECT in a take: its position, the readers and copies that keep it, and takes that lack it.
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test stops there")]
 
@@ -17,7 +17,7 @@ use mocapd_take::{
     recovery::{Kind, Survey},
 };
 
-/// Where the take's SUBJECT lies: right behind the header.
+/// The range of the take's SUBJECT, right after the header.
 fn place(take: &[u8]) -> Range<usize> {
     let front = |at: usize| match chunk::front(&take[at..]) {
         Front::Whole { kind, len, .. } => (kind, at + len),
@@ -30,13 +30,13 @@ fn place(take: &[u8]) -> Range<usize> {
     behind..end
 }
 
-/// The take with another chunk in the place of SUBJECT.
+/// The take with another chunk in place of SUBJECT.
 fn with(take: &[u8], chunk: &[u8]) -> Vec<u8> {
     let place = place(take);
     [&take[..place.start], chunk, &take[place.end..]].concat()
 }
 
-/// Every sample, and what is wrong.
+/// All samples, and the problems.
 fn samples(take: &[u8]) -> (Vec<u32>, Vec<Problem>, Option<Subject>) {
     let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
     let mut row = vec![GAP; frames.info().markers.len()];
@@ -74,7 +74,7 @@ fn readers_that_do_not_know_it_pass_over_it() {
     const { assert!(Subject::KIND == 0x87 && Subject::KIND & MAY_SKIP != 0) };
     let whole = take::take("dense");
     let (wanted, ..) = samples(&whole);
-    // Of a version that comes after this one, or of a type that is not there yet.
+    // Of a later version, or of a future type.
     let mut payload = take::subject().to_payload().unwrap();
     payload[0] = 9;
     for kind in [Subject::KIND, 0xf7] {
@@ -98,11 +98,11 @@ fn a_damaged_one_costs_nothing_else() {
         hurt[at] ^= 0x21;
         let (found, problems, subject) = samples(&hurt);
         assert!(found == wanted && problems.len() == 1, "byte {at}: {problems:?}");
-        // A head that is damaged alone is put right.
+        // A head that alone is damaged is repaired.
         let is_mended = matches!(problems[0], Problem::Mended { .. });
         assert_eq!(subject.is_some(), is_mended, "byte {at}: {problems:?}");
     }
-    // Its checksum matches, and it is none.
+    // The CRC matches, but the content is invalid.
     let mut wrong = Vec::new();
     chunk::put(&mut wrong, Subject::KIND, &[1, 0, 9]).unwrap();
     let (found, problems, subject) = samples(&with(&whole, &wrong));

@@ -1,4 +1,4 @@
-//! Everything that a decoder finds in a take.
+//! The decoded content of a take.
 
 use mocapd_codec::Position;
 use mocapd_take::{
@@ -9,7 +9,7 @@ use mocapd_take::{
     timeline::{Causes, RowTime},
 };
 
-/// Everything that is in a take.
+/// The decoded content of a take.
 #[derive(Debug, Default)]
 pub(crate) struct Decoded {
     pub(crate) channels: Vec<Channel>,
@@ -28,8 +28,10 @@ pub(crate) struct Decoded {
 }
 
 impl Decoded {
+    /// Decodes a take. Damage panics.
+    ///
     /// # Errors
-    /// The reader's. Damage of an undamaged take panics.
+    /// Those of the reader.
     pub(crate) fn read(take: &[u8]) -> Result<Self, TakeError> {
         let mut found = Self::default();
         let mut decoder = None;

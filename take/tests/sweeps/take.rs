@@ -1,4 +1,4 @@
-//! The take that is damaged: a hundred stretches of a recording, with loss, events, and markers that appear.
+//! The take to damage: a hundred stretches of a recording, with loss, events, and markers that appear late.
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_take::{
@@ -11,17 +11,17 @@ use mocapd_take::{
 const STRETCHES: usize = 100;
 /// A fifth of a second at 60 Hz.
 const ROWS: usize = 12;
-/// Every how many stretches one is a key.
+/// Number of stretches from key to key.
 const KEY_EVERY: usize = 10;
 const CHANNELS: usize = 5;
-/// From this stretch on there is one channel more.
+/// From this stretch on there is one more channel.
 const APPEARS_AT: usize = 25;
 
 fn channel(i: usize) -> Channel {
     Channel { marker_id: i as u16, label: format!("marker_{i}"), labelled: true }
 }
 
-/// Where a channel is at a row: a swing, and a little noise.
+/// The position of a channel in a row: a swing with a little noise.
 fn position(channel: usize, row: usize) -> [f32; 3] {
     let t = row as f32 / 60.0 + channel as f32;
     let noise = (row * 7919 + channel * 104_729) % 1013;
@@ -49,19 +49,19 @@ fn header(settings: &Settings) -> Header {
     header
 }
 
-/// Who is captured in it.
+/// The captured person.
 pub(crate) fn subject() -> Subject {
     let mut subject = Subject { name: "Anna".to_owned(), documents: Vec::new() };
     subject.set(Subject::SKELETON, br#"{"format":"mocapd-skeleton","bones":[]}"#.to_vec());
     subject
 }
 
-/// The bytes of the take, coded with `kind`.
+/// The bytes of the take, encoded with `kind`.
 pub(crate) fn take(kind: &str) -> Vec<u8> {
     begun(kind, STRETCHES)
 }
 
-/// The same, ended after so many stretches.
+/// The bytes of the take, cut off after `n_stretches`.
 pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
     let tolerance = Tolerance::from_mm(0.5).unwrap();
     let settings = Settings { kind: kind.parse().unwrap(), tolerance };

@@ -1,4 +1,4 @@
-//! What a take holds, in words: `expected.txt`.
+//! The content of a take as text: `expected.txt`.
 
 use std::fmt::Write;
 
@@ -12,10 +12,10 @@ use sha2::{Digest, Sha256};
 use super::decoded::Decoded;
 
 impl Decoded {
-    /// A line for each thing; [`PREFACE`] says how a digest is made.
-    pub(crate) fn in_words(&self) -> String {
-        let mut words = String::new();
-        let mut line = |text: String| writeln!(words, "{text}").expect("memory");
+    /// One line per item; [`PREFACE`] describes the digests.
+    pub(crate) fn to_text(&self) -> String {
+        let mut text = String::new();
+        let mut line = |item: String| writeln!(text, "{item}").expect("memory");
         line(format!("rows {}, stated {:?} mm", self.n_rows, self.stated_mm));
         for (first_row, n_rows, key) in &self.stretches {
             let key = if *key { ", key" } else { "" };
@@ -37,11 +37,11 @@ impl Decoded {
             line(format!("event {kind:?} {row} {device_ticks} {host_ns} {input} {text}"));
         }
         self.ledgers.iter().for_each(|ledger| line(of_ledger(ledger)));
-        words
+        text
     }
 }
 
-/// Stands in front of what is expected.
+/// The first lines of `expected.txt`.
 pub(crate) const PREFACE: &str = "\
 # What the takes beside this file decode to, bit for bit. Written by take/tests/golden, not by hand.
 # A digest is the first 16 digits of the SHA-256 of, little endian,
@@ -98,8 +98,8 @@ fn of_track(track: &[Option<(Position, bool)>]) -> String {
 
 fn of_times(times: &[(u64, RowTime)]) -> String {
     digest(times.iter().flat_map(|(row, time)| {
-        let words = [*row, time.device_ticks, time.arrival_10us];
-        let mut bytes = words.map(u64::to_le_bytes).concat();
+        let fields = [*row, time.device_ticks, time.arrival_10us];
+        let mut bytes = fields.map(u64::to_le_bytes).concat();
         bytes.push(time.timecode.is_some().into());
         bytes.extend(time.timecode.unwrap_or_default());
         bytes
