@@ -1,4 +1,4 @@
-//! Whether this machine can record: each finding says what was looked at, and what to type where something is wrong.
+//! Checks whether this machine can record. Each finding says what was checked, and what to do if something is wrong.
 
 mod devices;
 mod disk;
@@ -13,29 +13,29 @@ use std::{
 
 use mocapd_acquire::latency::Latency;
 
-/// How much a finding matters.
+/// The severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
     /// As it should be.
     Good,
-    /// To be known; nothing is wrong.
+    /// Worth knowing, but nothing is wrong.
     Note,
-    /// A recording goes, and may lose more than it should.
+    /// Recording works, but may lose more than it should.
     Warning,
-    /// A recording cannot go so.
+    /// Recording does not work.
     Failure,
 }
 
-/// What was found of one thing.
+/// The result of one check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// `disk speed`, `serial:/dev/ttyUSB0`...
+    /// What was checked, such as `disk speed` or `serial:/dev/ttyUSB0`.
     pub what: String,
-    /// How it is.
+    /// The severity.
     pub verdict: Verdict,
-    /// What was seen, with its figures.
+    /// The result, with figures.
     pub seen: String,
-    /// What to type or to do, where something is to be done.
+    /// What to type or do, if anything.
     pub remedy: Option<String>,
 }
 
@@ -58,8 +58,8 @@ impl Finding {
     }
 }
 
-/// Looks at everything, telling each finding as it comes; takes some seconds. Takes would go to `folder`, of whose
-/// disk so much is to stay free.
+/// Runs all checks and reports each finding as soon as it is known; takes some seconds. `folder` is the one for takes,
+/// of whose disk `keep_free_bytes` are to stay free.
 pub fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Finding)) {
     devices::examine(report);
     disk::examine(folder, keep_free_bytes, report);
@@ -70,11 +70,12 @@ pub fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Findi
 
 const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
 
-/// Sleeps that are timed, and how long each is.
+/// Number and length of the sleeps for measuring the timer latency.
 const SLEEPS: usize = 300;
 const SLEEP: Duration = Duration::from_millis(1);
 
-/// A reader that is woken later has sixteen frames of 1000 Hz at once: nothing is lost, and latency is.
+/// Latest acceptable wake-up in nanoseconds: the reader then gets 16 frames of 1000 Hz at once, with more latency but
+/// no loss.
 const LATE_NS_MAX: u64 = 16_000_000;
 
 fn clocks(report: &mut dyn FnMut(Finding)) {
@@ -90,14 +91,14 @@ fn source(name: &str) -> Finding {
     match name {
         "hpet" | "acpi_pm" | "pit" | "jiffies" | "refined-jiffies" => Finding::warning(
             what,
-            format!("{name}: slow to read, and coarse"),
-            "`dmesg | grep -i tsc` says why the processor's own clock is not used",
+            format!("{name}: slow to read, and of low resolution"),
+            "`dmesg | grep -i tsc` shows why the processor's own clock is not used",
         ),
         _ => Finding::good(what, name),
     }
 }
 
-/// How late a thread that sleeps is woken: what a reader would see of it.
+/// Measures how late a sleeping thread is woken, as the reader would be.
 fn timer_latency() -> Finding {
     let mut late = Latency::default();
     for _ in 0..SLEEPS {
@@ -112,7 +113,7 @@ fn timer_finding(late: &Latency) -> Finding {
     let us = |ns: u64| ns / 1000;
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
     let seen = format!(
-        "sleepers wake {} us late (p99), {} us at most of {}",
+        "timer latency {} us (p99), {} us (maximum of {})",
         us(p99),
         us(max),
         late.count()
@@ -121,14 +122,14 @@ fn timer_finding(late: &Latency) -> Finding {
         Finding::warning(
             "wake-ups",
             seen,
-            "close what else runs here, or give mocapd a core of its own",
+            "close other programs, or reserve a core for mocapd",
         )
     } else {
         Finding::good("wake-ups", seen)
     }
 }
 
-/// What systemd says of the time; `None` where it does not.
+/// Whether systemd reports a synchronised clock; `None` without an answer.
 fn timedatectl() -> Option<String> {
     let mut command = Command::new("timedatectl");
     command.args(["show", "--property=NTPSynchronized", "--value"]);
@@ -139,17 +140,18 @@ fn timedatectl() -> Option<String> {
 fn synchronised(answer: Option<&str>) -> Finding {
     let what = "time of day";
     match answer {
-        Some("yes") => Finding::good(what, "follows a time server"),
+        Some("yes") => Finding::good(what, "synchronised with a time server"),
         Some("no") => Finding::warning(
             what,
-            "follows no time server: a take says when it was made by it",
+            "not synchronised: the creation time of takes may be wrong",
             "`sudo timedatectl set-ntp true`",
         ),
-        _ => Finding::note(what, "systemd does not report whether it follows a time server"),
+        _ => Finding::note(what, "systemd does not report whether it is synchronised"),
     }
 }
 
-/// The rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much for everything else.
+/// Memory for the rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much again for everything
+/// else.
 const MEMORY_MIB_LEAST: u64 = 600;
 
 fn processors_and_memory(report: &mut dyn FnMut(Finding)) {
@@ -165,7 +167,7 @@ fn processors(cores: usize) -> Finding {
     match cores {
         1 => Finding::warning(
             what,
-            "one: reading, coding and writing share it",
+            "only one: reading, compressing and writing share it",
             "record with --resampler fast",
         ),
         n => Finding::good(what, format!("{n}")),
@@ -177,7 +179,7 @@ fn memory(text: &str) -> Option<Finding> {
     let mib = line.split_whitespace().next()?.parse::<u64>().ok()? / 1024;
     let seen = format!("{mib} MiB available");
     Some(if mib < MEMORY_MIB_LEAST {
-        Finding::warning("memory", seen, "close what else runs here")
+        Finding::warning("memory", seen, "close other programs")
     } else {
         Finding::good("memory", seen)
     })

@@ -1,4 +1,4 @@
-//! The service: whether it is installed, which rigs it has, how each is, and who may speak to it.
+//! The service: whether it is installed, which rigs are configured and how they are doing, and who may access it.
 
 use std::{
     fs,
@@ -8,20 +8,20 @@ use std::{
 
 use super::{Finding, Verdict};
 
-/// Where units are.
+/// Folders of systemd units.
 const UNITS: [&str; 3] = ["/etc/systemd/system", "/usr/lib/systemd/system", "/lib/systemd/system"];
 
-/// Where a rig's configuration is: NAME.toml is `mocapd@NAME`'s.
+/// Folder of the configurations: NAME.toml belongs to `mocapd@NAME`.
 const CONFIGURATIONS: &str = "/etc/mocapd";
 
-/// Comes with the package, and is no rig.
+/// The example of the package, which is not a rig.
 const EXAMPLE: &str = "example";
 
-/// Rigs that are told of: a machine has one, or a few.
+/// Most rigs that are reported: a machine has one or a few.
 const RIGS_MAX: usize = 64;
 
 pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
-    // What runs on a machine without systemd starts it in another way.
+    // Without systemd, the service is started in another way.
     if Path::new("/run/systemd/system").exists() {
         let rigs = rigs(Path::new(CONFIGURATIONS));
         report(installed(&UNITS, &rigs));
@@ -35,12 +35,12 @@ pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
     }
 }
 
-/// Names of the rigs that are configured.
+/// The names of the configured rigs.
 fn rigs(folder: &Path) -> Vec<String> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
     let names = entries.flatten().filter_map(|entry| {
         let name = entry.file_name().into_string().ok()?.strip_suffix(".toml")?.to_owned();
-        // What systemd would write in another way is not looked for.
+        // Names that systemd would escape are skipped.
         let is_plain = name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.:".contains(c));
         (is_plain && name != EXAMPLE).then_some(name)
     });
@@ -52,19 +52,19 @@ fn rigs(folder: &Path) -> Vec<String> {
 fn installed(folders: &[&str], rigs: &[String]) -> Finding {
     let what = "service";
     if !folders.iter().any(|folder| Path::new(folder).join("mocapd@.service").exists()) {
-        return Finding::note(what, "not installed: recordings are started by hand");
+        return Finding::note(what, "not installed: recordings must be started by hand");
     }
     if rigs.is_empty() {
         let remedy = format!(
             "`sudo cp {CONFIGURATIONS}/{EXAMPLE}.toml {CONFIGURATIONS}/NAME.toml`, edit it, and \
              `sudo systemctl enable --now mocapd@NAME`"
         );
-        return with_remedy(Finding::note(what, "installed; no rig is configured"), remedy);
+        return with_remedy(Finding::note(what, "installed, but no rig is configured"), remedy);
     }
     Finding::good(what, format!("installed; rigs: {}", rigs.join(", ")))
 }
 
-/// What systemd knows of a unit.
+/// The state of a unit according to systemd.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct UnitState {
     active: String,
@@ -102,22 +102,22 @@ fn rig(name: &str, state: &UnitState) -> Finding {
     let at_boot = state.enabled.starts_with("enabled");
     match (state.active.as_str(), at_boot) {
         ("active" | "reloading", true) => {
-            Finding::good(&what, format!("runs, and is started at boot{status}"))
+            Finding::good(&what, format!("running, and started at boot{status}"))
         }
         ("active" | "reloading", false) => with_remedy(
-            Finding::good(&what, format!("runs; it is not started at boot{status}")),
+            Finding::good(&what, format!("running, but not started at boot{status}")),
             format!("`sudo systemctl enable {what}` starts it at boot"),
         ),
         ("failed", _) => Finding::failure(
             &what,
             "has failed",
-            format!("`journalctl -u {what} -n 50` says why; then `sudo systemctl restart {what}`"),
+            format!("`journalctl -u {what} -n 50` shows why; then `sudo systemctl restart {what}`"),
         ),
         ("activating" | "deactivating", _) => {
-            Finding::note(&what, format!("is {}{status}", state.active))
+            Finding::note(&what, format!("{}{status}", state.active))
         }
         _ => with_remedy(
-            Finding::note(&what, "does not run"),
+            Finding::note(&what, "not running"),
             format!("`sudo systemctl enable --now {what}`"),
         ),
     }
@@ -127,7 +127,7 @@ fn with_remedy(finding: Finding, remedy: impl Into<String>) -> Finding {
     Finding { remedy: Some(remedy.into()), ..finding }
 }
 
-/// Who asks.
+/// The user who runs the check.
 #[derive(Debug)]
 struct CurrentUser {
     name: Option<String>,
@@ -151,7 +151,7 @@ impl CurrentUser {
     }
 }
 
-/// Whether one is in a group; nothing where there is no such group.
+/// Checks membership of a group; `None` if the group does not exist.
 fn group(groups: &str, me: &CurrentUser, name: &str, why: &str) -> Option<Finding> {
     let line = groups.lines().find(|line| line.split(':').next() == Some(name))?;
     let mut fields = line.split(':').skip(2);
@@ -159,15 +159,15 @@ fn group(groups: &str, me: &CurrentUser, name: &str, why: &str) -> Option<Findin
     let mut members = fields.next().unwrap_or_default().split(',');
     let what = format!("group {name}");
     if me.is_root {
-        return Some(Finding::good(&what, "root may do without"));
+        return Some(Finding::good(&what, "not needed by root"));
     }
     if me.groups.contains(&id) {
         return Some(Finding::good(&what, format!("you may {why}")));
     }
     let is_member = me.name.as_deref().is_some_and(|me| members.any(|member| member == me));
-    let seen = format!("you are not in it: you may not {why}");
+    let seen = format!("you are not a member: you may not {why}");
     Some(match is_member {
-        true => Finding::warning(&what, "you are in it since you logged in", "log in again"),
+        true => Finding::warning(&what, "you became a member after logging in", "log in again"),
         false => Finding {
             verdict: Verdict::Note,
             ..Finding::warning(

@@ -1,5 +1,5 @@
-//! What the service sends to everybody who listens, each from one feed of it: events, with those of lately, and frames,
-//! coded once, the newest few for whoever is slow.
+//! Distributes events and live frames to all HTTP clients, each from one feed of the service. Recent events are kept
+//! for clients that reconnect; frames are encoded once, and slow viewers get the newest.
 
 use std::{
     collections::VecDeque,
@@ -22,16 +22,16 @@ use crate::{
     status::ServiceEvent,
 };
 
-/// Events that are kept for those who come back: an hour of a busy session, some hundred kilobytes.
+/// Events kept for clients that reconnect: an hour of a busy session, some hundred kilobytes.
 const KEPT_MAX: usize = 512;
 
-/// Events that a listener may be behind before it loses the oldest.
+/// Most events that a subscriber may lag behind before it loses the oldest.
 const EVENTS_BEHIND_MAX: usize = 128;
 
-/// The hub of events. They are told apart by their numbers: a gap in them is what somebody missed, wherever it was lost.
+/// Distributes events. Their numbers are consecutive, so a gap shows what a subscriber missed, wherever it was lost.
 #[derive(Debug)]
 pub(super) struct EventBroadcast {
-    /// Which run of the service it is: numbers begin again with each.
+    /// Identifies this run of the service: numbers start again with each.
     pub(super) run: String,
     kept: Mutex<VecDeque<Arc<ServiceEvent>>>,
     sender: broadcast::Sender<Arc<ServiceEvent>>,
@@ -44,7 +44,7 @@ impl EventBroadcast {
         Self { run, kept, sender: broadcast::Sender::new(EVENTS_BEHIND_MAX), counts }
     }
 
-    /// Listens until it is stopped, or the feed ends: the work of a thread of its own. The feed was opened before, so that
+    /// Forwards events until it is stopped or the feed ends, on its own thread. The feed was opened earlier, so that
     /// nothing is missed.
     pub(super) fn forward(&self, feed: &EventFeed, stopped: &Stopped) {
         loop {
@@ -65,11 +65,12 @@ impl EventBroadcast {
             kept.pop_front();
         }
         kept.push_back(Arc::clone(&event));
-        // Under the lock, so that `follow` gets each event once. Nobody may listen.
+        // Sent under the lock, so that `follow` gets each event once. There may be no receivers.
         self.sender.send(event).ok();
     }
 
-    /// What was kept since event `after`, and what comes from now on. Without a number only the latter.
+    /// Subscribes to the kept events after number `after` and to all future ones; without a number, only to future
+    /// ones.
     pub(super) fn follow(&self, after: Option<u64>) -> EventSubscription {
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         let last = kept.back().map_or(0, |event| event.number);
@@ -79,7 +80,7 @@ impl EventBroadcast {
     }
 }
 
-/// One listener.
+/// The subscription of one client.
 #[derive(Debug)]
 pub(super) struct EventSubscription {
     backlog: VecDeque<Arc<ServiceEvent>>,
@@ -87,7 +88,7 @@ pub(super) struct EventSubscription {
     last_number: u64,
 }
 
-/// An event, and how many before it are gone.
+/// An event, and the number of events lost before it.
 #[derive(Debug)]
 pub(super) struct Delivery {
     pub(super) event: Arc<ServiceEvent>,
@@ -95,14 +96,14 @@ pub(super) struct Delivery {
 }
 
 impl EventSubscription {
-    /// The next event. `None`: there will be none.
+    /// Waits for the next event; `None` if there will be no more.
     pub(super) async fn next(&mut self) -> Option<Delivery> {
         let event = match self.backlog.pop_front() {
             Some(event) => event,
             None => loop {
                 match self.coming.recv().await {
                     Ok(event) => break event,
-                    // The numbers tell how many.
+                    // The numbers show how many are lost.
                     Err(broadcast::error::RecvError::Lagged(_)) => {}
                     Err(broadcast::error::RecvError::Closed) => return None,
                 }
@@ -114,30 +115,30 @@ impl EventSubscription {
     }
 }
 
-/// Messages that a viewer may be behind: a quarter of a second. A frame of 200 markers has 2.4 KB, and is held once
-/// for all viewers.
+/// Most messages that a viewer may lag behind: a quarter of a second. A frame of 200 markers has 2.4 KB and is shared
+/// by all viewers.
 const FRAMES_BEHIND_MAX: usize = 8;
 
-/// Between looks whether there still are viewers, and whether the server ends, where no frame comes.
+/// Time between checks for viewers and for the end of the server while no frames arrive.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Markers, as they go to a viewer.
+/// The marker table as it is sent.
 #[derive(Debug)]
 pub(super) struct EncodedTable {
     number: u64,
     bytes: Bytes,
 }
 
-/// What viewers are sent.
+/// A message for viewers.
 #[derive(Debug, Clone)]
 pub(super) enum LiveUpdate {
     Table(Arc<EncodedTable>),
-    /// A frame, and the markers that it has: a viewer that missed the table gets it with the frame.
+    /// A frame with its table: a viewer that missed the table gets it before the frame.
     Frame(Option<Arc<EncodedTable>>, Bytes),
     Over,
 }
 
-/// The hub of frames.
+/// Distributes live frames.
 #[derive(Debug)]
 pub(super) struct LiveBroadcast {
     sender: broadcast::Sender<LiveUpdate>,
@@ -162,7 +163,7 @@ impl LiveBroadcast {
         }
     }
 
-    /// Looks while anybody does, until it is stopped: the work of a thread of its own.
+    /// Forwards frames while there are viewers, until it is stopped, on its own thread.
     pub(super) fn run(&self, control: &dyn Control, stopped: &Stopped) {
         while !stopped.is_stopped() && !self.is_over() {
             if self.sender.receiver_count() == 0 {
@@ -186,7 +187,7 @@ impl LiveBroadcast {
                     self.send(LiveUpdate::Over);
                     return;
                 }
-                // A feed that lost its other end answers at once: it is opened again, and not all the time.
+                // A feed whose sender is gone returns immediately: it is opened again after a pause.
                 None if asked.elapsed() < POLL_INTERVAL / 2 => {
                     std::thread::sleep(POLL_INTERVAL);
                     return;
@@ -214,11 +215,11 @@ impl LiveBroadcast {
     }
 
     fn send(&self, shown: LiveUpdate) {
-        // The last viewer may have left by now.
+        // The last viewer may have left.
         self.sender.send(shown).ok();
     }
 
-    /// Whether no more frames will come.
+    /// Whether there will be no more frames.
     pub(super) fn is_over(&self) -> bool {
         self.is_over.load(Ordering::Relaxed)
     }
@@ -228,13 +229,13 @@ impl LiveBroadcast {
         let coming = self.sender.subscribe();
         let first = table.as_ref().map(|table| LiveUpdate::Table(Arc::clone(table)));
         drop(table);
-        // Full: it was woken already.
+        // If the channel is full, the thread has been woken already.
         self.wake.try_send(()).ok();
         LiveSubscription { first, coming, table_seen: 0, counts: Arc::clone(&self.counts) }
     }
 }
 
-/// One viewer.
+/// The subscription of one viewer.
 #[derive(Debug)]
 pub(super) struct LiveSubscription {
     first: Option<LiveUpdate>,
@@ -244,7 +245,7 @@ pub(super) struct LiveSubscription {
 }
 
 impl LiveSubscription {
-    /// The bytes to send next. `None`: there will be none.
+    /// Waits for the bytes to send next; `None` if there will be no more.
     pub(super) async fn next(&mut self) -> Option<Bytes> {
         loop {
             let shown = match self.first.take() {
@@ -308,10 +309,10 @@ mod tests {
         assert_eq!(next(&mut resumed), (11, 7), "4 to 10 are gone");
         assert_eq!(next(&mut resumed), (12, 0));
         let mut new = hub.follow(None);
-        // Lost before it came here, by a feed that was not read.
+        // Lost earlier, by a feed that was not read.
         hub.publish(event(total + 3));
         assert_eq!(next(&mut new), (total + 3, 2));
-        // Behind by more than is held for one: the oldest are gone.
+        // Lagging by more events than are kept for a subscriber: the oldest are lost.
         (total + 4..total + 4 + 2 * EVENTS_BEHIND_MAX as u64)
             .for_each(|number| hub.publish(event(number)));
         let (number, missed) = next(&mut new);

@@ -1,4 +1,4 @@
-//! Connections: how many, how long, and what becomes of one; its other end must take in something from time to time.
+//! Connections: their number, their time limits, and how each is served. Clients must keep reading their replies.
 
 use std::{
     io,
@@ -30,19 +30,19 @@ use super::{
     unless, until,
 };
 
-/// Bytes of a request's head at most: browsers send one or two kilobytes, cookies of other ports included.
+/// Largest request head in bytes: browsers send one or two kilobytes, including cookies of other ports.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 
-/// Header lines at most; browsers send some twenty.
+/// Most header lines: browsers send some twenty.
 const HEADERS_MAX: usize = 64;
 
-/// For such a one to read its answer and to close.
+/// Time for a rejected client to read the reply and close.
 const LINGER_TIME_MAX: Duration = Duration::from_secs(1);
 
-/// Before accepting is tried again when the process has no descriptor left.
+/// Time before accepting again when the process has no file descriptors left.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 
-/// What all connections of one listener share.
+/// State shared by all connections of one listener.
 #[derive(Clone)]
 pub(super) struct Acceptor {
     pub(super) router: Router,
@@ -51,7 +51,7 @@ pub(super) struct Acceptor {
     pub(super) slots: Arc<ConnectionSlots>,
     pub(super) lingering: Arc<Semaphore>,
     pub(super) stopping: watch::Receiver<bool>,
-    /// Held by every connection: when all are gone the other end knows.
+    /// Held by every connection, so that the sender notices when all are closed.
     pub(super) alive: watch::Receiver<()>,
 }
 
@@ -83,13 +83,14 @@ impl Acceptor {
         while let Some(accepted) = until(&mut self.stopping, listener.accept()).await {
             match accepted {
                 Ok((stream, from)) => {
-                    // Answers are written whole; an event is to leave at once. Refused, it is later by some ms.
+                    // Replies are written whole, and events should leave at once. If this fails, they are some ms
+                    // later.
                     stream.set_nodelay(true).ok();
                     match stream.local_addr() {
                         Ok(local) => {
                             self.admit(stream, Via::Tcp(local), Peer::of_address(from.ip()));
                         }
-                        // It was reset before it was accepted.
+                        // The connection was reset before it was accepted.
                         Err(_) => Counts::add(&self.counts.connections_refused, 1),
                     }
                     yield_now().await;
@@ -99,8 +100,8 @@ impl Acceptor {
         }
     }
 
-    /// Callers yield behind it: a connection that made room closes before the next one is accepted, so that a rush of
-    /// them holds one descriptor more than there are places.
+    /// Callers yield afterwards, so that an evicted connection closes before the next is accepted: even in a rush, at
+    /// most one descriptor more than there are slots is open.
     fn admit<S: Stream>(&self, stream: S, via: Via, peer: Peer) {
         let Some(guard) = self.slots.take(peer) else {
             Counts::add(&self.counts.connections_refused, 1);
@@ -134,13 +135,13 @@ impl Acceptor {
             .max_buf_size(HEAD_BYTES_MAX)
             .max_headers(HEADERS_MAX);
         let mut connection = server.serve_connection(io, service);
-        // What breaks a connection (a reset, a head that is none, a limit) was answered as far as it can be.
+        // Whatever breaks a connection (a reset, an invalid head, a limit) has been replied to as far as possible.
         let served = unless(guard.slot().evicted(), Pin::new(&mut connection));
         match until(&mut self.stopping, served).await {
             Some(Some(_)) => {}
             Some(None) => {
                 Counts::add(&self.counts.connections_evicted, 1);
-                // Behind an answer, another one would be taken for that of the next request.
+                // After a reply, another one would be taken for the reply to the next request.
                 if !guard.slot().has_answered() {
                     let stream = connection.into_parts().io.into_inner().into_inner();
                     self.reject(stream);
@@ -154,7 +155,7 @@ impl Acceptor {
         drop(self.alive);
     }
 
-    /// Answers 503 and closes, without waiting for the other end.
+    /// Replies 503 and closes, without waiting for the client.
     fn reject<S: Stream>(&self, stream: S) {
         const BODY: &str = r#"{"status":503,"kind":"unavailable","message":"too many connections: close one, or try again in a second"}"#;
         let answer = format!(
@@ -163,7 +164,7 @@ impl Acceptor {
             BODY.len()
         );
         let socket = SockRef::from(&stream);
-        // It does not block, and a buffer that nothing was written to holds more than that.
+        // The call does not block, and an unused send buffer is large enough.
         socket.send(answer.as_bytes()).ok();
         socket.shutdown(Shutdown::Write).ok();
         if let Ok(permit) = Arc::clone(&self.lingering).try_acquire_owned() {
@@ -172,21 +173,21 @@ impl Acceptor {
     }
 }
 
-/// What both kinds of sockets are.
+/// The properties of both kinds of sockets.
 pub(super) trait Stream: AsyncRead + AsyncWrite + AsFd + Unpin + Send + 'static {}
 
 impl<S: AsyncRead + AsyncWrite + AsFd + Unpin + Send + 'static> Stream for S {}
 
-/// Reads until the other end closes, so that no reset overtakes what it was sent.
+/// Reads until the client closes, so that no reset overtakes the reply.
 async fn linger<S: Stream>(mut stream: S, permit: OwnedSemaphorePermit) {
     let mut dropped = [0; 1024];
     let to_the_end = async { while stream.read(&mut dropped).await.is_ok_and(|n| n > 0) {} };
-    // It is closed in any case.
+    // The connection is closed in any case.
     timeout(LINGER_TIME_MAX, to_the_end).await.ok();
     drop(permit);
 }
 
-/// Fails a write that waits for longer than `stall_max`. Nothing else bounds a client that asks for a large answer
+/// Fails a write that is blocked for longer than `stall_max`. Nothing else limits a client that requests a large reply
 /// and never reads it.
 #[derive(Debug)]
 pub(super) struct StallGuard<S> {
@@ -260,7 +261,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for StallGuard<S> {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // hyper flushes when its buffer is empty, and after each answer.
+        // hyper flushes when its buffer is empty, and after each reply.
         let polled = Pin::new(&mut self.stream).poll_flush(cx);
         if matches!(polled, Poll::Ready(Ok(()))) {
             self.slot.flushed();
@@ -290,7 +291,7 @@ mod tests {
 
     const BODY_BYTES: usize = 10_000;
 
-    /// What the connection takes before the client reads.
+    /// Bytes that the connection buffers until the client reads.
     const PIPE_BYTES: usize = 256;
 
     #[test]
@@ -305,7 +306,7 @@ mod tests {
             let slot = Arc::clone(guard.slot());
             let service = service_fn(move |request: Request<Incoming>| {
                 drop(slot.request_body(Body::new(request.into_body())));
-                // One frame, which hyper takes as a whole.
+                // One frame, which hyper accepts as a whole.
                 let answer = Response::new(slot.response_body(Body::from(vec![b'x'; BODY_BYTES])));
                 async move { Ok::<_, Infallible>(answer) }
             });

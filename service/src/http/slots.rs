@@ -1,9 +1,10 @@
-//! The places of one listener: a bounded number of connections, and which of them makes room when all are taken.
+//! Slots for the connections of one listener: limits their number, and decides which one is evicted when all are in
+//! use.
 //!
-//! A connection that holds its place without doing anything useful must not keep others out. When every place is taken,
-//! a new connection takes the place of one that has never made an authorized request; where there is none, of one that
-//! is idle or still sending its request. A connection whose authorized request is being carried out, or whose answer the
-//! kernel has not taken yet, is never closed.
+//! A connection that does nothing useful must not keep others out. If all slots are in use, a new connection replaces
+//! one that has never made an authorized request, or otherwise one that is idle or still sending its request. A
+//! connection is never closed while an authorized request of it is being executed, or before the kernel has accepted
+//! its reply.
 
 use std::{
     cmp::Reverse,
@@ -18,12 +19,12 @@ use axum::body::{Body, Bytes};
 use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tokio::{sync::Notify, time::Instant};
 
-/// The other end of a connection, as far as connections are counted together.
+/// The client of a connection, for counting connections together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Peer {
-    /// A user of this machine, on the Unix socket. `None`: the kernel does not say.
+    /// A user of this machine, on the Unix socket; `None` if the kernel does not tell.
     User(Option<u32>),
-    /// An address. Of IPv6 the first 64 bits: a host has all of the others to itself.
+    /// An address. For IPv6 its first 64 bits: a host may use all of the others.
     Address(IpAddr),
 }
 
@@ -46,7 +47,7 @@ pub(super) struct ConnectionSlots {
     open: Mutex<Vec<Arc<ConnectionSlot>>>,
 }
 
-/// One connection's place.
+/// The slot of one connection.
 #[derive(Debug)]
 pub(super) struct ConnectionSlot {
     peer: Peer,
@@ -56,19 +57,19 @@ pub(super) struct ConnectionSlot {
 
 #[derive(Debug, Clone, Copy)]
 struct SlotState {
-    /// A request of it was allowed, and not only one that everybody may make.
+    /// It has made a request that needs authorization, and was allowed.
     is_authorized: bool,
-    /// A request has arrived whole, and its answer is not sent.
+    /// A request has been received completely, and its reply has not been sent.
     is_busy: bool,
-    /// The answer is written to hyper's buffer, which drops a body with its last bytes unsent.
+    /// The reply is in hyper's buffer, which drops the body before its last bytes are sent.
     is_flushing: bool,
-    /// A request was answered, or is being answered.
+    /// It has been sent a reply, or part of one.
     has_answered: bool,
     /// Since when it is neither busy nor evicted.
     since: Instant,
 }
 
-/// A taken place, given back when it is dropped.
+/// A slot in use; freed when dropped.
 #[derive(Debug)]
 pub(super) struct SlotGuard {
     slots: Arc<ConnectionSlots>,
@@ -80,11 +81,11 @@ impl ConnectionSlots {
         Arc::new(Self { max, open: Mutex::new(Vec::with_capacity(max)) })
     }
 
-    /// A place for a connection of this peer. `None` when every other one is busy.
+    /// Takes a slot for a connection of this peer; `None` if all slots are busy.
     pub(super) fn take(self: &Arc<Self>, peer: Peer) -> Option<SlotGuard> {
         let mut open = self.lock();
         if open.len() >= self.max {
-            // Its task hears of it a moment later: for so long one connection more than `max` is open.
+            // The evicted connection's task learns of it a moment later: until then, `max` + 1 connections are open.
             let at = evictable(&open)?;
             open.swap_remove(at).evicted.notify_one();
         }
@@ -106,7 +107,7 @@ impl ConnectionSlots {
     }
 }
 
-/// Which connection makes room: of the peer that holds most places that may be taken, the one that has held its place
+/// Selects the connection to evict: of the peer with the most evictable slots, the connection that has held its slot
 /// for longest.
 fn evictable(open: &[Arc<ConnectionSlot>]) -> Option<usize> {
     let states: Vec<SlotState> = open.iter().map(|slot| *slot.lock()).collect();
@@ -127,7 +128,7 @@ fn evictable(open: &[Arc<ConnectionSlot>]) -> Option<usize> {
 }
 
 impl SlotGuard {
-    /// What routes see of it.
+    /// The slot, as routes see it.
     pub(super) fn slot(&self) -> &Arc<ConnectionSlot> {
         &self.slot
     }
@@ -140,22 +141,22 @@ impl Drop for SlotGuard {
 }
 
 impl ConnectionSlot {
-    /// A request was allowed that not everybody may make.
+    /// A request that needs authorization was allowed.
     pub(super) fn authorize(&self) {
         self.lock().is_authorized = true;
     }
 
-    /// Resolves when another connection has taken the place.
+    /// Resolves when another connection has taken the slot.
     pub(super) async fn evicted(&self) {
         self.evicted.notified().await;
     }
 
-    /// Whether a request was answered on this connection.
+    /// Whether a reply was sent on this connection.
     pub(super) fn has_answered(&self) -> bool {
         self.lock().has_answered
     }
 
-    /// The request with its progress noted here.
+    /// The request's body, whose progress is tracked in the slot.
     pub(super) fn request_body(self: &Arc<Self>, body: Body) -> Body {
         if body.is_end_stream() {
             self.arrived();
@@ -164,13 +165,13 @@ impl ConnectionSlot {
         Body::new(Tracked { body, slot: Arc::clone(self), direction: Direction::Request })
     }
 
-    /// The answer with its progress noted here.
+    /// The reply's body, whose progress is tracked in the slot.
     pub(super) fn response_body(self: &Arc<Self>, body: Body) -> Body {
         self.lock().has_answered = true;
         Body::new(Tracked { body, slot: Arc::clone(self), direction: Direction::Response })
     }
 
-    /// Everything that was written to the connection is with the kernel.
+    /// The kernel has accepted everything written to the connection.
     pub(super) fn flushed(&self) {
         let mut state = self.lock();
         if state.is_flushing {
@@ -180,7 +181,7 @@ impl ConnectionSlot {
         }
     }
 
-    /// A request is there to its end. An answer that is still being sent then belongs to the one before it.
+    /// A request has been received completely. A reply that is still being sent belongs to the previous one.
     fn arrived(&self) {
         let mut state = self.lock();
         state.is_busy = true;
@@ -198,7 +199,7 @@ enum Direction {
     Response,
 }
 
-/// A body that notes in a place when it has arrived, or when it is written.
+/// A body that tells its slot when it has been received or written.
 #[derive(Debug)]
 struct Tracked {
     body: Body,
@@ -261,7 +262,7 @@ mod tests {
         let newcomer = slots.take(address(4)).unwrap();
         let evicted = [&known, &single, &crowd[0], &crowd[1], &newcomer].map(is_evicted);
         assert_eq!(evicted, [false, false, true, false, false]);
-        // What was evicted gives nothing back that is not its own.
+        // A guard whose connection was evicted frees no slot of another one.
         drop(crowd);
         assert_eq!(slots.lock().len(), 3);
     }

@@ -1,4 +1,4 @@
-//! The takes of the service's folder: which there are, one of them as it is, and one read to its end.
+//! The takes in the service's folder: list, download and verify them.
 
 use std::{
     fs::File,
@@ -45,11 +45,11 @@ use crate::{
     status::TakeSummary,
 };
 
-/// Takes that are listed where nobody says how many, and at most.
+/// Takes listed by default, and the most that can be requested.
 const LIMIT: usize = 100;
 const LIMIT_MAX: usize = 1000;
 
-/// Bytes of a name at most: more no file system takes.
+/// Longest name in bytes: no file system allows more.
 const NAME_BYTES_MAX: usize = 255;
 
 #[derive(Debug, Deserialize)]
@@ -60,13 +60,13 @@ pub(super) struct Listing {
 /// The takes in the service's folder, newest first
 #[utoipa::path(get, path = "/v1/takes", tag = "takes", 
     params(("limit" = Option<usize>, Query, minimum = 1, maximum = 1000,
-        description = "How many at most; 100 where it is not said")),
+        description = "Most takes to list; 100 by default")),
     responses((status = 200, body = Vec<TakeSummary>)))]
 pub(super) async fn takes(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Result<Json<Vec<TakeSummary>>, Problem> {
-    let refused = || Problem::invalid(format!("`limit` is a number of takes: 1 to {LIMIT_MAX}"));
+    let refused = || Problem::invalid(format!("`limit` must be a number of takes, 1 to {LIMIT_MAX}"));
     let Query(listing) = listing.map_err(|_| refused())?;
     let limit = listing.limit.unwrap_or(LIMIT);
     if !(1..=LIMIT_MAX).contains(&limit) {
@@ -76,29 +76,29 @@ pub(super) async fn takes(
     Ok(Json(app.queues.files.run(move || control.takes(limit)).await??))
 }
 
-/// A take's file.
+/// An opened take file.
 #[derive(Debug)]
 pub(super) struct OpenedTake {
     pub(super) file: File,
-    /// Its bytes; of a take that is being written, those that would survive a power cut.
+    /// Its length; for a take that is being written, the bytes that would survive a power cut.
     pub(super) len: u64,
     /// Whether it is being written.
     pub(super) is_growing: bool,
-    /// Changes whenever the file does. `None` while it grows.
+    /// The entity tag, which changes whenever the file does; `None` while the file grows.
     pub(super) tag: Option<String>,
 }
 
-/// Opens a take by its name. Waits for the disk.
+/// Opens a take by its name. May wait for the disk.
 ///
 /// # Errors
-/// 404 for what is no take, and for what leads anywhere else.
+/// 404 if it is not a take, or if the name leads elsewhere.
 pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Problem> {
-    let not_there = || Problem::not_found("there is no take of that name: see /v1/takes");
+    let not_there = || Problem::not_found("no take has this name: see /v1/takes");
     if !is_name(name) {
         return Err(not_there());
     }
     let path = control.take_path(name)?;
-    // A link may lead anywhere, and a pipe would be waited for: neither is a take.
+    // A link may lead anywhere, and opening a pipe may block: neither is a take.
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = match rustix::fs::open(&path, flags, Mode::empty()) {
         Ok(descriptor) => File::from(descriptor),
@@ -109,7 +109,7 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Prob
     if !found.is_file() {
         return Err(not_there());
     }
-    // Asked behind the metadata: a take that ends in between has all of these bytes on disk.
+    // Queried after the metadata: if the take ends in between, all of these bytes are on disk.
     let growing = control.live_take(FileId::of(&found));
     let tag = format!(
         "\"{:x}-{:x}-{:x}\"",
@@ -126,11 +126,11 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Prob
 }
 
 pub(super) fn unreadable(error: &io::Error) -> Problem {
-    let message = format!("the take cannot be read: {error}");
+    let message = format!("cannot read the take: {error}");
     Problem::new(StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk, message)
 }
 
-/// Whether that can be a name in a folder. The service looks as well; a path is read here only.
+/// Whether the name is a plain file name. The service checks it as well, but a path must not get that far.
 fn is_name(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= NAME_BYTES_MAX
@@ -139,21 +139,21 @@ fn is_name(name: &str) -> bool {
         && !name.contains(char::is_control)
 }
 
-/// Bytes that are read at once: a disk's while, and what a slow client costs in memory.
+/// Size of a chunk: read quickly by a disk, and the memory that a slow client costs.
 const CHUNK_BYTES: u64 = 128 << 10;
 
-/// The file of a take
+/// Download a take
 ///
-/// Ranges of bytes are answered with 206. Of a take that is being written it gives what would survive a power cut,
-/// which never changes again: ask for the rest later, by a range.
+/// Byte ranges get 206. Of a take that is being written, the download contains what would survive a power cut; these
+/// bytes never change, and the rest can be requested later by a range.
 #[utoipa::path(get, path = "/v1/takes/{name}/download", tag = "takes",
     params(("name" = String, Path, description = "The take's name, without `.take`")),
     responses((status = 200, description = "The file", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 206, description = "The bytes of a range", body = Vec<u8>,
             content_type = "application/octet-stream"),
-        (status = 304, description = "The client has it"),
-        (status = 416, description = "The bytes asked for are not there", body = Problem,
+        (status = 304, description = "The client's copy is current"),
+        (status = 416, description = "The requested range is not satisfiable", body = Problem,
             content_type = "application/problem+json")))]
 pub(super) async fn download(
     State(app): State<Shared>,
@@ -167,9 +167,9 @@ pub(super) async fn download(
     answer(app, take, &name, &headers, permit)
 }
 
-/// The name in a path.
+/// The take name in a request's path.
 pub(super) fn take_name(name: Result<Path<String>, PathRejection>) -> Result<String, Problem> {
-    name.map(|Path(name)| name).map_err(|_| Problem::invalid("the take's name is no UTF-8"))
+    name.map(|Path(name)| name).map_err(|_| Problem::invalid("the take name is not UTF-8"))
 }
 
 fn answer(
@@ -184,7 +184,7 @@ fn answer(
     if tag.is_some_and(|tag| header_text(header::IF_NONE_MATCH) == Some(tag)) {
         return Ok(StatusCode::NOT_MODIFIED.into_response());
     }
-    // Bytes that are there never change while a take grows. A date is never the tag: then it is sent whole.
+    // The bytes of a growing take never change. A date is never equal to the tag: the whole file is sent then.
     let same = header_text(header::IF_RANGE).is_none_or(|known| take.is_growing || Some(known) == tag);
     let (status, bytes) = match requested_range(header_text(header::RANGE).filter(|_| same), take.len) {
         RequestedRange::Whole => (StatusCode::OK, 0..take.len),
@@ -209,7 +209,7 @@ fn answer(
 }
 
 fn unsatisfiable(len: u64) -> Result<Response, Problem> {
-    let message = format!("there are {len} bytes, and the range lies behind them");
+    let message = format!("the range is outside of the file, which has {len} bytes");
     let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, ProblemKind::Range, message);
     let mut response = problem.into_response();
     response.headers_mut().insert(header::CONTENT_RANGE, value(&format!("bytes */{len}"))?);
@@ -220,7 +220,7 @@ fn value(text: &str) -> Result<HeaderValue, Problem> {
     HeaderValue::from_str(text).map_err(|error| Problem::internal(error.to_string()))
 }
 
-/// The name that a browser saves it under: in ASCII for old ones, and as it is (RFC 6266).
+/// The file name for browsers: in ASCII for old ones, and in UTF-8 (RFC 6266).
 fn disposition(name: &str) -> String {
     let plain: String = name
         .chars()
@@ -237,7 +237,7 @@ fn disposition(name: &str) -> String {
     format!("attachment; filename=\"{plain}.take\"; filename*=UTF-8''{exact}.take")
 }
 
-/// Reads a piece when the one before is gone: a slow client costs one piece, and holds no thread.
+/// Reads each chunk after the previous one was sent: a slow client costs the memory of one chunk and no thread.
 fn chunks(app: Shared, file: File, bytes: Range<u64>, permit: StreamPermit) -> Body {
     let state = (app, Arc::new(file), bytes, permit);
     Body::from_stream(stream::unfold(state, |(app, file, bytes, permit)| async move {
@@ -247,7 +247,7 @@ fn chunks(app: Shared, file: File, bytes: Range<u64>, permit: StreamPermit) -> B
         let len = CHUNK_BYTES.min(bytes.end - bytes.start);
         let (from, source) = (bytes.start, Arc::clone(&file));
         let read = app.queues.files.run_when_free(move || read(&source, from, len)).await;
-        // What was announced and does not come closes the connection: the client sees that it is cut off.
+        // A failed read closes the connection, so that the client notices the incomplete download.
         let piece = read.unwrap_or_else(|problem| Err(io::Error::other(problem.message)));
         let rest = if piece.is_ok() { from + len..bytes.end } else { bytes.end..bytes.end };
         Some((piece, (app, file, rest, permit)))
@@ -260,14 +260,14 @@ fn read(file: &File, from: u64, len: u64) -> io::Result<Bytes> {
     Ok(piece.into())
 }
 
-/// What the header `Range` comes to for a file of so many bytes.
+/// The part of a file selected by a `Range` header.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum RequestedRange {
-    /// All of it: nothing else was asked for, or nothing that is understood here, which a server may pass over.
+    /// The whole file: no range was requested, or one that is not supported, which a server may ignore.
     Whole,
     /// These bytes.
     Partial(Range<u64>),
-    /// Bytes that are not there.
+    /// No byte of the file.
     Unsatisfiable,
 }
 
@@ -283,58 +283,59 @@ pub(super) fn requested_range(header: Option<&str>, len: u64) -> RequestedRange 
         (Some(first), Some(last)) if first <= last => first..last.saturating_add(1).min(len),
         (Some(first), None) if last.is_empty() => first..len,
         (None, Some(last)) if first.is_empty() => len.saturating_sub(last)..len,
-        // Several ranges, or none.
+        // Several ranges, or an invalid one.
         _ => return RequestedRange::Whole,
     };
     if range.is_empty() { RequestedRange::Unsatisfiable } else { RequestedRange::Partial(range) }
 }
 
-/// Digits alone: `parse` would take a sign. More than fit are more than any file has.
+/// Parses digits only, because `parse` would accept a sign. Numbers that do not fit exceed any file.
 fn number(text: &str) -> Option<u64> {
     let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     digits.then(|| text.parse().unwrap_or(u64::MAX))
 }
 
-/// Problems and contradictions that are told each: a badly damaged take has one a stretch.
+/// Most problems and contradictions listed each: a badly damaged take has one per stretch.
 const LISTED_MAX: usize = 100;
 
-/// What was found in a take.
+/// The result of verifying a take.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeCheck {
-    /// Without `.take`.
+    /// Name without `.take`.
     pub name: String,
-    /// How it is, as the list has it, and `damaged` where what lies between its ends is.
+    /// Health as in the list, or `damaged` if there is damage between header and end.
     pub health: TakeHealth,
-    /// Why it ended, as `stop` tells it; empty where the take does not say.
+    /// Why it ended, in the words of `stop`; empty if the take does not say.
     #[serde(default)]
     pub ending: String,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub bytes: u64,
-    /// Frames: rows, lost ones included.
+    /// Number of frames: rows, including lost frames.
     pub frames: u64,
-    /// Seconds that they make.
+    /// Length in seconds.
     pub seconds: f64,
-    /// Frames a second.
+    /// Frame rate in Hz.
     pub rate_hz: f64,
-    /// Markers.
+    /// Number of markers.
     pub markers: usize,
-    /// Samples present.
+    /// Number of present samples.
     pub samples: u64,
-    /// What no sample may be off by more than, in millimetres; 0 where every bit is kept.
+    /// Largest error allowed for any sample, in millimetres; 0 for a lossless take.
     pub tolerance_mm: f64,
-    /// Largest error that the take states, in millimetres.
+    /// Largest error stated in the take, in millimetres.
     pub max_error_mm: f64,
-    /// Whether the ledger does not close or tells of other samples, then what is missing or damaged: the first hundred.
+    /// Whether the ledger does not close or disagrees with the samples, then what is missing or damaged: the first
+    /// hundred problems.
     pub problems: Vec<String>,
-    /// What the take says of itself and is not so: the first hundred.
+    /// Statements of the take about itself that are wrong: the first hundred.
     pub contradictions: Vec<String>,
     /// Its last ledger.
     pub ledger: Option<LedgerDocument>,
 }
 
-/// Read a take to its end and check it
+/// Verify a take by reading all of it
 ///
-/// Checksums, every block, the ledger. One take at a time; a client that goes away ends it.
+/// Checks checksums, every block and the ledger. One take at a time; verification stops if the client disconnects.
 #[utoipa::path(post, path = "/v1/takes/{name}/verify", tag = "takes", request_body = Request,
     params(("name" = String, Path, description = "The take's name, without `.take`")),
     responses((status = 200, body = TakeCheck)))]
@@ -344,7 +345,7 @@ pub(super) async fn verify(
     JsonBody(_): JsonBody<Request>,
 ) -> Result<Json<TakeCheck>, Problem> {
     let name = take_name(name)?;
-    // Dropped with the request, which is when the client is gone.
+    // Dropped with the request, which ends when the client disconnects.
     let wanted = Arc::new(());
     let (control, asked) = (Arc::clone(&app.control), name);
     let (is_wanted, stopping) = (Arc::downgrade(&wanted), app.stopping.clone());
@@ -362,7 +363,7 @@ pub(super) async fn verify(
     Ok(Json(checked?))
 }
 
-/// Reads while somebody wants to know.
+/// A reader that fails once the client has disconnected or the server stops.
 struct CancellableReader<R> {
     input: R,
     is_wanted: Weak<()>,
@@ -372,7 +373,7 @@ struct CancellableReader<R> {
 impl<R: Read> Read for CancellableReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.is_wanted.strong_count() == 0 || *self.stopping.borrow() {
-            return Err(io::Error::other("nobody waits for the check any more"));
+            return Err(io::Error::other("verification cancelled: the client has disconnected"));
         }
         self.input.read(buffer)
     }

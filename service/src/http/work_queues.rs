@@ -1,4 +1,4 @@
-//! Work that waits, on threads that may: a few at work, a few in line, and everybody else is told to come again.
+//! Queues for work that blocks, with a limited number of threads and waiting requests; further requests are rejected.
 
 use std::{sync::Arc, time::Duration};
 
@@ -6,19 +6,19 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::problem::Problem;
 
-/// Requests to the service that are carried out at once: a start, a stop, a mark and one more.
+/// Commands executed at once: a start, a stop, a mark and one more.
 const COMMANDS: Size = Size { running: 4, waiting: 16 };
 
-/// Looks into files: listings and pieces of downloads. One disk serves two at once about as well as four.
+/// File operations at once: listings and chunks of downloads. One disk serves two about as fast as four.
 const FILES: Size = Size { running: 2, waiting: 32 };
 
-/// Takes that are read to the end and decoded: a core's work for as long as it takes.
+/// Verifications at once: each keeps a core busy until it is done.
 const CHECKS: Size = Size { running: 1, waiting: 0 };
 
-/// Threads that the runtime of a listener may have for all of these.
+/// Threads that a listener's runtime may have for all queues.
 pub(super) const THREADS: usize = COMMANDS.running + FILES.running + CHECKS.running;
 
-/// Requests that can be at work or in line at once; others are answered as soon as they have arrived.
+/// Requests that can be running or waiting at once; all others are replied to immediately.
 pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all();
 
 #[derive(Debug, Clone, Copy)]
@@ -33,14 +33,14 @@ impl Size {
     }
 }
 
-/// The lanes of one listener. What fills one keeps nobody from the others, and nobody from those of another listener.
+/// The queues of one listener. A full queue blocks neither the other queues nor those of the other listener.
 #[derive(Debug)]
 pub(super) struct WorkQueues {
-    /// What changes something.
+    /// Commands that change something.
     pub(super) commands: WorkQueue,
-    /// What looks into files.
+    /// Reads files and folders.
     pub(super) files: WorkQueue,
-    /// What reads a take to its end.
+    /// Verifies takes.
     pub(super) checks: WorkQueue,
 }
 
@@ -58,7 +58,7 @@ impl WorkQueues {
     }
 }
 
-/// One kind of work.
+/// A queue for one kind of work.
 #[derive(Debug)]
 pub(super) struct WorkQueue {
     busy_with: &'static str,
@@ -77,10 +77,10 @@ impl WorkQueue {
         }
     }
 
-    /// Does it, in its turn.
+    /// Runs the work when it is its turn.
     ///
     /// # Errors
-    /// 503 when too many are in line, and when it takes longer than anybody waits: it is carried out all the same.
+    /// 503 if the queue is full, or if the work takes longer than the time limit; it is then completed nevertheless.
     pub(super) async fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -93,17 +93,17 @@ impl WorkQueue {
         let Some(time_max) = self.time_max else { return done.await };
         tokio::time::timeout(time_max, done).await.unwrap_or_else(|_| {
             Err(Problem::unavailable(format!(
-                "it was not done within {} s and goes on: ask /v1/status what came of it",
+                "not done within {} s, but still running: see /v1/status for the outcome",
                 time_max.as_secs()
             )))
         })
     }
 
-    /// Does it in its turn, and waits for a place in line as long as it takes: for the pieces of an answer that was
-    /// begun, of which there is one at a time for each connection.
+    /// Runs the work when it is its turn, and waits for a free slot without a time limit: for the chunks of a started
+    /// download, of which each connection has at most one at a time.
     ///
     /// # Errors
-    /// When it panicked.
+    /// The work panicked.
     pub(super) async fn run_when_free<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -120,7 +120,7 @@ impl WorkQueue {
     ) -> Result<T, Problem> {
         let worker = Arc::clone(&self.workers).acquire_owned().await;
         let worker = worker.map_err(|_| Problem::unavailable("the service is stopping"))?;
-        // The place is held for as long as the thread is, though the client may be gone by then.
+        // The slot is held as long as the thread is busy, even if the client is gone by then.
         let held = (permit, worker);
         let job = tokio::task::spawn_blocking(move || {
             let done = work();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_lane_says_so_and_a_gone_client_keeps_its_place_until_the_work_is_done() {
+    fn a_full_queue_says_so_and_a_gone_client_keeps_its_slot_until_the_work_is_done() {
         let runtime = runtime();
         let _inside = runtime.enter();
         let queue = WorkQueue::new("x", Size { running: 1, waiting: 1 }, Some(Duration::from_millis(50)));
@@ -151,7 +151,7 @@ mod tests {
         let slow = runtime.block_on(queue.run(move || released.recv().is_ok())).unwrap_err();
         assert_eq!((slow.status, slow.kind), (503, ProblemKind::Unavailable));
         assert!(slow.message.contains("/v1/status"), "it goes on: {}", slow.message);
-        // One is at work still, and one more may wait; it waits in vain, and leaves its place.
+        // One is still running, and one may wait; it waits in vain and leaves.
         assert_eq!(runtime.block_on(queue.run(|| ())), Err(slow.clone()));
         let permit = Arc::clone(&queue.slots).try_acquire_owned().unwrap();
         let full = runtime.block_on(queue.run(|| ())).unwrap_err();

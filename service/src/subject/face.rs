@@ -1,4 +1,4 @@
-//! The take's face under its markers.
+//! Places the subject's face under its markers in each frame.
 
 use std::collections::HashMap;
 
@@ -12,10 +12,10 @@ use mocapd_take::{motion::Position, record::Subject};
 
 use crate::live::{FacePose, LiveFace};
 
-/// That the wireframe has every place where a marker sits: one that is nowhere would hold nothing, and nobody would know.
+/// Checks that the wireframe has every vertex where a marker sits: a missing one would silently hold nothing.
 ///
 /// # Errors
-/// Which places it does not have, and which it has.
+/// The missing places, and the available ones.
 pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Result<()> {
     const LISTED_MAX: usize = 5;
     let n = face.vertices_mm.len();
@@ -36,14 +36,14 @@ pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Resu
     let listed: Vec<_> = nowhere.iter().take(LISTED_MAX).map(String::as_str).collect();
     ensure!(
         nowhere.is_empty(),
-        "places that the face does not have: {}{others}; it has vertices from 0 to {}, and the names under \"features\" in its file",
+        "the face has no such places: {}{others}; it has vertices 0 to {}, and the names under \"features\" in its file",
         listed.join(", "),
         n.saturating_sub(1)
     );
     Ok(())
 }
 
-/// Slots by label, with and without what stands before its `:`.
+/// Slots by label, each with and without the prefix before `:`.
 pub(super) fn slots(labels: &[String]) -> HashMap<String, usize> {
     let mut slots = HashMap::new();
     for (slot, label) in labels.iter().enumerate() {
@@ -53,7 +53,7 @@ pub(super) fn slots(labels: &[String]) -> HashMap<String, usize> {
     slots
 }
 
-/// A face, and the markers that it is laid under.
+/// A face, and the markers that hold it.
 #[derive(Debug)]
 pub struct FaceUnderMarkers {
     face: FittedFace,
@@ -62,7 +62,7 @@ pub struct FaceUnderMarkers {
 }
 
 impl FaceUnderMarkers {
-    /// Of a subject that was checked when it was read; `None` where it has no face, or nothing says which marker sits where.
+    /// For a subject that was checked when it was read; `None` if it has no face, or no mapping of markers.
     #[must_use]
     pub fn new(subject: Option<&Subject>, labels: &[String]) -> Option<Self> {
         let face = super::face(subject).ok()??;
@@ -70,14 +70,14 @@ impl FaceUnderMarkers {
         Some(Self { face, mapping, slots: slots(labels) })
     }
 
-    /// The wireframe, for who draws it.
+    /// The wireframe for drawing.
     #[must_use]
     pub fn wireframe(&self) -> LiveFace {
         let vertices_mm = self.face.vertices_mm.iter().map(|at| at.map(|v| v as f32)).collect();
         LiveFace { vertices_mm, lines: self.face.lines.clone() }
     }
 
-    /// Where it is in a frame; `None` where too few of its markers are seen.
+    /// The placement of the face in a frame; `None` if too few of its markers are seen.
     #[must_use]
     pub fn pose(&self, positions_mm: &[Position]) -> Option<FacePose> {
         let marker = |label: &str| {
@@ -116,7 +116,7 @@ mod tests {
         let labels = ["x", "S1:d", "S1:c", "b", "a"].map(str::to_owned);
         let face = FaceUnderMarkers::new(Some(&subject()), &labels).unwrap();
         assert_eq!(face.wireframe().vertices_mm.len(), 5);
-        // Twice as large, turned by a right angle about z, and moved.
+        // Scaled by two, rotated by a right angle about z, and translated.
         let placed = |[x, y, z]: [f32; 3]| [100.0 - 2.0 * y, 7.0 + 2.0 * x, 2.0 * z - 50.0];
         let vertices = face.wireframe().vertices_mm;
         let mut positions = [[9.0; 3], vertices[3], vertices[2], vertices[1], vertices[0]];

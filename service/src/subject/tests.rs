@@ -107,7 +107,7 @@ fn what_is_no_face_says_why() {
     let (skeleton, list) = (refused(SKELETON), refused("[]"));
     assert!(skeleton.contains("mocapd-skeleton"), "{skeleton}");
     assert!(list.contains("`mocapd subject face -o`"), "{list}");
-    // The parser's words stand behind.
+    // The parser's message comes after it.
     let cut = refused(&FACE[..40]);
     assert!(cut.contains("EOF while parsing"), "{cut}");
     let reasons = HashSet::from([nowhere, flat, skeleton, list, cut]);
@@ -169,7 +169,7 @@ fn limbs_of_the_subjects_skeleton_come_with_their_lengths() {
     let limbs = live_limbs(Some(&subject), &two);
     let listed: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
     assert_eq!(listed, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
-    // No line is drawn twice, whichever way it goes.
+    // No line is drawn twice, regardless of its direction.
     assert_eq!(with_limbs(vec![[2, 3], [0, 1]], &limbs), [[2, 3], [0, 1], [4, 3]]);
     assert!(live_limbs(None, &two).is_empty());
     subject.set(Subject::SKELETON, b"{}".to_vec());

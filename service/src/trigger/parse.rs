@@ -1,4 +1,4 @@
-//! A datagram's bytes as a trigger.
+//! Parses datagrams.
 
 use std::{fmt, time::Duration};
 
@@ -7,40 +7,40 @@ use roxmltree::{Document, Node, ParsingOptions};
 use super::{About, Capture, Refusal, StopResult, Trigger};
 use crate::config::{NAME_BYTES_MAX, is_refused_in_name};
 
-/// Bytes of a trigger: no UDP datagram has more.
+/// Largest trigger in bytes: no UDP datagram is larger.
 pub const DATAGRAM_BYTES_MAX: usize = 64 << 10;
 
-/// Elements, texts and comments in it: programs send six to ten elements, with spaces between them.
+/// Most elements, texts and comments: programs send six to ten elements, with white space between them.
 const NODES_MAX: u32 = 128;
 
-/// Equals signs in it, one an attribute: an element compares each of its attributes with the ones before it.
+/// Most equals signs, one per attribute: XML parsers compare each attribute of an element with the previous ones.
 const ATTRIBUTES_MAX: usize = 256;
 
-/// Bytes of a text that is kept, such as the notes: an event of a take is a line.
+/// Longest text that is kept, in bytes, such as notes: an event of a take is one line.
 pub const TEXT_BYTES_MAX: usize = 1024;
 
-/// Elements that are kept beside those we know.
+/// Most other elements that are kept.
 const FIELDS_MAX: usize = 16;
 
-/// The longest lead time that can be meant, and that `trigger.delay_max` can allow: more is a number of something else.
+/// Longest delay, which also limits `trigger.delay_max`: a larger number cannot be a lead time.
 pub const DELAY_MAX: Duration = Duration::from_secs(60);
 
-/// Letters of a found text that a refusal repeats.
+/// Longest quotation of a value in a message, in characters.
 const SHOWN_MAX: usize = 60;
 
-/// What a datagram asks for.
+/// Parses a datagram.
 ///
 /// # Errors
-/// Why it is none, or which of its values cannot be meant.
+/// It is not a trigger, or one of its values is invalid.
 pub fn parse(datagram: &[u8]) -> Result<Trigger, Refusal> {
     if datagram.len() > DATAGRAM_BYTES_MAX {
         return Err(Refusal::TooLong(datagram.len()));
     }
     let text = text(datagram)?;
     if text.bytes().filter(|byte| *byte == b'=').count() > ATTRIBUTES_MAX {
-        return Err(Refusal::Xml(format!("it has more than {ATTRIBUTES_MAX} attributes")));
+        return Err(Refusal::Xml(format!("more than {ATTRIBUTES_MAX} attributes")));
     }
-    // No DTD, and so no entities of its own that would grow.
+    // Document types are refused, and with them entities that would expand.
     let options =
         ParsingOptions { allow_dtd: false, nodes_limit: NODES_MAX, entity_resolver: None };
     let document = Document::parse_with_options(text, options)
@@ -55,27 +55,27 @@ pub fn parse(datagram: &[u8]) -> Result<Trigger, Refusal> {
     }
 }
 
-/// Without the 0 at the end and the mark at the beginning, where there are any.
+/// Decodes the text, without a final 0 or a byte order mark.
 fn text(datagram: &[u8]) -> Result<&str, Refusal> {
     let text = std::str::from_utf8(datagram)
-        .map_err(|error| Refusal::Encoding(format!("byte {} is no UTF-8", error.valid_up_to())))?;
+        .map_err(|error| Refusal::Encoding(format!("byte {} is not UTF-8", error.valid_up_to())))?;
     let is_space = |c: char| " \t\r\n".contains(c);
     let text = text.trim_end_matches(|c| c == '\0' || is_space(c));
     let text = text.trim_start_matches('\u{feff}').trim_start_matches(is_space);
     if text.contains('\0') {
-        return Err(Refusal::Encoding("a 0 stands in the middle".to_owned()));
+        return Err(Refusal::Encoding("a 0 byte within the text".to_owned()));
     }
     let Some(encoding) = declared_encoding(text) else { return Ok(text) };
     let is = |names: &[&str]| names.iter().any(|name| encoding.eq_ignore_ascii_case(name));
-    // In these, what is ASCII is the same.
+    // Their ASCII characters are encoded as in UTF-8.
     let agrees = text.is_ascii() && is(&["iso-8859-1", "windows-1252"]);
     if agrees || is(&["utf-8", "utf8", "us-ascii", "ascii"]) {
         return Ok(text);
     }
-    Err(Refusal::Encoding(format!("it says that they are {}", cut(encoding, SHOWN_MAX))))
+    Err(Refusal::Encoding(format!("declared as {}", cut(encoding, SHOWN_MAX))))
 }
 
-/// What stands behind `encoding=` in the declaration, which is the reader's to obey.
+/// The encoding in the XML declaration, which the parser does not check.
 fn declared_encoding(text: &str) -> Option<&str> {
     let (declaration, _) = text.trim_start().strip_prefix("<?xml")?.split_once("?>")?;
     let (_, rest) = declaration.split_once("encoding")?;
@@ -84,7 +84,7 @@ fn declared_encoding(text: &str) -> Option<&str> {
     rest[1..].split(quote).next()
 }
 
-/// What the elements in it say. Of two of a name the first is meant, and the second one is kept as a text.
+/// Reads the child elements. If an element is repeated, the first counts, and the others are kept as texts.
 fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
     let (mut name, mut delay, mut about) = (None, None, About::default());
     for node in root.children().filter(Node::is_element) {
@@ -107,7 +107,7 @@ fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
     Ok(Capture { name, result, delay: delay.unwrap_or_default(), about })
 }
 
-/// Programs write attributes in capitals; a lower-case one is meant as such.
+/// Programs write attributes in capitals; lower case is accepted, too.
 fn attribute<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
     node.attributes()
         .find(|found| found.name().eq_ignore_ascii_case(name))
@@ -118,7 +118,7 @@ fn take_name(value: &str, about: &mut About) -> Result<TakeName, Refusal> {
     let name = TakeName::of(value).ok_or_else(|| Refusal::Name(cut(&printable(value), SHOWN_MAX)))?;
     if name.was_changed() {
         let sent = cut(&printable(value), SHOWN_MAX);
-        about.changed.push(format!("the name \"{sent}\" became {name}"));
+        about.changed.push(format!("the name \"{sent}\" was changed to {name}"));
     }
     Ok(name)
 }
@@ -146,7 +146,7 @@ fn milliseconds(value: &str) -> Result<Duration, Refusal> {
 fn keep_field(element: &str, value: &str, about: &mut About) {
     let element = cut(element, SHOWN_MAX);
     if about.fields.len() == FIELDS_MAX {
-        let message = format!("more than {FIELDS_MAX} elements, the rest is left out");
+        let message = format!("more than {FIELDS_MAX} elements, the others were dropped");
         if about.changed.last() != Some(&message) {
             about.changed.push(message);
         }
@@ -155,12 +155,12 @@ fn keep_field(element: &str, value: &str, about: &mut About) {
     let text = printable(value);
     let kept = cut(&text, TEXT_BYTES_MAX);
     if kept.len() != text.len() {
-        about.changed.push(format!("{element} had {} bytes", value.len()));
+        about.changed.push(format!("{element} was cut from {} bytes", value.len()));
     }
     about.fields.push((element, kept));
 }
 
-/// On one line, with nothing that a terminal would obey.
+/// Makes a text one line without control characters.
 fn printable(text: &str) -> String {
     let shown = |c: char| match c {
         '\n' | '\r' | '\t' => ' ',
@@ -170,7 +170,7 @@ fn printable(text: &str) -> String {
     text.trim().chars().map(shown).collect()
 }
 
-/// At most so many bytes, with dots behind it where it was longer.
+/// Shortens a text to a number of bytes, with dots appended.
 fn cut(text: &str, bytes_max: usize) -> String {
     if text.len() <= bytes_max {
         return text.to_owned();
@@ -178,7 +178,8 @@ fn cut(text: &str, bytes_max: usize) -> String {
     format!("{}...", &text[..text.floor_char_boundary(bytes_max)])
 }
 
-/// A file name without `.take`: no path, not hidden, nothing that a terminal obeys, of a bounded length.
+/// A take name without `.take`: a file name that is never a path, not hidden, without control characters, of bounded
+/// length.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TakeName {
     text: String,
@@ -187,7 +188,7 @@ pub struct TakeName {
 
 impl TakeName {
     /// What can be kept of a text; `None` when nothing can.
-    #[must_use]
+    # Derives a valid name from a text; `None` if nothing of it is usable.
     pub fn of(sent: &str) -> Option<Self> {
         let text: String =
             sent.chars().map(|c| if is_refused_in_name(c) { '_' } else { c }).collect();
@@ -205,14 +206,14 @@ impl TakeName {
         &self.text
     }
 
-    /// Whether another one was sent.
+    /// Whether the name differs from the text that was sent.
     #[must_use]
     pub fn was_changed(&self) -> bool {
         self.was_changed
     }
 }
 
-/// Without what may not end it: `.take` is ours to add, once.
+/// Removes endings that a name may not have. `.take` is added once later.
 fn ended(mut text: &str) -> &str {
     loop {
         let trimmed = text.trim_end_matches(|c: char| c == '.' || c.is_whitespace());
@@ -273,7 +274,7 @@ mod tests {
         assert_eq!(kept.text(), "ä".repeat(NAME_BYTES_MAX / 2));
         let kept = TakeName::of(&format!("a{}", "ä".repeat(1000))).unwrap();
         assert_eq!(kept.text().len(), NAME_BYTES_MAX - 1);
-        // What the cut leaves at the end is no dot.
+        // The cut must not leave a dot at the end.
         let kept = TakeName::of(&format!("{}{}x", "a".repeat(190), ".".repeat(20))).unwrap();
         assert_eq!(kept.text(), "a".repeat(190));
         let kept = TakeName::of(&format!("{}.take.x", "a".repeat(195))).unwrap();

@@ -1,8 +1,8 @@
-//! Triggers that were accepted and wait for their time, in a bounded number.
+//! Accepted triggers that wait for execution, in limited numbers.
 //!
-//! A trigger without a delay is due at once, and is carried out as soon as the one before it is. One with a delay is due
-//! later: it is a deadline here, and holds up nothing else. [`Waiting`] is sans-io: the time goes in, due triggers come
-//! out. [`Queue`] is it in real time, between the thread that hears triggers and the one that carries them out.
+//! A trigger without a delay is due immediately, and executed after the previous one. A delayed trigger is due later
+//! and holds up nothing else. [`Waiting`] is sans-io: the time goes in, and due triggers come out. [`TriggerQueue`]
+//! applies it in real time, between the thread that receives triggers and the one that executes them.
 
 use std::{
     net::{IpAddr, SocketAddr},
@@ -14,43 +14,42 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::{Refusal, Trigger};
 
-/// Triggers without a delay that are not carried out yet. That takes milliseconds, and a laboratory sends one in
-/// seconds: when so many wait the service is stuck, and a start that comes out minutes later would start nothing that
-/// anybody meant.
+/// Most undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few seconds: if so
+/// many wait, the service is stuck, and a start executed minutes later would record nothing that anybody wanted.
 pub const DUE_MAX: usize = 16;
 
-/// Of these, those of a sender that is not in `trigger.allow_from`: the end of a take and the start of the next one, and
-/// as many again.
+/// Of these, the most of one sender that is not in `trigger.allow_from`: the stop of one take and the start of the
+/// next, twice.
 pub const DUE_EACH_MAX: usize = 4;
 
-/// Delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
+/// Most delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
 pub const DELAYED_MAX: usize = 16;
 
-/// Delayed triggers of all other senders, one of each: eight machines that nobody has named.
+/// Most delayed triggers of all other senders, one each: eight unlisted machines.
 pub const DELAYED_OTHERS_MAX: usize = 8;
 
-/// A trigger that was accepted.
+/// An accepted trigger.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Received {
-    /// Who sent it.
+    /// The sender.
     pub from: SocketAddr,
-    /// What it asks for.
+    /// The trigger.
     pub trigger: Trigger,
-    /// Whether `trigger.allow_from` names the sender.
+    /// Whether `trigger.allow_from` lists the sender.
     pub is_known: bool,
-    /// The take that was being recorded when it came.
+    /// The take that was being recorded when it arrived.
     pub recording: Option<String>,
 }
 
 impl Received {
-    /// Its address, by which senders are told apart.
+    /// The address that identifies the sender.
     #[must_use]
     pub fn sender(&self) -> IpAddr {
         self.from.ip().to_canonical()
     }
 }
 
-/// Those that wait.
+/// The pending triggers.
 #[derive(Debug, Default)]
 pub struct Waiting {
     entries: Vec<Entry>,
@@ -60,17 +59,17 @@ pub struct Waiting {
 #[derive(Debug)]
 struct Entry {
     due: Duration,
-    /// In the order of arrival.
+    /// In order of arrival.
     number: u64,
     is_delayed: bool,
     received: Received,
 }
 
 impl Waiting {
-    /// Accepts a trigger that came `now`.
+    /// Accepts a trigger received at `now`.
     ///
     /// # Errors
-    /// Too many wait already.
+    /// Too many triggers are pending.
     pub fn push(&mut self, received: Received, now: Duration) -> Result<(), Refusal> {
         let delay = received.trigger.delay();
         let is_delayed = delay > Duration::ZERO;
@@ -97,25 +96,25 @@ impl Waiting {
         Ok(())
     }
 
-    /// How many wait.
+    /// The number of pending triggers.
     #[must_use]
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Whether none waits.
+    /// Whether no trigger is pending.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// When the next one is due.
+    /// The time when the next trigger is due.
     #[must_use]
     pub fn next_due(&self) -> Option<Duration> {
         self.entries.iter().map(|entry| entry.due).min()
     }
 
-    /// The next one that is due `now`, in the order of their times.
+    /// Takes the next trigger due at `now`, in order of due times.
     pub fn take_due(&mut self, now: Duration) -> Option<Received> {
         let due = |at: &usize| self.entries[*at].due <= now;
         let order = |at: &usize| (self.entries[*at].due, self.entries[*at].number);
@@ -123,8 +122,8 @@ impl Waiting {
         Some(self.entries.swap_remove(at).received)
     }
 
-    /// Forgets the starts of a sender that wait: of the take of this name, or all where the sender's stop has none.
-    /// Returns how many there were.
+    /// Cancels pending starts of a sender: those of the named take, or all if `name` is `None`. Returns how many there
+    /// were.
     pub fn cancel_starts(&mut self, from: SocketAddr, name: Option<&str>) -> usize {
         let before = self.entries.len();
         self.entries.retain(|entry| {
@@ -139,11 +138,11 @@ impl Waiting {
     }
 }
 
-/// Those that wait, between two threads.
+/// The pending triggers, shared by two threads.
 #[derive(Debug, Clone)]
 pub struct TriggerQueue {
     waiting: Arc<Mutex<Waiting>>,
-    /// One message at most: that the first deadline may be another one.
+    /// Holds at most one message: the next due time may have changed.
     wake: Sender<()>,
     woken: Receiver<()>,
     begin: Instant,
@@ -157,42 +156,42 @@ impl Default for TriggerQueue {
 }
 
 impl TriggerQueue {
-    /// The time that deadlines are compared with.
+    /// The time for comparison with due times.
     #[must_use]
     pub fn now(&self) -> Duration {
         self.begin.elapsed()
     }
 
-    /// Accepts one that has just come.
+    /// Accepts a trigger that has just arrived.
     ///
     /// # Errors
-    /// Too many wait already.
+    /// Too many triggers are pending.
     pub fn push(&self, received: Received) -> Result<(), Refusal> {
         self.lock().push(received, self.now())?;
-        // A message that is there already wakes as well.
+        // If the channel is full, the receiver will wake up anyway.
         self.wake.try_send(()).ok();
         Ok(())
     }
 
-    /// The next one that is due now.
+    /// Takes the next trigger that is due now.
     #[must_use]
     pub fn take_due(&self) -> Option<Received> {
         self.lock().take_due(self.now())
     }
 
-    /// How long until the next one that waits is due; `None` when none waits.
+    /// The time until the next trigger is due; `None` if none is pending.
     #[must_use]
     pub fn due_in(&self) -> Option<Duration> {
         Some(self.lock().next_due()?.saturating_sub(self.now()))
     }
 
-    /// Something comes when what is due next may be something else.
+    /// Receives a message when the next due time may have changed.
     #[must_use]
     pub fn woken(&self) -> &Receiver<()> {
         &self.woken
     }
 
-    /// As [`Waiting::cancel_starts`].
+    /// Cancels pending starts: see [`Waiting::cancel_starts`].
     #[must_use]
     pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
         self.lock().cancel_starts(from, name)
@@ -233,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn one_delayed_trigger_a_stranger_and_eight_in_all() {
+    fn one_delayed_trigger_per_unlisted_sender_and_eight_in_all() {
         let mut waiting = Waiting::default();
         let mut push = |received| waiting.push(received, Duration::ZERO);
         for sender in 0..DELAYED_OTHERS_MAX as u8 {
@@ -242,7 +241,7 @@ mod tests {
             assert!(matches!(again, Err(Refusal::TooManyOfSender { waiting: 1, .. })));
         }
         assert_eq!(push(start(99, false, 1)), Err(Refusal::TooMany(DELAYED_OTHERS_MAX)));
-        // They take nothing from what is due at once, nor from senders that are known.
+        // They take nothing away from undelayed triggers, or from listed senders.
         for _ in 0..DUE_EACH_MAX {
             push(start(0, false, 0)).unwrap();
         }
@@ -255,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_sender_has_no_limit_of_its_own() {
+    fn a_listed_sender_has_no_limit_of_its_own() {
         for (delay_ms, max) in [(0, DUE_MAX), (1, DELAYED_MAX)] {
             let mut waiting = Waiting::default();
             for _ in 0..max {

@@ -1,4 +1,4 @@
-//! Triggers on the network: a thread that hears them, and a sender.
+//! Triggers on the network: a receiving thread, and a sender.
 
 use std::{
     io,
@@ -18,10 +18,10 @@ use rustix::{
 
 use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Received, TriggerQueue};
 
-/// A network that is down is down for a while.
+/// Delay before trying again: a network that is down stays down for a while.
 const RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Hears triggers until it is dropped.
+/// The thread that receives triggers, until it is dropped.
 #[derive(Debug)]
 pub struct ListenerThread {
     stop: Option<OwnedFd>,
@@ -30,20 +30,20 @@ pub struct ListenerThread {
 
 impl Drop for ListenerThread {
     fn drop(&mut self) {
-        // Its other end is readable then.
+        // Dropping this end makes the other one readable.
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has told so already.
+            // A thread that panicked has reported it already.
             drop(thread.join());
         }
     }
 }
 
-/// What the thread that hears triggers asks the service.
+/// Queries of the receiving thread to the service.
 pub struct TakeQueries {
-    /// Whether there is a take of a name.
+    /// Whether a take of this name exists.
     pub exists: Box<dyn Fn(&str) -> bool + Send>,
-    /// Which take is being recorded.
+    /// The name of the take being recorded.
     pub recording: Box<dyn Fn() -> Option<String> + Send>,
 }
 
@@ -53,35 +53,37 @@ impl std::fmt::Debug for TakeQueries {
     }
 }
 
-/// Opens the socket.
+/// Binds the socket.
 ///
 /// # Errors
-/// Why not, and what helps.
+/// The address cannot be used; the message says what to do.
 pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
     let socket = UdpSocket::bind(listen).map_err(|error| match error.kind() {
         io::ErrorKind::AddrInUse => anyhow!(
-            "cannot hear triggers on {listen}: another program does; `ss -ulpn` shows which, or choose another port"
+            "cannot receive triggers on {listen}: another program uses this port; `ss -ulpn` shows which one, or choose another port"
         ),
         io::ErrorKind::PermissionDenied => anyhow!(
-            "cannot hear triggers on {listen}: ports below 1024 need CAP_NET_BIND_SERVICE; \
-             give it in the unit (AmbientCapabilities=), or choose another port"
+            "cannot receive triggers on {listen}: ports below 1024 need CAP_NET_BIND_SERVICE; \
+             grant it in the unit (AmbientCapabilities=), or choose another port"
         ),
         io::ErrorKind::AddrNotAvailable => anyhow!(
-            "cannot hear triggers on {listen}: no interface has this address; `ip address` shows them, \
+            "cannot receive triggers on {listen}: no interface has this address; `ip address` lists them, \
              or use 0.0.0.0:{}",
             listen.port()
         ),
-        _ => anyhow!("cannot hear triggers on {listen}: {error}"),
+        _ => anyhow!("cannot receive triggers on {listen}: {error}"),
     })?;
-    // It is waited for beside the stop, and a datagram that is not whole is none.
-    socket.set_nonblocking(true).context("a socket cannot be read without waiting")?;
+    // The thread polls it together with the stop signal; a read must not block, even if a datagram turns out to be
+    // invalid.
+    socket.set_nonblocking(true).context("cannot make the trigger socket non-blocking")?;
     Ok(socket)
 }
 
-/// Hears triggers on a thread of its own until what it returns is dropped. `say` is told what is refused, a few words at a time.
+/// Receives triggers on a new thread until the returned value is dropped. `report` gets messages about refused
+/// datagrams, limited in number.
 ///
 /// # Errors
-/// When the system refuses the thread or a pipe.
+/// The system refuses the thread or a pipe.
 pub fn listen(
     socket: UdpSocket,
     mut listener: Listener,
@@ -117,13 +119,13 @@ pub fn listen(
                     });
                     match accepted {
                         Ok(()) => continue,
-                        Err(refusal) => format!("a datagram from {from} is refused: {refusal}"),
+                        Err(refusal) => format!("refused a datagram from {from}: {refusal}"),
                     }
                 }
                 Err(error) if is_idle(&error) => continue,
                 Err(error) => {
                     std::thread::sleep(RETRY_DELAY);
-                    format!("cannot hear triggers: {error}")
+                    format!("cannot receive triggers: {error}")
                 }
             };
             if let Some(message) = rate_limit.admit(&message, now) {
@@ -134,13 +136,13 @@ pub fn listen(
     Ok(ListenerThread { stop: Some(stop), thread: Some(thread) })
 }
 
-/// Waits for a datagram. `false`: it is time to end.
+/// Waits for a datagram. Returns `false` if the thread has to stop.
 fn wait_readable(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
     let mut fds = [PollFd::new(socket, PollFlags::IN), PollFd::new(stopped, PollFlags::IN)];
     match poll(&mut fds, None) {
         Ok(_) => fds[1].revents().is_empty(),
         Err(Errno::INTR) => true,
-        // Without memory it is tried again, like a network that is down.
+        // Out of memory: tried again, as after a network failure.
         Err(_) => {
             std::thread::sleep(RETRY_DELAY);
             true
@@ -153,7 +155,7 @@ fn is_idle(error: &io::Error) -> bool {
     matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
 }
 
-/// Sends datagrams, to broadcast addresses too.
+/// Sends datagrams, also to broadcast addresses.
 #[derive(Debug)]
 pub struct TriggerSender {
     to: Vec<SocketAddr>,
@@ -162,15 +164,15 @@ pub struct TriggerSender {
 }
 
 impl TriggerSender {
-    /// For these addresses.
+    /// A sender to these addresses.
     ///
     /// # Errors
-    /// When the system gives no socket.
+    /// The system refuses a socket.
     pub fn new(to: Vec<SocketAddr>) -> anyhow::Result<Self> {
         let socket = |wanted: bool, any: IpAddr| {
             let open = || -> io::Result<UdpSocket> {
                 let socket = UdpSocket::bind((any, 0))?;
-                // Nobody waits for a network card: what it cannot take is lost, and told.
+                // A busy network card must not block: what it cannot take is lost, and reported.
                 socket.set_nonblocking(true)?;
                 if any.is_ipv4() {
                     socket.set_broadcast(true)?;
@@ -184,7 +186,7 @@ impl TriggerSender {
         Ok(Self { to, ipv4, ipv6 })
     }
 
-    /// Sends one to all of them. Returns what could not be sent, a line each.
+    /// Sends a datagram to all addresses. Returns a message for each that failed.
     #[must_use]
     pub fn send(&self, datagram: &[u8]) -> Vec<String> {
         let mut failed = Vec::new();
@@ -193,20 +195,20 @@ impl TriggerSender {
                 continue;
             };
             if let Err(error) = socket.send_to(datagram, to) {
-                failed.push(format!("a trigger could not be sent to {to}: {error}"));
+                failed.push(format!("cannot send a trigger to {to}: {error}"));
             }
         }
         failed
     }
 }
 
-/// Words at once.
+/// Messages passed at once.
 const BURST: u32 = 5;
 
-/// One more after so long.
+/// Time after which one more is passed.
 const REFILL_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Lets a few words through, and counts the others: anybody can send a thousand datagrams a second.
+/// Passes a few messages and counts the others: anybody can send a thousand datagrams a second.
 #[derive(Debug)]
 pub struct RateLimit {
     left: u32,
@@ -221,7 +223,7 @@ impl Default for RateLimit {
 }
 
 impl RateLimit {
-    /// The words, when it is time for them, with how many were held back since the last ones.
+    /// Returns the message if it may be passed, with the number suppressed since the last one.
     pub fn admit(&mut self, message: &str, now: Duration) -> Option<String> {
         let earned = now.saturating_sub(self.since).as_secs() / REFILL_INTERVAL.as_secs();
         if earned > 0 {
@@ -237,7 +239,7 @@ impl RateLimit {
         let held_back = std::mem::take(&mut self.held_back);
         Some(match held_back {
             0 => message.to_owned(),
-            n => format!("{message}; {n} more were not told"),
+            n => format!("{message}; {n} similar messages suppressed"),
         })
     }
 }
@@ -247,14 +249,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_flood_becomes_a_few_words() {
+    fn a_flood_becomes_a_few_messages() {
         let mut rate_limit = RateLimit::default();
         let reason: Vec<String> =
             (0..60_000_u64).filter_map(|ms| rate_limit.admit("no", Duration::from_millis(ms))).collect();
         assert_eq!(reason.len(), 5 + 5, "{reason:?}");
         assert_eq!(reason[4], "no");
         assert!(reason[5].starts_with("no") && reason[5].contains("9995"), "{}", reason[5]);
-        // What was silent for long may say a few again, and no more.
+        // After a long silence a few may pass again, and no more.
         let later = (0..100).filter(|_| rate_limit.admit("no", Duration::from_secs(86_400)).is_some());
         assert_eq!(later.count(), 5);
     }

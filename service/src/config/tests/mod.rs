@@ -5,7 +5,7 @@ mod messages;
 
 use super::*;
 
-/// Somewhere without systemd.
+/// An environment without systemd.
 pub(super) fn nowhere() -> Surroundings {
     Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() }
 }
@@ -14,7 +14,7 @@ pub(super) fn parse(text: &str) -> Result<Config, ConfigError> {
     Config::parse("left.toml", text.as_bytes(), &nowhere(), &Overrides::default())
 }
 
-/// With every key, none of them at its default.
+/// Every key, none of them at its default.
 pub(super) const EVERYTHING: &str = r#"
 [rig]
 name = "left-2.x"
@@ -150,7 +150,7 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     assert_eq!(config.take.directory, PathBuf::from("/mnt"));
     assert_eq!(config.http.listen, Some("127.0.0.1:0".parse().unwrap()));
 
-    // What the command line says is refused with the option's name.
+    // Problems of the command line are reported with the option's name.
     let overrides = Overrides { listen: text_of("0.0.0.0:80"), ..Overrides::default() };
     let error = parse("", &overrides).unwrap_err();
     let ConfigError::Refused { problems, .. } = &error else { panic!("{error}") };
@@ -167,7 +167,7 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
 }
 
 #[test]
-fn changes_say_when_they_hold() {
+fn changes_have_their_reload_policy() {
     let old = parse("").unwrap();
     let new = parse(
         "[log]\nlevel='warn'\n[take]\nname='{time}'\n[arm]\npre_roll='20s'\n[http]\nlisten=''",
@@ -193,7 +193,7 @@ fn changes_say_when_they_hold() {
 }
 
 #[test]
-fn what_may_surprise_is_noted() {
+fn questionable_settings_are_noted() {
     let notes = |text: &str| parse(text).unwrap().notes();
     let about = |text: &str, keys: &[&str]| {
         let notes = notes(text);

@@ -4,7 +4,7 @@ use super::*;
 
 const PAGE: &str = include_str!("../../../../docs/triggers.md");
 
-/// The blocks of a kind, such as ```` ```xml sent ````.
+/// The code blocks of a kind, such as ```` ```xml heard ````.
 fn blocks(kind: &str) -> Vec<&'static str> {
     let fence = format!("```{kind}\n");
     PAGE.split(fence.as_str()).skip(1).filter_map(|rest| rest.split("\n```").next()).collect()
@@ -37,7 +37,7 @@ fn what_is_sent() {
 }
 
 #[test]
-fn the_bounds_are_those_of_the_code() {
+fn the_limits_are_those_of_the_code() {
     for message in [
         format!("at most {} KiB", DATAGRAM_BYTES_MAX >> 10),
         format!("0 to {}", DELAY_MAX.as_millis()),

@@ -20,7 +20,7 @@ fn refused(datagram: impl AsRef<[u8]>) -> Refusal {
 }
 
 #[test]
-fn what_is_said_is_understood() {
+fn a_trigger_is_parsed() {
     let text = "\u{feff} <?xml version='1.0' encoding='utf-8'?>\r\n<CaptureStart>\n\
                 <Name VALUE=\"walk_03\"/><Notes VALUE=\"two\nlines &lt;&#233;&gt;\"/><Delay VALUE=\" 12.5 \"/>\
                 <PacketID VALUE=\"18446744073709551615\"/></CaptureStart>\n\0\0";
@@ -49,7 +49,7 @@ fn what_is_said_is_understood() {
 }
 
 #[test]
-fn nothing_that_is_said_is_lost_without_a_word() {
+fn nothing_is_dropped_silently() {
     let twice = "<Name VALUE='a'/><Name VALUE='b'/><Notes>inside</Notes>";
     let trigger = parse(start(twice).as_bytes()).unwrap();
     let note = trigger.note(FROM);
@@ -72,7 +72,7 @@ fn nothing_that_is_said_is_lost_without_a_word() {
 }
 
 #[test]
-fn what_is_no_trigger_is_refused_in_words() {
+fn invalid_triggers_are_refused() {
     let is_no_xml = |datagram: &str| match refused(datagram) {
         Refusal::Xml(why) => why,
         other => panic!("{other:?}"),
@@ -146,11 +146,11 @@ fn repeats_do_nothing() {
     assert!(matches!(hear(&packet(6), "10.0.0.1", 1), Heard::Trigger(_)), "another number");
     let stop = "<CaptureStop><PacketID VALUE='5'/></CaptureStop>";
     assert!(matches!(hear(stop, "10.0.0.1", 1), Heard::Trigger(_)), "another element");
-    // A minute after it was heard last, it is another one.
+    // A minute after it was last received, it is a new trigger.
     assert_eq!(hear(&packet(5), "10.0.0.1", 50), Heard::Repeat);
     assert_eq!(hear(&packet(5), "10.0.0.1", 110), Heard::Repeat);
     assert!(matches!(hear(&packet(5), "10.0.0.1", 171), Heard::Trigger(_)));
-    // Without a number the bytes tell.
+    // Without a packet number the bytes decide.
     assert!(matches!(hear("<CaptureStart/>", "10.0.0.1", 171), Heard::Trigger(_)));
     assert_eq!(hear("<CaptureStart/>", "10.0.0.1", 172), Heard::Repeat);
     assert!(matches!(hear("<CaptureStart />", "10.0.0.1", 172), Heard::Trigger(_)));
@@ -172,7 +172,7 @@ fn what_is_remembered_is_bounded() {
     }
     assert!(repeat(1, 999, 0) && repeat(1, 1000 - IDS_MAX as u64, 0));
     assert!(!repeat(1, 0, 0), "the oldest is forgotten");
-    // A flood of senders forgets the one that was silent for longest, and no other.
+    // A flood of senders displaces the one that was silent for longest, and no other.
     assert!(!repeat(2, 1, 1));
     for from in 3..1000 {
         assert!(!repeat(from, 1, 2));
@@ -182,7 +182,7 @@ fn what_is_remembered_is_bounded() {
 }
 
 #[test]
-fn who_is_not_allowed_is_refused_before_anything_is_read() {
+fn unlisted_senders_are_refused_before_anything_is_parsed() {
     let networks = ["10.0.0.0/24", "fe80::/10"].map(|text| text.parse().unwrap());
     let mut listener = Listener::new(networks.into(), DELAY_MAX, 1);
     for from in ["10.0.0.1", "::ffff:10.0.0.2", "fe80::1"] {
@@ -197,13 +197,13 @@ fn who_is_not_allowed_is_refused_before_anything_is_read() {
 }
 
 #[test]
-fn a_name_that_exists_is_refused_once_and_said() {
+fn an_existing_name_is_refused_and_reported_once() {
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     let old = start("<Name VALUE='old'/><PacketID VALUE='1'/>");
     let refusal = hear(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
     assert_eq!(refusal, Refusal::NameTaken("old".to_owned()));
     assert_eq!(hear(&mut listener, &old, "10.0.0.1", 0), Ok(Heard::Repeat));
-    // Under what it becomes, too; and a stop of it is no start.
+    // The name counts as it would become; and a stop of it is not a start.
     let same = start("<Name VALUE='.old.take'/><PacketID VALUE='2'/>");
     assert!(matches!(hear(&mut listener, &same, "10.0.0.1", 0), Err(Refusal::NameTaken(_))));
     let stop = "<CaptureStop><Name VALUE='old'/></CaptureStop>";
@@ -211,7 +211,7 @@ fn a_name_that_exists_is_refused_once_and_said() {
 }
 
 #[test]
-fn our_own_come_back_and_do_nothing() {
+fn our_own_triggers_come_back_and_do_nothing() {
     let mut announcer = Announcer::new("left", 7, 1);
     let name = TakeName::of("new").unwrap();
     let sent = [
@@ -240,7 +240,7 @@ fn our_own_come_back_and_do_nothing() {
     }
     let text = String::from_utf8(sent[0].clone()).unwrap();
     assert!(text.contains("a &quot;note&quot; &lt;&amp;&gt;\u{fffd}\u{fffd}"), "{text}");
-    // The longest is one datagram that nobody refuses.
+    // The longest trigger is one datagram that nobody refuses.
     let longest = TakeName::of(&"&".repeat(1000)).unwrap();
     let datagram = announcer.start(&longest, &"&".repeat(100_000));
     assert!(datagram.len() < 4096 && parse(&datagram).is_ok(), "{}", datagram.len());

@@ -10,7 +10,7 @@ use super::{
     *,
 };
 
-/// Longer than anything here takes: a test that waits so long has failed.
+/// Longer than anything here takes: a test that waits this long has failed.
 const GIVE_UP: Duration = Duration::from_secs(20);
 
 struct Service {
@@ -20,7 +20,7 @@ struct Service {
     listening: ListenerThread,
 }
 
-/// The next one that is due, as soon as it is, within `timeout`.
+/// Waits at most `timeout` for the next trigger that is due.
 fn next(triggers: &TriggerQueue, timeout: Duration) -> Option<Received> {
     let until = Instant::now() + timeout;
     loop {
@@ -58,7 +58,7 @@ impl Service {
 }
 
 #[test]
-fn what_one_tells_another_hears_and_itself_ignores() {
+fn one_service_receives_the_triggers_of_another_and_ignores_its_own() {
     let (own, other) = (Service::start(7), Service::start(8));
     let sender = TriggerSender::new(vec![own.at, other.at]).unwrap();
     let mut announcer = Announcer::new("left", 7, 1);
@@ -69,9 +69,9 @@ fn what_one_tells_another_hears_and_itself_ignores() {
     }
     assert_eq!(sender.send(&announcer.stop(&name, &StopResult::Success)), [""; 0]);
     assert!(matches!(other.next().trigger, Trigger::Start(_)));
-    // The repeats are none, and what comes next is the stop.
+    // The repeats are ignored, and the stop comes next.
     assert!(matches!(other.next().trigger, Trigger::Stop(_)));
-    // Its own were read before this one, and gave nothing.
+    // Its own triggers were read before this one, and had no effect.
     assert_eq!(sender.send(b"<CaptureComplete/>"), [""; 0]);
     assert!(matches!(own.next().trigger, Trigger::Complete(_)));
     assert!(own.reports.is_empty() && other.reports.is_empty());
@@ -80,7 +80,7 @@ fn what_one_tells_another_hears_and_itself_ignores() {
 }
 
 #[test]
-fn refusals_are_said_a_few_at_a_time() {
+fn refusals_are_reported_a_few_at_a_time() {
     let service = Service::start(7);
     let client = UdpSocket::bind("127.0.0.1:0").unwrap();
     for id in 0..50 {
@@ -98,7 +98,7 @@ fn refusals_are_said_a_few_at_a_time() {
 }
 
 #[test]
-fn more_than_fit_are_lost_and_said() {
+fn triggers_that_do_not_fit_are_dropped_and_reported() {
     let service = Service::start(7);
     let client = UdpSocket::bind("127.0.0.1:0").unwrap();
     for id in 0..=DUE_EACH_MAX as u64 {
@@ -116,7 +116,7 @@ fn more_than_fit_are_lost_and_said() {
 }
 
 #[test]
-fn a_port_that_is_taken_says_so() {
+fn a_port_in_use_is_reported() {
     let service = Service::start(7);
     let error = bind(service.at).unwrap_err().to_string();
     assert!(error.contains(&service.at.to_string()) && error.contains("`ss -ulpn`"), "{error}");
@@ -126,15 +126,15 @@ fn a_port_that_is_taken_says_so() {
 }
 
 #[test]
-fn a_trigger_that_found_no_place_acts_when_it_is_repeated() {
+fn a_trigger_that_did_not_fit_acts_when_it_is_repeated() {
     let service = Service::start(7);
     let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
     let numbered =
         |packet: u64| format!("<CaptureStart><PacketID VALUE='{packet}'/></CaptureStart>");
-    // Without a number it is known by its bytes.
+    // Without a number it is identified by its bytes.
     let unnumbered = "<CaptureStop RESULT='SUCCESS'/>".to_owned();
     for late in [numbered(100), unnumbered] {
-        // No one takes them out: places are used up, and the next one is refused.
+        // Nobody takes them out of the queue, so it fills up and the next one is refused.
         for packet in 0..DUE_EACH_MAX as u64 {
             let packet = packet + 10 * late.len() as u64;
             sender.send_to(numbered(packet).as_bytes(), service.at).unwrap();
@@ -144,7 +144,7 @@ fn a_trigger_that_found_no_place_acts_when_it_is_repeated() {
         for _ in 0..DUE_EACH_MAX {
             service.next();
         }
-        // The sender repeats it, twice: one acts.
+        // The sender repeats it twice: one of them acts.
         for _ in 0..2 {
             sender.send_to(late.as_bytes(), service.at).unwrap();
         }
