@@ -137,14 +137,14 @@ pub struct Counts {
 }
 
 impl Counts {
-    pub(crate) fn of(ledger: &Ledger) -> Self {
+    pub(crate) fn from_ledger(ledger: &Ledger) -> Self {
         Self { frames: ledger.recorded, samples: ledger.samples_present }
     }
 }
 
 impl Problem {
     /// Whether only decoding can reveal the problem.
-    pub(crate) fn is_of_decoding(&self) -> bool {
+    pub(crate) fn is_decoding_problem(&self) -> bool {
         matches!(
             self,
             Self::Refused { refusal: Refusal::DependsOnLost | Refusal::Undecodable(_), .. }
@@ -243,7 +243,7 @@ impl LossTracker {
         self.rows_min = self.rows_min.max(rows);
     }
 
-    /// Ends the take. Returns the rows known to be lost behind the last stretch.
+    /// Ends the take. Returns the rows known to be lost after the last stretch.
     pub(crate) fn finish(&mut self) -> u64 {
         let lost = self.push(self.rows_min, Why::Damaged);
         self.end_row = self.end_row.max(self.rows_min);

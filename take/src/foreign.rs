@@ -63,7 +63,7 @@ pub struct ForeignPart {
 
 impl ForeignPart {
     /// Parses the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
-    pub(crate) fn of_payload(
+    pub(crate) fn from_payload(
         front: &[u8],
         (payload_at, payload_bytes): (u64, u64),
         offset: u64,
@@ -205,7 +205,7 @@ mod tests {
 
     fn read(payload: &[u8]) -> Result<Foreign, TakeError> {
         let len = payload.len() as u64;
-        let part = ForeignPart::of_payload(payload, (0, len), 0)?;
+        let part = ForeignPart::from_payload(payload, (0, len), 0)?;
         let mut inflation = InflateCheck::new(part.data_bytes);
         payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
         inflation.finish(0)?;

@@ -136,10 +136,10 @@ impl Footer {
 }
 
 /// Size of one read at the start of a chunk: enough for the header of hundreds of markers, and for most ledgers with
-/// the summary behind them.
+/// the summary after them.
 const READ_BYTES: u64 = 16 << 10;
 
-/// Most bytes of a record's chunk beside its content: type, a length of at most five bytes, CRC-32, and the version.
+/// Most bytes of a record's chunk besides its content: type, a length of at most five bytes, CRC-32, and the version.
 const OVERHEAD_BYTES: u64 = 1 + 5 + 4 + 2;
 
 /// Longest chunk of a record.

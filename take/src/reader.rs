@@ -73,7 +73,7 @@ pub enum TakeEvent<'a> {
         /// The reason.
         message: String,
     },
-    /// The type or length of the next chunk was damaged and has been restored from the position of the chunk behind it
+    /// The type or length of the next chunk was damaged and has been restored from the position of the chunk after it
     /// and from its CRC. No content is lost.
     Repaired {
         /// File offset of the chunk.
@@ -118,7 +118,7 @@ pub struct TakeReader {
     /// A chunk with a matching CRC that is too long to hold and is read piece by piece.
     long_chunk: Option<LongChunk>,
     /// Which long chunks have matching CRCs, within the range that was scanned.
-    long: LongChunks,
+    long_chunks: LongChunks,
     /// The scan ahead that finds the long chunks.
     scan: Option<LongChunkScan>,
     seek_request: Option<u64>,
@@ -145,7 +145,7 @@ impl TakeReader {
     /// # Errors
     /// `Unsupported` or `Codec` when this build cannot use the header.
     pub fn from_key(header: &Header, key: IndexEntry) -> Result<Self, TakeError> {
-        let mut chain = StretchChain::of(header)?;
+        let mut chain = StretchChain::from_header(header)?;
         chain.seek(key.first_row);
         Ok(Self { base: key.offset, chain: Some(chain), seen_magic: true, ..Self::default() })
     }
@@ -182,7 +182,7 @@ impl TakeReader {
     fn consumed(&self) -> usize {
         match &self.damage {
             // A region that turns out to be one chunk with a damaged head is needed as a whole.
-            Some(damage) if !damage.is_far && self.scan.is_none() => {
+            Some(damage) if !damage.start_dropped && self.scan.is_none() => {
                 damage.offset.checked_sub(self.base).map_or(self.used, |at| at as usize)
             }
             _ => self.used,

@@ -221,7 +221,7 @@ impl StretchDecoder {
     /// A decoder of the groups with the numbers `wanted`; groups are coded independently. [`rows`](Self::rows) has no
     /// samples of the others.
     #[must_use]
-    pub fn of_groups(settings: Settings, wanted: Vec<usize>) -> Self {
+    pub fn with_groups(settings: Settings, wanted: Vec<usize>) -> Self {
         Self { wanted: Some(wanted), ..Self::new(settings) }
     }
 

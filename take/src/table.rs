@@ -17,7 +17,7 @@ pub(crate) struct ChannelTable {
 struct MissingEntries {
     /// The column before which they are missing.
     column: usize,
-    /// Entries may be missing at other positions behind it, too, so that names and columns cannot be matched.
+    /// Entries may be missing at other positions after it, too, so that names and columns cannot be matched.
     several: bool,
 }
 

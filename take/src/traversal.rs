@@ -129,8 +129,8 @@ impl Progress {
     fn report(&mut self, problem: Problem) {
         let is_reported = match self.scope {
             ProblemScope::All | ProblemScope::Unscanned => true,
-            ProblemScope::Map => !problem.is_of_decoding(),
-            ProblemScope::Decoding => problem.is_of_decoding(),
+            ProblemScope::Map => !problem.is_decoding_problem(),
+            ProblemScope::Decoding => problem.is_decoding_problem(),
         };
         if is_reported {
             push_problem(&mut self.take.problems, problem);
@@ -141,7 +141,7 @@ impl Progress {
         let settings = self.take.header.codec()?;
         self.decoder = Some(match &self.decode {
             Decode::All => StretchDecoder::new(settings),
-            Decode::Groups(groups) => StretchDecoder::of_groups(settings, groups.clone()),
+            Decode::Groups(groups) => StretchDecoder::with_groups(settings, groups.clone()),
         });
         Ok(())
     }
@@ -296,7 +296,7 @@ impl Progress {
 pub struct TakeTraversal<R> {
     input: R,
     reader: TakeReader,
-    /// File offset behind the last event.
+    /// File offset after the last event.
     at: u64,
     progress: Progress,
     /// The last stretch.
@@ -380,7 +380,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
     }
 
     /// Continues at the last key stretch that begins at or before `row`, and skips the stretches before it. Does
-    /// nothing if that key lies behind the current position. At most ten seconds of the take are then decoded before
+    /// nothing if that key lies before the current position. At most ten seconds of the take are then decoded before
     /// `row`.
     ///
     /// Problems of skipped stretches are not reported.

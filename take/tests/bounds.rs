@@ -234,7 +234,7 @@ fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
             let (rows, damage) = read(&take("dense", &payloads, None));
             assert_eq!(rows.contains(&row), believed, "{row}");
             assert_eq!(damage.is_empty(), believed, "{row}: {damage:?}");
-            // Valid stretches behind it are read.
+            // Valid stretches after it are read.
             let payloads = [payloads, vec![behind.clone()]].concat();
             let take = take("dense", &payloads, None);
             assert!(read(&take).0.contains(&(known + 1_000)));

@@ -36,7 +36,7 @@ impl PrefixCrcs {
             self.crcs.drain(..n_gone);
             self.first += n_gone * STEP;
         } else {
-            // No CRC was computed behind it.
+            // No CRC was computed after it.
             *self = Self { first: at, ..Self::default() };
         }
     }

@@ -1,7 +1,7 @@
 //! The search for the next valid chunk after damage, both in the buffer and among chunks that are longer than the
 //! buffer.
 //!
-//! A chunk ends with its CRC, possibly a gigabyte behind its head, and encoded bytes are full of apparent heads. For
+//! A chunk ends with its CRC, possibly a gigabyte after its head, and encoded bytes are full of apparent heads. For
 //! long chunks the file is therefore scanned once to its end, with a running CRC: the CRCs of two prefixes give the CRC
 //! of the bytes between them, so each candidate needs only three numbers. The reader then goes back and reads with the
 //! list of valid long chunks, without trial and error.
@@ -77,7 +77,7 @@ pub(crate) fn resync(
 enum ChunkCandidate {
     Whole,
     Invalid,
-    /// The chunk ends behind the buffered bytes.
+    /// The chunk ends after the buffered bytes.
     Incomplete,
     /// The chunk is longer than the buffer.
     Long,
@@ -158,7 +158,7 @@ impl LongChunks {
 }
 
 /// Whether bytes after damage look like the beginning of a long chunk that this version writes. A long chunk of another
-/// type is recognised only behind a valid chunk.
+/// type is recognised only after a valid chunk.
 fn may_be_long(bytes: &[u8]) -> bool {
     let ChunkHead::Valid { kind, len, head_bytes } = head(bytes) else { return false };
     let payload = &bytes[head_bytes..];
@@ -236,7 +236,7 @@ impl LongChunkScan {
     }
 
     /// Scans the next bytes; `complete` if they end the file. Returns how many are done with. The others must be pushed
-    /// again, with those behind them.
+    /// again, with those after them.
     pub(crate) fn push(&mut self, bytes: &[u8], complete: bool) -> usize {
         let start = self.at;
         let end = if complete { bytes.len() } else { bytes.len().saturating_sub(FRONT_BYTES) };
@@ -372,7 +372,7 @@ mod tests {
         bytes[150_000] ^= 1;
         assert_eq!(front(&bytes), Front::Damaged);
         assert_eq!(next(&bytes), ResyncOutcome::Found(found));
-        // Without the end of the next chunk, nothing behind its beginning is judged.
+        // Without the end of the next chunk, nothing after its beginning is judged.
         let prefixes = &mut PrefixCrcs::default();
         let found_part = resync(&bytes[..found + 1000], prefixes, 1, false, |_| Some(false));
         let ResyncOutcome::NotBefore(at) = found_part else {

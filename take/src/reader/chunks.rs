@@ -38,9 +38,9 @@ impl TakeReader {
             |message| Some(Damage::new(offset, waiting, message, is_header && message == CUT));
         match chunk::head(waiting) {
             ChunkHead::Valid { kind, len, .. } if len > held_max && !self.complete => {
-                match self.long.is_whole(offset) {
+                match self.long_chunks.is_whole(offset) {
                     None => self.scan = Some(LongChunkScan::new(offset, true)),
-                    Some(false) if self.long.is_cut(offset + len) => {
+                    Some(false) if self.long_chunks.is_cut(offset + len) => {
                         self.damage = begin_damage(CUT);
                     }
                     Some(false) => self.damage = begin_damage(BAD_CRC),
@@ -76,7 +76,7 @@ impl TakeReader {
             return false;
         }
         let from = scan.from();
-        self.long = self.scan.take().map_or_else(LongChunks::default, LongChunkScan::finish);
+        self.long_chunks = self.scan.take().map_or_else(LongChunks::default, LongChunkScan::finish);
         self.buffer.clear();
         self.prefixes = PrefixCrcs::default();
         (self.base, self.used, self.wanted) = (from, 0, 1);
@@ -101,7 +101,7 @@ impl TakeReader {
             if kind == types::HEADER {
                 let header = Header::from_payload(payload, offset)?;
                 header.check()?;
-                self.chain = Some(StretchChain::of(&header)?);
+                self.chain = Some(StretchChain::from_header(&header)?);
                 self.bytes.header += len as u64;
                 self.n_channels = header.channels.len();
                 return Ok(TakeEvent::Header(Box::new(header)));
@@ -114,7 +114,7 @@ impl TakeReader {
             types::FOREIGN => {
                 let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
                 let place = (payload_at, payload.len() as u64);
-                ForeignPart::of_payload(payload, place, offset).and_then(|part| {
+                ForeignPart::from_payload(payload, place, offset).and_then(|part| {
                     let mut inflation = InflateCheck::new(part.data_bytes);
                     let from = (part.deflated_at() - payload_at) as usize;
                     inflation.push(&payload[from..]);
@@ -236,7 +236,7 @@ impl LongChunk {
             let payload_at = self.offset + head_bytes as u64;
             let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
             let front = &bytes[head_bytes..];
-            ForeignPart::of_payload(front, (payload_at, payload_bytes), self.offset)
+            ForeignPart::from_payload(front, (payload_at, payload_bytes), self.offset)
                 .map(|part| (InflateCheck::new(part.data_bytes), part))
                 .map(|(inflation, part)| (part, inflation))
         });

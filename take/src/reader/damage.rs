@@ -20,7 +20,7 @@ pub(super) struct Damage {
     head: Vec<u8>,
     message: &'static str,
     /// The region is so long that its beginning is no longer held.
-    pub(super) is_far: bool,
+    pub(super) start_dropped: bool,
     /// The region is a header that the file ends inside.
     is_cut_header: bool,
 }
@@ -34,7 +34,7 @@ impl Damage {
         is_cut_header: bool,
     ) -> Self {
         let head = bytes[..bytes.len().min(HEAD_BYTES_MAX)].to_vec();
-        Self { offset, head, message, is_far: false, is_cut_header }
+        Self { offset, head, message, start_dropped: false, is_cut_header }
     }
 
     /// The chunk type in its first byte, if it is a valid one.
@@ -57,24 +57,24 @@ impl TakeReader {
     /// Searches for the next valid chunk; `None` when more of the file is needed.
     pub(super) fn find_next(&mut self) -> Option<TakeEvent<'static>> {
         // No chunk begins at the region's own first byte.
-        let (offset, is_far) = self.damage.as_ref().map(|damage| (damage.offset, damage.is_far))?;
+        let (offset, start_dropped) = self.damage.as_ref().map(|d| (d.offset, d.start_dropped))?;
         if !self.complete && self.buffer.len() - self.used < WINDOW_BYTES {
             self.wanted = WINDOW_BYTES as u64;
             return None;
         }
         let from = self.used + usize::from(self.offset() == offset);
-        let is_whole = |at: usize| self.long.is_whole(self.base + at as u64);
+        let is_whole = |at: usize| self.long_chunks.is_whole(self.base + at as u64);
         match chunk::resync(&self.buffer, &mut self.prefixes, from, self.complete, is_whole) {
             ResyncOutcome::Found(at) => return self.end_damage(at),
             ResyncOutcome::NotBefore(at) if self.complete => return self.end_damage(at),
             ResyncOutcome::NotBefore(at) => {
                 self.used = at;
                 if let Some(damage) = &mut self.damage {
-                    damage.is_far = true;
+                    damage.start_dropped = true;
                 }
             }
             ResyncOutcome::NeedsScan(at) => {
-                let begun = if is_far { self.base + at as u64 } else { offset };
+                let begun = if start_dropped { self.base + at as u64 } else { offset };
                 self.used = (begun - self.base) as usize;
                 self.scan = Some(LongChunkScan::new(begun, false));
             }
@@ -90,7 +90,7 @@ impl TakeReader {
         self.used = at;
         self.wanted = 1;
         let len = self.offset() - offset;
-        if !damage.is_far && len <= CHUNK_HELD_MAX {
+        if !damage.start_dropped && len <= CHUNK_HELD_MAX {
             let start = (offset - self.base) as usize;
             if repair_head(&mut self.buffer[start..at]) {
                 self.prefixes.discard_before(at);

@@ -261,7 +261,7 @@ const MAX_SHARED: usize = 15;
 /// A suffix length up to 13 is stored in the nibble; these two values announce other fields.
 const LONG: u8 = 14;
 const UNUSUAL: u8 = 15;
-/// Memory that a reader needs for an entry beside its label.
+/// Memory that a reader needs for an entry besides its label.
 const ENTRY_BYTES: usize = 32;
 
 /// The previous entry, from which the next one is predicted.

@@ -1,4 +1,4 @@
-//! The ledger of a recovered take, from the last ledger of the damaged file and from the stretches behind it.
+//! The ledger of a recovered take, from the last ledger of the damaged file and from the stretches after it.
 
 use crate::{
     damage::LostRows,
@@ -84,7 +84,7 @@ impl LedgerTally {
     /// The ledger of what is kept, given the `last` ledger of the file and the rows `lost` to damage in it.
     ///
     /// The last ledger's counts stand, except that frames it has as recorded and that are not kept count as lost.
-    /// Damaged rows behind it count as lost, too.
+    /// Damaged rows after it count as lost, too.
     pub(super) fn close(&self, last: Option<&Ledger>, lost: &[LostRows]) -> Ledger {
         let (mut ledger, before) = (last.cloned().unwrap_or_default(), self.at_ledger);
         let rows_then = ledger.frames_sent;

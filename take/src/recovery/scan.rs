@@ -175,11 +175,11 @@ impl RecoveryScanner {
                 self.closed |= ledger.finished;
                 self.tally.mark_ledger();
                 let (frames, samples) = (self.tally.recorded(), self.samples.iter().sum());
-                let (stated, found) = (Counts::of(ledger), Counts { frames, samples });
+                let (stated, found) = (Counts::from_ledger(ledger), Counts { frames, samples });
                 if stated != found && !ledger.finished && !progress.take.damaged {
                     self.contradiction = Some(Problem::LedgerCounts { told: stated, found });
                 }
-                // A ledger behind damage counts more than is kept; its counts go into the new last ledger.
+                // A ledger after damage counts more than is kept; its counts go into the new last ledger.
                 let is_stale = ledger.finished || progress.take.damaged || stated != found;
                 (types::LEDGER, if is_stale { ChunkAction::Rewrite } else { ChunkAction::Copy })
             }
@@ -198,8 +198,8 @@ impl RecoveryScanner {
                     self.missing_at.get_or_insert(self.output.len());
                 }
                 // Only summary, index and footer follow the last ledger.
-                let is_of_end = Kind::of(*kind).follows_last_ledger();
-                let kind = if self.closed && !is_of_end { Some(types::INDEX) } else { *kind };
+                let is_expected = Kind::of(*kind).follows_last_ledger();
+                let kind = if self.closed && !is_expected { Some(types::INDEX) } else { *kind };
                 (kind.unwrap_or_default(), ChunkAction::Discard)
             }
             TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
@@ -319,7 +319,7 @@ impl RecoveryScanner {
         if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
             && !scan.lost_anything()
         {
-            let (stated, found) = (Counts::of(&ledger), Counts::of(&scan.ledger));
+            let (stated, found) = (Counts::from_ledger(&ledger), Counts::from_ledger(&scan.ledger));
             if stated == found {
                 scan.ledger = ledger;
             } else {

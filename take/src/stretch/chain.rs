@@ -40,7 +40,7 @@ pub(crate) struct StretchChain {
 
 impl StretchChain {
     /// Starts at the first stretch of the take with this header.
-    pub(crate) fn of(header: &Header) -> Result<Self, TakeError> {
+    pub(crate) fn from_header(header: &Header) -> Result<Self, TakeError> {
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
         Ok(Self::new(rows_max(header.codec()?.kind), header.stretch_rows, tick_hz))
     }

@@ -32,7 +32,7 @@ impl TimelineState {
     pub(super) fn initial(tick_hz: u64) -> Self {
         Self {
             last_row: 0,
-            pace: TickPredictor::still(),
+            pace: TickPredictor::stopped(),
             line: ArrivalModel::new(tick_hz, 0, 0, 0),
             errors: ResidualModel::new(4),
             timecodes: TimecodeModel::new(),
@@ -99,7 +99,7 @@ impl TimelineAnchor {
     }
 
     /// Skips the anchor and the coded times at the front of `cursor`.
-    fn pass(cursor: &mut varint::Cursor<'_>, key: bool) -> Option<()> {
+    fn skip(cursor: &mut varint::Cursor<'_>, key: bool) -> Option<()> {
         if key {
             Self::take(cursor)?;
         }
@@ -110,7 +110,7 @@ impl TimelineAnchor {
 /// Splits what [`TimelineEncoder::encode`] wrote off the front of `cursor`.
 pub(crate) fn take_times<'a>(cursor: &mut varint::Cursor<'a>, key: bool) -> Option<&'a [u8]> {
     let all = cursor.rest();
-    TimelineAnchor::pass(cursor, key)?;
+    TimelineAnchor::skip(cursor, key)?;
     all.get(..all.len() - cursor.rest().len())
 }
 
@@ -139,7 +139,7 @@ impl TimelineEncoder {
         let longest = |shift: &u8| (1 << shift) as f64 * rate_hz * 16.0 <= 100_000.0;
         Self {
             tick_hz,
-            nominal: FramePeriod::of_rate(tick_hz, rate_hz),
+            nominal: FramePeriod::from_rate(tick_hz, rate_hz),
             shift: SHIFTS.into_iter().find(longest).unwrap_or(SHIFTS[2]),
             state: TimelineState::initial(tick_hz),
             measured: None,

@@ -96,7 +96,7 @@ pub(super) struct FramePeriod {
 
 impl FramePeriod {
     /// The shortest period that is within one tick per million rows of the rate, or the closest.
-    pub(super) fn of_rate(tick_hz: u64, rate_hz: f64) -> Self {
+    pub(super) fn from_rate(tick_hz: u64, rate_hz: f64) -> Self {
         let wanted = tick_hz.max(1) as f64 / rate_hz;
         // Convergents of the continued fraction; casts saturate.
         let (mut before, mut last) = ((1_u64, 0_u64), (wanted.floor() as u64, 1));
@@ -145,7 +145,7 @@ impl TickPredictor {
     }
 
     /// A clock that does not advance.
-    pub(super) fn still() -> Self {
+    pub(super) fn stopped() -> Self {
         Self { period: FramePeriod { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
     }
 
