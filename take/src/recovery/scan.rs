@@ -115,7 +115,7 @@ struct RecoveryScanner {
     tally: LedgerTally,
     samples: Vec<u64>,
     /// Position in `output` at which channel table entries may be missing.
-    hole: Option<usize>,
+    missing_at: Option<usize>,
     end_row: u64,
     next_number: u8,
     discarded_bytes: u64,
