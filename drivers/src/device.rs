@@ -62,7 +62,7 @@ pub struct Frame<'a> {
     pub device_ticks: u64,
     /// SMPTE timecode as hh, mm, ss, ff, from devices that have one.
     pub timecode: Option<[u8; 4]>,
-    /// Marker samples, ids ascending.
+    /// Samples of the markers in this frame.
     pub markers: &'a [MarkerSample],
 }
 
