@@ -1,4 +1,4 @@
-//! `recover`: what can be read of a damaged take is in the new one, unchanged, and the rest is on its account.
+//! `recover`: everything readable of a damaged take is in the new one, unchanged, and the ledger has the rest.
 
 use std::io::Cursor;
 
@@ -20,7 +20,7 @@ use crate::support::{
 };
 
 /// A recording with loss, and with two markers that appear later; stretches of a quarter of a second and
-/// keys each second, so that a short take has many.
+/// keys every second, so that a short take has many.
 fn recording(codec: mocapd_codec::Settings) -> Vec<u8> {
     let motion = jump(3, 60.0, 8.0);
     let mut config = config(&motion, codec);
@@ -32,9 +32,9 @@ fn recording(codec: mocapd_codec::Settings) -> Vec<u8> {
         while intake.is_full() {
             std::thread::yield_now();
         }
-        let shown = if seq < 120 { 13 } else { 15 };
+        let n_visible = if seq < 120 { 13 } else { 15 };
         let all: Vec<MarkerSample> = samples(motion.frame(seq));
-        feed_samples(&mut intake, 60.0, seq, &all[..shown]);
+        feed_samples(&mut intake, 60.0, seq, &all[..n_visible]);
     }
     intake.finish();
     pipeline.finish().unwrap().1
@@ -67,7 +67,7 @@ fn stretches(take: &[u8]) -> Vec<&[u8]> {
     places.map(|place| &take[place.1]).collect()
 }
 
-/// Recovers a damaged take, and holds the new one against what the damaged one still gives.
+/// Recovers a damaged take, and compares the new one with what can be read of the damaged one.
 fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summary) {
     let (survey, new) = recover(damaged);
     let summary = Summary::read(&new[..]).unwrap();
@@ -86,8 +86,8 @@ fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summa
             "{what}"
         );
     }
-    // Every sample that the damaged take gives, at its row, and no other. Behind the last one both may have
-    // rows without any.
+    // Every sample of the damaged take at its row, and no other. After the last one, both may have
+    // rows without samples.
     let (old_rows, _) = rows(damaged);
     let (new_rows, _) = rows(&new);
     let bits = |rows: &[Vec<Position>]| {
@@ -100,7 +100,7 @@ fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summa
         rows
     };
     assert_eq!(bits(&old_rows), bits(&new_rows), "{what}");
-    // Copied, not coded again.
+    // Copied, not encoded again.
     let old = stretches(original);
     let is_old = |stretch: &&&[u8]| old.contains(*stretch);
     let lost = survey.damage.len();
@@ -112,7 +112,7 @@ fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summa
 }
 
 #[test]
-fn of_an_intact_take_everything_is_kept() {
+fn everything_of_an_intact_take_is_kept() {
     for take in [recording(dense(0.5)), recording(lossless()), import(25.0)] {
         let (survey, new, summary) = check(&take, &take, "intact");
         assert!(!survey.lost_anything() && survey.finished);
@@ -131,8 +131,8 @@ fn of_an_intact_take_everything_is_kept() {
 }
 
 #[test]
-fn what_is_counted_again_is_what_the_recorder_counted() {
-    // Without its last ledger, a take's account is made of its stretches: and is the same.
+fn a_rebuilt_ledger_equals_that_of_the_recorder() {
+    // Without its last ledger, the take's account is rebuilt from its stretches, and is the same.
     for codec in [dense(0.5), fast(0.5)] {
         let take = recording(codec);
         let ledger = Summary::read(&take[..]).unwrap().take.ledger.unwrap();
@@ -163,7 +163,7 @@ fn a_take_cut_at_any_byte_is_recovered() {
     {
         let (survey, _, summary) = check(&take[..cut], &take, &format!("cut at {cut}"));
         let finished = survey.finished;
-        // A summary that is torn told how the take ended.
+        // The lost summary stated how the take ended.
         let is_torn = (summary_chunk.start + 1..summary_chunk.end).contains(&cut);
         assert_eq!(survey.lost_anything(), !finished || is_torn, "cut at {cut}");
         let known = cut >= summary_chunk.end;
@@ -185,8 +185,8 @@ fn a_damaged_chunk_costs_what_depends_on_it_and_its_rows_stay() {
             damaged[place.start + (place.len() / 2).max(2)] ^= 0x10;
             let what = format!("type {kind:02x} at {}", place.start);
             let (survey, _, summary) = check(&damaged, &take, &what);
-            let anew = Kind::of(Some(kind)).is_made_anew();
-            assert_eq!(survey.lost_anything(), !anew, "{what}");
+            let is_rebuilt = Kind::of(Some(kind)).is_made_anew();
+            assert_eq!(survey.lost_anything(), !is_rebuilt, "{what}");
             assert_eq!(summary.take.n_rows, whole.take.n_rows, "{what}");
             let counts = survey.kinds.iter().find(|count| count.kind == Kind::of(Some(kind)));
             assert!(counts.unwrap().discarded >= 1, "{what}");
@@ -227,7 +227,7 @@ fn a_damaged_head_costs_nothing() {
 }
 
 #[test]
-fn zeros_and_noise_anywhere_are_recovered() {
+fn takes_with_zeros_and_noise_anywhere_are_recovered() {
     let mut random = Random::new(7);
     let takes = [recording(dense(0.5)), recording(lossless()), import(25.0)];
     for round in 0..120 {
@@ -249,7 +249,7 @@ fn zeros_and_noise_anywhere_are_recovered() {
             }
         }
         let (survey, new, _) = check(&damaged, take, &format!("round {round}"));
-        // What is recovered once has nothing more to lose.
+        // A recovered take has nothing more to lose.
         let (again, newer, _) = check(&new, &new, &format!("round {round}, again"));
         assert!(!again.lost_anything(), "round {round}: {:?}", again.problems);
         assert_eq!(again.ledger, survey.ledger, "round {round}");
@@ -285,36 +285,36 @@ fn a_lost_name_is_not_given_to_another() {
 }
 
 #[test]
-fn one_wrong_byte_of_the_header_is_put_right() {
+fn one_wrong_byte_of_the_header_is_repaired() {
     let take = import(0.5);
     let header = places(&take)[0].1.clone();
     for at in 0..header.end {
         for by in [0x01, 0x80, 0xff] {
             let mut damaged = take.clone();
             damaged[at] ^= by;
-            let (mut input, mended) = mend_start(Cursor::new(&damaged)).unwrap();
+            let (mut input, repaired) = mend_start(Cursor::new(&damaged)).unwrap();
             let survey = Survey::read(&mut input).unwrap();
             assert!(!survey.lost_anything(), "byte {at}");
             let in_head = (8..11).contains(&at);
             let expected = match at {
                 0..8 => vec![Problem::Magic],
                 _ if in_head => vec![],
-                // Any byte of the CRC is told as its first.
+                // A wrong byte of the CRC is reported as its first byte.
                 _ => vec![Problem::HeaderByte(at.min(header.end - 4) as u64)],
             };
-            assert_eq!(mended, expected, "byte {at}");
+            assert_eq!(repaired, expected, "byte {at}");
             assert_eq!(survey.problems.len(), usize::from(in_head), "byte {at}");
             let mut new = Vec::new();
             survey.write(&mut input, &mut new, "tests").unwrap();
             assert_eq!(format!("{:?}", rows(&new)), format!("{:?}", rows(&take)), "byte {at}");
         }
     }
-    // Two of them are not.
+    // Two wrong bytes are not repaired.
     let mut damaged = take.clone();
     damaged[header.start + 20] ^= 1;
     damaged[header.start + 30] ^= 1;
-    let (input, mended) = mend_start(Cursor::new(&damaged)).unwrap();
-    assert_eq!(mended, []);
+    let (input, repaired) = mend_start(Cursor::new(&damaged)).unwrap();
+    assert_eq!(repaired, []);
     assert!(Survey::read(input).is_err());
 }
 
@@ -329,7 +329,7 @@ fn the_file_may_not_change_meanwhile() {
 }
 
 #[test]
-fn the_reader_says_which_rows_are_lost() {
+fn the_reader_reports_the_lost_rows() {
     let take = recording(dense(0.5));
     let places = places(&take);
     let middle = places.iter().filter(|p| p.0 == types::STRETCH).nth(6).unwrap();
