@@ -142,7 +142,7 @@ fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Mea
         "{account:?}: away for {away_s} s"
     );
     let info = mocapd(User::Dialout, &["info", take])?;
-    ensure!(info.stdout.contains("began anew"), "{}", info.stdout);
+    ensure!(info.stdout.contains("started again"), "{}", info.stdout);
     let sent = simulator.stop()?;
     ensure!(account.recorded > sent.produced, "{account:?}: no frame of before the cut");
     let off_ms = (account.away_s - away_s) * 1e3;
