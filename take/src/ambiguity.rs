@@ -113,37 +113,37 @@ impl fmt::Display for Ambiguity {
         match self {
             Self::Unit { stated, span } => {
                 match stated.as_str() {
-                    "" => f.write_str("No unit of length is stated")?,
-                    unit => write!(f, "The unit of length `{unit}` is not known")?,
+                    "" => f.write_str("The file states no unit of length")?,
+                    unit => write!(f, "The unit of length `{unit}` is unknown")?,
                 }
                 write!(
                     f,
-                    "; positions were read as millimetres, in which the markers span {span:.4} mm."
+                    "; positions were read as millimetres, so that the markers span {span:.4} mm."
                 )
             }
             Self::StatedUnit { stated, span_mm } => write!(
                 f,
-                "The unit of length is `{stated}`, in which all markers are within {span_mm:.4} mm: hardly what was captured; \
-                 if it is another, give it with --unit."
+                "The stated unit of length, `{stated}`, places all markers within {span_mm:.4} mm, which is implausible; \
+                 if the unit is another one, give it with --unit."
             ),
             Self::FrameLayout { stated, taken } => {
                 let FrameLayout { points, analog_per_frame, data_offset, integers } = taken;
                 let kind = if *integers { "integers" } else { "floats" };
                 write!(
                     f,
-                    "Places disagree about what a frame holds ({stated}): read as {points} points and {analog_per_frame} analog \
-                     samples, {kind} from byte {data_offset} on, which suits the number of bytes and the motion best."
+                    "The file contradicts itself about the frame layout ({stated}); it was read as {points} points and \
+                     {analog_per_frame} analog samples, {kind} from byte {data_offset} on, which fits its size and the motion best."
                 )
             }
             Self::FourthWords { samples } => write!(
                 f,
-                "Every sample is marked as missing (fourth word negative), but {samples} have coordinates; those were read as \
+                "Every sample is marked as missing (negative fourth word), but {samples} have coordinates; those were read as \
                  samples."
             ),
             Self::CoordinatesUnderGaps { samples } => write!(
                 f,
-                "{samples} samples are marked as missing (fourth word negative) and have coordinates; they are gaps, and the \
-                 coordinates were kept as c3d/gap-coordinates."
+                "{samples} samples are marked as missing (negative fourth word) but have coordinates; they were read as gaps, \
+                 and the coordinates are kept as c3d/gap-coordinates."
             ),
             Self::Origin { samples, gaps: true } => write!(
                 f,

@@ -107,7 +107,7 @@ pub struct Header {
     pub settings: Vec<(String, String)>,
 }
 
-/// The version of stretches and blocks that this build writes and reads. Versions 1 to 4 belong to development builds.
+/// The version of stretches and blocks that this build writes and reads. Versions 1 to 5 belong to development builds.
 pub const CODEC_VERSION: u16 = 6;
 
 // Blocks are part of takes, so a new block version needs a new version here.

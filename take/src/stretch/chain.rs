@@ -106,8 +106,7 @@ impl StretchChain {
             }
             None => self.next_row,
         };
-        let end_row =
-            from_row.checked_add(header.rows_passed).ok_or("its row numbers overflow")?;
+        let end_row = from_row.checked_add(header.rows_passed).ok_or("its row numbers overflow")?;
         let timeline = match header.runs {
             Some(runs) => {
                 let mut timeline = Timeline { first_row: from_row, runs, times: Vec::new() };
