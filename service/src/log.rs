@@ -68,7 +68,7 @@ impl FromStr for Level {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|level| level.to_string() == text);
-        found.ok_or_else(|| format!("unknown level '{text}': use error, warn, info, debug or trace"))
+        found.ok_or_else(|| format!("no level '{text}': use error, warn, info, debug or trace"))
     }
 }
 
@@ -95,8 +95,8 @@ impl Log {
                 Some(journal) => Box::new(journal),
                 None => Box::new(lines(stderr)),
             };
-        let registry =
-            tracing_subscriber::registry().with(out).with(rate_limit::FilterLayer(Arc::clone(&filter)));
+        let layer = rate_limit::FilterLayer(Arc::clone(&filter));
+        let registry = tracing_subscriber::registry().with(out).with(layer);
         registry.try_init().context("the log is already running")?;
         let summaries = SummaryThread::start(Arc::clone(&filter))?;
         Ok(Self { filter, _summaries: summaries })

@@ -184,19 +184,18 @@ impl Worker {
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);
         // A stop that matches no take in progress may mean a start that is still pending.
-        let cancel_pending = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
-        {
+        let cancel = |otherwise: String| match self.triggers.cancel_starts(received.from, name) {
             0 => Outcome::Nothing(format!("{note}: {otherwise}")),
-            n => Outcome::Acted(format!("{note}: cancelled {n} delayed start{}", if n == 1 { "" } else { "s" })),
+            n => Outcome::Acted(format!("{note}: delayed starts cancelled: {n}")),
         };
         let Some(recording) = recording.as_deref() else {
-            return cancel_pending(match was_recording {
+            return cancel(match was_recording {
                 Some(was) => format!("{was} had already ended"),
                 None => "no take is being recorded".to_owned(),
             });
         };
         if name.is_some_and(|name| name != recording) {
-            return cancel_pending(format!("another take, {recording}, is being recorded and continues"));
+            return cancel(format!("another take, {recording}, is being recorded and continues"));
         }
         // Without a name, a stop means the take that was being recorded when it arrived, not a later one. If there was
         // none, it can only mean a start by the same sender that arrived earlier and was not executed yet.
@@ -207,7 +206,7 @@ impl Worker {
             None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
                 let goes_on =
                     format!("no take was being recorded when it arrived; {recording} continues");
-                return cancel_pending(goes_on);
+                return cancel(goes_on);
             }
             _ => {}
         }

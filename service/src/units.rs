@@ -235,7 +235,8 @@ mod tests {
     #[test]
     fn a_time_has_its_offset() {
         let time = Timestamp::from_second(1_763_899_509).unwrap();
-        let at = |seconds| format_local(time, Offset::from_seconds(seconds).unwrap().to_time_zone());
+        let zone = |seconds| Offset::from_seconds(seconds).unwrap().to_time_zone();
+        let at = |seconds| format_local(time, zone(seconds));
         assert_eq!(at(0), "2025-11-23T12:05:09+00:00");
         assert_eq!(at(3600), "2025-11-23T13:05:09+01:00");
         assert_eq!(at(-12_600), "2025-11-23T08:35:09-03:30");

@@ -28,7 +28,7 @@ pub struct Key {
     /// Why it exists or why it has this default, in one sentence.
     pub why: &'static str,
     /// The type and range of its values.
-    pub value_type: ValueType,
+    pub values: ValueType,
     /// The value if the key is left out.
     pub default: DefaultValue,
     /// When a running service applies a new value.
@@ -131,7 +131,9 @@ impl Key {
             DefaultValue::Flag(flag) => flag.to_string(),
             DefaultValue::Integer(number) => number.to_string(),
             DefaultValue::EmptyList(_) => "[]".to_owned(),
-            DefaultValue::Absent(example) | DefaultValue::Dynamic { example, .. } => example.to_owned(),
+            DefaultValue::Absent(example) | DefaultValue::Dynamic { example, .. } => {
+                example.to_owned()
+            }
         }
     }
 
@@ -154,10 +156,10 @@ impl Key {
     pub(super) fn advice(&self) -> String {
         let example = match self.default {
             DefaultValue::EmptyList(item) => format!("[\"{item}\"]"),
-            DefaultValue::Text("") => return format!("write {}", self.value_type.description()),
+            DefaultValue::Text("") => return format!("write {}", self.values.description()),
             _ => self.example(),
         };
-        format!("write {}, such as {} = {example}", self.value_type.description(), self.name())
+        format!("write {}, such as {} = {example}", self.values.description(), self.name())
     }
 }
 
@@ -270,9 +272,9 @@ impl<'a> Given<'a> {
         &self,
         read: impl Fn(&str) -> Result<T, String>,
     ) -> Result<Vec<T>, Vec<Problem>> {
-        let ValueType::List { max, .. } = self.key.value_type else { return Ok(Vec::new()) };
+        let ValueType::List { max, .. } = self.key.values else { return Ok(Vec::new()) };
         let items = self.read(|value| match value.as_array() {
-            Some(items) if items.len() > max => Err(Some(format!("it has {} entries", items.len()))),
+            Some(items) if items.len() > max => Err(Some(format!("{} are too many", items.len()))),
             items => items.ok_or(None),
         })?;
         let (path, mut good, mut problems) = (self.key.path, Vec::new(), Vec::new());
@@ -352,7 +354,7 @@ impl ConfigValue for usize {
             }
             let number = whole(value).and_then(|number| u64::try_from(number).ok()).ok_or(None)?;
             let in_range =
-                matches!(&given.key.value_type, ValueType::Integer(range) if range.contains(&number));
+                matches!(&given.key.values, ValueType::Integer(range) if range.contains(&number));
             Self::try_from(number).ok().filter(|_| in_range).ok_or(None)
         })
     }
@@ -379,7 +381,8 @@ impl ConfigValue for Duration {
     fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
         given.quantity(|text| {
             let time = units::duration(text).map_err(Some)?;
-            let in_range = matches!(&given.key.value_type, ValueType::Time(range) if range.contains(&time));
+            let in_range =
+                matches!(&given.key.values, ValueType::Time(range) if range.contains(&time));
             if in_range { Ok(time) } else { Err(None) }
         })
     }
@@ -394,7 +397,8 @@ impl ConfigValue for u64 {
     fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
         given.quantity(|text| {
             let bytes = units::size_bytes(text).map_err(Some)?;
-            let in_range = matches!(&given.key.value_type, ValueType::Size(range) if range.contains(&bytes));
+            let in_range =
+                matches!(&given.key.values, ValueType::Size(range) if range.contains(&bytes));
             if in_range { Ok(bytes) } else { Err(None) }
         })
     }

@@ -45,14 +45,14 @@ macro_rules! keys {
     ($(
         #[doc = $what:literal]
         #[doc = $why:literal]
-        $section:ident.$name:ident: $value_type:expr, $default:expr, $when:expr, $field:expr;
+        $section:ident.$name:ident: $values:expr, $default:expr, $when:expr, $field:expr;
     )*) => {
         /// Every key, in the order of the example file.
         pub static KEYS: &[Key] = &[$(Key {
             path: concat!(stringify!($section), ".", stringify!($name)),
             what: $what.trim_ascii(),
             why: $why.trim_ascii(),
-            value_type: $value_type,
+            values: $values,
             default: $default,
             when: $when,
             field: $field,
@@ -337,7 +337,7 @@ pub fn example() -> String {
         for key in KEYS.iter().filter(|key| key.section() == *section) {
             out.push('\n');
             comment(&mut out, &format!("{} {}", key.what, key.why));
-            comment(&mut out, &format!("Value: {}.", key.value_type.description()));
+            comment(&mut out, &format!("Value: {}.", key.values.description()));
             match key.default {
                 DefaultValue::Absent(_) => comment(&mut out, "No default."),
                 DefaultValue::Dynamic { description, .. } => {
@@ -379,7 +379,7 @@ pub fn table(section: &str) -> String {
     for key in KEYS.iter().filter(|key| key.section() == section) {
         // A bar would end the column.
         let [takes, default] =
-            [key.value_type.description(), key.default_text()].map(|text| text.replace('|', "\\|"));
+            [key.values.description(), key.default_text()].map(|text| text.replace('|', "\\|"));
         let (name, what, why, when) = (key.name(), key.what, key.why, key.when.words());
         // Writing into a String does not fail.
         writeln!(out, "| `{name}` | {takes} | {default} | {what} {why} | {when} |").ok();

@@ -72,8 +72,9 @@ impl NameTemplate {
                 };
                 let known = PLACEHOLDERS.iter().find(|(name, _)| *name == word);
                 let (_, part) = known.ok_or_else(|| {
-                    let meant = suggestion_or_list(word, PLACEHOLDERS.iter().map(|(name, _)| *name));
-                    format!("unknown placeholder {{{}}}: {meant}", excerpt(word))
+                    let names = PLACEHOLDERS.iter().map(|(name, _)| *name);
+                    let hint = suggestion_or_list(word, names);
+                    format!("unknown placeholder {{{}}}: {hint}", excerpt(word))
                 })?;
                 parts.push(part.clone());
                 rest = behind;
@@ -97,10 +98,7 @@ impl NameTemplate {
             return Err("a take name cannot end with a dot or a space".to_owned());
         }
         if let Some(c) = self.text.chars().find(|&c| is_refused_in_name(c)) {
-            return Err(format!(
-                "a take name cannot contain '{}'",
-                c.escape_debug()
-            ));
+            return Err(format!("a take name cannot contain '{}'", c.escape_debug()));
         }
         if self.text.ends_with(".take") {
             return Err(".take is appended automatically: leave it out".to_owned());

@@ -121,7 +121,10 @@ pub(crate) fn excerpt(text: &str) -> String {
 }
 
 /// A suggestion for a misspelled name, or the list of valid names.
-pub(super) fn suggestion_or_list(word: &str, known: impl Iterator<Item = &'static str> + Clone) -> String {
+pub(super) fn suggestion_or_list(
+    word: &str,
+    known: impl Iterator<Item = &'static str> + Clone,
+) -> String {
     suggestion(word, known.clone())
         .unwrap_or_else(|| format!("expected one of {}", known.collect::<Vec<_>>().join(", ")))
 }

@@ -181,7 +181,10 @@ impl<'a> ConfigReader<'a> {
         let Some(section) = known.clone().find(|section| *section == word) else {
             let message = match section_of(word) {
                 Some(section) => format!("'{word}' is not in a section: move it below [{section}]"),
-                None => format!("unknown section [{}]: {}", excerpt(word), suggestion_or_list(word, known)),
+                None => {
+                    let hint = suggestion_or_list(word, known);
+                    format!("unknown section [{}]: {hint}", excerpt(word))
+                }
             };
             return self.refuse_name(name, message);
         };
@@ -201,7 +204,7 @@ impl<'a> ConfigReader<'a> {
                 continue;
             }
             let message = match section_of(word) {
-                Some(other) => format!("'{word}' is not a key of [{section}]: it belongs in [{other}]"),
+                Some(other) => format!("'{word}' belongs in [{other}], not in [{section}]"),
                 None => format!(
                     "unknown key '{}' in [{section}]: {}",
                     excerpt(word),
@@ -300,7 +303,7 @@ impl<'a> ConfigReader<'a> {
             self.refuse("take.lossless", message);
         } else if value == Some(true) || kind.is_lossless() {
             if self.is_given("take.tolerance") {
-                let message = "a lossless take has no tolerance: remove either tolerance or lossless";
+                let message = "a lossless take has no tolerance: remove tolerance or lossless";
                 self.refuse("take.tolerance", message.to_owned());
             }
             // The tolerance is ignored. It is the smallest one, so that a mistake would cost bytes, not precision.

@@ -119,11 +119,7 @@ fn timer_finding(late: &Latency) -> Finding {
         late.count()
     );
     if p99 > LATE_NS_MAX {
-        Finding::warning(
-            "wake-ups",
-            seen,
-            "close other programs, or reserve a core for mocapd",
-        )
+        Finding::warning("wake-ups", seen, "close other programs, or reserve a core for mocapd")
     } else {
         Finding::good("wake-ups", seen)
     }

@@ -73,7 +73,7 @@ impl Inner {
                 return Ok(());
             }
             if let Some(obstacle) = &core.device.obstacle {
-                let message = format!("{obstacle}; the service arms itself once the device is available");
+                let message = format!("{obstacle}; it is armed as soon as the device is available");
                 return Err(Refusal::new(RefusalKind::Device, message));
             }
             if Instant::now() >= until {
@@ -188,7 +188,7 @@ impl Inner {
                     stopped.path.display()
                 ),
             ),
-            Err(refusal) => away.map_or(refusal, |message| Refusal::new(RefusalKind::Device, message)),
+            Err(refusal) => away.map_or(refusal, |why| Refusal::new(RefusalKind::Device, why)),
         }
     }
 
@@ -260,7 +260,7 @@ impl Inner {
         drop(core);
         let row = row.map_err(|error| busy(&error))?;
         let row = row.row.recv_timeout(MARK_TIMEOUT).map_err(|_| {
-            let message = "the mark was not placed in time: the device is absent or the host is too slow";
+            let message = "the mark was not placed in time: no device, or a host that is too slow";
             Refusal::new(RefusalKind::Unavailable, message)
         })?;
         self.publish(
@@ -298,7 +298,7 @@ impl Inner {
         let _closing = self.closing(&mut core);
         drop(core);
         let late =
-            |_| Refusal::new(RefusalKind::Unavailable, "the disk is stalled: the take is not written yet");
+            |_| Refusal::new(RefusalKind::Unavailable, "the disk is stalled: still writing the take");
         let end = saved.and_then(|(ended, rate_hz)| {
             Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });

@@ -103,11 +103,11 @@ impl Inner {
     fn discard_empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
         take.discard();
         if ending == EndingKind::Saved {
-            let message = "nothing is held for that time: the device was absent or sent no frames; ask for more seconds";
+            let message = "no frames are held for that time: ask for more seconds";
             return Refusal::new(RefusalKind::Conflict, message);
         }
         let name = &take.name;
-        let message = format!("no frame arrived, so the take {name} was removed: is the device capturing?");
+        let message = format!("no frame arrived, so there is no take {name}: is the device capturing?");
         self.publish(ServiceEventKind::Warning, &message, Some(name));
         Refusal::new(RefusalKind::Device, message)
     }

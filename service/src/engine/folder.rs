@@ -97,7 +97,7 @@ impl Inner {
                 continue;
             }
             let is_open = open == Some(stamp.file);
-            let (summary, is_lasting) = read_summary(&path, stamp.bytes, modified, is_open);
+            let (summary, is_lasting) = summarise(&path, stamp.bytes, modified, is_open);
             if is_lasting {
                 new.push((path, stamp, summary.clone()));
             }
@@ -136,11 +136,11 @@ impl Inner {
 pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
     let file = path.symlink_metadata().ok().filter(Metadata::is_file)?;
     let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-    Some(read_summary(path, file.len(), modified, false).0)
+    Some(summarise(path, file.len(), modified, false).0)
 }
 
 /// The summary of a file from its header and end, and whether it stays valid until the file changes.
-fn read_summary(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
+fn summarise(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
     let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let mut summary = TakeSummary {
         name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),

@@ -27,9 +27,7 @@ pub(super) fn check(name: &str) -> Result<&str, Refusal> {
         return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes"));
     }
     if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
-        return invalid(format!(
-            "a take cannot be named {name:?}: begin with a letter or digit"
-        ));
+        return invalid(format!("a take cannot be named {name:?}: begin with a letter or digit"));
     }
     if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
         return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));

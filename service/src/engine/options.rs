@@ -7,7 +7,9 @@ use jiff::Zoned;
 use mocapd_drivers::{registry, uri::DeviceUri};
 use mocapd_take::record::Subject;
 
-use crate::config::{ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, auto_device};
+use crate::config::{
+    ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, auto_device,
+};
 
 /// The engine's part of a configuration.
 #[derive(Debug, Clone)]

@@ -66,7 +66,7 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
                 inner.publish(ServiceEventKind::Warning, &message, Some(&name));
             }
             Err(error) => {
-                let message = format!("the take {name} is cut off and cannot be recovered: {error:#}");
+                let message = format!("the take {name} is cut off; recovery failed: {error:#}");
                 inner.publish(ServiceEventKind::Warning, &message, Some(&name));
             }
         }

@@ -95,8 +95,7 @@ impl Inner {
         core.device.obstacle = found.err().map(|error| format!("{error:#}"));
         drop(core);
         if changed {
-            let what =
-                if present { "device connected" } else { "device disconnected" };
+            let what = if present { "device connected" } else { "device disconnected" };
             self.publish(ServiceEventKind::Device, what, None);
         }
     }

@@ -103,8 +103,8 @@ impl Auth {
         if sessions.len() == SESSIONS_MAX {
             sessions.pop_front();
         }
-        sessions
-            .push_back(LoginSession { id: hash(id.as_bytes()), until: Instant::now() + SESSION_MAX });
+        let until = Instant::now() + SESSION_MAX;
+        sessions.push_back(LoginSession { id: hash(id.as_bytes()), until });
         Ok(id)
     }
 
@@ -256,8 +256,8 @@ mod tests {
     #[test]
     fn the_token_and_nothing_like_it() {
         let auth = Auth::new(Some("0123456789abcdef"));
-        let is_authorized = |value: &str| auth.is_authorized(&with(header::AUTHORIZATION, value));
-        assert!(is_authorized("Bearer 0123456789abcdef") && is_authorized("bearer  0123456789abcdef"));
+        let accepts = |value: &str| auth.is_authorized(&with(header::AUTHORIZATION, value));
+        assert!(accepts("Bearer 0123456789abcdef") && accepts("bearer  0123456789abcdef"));
         for value in [
             "",
             "Bearer",
@@ -266,7 +266,7 @@ mod tests {
             "Bearer 0123456789abcde",
             "Basic 0123456789abcdef",
         ] {
-            assert!(!is_authorized(value), "{value}");
+            assert!(!accepts(value), "{value}");
         }
         assert!(!auth.is_authorized(&HeaderMap::new()));
         assert!(Auth::new(None).is_authorized(&HeaderMap::new()));

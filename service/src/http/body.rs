@@ -66,7 +66,7 @@ impl<T: Identified> FromRequest<Shared> for JsonBody<T> {
         let key = parts.headers.get(IDEMPOTENCY_KEY).map(idempotency_key).transpose()?;
         match (key, id.as_deref()) {
             (Some(key), Some(id)) if key != id => {
-                return Err(Problem::invalid("Idempotency-Key and request_id differ: send only one"));
+                return Err(Problem::invalid("Idempotency-Key and request_id differ: send one"));
             }
             (Some(key), _) => *id = Some(key),
             (None, _) => {}

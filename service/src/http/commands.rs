@@ -86,7 +86,10 @@ async fn execute<T: Send + 'static>(
 /// Does nothing if armed already.
 #[utoipa::path(post, path = "/v1/arm", tag = "commands", request_body = Request,
     responses((status = 200, body = Status)))]
-pub(super) async fn arm(State(app): State<Shared>, JsonBody(request): JsonBody<Request>) -> Answer<Status> {
+pub(super) async fn arm(
+    State(app): State<Shared>,
+    JsonBody(request): JsonBody<Request>,
+) -> Answer<Status> {
     execute(&app, move |control| control.arm(&request)).await
 }
 
@@ -127,7 +130,10 @@ pub(super) async fn stop(
 /// Put a mark into the take at the next frame
 #[utoipa::path(post, path = "/v1/mark", tag = "commands", request_body = Mark,
     responses((status = 200, body = Marked)))]
-pub(super) async fn mark(State(app): State<Shared>, JsonBody(request): JsonBody<Mark>) -> Answer<Marked> {
+pub(super) async fn mark(
+    State(app): State<Shared>,
+    JsonBody(request): JsonBody<Mark>,
+) -> Answer<Marked> {
     execute(&app, move |control| control.mark(&request)).await
 }
 

@@ -117,8 +117,7 @@ impl Acceptor {
     }
 
     async fn serve<S: Stream>(mut self, stream: S, via: Via, guard: &SlotGuard) {
-        let io =
-            TokioIo::new(StallGuard::new(stream, Arc::clone(guard.slot()), self.limits.stall));
+        let io = TokioIo::new(StallGuard::new(stream, Arc::clone(guard.slot()), self.limits.stall));
         let router = self.router.clone();
         let slot = Arc::clone(guard.slot());
         let service = service_fn(move |request: Request<Incoming>| {

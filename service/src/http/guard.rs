@@ -18,8 +18,8 @@ use axum::{
 use super::{
     Counts, Shared, Via,
     login::{self, LOGIN_PATH},
-    slots::ConnectionSlot,
     problem::{PROBLEM_JSON, Problem, ProblemKind},
+    slots::ConnectionSlot,
 };
 
 /// Longest path and query in bytes: the longest useful one has a percent-encoded take name.

@@ -359,9 +359,9 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> Result<(), 
         ("damaged", ledger.link_messages_damaged),
         ("unknown", ledger.link_messages_unknown),
     ];
-    let help = "Bytes received from the device during the take; skipped ones are included in received";
+    let help = "Bytes received during the take; those skipped are also counted as received";
     out.by("take_link_bytes", help, "fate", &bytes)?;
-    out.by("take_link_messages", "Messages received during the take by condition", "fate", &messages)
+    out.by("take_link_messages", "Messages received during the take", "fate", &messages)
 }
 
 fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> Result<(), Error> {

@@ -17,16 +17,16 @@ mod broadcast;
 mod commands;
 mod connection;
 mod guard;
-
 mod login;
 mod metrics;
 mod options;
-
 mod problem;
 mod routes;
 mod server;
+mod slots;
 mod streams;
 mod takes;
+mod work_queues;
 
 use std::{
     net::SocketAddr,

@@ -26,10 +26,10 @@ use super::{
     auth::Auth,
     broadcast::{EventBroadcast, LiveBroadcast},
     connection::Acceptor,
-    work_queues::{self, WorkQueues},
     options::{HttpOptions, UNIX_MORE},
-    slots::ConnectionSlots,
     routes,
+    slots::ConnectionSlots,
+    work_queues::{self, WorkQueues},
 };
 use crate::control::Control;
 
@@ -259,7 +259,7 @@ fn remove_stale_socket(path: &Path) -> anyhow::Result<()> {
         found => found.with_context(|| format!("cannot read {}", path.display()))?,
     };
     if !found.file_type().is_socket() {
-        bail!("{} exists and is not a socket: choose another path, or move it away", path.display());
+        bail!("{} exists and is no socket: choose another path, or move it away", path.display());
     }
     match std::os::unix::net::UnixStream::connect(path) {
         Ok(_) => bail!("another service is running on {}: stop it first", path.display()),
@@ -285,7 +285,7 @@ impl Drop for SocketFile {
 /// Listens on a TCP address.
 fn listen_tcp(address: SocketAddr) -> anyhow::Result<TcpListener> {
     let context =
-        || format!("cannot listen on {address}: choose another port, or stop the program that uses it");
+        || format!("cannot listen on {address}: choose another port, or stop what uses it");
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() };
     let socket = socket.with_context(context)?;
     // A port can be reused immediately after it was closed.

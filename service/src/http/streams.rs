@@ -45,7 +45,7 @@ pub(super) struct Missed {
 #[utoipa::path(get, path = "/v1/events", tag = "streams",
     params(("after" = Option<u64>, Query, description =
             "Start after the event with this number, as far back as events are kept; 0 for all of them"),
-        ("Last-Event-ID" = Option<String>, Header, description = "The id of the last event received")),
+        ("Last-Event-ID" = Option<String>, Header, description = "Id of the last event received")),
     responses((status = 200, description = "Events, until the client closes", body = ServiceEvent,
         content_type = "text/event-stream")))]
 pub(super) async fn events(
@@ -63,10 +63,10 @@ pub(super) async fn events(
         None => (after, false),
     };
     let subscription = app.events.follow(after);
-    let permit = app.stream_permit()?;
+    let _permit = app.stream_permit()?;
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
-    let event_stream = EventStream { app, subscription, pending: None, is_other_run, _permit: permit };
-    Ok(Sse::new(stream::unfold(event_stream, EventStream::next)).keep_alive(keep_alive))
+    let events = EventStream { app, subscription, pending: None, is_other_run, _permit };
+    Ok(Sse::new(stream::unfold(events, EventStream::next)).keep_alive(keep_alive))
 }
 
 #[derive(Debug, PartialEq, Eq)]

@@ -66,7 +66,7 @@ pub(super) async fn takes(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Result<Json<Vec<TakeSummary>>, Problem> {
-    let refused = || Problem::invalid(format!("`limit` must be a number of takes, 1 to {LIMIT_MAX}"));
+    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
     let Query(listing) = listing.map_err(|_| refused())?;
     let limit = listing.limit.unwrap_or(LIMIT);
     if !(1..=LIMIT_MAX).contains(&limit) {
@@ -185,8 +185,10 @@ fn answer(
         return Ok(StatusCode::NOT_MODIFIED.into_response());
     }
     // The bytes of a growing take never change. A date is never equal to the tag: the whole file is sent then.
-    let same = header_text(header::IF_RANGE).is_none_or(|known| take.is_growing || Some(known) == tag);
-    let (status, bytes) = match requested_range(header_text(header::RANGE).filter(|_| same), take.len) {
+    let if_range = header_text(header::IF_RANGE);
+    let same = if_range.is_none_or(|known| take.is_growing || Some(known) == tag);
+    let range = header_text(header::RANGE).filter(|_| same);
+    let (status, bytes) = match requested_range(range, take.len) {
         RequestedRange::Whole => (StatusCode::OK, 0..take.len),
         RequestedRange::Partial(range) => (StatusCode::PARTIAL_CONTENT, range),
         RequestedRange::Unsatisfiable => return unsatisfiable(take.len),

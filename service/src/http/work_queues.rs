@@ -146,7 +146,8 @@ mod tests {
     fn a_full_queue_says_so_and_a_gone_client_keeps_its_slot_until_the_work_is_done() {
         let runtime = runtime();
         let _inside = runtime.enter();
-        let queue = WorkQueue::new("x", Size { running: 1, waiting: 1 }, Some(Duration::from_millis(50)));
+        let time_max = Some(Duration::from_millis(50));
+        let queue = WorkQueue::new("x", Size { running: 1, waiting: 1 }, time_max);
         let (release, released) = sync_channel::<()>(0);
         let slow = runtime.block_on(queue.run(move || released.recv().is_ok())).unwrap_err();
         assert_eq!((slow.status, slow.kind), (503, ProblemKind::Unavailable));

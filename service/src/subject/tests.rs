@@ -167,8 +167,8 @@ fn limbs_of_the_subjects_skeleton_come_with_their_lengths() {
     subject.set(Subject::SKELETON, skeleton.as_bytes().to_vec());
     let two = labels(&["Bob:LHIP", "Bob:LKNE", "Ann:LANK", "Ann:LKNE", "Ann:LHJC"]);
     let limbs = live_limbs(Some(&subject), &two);
-    let listed: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
-    assert_eq!(listed, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
+    let found: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
+    assert_eq!(found, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
     // No line is drawn twice, regardless of its direction.
     assert_eq!(with_limbs(vec![[2, 3], [0, 1]], &limbs), [[2, 3], [0, 1], [4, 3]]);
     assert!(live_limbs(None, &two).is_empty());

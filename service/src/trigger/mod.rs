@@ -19,7 +19,9 @@ pub use self::{
     encode::{Announcer, first_packet_id},
     listener::{Heard, IDS_MAX, Listener, Network, REMEMBERED, SENDERS_MAX},
     parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, parse},
-    queue::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, TriggerQueue, Waiting},
+    queue::{
+        DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, TriggerQueue, Waiting,
+    },
     socket::RateLimit,
 };
 

@@ -250,14 +250,14 @@ mod tests {
 
     #[test]
     fn a_flood_becomes_a_few_messages() {
-        let mut rate_limit = RateLimit::default();
-        let reason: Vec<String> =
-            (0..60_000_u64).filter_map(|ms| rate_limit.admit("no", Duration::from_millis(ms))).collect();
-        assert_eq!(reason.len(), 5 + 5, "{reason:?}");
-        assert_eq!(reason[4], "no");
-        assert!(reason[5].starts_with("no") && reason[5].contains("9995"), "{}", reason[5]);
+        let mut limit = RateLimit::default();
+        let passed: Vec<String> =
+            (0..60_000_u64).filter_map(|ms| limit.admit("no", Duration::from_millis(ms))).collect();
+        assert_eq!(passed.len(), 5 + 5, "{passed:?}");
+        assert_eq!(passed[4], "no");
+        assert!(passed[5].starts_with("no") && passed[5].contains("9995"), "{}", passed[5]);
         // After a long silence a few may pass again, and no more.
-        let later = (0..100).filter(|_| rate_limit.admit("no", Duration::from_secs(86_400)).is_some());
+        let later = (0..100).filter(|_| limit.admit("no", Duration::from_secs(86_400)).is_some());
         assert_eq!(later.count(), 5);
     }
 }

@@ -93,7 +93,8 @@ fn refusals_are_reported_a_few_at_a_time() {
     assert_eq!(reports.len(), 5, "{reports:?}");
     let from = client.local_addr().unwrap();
     let taken = Refusal::NameTaken("old".to_owned()).to_string();
-    assert!(reports[0].contains(&from.to_string()) && reports[0].contains(&taken), "{}", reports[0]);
+    let first = &reports[0];
+    assert!(first.contains(&from.to_string()) && first.contains(&taken), "{first}");
     service.end();
 }
 
