@@ -118,7 +118,7 @@ impl fmt::Display for Ambiguity {
                 }
                 write!(
                     f,
-                    "; positions were read as millimetres, so that the markers span {span:.4} mm."
+                    "; positions were read as millimetres; the markers then span {span:.4} mm."
                 )
             }
             Self::StatedUnit { stated, span_mm } => write!(
@@ -131,8 +131,8 @@ impl fmt::Display for Ambiguity {
                 let kind = if *integers { "integers" } else { "floats" };
                 write!(
                     f,
-                    "The file contradicts itself about the frame layout ({stated}); it was read as {points} points and \
-                     {analog_per_frame} analog samples, {kind} from byte {data_offset} on, which fits its size and the motion best."
+                    "The file contradicts itself about the layout of frames ({stated}); {points} points and {analog_per_frame} \
+                     analog samples, {kind} from byte {data_offset} on, fit its size and motion best and were read."
                 )
             }
             Self::FourthWords { samples } => write!(
