@@ -1,4 +1,4 @@
-//! A part of a take in pieces that begin at keys, for threads to decode.
+//! Parallel decoding: a part of a take is divided at key stretches into pieces, which threads decode.
 
 use std::{sync::Mutex, thread};
 
@@ -10,13 +10,13 @@ use crate::{
     source::{Reader, Source},
 };
 
-/// Pieces a thread, where there are as many keys: enough that none waits long for another at the end.
-pub(crate) const PIECES_A_THREAD: usize = 8;
+/// Pieces for each thread, if there are enough key stretches: so many that all threads finish at about the same time.
+pub(crate) const PIECES_PER_THREAD: usize = 8;
 
-/// Most sentences that are kept of what could not be decoded; every piece of a ruined take has its own.
+/// Most problems to report: every piece of a badly damaged take has its own.
 const PROBLEMS_MAX: usize = 1000;
 
-/// The groups in which `columns` are.
+/// The groups that contain `columns`, in ascending order.
 pub(crate) fn groups(columns: &[usize]) -> Vec<usize> {
     let mut groups: Vec<usize> = columns.iter().map(|column| column / GROUP_CHANNELS).collect();
     groups.sort_unstable();
@@ -24,26 +24,26 @@ pub(crate) fn groups(columns: &[usize]) -> Vec<usize> {
     groups
 }
 
-/// Some columns of a take, and the threads that decode them.
+/// The columns of a take to decode, and the number of threads.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted<'a> {
+pub(crate) struct DecodeRequest<'a> {
     pub(crate) source: &'a Source,
     pub(crate) map: &'a TakeMap,
     pub(crate) columns: &'a [usize],
     pub(crate) threads: usize,
 }
 
-impl Wanted<'_> {
-    /// Runs `work` over pieces on the threads, each with a traversal of its own. Gives what came of every piece, in
-    /// order, and what could not be decoded, a sentence once.
+impl DecodeRequest<'_> {
+    /// Runs `work` for each piece on the threads, each of which has a traversal. Returns the results in order of
+    /// pieces, and the distinct problems as text.
     pub(crate) fn decode<P: Send, T: Send>(
         &self,
         pieces: Vec<P>,
         work: impl Fn(&mut TakeTraversal<Reader>, P) -> Result<T, Failure> + Sync,
     ) -> Result<(Vec<T>, Vec<String>), Failure> {
         let n = pieces.len();
-        let line = Mutex::new(pieces.into_iter().enumerate());
-        let next = || line.lock().ok().and_then(|mut line| line.next());
+        let queue = Mutex::new(pieces.into_iter().enumerate());
+        let next = || queue.lock().ok().and_then(|mut queue| queue.next());
         let worker = || {
             let decode = Decode::Groups(groups(self.columns));
             let mut take = TakeTraversal::of_map(self.source.reader(), self.map, decode)?;

@@ -1,4 +1,4 @@
-//! Work on a thread of its own, while the interpreter is free and Ctrl-C is answered.
+//! Runs work on a background thread, so that other Python threads run meanwhile and Ctrl-C is handled.
 
 use std::{
     io,
@@ -17,10 +17,10 @@ use pyo3::{PyResult, Python};
 
 use crate::errors::Failure;
 
-/// Between two looks at signals: Ctrl-C is to be answered within 0.3 s, of which a stretch that is being decoded takes most.
-const SIGNALS_EVERY: Duration = Duration::from_millis(20);
+/// Interval between checks for signals. Ctrl-C must raise within 0.3 s; most of that is the stretch being decoded.
+const SIGNAL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Says that nobody wants what is being worked on any more.
+/// A flag that asks running work to stop.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Cancel(Arc<AtomicBool>);
 
@@ -29,14 +29,14 @@ impl Cancel {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// An error when nobody wants any more: to be asked every few milliseconds of work.
+    /// Fails with `TimedOut` once the work is cancelled. Work checks this every few milliseconds.
     pub(crate) fn check(&self) -> io::Result<()> {
         if self.0.load(Ordering::Relaxed) { Err(io::ErrorKind::TimedOut.into()) } else { Ok(()) }
     }
 }
 
-/// Runs `work`, which may borrow. Ctrl-C waits until it has noticed that it is cancelled.
-pub(crate) fn detached<T: Send>(
+/// Runs `work`, which may borrow. After Ctrl-C this waits until the work has stopped.
+pub(crate) fn run_detached<T: Send>(
     py: Python<'_>,
     path: Option<&Path>,
     work: impl FnOnce(&Cancel) -> Result<T, Failure> + Send,
@@ -46,23 +46,23 @@ pub(crate) fn detached<T: Send>(
         let (done, outcome) = channel();
         let cancelled = cancel.clone();
         thread::Builder::new()
-            .spawn_scoped(scope, move || done.send(caught(|| work(&cancelled))).ok())
+            .spawn_scoped(scope, move || done.send(catch_panic(|| work(&cancelled))).ok())
             .map_err(Failure::from)?;
         let (outcome, interrupted) = wait(py, outcome, &cancel);
         let outcome = match interrupted {
-            // What it borrows must be let go of first.
+            // The work must stop before the borrows end.
             Err(interrupt) => {
                 py.detach(move || outcome.map(|outcome| outcome.recv().ok()));
                 return Err(interrupt);
             }
             Ok(found) => found,
         };
-        outcome.map_err(|failure| failure.of(py, path))
+        outcome.map_err(|failure| failure.into_py_err(py, path))
     })
 }
 
-/// Runs `work`, which owns what it needs: after Ctrl-C nobody waits for it, and it ends by itself.
-pub(crate) fn abandonable<T: Send + 'static>(
+/// Runs `work`, which owns its data. After Ctrl-C this returns at once, and the work stops by itself.
+pub(crate) fn run_abandonable<T: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&Cancel) -> Result<T, Failure> + Send + 'static,
 ) -> PyResult<T> {
@@ -70,10 +70,10 @@ pub(crate) fn abandonable<T: Send + 'static>(
     let (done, outcome) = channel();
     let cancelled = cancel.clone();
     thread::Builder::new()
-        .spawn(move || done.send(caught(|| work(&cancelled))).ok())
+        .spawn(move || done.send(catch_panic(|| work(&cancelled))).ok())
         .map_err(Failure::from)?;
     let (_, found) = wait(py, outcome, &cancel);
-    found?.map_err(|failure| failure.of(py, None))
+    found?.map_err(|failure| failure.into_py_err(py, None))
 }
 
 fn caught<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
@@ -82,14 +82,15 @@ fn caught<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
 
 type Outcome<T> = Receiver<Result<T, Failure>>;
 
-/// What came of it, or the exception that a signal made, with what to wait for.
+/// Waits for the outcome. Returns it, or the exception raised by a signal together with the receiver to wait on.
 fn wait<T: Send>(
     py: Python<'_>,
     mut outcome: Outcome<T>,
     cancel: &Cancel,
 ) -> (Option<Outcome<T>>, PyResult<Result<T, Failure>>) {
     loop {
-        let (found, back) = py.detach(move || (outcome.recv_timeout(SIGNALS_EVERY), outcome));
+        let (found, back) =
+            py.detach(move || (outcome.recv_timeout(SIGNAL_POLL_INTERVAL), outcome));
         outcome = back;
         match found {
             Ok(found) => return (None, Ok(found)),

@@ -1,35 +1,35 @@
-//! What a whole take holds of each marker: samples, gaps, knots, and the error that is stated.
+//! Counts of each marker over a whole take: samples, gaps, knots, and the largest stated error.
 
 use crate::{
+    decode::{DecodeRequest, PIECES_PER_THREAD},
     errors::Failure,
-    pieces::{PIECES_A_THREAD, Wanted},
 };
 
-/// One marker, over the whole take.
+/// The counts of one marker.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Column {
+pub(crate) struct MarkerScan {
     /// Samples present.
     pub(crate) samples: u64,
-    /// Runs of rows without a sample, at the ends too.
+    /// Runs of rows without a sample, including those at start and end.
     pub(crate) gaps: u64,
-    /// Samples that are kept.
+    /// Kept samples.
     pub(crate) n_knots: u64,
-    /// The largest error that blocks with samples of it state.
+    /// The largest error stated by a block with samples of this marker.
     pub(crate) max_error_mm: f64,
-    /// The rows of the knots, where they are asked for.
+    /// Rows of the knots, if requested.
     pub(crate) knots: Vec<i64>,
     begins_in_gap: bool,
     in_gap: bool,
 }
 
-impl Column {
+impl MarkerScan {
     fn absent(&mut self, at_start: bool) {
         self.gaps += u64::from(at_start || !self.in_gap);
         self.begins_in_gap |= at_start;
         self.in_gap = true;
     }
 
-    /// A piece that lies behind this one.
+    /// Appends the counts of the next piece.
     fn append(&mut self, next: Self) {
         self.samples += next.samples;
         self.gaps += next.gaps - u64::from(self.in_gap && next.begins_in_gap);
@@ -40,15 +40,16 @@ impl Column {
     }
 }
 
-/// Of the columns, in their order; their knots only `with_knots`.
-pub(crate) fn survey(
-    wanted: Wanted<'_>,
+/// Scans the requested columns; collects the rows of their knots if `with_knots`. Returns the counts in order of
+/// columns, and the problems of decoding as text.
+pub(crate) fn scan(
+    request: DecodeRequest<'_>,
     with_knots: bool,
-) -> Result<(Vec<Column>, Vec<String>), Failure> {
-    let Wanted { source, map, columns, threads } = wanted;
-    let pieces = map.pieces(&(0..map.n_rows), threads.max(1) * PIECES_A_THREAD);
-    let (pieces, problems) = wanted.decode(pieces, |take, rows| {
-        let mut found = vec![Column::default(); columns.len()];
+) -> Result<(Vec<MarkerScan>, Vec<String>), Failure> {
+    let DecodeRequest { source, map, columns, threads } = request;
+    let pieces = map.pieces(&(0..map.n_rows), threads.max(1) * PIECES_PER_THREAD);
+    let (pieces, problems) = request.decode(pieces, |take, rows| {
+        let mut found = vec![MarkerScan::default(); columns.len()];
         let mut at = rows.start;
         take.read_rows(&rows, |take, held, offset| {
             source.check()?;
@@ -87,12 +88,12 @@ pub(crate) fn survey(
         }
         Ok(found)
     })?;
-    let mut whole: Option<Vec<Column>> = None;
+    let mut whole: Option<Vec<MarkerScan>> = None;
     for piece in pieces {
         match &mut whole {
             None => whole = Some(piece),
             Some(whole) => whole.iter_mut().zip(piece).for_each(|(one, next)| one.append(next)),
         }
     }
-    Ok((whole.unwrap_or_else(|| vec![Column::default(); columns.len()]), problems))
+    Ok((whole.unwrap_or_else(|| vec![MarkerScan::default(); columns.len()]), problems))
 }
