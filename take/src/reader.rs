@@ -88,7 +88,7 @@ pub enum TakeEvent<'a> {
     },
 }
 
-/// One search window, and one read that was pushed when the window lacked a byte.
+/// Largest buffer in ordinary use: a search window, and a read pushed while the window lacks a byte.
 const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
 
 /// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after damage, whatever
