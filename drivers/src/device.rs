@@ -191,8 +191,8 @@ pub trait Protocol: Send + std::fmt::Debug {
     /// Takes the transport after every open and reopen, and returns the one to read from.
     ///
     /// Returns `line` unchanged for devices that send on their own. A protocol that must poll wraps it in a
-    /// [`PolledTransport`](crate::transport::turns::PolledTransport). The device's state is unknown from then
-    /// on, so the protocol forgets what it knew of it.
+    /// [`PolledTransport`](crate::transport::turns::PolledTransport). The state of the device is unknown from
+    /// then on: a protocol that keeps any resets it here.
     fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
         line
     }

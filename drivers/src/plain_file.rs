@@ -45,7 +45,7 @@ impl fmt::Display for NotAFile {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Folder => "a folder, not a file",
-            Self::Pipe => "a pipe, not a file: write what comes through it to a file first",
+            Self::Pipe => "a pipe, not a file: write its content to a file first",
             Self::Socket => "a socket, not a file",
             Self::Device => "a device, not a file",
         })

@@ -53,7 +53,7 @@ pub fn devices() -> Result<Vec<Listed>, TransportError> {
     let mut listed = Vec::new();
     for device in &usb {
         if !serial.iter().any(|port| is_port_of(port, device)) {
-            listed.push(list(usb_candidate(device), usb::usb_access(device)));
+            listed.push(list_device(usb_candidate(device), usb::usb_access(device)));
         }
     }
     let ports = serial.into_iter().map(|candidate| {
@@ -61,7 +61,7 @@ pub fn devices() -> Result<Vec<Listed>, TransportError> {
             Location::Serial { path, .. } => access(path),
             Location::Usb { .. } => Access::Accessible,
         };
-        list(candidate, access)
+        list_device(candidate, access)
     });
     Ok(ports.chain(listed).collect())
 }
@@ -112,7 +112,7 @@ fn is_port_of(port: &Candidate, device: &UsbDevice) -> bool {
     port.usb_ids == Some((device.vid, device.pid)) && port.serial == device.serial
 }
 
-fn list(candidate: Candidate, access: Access) -> Listed {
+fn list_device(candidate: Candidate, access: Access) -> Listed {
     let family = family_of(&candidate).map(|(family, claim)| (family.name, claim));
     Listed { candidate, family, access }
 }

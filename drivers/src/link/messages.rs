@@ -53,7 +53,7 @@ fn hello_error(hello: &Hello) -> Option<&'static str> {
 }
 
 fn put_text(
-    what: &'static str,
+    field: &'static str,
     text: &str,
     bytes_max: usize,
     out: &mut Vec<u8>,
@@ -64,7 +64,7 @@ fn put_text(
             out.extend_from_slice(text.as_bytes());
             Ok(())
         }
-        _ => Err(EncodeError::Text { what, text: text.to_owned(), bytes_max }),
+        _ => Err(EncodeError::Text { field, text: text.to_owned(), bytes_max }),
     }
 }
 

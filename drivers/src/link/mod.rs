@@ -112,10 +112,10 @@ pub enum EncodeError {
         id: u16,
     },
     /// A text is too long or contains control characters.
-    #[error("{what} '{text}' cannot be sent: use at most {bytes_max} bytes and no control characters", text = text.escape_debug())]
+    #[error("{field} '{text}' cannot be sent: use at most {bytes_max} bytes and no control characters", text = text.escape_debug())]
     Text {
         /// `label`, `model`, `serial` or `firmware`.
-        what: &'static str,
+        field: &'static str,
         /// The text.
         text: String,
         /// Most bytes that fit.

@@ -65,7 +65,7 @@ fn invalid_values_are_refused_and_nothing_is_written() {
         table[9].label = label;
         assert!(matches!(
             device.markers(&table, &mut wire),
-            Err(EncodeError::Text { what: "label", .. })
+            Err(EncodeError::Text { field: "label", .. })
         ));
     }
     assert!(matches!(device.hello(&Hello::default(), &mut wire), Err(EncodeError::Hello(_))));

@@ -69,16 +69,16 @@ impl UsbWatch {
 
     /// Drains all pending events, and returns whether there were any.
     fn drain_events(&mut self) -> bool {
-        let mut heard = false;
+        let mut had_event = false;
         let mut context = Context::from_waker(&self.waker);
         while let Some(watch) = &mut self.watch {
             match Pin::new(watch).poll_next(&mut context) {
-                Poll::Ready(Some(_)) => heard = true,
+                Poll::Ready(Some(_)) => had_event = true,
                 Poll::Ready(None) => self.watch = None,
                 Poll::Pending => break,
             }
         }
-        heard
+        had_event
     }
 }
 
@@ -90,7 +90,7 @@ mod tests {
     fn a_wait_without_events_times_out() {
         let started = Instant::now();
         let wait = Duration::from_millis(30);
-        let heard = UsbWatch::new().wait(wait);
-        assert!(heard || started.elapsed() >= wait);
+        let had_event = UsbWatch::new().wait(wait);
+        assert!(had_event || started.elapsed() >= wait);
     }
 }
