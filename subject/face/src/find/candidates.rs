@@ -1,32 +1,32 @@
-//! Where the template fits: at every place of every size, at five rolls, frontal and turned to both sides; and the same place
+//! Search of the template: every place of every size, at five rolls, frontal and turned to both sides; and refinement
 //! between the cells, sizes and rolls of that search.
 
 use super::frame::{Frame, length};
 use super::template::{CELL_PX, Cells, EYES_PX, SIDE, TEMPLATES, TemplateFit, best_fit, eyes_of};
 use crate::plane::{Plane, Pyramid};
 
-/// Rolls that are tried: 15 degrees apart, up to 30.
+/// Rolls of the search: 15 degrees apart, up to 30.
 const ROLLS_RAD: [f32; 5] = [0.0, -0.262, 0.262, -0.524, 0.524];
-/// From one size to the next, smaller one: the template forgives a tenth.
+/// Ratio of successive sizes: the template tolerates a tenth.
 const STEP: f32 = 1.2;
-/// Pixels of a level that are added around it: a face may lie at the border.
+/// Margin around a level, in pixels: a face may lie at the border.
 const MARGIN_PX: usize = 8;
-/// Places that are kept: two thirds of a class of thirty, all with a false place each.
+/// Most candidates: two for each of a class of thirty.
 const CANDIDATES_MAX: usize = 64;
-/// Of two places nearer than this to each other, in distances of the eyes, the worse is the same face.
+/// Candidates closer than this, in eye distances, are the same face.
 const APART: f32 = 0.4;
-/// What differs more in size is another face: an eye with its brow may look like a small one.
+/// Larger ratios of sizes are different faces: an eye with its brow may resemble a small face.
 const SAME_SIZE: f32 = 1.5;
 
-/// What fits less is not looked at closer.
+/// Least log odds of a candidate.
 const ODDS_MIN: f32 = -4.0;
-/// What is around the template on each side, in cells: contrast is told from there too.
+/// Cells around the template on each side, for the local contrast.
 const AROUND: usize = 4;
 const CROP_PX: usize = (SIDE + 2 * AROUND) * CELL_PX;
-/// Sizes, then rolls, between those of the search.
+/// Changes of size, then of roll, between the steps of the search.
 const CHANGES: [[(f32, f32); 2]; 2] = [[(1.1, 0.0), (0.91, 0.0)], [(1.0, 0.13), (1.0, -0.13)]];
 
-/// The best places of a photograph, best first. Faces are larger than `eyes_min` between the eyes.
+/// The best candidates of a photograph, best first. `eyes_min` is the least eye distance.
 pub(super) fn candidates(pyramid: &Pyramid, eyes_min: f32) -> Vec<Candidate> {
     let [wide, high] = pyramid.size();
     let side = wide.min(high) as f32;
@@ -62,10 +62,10 @@ pub(super) fn candidates(pyramid: &Pyramid, eyes_min: f32) -> Vec<Candidate> {
     kept
 }
 
-/// A level turned upright.
+/// A level of the image pyramid, rotated.
 struct RotatedLevel {
     cells: Cells,
-    /// From its pixels to the level's: the columns of the turn, and the middles of both.
+    /// Rotation and centres for mapping its pixels to the level's.
     turn: [f32; 2],
     middle: [f32; 2],
     level_middle: [f32; 2],
@@ -94,7 +94,7 @@ impl RotatedLevel {
         Self { cells: Cells::new(&plane), turn: [cos, sin], middle, level_middle }
     }
 
-    /// Adds every place that fits better than its neighbours.
+    /// Adds the local maxima of the template's score.
     fn search(&self, scale: [f32; 2], out: &mut Vec<Candidate>) {
         let across = (self.cells.across + 1).saturating_sub(SIDE);
         let down = (self.cells.down + 1).saturating_sub(SIDE);
@@ -104,7 +104,7 @@ impl RotatedLevel {
         let mut fits = Plane::filled(across, down, f32::NEG_INFINITY);
         let mut poses = vec![0_usize; across * down];
         let cells = fits.values_mut().iter_mut().zip(&mut poses).enumerate();
-        // Every other place: what is between two of them is looked at when the better one is refined.
+        // Every other place only: refinement covers those between.
         for (i, (fit, pose)) in cells.filter(|(i, _)| (i % across + i / across).is_multiple_of(2)) {
             if let Some(best) = best_fit(&self.cells, i % across, i / across) {
                 (*fit, *pose) = (best.odds, best.pose);
@@ -120,7 +120,7 @@ impl RotatedLevel {
         }
     }
 
-    /// A cell's place on the photograph.
+    /// The candidate at a cell, on the photograph.
     fn candidate_at(&self, column: f32, row: f32, scale: [f32; 2], fit: TemplateFit) -> Candidate {
         let at = eyes_of(column, row);
         let [cos, sin] = self.turn;
@@ -135,23 +135,23 @@ impl RotatedLevel {
     }
 }
 
-/// Where a template fits.
+/// A candidate: a place where a template fits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Candidate {
-    /// The middle of the eyes, on the photograph.
+    /// Midpoint of the eyes, on the photograph.
     pub(super) origin: [f32; 2],
-    /// One pixel of the template to the right, on the photograph; down is square to it.
+    /// Vector of one template pixel to the right, on the photograph; down is perpendicular to it.
     pub(super) step: [f32; 2],
     pub(super) fit: TemplateFit,
 }
 
 impl Candidate {
-    /// The template's distance of the eyes, on the photograph.
+    /// The template's eye distance, on the photograph.
     pub(super) fn eyes_px(&self) -> f32 {
         EYES_PX * length(self.step)
     }
 
-    /// The face of the template, on the photograph.
+    /// The frame of the template's face, on the photograph.
     pub(super) fn frame(&self) -> Option<Frame> {
         let Frame { across, down, turn, .. } = TEMPLATES.get(self.fit.pose)?.frame;
         let way = |[x, y]: [f32; 2]| self.way(EYES_PX * x, EYES_PX * y);
@@ -162,7 +162,7 @@ impl Candidate {
         [x * self.step[0] - y * self.step[1], x * self.step[1] + y * self.step[0]]
     }
 
-    /// Where near it the template fits best.
+    /// The best fit nearby in size and roll.
     pub(super) fn refined(self, pyramid: &Pyramid) -> Self {
         let mut best = self;
         for changes in CHANGES {

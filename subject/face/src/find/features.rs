@@ -1,5 +1,5 @@
-//! How a face looks once it is upright, in bytes that regressions and trees ask about: a first look at where the template
-//! has it, and a second one straight at the landmarks that a glance finds there.
+//! Feature vectors of an upright face for the regressions and the boosted trees: of the template's frame in the first
+//! stage, and of the landmark regressor's frame with patches around its landmarks in the second.
 
 use super::DetectedFace;
 use super::frame::{Frame, length};
@@ -9,40 +9,41 @@ use crate::plane::{Plane, Pyramid};
 use crate::points::RoughFace;
 use crate::points::regressor::{LandmarkPoints, LandmarkRegressor, PATCH_FEATURES, mean};
 
-/// Cells along each side, a quarter of the distance of the eyes wide: two and a half distances in all.
+/// Cells per side, each a quarter of the eye distance wide: two and a half distances in all.
 const SIDE: usize = 10;
-/// Samples along the side of a cell.
+/// Samples per side of a cell.
 const CELL: usize = 4;
-/// Cells beyond the border, that contrast is told from.
+/// Cells beyond the border, for the local contrast.
 const AROUND: usize = 1;
 const SAMPLES: usize = (SIDE + 2 * AROUND) * CELL;
-/// Where the cells begin, in distances of the eyes from the middle of the eyes.
+/// Left and top of the cells, in eye distances from the midpoint of the eyes.
 const LEFT: f32 = -1.25;
 const TOP: f32 = -0.75;
-/// Between samples, in distances of the eyes.
+/// Distance between samples, in eye distances.
 const STEP: f32 = 1.0 / 16.0;
-/// What is told of a cell: its slopes, its brightness, its contrast.
+/// Features of a cell: gradients, brightness, contrast.
 const FEATURES_PER_CELL: usize = DIRECTIONS + 2;
-/// Numbers of one look.
+/// Length of a first-stage feature vector.
 pub const FEATURE_COUNT: usize = SIDE * SIDE * FEATURES_PER_CELL;
-/// Bytes of twice the contrast.
+/// Quantisation: bytes per factor of two in contrast.
 const CONTRAST_BYTES: f32 = 40.0;
 
-/// Bytes of a second look: how it looks in the frame of the landmarks, what lies around each of them, and how sure the first
-/// look was.
+/// Length of a second-stage feature vector: the cells of the landmarks' frame, the patches around the landmarks, and
+/// the first-stage score.
 pub const SECOND_STAGE_COUNT: usize = FEATURE_COUNT + PATCH_FEATURES + 1;
-/// The nasion, by its number in iBUG-68: it lies where the middle of the face crosses the line of the eyes.
+/// iBUG-68 number of the nasion, which lies where the middle of the face crosses the line of the eyes.
 const NASION: usize = 27;
-/// The turn by how far aside the nasion is, in distances of the eyes: of 600 random heads, whose turn is known. It lies before
-/// the cylinder that a [`Frame`] takes a face for, so this is less than the cylinder's 4.
+/// Turn of the frame per offset of the nasion, in eye distances: fitted to 600 random heads of known turn. The nasion
+/// lies in front of the cylinder that a [`Frame`] assumes, so this is less than the cylinder's 4.
 const TURN_BY_ASIDE: f32 = -2.4;
-/// Beyond this turn, of 54 degrees, an eye is hidden.
+/// Largest turn, 54 degrees; beyond it an eye is hidden.
 const TURN_MOST: f32 = 0.6;
 
-/// [`FEATURE_COUNT`] bytes, and more of a second look: row by row, cell by cell, eight slopes from the right on clockwise, brightness, contrast.
+/// [`FEATURE_COUNT`] bytes, followed in the second stage by the patches and the score. Cells in row order, each with
+/// eight gradients clockwise from the right, brightness, contrast.
 pub type FeatureVector = Vec<u8>;
 
-/// Of the face that has this frame on the photograph.
+/// Extracts the first-stage features of a frame on the photograph.
 pub(super) fn extract(pyramid: &Pyramid, frame: &Frame) -> FeatureVector {
     let Some((plane, done)) = pyramid.at(length(frame.down) * STEP) else { return Vec::new() };
     let by = 1.0 / done;
@@ -63,7 +64,7 @@ pub(super) fn extract(pyramid: &Pyramid, frame: &Frame) -> FeatureVector {
     })
 }
 
-/// The look of the mirror image.
+/// The feature vector of the mirror image.
 pub(super) fn mirrored(features: &FeatureVector) -> FeatureVector {
     let swapped = |cell: &[u8]| -> [u8; FEATURES_PER_CELL] {
         let mut out = [0; FEATURES_PER_CELL];
@@ -76,7 +77,7 @@ pub(super) fn mirrored(features: &FeatureVector) -> FeatureVector {
     rows.flat_map(|row| row.chunks(FEATURES_PER_CELL).rev().flat_map(swapped)).collect()
 }
 
-/// Where eyes and mouth are by a glance, and how it looks there; nothing where they give no frame that could be looked at.
+/// The landmark regressor's frame and its second-stage features; none if the frame is degenerate.
 pub(super) fn second_stage(
     pyramid: &Pyramid,
     photo: &Photo,

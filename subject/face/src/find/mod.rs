@@ -1,16 +1,23 @@
-//! Where the faces of a photograph are: two eyes and a mouth each.
+//! Face detection: two eyes and a mouth for each face of a photograph.
 //!
-//! Slopes of brightness, told in the contrast of around, are pooled over small cells (Dalal and Triggs 2005), and a template
-//! of what each cell of a face speaks for it is held against every place, at every size, five rolls, frontal and turned to
-//! both sides. The best places are refined between the steps of that search, and give the frame of a face ([`Frame`]: eyes,
-//! mouth and turn). How it looks in that frame ([`FeatureVector`]) tells where eyes and mouth are, by two linear regressions, one
-//! after the other (Xiong and De la Torre 2013); how it looks with those tells whether it may be a face: a few hundred boosted
-//! trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated channel features
-//! (Dollar et al. 2014). What may be one is looked at again, where a glance (`points::regressor`) has its landmarks: other
-//! trees ask how it looks there and around each of them. No colours are asked about: grey photographs are as good as others.
+//! The detector is a cascade on histograms of oriented gradients (Dalal and Triggs 2005), without colour, so grey
+//! photographs work as well as others:
 //!
-//! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
-//! so that neither hair over a cheek nor a wall of skin's colour hides a face.
+//! 1. A linear template over pooled gradients scores every place of an image pyramid, at every size and five rolls,
+//!    frontal and turned to both sides. The best candidates are refined between the steps of that search and give the
+//!    [`Frame`] of a face: eyes, mouth and turn.
+//!
+//! 2. Two linear regressions (Xiong and De la Torre 2013) on the [`FeatureVector`] of that frame align eyes and mouth.
+//!
+//! 3. First-stage classifier: 300 boosted trees of depth 3 on gradients, brightness and contrast of the frame's cells,
+//!    as in aggregated channel features (Dollar et al. 2014), dismiss nearly all candidates.
+//!
+//! 4. Second-stage classifier: for the rest, a landmark regressor ([`points::regressor`](crate::points::regressor))
+//!    gives eyes, mouth and turn, and 500 more trees score the frame there, the patches around each landmark, and the
+//!    first score.
+//!
+//! The template of (Yang et al. 2004, eq. 4) was the starting point. It is evaluated everywhere instead of on blocks of
+//! skin, so that neither hair over a cheek nor a skin-coloured wall hides a face.
 
 mod align;
 mod candidates;
@@ -31,61 +38,62 @@ pub use features::{FEATURE_COUNT, FeatureVector, SECOND_STAGE_COUNT};
 use features::{extract, second_stage};
 pub use frame::Frame;
 
-/// A face: eyes, mouth and how sure they are. Coordinates are the photograph's, in pixels.
+/// A detected face. Coordinates are the photograph's, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectedFace {
-    /// The middles of the eyes: first the one at the picture's left, which is the subject's right eye.
+    /// The centres of the eyes: first the one at the picture's left, the subject's right eye.
     pub eyes: [[f64; 2]; 2],
-    /// The middle of the mouth.
+    /// The centre of the mouth.
     pub mouth: [f64; 2],
-    /// The angle of the line through the eyes from the x axis, clockwise in the picture.
+    /// Angle of the line through the eyes from the x axis, clockwise in the picture.
     pub roll_rad: f64,
-    /// The distance of the outer eye corners, estimated from the eyes'.
+    /// Outer interocular distance, estimated from the eyes.
     pub interocular_px: f64,
-    /// 0 to 1: the share of what looks so that is a face, on what the trees learned from, where faces counted two of five.
+    /// Score, 0 to 1: the fraction of such feature vectors that are faces in the training set, where faces were
+    /// weighted as two fifths.
     pub score: f64,
 }
 
-/// Distance of the outer eye corners, in those of the eyes' middles: 90 mm and 63 mm.
+/// Ratio of the outer interocular distance to that of the eye centres: 90 mm to 63 mm.
 const INTEROCULAR_PER_EYES: f64 = 1.43;
-/// The smallest face that is looked for, as the distance of the outer corners, on photographs of up to a megapixel; it
-/// grows with the root of what is beyond that.
+/// Least outer interocular distance on photographs of up to a megapixel; it grows with the square root of the size
+/// beyond that.
 pub const INTEROCULAR_MIN_PX: f32 = 32.0;
 const FULL_SEARCH_PX: f32 = 1e6;
-/// How sure a face must be: the lowest limit, in steps of half a unit of the logarithm of the odds, at which of 3932 pictures
-/// without a face that were held out while the trees were learned (apes are left aside) no more than one in a thousand has one.
+/// Least score of a face: the lowest threshold, in steps of half a unit of log odds, at which at most one in a thousand
+/// of 3932 held-out pictures without a face has a detection (pictures of apes excluded).
 pub const SCORE_MIN: f64 = 0.73;
 
-/// How sure the first look must be of what is looked at again, which takes about 2 ms: low, for the second look is better at it.
-/// There are no more of these than places.
+/// Least first-stage score of a second-stage candidate. It is low, since the second stage is better and takes about 2
+/// ms per candidate; there are never more than the template's candidates.
 const FIRST_STAGE_MIN: f64 = 0.03;
 
-/// What fits less once it is refined is not looked at closer: of the faces learned from a hundredth, of all places two fifths.
+/// Least log odds of a refined candidate: a hundredth of the training faces and two fifths of all candidates have less.
 const REFINED_MIN: f32 = -1.5;
 
-/// Two eyes and a mouth, and what they score.
+/// A candidate face with its score.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hypothesis {
-    /// What would be found.
+    /// The face.
     pub found: DetectedFace,
-    /// How it looks upright: [`FEATURE_COUNT`] bytes, of a second look [`SECOND_STAGE_COUNT`].
+    /// Its features: [`FEATURE_COUNT`] bytes in the first stage, [`SECOND_STAGE_COUNT`] in the second.
     pub features: FeatureVector,
 }
 
-/// Every place that may be a face, with its eyes and its mouth where they look to be; the likeliest of the template first.
+/// All candidates of the template after alignment, with their first-stage scores, the template's best first.
 #[must_use]
 pub fn hypotheses(photo: &Photo) -> Vec<Hypothesis> {
     hypotheses_after_steps(photo, STEPS.len())
 }
 
-/// The same after fewer steps of the regression that moves eyes and mouth: after none, they are where the template has them.
+/// All candidates after fewer alignment steps; with none, eyes and mouth are where the template has them.
 #[must_use]
 pub fn hypotheses_after_steps(photo: &Photo, steps: usize) -> Vec<Hypothesis> {
     propose(photo, &Pyramid::new(photo.grey()), steps)
 }
 
-/// What the first look does not dismiss, surest first, as a second look has it: its eyes and mouth, its score, and what
-/// lies there.
+/// The candidates that the first stage keeps, with the second stage's eyes, mouth and score, best first-stage score
+/// first.
 #[must_use]
 pub fn second_stage_hypotheses(photo: &Photo) -> Vec<Hypothesis> {
     let pyramid = Pyramid::new(photo.grey());
@@ -100,7 +108,7 @@ pub fn second_stage_hypotheses(photo: &Photo) -> Vec<Hypothesis> {
         .collect()
 }
 
-/// The faces of a photograph, surest first: what a second look is at least `score_min` sure of, and overlaps nothing surer.
+/// Detects faces, best first: second-stage candidates with a score of at least `score_min` that overlap no better one.
 #[must_use]
 pub fn faces(photo: &Photo, score_min: f64) -> Vec<DetectedFace> {
     let all = second_stage_hypotheses(photo).into_iter().map(|hypothesis| hypothesis.found);
@@ -124,7 +132,7 @@ fn propose(photo: &Photo, pyramid: &Pyramid, steps: usize) -> Vec<Hypothesis> {
         .collect()
 }
 
-/// The surest first, without those that overlap a surer one.
+/// Non-maximum suppression: best first, without faces that overlap a better one.
 fn suppress_overlaps(mut all: Vec<DetectedFace>) -> Vec<DetectedFace> {
     all.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut kept: Vec<DetectedFace> = Vec::new();
@@ -136,7 +144,7 @@ fn suppress_overlaps(mut all: Vec<DetectedFace>) -> Vec<DetectedFace> {
     kept
 }
 
-/// Whether two faces are at the same place: the middle of one's eyes and mouth is within the other's.
+/// Whether two faces overlap: their centres, between eyes and mouth, are close.
 fn overlap(a: &DetectedFace, b: &DetectedFace) -> bool {
     let of = |found: &DetectedFace| middle(middle(found.eyes[0], found.eyes[1]), found.mouth);
     distance(of(a), of(b)) < 0.9 * a.interocular_px.max(b.interocular_px)
@@ -151,7 +159,7 @@ fn on_photo(frame: &Frame, score: f64) -> DetectedFace {
     let eyes = frame.eyes().map(|eye| eye.map(f64::from));
     let [left, right] = eyes;
     let (dx, dy) = (right[0] - left[0], right[1] - left[1]);
-    // Turned aside, eyes are nearer than they are on the head; the mouth's distance stays.
+    // Yaw shortens the distance of the eyes; that of the mouth stays.
     let mouth = frame.at(0.0, Frame::MOUTH).map(f64::from);
     let height = distance(mouth, middle(left, right));
     let eyes_px = dx.hypot(dy).max(0.5 * height / f64::from(Frame::MOUTH));
@@ -159,8 +167,9 @@ fn on_photo(frame: &Frame, score: f64) -> DetectedFace {
     DetectedFace { eyes, mouth, roll_rad: dy.atan2(dx), interocular_px, score }
 }
 
-/// A detected mouth may be the base of the nose, which is 0.8 of the eyes' distance below them, often so by the paper's way;
-/// no mouth is nearer than this (in their distance), nor this far aside in a face that is not turned too far.
+/// Least distance of a mouth below the eyes, in eye distances, and largest offset aside, unless the face is turned too
+/// far. A detected mouth may be the base of the nose, 0.8 eye distances below the eyes, often so by the published
+/// method.
 const MOUTH_BELOW_MIN: f64 = 1.05;
 const MOUTH_ASIDE: f64 = 0.3;
 

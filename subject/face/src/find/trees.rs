@@ -1,23 +1,23 @@
-//! How sure a look is: trees of three questions, boosted (Friedman, Hastie and Tibshirani 2000).
+//! Boosted decision trees of depth 3 that score feature vectors (Friedman, Hastie and Tibshirani 2000).
 
 use super::features::{FeatureVector, mirrored};
 use crate::table::{i16s, i32s, u8s, u16s};
 
-/// Trees of three questions each. Learned by `benches/subject`: those of a first look by `find_looks.py`, those of a second
-/// one by `find_again.py`.
+/// An ensemble of trees of depth 3. `find_looks.py` and `find_again.py` in `benches/subject` learn the first and the
+/// second stage.
 struct BoostedTrees<const N: usize> {
-    /// In thousandths: what is added to the trees.
+    /// Bias, in thousandths.
     bias: i32,
     trees: [Tree; N],
 }
 
 #[derive(Clone, Copy)]
 struct Tree {
-    /// Which byte of a look is asked: the first question; the second ones after no and yes; four third ones.
+    /// Feature index of each split: the root, its children for below and above, and their four children.
     features: [u16; 7],
-    /// The largest byte that is a no.
+    /// Threshold of each split: the largest byte that counts as below.
     thresholds: [u8; 7],
-    /// What each of the eight ways through adds, in thousandths.
+    /// Value of each of the eight leaves, in thousandths.
     leaves: [i16; 8],
 }
 
@@ -26,24 +26,25 @@ const SECOND_TABLE: &[u8] = include_bytes!("../../data/face-second-trees.bin");
 static FIRST_STAGE: BoostedTrees<{ Tree::count(FIRST_TABLE) }> = BoostedTrees::read(FIRST_TABLE);
 static SECOND_STAGE: BoostedTrees<{ Tree::count(SECOND_TABLE) }> = BoostedTrees::read(SECOND_TABLE);
 
-/// 0 to 1: the share of what looks so that is a face. A face's mirror image is one, too: both are asked about.
+/// First-stage score, 0 to 1: the fraction of such feature vectors that are faces. The mean over the face and its
+/// mirror image, which is a face too.
 pub(super) fn score(features: &FeatureVector) -> f64 {
     let sum = FIRST_STAGE.sum(features) + FIRST_STAGE.sum(&mirrored(features));
     logistic(FIRST_STAGE.bias + sum / 2)
 }
 
-/// The same of a second look, which is asked about as it is: its trees learned from mirror images as well.
+/// Second-stage score, without the mirror image: these trees were trained on both.
 pub(super) fn second_stage_score(features: &[u8]) -> f64 {
     logistic(SECOND_STAGE.bias + SECOND_STAGE.sum(features))
 }
 
-/// Of thousandths of the logarithm of the odds.
+/// The logistic function of log odds in thousandths.
 fn logistic(sum: i32) -> f64 {
     1.0 / (1.0 + (-f64::from(sum) / 1000.0).exp())
 }
 
 impl<const N: usize> BoostedTrees<N> {
-    /// The bias (32 bits), then each tree: bytes asked (16 bits), limits (8), leaves (16).
+    /// Layout: the bias (32 bits), then for each tree features (16 bits each), thresholds (8), leaves (16).
     const fn read(table: &[u8]) -> Self {
         let [bias] = i32s(table, 0);
         let mut trees = [Tree { features: [0; 7], thresholds: [0; 7], leaves: [0; 8] }; N];
@@ -73,7 +74,7 @@ impl Tree {
         (table.len() - size_of::<i32>()) / Self::BYTES
     }
 
-    /// What it adds, in thousandths.
+    /// Value of the leaf for a feature vector, in thousandths.
     fn leaf(&self, features: &[u8]) -> i32 {
         let mut node = 0;
         for _ in 0..3 {

@@ -1,4 +1,4 @@
-//! A face that was fitted to a photograph: what is kept of it, and how it is shown.
+//! A fitted face: its contents, and how it is drawn.
 //!
 //! `docs/subject-face-format.md` describes `face.json`. It contains no picture of a person: positions, names and the
 //! photograph's hash.
@@ -62,9 +62,9 @@ pub struct Pose {
     pub roll: f64,
 }
 
-/// A face that was fitted to a photograph, as `docs/subject-face-format.md` has it: the keys are the fields, in their
-/// order, with `format` and `version` before them. What a document may leave out has a default, or is an `Option`: a
-/// wireframe of others has vertices and lines.
+/// A face fitted to a photograph. Serialised as in `docs/subject-face-format.md`: the fields in order, after `format`
+/// and `version`. What a document may omit has a default or is an `Option`; another program's wireframe needs vertices
+/// and lines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FittedFace {
     /// The chain: [`Method::name`], or another program's; empty if unknown.

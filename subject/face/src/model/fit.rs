@@ -48,22 +48,22 @@ impl FitOptions {
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum FitError {
     /// Too few points: pose and scale alone are six numbers.
-    #[error("{0} points with a weight, where a face needs at least 6 of them")]
+    #[error("{0} points have a weight, a face needs at least 6")]
     TooFew(usize),
     /// A coordinate or weight that is not finite, or a negative weight.
-    #[error("{name} at ({x}, {y}) with weight {weight}: give finite numbers, and weights from 0")]
+    #[error("{name} at ({x}, {y}) with weight {weight}: expected finite numbers, weights from 0")]
     NotFinite {
         /// Name of the point.
         name: &'static str,
-        /// As given.
+        /// Its x.
         x: f64,
-        /// As given.
+        /// Its y.
         y: f64,
-        /// As given.
+        /// Its weight.
         weight: f64,
     },
     /// The points coincide, or lie on one line.
-    #[error("the points lie on one line, or in one place: no face looks like that")]
+    #[error("the points coincide or lie on one line, which no face does")]
     Degenerate,
 }
 

@@ -146,7 +146,7 @@ impl Anchor {
 /// One of the 53 points on a photograph.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Landmark {
-    /// Which.
+    /// The point.
     #[serde(rename = "name")]
     pub id: FeatureId,
     /// Position in the photograph: x to the right, y down, 0 at the centre of the first pixel.

@@ -1,5 +1,5 @@
-//! The default way to the points: a glance says where they lie, more or less. From there the generic face says where every
-//! feature should lie, the picture says where it lies near there, and the two take turns.
+//! The default chain. A landmark regressor gives initial positions; then locating features in the picture and fitting
+//! the generic face to them alternate.
 
 use super::crop::{self, Maps};
 use super::evidence::{self, Evidence, FAINT, LocatedFeatures, clearness};
@@ -11,23 +11,25 @@ use crate::model::{Model, ModelError};
 use crate::photo::Photo;
 use crate::vector::{Point, middle};
 
-/// How far a feature is looked for (pixels of the crop), how far the outline, and how many turns they take: chosen, as what
-/// follows, on the development photographs and on random heads that nothing was learned from.
+/// Search range of a feature and of the outline (pixels of the crop), and number of rounds. These and the following
+/// constants were chosen on the development photographs and on random heads that nothing was learned from.
 const REACH: f64 = 2.5;
 const OUTLINE_REACH: f64 = 7.0;
 const ROUNDS: usize = 2;
-/// Standard deviation of what a glance says, before and while it is compared with what is seen (pixels of the crop).
+/// Standard deviation of the regressor's landmarks, before and during the comparison with the picture (pixels of the
+/// crop).
 const REGRESSOR_FIRST_SD: f64 = 3.0;
 const REGRESSOR_SD: f64 = 4.0;
-/// A face of this confidence is taken; a less sure one is begun from elsewhere too, and the surest counts.
+/// Confidence at which a face is accepted; below it other starting positions are tried, and the most confident result
+/// counts.
 const CONFIDENT: f64 = 0.5;
-/// Where the mouth may be instead, in distances of the eyes: lower, as where a nose was taken for it, or higher.
+/// Alternative mouth positions, in eye distances: lower, as where a nose was taken for it, or higher.
 const LOWER: [f64; 2] = [0.17, -0.13];
 
-/// The 53 points of the face that `rough` points at.
+/// Locates the 53 points of the face at `rough`.
 ///
 /// # Errors
-/// None, unless the program was built with a damaged model ([`Model::generic`]).
+/// None, unless the built-in model is damaged ([`Model::generic`]).
 pub fn find(photo: &Photo, rough: &RoughFace) -> Result<FacePoints, ModelError> {
     let landmarks = Landmarks::of(Model::generic()?);
     let frontal = PosedModel::frontal(&landmarks, crop::INTEROCULAR, crop::EYES);
@@ -44,7 +46,7 @@ pub fn find(photo: &Photo, rough: &RoughFace) -> Result<FacePoints, ModelError> 
     Ok(collect(best))
 }
 
-/// Where one beginning leads.
+/// The result from one starting position.
 struct Attempt<'a> {
     regressor: LandmarkRegressor,
     predicted: LandmarkPoints,
@@ -82,7 +84,7 @@ impl<'a> Attempt<'a> {
     }
 }
 
-/// The points of the fitted pose, in the photograph.
+/// Collects the points of the fitted pose, in the photograph.
 fn collect(attempt: Attempt<'_>) -> FacePoints {
     let Attempt { regressor, pose, seen, line, evidence, .. } = attempt;
     let crop = regressor.crop();
@@ -116,8 +118,8 @@ fn collect(attempt: Attempt<'_>) -> FacePoints {
     points
 }
 
-/// Where else to begin: where the first glance has eyes and mouth, so that a second one is straight at them; and with the
-/// mouth elsewhere.
+/// Alternative starting positions: eyes and mouth of the first regression, so that a second one has them centred, and
+/// other positions of the mouth.
 fn alternative_starts(
     rough: &RoughFace,
     regressor: &LandmarkRegressor,
@@ -134,9 +136,9 @@ fn alternative_starts(
     [again, lower, higher]
 }
 
-/// Where annotators of iBUG-68 have a point, from where this chain has it: in outer eye corners' distances, x to the right
-/// of the picture, y down. By the point's number on the subject's right; learned on the development photographs by
-/// `--example faces_points offsets`.
+/// Offsets from this chain's points to those of iBUG-68 annotators, as fractions of the outer interocular distance, x
+/// to the right of the picture, y down. Keyed by the number of the point on the subject's right; learned on the
+/// development photographs by `--example faces_points offsets`.
 const OFFSETS_INTEROCULAR: [(usize, [f64; 2]); 23] = [
     (17, [0.044, 0.033]),
     (18, [0.027, 0.031]),
@@ -163,7 +165,7 @@ const OFFSETS_INTEROCULAR: [(usize, [f64; 2]); 23] = [
     (66, [0.000, -0.004]),
 ];
 
-/// [`OFFSETS_INTEROCULAR`] of either half of the face, x to the right of the picture.
+/// [`OFFSETS_INTEROCULAR`] for either half of the face, x to the right of the picture.
 fn offset_interocular(landmark: usize) -> Point {
     let (right, sign) = match landmark {
         22..=26 => (43 - landmark, -1.0),
