@@ -114,7 +114,7 @@ fn a_recovery_leaves_no_ledger_that_is_not_true() {
     let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
     // The names are all there.
     assert_tells(&ran.stderr, &["a.take", &wrong.to_string(), "ledger was missing or wrong"]);
-    assert!(!ran.stderr.contains("names of markers"), "{}", ran.stderr);
+    assert!(!ran.stderr.contains("marker names"), "{}", ran.stderr);
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
     assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");
 }
