@@ -1,8 +1,8 @@
-//! Pictures of faces that do not exist, with the truth about them: so that whatever looks for faces can be tested without a
-//! photograph of anybody.
+//! Synthetic photographs of faces, with ground truth, for tests of face detection without pictures of real people.
 //!
-//! The [model](mocapd_face::model) in a random shape, posed, lit and painted: skin, lips, brows, irises, nostrils, hair; before a
-//! clutter that has the colours of skin and wood. The same [`Scene`] gives the same pixels.
+//! Each face is the [model](mocapd_face::model) in a random shape, posed, lit and painted with skin, lips, brows,
+//! irises, nostrils and hair, in front of clutter in the colours of skin and wood. The same [`Scene`] gives the same
+//! pixels.
 
 mod clutter;
 mod extras;
@@ -20,83 +20,83 @@ use thiserror::Error;
 pub use extras::Extras;
 pub use random::Random;
 
-/// What is to be drawn.
+/// A picture to draw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Width of the picture, at most [`Scene::MAX_SIDE_PX`].
     pub width_px: u32,
     /// Height of the picture, at most [`Scene::MAX_SIDE_PX`].
     pub height_px: u32,
-    /// The faces, from the furthest to the nearest. None gives clutter alone.
+    /// The faces, from the farthest to the nearest; may be empty.
     pub faces: Vec<Sitter>,
-    /// Standard deviation of each pixel's noise, of 255.
+    /// Standard deviation of the pixel noise, on a scale of 255.
     pub noise: f64,
-    /// Of the background and the noise.
+    /// Seed of the background and the noise.
     pub seed: u64,
 }
 
 /// One face of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sitter {
-    /// Who it is, how they look, and how they are lit: shape, skin, hair, eyes and light are drawn from this.
+    /// Seed of shape, skin, hair, eyes and light.
     pub seed: u64,
-    /// Pixels between the outer eye corners of a face of average width that looks at the camera.
+    /// Outer interocular distance of a frontal face of average width, pixels.
     pub io_px: f64,
-    /// As of [`Camera::yaw_deg`].
+    /// See [`Camera::yaw_deg`].
     pub yaw_deg: f64,
-    /// As of [`Camera::pitch_deg`].
+    /// See [`Camera::pitch_deg`].
     pub pitch_deg: f64,
-    /// As of [`Camera::roll_deg`].
+    /// See [`Camera::roll_deg`].
     pub roll_deg: f64,
-    /// Where the middle of the outer eye corners is, in pixels.
+    /// Midpoint of the outer eye corners, pixels.
     pub eyes_px: [f64; 2],
-    /// How many standard deviations the shape's modes are drawn with: 0 is the average face, 1 is anybody.
+    /// Standard deviation of the shape's modes: 0 gives the average face, 1 the variation of the population.
     pub variety: f64,
-    /// Glasses, beard, and such.
+    /// Glasses, beard, fringe and light.
     pub extras: Extras,
 }
 
-/// The truth about one face of a picture.
+/// Ground truth of one face in a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
-    /// How the head stands in the picture.
+    /// Pose of the head relative to the camera.
     pub camera: Camera,
     /// Standard deviations of the model's modes.
     pub coefficients: Vec<f64>,
-    /// Each of the 53 points by [`FeatureId::index`]: x, y and depth, in pixels.
+    /// The 53 landmarks by [`FeatureId::index`]: x, y and depth, pixels.
     pub points_px: Vec<[f64; 3]>,
-    /// Each vertex of the model: x, y and depth, in pixels.
+    /// The vertices of the model: x, y and depth, pixels.
     pub vertices_px: Vec<[f64; 3]>,
 }
 
-/// A picture, and the truth about it.
+/// A picture and its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     /// The pixels.
     pub image: RgbImage,
-    /// One a sitter, in their order.
+    /// One entry per sitter, in the order of the scene.
     pub faces: Vec<Truth>,
 }
 
-/// Why there is no picture.
+/// Why a scene cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum RenderError {
-    /// An empty picture, or one that is too large.
-    #[error("a picture of {0} x {1} pixels: give 1 to {max} each way", max = Scene::MAX_SIDE_PX)]
+    /// A side of the picture is 0 or too large.
+    #[error("{0} x {1} pixels: expected 1 to {max} on each side", max = Scene::MAX_SIDE_PX)]
     Size(u32, u32),
-    /// A sitter whose size, pose or place is not finite, or too large to be drawn.
-    #[error("sitter {0}: give finite numbers, and 1 to {max} pixels between the eyes", max = Scene::MAX_SIDE_PX)]
+    /// The size, pose or position of a sitter is not finite or too large.
+    #[error("sitter {0}: expected finite numbers and 1 to {max} pixels between the eyes", max = Scene::MAX_SIDE_PX)]
     Sitter(usize),
-    /// The model that comes with mocapd is damaged.
+    /// The built-in model is damaged.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
 
 impl Scene {
-    /// Pixels along each side that a picture may have: it is drawn at twice that, with a depth a pixel.
+    /// Largest width and height, pixels. A picture is drawn at twice its size, with a depth per sample.
     pub const MAX_SIDE_PX: u32 = 4096;
 
-    /// One face in the middle of a picture that is four times as wide as its eyes, and a little higher.
+    /// One centred face in a picture that is 4 interocular distances wide and 4.6 high.
     pub fn portrait(seed: u64, io_px: f64, yaw_deg: f64) -> Self {
         let side = |factor: f64| (factor * io_px).clamp(1.0, f64::from(Self::MAX_SIDE_PX)) as u32;
         let (width_px, height_px) = (side(4.0), side(4.6));
@@ -114,10 +114,10 @@ impl Scene {
         Self { width_px, height_px, faces: vec![sitter], noise: 3.0, seed }
     }
 
-    /// Draws it.
+    /// Draws the picture.
     ///
     /// # Errors
-    /// A size or a sitter that cannot be drawn.
+    /// When the size or a sitter is out of range.
     pub fn render(&self) -> Result<Picture, RenderError> {
         let sides = 1..=Self::MAX_SIDE_PX;
         if !(sides.contains(&self.width_px) && sides.contains(&self.height_px)) {
@@ -128,19 +128,19 @@ impl Scene {
         clutter::fill(&mut canvas, &mut Random::new(self.seed ^ 0xb0c4));
         let mut faces = Vec::new();
         for (number, sitter) in self.faces.iter().enumerate() {
-            if !sitter.can_be_drawn() {
+            if !sitter.is_valid() {
                 return Err(RenderError::Sitter(number));
             }
             canvas.clear_depth();
             faces.push(sitter.draw(model, &mut canvas));
         }
-        let image = canvas.develop(self.noise, &mut Random::new(self.seed ^ 0x5e45));
+        let image = canvas.to_image(self.noise, &mut Random::new(self.seed ^ 0x5e45));
         Ok(Picture { image, faces })
     }
 }
 
 impl Sitter {
-    fn can_be_drawn(&self) -> bool {
+    fn is_valid(&self) -> bool {
         let numbers = [
             self.yaw_deg,
             self.pitch_deg,
@@ -157,7 +157,7 @@ impl Sitter {
 
     fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> Truth {
         let mut random = Random::new(self.seed);
-        // Clipped: a face four deviations out is rare among people, and odd among modes.
+        // Clipped, because shapes beyond a few standard deviations are unnatural.
         let mut amount = || self.variety * random.normal().clamp(-2.0, 2.0);
         let coefficients: Vec<f64> = model.modes.iter().map(|_| amount()).collect();
         let camera = Camera {
@@ -168,8 +168,8 @@ impl Sitter {
             origin_px: self.eyes_px,
         };
         let vertices_mm = model.shape(&coefficients);
-        let look = paint::Look::new(&mut random).with(self.extras);
-        head::draw(model, &vertices_mm, &camera, &look, canvas);
+        let palette = paint::Palette::new(&mut random).with(self.extras);
+        head::draw(model, &vertices_mm, &camera, &palette, canvas);
         let places = model.feature_points(&vertices_mm, &camera.rotation());
         Truth {
             camera,
@@ -181,7 +181,7 @@ impl Sitter {
 }
 
 impl Truth {
-    /// Where one of the 53 points is, in pixels.
+    /// Position of one of the 53 landmarks, pixels.
     pub fn at(&self, id: FeatureId) -> [f64; 2] {
         let [x, y, _] = self.points_px[id.index()];
         [x, y]

@@ -1,4 +1,4 @@
-//! What others build their tests on has to be exact.
+//! Other tests rely on these bodies, so they have to be exact.
 
 use std::collections::HashMap;
 
@@ -21,7 +21,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (Point::from(a) - Point::from(b)).norm()
 }
 
-/// How often the surface goes around a point: 1 within, 0 outside (van Oosterom and Strackee 1983).
+/// Winding number of the surface around a point: 1 inside, 0 outside (van Oosterom and Strackee 1983).
 fn winding(mesh: &Mesh, p: [f64; 3]) -> f64 {
     let solid_angle = |triangle: &[u32; 3]| {
         let [a, b, c] =
@@ -34,7 +34,7 @@ fn winding(mesh: &Mesh, p: [f64; 3]) -> f64 {
 }
 
 #[test]
-fn the_surface_is_closed_and_without_handles() {
+fn the_surface_is_closed_and_of_genus_0() {
     for (seed, pose, mesh, _) in each() {
         let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
         for &[a, b, c] in &mesh.triangles {
@@ -65,7 +65,7 @@ fn the_surface_is_closed_and_without_handles() {
 }
 
 #[test]
-fn every_joint_lies_within_and_the_head_on_top() {
+fn every_joint_is_inside_and_the_head_on_the_surface() {
     for (seed, pose, mesh, joints) in each() {
         assert_eq!(joints.estimates.len(), 15);
         for (joint, estimate) in &joints.estimates {
@@ -115,7 +115,7 @@ fn a_pose_moves_bones_and_does_not_stretch_them() {
 fn left_is_left() {
     let (_, joints) = body(5, Pose::Walk, Options { n_faces: 2000, turned: true });
     let at = |joint: Joint| Point::from(joints.estimates[&joint].position);
-    // Up and to the left span a frame whose third axis is forward: where the left arm swings.
+    // Left x up is forward, where the left arm swings.
     let up = at(Joint::Throat) - at(Joint::Pelvis);
     let left = at(Joint::Hip(Side::Left)) - at(Joint::Hip(Side::Right));
     let arm = at(Joint::Wrist(Side::Left)) - at(Joint::Shoulder(Side::Left));

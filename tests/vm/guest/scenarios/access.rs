@@ -106,7 +106,7 @@ pub(crate) fn no_gadget() -> Measured {
         let simulator = Mocapd::start_program("mocapd-sim", user, &[&serve, more].concat())?;
         simulator.finish(PATIENCE)?.with_code(code)?.says(words)
     };
-    refused(User::Dialout, &[], 1, &["only root may make a USB gadget"])?;
+    refused(User::Dialout, &[], 1, &["creating a USB gadget needs root"])?;
     refused(User::Root, &["--udc", "none.0"], 2, &["'none.0'", "dummy_udc.0, dummy_udc.1"])?;
     let _first = Simulator::bulk("BOTH1", &[])?;
     let second = Simulator::port("BOTH2", &[])?;
