@@ -107,13 +107,13 @@ impl Progress {
     }
 
     fn new(decode: Decode, scope: ProblemScope) -> Self {
-        let makes_map = matches!(scope, ProblemScope::All | ProblemScope::Map);
-        let read = makes_map.then_some(0);
+        let builds_map = matches!(scope, ProblemScope::All | ProblemScope::Map);
+        let read = builds_map.then_some(0);
         Self {
             take: TakeMap { n_held: read, longest_stretch: read, ..TakeMap::default() },
             rows_damaged: Vec::new(),
             table: ChannelTable::default(),
-            losses: LossTracker::new(makes_map.then(Vec::new)),
+            losses: LossTracker::new(builds_map.then(Vec::new)),
             decoder: None,
             decode,
             scope,
@@ -122,7 +122,7 @@ impl Progress {
         }
     }
 
-    fn makes_map(&self) -> bool {
+    fn builds_map(&self) -> bool {
         matches!(self.scope, ProblemScope::All | ProblemScope::Map)
     }
 
@@ -147,14 +147,14 @@ impl Progress {
     }
 
     fn announce(&mut self, channels: &[Channel]) {
-        if self.makes_map() {
+        if self.builds_map() {
             self.table.append(channels);
             self.rows_damaged.resize(self.table.channels().len(), 0);
         }
     }
 
     /// Counts `rows` of every channel as lost.
-    fn lose(&mut self, rows: u64) {
+    fn add_lost(&mut self, rows: u64) {
         self.rows_damaged.iter_mut().for_each(|channel| *channel += rows);
     }
 
@@ -173,7 +173,7 @@ impl Progress {
         event: &TakeEvent<'_>,
     ) -> Result<(bool, Option<LostEntries>), TakeError> {
         match event {
-            TakeEvent::Header(header) if self.makes_map() => {
+            TakeEvent::Header(header) if self.builds_map() => {
                 self.take.header.clone_from(header);
                 self.start_decoding()?;
                 self.announce(&header.channels);
@@ -232,7 +232,7 @@ impl Progress {
             return (true, None);
         }
         let mut renamed = None;
-        if self.makes_map() {
+        if self.builds_map() {
             renamed = self.name_channels(stretch.stated_channels());
             let rows_before = self.n_rows();
             if key && n_rows > 0 && first_row >= rows_before {
@@ -247,7 +247,7 @@ impl Progress {
             }
         }
         let lost = self.losses.add_stretch(stretch);
-        self.lose(lost);
+        self.add_lost(lost);
         (false, renamed)
     }
 
@@ -277,10 +277,10 @@ impl Progress {
 
     fn end(&mut self, finished: bool) {
         let lost = self.losses.finish();
-        self.lose(lost);
+        self.add_lost(lost);
         if !finished {
             self.report(Problem::CutOff);
-        } else if self.makes_map() && self.take.ledger.is_none() {
+        } else if self.builds_map() && self.take.ledger.is_none() {
             self.report(Problem::NoLedger);
         }
         self.take.finished = finished;
@@ -373,7 +373,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
                 self.current = Some(stretch.span);
                 self.progress.timeline = stretch.timeline;
             }
-            event if self.progress.makes_map() => self.progress.take.add_content(event),
+            event if self.progress.builds_map() => self.progress.take.add_content(event),
             _ => {}
         }
         Ok(())

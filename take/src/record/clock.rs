@@ -119,22 +119,22 @@ fn unzigzag(value: u64) -> u64 {
     value >> 1 ^ (value & 1).wrapping_neg()
 }
 
-fn put(out: &mut Vec<u8>, (ticks, us): Times, before: &mut Times, tick_hz: u64) {
-    let passed_us = us.wrapping_sub(before.1);
+fn put_times(out: &mut Vec<u8>, (ticks, us): Times, previous: &mut Times, tick_hz: u64) {
+    let passed_us = us.wrapping_sub(previous.1);
     let expected = ticks_in(passed_us.cast_signed(), tick_hz);
     // Time increases, except after a pong that overtook another.
     varint::put(out, passed_us);
-    varint::put(out, zigzag(ticks.wrapping_sub(before.0).wrapping_sub(expected)));
-    *before = (ticks, us);
+    varint::put(out, zigzag(ticks.wrapping_sub(previous.0).wrapping_sub(expected)));
+    *previous = (ticks, us);
 }
 
-fn take(bytes: &mut Cursor<'_>, before: &mut Times, tick_hz: u64) -> Option<Times> {
+fn read_times(bytes: &mut Cursor<'_>, previous: &mut Times, tick_hz: u64) -> Option<Times> {
     let passed_us = bytes.varint()?;
     let expected = ticks_in(passed_us.cast_signed(), tick_hz);
     let error = unzigzag(bytes.varint()?);
-    let ticks = before.0.wrapping_add(expected).wrapping_add(error);
-    *before = (ticks, before.1.wrapping_add(passed_us));
-    Some(*before)
+    let ticks = previous.0.wrapping_add(expected).wrapping_add(error);
+    *previous = (ticks, previous.1.wrapping_add(passed_us));
+    Some(*previous)
 }
 
 impl Clock {
@@ -158,14 +158,14 @@ impl Encode for Clock {
         }
         let (origin, tick_hz) = (self.origin(), self.tick_hz);
         let (mut probes, mut points) = (Vec::new(), Vec::new());
-        let mut before = origin;
+        let mut previous = origin;
         for probe in &self.probes {
-            put(&mut probes, (probe.device_ticks, probe.sent_us), &mut before, tick_hz);
+            put_times(&mut probes, (probe.device_ticks, probe.sent_us), &mut previous, tick_hz);
             varint::put(&mut probes, probe.round_trip_us);
         }
-        before = origin;
+        previous = origin;
         for point in &self.points {
-            put(&mut points, (point.device_ticks, point.host_us), &mut before, tick_hz);
+            put_times(&mut points, (point.device_ticks, point.host_us), &mut previous, tick_hz);
         }
         let last = self.last();
         self.segment.encode(encoder)?;
@@ -189,21 +189,21 @@ impl Decode<()> for Clock {
         let segment = u32::decode(decoder)?;
         let tick_hz = u64::decode(decoder)?;
         let origin = Times::decode(decoder)?;
-        let probes = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
-            let mut before = origin;
+        let probes = parse_entries(&Vec::<u8>::decode(decoder)?, |bytes| {
+            let mut previous = origin;
             let mut next = move |bytes: &mut Cursor<'_>| {
-                let (device_ticks, sent_us) = take(bytes, &mut before, tick_hz)?;
+                let (device_ticks, sent_us) = read_times(bytes, &mut previous, tick_hz)?;
                 Some(ClockProbe { sent_us, device_ticks, round_trip_us: bytes.varint()? })
             };
-            all(bytes, &mut next)
+            parse_all(bytes, &mut next)
         })?;
-        let points = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
-            let mut before = origin;
+        let points = parse_entries(&Vec::<u8>::decode(decoder)?, |bytes| {
+            let mut previous = origin;
             let mut next = move |bytes: &mut Cursor<'_>| {
-                let (device_ticks, host_us) = take(bytes, &mut before, tick_hz)?;
+                let (device_ticks, host_us) = read_times(bytes, &mut previous, tick_hz)?;
                 Some(ClockPoint { device_ticks, host_us })
             };
-            all(bytes, &mut next)
+            parse_all(bytes, &mut next)
         })?;
         let line = Option::<(i64, i64, i64, Option<ClockBound>)>::decode(decoder)?;
         let jitter = ClockJitter::decode(decoder)?;
@@ -219,7 +219,7 @@ impl Decode<()> for Clock {
     }
 }
 
-fn entries<T>(
+fn parse_entries<T>(
     bytes: &[u8],
     read: impl FnOnce(&mut Cursor<'_>) -> Option<Vec<T>>,
 ) -> Result<Vec<T>, DecodeError> {
@@ -229,7 +229,7 @@ fn entries<T>(
 }
 
 /// Parses all entries; `None` if the bytes end inside one, or there are too many.
-fn all<T>(
+fn parse_all<T>(
     bytes: &mut Cursor<'_>,
     next: &mut impl FnMut(&mut Cursor<'_>) -> Option<T>,
 ) -> Option<Vec<T>> {

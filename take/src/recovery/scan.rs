@@ -65,7 +65,7 @@ impl Survey {
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
         let mut scanner = RecoveryScanner::default();
         let traversal = TakeTraversal::new(input, Decode::All);
-        let progress = traversal.run(|found, progress| scanner.found(found, progress));
+        let progress = traversal.run(|found, progress| scanner.visit(found, progress));
         progress.map_err(without_recovery_advice).map(|progress| scanner.finish(progress))
     }
 
@@ -144,7 +144,7 @@ impl Default for RecoveryScanner {
 }
 
 impl RecoveryScanner {
-    fn found(&mut self, found: &Found<'_>, progress: &Progress) -> Result<(), TakeError> {
+    fn visit(&mut self, found: &Found<'_>, progress: &Progress) -> Result<(), TakeError> {
         if let Some(renamed) = found.renamed {
             self.name_channels(renamed, progress.channels());
         }
@@ -162,7 +162,7 @@ impl RecoveryScanner {
             TakeEvent::Channels(_) => (types::CHANNELS, ChunkAction::Copy),
             TakeEvent::Stretch(_) if found.is_refused => (types::STRETCH, ChunkAction::Discard),
             TakeEvent::Stretch(stretch) => {
-                self.stretch(stretch, progress);
+                self.add_stretch(stretch, progress);
                 span = Some(stretch.span);
                 (types::STRETCH, ChunkAction::Copy)
             }
@@ -204,12 +204,12 @@ impl RecoveryScanner {
             }
             TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
         };
-        self.chunk(found, kind, span, action)?;
+        self.add_chunk(found, kind, span, action)?;
         self.end_row = progress.end_row();
         Ok(())
     }
 
-    fn chunk(
+    fn add_chunk(
         &mut self,
         found: &Found<'_>,
         kind: u8,
@@ -238,7 +238,7 @@ impl RecoveryScanner {
     }
 
     /// Counts a stretch that is kept.
-    fn stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
+    fn add_stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
         let span = stretch.span;
         let from_row = stretch.from_row();
         let skips_number = span.number != self.next_number && !stretch.replaces_damaged();

@@ -48,7 +48,7 @@ fn timeline(first_row: u64, part: &TestRows) -> Timeline {
 }
 
 /// Encodes and decodes consecutive stretches; returns the bytes.
-fn there_and_back(parts: &[TestRows], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
+fn round_trip(parts: &[TestRows], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
     let mut encoder = TimelineEncoder::new(tick_hz, rate_hz);
     let mut decoder = TimelineDecoder::new(tick_hz);
     let half_step = (1 << encoder.shift) / 2;
@@ -89,7 +89,7 @@ proptest! {
         tick_hz in prop_oneof![Just(0), Just(1), Just(1_000_000_000), Just(u64::MAX), any::<u64>()],
         rate_hz in prop_oneof![Just(60.0), Just(239.76), Just(0.001), Just(1e6)],
     ) {
-        there_and_back(&parts, tick_hz, rate_hz);
+        round_trip(&parts, tick_hz, rate_hz);
     }
 
     #[test]
@@ -139,7 +139,7 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
         (90_000, 120_000.0 / 1001.0),
     ] {
         let parts = steady(tick_hz, rate_hz, |_| 3);
-        for (part, bytes) in parts.iter().zip(there_and_back(&parts, tick_hz, rate_hz)) {
+        for (part, bytes) in parts.iter().zip(round_trip(&parts, tick_hz, rate_hz)) {
             // A key stretch states its clocks; the first rows locate the exposure between two ticks.
             let most = if part.key { 28 } else { 3 };
             assert!(bytes.len() <= most, "{tick_hz} at {rate_hz}: {} bytes", bytes.len());
@@ -151,7 +151,7 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
 fn a_rate_that_is_not_the_stated_one_is_measured() {
     // A divider that cannot produce 240 Hz: 4167 ticks per row, so the clock runs 80 ppm fast.
     let parts = steady(1_000_080, 240.0, |_| 3);
-    for (part, bytes) in parts.iter().zip(there_and_back(&parts, 1_000_000, 240.0)) {
+    for (part, bytes) in parts.iter().zip(round_trip(&parts, 1_000_000, 240.0)) {
         assert!(part.key || bytes.len() <= 6, "{} bytes", bytes.len());
     }
 }
@@ -160,7 +160,7 @@ fn a_rate_that_is_not_the_stated_one_is_measured() {
 fn batches_cost_little() {
     // Frames arrive in batches of four.
     let parts = steady(1_000_000, 240.0, |row| (3 - row % 4) * 417);
-    let coded = there_and_back(&parts, 1_000_000, 240.0);
+    let coded = round_trip(&parts, 1_000_000, 240.0);
     let bytes: usize = coded.iter().map(Vec::len).sum();
     assert!(bytes / coded.len() < 10, "{} bytes a stretch", bytes / coded.len());
 }
@@ -174,7 +174,7 @@ fn timecodes_that_count_cost_nothing() {
         let timecode = [seconds / 3600, seconds / 60 % 60, seconds % 60, frames];
         time.timecode = Some(timecode.map(|part: u64| part as u8));
     }
-    let coded = there_and_back(&parts, 1_000_000, 120.0);
+    let coded = round_trip(&parts, 1_000_000, 120.0);
     let bytes: usize = coded.iter().map(Vec::len).sum();
     assert!(bytes / coded.len() < 12, "{} bytes a stretch", bytes / coded.len());
 }
@@ -182,7 +182,7 @@ fn timecodes_that_count_cost_nothing() {
 #[test]
 fn every_cut_and_every_mutation_gives_an_error_or_times() {
     let parts = steady(1_000_000, 240.0, |row| row * 37 % 23);
-    let coded = there_and_back(&parts[..1], 1_000_000, 240.0);
+    let coded = round_trip(&parts[..1], 1_000_000, 240.0);
     let whole = timeline(0, &parts[0]);
     let decode = |bytes: &[u8]| {
         let mut found = Timeline { times: Vec::new(), ..whole.clone() };
