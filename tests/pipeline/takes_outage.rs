@@ -19,17 +19,17 @@ fn a_take_that_begins_while_the_device_is_away_excludes_its_absence() {
         let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
         feed_all(&mut intake, &motion, 0..300);
         if when != "silent" {
-            intake.away(true);
+            intake.set_away(true);
         }
         if when == "back" {
-            intake.away(false);
+            intake.set_away(false);
             intake.rejoin();
         }
         let handle = armed.takes.begin(new_take(&motion, Duration::ZERO, 800)).unwrap();
         // The reader polls before the frame arrives.
         intake.tick(arrival_ns(&motion, 800));
         if when != "back" {
-            intake.away(false);
+            intake.set_away(false);
             intake.rejoin();
         }
         feed_all(&mut intake, &motion, 900..1200);
@@ -59,7 +59,7 @@ fn an_end_does_not_wait_for_a_device_that_is_away() {
     let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
     let handle = armed.takes.begin(new_take(&motion, Duration::ZERO, 0)).unwrap();
     feed_all(&mut intake, &motion, 0..300);
-    intake.away(true);
+    intake.set_away(true);
     armed.takes.end(EndingKind::Stopped).unwrap();
     intake.tick(arrival_ns(&motion, 400));
     let (written, take) = ended(&handle);
@@ -75,7 +75,7 @@ fn an_end_does_not_wait_for_a_device_that_is_away() {
     intake.tick(arrival_ns(&motion, 600));
     assert_eq!(ended(&handle).0.ledger.recorded, 0);
     // Rows already counted are not counted again when the device is back.
-    intake.away(false);
+    intake.set_away(false);
     intake.rejoin();
     feed_all(&mut intake, &motion, 700..800);
     assert_eq!(intake.counts().seen(), 800);
@@ -90,7 +90,7 @@ fn a_take_does_not_wait_while_frames_come() {
     let motion = jump(26, 100.0, 10.0);
     let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
     feed_all(&mut intake, &motion, 0..300);
-    intake.away(true);
+    intake.set_away(true);
     intake.rejoin();
     feed_all(&mut intake, &motion, 400..410);
     let handle = armed.takes.begin(new_take(&motion, Duration::ZERO, 410)).unwrap();
@@ -109,8 +109,8 @@ fn a_pre_roll_does_not_reach_behind_an_absence() {
     for requested_s in [2, 30] {
         let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
         feed_all(&mut intake, &motion, 0..330);
-        intake.away(true);
-        intake.away(false);
+        intake.set_away(true);
+        intake.set_away(false);
         intake.rejoin();
         feed_all(&mut intake, &motion, 3000..3100);
         let pre_roll = Duration::from_secs(requested_s);

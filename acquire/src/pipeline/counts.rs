@@ -44,7 +44,7 @@ pub struct Counts {
     pub status: Option<Status>,
     /// Frames that the device's reports do not include: those counted before it was last started, and those that were
     /// due in a silence and not produced.
-    pub reports_from: u64,
+    pub reports_offset: u64,
     /// Rows missing before the first frame after an outage that the new reports include as well, because the device was
     /// already running.
     pub reported_twice: u64,
@@ -94,8 +94,8 @@ impl Counts {
     ///
     /// Returns whether the rows contain all frames that it reports as produced.
     pub(super) fn status(&mut self, status: Status, early: bool) -> bool {
-        let reports_from = if early { self.seen() } else { self.reports_from };
-        let mut frames_produced = status.frames_produced.saturating_add(reports_from);
+        let reports_offset = if early { self.seen() } else { self.reports_offset };
+        let mut frames_produced = status.frames_produced.saturating_add(reports_offset);
         if !early {
             // What it produced beyond the frames seen was lost before the first of them, or just now: the smallest
             // excess in any report was lost before.
@@ -126,7 +126,7 @@ impl Counts {
 
     /// Counts rows of a silence that were never produced: the device's reports leave them out.
     pub(super) fn not_produced(&mut self, rows: u64) {
-        self.reports_from += rows;
+        self.reports_offset += rows;
     }
 
     /// Starts a new series of reports: the device is started again after an outage.
@@ -184,7 +184,7 @@ impl Counts {
                 samples_not_finite: link.samples_not_finite - link_base.samples_not_finite,
             },
             status,
-            reports_from: self.reports_from.saturating_sub(base.seen()),
+            reports_offset: self.reports_offset.saturating_sub(base.seen()),
             reported_twice: self.reported_twice,
             dropped_before: self.dropped_before.saturating_sub(dropped_base),
             dropped_late_max: missing_base.saturating_sub(dropped_base),

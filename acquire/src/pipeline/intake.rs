@@ -320,7 +320,7 @@ impl Intake {
     pub fn status(&mut self, status: Status, last: bool) {
         if last && !self.rejoining {
             // The final report settles rows that were due by the host's clock alone.
-            let reported = status.frames_produced.saturating_add(self.counts.reports_from);
+            let reported = status.frames_produced.saturating_add(self.counts.reports_offset);
             let not_produced = self.counts.seen().saturating_sub(reported).min(self.rows_away);
             self.rows_away -= not_produced;
             self.counts.not_produced(not_produced);
@@ -377,7 +377,7 @@ impl Intake {
     }
 
     /// Reports that the device was disconnected, or is back.
-    pub fn away(&mut self, is_away: bool) {
+    pub fn set_away(&mut self, is_away: bool) {
         self.is_away = is_away;
         self.progress.is_away.store(is_away, Ordering::Relaxed);
         if !is_away {

@@ -109,10 +109,10 @@ const RING_STRETCHES: u32 = 4;
 
 /// Encoded stretches in memory: 64 x 0.5 s, so that a disk that stalls for 30 s costs nothing. With shorter
 /// stretches, the number that lasts the same time.
-const CODED_STRETCHES: u32 = 64;
+const ENCODED_STRETCHES: u32 = 64;
 
-/// Memory limit of the rings, and of encoded stretches, which use only what they do not compress: ten thousand markers
-/// at 240 Hz, or two hundred at 10 kHz, stay below it. Beyond it fewer stretches are kept.
+/// Memory limit of the rings, and of the buffers for encoded stretches, which become resident only as far as they are
+/// filled: ten thousand markers at 240 Hz, or two hundred at 10 kHz, stay below it. Beyond it fewer stretches are kept.
 const MEMORY_BYTES: usize = 2 << 30;
 
 /// Time between key stretches while no take is written. A pre-roll begins with a key, so it is longer than requested by
@@ -142,7 +142,7 @@ pub(super) const CLOCK_ITEMS_MAX: usize = 1024;
 /// The sizes derived from a [`PipelineConfig`].
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
-    coded_stretches: usize,
+    encoded_stretches: usize,
     ring_rows: usize,
     pub(super) codec: Settings,
     pub(super) workers: usize,
@@ -171,8 +171,8 @@ impl Plan {
         let n_slots = config.channels.len() + config.reserve;
         let workers = config.workers.max(1);
         let plan = Self {
-            coded_stretches: usual_time(CODED_STRETCHES, config.stretch),
-            ring_rows: usual_time(RING_STRETCHES, config.stretch) * config.stretch_rows() as usize,
+            encoded_stretches: count_for(ENCODED_STRETCHES, config.stretch),
+            ring_rows: count_for(RING_STRETCHES, config.stretch) * config.stretch_rows() as usize,
             codec: config.codec,
             workers,
             n_slots,
@@ -192,9 +192,9 @@ impl Plan {
             "cannot record {n_slots} markers at {} Hz: use a lower rate",
             config.rate_hz
         );
-        let coded_stretches =
-            (MEMORY_BYTES / plan.stretch_bytes_max()).clamp(2, plan.coded_stretches);
-        Ok(Self { coded_stretches, ..plan })
+        let encoded_stretches =
+            (MEMORY_BYTES / plan.stretch_bytes_max()).clamp(2, plan.encoded_stretches);
+        Ok(Self { encoded_stretches, ..plan })
     }
 
     /// The codec's groups. They do not depend on the number of workers, so that any number gives the same take.
@@ -230,7 +230,7 @@ impl Plan {
 
     /// Buffers for encoded parts, per group.
     pub(super) fn buffers_per_group(&self) -> usize {
-        self.coded_stretches
+        self.encoded_stretches
     }
 
     /// All buffers: sending a part never waits.
@@ -259,7 +259,7 @@ impl Plan {
 }
 
 /// Number of stretches: `stretches` of the default length, or as many shorter ones as last the same time.
-fn usual_time(stretches: u32, stretch: Duration) -> usize {
+fn count_for(stretches: u32, stretch: Duration) -> usize {
     let shorter = STRETCH.as_secs_f64() / stretch.as_secs_f64().max(1e-3);
     (f64::from(stretches) * shorter.max(1.0)).ceil() as usize
 }

@@ -149,11 +149,11 @@ impl Rig {
                 return Ok(ending);
             }
             reader.intake.event(host_event("the device was disconnected"));
-            reader.intake.away(true);
+            reader.intake.set_away(true);
             if !self.reconnect(reader, options, &is_over) {
                 return Ok(or_end(EndingKind::DeviceGone, reader.intake));
             }
-            reader.intake.away(false);
+            reader.intake.set_away(false);
             reader.outages += 1;
         }
     }

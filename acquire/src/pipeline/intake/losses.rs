@@ -66,7 +66,7 @@ impl Intake {
         let event = Event::new(EventKind::Host, arrival_ns, text);
         let event = Event { device_ticks: frame.device_ticks, ..event };
         self.event_at(row, event);
-        self.counts.reports_from = self.counts.seen() + new;
+        self.counts.reports_offset = self.counts.seen() + new;
         self.counts.lost_to_outage(new);
         self.counts.reported_twice = missing;
         self.pending.add(new, causes);
