@@ -196,8 +196,8 @@ pub struct Stopped {
     pub seconds: f64,
     /// Size of the file in bytes.
     pub bytes: u64,
-    /// Why it ended, as stored in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`, `service
-    /// stopped`, `truncated` or `unmounted` by somebody else, or `saved` from the pre-roll.
+    /// Why it ended, as stored in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`,
+    /// `service stopped`, `truncated` or `unmounted` by another program, or `saved` from the pre-roll.
     #[serde(with = "ending_word")]
     #[schema(value_type = String)]
     pub ending: Option<EndingKind>,

@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_says_what_to_type() {
+    fn invalid_values_are_explained() {
         assert!(tolerance("0mm", "--lossless").unwrap_err().contains("--lossless"));
         for text in ["-1mm", "nan", "inf", "1e999", "mm", "1 furlong", "1e-9mm", ""] {
             assert!(tolerance(text, "lossless").is_err(), "{text}");

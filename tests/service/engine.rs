@@ -168,7 +168,7 @@ fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
 }
 
 #[test]
-fn a_request_that_comes_twice_is_carried_out_once() {
+fn a_repeated_request_is_executed_once() {
     let Room { directory: _directory, device: _device, engine } = room(|_| {});
     let id = |id: &str| Some(id.to_owned());
     let start = Start { request_id: id("a"), ..Start::default() };
@@ -326,7 +326,7 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
 }
 
 #[test]
-fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
+fn the_raw_log_lasts_from_arm_to_disarm() {
     let Room { directory, device: _device, engine } = room(|options| options.device.raw_log = true);
     engine.start(&named("logged")).unwrap();
     engine.stop(&request()).unwrap();
@@ -341,7 +341,7 @@ fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
 }
 
 #[test]
-fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
+fn a_full_disk_is_reported_and_nothing_is_left_on_it() {
     let Room { directory, device: _device, engine } =
         room(|options| options.take.keep_free_bytes = u64::MAX / 2);
     let refused = engine.start(&named("full")).unwrap_err();
@@ -352,7 +352,7 @@ fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
 }
 
 #[test]
-fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_ends() {
+fn frames_missed_during_an_absence_are_on_the_ledger_of_the_take_that_ends() {
     let Room { directory: _directory, device, engine } = room(|_| {});
     let started = engine.start(&named("cut")).unwrap();
     std::thread::sleep(Duration::from_millis(300));

@@ -22,7 +22,7 @@ fn datagram(element: &str, name: &str, packet: u32) -> Vec<u8> {
 }
 
 #[test]
-fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
+fn another_program_starts_and_stops_takes_and_gets_triggers_for_ours() {
     let Room { directory, device: _device, engine } = room(|options| options.arm.at_start = true);
     wait_until("the device", || engine.status().state == State::Armed);
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();

@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_filled_in() {
+    fn placeholders_are_replaced() {
         assert_eq!(fill("{date}_{time}_{rig}"), "2026-01-02_03-04-05_left");
         assert_eq!(fill("S01 {rig}-{count}"), "S01 left-007");
         assert_eq!(fill("{count}{count}"), "007007");
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_name_says_why() {
+    fn invalid_templates_are_explained() {
         let mut reasons = HashSet::new();
         for (text, fact) in [
             ("", ""),

@@ -188,7 +188,7 @@ mod tests {
     use crate::doctor::Verdict;
 
     #[test]
-    fn what_is_found_of_disks() {
+    fn findings_about_disks() {
         assert_eq!(space(10 << 30, 256 << 20).verdict, Verdict::Good);
         assert_eq!(space(300 << 20, 256 << 20).verdict, Verdict::Warning);
         assert_eq!(space(257 << 20, 256 << 20).verdict, Verdict::Failure);

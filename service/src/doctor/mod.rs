@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_found_of_clocks() {
+    fn findings_about_clocks() {
         assert_eq!(source("tsc").verdict, Verdict::Good);
         assert_eq!(source("hpet").verdict, Verdict::Warning);
         assert_eq!(synchronised(Some("yes")).verdict, Verdict::Good);
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_found_of_the_machine() {
+    fn findings_about_the_machine() {
         assert_eq!(processors(1).verdict, Verdict::Warning);
         assert_eq!(processors(4).verdict, Verdict::Good);
         let text = "MemTotal:  8000000 kB\nMemAvailable:  4000000 kB\n";

@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_in_a_group_and_who_has_to_log_in_again() {
+    fn group_members_and_those_who_have_to_log_in_again() {
         let groups = "root:x:0:\ndialout:x:20:ann\nmocapd:x:990:ann,bob\n";
         let me = |name: &str, groups: &[u32]| CurrentUser {
             name: Some(name.to_owned()),

@@ -1,4 +1,4 @@
-//! The dashboard: files of `web/`, in the program itself.
+//! The dashboard's files: the folder `web/`, compiled into the program.
 
 use std::ffi::OsStr;
 
@@ -12,10 +12,11 @@ use sha2::{Digest, Sha256};
 
 use super::problem::Problem;
 
-/// What is served: the folder as it was when the program was built.
+/// The folder as it was when the program was built.
 static WEB: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../web");
 
-/// What a file is by its name; bytes, where browsers would have to guess.
+/// The media type of a file by its extension; `application/octet-stream` for any other extension, so that no browser
+/// guesses.
 fn content_type(file: &File<'_>) -> &'static str {
     match file.path().extension().and_then(OsStr::to_str).unwrap_or_default() {
         "html" => "text/html; charset=utf-8",
@@ -33,7 +34,7 @@ const BYTES: &str = "application/octet-stream";
 /// The page that a browser opens.
 const PAGE: &str = "index.html";
 
-/// A file of the dashboard; everything else that is no route is not there.
+/// Serves a file of the dashboard; any other path without a route is "not found".
 pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let path = uri.path().strip_prefix('/').unwrap_or(uri.path());
     let found = WEB.get_file(if path.is_empty() { PAGE } else { path });

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_may_read_or_change_is_refused() {
+    fn files_that_others_may_read_or_change_are_refused() {
         for mode in [0o640, 0o604, 0o620, 0o602, 0o644, 0o700, 0o1600] {
             let open = refused(mode, SECRET.as_bytes());
             assert!(matches!(open, TokenError::Permissions { mode: found, .. } if found == mode));
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_token_is_refused() {
+    fn invalid_tokens_are_refused() {
         let short = no_token(b"");
         assert_eq!(no_token(b"0123456789abcde\n"), short);
         let space = no_token(b"0123456789 abcdef");
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_is_refused_at_once() {
+    fn anything_but_a_file_is_refused_at_once() {
         let dir = tempfile::tempdir().unwrap();
         let missing = Token::read(&dir.path().join("none")).unwrap_err();
         assert!(

@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn history_is_bounded_and_gaps_are_told() {
+    fn history_is_bounded_and_gaps_are_reported() {
         let hub = EventBroadcast::new("r".to_owned(), Arc::default());
         let total = KEPT_MAX as u64 + 10;
         (1..=total).for_each(|number| hub.publish(event(number)));

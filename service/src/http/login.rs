@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_request_said_is_no_markup() {
+    fn text_of_a_request_is_escaped() {
         let problem = Problem::invalid("'<b>&\"'");
         let Html(page) = refusal("/", &problem);
         assert!(page.contains("'&lt;b&gt;&amp;&quot;'") && !page.contains("<b>"), "{page}");

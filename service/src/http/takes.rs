@@ -424,7 +424,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_leads_elsewhere_is_no_name() {
+    fn names_that_lead_elsewhere_are_refused() {
         for name in ["jump-001", "a b", "knie é", "x.y", "a..b"] {
             assert!(is_name(name), "{name}");
         }
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_and_what_is_none() {
+    fn valid_and_invalid_ranges() {
         let of_ten = |header| requested_range(Some(header), 10);
         assert_eq!(requested_range(None, 10), RequestedRange::Whole);
         for (header, range) in [

@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_says_so_and_a_gone_client_keeps_its_slot_until_the_work_is_done() {
+    fn a_full_queue_refuses_and_a_gone_client_keeps_its_slot_until_the_work_is_done() {
         let runtime = runtime();
         let _inside = runtime.enter();
         let time_max = Some(Duration::from_millis(50));

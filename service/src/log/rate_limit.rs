@@ -223,7 +223,7 @@ mod tests {
     use crate::log::lines;
 
     #[test]
-    fn the_same_is_said_ten_times_a_minute_and_the_rest_is_counted() {
+    fn a_message_passes_ten_times_a_minute_and_the_rest_is_counted() {
         let (mut limiter, start) = (RateLimiter::default(), Instant::now());
         let passed = (0..100).filter(|_| limiter.allows(1, "it stalls", start)).count();
         assert_eq!(passed, 10);
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_told_even_when_messages_are_many() {
+    fn suppressed_messages_are_counted_even_when_there_are_many() {
         let (mut limiter, start) = (RateLimiter::default(), Instant::now());
         let mut passed = 0;
         for message in 1..=10_000 {
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn words_come_with_their_fields_and_by_level() {
+    fn messages_have_their_fields_and_are_filtered_by_level() {
         let text = logged(Level::Info, |_| {
             tracing::info!(take = "jump.take", device = "usb:1209:0001", "a take has begun");
             tracing::debug!("nobody asked");
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_said_again_and_again_is_counted_and_told() {
+    fn repeated_messages_are_counted_and_summarised() {
         let text = logged(Level::Info, |_| {
             for n in 0..50 {
                 tracing::warn!("the device stalled {n} times");

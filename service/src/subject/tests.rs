@@ -74,7 +74,7 @@ fn files_become_a_subject_byte_for_byte() {
 }
 
 #[test]
-fn what_is_no_skeleton_says_why() {
+fn invalid_skeletons_are_explained() {
     let refused = |text: &str| format!("{:#}", Skeleton::from_json(text.as_bytes()).unwrap_err());
     let mut reasons = HashSet::new();
     let made_by = "`mocapd subject body -o`";
@@ -100,7 +100,7 @@ fn what_is_no_skeleton_says_why() {
 }
 
 #[test]
-fn what_is_no_face_says_why() {
+fn invalid_faces_are_explained() {
     let refused = |text: &str| format!("{:#}", FittedFace::from_json(text.as_bytes()).unwrap_err());
     let nowhere = refused(&FACE.replace("[[0,1]]", "[[0,2]]"));
     let flat = refused(&FACE.replace("[1,2,3]", "[1,2]"));

@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_says_why() {
+    fn invalid_networks_are_explained() {
         let refused = |text: &str| text.parse::<Network>().unwrap_err();
         let no_address = refused("").replace("''", "");
         assert_eq!(refused("lab").replace("'lab'", ""), no_address);

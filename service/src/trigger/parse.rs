@@ -240,7 +240,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_is_kept_and_a_path_is_none() {
+    fn a_name_is_kept_and_a_path_is_changed() {
         for name in ["walk_03", "S01 walk 3", "Läufer.2", "歩く"] {
             let kept = TakeName::of(name).unwrap();
             assert_eq!((kept.text(), kept.was_changed()), (name, false));

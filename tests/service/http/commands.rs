@@ -41,7 +41,7 @@ fn from_idle_to_a_take_and_back() {
 }
 
 #[test]
-fn the_same_request_again_is_not_carried_out_again() {
+fn a_repeated_request_is_not_executed_again() {
     let served = serve();
     let first = post(served.at, "/v1/start", r#"{"request_id": "a-1"}"#);
     let again = ask(served.at, "POST", "/v1/start", &[("idempotency-key", "a-1")], "{}");
@@ -56,7 +56,7 @@ fn the_same_request_again_is_not_carried_out_again() {
 }
 
 #[test]
-fn what_is_no_request_is_refused_in_words() {
+fn invalid_requests_are_refused_with_a_reason() {
     let served = serve();
     let bad = |path: &str, body: &str| post(served.at, path, body).refused(400, "invalid");
     for body in [
@@ -89,7 +89,7 @@ fn what_is_no_request_is_refused_in_words() {
 }
 
 #[test]
-fn wrong_ways_have_their_own_statuses() {
+fn wrong_paths_and_methods_have_their_own_statuses() {
     let served = serve();
     let at = served.at;
     get(at, "/v2/status").refused(404, "not_found");
@@ -138,7 +138,7 @@ fn health_is_bad_when_the_service_has_failed() {
 }
 
 #[test]
-fn too_many_that_wait_are_told_to_come_again() {
+fn requests_that_do_not_fit_into_the_queue_are_refused() {
     let served = serve();
     served.fake.command_ms.store(700, Ordering::Relaxed);
     let at = served.at;

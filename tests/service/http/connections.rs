@@ -27,7 +27,7 @@ fn until_closed(mut stream: &TcpStream) -> (Duration, Vec<u8>) {
 }
 
 #[test]
-fn dozens_that_drip_are_cut_off_and_nobody_waits_for_them() {
+fn slow_senders_are_cut_off_and_delay_nobody() {
     let served = hasty(128);
     let at = served.at;
     std::thread::scope(|scope| {
@@ -64,7 +64,7 @@ fn dozens_that_drip_are_cut_off_and_nobody_waits_for_them() {
 }
 
 #[test]
-fn a_connection_that_says_nothing_is_closed() {
+fn a_silent_connection_is_closed() {
     let served = hasty(8);
     let silent = connect(served.at);
     let (lasted, _) = until_closed(&silent);
@@ -97,7 +97,7 @@ fn a_body_that_does_not_come_is_a_timeout() {
 }
 
 #[test]
-fn one_too_many_is_told_so_and_the_place_is_free_again_afterwards() {
+fn a_connection_too_many_is_refused_and_the_slot_is_free_again_afterwards() {
     let served = hasty(4);
     served.fake.command_ms.store(1000, std::sync::atomic::Ordering::Relaxed);
     let busy: Vec<_> = (0..4)

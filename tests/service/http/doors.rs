@@ -53,7 +53,7 @@ fn the_unix_socket_needs_no_token() {
 }
 
 #[test]
-fn the_end_waits_for_what_is_being_done_and_for_nothing_else() {
+fn stopping_waits_for_running_requests_and_for_nothing_else() {
     let served = serve();
     let at = served.at;
     // Three that would stay for ever.
@@ -75,7 +75,7 @@ fn the_end_waits_for_what_is_being_done_and_for_nothing_else() {
 }
 
 #[test]
-fn the_end_does_not_wait_for_longer_than_it_is_told() {
+fn stopping_waits_no_longer_than_requested() {
     let served = serve();
     let at = served.at;
     served.fake.command_ms.store(3000, Ordering::Relaxed);

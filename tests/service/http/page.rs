@@ -23,7 +23,7 @@ fn rows() -> Vec<(String, String, Vec<String>)> {
     rows.collect()
 }
 
-fn words_in_quotes(text: &str) -> impl Iterator<Item = &str> {
+fn quoted_words(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
@@ -58,7 +58,7 @@ fn the_page_has_every_route_and_its_examples_are_answered() {
         // Fields that the page names are there.
         let one = if answer.is_array() { answer[0].clone() } else { answer };
         let words = cells.iter().filter(|cell| !cell.starts_with("`{"));
-        for word in words.flat_map(|cell| words_in_quotes(cell)) {
+        for word in words.flat_map(|cell| quoted_words(cell)) {
             let is_field = word.chars().all(|c| c.is_ascii_lowercase() || c == '_');
             if is_field && word != "stop" && one.is_object() {
                 assert!(one.get(word).is_some(), "{method} {path} has no {word}: {said}");
@@ -77,7 +77,7 @@ fn the_refusal_on_the_page_is_the_one_that_comes() {
     }
     let page = ask(served.at, "GET", "/metrics", &[], "");
     let metrics = String::from_utf8(page.body).unwrap();
-    for word in words_in_quotes(PAGE).filter(|word| word.starts_with("mocapd_")) {
+    for word in quoted_words(PAGE).filter(|word| word.starts_with("mocapd_")) {
         let name = word.split('{').next().unwrap();
         assert!(metrics.contains(&format!("\n{name}")), "{name}");
     }

@@ -56,7 +56,7 @@ fn a_page_of_another_site_changes_nothing() {
 }
 
 #[test]
-fn without_the_token_there_is_only_the_way_in() {
+fn without_the_token_there_is_only_the_login() {
     let served = guarded();
     let at = served.at;
     let routes = ["/v1/status", "/v1/quality", "/v1/devices", "/openapi.json", "/", "/nothing"];
@@ -134,7 +134,7 @@ fn the_network_is_not_listened_to_without_a_token() {
 }
 
 #[test]
-fn browsers_are_told_to_keep_to_themselves() {
+fn responses_have_security_headers() {
     let served = serve();
     for path in ["/", "/v1/status", "/nothing", "/login"] {
         let answer = get(served.at, path);

@@ -95,7 +95,7 @@ fn quick() -> super::Served {
 }
 
 #[test]
-fn events_come_as_they_happen_and_again_to_who_was_away() {
+fn events_arrive_as_they_happen_and_after_a_reconnection() {
     let served = quick();
     let mark = |text: &str| {
         served.fake.feeds.tell(ServiceEventKind::Mark, text.to_owned(), State::Idle, None);
@@ -129,7 +129,7 @@ fn events_come_as_they_happen_and_again_to_who_was_away() {
 }
 
 #[test]
-fn who_was_away_for_too_long_is_told_how_much_is_gone() {
+fn a_client_that_was_away_for_too_long_learns_how_much_is_lost() {
     let served = quick();
     let mark =
         |n: u64| served.fake.feeds.tell(ServiceEventKind::Mark, n.to_string(), State::Idle, None);

@@ -68,7 +68,7 @@ fn a_take_comes_whole_and_in_pieces() {
 }
 
 #[test]
-fn a_take_that_is_being_written_gives_what_is_durable() {
+fn a_download_of_a_growing_take_has_what_is_durable() {
     let served = serve();
     post(served.at, "/v1/start", r#"{"name": "live"}"#);
     let path = served.folder.path().join("takes/live.take");
@@ -86,7 +86,7 @@ fn a_take_that_is_being_written_gives_what_is_durable() {
 }
 
 #[test]
-fn a_check_tells_what_is_wrong() {
+fn verification_reports_what_is_wrong() {
     let served = with_take("jump");
     let check = |name: &str| post(served.at, &format!("/v1/takes/{name}/verify"), "{}").json();
     let good = check("jump");
@@ -111,7 +111,7 @@ fn a_check_tells_what_is_wrong() {
 }
 
 #[test]
-fn nothing_else_of_the_disk_can_be_had() {
+fn no_other_file_can_be_downloaded() {
     let served = with_take("jump");
     let takes = served.folder.path().join("takes");
     fs::write(served.folder.path().join("secret.take"), "secret").unwrap();
@@ -157,7 +157,7 @@ fn nothing_else_of_the_disk_can_be_had() {
 }
 
 #[test]
-fn a_reader_that_stops_costs_a_place_and_no_memory() {
+fn a_client_that_stops_reading_costs_a_slot_and_no_memory() {
     let options = mocapd_service::http::HttpOptions {
         limits: super::short(),
         connections_max: 8,

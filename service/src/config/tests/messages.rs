@@ -1,4 +1,4 @@
-//! What is refused, with its place, its key, and the facts that help: what was found, and what to write.
+//! Messages about refused configurations: location, key, what was found, and what to write.
 
 use std::collections::HashSet;
 
@@ -18,8 +18,8 @@ fn assert_tells(message: &str, facts: &[&str]) {
     }
 }
 
-/// What is said of the one thing that is wrong with `text`: at this line and column (0 for any), of this key (empty for
-/// what is none).
+/// The message about the only problem of `text`, at this line and column (0 for any), of this key (empty if it is not
+/// about a known key).
 #[track_caller]
 fn refused(text: &str, at: (usize, usize), key: &str, facts: &[&str]) -> String {
     let error = refusal(text);
@@ -41,7 +41,7 @@ fn refused(text: &str, at: (usize, usize), key: &str, facts: &[&str]) -> String 
     message
 }
 
-/// The same of a value of this key: what the key takes is said behind, whatever is wrong, and so the facts stand before.
+/// The message about a value of this key, without the advice that ends every such message: the facts stand before it.
 #[track_caller]
 fn wrong(key: &str, value: &str, at: (usize, usize), facts: &[&str]) -> String {
     let key = KEYS.iter().find(|known| known.path == key).unwrap();
@@ -52,7 +52,7 @@ fn wrong(key: &str, value: &str, at: (usize, usize), facts: &[&str]) -> String {
     before.to_owned()
 }
 
-/// What differs in nothing but its value is told from the others all the same.
+/// The messages differ in more than the values they quote.
 #[track_caller]
 fn differ(messages: &[(String, &str)]) {
     let reasons: HashSet<_> =
@@ -61,7 +61,7 @@ fn differ(messages: &[(String, &str)]) {
 }
 
 #[test]
-fn unknown_keys_tell_the_nearest_one() {
+fn for_unknown_keys_the_nearest_one_is_suggested() {
     refused("[arm]\n pre_rol = '10s'", (2, 2), "", &["'pre_rol'", "[arm]", "'pre_roll'"]);
     refused("[arm]\nPreRoll = '10s'", (2, 1), "", &["'PreRoll'", "'pre_roll'"]);
     refused("[log]\ncolour = 1", (2, 1), "", &["'colour'", "[log]", "level"]);
@@ -72,7 +72,7 @@ fn unknown_keys_tell_the_nearest_one() {
     refused("[studio]", (1, 2), "", &["[studio]", all]);
     refused("device = 'auto'", (1, 1), "", &["\"auto\"", "[device]"]);
     refused("[[device]]\nuri = 'auto'", (1, 0), "", &["[device]"]);
-    // Another program's key, as long as a file: it is shown, but not all of it.
+    // A key as long as a file: only an excerpt is quoted.
     refused(&format!("[arm]\n'{}' = 1", "x".repeat(100_000)), (2, 1), "", &["xxx...'"]);
     refused("[arm]\n\"a\\nb\\u001b\" = 1", (2, 1), "", &["a\\nb\\u{1b}"]);
 }
@@ -116,7 +116,7 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     wrong("device.uri", "'/dev/ttyUSB0'", (2, 0), &["serial:/dev/ttyUSB0"]);
     wrong("rig.name", "'a/b'", (2, 0), &["\"a/b\""]);
     wrong("log.level", "'warning'", (2, 0), &["\"warning\"", "'warn'"]);
-    // More could use up the descriptors that takes need.
+    // More could use up the file descriptors that takes need.
     let of = |value, facts: &[&str]| wrong("http.connections_max", value, (2, 0), facts);
     of("0", &["0"]);
     differ(&[
@@ -153,7 +153,7 @@ fn wrong_addresses_and_paths_say_what_to_write() {
 }
 
 #[test]
-fn what_goes_not_together_is_told_where_it_stands() {
+fn contradictions_are_reported_where_they_are() {
     let with_tolerance = refused(
         "[take]\nlossless = true\ntolerance = '1mm'",
         (3, 13),
@@ -182,7 +182,7 @@ fn what_goes_not_together_is_told_where_it_stands() {
 }
 
 #[test]
-fn broken_toml_says_where_and_nothing_that_follows_from_it() {
+fn syntax_errors_are_located_and_reported_alone() {
     refused("[arm]\npre_roll = 10s\nat_strt = 1", (2, 0), "", &["\"10s\""]);
     refused("[take]\ndirectory = /srv\n", (2, 0), "", &["\"10s\""]);
     let twice = refused("[arm]\npre_roll = '1s'\npre_roll = '2s'", (3, 1), "", &[]);
@@ -193,7 +193,7 @@ fn broken_toml_says_where_and_nothing_that_follows_from_it() {
 }
 
 #[test]
-fn what_is_no_text_or_too_long_is_refused() {
+fn invalid_utf_8_and_files_that_are_too_long_are_refused() {
     let refused = |bytes: &[u8]| {
         let error = Config::parse("x", bytes, &nowhere(), &Overrides::default()).unwrap_err();
         match error {
@@ -217,7 +217,7 @@ fn what_is_no_text_or_too_long_is_refused() {
 }
 
 #[test]
-fn all_that_is_wrong_is_told_at_once_up_to_a_bound() {
+fn all_problems_are_reported_at_once_up_to_a_limit() {
     let three =
         "[arm]\npre_roll = 10\nmemory_max = 'x'\n[log]\nlevel = 'loud'\n[http]\nlisten = ''";
     let error = refusal(three);
@@ -226,7 +226,7 @@ fn all_that_is_wrong_is_told_at_once_up_to_a_bound() {
     let at = |line, column| Place::At { line, column };
     assert_eq!(places, [at(2, 12), at(3, 14), at(5, 9)]);
     assert_eq!(error.lines().len(), 3);
-    // On one line it is the first, how many more there are, and what lists them.
+    // The one-line form has the first problem, the number of the others, and the command that lists them.
     let message = error.to_string();
     let behind = message.strip_prefix(&error.lines()[0]).unwrap();
     assert!(behind.contains('2') && behind.contains("`mocapd config check`"), "{message}");
@@ -241,7 +241,7 @@ fn all_that_is_wrong_is_told_at_once_up_to_a_bound() {
 }
 
 #[test]
-fn a_file_name_that_is_no_rigs_asks_for_one() {
+fn a_file_name_that_is_no_rig_name_asks_for_one() {
     let surroundings = Surroundings { file_stem: Some("my rig".to_owned()), ..nowhere() };
     let parse = |text: &str| {
         Config::parse("my rig.toml", text.as_bytes(), &surroundings, &Overrides::default())
@@ -255,13 +255,13 @@ fn a_file_name_that_is_no_rigs_asks_for_one() {
 }
 
 #[test]
-fn a_file_that_is_not_there_says_how_to_write_one() {
+fn a_missing_file_explains_how_to_write_one() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("left.toml");
     let error = Config::load(&file, &Overrides::default()).unwrap_err();
     assert!(matches!(error, ConfigError::NotFound(_)));
-    let words = format!("`mocapd config example > {}`", file.display());
-    assert!(error.to_string().contains(&words), "{error}");
+    let command = format!("`mocapd config example > {}`", file.display());
+    assert!(error.to_string().contains(&command), "{error}");
     assert!(matches!(
         Config::load(dir.path(), &Overrides::default()),
         Err(ConfigError::Unreadable { .. })

@@ -110,7 +110,7 @@ fn every_key_is_read() {
 }
 
 #[test]
-fn what_is_written_out_is_the_same_again() {
+fn a_written_configuration_is_parsed_to_the_same() {
     for text in ["", EVERYTHING, "[take]\nlossless = true", "[device]\nrate_hz = 240"] {
         let config = parse(text).unwrap();
         let again = parse(&config.to_toml()).unwrap();

@@ -11,7 +11,7 @@ fn blocks(kind: &str) -> Vec<&'static str> {
 }
 
 #[test]
-fn what_is_heard() {
+fn examples_of_received_triggers() {
     let (heard, notes) = (blocks("xml heard"), blocks("text note"));
     assert_eq!((heard.len(), notes.len()), (3, 3));
     for (text, note) in heard.iter().zip(notes) {
@@ -21,7 +21,7 @@ fn what_is_heard() {
 }
 
 #[test]
-fn what_is_sent() {
+fn examples_of_sent_triggers() {
     let mut announcer = Announcer::new("left", 0x0123_4567_89ab_cdef, first_packet_id(43_215));
     let name = TakeName::of("walk_03").unwrap();
     let sent = [

@@ -157,7 +157,7 @@ fn repeats_do_nothing() {
 }
 
 #[test]
-fn what_is_remembered_is_bounded() {
+fn memory_of_repeats_is_bounded() {
     let mut seen = listener::RecentTriggers::default();
     let mut repeat = |from: u32, id: u64, at_s| {
         let from = IpAddr::V4(from.into());
