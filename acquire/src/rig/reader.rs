@@ -74,7 +74,7 @@ const LATENCY_INTERVAL_NS: u64 = 1_000_000_000;
 /// A device that keeps stalling must fill neither the take nor the screen.
 const STALLS_REPORTED_MAX: u32 = 32;
 
-/// Notes of the driver kept from one read, for the same reason.
+/// Notes of the driver kept from one read: a driver with many notes must fill neither the take nor the screen.
 const NOTES_MAX: usize = 8;
 
 impl Rig {
