@@ -18,7 +18,7 @@ use crate::{
     pipeline::{
         NewTake, NothingRecorded, Pipeline, Progress, TakeFailed, TakeOutput, Written, check_room,
     },
-    rig::{ReadOptions, Recording, Rig},
+    rig::{ReadOptions, ReaderOutcome, Rig},
     setting::Setting,
 };
 
@@ -53,7 +53,7 @@ pub struct Recorded {
     /// What is on disk.
     pub written: Written,
     /// What the reader counted.
-    pub recording: Recording,
+    pub recording: ReaderOutcome,
     /// Where the take file is now.
     pub file: Settled,
     /// Rows per second.

@@ -15,7 +15,7 @@ mod prober;
 mod tests;
 
 pub use fit::{Bound, Burst, Line, fit};
-pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, Store};
+pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, StoreItem};
 pub use observations::{Apart, LineRefit};
 pub use prober::Prober;
 

@@ -21,7 +21,7 @@ pub enum ClockItem {
 }
 
 /// Stores an item in the take. Returns `false` when it cannot, and then the line is not fitted to the item either.
-pub type Store<'a> = dyn FnMut(ClockItem) -> bool + 'a;
+pub type StoreItem<'a> = dyn FnMut(ClockItem) -> bool + 'a;
 
 /// A discontinuity of the device's clock: a new segment begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,7 +118,7 @@ impl ClockModel {
         &mut self,
         ticks: u64,
         arrival_ns: u64,
-        store: &mut Store<'_>,
+        store: &mut StoreItem<'_>,
     ) -> Option<ClockEvent> {
         let host_us = arrival_ns.div_ceil(1000);
         let before = self.last;
@@ -157,7 +157,7 @@ impl ClockModel {
         ticks: u64,
         sent_ns: u64,
         answered_ns: u64,
-        store: &mut Store<'_>,
+        store: &mut StoreItem<'_>,
     ) -> Option<ClockEvent> {
         let sent_us = sent_ns / 1000;
         let answered_us = answered_ns.div_ceil(1000);
@@ -190,13 +190,13 @@ impl ClockModel {
     }
 
     /// Fits the line to all observations, at the end of a recording.
-    pub fn close(&mut self, store: &mut Store<'_>) {
+    pub fn close(&mut self, store: &mut StoreItem<'_>) {
         if let Some(closed) = self.arrivals.close() {
             self.keep(closed, store);
         }
     }
 
-    fn keep(&mut self, point: ClockPoint, store: &mut Store<'_>) {
+    fn keep(&mut self, point: ClockPoint, store: &mut StoreItem<'_>) {
         if store(ClockItem::Point(self.segment, point)) {
             self.points += 1;
             self.arrivals.keep(point);
@@ -269,13 +269,13 @@ impl ClockModel {
 
     /// Starts a new segment after the device was disconnected: its clock may or may not have continued, and its line to
     /// the host may be another.
-    pub fn rejoin(&mut self, store: &mut Store<'_>) {
+    pub fn rejoin(&mut self, store: &mut StoreItem<'_>) {
         self.restart(store);
         self.last = None;
     }
 
     /// Starts a new segment. What is known of the old one is in the take.
-    fn restart(&mut self, store: &mut Store<'_>) {
+    fn restart(&mut self, store: &mut StoreItem<'_>) {
         // A clock that jumps with every frame leaves nothing worth storing.
         if self.line.is_some() {
             self.close(store);

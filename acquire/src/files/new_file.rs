@@ -218,11 +218,11 @@ const SYNC_STEP_BYTES: u64 = 32 << 20;
 #[derive(Debug, Default)]
 struct BackgroundSync {
     unsynced_bytes: u64,
-    syncer: Option<Syncer>,
+    syncer: Option<SyncThread>,
 }
 
 #[derive(Debug)]
-struct Syncer {
+struct SyncThread {
     wake: Sender<()>,
     thread: JoinHandle<io::Result<()>>,
 }
@@ -255,20 +255,20 @@ impl BackgroundSync {
     /// # Errors
     /// The error of any sync.
     fn finish(&mut self) -> io::Result<()> {
-        let Some(Syncer { wake, thread }) = self.syncer.take() else { return Ok(()) };
+        let Some(SyncThread { wake, thread }) = self.syncer.take() else { return Ok(()) };
         drop(wake);
         threads::join(thread).map_err(io::Error::other)?
     }
 }
 
 /// Starts the thread; `None` if the system provides no thread or no second handle.
-fn start(file: &File) -> Option<Syncer> {
+fn start(file: &File) -> Option<SyncThread> {
     let file = file.try_clone().ok()?;
     // One queued wake-up is enough.
     let (wake, wakes) = bounded(1);
     let sync = move || wakes.iter().try_for_each(|()| sync(&file));
     let thread = threads::spawn("mocapd-sync", sync).ok()?;
-    Some(Syncer { wake, thread })
+    Some(SyncThread { wake, thread })
 }
 
 /// Syncs the data and drops it from the page cache: a file of gigabytes would take that memory from other programs, and

@@ -227,11 +227,11 @@ impl Counts {
         if self.counter_jumps > 0 {
             contradictions.push(format!(
                 "the device's frame counter jumped {} in a way that no loss explains",
-                times(self.counter_jumps)
+                count_text(self.counter_jumps)
             ));
         }
         if self.clock_jumps > 0 {
-            let times = times(self.clock_jumps);
+            let times = count_text(self.clock_jumps);
             contradictions.push(format!("the device's clock went back {times}"));
         }
         if self.events_dropped > 0 {
@@ -267,6 +267,6 @@ impl Counts {
     }
 }
 
-fn times(n: u64) -> String {
+fn count_text(n: u64) -> String {
     if n == 1 { "once".to_owned() } else { format!("{n} times") }
 }

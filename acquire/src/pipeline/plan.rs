@@ -92,7 +92,7 @@ impl PipelineConfig {
 
     /// Times that differ from the defaults, as name and value for the take's header.
     #[must_use]
-    pub fn chosen(&self) -> Vec<(String, String)> {
+    pub fn custom_times(&self) -> Vec<(String, String)> {
         let times = [("stretch", self.stretch, STRETCH), ("sync", self.sync_every, SYNC_EVERY)];
         let other = times.into_iter().filter(|(_, time, usual)| time != usual);
         other.map(|(name, time, _)| (name.to_owned(), format!("{time:?}"))).collect()

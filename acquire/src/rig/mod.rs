@@ -17,7 +17,7 @@ use mocapd_take::{
     motion::UpAxis,
     record::{Channel, Device, Header},
 };
-pub use reader::{ReadOptions, Recording};
+pub use reader::{ReadOptions, ReaderOutcome};
 
 use crate::{
     header,
@@ -168,7 +168,7 @@ impl Rig {
             device: Some(device),
             channels: config.channels.clone(),
             stretch_rows: config.stretch_rows(),
-            settings: config.chosen(),
+            settings: config.custom_times(),
             ..header::new(&config.codec, config.rate_hz)?
         })
     }

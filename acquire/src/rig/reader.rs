@@ -57,7 +57,7 @@ pub struct ReadOptions<'a> {
 
 /// The reader's results.
 #[derive(Debug, Clone)]
-pub struct Recording {
+pub struct ReaderOutcome {
     /// Why the reading ended; [`CutOff`](EndingKind::CutOff) when the take could not be written any further.
     pub ending: EndingKind,
     /// The final counters.
@@ -86,7 +86,7 @@ impl Rig {
         mut self,
         mut intake: Intake,
         options: &ReadOptions<'_>,
-    ) -> anyhow::Result<Recording> {
+    ) -> anyhow::Result<ReaderOutcome> {
         let mut reader = Reader {
             intake: &mut intake,
             latency: Latency::default(),
@@ -111,7 +111,7 @@ impl Rig {
             Err(error) => TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
         });
         let counts = intake.finish();
-        Ok(Recording { ending: outcome?, counts, ring_latency: latency, outages })
+        Ok(ReaderOutcome { ending: outcome?, counts, ring_latency: latency, outages })
     }
 
     fn read_frames(

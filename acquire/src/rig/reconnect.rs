@@ -22,7 +22,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 const REPORT_AFTER: Duration = Duration::from_secs(1);
 
 /// The result of an attempt to reconnect.
-enum Attempt {
+enum ReconnectAttempt {
     Back,
     /// It is not there, or may not be opened.
     Absent(String),
@@ -64,7 +64,7 @@ impl Rig {
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> bool {
         // Closed before anything else: an open port keeps its name from the device that comes back.
-        self.transport = Box::new(Unplugged);
+        self.transport = Box::new(UnpluggedTransport);
         if self.replug_timeout.is_zero() || is_over(reader) {
             return false;
         }
@@ -86,16 +86,16 @@ impl Rig {
                 is_over(reader) || monotonic_ns() > give_up_ns
             };
             let wait = match self.attempt(reader, options, &cancel) {
-                Attempt::Back => {
+                ReconnectAttempt::Back => {
                     // The first frame shows how long it was away.
                     (options.say)("the device is back");
                     return true;
                 }
-                Attempt::Absent(message) => {
+                ReconnectAttempt::Absent(message) => {
                     obstacle.update(message, options.say);
                     POLL_INTERVAL
                 }
-                Attempt::Failed(message) => {
+                ReconnectAttempt::Failed(message) => {
                     obstacle.update(message, options.say);
                     RETRY_INTERVAL
                 }
@@ -112,7 +112,7 @@ impl Rig {
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         cancel: &dyn Fn(&Reader<'_>) -> bool,
-    ) -> Attempt {
+    ) -> ReconnectAttempt {
         match registry::open_again(&self.uri, &self.identity) {
             Ok(line) => {
                 let line = match &self.raw_log {
@@ -121,13 +121,13 @@ impl Rig {
                 };
                 self.transport = self.protocol.attach(line);
             }
-            Err(error) => return Attempt::Absent(error.to_string()),
+            Err(error) => return ReconnectAttempt::Absent(error.to_string()),
         }
         match self.rejoin(reader, options, cancel) {
-            Ok(()) => Attempt::Back,
+            Ok(()) => ReconnectAttempt::Back,
             Err(error) => {
-                self.transport = Box::new(Unplugged);
-                Attempt::Failed(setting::words(&error, options.how_to_set))
+                self.transport = Box::new(UnpluggedTransport);
+                ReconnectAttempt::Failed(setting::words(&error, options.how_to_set))
             }
         }
     }
@@ -162,20 +162,20 @@ impl Rig {
 
 /// The transport while no device is attached.
 #[derive(Debug)]
-struct Unplugged;
+struct UnpluggedTransport;
 
-impl Unplugged {
-    fn gone() -> TransportError {
+impl UnpluggedTransport {
+    fn error() -> TransportError {
         TransportError::Disconnected { device: "the device".to_owned() }
     }
 }
 
-impl Transport for Unplugged {
+impl Transport for UnpluggedTransport {
     fn read(&mut self, _buf: &mut [u8]) -> Result<usize, TransportError> {
-        Err(Self::gone())
+        Err(Self::error())
     }
 
     fn write_all(&mut self, _bytes: &[u8]) -> Result<(), TransportError> {
-        Err(Self::gone())
+        Err(Self::error())
     }
 }

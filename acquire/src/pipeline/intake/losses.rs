@@ -119,7 +119,7 @@ impl SilenceMonitor {
     }
 
     /// The length of the silence in seconds, if it is long enough for an event.
-    pub(super) fn lasts(&mut self, now_ns: u64) -> Option<f64> {
+    pub(super) fn long_silence_s(&mut self, now_ns: u64) -> Option<f64> {
         let silent_ns = self.until_ns(now_ns);
         if silent_ns < self.longest_ns || self.n_events == EVENTS_MAX {
             return None;
@@ -129,7 +129,7 @@ impl SilenceMonitor {
     }
 
     fn frame(&mut self, arrival_ns: u64) -> Option<f64> {
-        let lasted = self.lasts(arrival_ns);
+        let lasted = self.long_silence_s(arrival_ns);
         self.last_arrival_ns = Some(arrival_ns);
         lasted
     }
@@ -151,7 +151,7 @@ impl Intake {
         let until_ns = self.due_until_ns.map_or(now_ns, |due_ns| due_ns.min(now_ns));
         let silent_ns = if self.is_away {
             self.silence.until_ns(until_ns)
-        } else if let Some(silent_s) = self.silence.lasts(until_ns) {
+        } else if let Some(silent_s) = self.silence.long_silence_s(until_ns) {
             self.silence_event(silent_s, 0, until_ns);
             self.silence.unaccounted_ns(until_ns)
         } else {
