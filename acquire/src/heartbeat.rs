@@ -86,7 +86,7 @@ impl Default for Heartbeat {
 }
 
 impl Heartbeat {
-    /// Registers the calling thread. It counts as working from now on; dropping the handle removes it.
+    /// Registers a thread of this role. It counts as working from now on; dropping the handle removes it.
     ///
     /// # Errors
     /// When more threads register than there are slots.
