@@ -213,9 +213,7 @@ impl Format {
             left_out.push(format!("the up axis ({axis})"));
         }
         let events = info.events.len().saturating_sub(self.capabilities().events_max);
-        if events > 0 {
-            left_out.push(counted(events as u64, "event"));
-        }
+        left_out.extend((events > 0).then(|| counted(events as u64, "event")));
         left_out
     }
 

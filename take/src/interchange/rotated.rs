@@ -38,10 +38,9 @@ impl<'a> Turned<'a> {
     /// Kinds of the foreign parts that keep their old axes although they may hold vectors in space: model outputs.
     #[must_use]
     pub fn not_turned(&self) -> Vec<String> {
-        let is_rotated = !self.rotation.is_identity();
-        let parts = self.info.foreign.iter();
-        let outputs = parts.filter(|part| is_rotated && part.kind == c3d::MODEL_OUTPUTS);
-        outputs.map(|part| part.kind.clone()).collect()
+        let kept = self.info.foreign.iter().filter(|part| part.kind == c3d::MODEL_OUTPUTS);
+        let kept = kept.filter(|_| !self.rotation.is_identity());
+        kept.map(|part| part.kind.clone()).collect()
     }
 }
 

@@ -119,8 +119,7 @@ impl RowTiming {
             ));
             return RowPlacement { rate_hz, ..RowPlacement::default() };
         }
-        let frames = counted(missing, "frame");
-        warnings.push(format!("Without a row in the file, read as gaps: {frames}."));
+        warnings.push(format!("Without a row, read as gaps: {}.", counted(missing, "frame")));
         let missing_before = std::iter::once(0).chain(steps.iter().map(|step| step - 1)).collect();
         RowPlacement { rate_hz, missing_before }
     }

@@ -23,8 +23,7 @@ pub(super) fn rate_of_one_frame(warnings: &mut Vec<String>) -> f64 {
 /// Warns of samples that became gaps because their cells are not numbers.
 pub(super) fn report_damaged(n: usize, warnings: &mut Vec<String>) {
     if n > 0 {
-        let samples = counted(n as u64, "sample");
-        warnings.push(format!("Cells that are not numbers, read as missing: {samples}."));
+        warnings.push(format!("Not a number, read as missing: {}.", counted(n as u64, "sample")));
     }
 }
 

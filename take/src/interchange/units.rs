@@ -293,8 +293,7 @@ impl ToMillimetres {
     pub(super) fn report(&self, warnings: &mut Vec<String>) {
         let n = self.not_finite.get();
         if n > 0 {
-            let samples = counted(n as u64, "sample");
-            warnings.push(format!("Not finite, read as missing: {samples}."));
+            warnings.push(format!("Not finite, read as missing: {}.", counted(n as u64, "sample")));
         }
     }
 }

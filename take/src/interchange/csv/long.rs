@@ -67,11 +67,7 @@ pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> R
     };
     let rate_hz = match data.rate_hz() {
         _ if first == last => rate_of_one_frame(&mut notes.warnings),
-        Some(rate_hz) => rate_hz,
-        None => {
-            let message = "no rate: expected times that increase with the frame numbers";
-            return Err(malformed(header_line, message));
-        }
+        rate_hz => rate_hz.ok_or_else(|| malformed(header_line, "no rate: times must increase"))?,
     };
     let mut positions_mm = vec![GAP; total];
     for (frame, column, position) in data.samples {
