@@ -23,7 +23,7 @@ const RATE_DIGITS_MAX: i32 = 6;
 /// The frame numbers and times of the rows read so far.
 #[derive(Debug, Default)]
 pub(super) struct RowTiming {
-    n_lines: usize,
+    n_rows: usize,
     numbers: Vec<u64>,
     times: Vec<f64>,
     rounding: Rounding,
@@ -77,7 +77,7 @@ pub(super) struct RowPlacement {
 impl RowTiming {
     /// Adds a row by its cells for frame number and time; either may be empty.
     pub(super) fn push(&mut self, number: &[u8], time: &[u8]) {
-        self.n_lines += 1;
+        self.n_rows += 1;
         self.numbers.extend(text::whole_number(number));
         if let Some(seconds) = text::number(time).filter(|seconds| seconds.is_finite()) {
             self.times.push(seconds);
@@ -112,7 +112,7 @@ impl RowTiming {
         if missing == 0 {
             return RowPlacement { rate_hz, ..RowPlacement::default() };
         }
-        if missing.saturating_add(self.n_lines as u64) > frames_max as u64 {
+        if missing.saturating_add(self.n_rows as u64) > frames_max as u64 {
             warnings.push(format!(
                 "Frame numbers and times skip {}, too many for a file of this size; they were ignored.",
                 counted(missing, "frame")
@@ -127,7 +127,7 @@ impl RowTiming {
     /// Steps in frames from each row to the next, from the frame numbers; `None` if they do not rise. In a file with
     /// every n-th frame only, those are the frames.
     fn steps_by_number(&self, warnings: &mut Vec<String>) -> Option<Vec<u64>> {
-        if self.numbers.len() != self.n_lines || self.n_lines < 2 {
+        if self.numbers.len() != self.n_rows || self.n_rows < 2 {
             return None;
         }
         let falls = self.numbers.array_windows().filter(|[a, b]| b <= a).count();
@@ -157,7 +157,7 @@ impl RowTiming {
         by_number: Option<&[u64]>,
         warnings: &mut Vec<String>,
     ) -> Option<Vec<u64>> {
-        if self.times.len() != self.n_lines || self.n_lines < 2 {
+        if self.times.len() != self.n_rows || self.n_rows < 2 {
             return None;
         }
         let intervals: Vec<f64> = self.times.array_windows().map(|[a, b]| b - a).collect();
