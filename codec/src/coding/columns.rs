@@ -9,12 +9,12 @@
 //! its widest member: one byte of width (0 to 64), then `len * width` bits, least significant bit first.
 
 use super::bytes::{Bytes, varint_len, write_varint};
-use crate::{CodecError, DecodedRows, Result, Rows, ensure};
+use crate::{CodecError, DecodedRows, Position, Result, Rows, ensure};
 
 /// The last bit patterns of a channel, by axis.
 pub(crate) type Histories = [History; 3];
 
-/// Memory for the samples of one channel of one block.
+/// Memory for the samples of one channel of one block; when they are written, behind the last [`MAX_ORDER`] before them.
 #[derive(Debug, Default)]
 pub(crate) struct Raw {
     columns: [Vec<i64>; 3],
@@ -42,17 +42,23 @@ impl Raw {
     /// Room for so many samples.
     pub(crate) fn reserve(&mut self, n_rows: usize) {
         for column in &mut self.columns {
-            column.reserve(n_rows.saturating_sub(column.len()));
+            column.reserve((MAX_ORDER + n_rows).saturating_sub(column.len()));
         }
     }
 
     /// Appends a channel's samples, as differences from what was written with this history before.
     pub(crate) fn write(&mut self, rows: Rows<'_>, history: &mut Histories, out: &mut Vec<u8>) {
-        for (axis, column) in self.columns.iter_mut().enumerate() {
+        let all_present = rows.present().iter().all(|&present| present);
+        for (axis, (column, history)) in self.columns.iter_mut().zip(&*history).enumerate() {
             column.clear();
-            let samples =
-                rows.positions().iter().zip(rows.present()).filter(|(_, present)| **present);
-            column.extend(samples.map(|(position, _)| to_ordered(position[axis])));
+            column.extend([history.before, history.last]);
+            let value = |position: &Position| to_ordered(position[axis]);
+            if all_present {
+                column.extend(rows.positions().iter().map(value));
+            } else {
+                let samples = rows.positions().iter().zip(rows.present());
+                column.extend(samples.filter(|(_, present)| **present).map(|(at, _)| value(at)));
+            }
         }
         let orders: [usize; 3] =
             std::array::from_fn(|axis| smallest_order(&self.columns[axis], history[axis]));
@@ -109,11 +115,7 @@ impl History {
 
     /// Prediction of the next value; `order` must not be above what is known.
     fn predict(&self, order: usize) -> i64 {
-        match order {
-            0 => 0,
-            1 => self.last,
-            _ => self.last.wrapping_mul(2).wrapping_sub(self.before),
-        }
+        predict(self.before, self.last, order)
     }
 
     /// The code of the next value.
@@ -136,37 +138,52 @@ impl History {
     }
 }
 
+fn predict(before: i64, last: i64, order: usize) -> i64 {
+    match order {
+        0 => 0,
+        1 => last,
+        _ => last.wrapping_mul(2).wrapping_sub(before),
+    }
+}
+
 /// The lowest of equals, because it suffers least from a gap.
 fn smallest_order(column: &[i64], history: History) -> usize {
     let bytes = column_bytes(column, history);
     (0..=MAX_ORDER).min_by_key(|&order| bytes[order]).unwrap_or(0)
 }
 
+/// Groups of successive values, each with the [`MAX_ORDER`] values before it.
+fn groups(column: &[i64]) -> impl Iterator<Item = &[i64]> {
+    let n_values = column.len() - MAX_ORDER;
+    let starts = (0..n_values).step_by(GROUP_LEN);
+    starts.map(move |at| &column[at..MAX_ORDER + n_values.min(at + GROUP_LEN)])
+}
+
 /// Bytes that [`write_column`] appends with each order.
-fn column_bytes(column: &[i64], mut history: History) -> [usize; MAX_ORDER + 1] {
+fn column_bytes(column: &[i64], history: History) -> [usize; MAX_ORDER + 1] {
     if history.known < MAX_ORDER {
         return std::array::from_fn(|order| first_column_bytes(column, history, order));
     }
     // Groups begin at the same values whatever the order is: one walk serves all.
     let mut bytes = [0; MAX_ORDER + 1];
-    for group in column.chunks(GROUP_LEN) {
+    for group in groups(column) {
         let mut unions = [0; MAX_ORDER + 1];
-        for &value in group {
+        for &[before, last, value] in group.array_windows() {
             for (order, union) in unions.iter_mut().enumerate() {
-                *union |= zigzag(value.wrapping_sub(history.predict(order)));
+                *union |= zigzag(value.wrapping_sub(predict(before, last, order)));
             }
-            history.push(value);
         }
         for (bytes, union) in bytes.iter_mut().zip(unions) {
-            *bytes += group_bytes(group.len(), width_of(union));
+            *bytes += group_bytes(group.len() - MAX_ORDER, width_of(union));
         }
     }
     bytes
 }
 
-/// The same while fewer earlier values are known than an order asks for.
+/// Bytes with one order while fewer earlier values are known than an order asks for.
 fn first_column_bytes(column: &[i64], mut history: History, order: usize) -> usize {
-    let (first, rest) = column.split_at(history.first_values(order, column.len()));
+    let n_first = history.first_values(order, column.len() - MAX_ORDER);
+    let (first, rest) = column[MAX_ORDER..].split_at(n_first);
     let mut size = 0;
     for &value in first {
         size += varint_len(history.code(value, order.min(history.known)));
@@ -179,18 +196,22 @@ fn first_column_bytes(column: &[i64], mut history: History, order: usize) -> usi
 }
 
 fn write_column(column: &[i64], history: &mut History, order: usize, out: &mut Vec<u8>) {
-    let (first, rest) = column.split_at(history.first_values(order, column.len()));
-    for &value in first {
+    let n_first = history.first_values(order, column.len() - MAX_ORDER);
+    for &value in &column[MAX_ORDER..MAX_ORDER + n_first] {
         write_varint(history.code(value, order.min(history.known)), out);
     }
-    for group in rest.chunks(GROUP_LEN) {
+    for group in groups(&column[n_first..]) {
         let mut codes = [0; GROUP_LEN];
         let mut union = 0;
-        for (code, &value) in codes.iter_mut().zip(group) {
-            *code = history.code(value, order);
+        for (code, &[before, last, value]) in codes.iter_mut().zip(group.array_windows()) {
+            *code = zigzag(value.wrapping_sub(predict(before, last, order)));
             union |= *code;
         }
-        pack(&codes[..group.len()], width_of(union), out);
+        pack(&codes[..group.len() - MAX_ORDER], width_of(union), out);
+    }
+    if let [.., before, last] = *column {
+        let known = (history.known + column.len() - MAX_ORDER).min(MAX_ORDER);
+        *history = History { last, before, known };
     }
 }
 
@@ -209,7 +230,11 @@ fn read_column(
         let mut codes = [0; GROUP_LEN];
         let codes = &mut codes[..GROUP_LEN.min(n - column.len())];
         unpack(input, codes)?;
-        column.extend(codes.iter().map(|&code| history.value(code, order)));
+        match order {
+            0 => column.extend(codes.iter().map(|&code| history.value(code, 0))),
+            1 => column.extend(codes.iter().map(|&code| history.value(code, 1))),
+            _ => column.extend(codes.iter().map(|&code| history.value(code, MAX_ORDER))),
+        }
     }
     Ok(())
 }
