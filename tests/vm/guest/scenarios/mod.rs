@@ -1,4 +1,4 @@
-//! What is tried, in this order.
+//! The USB scenarios, in order.
 
 mod access;
 mod bad;
@@ -38,5 +38,5 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("speed: the whole pipeline", speed::pipeline),
 ];
 
-/// Run by name alone.
+/// Scenarios that run only when named.
 pub(crate) const LONG: &[(&str, Scenario)] = &[("speed: the heaviest load", speed::heaviest_load)];

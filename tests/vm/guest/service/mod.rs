@@ -10,7 +10,7 @@ use crate::Scenario;
 
 pub(crate) use rig::prepare;
 
-/// In this order: the first installs what the others use, the last removes it.
+/// The order matters: the first installs the package, the last removes it.
 pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("package: installs, and makes user and folders", package::installs),
     ("package: units are sound and shut in", package::units),

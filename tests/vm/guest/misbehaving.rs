@@ -1,4 +1,4 @@
-//! Devices that misbehave.
+//! Misbehaving devices.
 
 use std::{
     io,
@@ -20,18 +20,18 @@ use mocapd_simulator::{
 
 use crate::attached::wait_for_usb;
 
-/// How soon a device's thread sees that it is to end.
-const NAP: Duration = Duration::from_millis(20);
+/// How often a device's thread checks whether to stop.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// A device on a thread of its own, until it is dropped.
-pub(crate) struct Odd {
+/// A device on its own thread, until it is dropped.
+pub(crate) struct MisbehavingDevice {
     pub(crate) uri: String,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<anyhow::Result<()>>>,
 }
 
-impl Odd {
-    /// Plugs in a device that does what `behave` does.
+impl MisbehavingDevice {
+    /// Plugs in a device with this behaviour.
     pub(crate) fn start(
         serial: &str,
         behave: impl FnOnce(Bulk, &AtomicBool) -> anyhow::Result<()> + Send + 'static,
@@ -45,7 +45,7 @@ impl Odd {
         Ok(Self { uri: format!("usb:1209:0001:{serial}"), stop, thread: Some(thread) })
     }
 
-    /// Ends it, and gives what went wrong in it.
+    /// Stops the device, and returns its error.
     pub(crate) fn stop(mut self) -> anyhow::Result<()> {
         self.stop.store(true, Ordering::Relaxed);
         let thread = self.thread.take().map(JoinHandle::join);
@@ -53,23 +53,23 @@ impl Odd {
     }
 }
 
-impl Drop for Odd {
+impl Drop for MisbehavingDevice {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.take().map(|thread| thread.join().ok());
     }
 }
 
-/// It takes commands, and never says a word.
-pub(crate) fn mute(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
+/// Takes commands, and sends nothing.
+pub(crate) fn silent(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     while !stop.load(Ordering::Relaxed) {
-        line.wait(NAP)?;
+        line.wait(POLL_INTERVAL)?;
         line.read(&mut [0; 4096])?;
     }
     Ok(())
 }
 
-/// It takes commands, and sends bytes that mean nothing as fast as they are taken.
+/// Takes commands, and sends random bytes as fast as they are taken.
 pub(crate) fn garbage(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     let mut state: u64 = 1;
     let mut bytes = vec![0; 64 << 10];
@@ -82,38 +82,38 @@ pub(crate) fn garbage(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     while !stop.load(Ordering::Relaxed) {
         line.read(&mut [0; 4096])?;
         if line.write(&bytes)? == 0 {
-            line.wait_for_room(NAP)?;
+            line.wait_for_room(POLL_INTERVAL)?;
         }
     }
     Ok(())
 }
 
-/// It does not even take commands.
-pub(crate) fn deaf(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
-    pour(&mut line, &[0x55; 4096], stop)
+/// Takes no commands, and sends random bytes.
+pub(crate) fn ignores_commands(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
+    send_forever(&mut line, &[0x55; 4096], stop)
 }
 
-/// It sends the same bytes over and over.
-pub(crate) fn pour(line: &mut Bulk, bytes: &[u8], stop: &AtomicBool) -> anyhow::Result<()> {
+/// Sends the same bytes over and over.
+pub(crate) fn send_forever(line: &mut Bulk, bytes: &[u8], stop: &AtomicBool) -> anyhow::Result<()> {
     while !stop.load(Ordering::Relaxed) {
         if line.write(bytes)? == 0 {
-            line.wait_for_room(NAP)?;
+            line.wait_for_room(POLL_INTERVAL)?;
         }
     }
     Ok(())
 }
 
-/// A device like any other, on a line that does `fault` before each write.
-pub(crate) fn served(
+/// Serves a normal device on a line that calls `fault` before each write and delays commands by `late`.
+pub(crate) fn serve_with_fault(
     line: Bulk,
     stop: &AtomicBool,
-    late: Duration,
+    delay: Duration,
     fault: impl FnMut(&mut Bulk, u64) -> io::Result<()>,
 ) -> anyhow::Result<()> {
     let spec = JumpSpec { seconds: Some(4.0), ..JumpSpec::new(5, 120.0) };
     let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
     let mut device = Device::new(spec.generate()?.motion, settings)?;
-    let mut line = Faulty { line, fault, writes: 0, late, heard: Vec::new() };
+    let mut line = Faulty { line, fault, writes: 0, delay, received: Vec::new() };
     serve(&mut line, &mut device, ServeOptions::default(), stop)?;
     Ok(())
 }
@@ -122,9 +122,9 @@ struct Faulty<F> {
     line: Bulk,
     fault: F,
     writes: u64,
-    /// How long commands lie before the device sees them.
-    late: Duration,
-    heard: Vec<(Instant, Vec<u8>)>,
+    /// Time until the device sees a command.
+    delay: Duration,
+    received: Vec<(Instant, Vec<u8>)>,
 }
 
 impl<F: FnMut(&mut Bulk, u64) -> io::Result<()>> Line for Faulty<F> {
@@ -142,13 +142,13 @@ impl<F: FnMut(&mut Bulk, u64) -> io::Result<()>> Line for Faulty<F> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.line.read(buffer)?;
         if n > 0 {
-            self.heard.push((Instant::now(), buffer.get(..n).unwrap_or_default().to_vec()));
+            self.received.push((Instant::now(), buffer.get(..n).unwrap_or_default().to_vec()));
         }
-        let is_due = |(at, _): &(Instant, Vec<u8>)| at.elapsed() >= self.late;
-        if !self.heard.first().is_some_and(is_due) {
+        let is_due = |(at, _): &(Instant, Vec<u8>)| at.elapsed() >= self.delay;
+        if !self.received.first().is_some_and(is_due) {
             return Ok(0);
         }
-        let (_, bytes) = self.heard.remove(0);
+        let (_, bytes) = self.received.remove(0);
         let to = buffer.iter_mut().zip(&bytes);
         Ok(to.map(|(to, from)| *to = *from).count())
     }
