@@ -76,7 +76,7 @@ pub(crate) fn run_abandonable<T: Send + 'static>(
     found?.map_err(|failure| failure.into_py_err(py, None))
 }
 
-fn caught<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+fn catch_panic<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or(Err(Failure::Internal))
 }
 
