@@ -215,7 +215,7 @@ impl TakeFile {
 
     /// Counts samples, gaps and knots of the requested columns over the whole take. Returns [`ScanOut`], and the
     /// problems of decoding as text.
-    fn survey<'py>(
+    fn scan<'py>(
         &self,
         py: Python<'py>,
         columns: Vec<usize>,
