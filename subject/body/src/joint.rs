@@ -42,7 +42,7 @@ pub enum Joint {
     Ankle(Side),
 }
 
-/// Where a joint is.
+/// The estimated position of a joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// x, y, z in the mesh's frame and unit.
@@ -64,7 +64,7 @@ pub struct Joints {
 }
 
 impl Joints {
-    /// Where a joint is.
+    /// The position of a joint.
     pub(crate) fn point(&self, joint: Joint) -> Option<Point> {
         self.estimates.get(&joint).map(|estimate| estimate.position.into())
     }

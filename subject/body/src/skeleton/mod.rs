@@ -77,7 +77,7 @@ pub fn joint_from_name(name: &str) -> Option<Joint> {
     JOINTS.iter().find(|(_, other)| *other == name).map(|(joint, _)| *joint)
 }
 
-/// The same bone of the other side. Left and right bones are stored in the same order.
+/// The corresponding bone of the other side. Left and right bones are stored in the same order.
 fn twin(name: &str) -> Option<&'static str> {
     let at = BONES.iter().position(|bone| bone.name == name)?.checked_sub(2)?;
     Some(BONES[2 + (at + 6) % 12].name)
@@ -122,7 +122,7 @@ pub struct Source {
     pub name: String,
     /// SHA-256 of its bytes, in hexadecimal.
     pub sha256: String,
-    /// `m`, `cm`, `mm` or `in`; a document may leave it out.
+    /// `m`, `cm`, `mm` or `in`; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
     /// Whether the unit was inferred from the size; may be missing in a document.

@@ -43,10 +43,10 @@ pub struct Source {
     pub name: String,
     /// SHA-256 of its bytes: 64 digits, lower case.
     pub sha256: String,
-    /// In pixels, as it is looked at; a document may leave it out.
+    /// Width of the upright image in pixels; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<u32>,
-    /// In pixels, as it is looked at; a document may leave it out.
+    /// Height of the upright image in pixels; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
 }

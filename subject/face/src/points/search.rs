@@ -7,7 +7,7 @@ use crate::vector::Point;
 pub(crate) struct Motion<const N: usize> {
     /// Displacement of each point per unit.
     pub(crate) field: [Point; N],
-    /// Standard deviation of the amount; a deviation costs `HOLD * (amount / sd)^2`.
+    /// Standard deviation of the amount; a deviation costs `DEVIATION_COST * (amount / sd)^2`.
     pub(crate) sd: f64,
     /// Range and step of the coarse search; a step of 0 disables it.
     pub(crate) reach: f64,
@@ -21,7 +21,7 @@ impl<const N: usize> Motion<N> {
 }
 
 /// Cost of one standard deviation, in the unit of scores: the logarithm of a contrast.
-const HOLD: f64 = 0.012;
+const DEVIATION_COST: f64 = 0.012;
 /// Number of step halvings in the refinement.
 const HALVINGS: u32 = 4;
 /// Most steps of the coarse search to either side.
@@ -56,8 +56,8 @@ pub(crate) fn search<const N: usize, const M: usize>(
         points
     };
     let total = |amounts: &[f64; M]| {
-        let hold: f64 = amounts.iter().zip(motions).map(|(a, m)| (a / m.sd) * (a / m.sd)).sum();
-        score(&place(amounts)) - HOLD * hold
+        let excess: f64 = amounts.iter().zip(motions).map(|(a, m)| (a / m.sd) * (a / m.sd)).sum();
+        score(&place(amounts)) - DEVIATION_COST * excess
     };
     let sides = motions
         .map(|m| if m.step > 0.0 { (m.reach / m.step).floor().min(STEPS_MAX) as u32 } else { 0 });
