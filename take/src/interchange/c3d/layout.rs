@@ -326,7 +326,7 @@ fn rate(header: &C3dHeader, parameter: Option<f64>, warnings: &mut Vec<String>) 
     }
 }
 
-/// Possible offsets of the first frame: that of the header, and that of POINT:DATA_START if it differs.
+/// Possible offsets of the first frame: that of the header, and that of `POINT:DATA_START` if it differs.
 fn data_starts(header: &C3dHeader, parameters: &Parameters, n_bytes: usize) -> Result<Vec<usize>> {
     let offset = |block: u64| {
         usize::try_from(block.saturating_sub(1)).unwrap_or(usize::MAX).saturating_mul(BLOCK)

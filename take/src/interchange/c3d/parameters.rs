@@ -125,7 +125,7 @@ impl Parameters {
         self.get(group, name)?.floats().first().copied()
     }
 
-    /// The up axis from POINT:Y_SCREEN; unknown if the parameter is missing or names a negative direction.
+    /// The up axis from `POINT:Y_SCREEN`; unknown if the parameter is missing or names a negative direction.
     pub(super) fn up_axis(&self) -> UpAxis {
         let axis = self.text("POINT", "Y_SCREEN").unwrap_or_default();
         let up = axis.trim().parse().ok().filter(|up: &Direction| !up.is_negative());
