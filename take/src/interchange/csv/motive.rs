@@ -3,8 +3,8 @@
 //! The first line has names and values, such as `Format Version,1.23,...,Length Units,Meters,...`, and an empty line
 //! follows. The next lines describe the columns: type (`Marker`, `Rigid Body`, `Rigid Body Marker`, `Bone`...), name,
 //! ID, in later versions parent, and property (`Position`, `Rotation`, a quality). Their first two cells are empty or
-//! name the line (`Type`, `Name`, `ID`, `Parent`). The line `Frame,Time (Seconds),X,Y,Z,...` ends the header. Each frame
-//! is one line; the cells of an occluded marker are empty.
+//! name the line (`Type`, `Name`, `ID`, `Parent`). The line `Frame,Time (Seconds),X,Y,Z,...` ends the header. Each
+//! frame is one line; the cells of an occluded marker are empty.
 //!
 //! Motive can export the markers of a rigid body twice: as measured (`Marker`) and as solved (`Rigid Body Marker`). The
 //! importer reads the measured ones.
