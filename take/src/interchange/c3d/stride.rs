@@ -24,7 +24,7 @@ const ROUGHNESS_MAX: f64 = 0.15;
 const ROUGHER: f64 = 4.0;
 /// Roughness below which all candidates count as smooth.
 const SMOOTH: f64 = 0.01;
-/// Larger coordinates in the file's unit are not positions: a kilometre in millimetres, a thousand kilometres in metres.
+/// Larger coordinates in the file's unit are not positions: 1 km in millimetres, 1000 km in metres.
 const COORDINATE_MAX: f64 = 1e6;
 /// Smaller coordinates are other data read as floats.
 const COORDINATE_MIN: f64 = 1e-30;
