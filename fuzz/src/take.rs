@@ -1,4 +1,4 @@
-//! Bytes of anybody as a take.
+//! Arbitrary bytes as a take.
 
 use std::io::Cursor;
 
@@ -9,14 +9,14 @@ use mocapd_take::{
 
 use crate::Input;
 
-/// Most samples of a stretch that is decoded here. A reader takes more, which is time and no other code.
+/// Most samples of a stretch that is decoded. More would take time without reaching other code.
 const SAMPLES_MAX: usize = 1 << 13;
 
-/// Most frames that are looked at.
+/// Most frames read.
 const FRAMES_MAX: usize = 1 << 10;
 
-/// The first byte says how: as they are, or as chunks whose checksums are made good first, since a fuzzer
-/// cannot guess them. Then events, stretches, frames: errors or samples, and an end.
+/// Reads a take's events, stretches and frames: gives errors or samples, and reaches an end. The first byte selects
+/// whether the bytes are used unchanged, or as chunks that first get valid checksums, which a fuzzer cannot guess.
 pub fn read_take(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let how = input.byte();
@@ -39,9 +39,9 @@ pub fn read_take(bytes: &[u8]) {
     }
 }
 
-/// The same bytes as a damaged take: what can be recovered of it makes a take that has lost nothing more.
+/// Recovers a damaged take: the result is a valid take with everything that could be recovered.
 ///
-/// Bits 3 to 7 of the first byte say how it is damaged beside: so many bytes of it, spread over the file, are changed.
+/// Bits 3 to 7 of the first byte give the number of bytes that are changed in addition, spread over the file.
 pub fn recover_take(bytes: &[u8]) {
     let take = damaged(bytes);
     if !events(&take, take.len().max(1)).is_ok_and(|(_, small)| small) {
@@ -51,7 +51,7 @@ pub fn recover_take(bytes: &[u8]) {
     let mut new = Vec::new();
     match survey.write(Cursor::new(&take), &mut new, "fuzz") {
         Ok(_) => {}
-        // A header that is as large as it can be has no room for what recovered it.
+        // A header of maximum size has no room for the name of the recovering program.
         Err(TakeError::InvalidArgument(_)) => return,
         Err(error) => panic!("{error}"),
     }
@@ -63,7 +63,7 @@ pub fn recover_take(bytes: &[u8]) {
     assert_eq!(survey.channels, again.channels, "other names than were found");
 }
 
-/// A fuzzer's bytes as a damaged take.
+/// Converts a fuzzer's bytes to a damaged take.
 fn damaged(bytes: &[u8]) -> Vec<u8> {
     let mut input = Input::new(bytes);
     let how = input.byte();
@@ -79,7 +79,7 @@ fn damaged(bytes: &[u8]) -> Vec<u8> {
     take
 }
 
-/// `{type, length in 2 bytes, payload}` after each other as a take.
+/// Encodes a sequence of `{type, length in 2 bytes, payload}` as a take.
 fn with_checksums(bytes: &[u8]) -> Vec<u8> {
     let mut input = Input::new(bytes);
     let mut take = chunk::MAGIC.to_vec();
@@ -91,14 +91,14 @@ fn with_checksums(bytes: &[u8]) -> Vec<u8> {
     take
 }
 
-/// How many events there are, and whether all of it is quick to decode.
+/// Number of events, and whether all stretches are small enough to decode.
 fn events(take: &[u8], piece: usize) -> Result<(usize, bool), TakeError> {
     let mut reader = TakeReader::new();
     let mut pieces = take.chunks(piece);
     let mut decoder = None;
     let (mut n_events, mut small) = (0, true);
     loop {
-        // Every event takes at least a byte, but the end.
+        // Every event except the end takes at least one byte.
         assert!(n_events <= take.len() + 1, "more events than bytes");
         let Some(event) = reader.next_event()? else {
             match pieces.next() {

@@ -6,8 +6,8 @@ use mocapd_body::{
 };
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
-/// An octahedron, of which a fuzzer changes a large part with few bytes; the same with a hole, a double corner, a stray
-/// triangle; and a small body.
+/// An octahedron, of which a fuzzer can change a large part with few bytes, also with a hole, a duplicate vertex and
+/// a stray triangle; and a small body.
 fn meshes() -> Vec<Mesh> {
     let tip = |axis: usize, sign: f64| std::array::from_fn(|k| if k == axis { sign } else { 0.0 });
     let positions: Vec<[f64; 3]> = (0..6).map(|i| tip(i / 2, [0.9, -0.9][i % 2])).collect();
@@ -33,7 +33,7 @@ fn meshes() -> Vec<Mesh> {
     vec![whole, hole, double, stray, figure]
 }
 
-/// As every format, with the first byte that names it.
+/// The meshes in every format, each after the byte that selects it.
 pub(crate) fn files() -> Vec<Vec<u8>> {
     meshes()
         .iter()
@@ -129,7 +129,7 @@ fn text_ply(mesh: &Mesh) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// Of one scan, of several, and without joints.
+/// Skeletons of one scan, of several, and without joints.
 pub(crate) fn skeletons() -> Vec<Vec<u8>> {
     let repaired = Repaired {
         mesh: Mesh::default(),
