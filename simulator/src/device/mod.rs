@@ -19,7 +19,7 @@ use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes
 use mocapd_take::motion::{Marker, Motion, Position, is_gap};
 
 use clock::DeviceClock;
-pub use log::{Fate, FaultTotals, FrameFate, FaultCounts, SentCounters, SentFrame, SentLog};
+pub use log::{Fate, FaultCounts, FaultTotals, FrameFate, SentCounters, SentFrame, SentLog};
 pub(crate) use outbox::Outbox;
 pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
 pub(crate) use settings::{Rates, frame_after_ns};

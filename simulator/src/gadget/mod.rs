@@ -165,13 +165,13 @@ pub enum GadgetError {
 impl GadgetError {
     /// The error for a failure of configfs or `FunctionFS`, with its remedy if known.
     pub(super) fn from_io(source: io::Error) -> Self {
-        let says = |part: &str| source.to_string().contains(part);
+        let mentions = |part: &str| source.to_string().contains(part);
         let remedy = match source.kind() {
             ErrorKind::PermissionDenied => return Self::NotRoot,
-            ErrorKind::NotFound if says("configfs is not mounted") => {
+            ErrorKind::NotFound if mentions("configfs is not mounted") => {
                 "sudo mount -t configfs none /sys/kernel/config"
             }
-            ErrorKind::NotFound if says("usb_gadget") => "sudo modprobe libcomposite",
+            ErrorKind::NotFound if mentions("usb_gadget") => "sudo modprobe libcomposite",
             // The module of a function or of a file system is missing.
             ErrorKind::NotFound => "sudo modprobe -a usb_f_fs usb_f_acm",
             _ if source.raw_os_error() == Some(rustix::io::Errno::NODEV.raw_os_error()) => {

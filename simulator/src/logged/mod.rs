@@ -15,7 +15,7 @@ use mocapd_drivers::raw_log::RawLogError;
 
 use crate::device::{LineDevice, SentFrame, SentLog};
 use pongs::PongRewriter;
-use steps::{Barrier, Action, Steps};
+use steps::{Action, Barrier, Steps};
 
 /// Most commands that a host may send ahead of the log. A host repeats a command five times at most.
 const RECEIVED_MAX: usize = 16;

@@ -39,9 +39,9 @@ fn say(device: &mut NdiDevice, bytes: &[u8], now_ns: u64) -> Vec<u8> {
 /// Sends a request and returns the text of the answer, without its checksum.
 fn asked(device: &mut NdiDevice, text: &str, now_ns: u64) -> String {
     let answer = String::from_utf8(ask(device, text, now_ns)).unwrap();
-    let (said, digits) = answer.trim_end().split_at(answer.len() - 5);
-    assert_eq!(digits, format!("{:04X}", mocapd_drivers::ndi::crc16(said.as_bytes())));
-    said.to_owned()
+    let (text, digits) = answer.trim_end().split_at(answer.len() - 5);
+    assert_eq!(digits, format!("{:04X}", mocapd_drivers::ndi::crc16(text.as_bytes())));
+    text.to_owned()
 }
 
 fn tracking(device: &mut NdiDevice, now_ns: u64) {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use mocapd_face::model::{Camera, Model};
 
-use super::paint::{Palette, FaceLayout};
+use super::paint::{FaceLayout, Palette};
 use super::raster::{Canvas, Colour, Fragment, Vertex, unit};
 
 /// An ellipsoid in the frame of the average head, millimetres.
