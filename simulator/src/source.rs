@@ -14,7 +14,7 @@ use mocapd_take::motion::Motion;
 pub enum SourceError {
     /// The file's extension is that of no known format.
     #[error("{}: unknown extension, expected .take, .c3d, .trc, .tsv or .csv", path.display())]
-    Ending {
+    Extension {
         /// The file.
         path: PathBuf,
     },
@@ -62,7 +62,7 @@ pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     let owned = || path.to_owned();
     let format = Format::from_extension(path).filter(|format| format.is_read());
     if !is_motion(path) {
-        return Err(SourceError::Ending { path: owned() });
+        return Err(SourceError::Extension { path: owned() });
     }
     let read = |source| SourceError::Read { path: owned(), source };
     let Some(format) = format.filter(|_| !is_take(path)) else {

@@ -45,7 +45,7 @@ pub struct JumpSpec {
     /// Standard deviation of the white noise on each axis, millimetres.
     pub noise_mm: f64,
     /// Amplitude of the soft-tissue vibration after touch-down, millimetres at the softest site.
-    pub wobble_mm: f64,
+    pub soft_tissue_mm: f64,
     /// Gaps, if any.
     pub occlusion: Option<Occlusion>,
 }
@@ -62,7 +62,7 @@ impl JumpSpec {
             seconds: None,
             n_markers: SITES.len(),
             noise_mm: 0.05,
-            wobble_mm: 3.0,
+            soft_tissue_mm: 3.0,
             occlusion: None,
         }
     }
@@ -70,7 +70,7 @@ impl JumpSpec {
     /// Removes noise, soft-tissue vibration and gaps: the curves are then mathematically smooth.
     #[must_use]
     pub fn clean(self) -> Self {
-        Self { noise_mm: 0.0, wobble_mm: 0.0, occlusion: None, ..self }
+        Self { noise_mm: 0.0, soft_tissue_mm: 0.0, occlusion: None, ..self }
     }
 
     /// Generates the motion.
@@ -95,12 +95,12 @@ impl JumpSpec {
         let labels =
             SITES.iter().map(|s| (*s).to_owned()).chain(cluster.iter().map(|s| s.label.clone()));
         let labels: Vec<String> = labels.take(self.n_markers).collect();
-        let mut sensors: Vec<(Rng, Wobble)> = (0..)
+        let mut sensors: Vec<(Rng, SoftTissue)> = (0..)
             .zip(&labels)
             .map(|(i, label)| {
                 let mut rng = Rng::stream(noise_seed, 0x2_0000 + i);
-                let wobble = Wobble::new(self.wobble_mm, softness(label), &mut rng);
-                (rng, wobble)
+                let vibration = SoftTissue::new(self.soft_tissue_mm, softness(label), &mut rng);
+                (rng, vibration)
             })
             .collect();
         let mut positions_mm = Vec::with_capacity(n_frames * self.n_markers);
@@ -111,10 +111,10 @@ impl JumpSpec {
                 None => state.sites[i],
                 Some(extra) => body::marker_position(&cluster[extra], &state.sites, &state.lateral),
             };
-            for (i, (rng, wobble)) in sensors.iter_mut().enumerate() {
+            for (i, (rng, vibration)) in sensors.iter_mut().enumerate() {
                 let mut at_mm = scale(truth(i), 1000.0);
-                if self.wobble_mm > 0.0 {
-                    at_mm = add(at_mm, wobble.at(state.since_impact_s));
+                if self.soft_tissue_mm > 0.0 {
+                    at_mm = add(at_mm, vibration.at(state.since_impact_s));
                 }
                 if self.noise_mm > 0.0 {
                     at_mm = add(at_mm, noise(self.noise_mm, rng));
@@ -157,7 +157,7 @@ impl JumpSpec {
         range("markers", self.n_markers as f64, 1.0, MARKERS_MAX as f64)?;
         range("first trial", f64::from(self.first_trial), 0.0, f64::from(TRIALS_MAX))?;
         range("noise_mm", self.noise_mm, 0.0, 1000.0)?;
-        range("wobble_mm", self.wobble_mm, 0.0, 1000.0)?;
+        range("soft_tissue_mm", self.soft_tissue_mm, 0.0, 1000.0)?;
         if let Some(seconds) = self.seconds {
             range("seconds", seconds, 1e-4, 1e6)?;
         }
@@ -205,18 +205,18 @@ pub enum GenerateError {
 ///
 /// Frequency and decay are plausible choices, not measurements: 7 to 12 Hz, gone within half a second.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Wobble {
+pub(super) struct SoftTissue {
     frequency_hz: f64,
     decay_s: f64,
     amplitude_mm: V3,
 }
 
-impl Wobble {
+impl SoftTissue {
     /// `softness` scales the amplitude: 1 at the thigh, less where bone is close to the skin.
-    pub(super) fn new(wobble_mm: f64, softness: f64, rng: &mut Rng) -> Self {
+    pub(super) fn new(soft_tissue_mm: f64, softness: f64, rng: &mut Rng) -> Self {
         let aside = rng.between(-0.35, 0.35);
         let ahead = rng.between(-0.5, 0.5);
-        let size = wobble_mm * softness * rng.between(0.8, 1.2);
+        let size = soft_tissue_mm * softness * rng.between(0.8, 1.2);
         Self {
             frequency_hz: rng.between(7.0, 12.0),
             decay_s: rng.between(0.06, 0.10),

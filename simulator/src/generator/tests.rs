@@ -186,7 +186,7 @@ fn long_takes_stay_in_the_volume() {
 #[test]
 fn noise_has_the_requested_deviation() {
     for noise_mm in [0.05, 0.4] {
-        let spec = JumpSpec { noise_mm, wobble_mm: 0.0, ..JumpSpec::new(11, 1000.0) };
+        let spec = JumpSpec { noise_mm, soft_tissue_mm: 0.0, ..JumpSpec::new(11, 1000.0) };
         let jump = spec.generate().unwrap();
         for name in ["head", "pelvis", "r_ankle"] {
             for axis in 0..3 {

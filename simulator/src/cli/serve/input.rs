@@ -35,7 +35,7 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     }
     let path = args.take.as_deref().unwrap_or(Path::new(""));
     let (mut motion, warnings) = source::read(path).map_err(|error| match error {
-        SourceError::Ending { .. } => Failure::usage(error),
+        SourceError::Extension { .. } => Failure::usage(error),
         _ => Failure::from(error),
     })?;
     for warning in warnings {

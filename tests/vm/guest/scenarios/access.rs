@@ -47,7 +47,7 @@ pub(crate) fn listed_with_our_rules() -> Measurement {
     Ok("2 of 2 open to the group dialout; others get the command to join it".to_owned())
 }
 
-pub(crate) fn the_line_mends_it() -> Measurement {
+pub(crate) fn the_rule_solves_it() -> Measurement {
     set_rules(None)?;
     let device = Simulator::bulk("RULE1", &[])?;
     let seen = listing(User::Dialout)?;

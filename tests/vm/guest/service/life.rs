@@ -73,7 +73,7 @@ pub(crate) fn records() -> Measurement {
     Ok(format!("{n} frames in five seconds, 0640 mocapd:mocapd, sound; hidden from strangers"))
 }
 
-pub(crate) fn who_may() -> Measurement {
+pub(crate) fn group_access() -> Measurement {
     configure("")?;
     start()?;
     // Through the rig's own socket, through the default socket, and over TCP.
