@@ -23,7 +23,7 @@ fn a_second_run_continues_the_counter_and_repeats_the_motion() {
     }
 }
 
-/// EndOfStream may have been lost on the line: an Identify is then answered with the number of frames.
+/// `EndOfStream` may have been lost on the line: an Identify is then answered with the number of frames.
 #[test]
 fn a_finished_device_reports_its_frames_on_identify() {
     let mut bench = Bench::new(jump(0.5), DeviceSettings::default());
