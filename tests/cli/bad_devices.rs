@@ -1,4 +1,4 @@
-//! Devices that cannot be recorded: each says why and what to do, and no take is left behind.
+//! Devices that cannot be recorded: each error says why and what to do, and no take is left behind.
 
 use std::{
     sync::atomic::{AtomicBool, Ordering},
@@ -23,7 +23,7 @@ fn refused(folder: &Folder, device: &str) -> String {
 }
 
 #[test]
-fn what_is_absent_or_no_serial_port() {
+fn absent_devices_and_other_files_are_refused() {
     let folder = Folder::new();
     folder.write("file", "");
     let absent = |device: &str| TransportError::NotFound { device: device.to_owned() }.to_string();
@@ -36,7 +36,7 @@ fn what_is_absent_or_no_serial_port() {
 }
 
 #[test]
-fn what_is_in_use() {
+fn a_device_in_use_is_refused() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let mut first = Recorder::start(&folder, &device, "first.take", &[]);
@@ -54,7 +54,7 @@ fn what_is_in_use() {
 }
 
 #[test]
-fn what_may_not_be_opened() {
+fn a_device_without_permission_is_refused() {
     let folder = Folder::new();
     let device = Simulated::of(jump(1, 120.0, 1.0));
     let Some(user) = unprivileged::command_in(&folder) else { return };
@@ -77,7 +77,7 @@ fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
     let rate = line.split("--rate ").nth(1).and_then(|rest| rest.split(',').next());
     let rate = rate.unwrap_or_else(|| panic!("no rate in: {line}"));
     assert!(rate.parse::<f64>().is_ok_and(|hz| hz > 10.0 && hz < 500.0), "{line}");
-    // What it says fits does fit, and a little more does not.
+    // The stated rate fits, and a slightly higher one does not.
     let record = ["record", "-d", &uri, "-o", "new.take", "--json", "--rate"];
     let report = folder.run(&[&record[..], &[rate]].concat()).with_code(0).json();
     assert_eq!(report["rate_hz"].as_f64(), rate.parse().ok());
@@ -88,9 +88,9 @@ fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
     assert_tells(&line, &[&more, "11520", "--rate", rate]);
 }
 
-/// Both wait for an answer that does not come, side by side.
+/// Both wait for an answer that never comes, in parallel.
 #[test]
-fn what_is_mute_or_speaks_another_language() {
+fn silent_and_foreign_devices_are_refused() {
     let (mute, noisy) = (RawLine::open(), RawLine::open());
     let noisy_uri = noisy.uri();
     let done = AtomicBool::new(false);
@@ -115,7 +115,7 @@ fn what_is_mute_or_speaks_another_language() {
         let ended = (noisy_refused.join(), mute_refused.join());
         done.store(true, Ordering::Relaxed);
         let (noisy_line, mute_line) = (ended.0.unwrap(), ended.1.unwrap());
-        // The driver that understands nothing of it is named; of a silence there is no telling.
+        // The message names the driver that could not decode the noise; silence has none to name.
         assert_tells(&noisy_line, &[&noisy_uri, "dvmc", "baud", "?driver=NAME"]);
         assert_tells(&mute_line, &[&mute.uri(), "cable", "baud", "?driver=NAME"]);
         assert!(!tells(&mute_line, "dvmc"), "{mute_line}");

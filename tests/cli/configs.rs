@@ -1,4 +1,4 @@
-//! `config`: a file that is good, one that is not, and the example.
+//! `config`: a valid file, invalid ones, and the example.
 
 use std::{fs, os::unix::fs::PermissionsExt};
 
@@ -9,7 +9,7 @@ use super::{Folder, Ran};
 use crate::support::assert_tells;
 
 #[test]
-fn the_example_is_good() {
+fn the_example_is_valid() {
     let folder = Folder::new();
     let example = folder.run(&["config", "example"]).with_code(0);
     assert_eq!(example.stderr, "");
@@ -17,7 +17,7 @@ fn the_example_is_good() {
     folder.write("left.toml", &example.stdout);
     let check = |more: &[&str]| -> Ran {
         let mut command = folder.command(&[&["config", "check", "left.toml"], more].concat());
-        // As the unit has it: without this folder there is a note that the socket has none.
+        // The systemd unit creates this folder; without it there is a note about the socket.
         command.env("RUNTIME_DIRECTORY", folder.path("."));
         command.output().unwrap().into()
     };
@@ -31,7 +31,7 @@ fn the_example_is_good() {
 }
 
 #[test]
-fn what_is_wrong_is_one_line_each() {
+fn each_error_is_one_line() {
     let folder = Folder::new();
     folder.write("left.toml", "[arm]\npre_rol = '10s'\n");
     let line = folder.refuses(&["config", "check", "left.toml"], 2);
@@ -53,7 +53,7 @@ fn what_is_wrong_is_one_line_each() {
 }
 
 #[test]
-fn a_file_that_is_not_there_says_how_to_write_one() {
+fn a_missing_configuration_is_an_error_that_says_how_to_write_one() {
     let folder = Folder::new();
     let line = folder.refuses(&["config", "check", "left.toml"], 1);
     assert_eq!(line, ConfigError::NotFound("left.toml".into()).to_string());

@@ -1,4 +1,4 @@
-//! Takes that were cut off or damaged: what is left is read, what is missing is said, exit code 3.
+//! Truncated and damaged takes: the rest is read, the loss is reported, and the exit code is 3.
 
 use mocapd_take::{NotATake, damage::Problem};
 use serde_json::Value;
@@ -33,15 +33,15 @@ fn problems(report: &Value) -> Vec<&str> {
     report["problems"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect()
 }
 
-/// What `info`, `verify` and `export` say of the same damage: each exits 3 and says on stderr what is wrong.
+/// Runs `info`, `verify` and `export` on the same damage: each exits with 3 and reports it on stderr.
 fn looked_at(folder: &Folder) -> (Value, Vec<String>) {
     let info = folder.run(&["info", "bad.take", "--json"]).with_code(3).json();
     assert!(!problems(&info).is_empty());
-    let words = folder.run(&["info", "bad.take"]).with_code(3);
+    let printed = folder.run(&["info", "bad.take"]).with_code(3);
     let verify = folder.run(&["verify", "bad.take", "--json"]).with_code(3).json();
     assert_eq!(verify["intact"], false);
     for problem in problems(&info) {
-        assert!(words.stderr.contains(problem), "{problem}: {}", words.stderr);
+        assert!(printed.stderr.contains(problem), "{problem}: {}", printed.stderr);
         assert!(problems(&verify).contains(&problem), "{problem}: {verify}");
     }
     std::fs::remove_file(folder.path("bad.csv")).ok();
@@ -53,7 +53,7 @@ fn looked_at(folder: &Folder) -> (Value, Vec<String>) {
 }
 
 #[test]
-fn a_cut_take_is_read_as_far_as_it_goes() {
+fn a_truncated_take_is_read_to_its_end() {
     let (folder, take) = three_stretches();
     let original: Vec<String> =
         folder.text("jump.csv").lines().skip(1).map(str::to_owned).collect();
@@ -108,7 +108,7 @@ fn damage_in_the_middle_costs_its_stretch_and_no_more() {
         }
     }
     let verify = folder.run(&["verify", "bad.take"]).with_code(3);
-    // What the ledger tells of, and what is left.
+    // The frames on the ledger, and those that are left.
     let counts = [&info["ledger"]["samples_present"], &info["samples"]].map(Value::to_string);
     assert_tells(&verify.stderr, &["bad.take", &counts[0], &counts[1]]);
 }
@@ -124,7 +124,7 @@ fn every_byte_that_is_damaged_is_noticed() {
         bad[at] ^= 0x41;
         folder.write("bad.take", &bad);
         let code = folder.run(&["verify", "bad.take"]).code;
-        // Type and length of a chunk come back by its checksum, even those of the header.
+        // The checksum restores type and length of a chunk, even those of the header.
         let header = at < header_end(&take) && !(8..11).contains(&at);
         assert_eq!(code, Some(if header { 1 } else { 3 }), "byte {at} of {}", take.len());
     }

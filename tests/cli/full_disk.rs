@@ -1,4 +1,4 @@
-//! Recording on a real file system that is small: a tmpfs in a name space of its own.
+//! Recording on a small real file system: a tmpfs in its own mount namespace.
 
 use std::process::{Command, Stdio};
 
@@ -57,7 +57,7 @@ fn a_take_is_closed_before_the_disk_is_full_and_the_next_is_refused() {
 #[test]
 fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
     let (folder, device) = (Folder::new(), device());
-    // All but what the take holds is gone between two looks at the disk.
+    // Another program fills the rest of the disk between two polls.
     let script = "
         $mocapd record --device $device -o disk/a.take --keep-free 64KiB --seconds 60s --json > a.json 2> a.err &
         recorder=$!

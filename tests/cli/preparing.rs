@@ -1,4 +1,4 @@
-//! A subject before a capture: a scan to a skeleton, a photograph to a face.
+//! Preparing a subject: a skeleton from scans, a face from a photograph.
 
 use std::fmt::Write;
 
@@ -31,7 +31,7 @@ fn length_mm(joints: &Joints, from: Joint, to: Joint) -> f64 {
 }
 
 #[test]
-fn scans_of_one_person_become_a_skeleton_and_a_picture() {
+fn scans_of_one_person_give_a_skeleton_and_a_picture() {
     let folder = Folder::new();
     let options = Options { n_faces: 6000, turned: true };
     let (mesh, truth) = body(7, Pose::A, options);
@@ -43,11 +43,11 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
     let skeleton = Skeleton::from_json(&folder.read("s.json")).unwrap();
     assert_eq!(skeleton.sources.len(), 2);
     assert!(skeleton.sources.iter().all(|source| source.unit.as_deref() == Some("m") && source.unit_inferred == Some(true)));
-    // Bodies of capsules are none that the method has learned from: a quarter is what may be expected.
+    // The method was not trained on bodies of capsules, so errors of up to a quarter are accepted.
     let thigh_mm = length_mm(&truth, Joint::Hip(Side::Left), Joint::Knee(Side::Left));
     let found_mm = skeleton.symmetric_length("thigh").unwrap().mm;
     assert!((found_mm / thigh_mm - 1.0).abs() < 0.25, "{found_mm} of {thigh_mm} mm");
-    // Nothing is written where no bone has a body's length, or two outputs are one file.
+    // Nothing is written if no bone has a plausible length, or two outputs are the same file.
     let ran =
         folder.run(&["subject", "body", "a.obj", "--unit", "mm", "-o", "mm.json"]).with_code(1);
     assert_tells(&ran.stderr, &["a.obj", "2 mm", "--unit"]);
@@ -57,14 +57,14 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
     assert!(picture.starts_with("<svg"), "{picture}");
     assert_tells(&picture, &["knee"]);
 
-    // A pipe has the skeleton alone, and people the table beside it; nothing is called -.
+    // With -, stdout has only the skeleton, stderr the table, and no file is called -.
     let ran = folder.run(&["subject", "body", "a.obj", "walk.obj", "-o", "-"]).with_code(0);
     assert_eq!(ran.stdout.as_bytes(), folder.read("s.json"));
     assert!(ran.stderr.contains("l_upper_arm") && !folder.path("-").exists(), "{}", ran.stderr);
     let refused = ["subject", "body", "a.obj", "--picture", "-"];
     folder.run(&refused).with_code(2);
 
-    // What a take carries is what was written.
+    // The take contains the skeleton that was written.
     folder.write_motion("jump.csv", &crate::support::jump(1, 60.0, 1.0));
     let import = ["import", "jump.csv", "-o", "t.take", "--skeleton", "s.json"];
     folder.run(&import).with_code(0);
@@ -72,7 +72,7 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
 }
 
 #[test]
-fn what_is_no_body_is_refused_with_a_reason() {
+fn other_meshes_than_bodies_are_refused_with_a_reason() {
     let folder = Folder::new();
     folder.write("empty.obj", "");
     folder.write("words.ply", "ply\nformat ascii 1.0\nelement vertex many\n");
@@ -80,7 +80,7 @@ fn what_is_no_body_is_refused_with_a_reason() {
     folder.write("solid.obj", tetrahedron);
     folder.write("nan.obj", tetrahedron.replace("v 1 0 0", "v nan 0 0"));
     folder.write("short.stl", [0; 83]);
-    // What stood in one camera's view: up to the waist.
+    // A scan up to the waist.
     let mut half = body(7, Pose::A, Options { n_faces: 3000, turned: false }).0;
     let is_low = |corner: &u32| half.positions[*corner as usize][1] < 0.9;
     half.triangles = half.triangles.iter().copied().filter(|t| t.iter().all(is_low)).collect();
@@ -100,7 +100,7 @@ fn what_is_no_body_is_refused_with_a_reason() {
 }
 
 #[test]
-fn a_photograph_becomes_a_face() {
+fn a_photograph_gives_a_face() {
     let folder = Folder::new();
     let picture = Scene::portrait(3, 90.0, 0.0).render().unwrap();
     let mut ppm =
@@ -120,7 +120,7 @@ fn a_photograph_becomes_a_face() {
     let mut off: Vec<f64> = face.points.iter().map(off).collect();
     off.sort_by(f64::total_cmp);
     assert!(off[off.len() / 2] < 0.1, "{off:?}");
-    // Hair is no forehead: it is as wide as the eyes, and more.
+    // The hairline is wider than the distance of the eyes.
     let hairline = face.points.iter().filter(|point| point.id.is_hairline());
     let hairline: Vec<f64> = hairline.map(|point| point.xy_px[0]).collect();
     assert!(hairline[1] - hairline[0] > 90.0, "{hairline:?}");
@@ -146,7 +146,7 @@ fn a_photograph_becomes_a_face() {
 }
 
 #[test]
-fn a_face_that_is_turned_far_is_said_to_be_guessed() {
+fn a_face_turned_far_gets_a_warning() {
     let folder = Folder::new();
     for (name, yaw_deg) in [("front", 5.0), ("side", 42.0)] {
         let picture = Scene::portrait(3, 90.0, yaw_deg).render().unwrap();
@@ -155,14 +155,14 @@ fn a_face_that_is_turned_far_is_said_to_be_guessed() {
         ppm.extend_from_slice(picture.image.as_raw());
         folder.write(&format!("{name}.ppm"), ppm);
         let ran = folder.run(&["subject", "face", &format!("{name}.ppm")]).with_code(0);
-        // The face, and from what angle on half of it is guessed.
-        let is_said = tells(&ran.stderr, "face 1") && tells(&ran.stderr, "35");
-        assert_eq!(is_said, name == "side", "{} {}", ran.stdout, ran.stderr);
+        // The warning names the face and the angle beyond which its far side is unreliable.
+        let is_warned = tells(&ran.stderr, "face 1") && tells(&ran.stderr, "35");
+        assert_eq!(is_warned, name == "side", "{} {}", ran.stdout, ran.stderr);
     }
 }
 
 #[test]
-fn a_photograph_without_a_face_is_said_to_be_so() {
+fn a_photograph_without_a_face_is_an_error() {
     let folder = Folder::new();
     let mut ppm = b"P6\n64 64\n255\n".to_vec();
     ppm.extend((0..64 * 64 * 3).map(|i| (i / 48) as u8));

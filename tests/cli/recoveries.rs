@@ -1,4 +1,4 @@
-//! `recover`, run as the program it is.
+//! `recover`, run as a program.
 
 use mocapd_acquire::files::{FileError, NameTaken};
 use mocapd_take::{NotATake, damage::Problem, recovery::Survey};
@@ -25,9 +25,9 @@ fn a_killed_recording_is_recovered() {
     assert_tells(&ran.stderr, &["killed.take", &Problem::CutOff.to_string(), &losses]);
     assert_eq!(folder.read("killed.take"), killed, "it is only read");
     let verified = folder.run(&["verify", "new.take", "--json"]).with_code(3).json();
-    // Nothing is wrong with it, and what stood behind the cut nobody can count.
+    // The new take is intact; the frames behind the cut cannot be counted.
     assert_eq!((&verified["intact"], &verified["health"]), (&true.into(), &"lossy".into()));
-    // Whoever looks at it is told.
+    // The other commands point to `recover`.
     for command in ["info", "verify"] {
         let ran = folder.run(&[command, "killed.take"]).with_code(3);
         assert_tells(&ran.stderr, &["mocapd recover killed.take -o NEW.take"]);
@@ -48,7 +48,7 @@ fn a_killed_recording_is_recovered() {
 }
 
 #[test]
-fn what_is_whole_is_copied_and_says_so() {
+fn intact_takes_are_copied_and_reported() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &jump(2, 60.0, 12.0));
     folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
@@ -58,7 +58,7 @@ fn what_is_whole_is_copied_and_says_so() {
     assert_eq!(report["lost"], false);
     assert_eq!(report["frames_recovered"], 720);
     folder.run(&["verify", "new.take", "--against", "jump.csv"]).with_code(0);
-    // Without index and footer nothing is lost either.
+    // Without index and footer nothing is lost.
     let take = folder.read("jump.take");
     folder.write("cut.take", &take[..take.len() - 35]);
     let report = folder.run(&["recover", "cut.take", "-o", "mended.take", "--json"]).json();
@@ -82,12 +82,12 @@ fn nothing_is_overwritten_and_nothing_left_behind() {
     assert_eq!(line, FileError::NotFound("no.take".into()).to_string());
     let line = folder.refuses(&["recover", "jump.csv", "-o", "new.take"], 1);
     assert_tells(&line, &["jump.csv", &NotATake::OtherMagic.to_string()]);
-    // Half of a header is none.
+    // Half a header cannot be recovered.
     let take = folder.read("jump.take");
     folder.write("head.take", &take[..60]);
     let line = folder.refuses(&["recover", "head.take", "-o", "new.take"], 1);
     assert_tells(&line, &["head.take", &NotATake::HeaderCut.to_string()]);
-    // Nor is one of which two bytes are wrong; a recovery does not send people to a recovery.
+    // Nor can one with two wrong bytes; `recover` does not recommend itself.
     let mut bad = take.clone();
     bad[40] ^= 0x20;
     bad[50] ^= 0x20;
@@ -100,7 +100,7 @@ fn nothing_is_overwritten_and_nothing_left_behind() {
 }
 
 #[test]
-fn a_wrong_byte_of_the_header_is_put_right() {
+fn a_wrong_byte_of_the_header_is_corrected() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &jump(2, 60.0, 1.0));
     folder.run(&["import", "jump.csv", "-o", "jump.take", "--lossless"]).with_code(0);

@@ -1,4 +1,4 @@
-//! Takes whose checksums are right and whose content nobody would write.
+//! Crafted takes: valid checksums and malicious contents.
 
 use mocapd_take::{
     TakeWriter,
@@ -34,7 +34,7 @@ fn take(fill: impl FnOnce(&mut TakeWriter<Vec<u8>>)) -> Vec<u8> {
     take.finish(&Ledger { finished: true, ..Ledger::default() }).unwrap().0
 }
 
-/// Every command that reads it ends, says that something is wrong, and holds little.
+/// Every command that reads the take ends, reports a problem, and uses little memory.
 fn assert_survived(bytes: &[u8]) {
     let folder = Folder::new();
     folder.write("a.take", bytes);
@@ -100,7 +100,7 @@ fn a_label_as_long_as_a_book_is_shown() {
 }
 
 #[test]
-fn a_ledger_that_tells_of_more_than_is_there_is_counted_again() {
+fn a_ledger_with_more_frames_than_the_take_is_counted_again() {
     let folder = Folder::new();
     let mut writer = TakeWriter::new(Vec::new(), &header()).unwrap();
     let span = Span { first_row: 0, n_rows: 0, key: true, number: 0 };
@@ -115,7 +115,7 @@ fn a_ledger_that_tells_of_more_than_is_there_is_counted_again() {
         found: Counts { frames: 0, samples: 0 },
     };
     assert_tells(&ran.stderr, &["a.take", &recounted.to_string()]);
-    // What is left does not contradict itself.
+    // The rest is consistent.
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
     assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");
 }

@@ -17,7 +17,7 @@ use crate::{
 };
 
 #[test]
-fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
+fn a_recording_without_its_device_is_not_shown_as_healthy() {
     let folder = Folder::new();
     let link = folder.path("device");
     let motion = jump(1, 120.0, 3.0);
@@ -45,10 +45,10 @@ fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
     assert_eq!((status.state, status.device.is_awaited), (State::Recording, true));
     assert_eq!(outage.frames, (outage.seconds * status.device.rate_hz) as u64);
     assert!((590.0..600.0).contains(&outage.ends_in_s.unwrap()), "{outage:?}");
-    // What systemd shows, and the first line of `ctl status`, begin with it.
+    // The systemd status and the first line of `ctl status` begin with it.
     assert!(status.words().starts_with("no device for "), "{}", status.words());
-    let said = ctl(&["status"]).with_code(0).stdout;
-    let first = said.lines().next().unwrap();
+    let printed = ctl(&["status"]).with_code(0).stdout;
+    let first = printed.lines().next().unwrap();
     // For how long the take still waits for it.
     assert_tells(first, &["test", "9 min"]);
     let json = ctl(&["status", "--json"]).with_code(0).json();

@@ -1,4 +1,4 @@
-//! Takes whose checksums are right and whose ledgers are not of their frames.
+//! Takes with valid checksums whose ledgers do not match their frames.
 
 use std::io::Cursor;
 
@@ -68,7 +68,7 @@ fn with_chunks(take: &[u8], of: u8, forged: impl Fn(&[u8]) -> (u8, Vec<u8>)) -> 
 }
 
 #[test]
-fn losses_in_the_time_line_are_held_against_every_ledger() {
+fn losses_in_the_time_line_are_compared_with_every_ledger() {
     let take = lossy();
     let honest = Summary::read(&with_ledgers(&take, None, |ledger| ledger)[..]).unwrap();
     assert_eq!((honest.contradictions(), honest.health()), (&[][..], TakeHealth::Lossy));
@@ -101,7 +101,7 @@ fn a_take_without_a_ledger_is_the_same_to_every_command() {
 }
 
 #[test]
-fn a_recovery_leaves_no_ledger_that_is_not_true() {
+fn a_recovery_leaves_no_wrong_ledger() {
     let folder = Folder::new();
     let early = Ledger { frames_sent: 7, recorded: 7, ..Ledger::default() };
     let take = with_ledgers(&lossy(), Some(&early), |ledger| ledger);

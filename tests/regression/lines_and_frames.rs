@@ -1,5 +1,5 @@
-//! Text files of spreadsheets: times that are rounded, lines that are missing, a last number that is cut off, decimal
-//! commas, and a unit that is stated and wrong.
+//! Text files of spreadsheets: rounded times, missing lines, a truncated last number, decimal
+//! commas, and a wrong unit.
 
 use mocapd_take::{
     interchange::Format,
@@ -74,7 +74,7 @@ fn a_number_that_may_be_cut_off_is_no_coordinate() {
 }
 
 #[test]
-fn spreadsheets_of_every_country_are_read() {
+fn spreadsheets_of_all_locales_are_read() {
     let expected = read(Format::Csv, &csv(0..10, 1.0));
     let commas = csv(0..10, 1.0);
     let quoted: String =

@@ -1,4 +1,4 @@
-//! Fourth words that all say "missing" over real coordinates; and coordinates where only some say so.
+//! Fourth words that all say "missing" for real coordinates, and coordinates for which only some do.
 
 use mocapd_take::{
     interchange::{Format, Turned},
@@ -48,7 +48,7 @@ fn coordinates_are_samples_where_every_fourth_word_is_negative() {
         assert_eq!(gaps, [6], "zeros are a missing sample");
         assert_eq!(motion.frame(9)[1], [109.25, 20.0, 1000.5]);
         assert_eq!(motion.info.source.ambiguities, [Ambiguity::FourthWords { samples: 19 }]);
-        // To others they are samples, too, once they are written again.
+        // Written again, they are samples for other readers as well.
         let back = Format::C3d.read(&write(&motion)).unwrap();
         assert_eq!(back.frame(9), motion.frame(9));
         assert_eq!(back.info.source.ambiguities, []);

@@ -1,4 +1,4 @@
-//! Of two markers with one label each can be had by name: by the one that exports give it.
+//! Two markers with the same label can be chosen by the names that exports give them.
 
 use crate::{cli::Folder, support::assert_tells};
 

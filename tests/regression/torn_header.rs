@@ -1,4 +1,4 @@
-//! A take that fails before its first frame is on disk leaves no file, and nobody is sent to recover it.
+//! A take that fails before its first frame is on disk leaves no file, and no hint to recover it.
 
 use mocapd_acquire::pipeline::NothingRecorded;
 
@@ -25,7 +25,7 @@ fn with_long_stretches() -> Simulated {
 }
 
 #[test]
-fn the_service_removes_it_and_says_what_is_so() {
+fn the_service_removes_it_and_says_so() {
     for device in [with_long_header(), with_long_stretches()] {
         let folder = Folder::new();
         let service = Service::start(&folder, &device, "lossless = true", SHORT_FILES);
@@ -42,7 +42,7 @@ fn the_service_removes_it_and_says_what_is_so() {
 }
 
 #[test]
-fn record_removes_it_too() {
+fn record_removes_the_file_as_well() {
     for device in [with_long_header(), with_long_stretches()] {
         let folder = Folder::new();
         let line = folder.refused(

@@ -1,4 +1,5 @@
-//! A device, its line, its host and its disk in virtual time, in front of the pipeline of a service: one of them stalls.
+//! A device, its line, its host and its disk in virtual time, in front of the pipeline of a service: one of them
+//! stalls.
 
 use std::{
     io::{self, Write},
@@ -28,13 +29,13 @@ const BEGUN_NS: f64 = 86_400e9;
 /// Frames that a line keeps for a reader that does not come: 4 KiB of a pty's, of 40 bytes each.
 const LINE_FRAMES: usize = 100;
 
-/// A read waits so long for something.
+/// How long a read waits for data.
 const READ_NS: f64 = 20e6;
 
 /// How long the pipeline's threads are given after a stall of the whole process, in virtual time.
 const CATCH_UP_S: f64 = 0.3;
 
-/// What does not move during a stall.
+/// What stalls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stalled {
     /// The disk: a write takes that long.
@@ -64,9 +65,9 @@ pub(super) struct World {
     /// When the device's clock jumps ahead by 5 s.
     pub(super) jump_s: Option<f64>,
     pub(super) drift_ppm: f64,
-    /// The line sends what it has so often; at once when 0.
+    /// Interval at which the line sends its data; at once if 0.
     pub(super) batch_ms: f64,
-    /// What a busy machine adds to the least delay of 40 us, each way, in the mean.
+    /// Mean delay that a busy machine adds to the minimum of 40 us, each way.
     pub(super) jitter_us: f64,
 }
 
@@ -134,7 +135,7 @@ enum Command {
     Stop,
 }
 
-/// What is under way to the host.
+/// Data in transit to the host.
 enum Sent {
     Frame { seq: u32, device_ticks: u64 },
     Pong { ping_ns: u64, device_ticks: u64 },
@@ -201,7 +202,7 @@ impl World {
         40e3 - 1e3 * self.jitter_us * between(rng, 1e-9, 1.0).ln()
     }
 
-    /// When what the device has at that time reaches the host.
+    /// When the data that the device has at that time reaches the host.
     fn arrival_ns(&self, ready_ns: f64, rng: &mut Seeded) -> f64 {
         let batch_ns = self.batch_ms * 1e6;
         let ready_ns = self.resumed_ns(&[Stalled::Device], ready_ns);
