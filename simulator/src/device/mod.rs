@@ -4,10 +4,10 @@
 //! Times are nanoseconds of one monotonic clock of the caller's choice.
 
 mod clock;
+mod commands;
 mod log;
 mod outbox;
 mod settings;
-mod talk;
 
 #[cfg(test)]
 mod tests;

@@ -45,7 +45,7 @@ impl Part {
     ];
 
     /// The joints of the bone that is cut, and the position of the cut as a fraction of its length.
-    fn place(self) -> (OfSide, OfSide, f64) {
+    fn cut_site(self) -> (OfSide, OfSide, f64) {
         match self {
             Self::Foot => (Joint::Knee, Joint::Ankle, 1.0),
             Self::HalfShank => (Joint::Knee, Joint::Ankle, 0.5),
@@ -61,7 +61,7 @@ impl Part {
     /// Plausible range of the part's share of the surface, half to twice the expected one: a hand has 2.5 %, a foot
     /// 3.5 %, a forearm 3 %, an upper arm 4 %, a shank 7 % (Lund and Browder 1944). A plane that removes more cuts
     /// the trunk, and one that removes less leaves toes or fingers.
-    fn share(self) -> [f64; 2] {
+    fn surface_share(self) -> [f64; 2] {
         let of = match self {
             Self::Foot => 0.03,
             Self::HalfShank => 0.065,
@@ -102,7 +102,7 @@ pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, Cut)> 
     let part = Part::ALL[(seed % Part::ALL.len() as u64) as usize];
     let side = if random.between(0.0, 1.0) < 0.5 { Side::Left } else { Side::Right };
     let capped = random.between(0.0, 1.0) < 0.5;
-    let (near, far, share) = part.place();
+    let (near, far, share) = part.cut_site();
     let at =
         |joint: OfSide| joints.estimates.get(&joint(side)).map(|found| Point::from(found.position));
     let (near, far) = (at(near)?, at(far)?);
@@ -115,7 +115,7 @@ pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, Cut)> 
         let normal = unit(bone) * tilt.cos() + across * tilt.sin();
         let plane = Plane { through: near + bone * share, normal };
         let found = plane.cut_off(mesh, capped);
-        let [least, most] = part.share();
+        let [least, most] = part.surface_share();
         let taken = |rest: &Mesh| 1.0 - area(rest) / area(mesh);
         if let Some(found) = found.filter(|rest| (least..most).contains(&taken(rest))) {
             return Some((found, Cut { part, side, tilt_deg, capped }));

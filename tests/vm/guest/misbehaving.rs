@@ -103,7 +103,7 @@ pub(crate) fn send_forever(line: &mut Bulk, bytes: &[u8], stop: &AtomicBool) -> 
     Ok(())
 }
 
-/// Serves a normal device on a line that calls `fault` before each write and delays commands by `late`.
+/// Serves a normal device on a line that calls `fault` before each write and delays commands by `delay`.
 pub(crate) fn serve_with_fault(
     line: Bulk,
     stop: &AtomicBool,

@@ -1,5 +1,5 @@
+mod commands;
 mod frames;
-mod talk;
 
 use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol};
 use mocapd_drivers::link::{FrameForm, HostLink};
