@@ -1,15 +1,15 @@
-// Writes the markers' names beside them, where they do not cover each other.
+// Draws the markers' labels beside them, where they do not overlap.
 
 const CELL_PX = 14;
 
-export function drawNames(ctx, motion, points, { colours, chosen, options }) {
+export function drawLabels(ctx, motion, points, { colours, selected, options }) {
   ctx.textAlign = "left";
   ctx.textBaseline = "middle";
   ctx.lineJoin = "round";
   ctx.lineWidth = 3;
   ctx.strokeStyle = colours.panel;
   const taken = new Set();
-  const put = (slot, colour, mustShow) => {
+  const drawLabel = (slot, colour, mustShow) => {
     const [x, y, radius, seen] = points.subarray(4 * slot, 4 * slot + 4);
     if (seen === 0) return;
     const text = motion.labels[slot];
@@ -23,12 +23,12 @@ export function drawNames(ctx, motion, points, { colours, chosen, options }) {
     ctx.fillStyle = colour;
     ctx.fillText(text, x + radius + 5, y);
   };
-  if (chosen >= 0) {
+  if (selected >= 0) {
     ctx.font = "700 15px system-ui, sans-serif";
-    put(chosen, colours.chosen, true);
+    drawLabel(selected, colours.selected, true);
   }
   ctx.font = "500 12px system-ui, sans-serif";
   for (let slot = 0; options.labels && slot < motion.n; slot += 1) {
-    if (slot !== chosen) put(slot, colours.text, false);
+    if (slot !== selected) drawLabel(slot, colours.text, false);
   }
 }
