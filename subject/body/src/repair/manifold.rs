@@ -86,7 +86,7 @@ pub(super) fn pair_half_edges(mesh: &Mesh) -> (Vec<u32>, usize) {
 
 /// The two half-edges of the flattest pair of triangles.
 fn flattest(mesh: &Mesh, half_edges: &[u32]) -> Option<(usize, usize)> {
-    let pairs = (0..edge.len()).flat_map(|i| (i + 1..edge.len()).map(move |j| (i, j)));
+    let pairs = (0..half_edges.len()).flat_map(|i| (i + 1..half_edges.len()).map(move |j| (i, j)));
     let mut best = None;
     for (i, j) in pairs {
         let (normal_i, normal_j) = (normal(mesh, half_edges[i]), normal(mesh, half_edges[j]));

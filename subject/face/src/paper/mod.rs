@@ -106,7 +106,7 @@ pub fn faces(photo: &Photo) -> Vec<DetectedFace> {
             let roll_rad = direction_rad(holes);
             let turned = RotatedBox::around(skin, roll_rad as f32)?;
             let energy = energy(&grey, &edges, &turned);
-            (energy > ENERGY_MIN).then(|| found(&turned, roll_rad, energy, scale))
+            (energy > ENERGY_MIN).then(|| detection(&turned, roll_rad, energy, scale))
         })
         .collect();
     faces.sort_by(|a, b| b.score.total_cmp(&a.score));
