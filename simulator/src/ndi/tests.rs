@@ -25,10 +25,10 @@ fn system(settings: NdiSettings) -> NdiDevice {
 fn ask(device: &mut NdiDevice, text: &str, now_ns: u64) -> Vec<u8> {
     let crc = mocapd_drivers::ndi::crc16(text.as_bytes());
     let wire = if text.contains(':') { format!("{text}{crc:04X}\r") } else { format!("{text}\r") };
-    say(device, wire.as_bytes(), now_ns)
+    send(device, wire.as_bytes(), now_ns)
 }
 
-fn say(device: &mut NdiDevice, bytes: &[u8], now_ns: u64) -> Vec<u8> {
+fn send(device: &mut NdiDevice, bytes: &[u8], now_ns: u64) -> Vec<u8> {
     device.poll(now_ns);
     device.on_bytes(bytes, now_ns);
     let answer = device.pending().to_vec();
@@ -53,12 +53,12 @@ fn tracking(device: &mut NdiDevice, now_ns: u64) {
 #[test]
 fn fixed_answers() {
     let mut device = system(NdiSettings::default());
-    assert_eq!(say(&mut device, b"INIT:E3A5\r", 0), b"OKAYA896\r");
+    assert_eq!(send(&mut device, b"INIT:E3A5\r", 0), b"OKAYA896\r");
     device.on_break(0);
     assert_eq!(device.pending(), b"RESETBE6F\r");
     device.sent(10);
     assert_eq!(asked(&mut device, "PHSR:00", 0), "ERROR10", "a break undoes INIT");
-    assert_eq!(say(&mut device, b"INIT:E3A6\r", 0), b"ERROR046802\r");
+    assert_eq!(send(&mut device, b"INIT:E3A6\r", 0), b"ERROR046802\r");
 }
 
 #[test]
