@@ -1,4 +1,4 @@
-//! Counts the doubts and refusals of whole generated bodies, in every pose: none of them is due.
+//! Counts notes and refusals of whole generated bodies in every pose: none of them is justified.
 //!
 //!     cargo run --release -p mocapd-body --example doubts [-- FIRST_SEED LAST_SEED]
 //!
@@ -12,7 +12,7 @@ use mocapd_body::Survey;
 use mocapd_body::skeleton::Method;
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
-/// Seeds that no threshold was chosen on.
+/// Seeds that were not used to choose any threshold.
 const SEEDS: [u64; 2] = [100, 160];
 
 fn main() -> Result<(), Box<dyn Error>> {

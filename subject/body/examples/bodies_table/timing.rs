@@ -1,4 +1,4 @@
-//! How long it takes.
+//! Computation time.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -10,7 +10,7 @@ use mocapd_body::{Mesh, extremity};
 use crate::case::{Case, skeleton};
 use crate::table::quantile;
 
-/// The whole pipeline from a mesh in memory, beside one run of Dijkstra's method along the edges of the same mesh.
+/// The whole pipeline from a mesh in memory, beside one run of Dijkstra's algorithm along the edges of the same mesh.
 pub(crate) fn print(cases: &[Case]) {
     println!(
         "| faces | meshes | median ms | slowest ms | of it joints | one Dijkstra ms | ratio |"
@@ -40,7 +40,7 @@ pub(crate) fn print(cases: &[Case]) {
     }
 }
 
-/// From the ends to the joints.
+/// From the extremities to the joints.
 fn of_joints(mesh: &Mesh, adjacency: &Adjacency) -> Option<f64> {
     let graph = Graph::with_short_cuts(mesh, adjacency);
     let mut workspace = Workspace::default();

@@ -1,9 +1,11 @@
-//! Cuts limbs off bodies, and asks whether a joint is trusted that is far off: the bar of `docs/subject-body.md`.
+//! Cuts limbs off bodies, and reports joints with a large error but a small standard deviation: the criterion of
+//! `docs/subject-body.md`.
 //!
 //!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example cut_limbs [-- CUTS_A_BODY [FIRST_SEED [PART_OF_A_NAME]]]
 //!
-//! Twenty cuts of each of ten bodies: generated ones, and where `MOCAPD_BODIES` names a folder, every other is from there.
-//! Bodies and cuts are drawn from the first seed (0 where none is given) onwards. With a part of a name, all bodies that have it are taken. A line is printed for each body as it is, and for each cut.
+//! Twenty cuts of each of ten bodies: generated ones, or, if `MOCAPD_BODIES` names a folder, every other one from
+//! there. Bodies and cuts are derived from seeds, starting with the first seed (default 0). With a part of a name, all
+//! matching bodies are used. A line is printed for each whole body and for each cut.
 #![expect(clippy::print_stdout, reason = "what an example is for")]
 
 use std::collections::BTreeMap;
@@ -19,7 +21,7 @@ use mocapd_testkit::synthetic_body::{Options, Pose, body, cut_limb};
 #[path = "../bodies/read.rs"]
 mod read;
 
-/// As far off as no joint may be, in parts of stature, whose stated standard deviation is below [`SURE`].
+/// No joint may have an error above this, in parts of stature, if its stated standard deviation is below [`SURE`].
 const FAR: f64 = 0.1;
 const SURE: f64 = 0.03;
 const BODIES: usize = 10;
@@ -47,7 +49,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let scans = scans(Path::new(&folder))?;
         match &part {
             Some(_) => bodies.extend(scans),
-            // As many of either, the scans spread over all that there are.
+            // Equal numbers of both, with the scans spread evenly over the folder.
             None => {
                 let every = (scans.len() / (BODIES / 2)).max(1);
                 bodies.truncate(BODIES / 2);
@@ -76,7 +78,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                     (mesh, format!("{:?} {:?} {:.0} deg {end}", cut.side, cut.part, cut.tilt_deg))
                 }
             };
-            let kind = match judge(body, mesh) {
+            let kind = match evaluate(body, mesh) {
                 Err(reason) => {
                     println!("{}: {what}: refused, {reason}", body.name);
                     "refused"
@@ -120,8 +122,8 @@ fn scans(folder: &Path) -> Result<Vec<Body>, Box<dyn Error>> {
     Ok(found)
 }
 
-/// The codes of the notes, and the joints that are far off and sure.
-fn judge(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String> {
+/// The codes of the notes, and the joints with a large error but a small standard deviation.
+fn evaluate(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String> {
     let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
     let repaired = repair(scan, None).map_err(|error| error.to_string())?;
     let analysis = Survey::new(&repaired.mesh, Method::Default);
@@ -134,7 +136,7 @@ fn judge(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String>
             Some((joint, error, found.sigma / body.stature))
         })
     };
-    // Where the sides are not told, nobody said which is which.
+    // If the sides are undetermined, either assignment is accepted.
     let sum = |swapped: bool| errors(swapped).map(|(_, error, _)| error).sum::<f64>();
     let swapped = !analysis.joints.sides_told && sum(true) < sum(false);
     let far = errors(swapped).filter(|(_, error, sigma)| *error > FAR && *sigma < SURE);

@@ -103,8 +103,8 @@ pub(super) fn from_shape(
             missing[end] = END * scale;
         }
     }
-    let ways = fields.between(HAND[0], HAND[1]).zip(head_to_feet(fields));
-    let hands_near = ways.is_some_and(|(hands, legs)| {
+    let lengths = fields.between(HAND[0], HAND[1]).zip(head_to_feet(fields));
+    let hands_near = lengths.is_some_and(|(hands, legs)| {
         (hands / HAND_TO_HAND).ln() - (legs / HEAD_TO_FOOT).ln() < -HANDS_SHORTER
     });
     let both = [(HAND, hands == [false; 2] && hands_near), (FOOT, feet == [false; 2])];

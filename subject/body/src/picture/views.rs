@@ -205,10 +205,10 @@ impl BodyView<'_> {
 
     fn name(&self, joint: Joint) -> String {
         let name = joint_name(joint);
-        let told = self.drawing.joints.sides_told;
+        let sides_known = self.drawing.joints.sides_told;
         match name.split_once('_') {
-            Some(("l", rest)) if told => format!("left {rest}"),
-            Some(("r", rest)) if told => format!("right {rest}"),
+            Some(("l", rest)) if sides_known => format!("left {rest}"),
+            Some(("r", rest)) if sides_known => format!("right {rest}"),
             Some(("l", rest)) => format!("{rest} A"),
             Some((_, rest)) => format!("{rest} B"),
             None => name.to_owned(),

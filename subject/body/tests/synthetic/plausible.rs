@@ -1,9 +1,9 @@
-//! Whether joints lie as a body can have them.
+//! Anatomical plausibility of joints.
 
 use mocapd_body::{Joint, Joints, Plausibility, Side};
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
-/// With some joints moved towards another, by a part of the way.
+/// Moves some joints towards another one, by a share of the distance.
 fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joints {
     let mut moved = joints.clone();
     let end = joints.estimates[&to].position;
@@ -15,7 +15,7 @@ fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joi
 }
 
 #[test]
-fn joints_of_bodies_are_believed_and_others_are_not() {
+fn joints_of_bodies_are_plausible_and_displaced_ones_are_not() {
     for (seed, pose) in (1..).zip(Pose::ALL) {
         let (_, joints) = body(seed, pose, Options { n_faces: 500, turned: true });
         assert_eq!(Plausibility::of(&joints), Plausibility::Whole, "{pose:?}");

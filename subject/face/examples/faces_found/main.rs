@@ -81,7 +81,7 @@ fn main() {
         _ => {}
     }
     let Some(folder) = std::env::var_os("MOCAPD_FACES").map(PathBuf::from) else {
-        eprintln!("MOCAPD_FACES is not set: nothing to look at");
+        eprintln!("MOCAPD_FACES is not set: it names the folder of the photographs");
         return;
     };
     let reported = args.first().is_some_and(|first| first == "reported");

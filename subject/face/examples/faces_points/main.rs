@@ -34,7 +34,7 @@ const STARTS: usize = 3;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut out = std::io::stdout().lock();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let asked = |word: &str| arguments.iter().any(|a| a == word);
+    let requested = |word: &str| arguments.iter().any(|a| a == word);
     let Some(folder) = std::env::var_os("MOCAPD_FACES") else {
         writeln!(out, "MOCAPD_FACES is not set: it names the folder of the photographs")?;
         return Ok(());
@@ -43,10 +43,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let photographs = data::read(folder.as_ref())?;
     let small = data::reduced(&photographs, SMALL_INTEROCULAR_PX)?;
     let (drawn, worn) = (drawn::faces()?, drawn::worn_faces()?);
-    if asked("warned") {
-        return warned::print(&mut out, &[("drawn", &drawn), ("worn", &worn)], asked("each"));
+    if requested("warned") {
+        return warned::print(&mut out, &[("drawn", &drawn), ("worn", &worn)], requested("each"));
     }
-    if asked("confidence") {
+    if requested("confidence") {
         let photographs = photographs.iter().filter(|f| f.development);
         let learned_from: Vec<_> = photographs.chain(&small).chain(&drawn).chain(&worn).collect();
         return confidence::print(&mut out, &learned_from);
@@ -58,9 +58,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("worn", true, &worn),
         ("reported", false, &photographs),
     ];
-    let all = !halves.iter().any(|(half, ..)| asked(half));
+    let all = !halves.iter().any(|(half, ..)| requested(half));
     for (half, development, faces) in halves {
-        if !all && !asked(half) {
+        if !all && !requested(half) {
             continue;
         }
         let (mut disturbed_table, mut detected_table) = (Table::default(), Table::default());
@@ -81,7 +81,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     if number < STARTS { &mut disturbed_table } else { &mut detected_table };
                 for (method, found) in [("default", &found), ("paper", &paper)] {
                     let row = Row::of(face, found);
-                    if asked("each") {
+                    if requested("each") {
                         writeln!(
                             out,
                             "{:22} {}.{number} {method:8} {row}",
@@ -105,7 +105,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "### {half}, from detected ones ({missed} not detected)\n\n{detected_table}"
         )?;
     }
-    if asked("offsets") {
+    if requested("offsets") {
         writeln!(out, "{offsets}")?;
     }
     Ok(())

@@ -48,12 +48,12 @@ pub(crate) fn print(
             for (number, rough) in starts.into_iter().enumerate() {
                 let Some(rough) = rough else { continue };
                 let found = points::paper::find(&face.photo, &rough);
-                let said = proportions.contradictions(&found.points.map(|point| point.at));
+                let notes = proportions.contradictions(&found.points.map(|point| point.at));
                 let row = Row::of(face, &found);
                 if each {
-                    writeln!(out, "{:22} {number} {row} | {}", face.name, said.join("; "))?;
+                    writeln!(out, "{:22} {number} {row} | {}", face.name, notes.join("; "))?;
                 }
-                counts.add(&row, !said.is_empty());
+                counts.add(&row, !notes.is_empty());
             }
         }
         write!(out, "| {kind} |")?;

@@ -42,7 +42,7 @@ pub(crate) fn trace(
     let place = |k: usize, i: usize| {
         along(centre, rays.get(k).copied().unwrap_or_default(), (RADIUS_MIN + i) as f64)
     };
-    let deviation_cost = |k: usize, i: usize| {
+    let penalty = |k: usize, i: usize| {
         let expected = expected.get(k).copied().unwrap_or(RADIUS_USUAL);
         let off = ((RADIUS_MIN + i) as f64 - expected) / sd;
         DEVIATION_COST * off * off
@@ -60,12 +60,12 @@ pub(crate) fn trace(
             let colour = beyond[0] - within[0];
             let light = (within[1] - beyond[1]).clamp(-0.3, 0.5);
             // Hair and shadow are darker than the face; a bright background is not.
-            *g = colour + 0.5 * light.max(-0.3 * light) - deviation_cost(k, i);
+            *g = colour + 0.5 * light.max(-0.3 * light) - penalty(k, i);
         }
     }
     best_path(&gain)
         .into_iter()
-        .map(|(k, i)| Ray { at: place(k, i), contrast: gain_at(&gain, k, i) + deviation_cost(k, i) })
+        .map(|(k, i)| Ray { at: place(k, i), contrast: gain_at(&gain, k, i) + penalty(k, i) })
         .collect()
 }
 
@@ -194,8 +194,8 @@ pub(crate) struct Heights {
 /// outline.
 ///
 /// Head top and chin follow the generic face: the hairline is as far above the brows as nine tenths of the distance
-/// from the nose's base to the brows; the chin's height is midway between the lower lip and the outline's lowest point. A
-/// height that misses the outline is moved to the nearest that meets it.
+/// from the nose's base to the brows; the chin's height is midway between the lower lip and the outline's lowest point.
+/// A height that misses the outline is moved to the nearest that meets it.
 pub(crate) fn twelve(line: &[Point], middle_x: f64, heights: &Heights) -> Vec<(usize, Point)> {
     let (top, bottom) = extent(line.iter().map(|p| p[1]));
     if !(top.is_finite() && bottom > top) {

@@ -1,4 +1,4 @@
-//! Bones of two sides.
+//! Equalisation of left and right bones.
 
 use nalgebra::Vector3;
 
@@ -36,7 +36,7 @@ fn upper(limb: Limb) -> f64 {
 }
 
 #[test]
-fn the_surer_elbow_gives_the_length_of_both_forearms() {
+fn the_more_certain_elbow_determines_both_forearm_lengths() {
     let (mut sure, mut unsure) = (arm(-0.2, 0.65), arm(0.2, 0.65));
     sure.hinge.y += 0.02;
     unsure.hinge_sigma = 0.5;
@@ -46,7 +46,7 @@ fn the_surer_elbow_gives_the_length_of_both_forearms() {
 }
 
 #[test]
-fn an_upper_arm_is_drawn_towards_the_average_along_itself() {
+fn upper_arm_lengths_move_towards_the_average() {
     let long = arm(-0.2, 0.6);
     let [equalised, _] = equalised_arms([long, arm(0.2, 0.6)]);
     let length = upper(equalised);
@@ -55,7 +55,7 @@ fn an_upper_arm_is_drawn_towards_the_average_along_itself() {
 }
 
 #[test]
-fn joints_in_one_place_stay_finite() {
+fn coinciding_joints_stay_finite() {
     let limb = limb(0.0, [0.56; 3]);
     for equalise in [equalised_arms, equalised_legs] {
         let [equalised, _] = equalise([limb, limb]);
@@ -64,7 +64,7 @@ fn joints_in_one_place_stay_finite() {
 }
 
 #[test]
-fn shanks_are_as_long_as_the_surer_knee_says_and_no_nearer_to_the_average() {
+fn the_more_certain_knee_determines_both_shank_lengths() {
     let (mut one, other) = (leg(-0.1, 0.5), leg(0.1, 0.5));
     one.hinge.y += 0.02;
     let both = equalised_legs([one, other]).map(lower);
@@ -76,7 +76,7 @@ fn shanks_are_as_long_as_the_surer_knee_says_and_no_nearer_to_the_average() {
 }
 
 #[test]
-fn a_thigh_is_drawn_towards_the_average_by_less_than_half() {
+fn thigh_lengths_move_towards_the_average_by_less_than_half() {
     let long = leg(0.1, 0.6);
     let [equalised, _] = equalised_legs([long, long]);
     let (before, after) = (0.33 - JOINTS.thigh, upper(equalised) - JOINTS.thigh);
