@@ -30,15 +30,15 @@ impl Barrier {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Action {
     /// Sends this range of [`Steps::bytes`].
-    Say { start: usize, end: usize },
+    Send { start: usize, end: usize },
     /// Waits for a command of the host.
-    Hear(Barrier),
+    Await(Barrier),
     /// Pulls the cable.
     Unplug,
     /// Plugs the cable in again.
     PlugIn,
     /// Ends a log whose stream had not ended: what the device sent afterwards is unknown.
-    Leave,
+    Disappear,
 }
 
 /// A step and its time in the log.
