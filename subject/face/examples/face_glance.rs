@@ -1,11 +1,12 @@
-//! What `benches/subject/face_glance.py` learns from: how heads with known landmarks look.
+//! Features of heads with known landmarks, the training data of `benches/subject/face_glance.py`.
 //!
 //!     cargo run --release -p mocapd-face --example face_glance -- cells HEADS > ROWS
 //!     cargo run --release -p mocapd-face --example face_glance -- patches HEADS POINTS > ROWS
 //!
-//! HEADS is a folder of `benches/subject/heads/make.py`. Each head is begun from its eyes and mouth, disturbed four times, with a
-//! fixed seed. A row is, little-endian: x and y of 60 landmarks in the crop (pixels, 32-bit floats), then the bytes of the look.
-//! POINTS has for each row, in the same order, the landmarks around which it is looked: 60 times x and y.
+//! HEADS is a folder written by `benches/subject/heads/make.py`. Each head is started from its eyes and mouth,
+//! disturbed four times with a fixed seed. A row is, little-endian: x and y of 60 landmarks in the crop (pixels, 32-bit
+//! floats), then the bytes of the features. POINTS contains for each row, in the same order, the landmarks whose
+//! patches are described: 60 times x and y.
 
 use std::error::Error;
 use std::io::{Read, Write};
@@ -19,7 +20,7 @@ use mocapd_face::points::regressor::{LandmarkPoints, LandmarkRegressor, REGRESSE
 #[path = "faces_points/data.rs"]
 mod data;
 
-/// How far eyes and mouth are disturbed (standard deviations, of the outer eye corners' distance), start by start.
+/// Disturbance of eyes and mouth at each start (standard deviation, in outer interocular distances).
 const START_SD_INTEROCULAR: [f64; 4] = [0.02, 0.04, 0.06, 0.1];
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -1,4 +1,4 @@
-//! Draws two faces of nobody with what is found of them, one that is sure and one that is not:
+//! Draws two synthetic faces with their fitted wireframes, one with a high and one with a low confidence:
 //!
 //!     cargo run --release -p mocapd-face --example face_pictures docs/faces
 
@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A plain patch over the middle of some of the points, so many distances of the outer eye corners wide and high.
+/// A plain patch over the centre of some of the points, of the given width and height in outer interocular distances.
 fn cover(image: &mut RgbImage, truth: &Truth, ibug: &[usize], size_interocular: [f64; 2]) {
     let points = ibug.iter().filter_map(|i| FeatureId::from_ibug(*i)).map(|id| truth.at(id));
     let sum = points.fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);

@@ -1,5 +1,5 @@
-//! Seeded pictures of drawn faces, and what is found on them: many more people, lights and poses than photographs with
-//! known faces are at hand.
+//! Seeded pictures of drawn faces, and what is detected on them: they cover many more people, lights and poses than the
+//! available photographs with known faces.
 
 use std::path::Path;
 
@@ -12,10 +12,10 @@ use serde_json::json;
 
 use super::{Face, score};
 
-/// 0.25 megapixels.
+/// Size of the pictures: 0.25 megapixels.
 const SIZE_PX: (u32, u32) = (480, 520);
 
-/// Numbers that look random, by splitmix64 (Steele, Lea and Flood 2014).
+/// Seeded pseudo-random numbers by SplitMix64 (Steele, Lea and Flood 2014).
 struct Random(u64);
 
 impl Random {
@@ -36,7 +36,7 @@ impl Random {
     }
 }
 
-/// A picture, its one face (none on every fifth), and what it stands for in the table.
+/// A picture, its face (none on every fifth picture), and the rows of the table to which it belongs.
 struct Drawn {
     image: RgbImage,
     face: Option<(Face, Truth, f64)>,
@@ -118,7 +118,7 @@ fn draw(seed: u64) -> Option<Drawn> {
     Some(Drawn { image: picture.image, face, kinds })
 }
 
-/// Tone curve, and the light's colour: natural, grey or cast.
+/// Applies a tone curve and a colour of the light: natural, grey or cast.
 fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
     let gamma = random.between(0.7, 1.5);
     let (grey, cast) = (random.uniform() < 0.2, random.uniform() < 0.2);
@@ -144,7 +144,7 @@ fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
     }
 }
 
-/// Eyes as the annotations have them: the mean of six points each.
+/// Eyes in the convention of the annotations: the mean of six points each.
 fn known(truth: &Truth) -> Option<Face> {
     let mean = |from: usize, count: usize| {
         let points = (from..from + count).map(|i| FeatureId::from_ibug(i).map(|id| truth.at(id)));
@@ -168,7 +168,7 @@ impl<I: Iterator<Item = Option<[f64; 2]>>> SumPoints for I {
     }
 }
 
-/// What is found on pictures `seeds`, by kind.
+/// Detection results on the pictures `seeds`, by kind.
 pub(crate) fn table(seeds: std::ops::Range<u64>) {
     let mut rows: Vec<(&str, [usize; 4])> = Vec::new();
     for drawn in seeds.filter_map(draw) {
@@ -203,7 +203,7 @@ fn photo(image: &RgbImage) -> Option<Photo> {
     Photo::from_pixels(image.width() as usize, image.height() as usize, pixels).ok()
 }
 
-/// Writes pictures `seeds` into a folder, each with its face beside it.
+/// Writes the pictures `seeds` into a folder, each with its face in a file beside it.
 pub(crate) fn write(seeds: std::ops::Range<u64>, folder: &Path) {
     for seed in seeds {
         let Some(drawn) = draw(seed) else { continue };

@@ -1,17 +1,16 @@
-//! What is found on photographs whose faces are known, in the folder that `MOCAPD_FACES` names.
+//! Detection results on photographs whose faces are known, from the folder that `MOCAPD_FACES` names.
 //!
-//! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
-//! the others; `faces_found print_features FILE...` every hypothesis on any photographs, for
-//! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, and `faces_found nearer
-//! FILE...` after the first of two steps, for `find_align.py`; `faces_found again FILE...` what is looked at a second time, for
-//! `find_again.py`.
+//! `faces_found` measures the development photographs, on which weights and thresholds were chosen; `faces_found
+//! reported` the others. For the training scripts, `faces_found looks FILE...` prints every hypothesis on any
+//! photographs (`benches/subject/find_looks.py`), `faces_found rough FILE...` the same before the alignment of the
+//! eyes, `faces_found nearer FILE...` after the first of two steps of it (both `find_align.py`), and `faces_found again
+//! FILE...` the hypotheses of the second stage (`find_again.py`).
 //!
-//! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
-//! TO` writes those.
+//! `faces_found drawn [FROM TO]` measures seeded pictures of drawn faces, and `faces_found draw FOLDER FROM TO` writes
+//! them.
 //!
-//! A face counts if its outer eye corners are 40 pixels apart and it is turned by 35 degrees at most, where that is
-//! known. It is found if both eyes are within 0.25 of that distance; what is found and is no face at all, counting or
-//! not, is false.
+//! A face counts if its outer eye corners are at least 40 pixels apart and its yaw, where known, is at most 35 degrees.
+//! It is found if both eyes are within 0.25 of that distance; a detection that is no face, counting or not, is false.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "an example that prints a table")]
 
 mod drawn;
@@ -152,7 +151,7 @@ fn faces(picture: &Path) -> Vec<Face> {
 }
 
 fn face(value: &Value) -> Option<Face> {
-    // Two detectors that do not agree have found no face.
+    // If two detectors disagree, neither is trusted as ground truth.
     if value["agree_pct_io"].as_f64().is_some_and(|agree| agree > 20.0) {
         return None;
     }
@@ -169,7 +168,7 @@ fn face(value: &Value) -> Option<Face> {
     Some(Face { eyes, mouth, interocular_px, counts: interocular_px >= 40.0 && yaw.abs() <= 35.01 })
 }
 
-/// How many counting faces are found, and how many that are found are none.
+/// The number of counting faces that are found, and the number of false detections.
 fn score(truth: &[Face], found: &[DetectedFace]) -> (usize, usize) {
     let mut taken = vec![false; truth.len()];
     let mut wrong = 0;
@@ -188,8 +187,8 @@ fn score(truth: &[Face], found: &[DetectedFace]) -> (usize, usize) {
     (hits, wrong)
 }
 
-/// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
-/// and the bytes of its look.
+/// Hypotheses as single-precision floats: their number, then for each eyes, mouth, outer interocular distance, score,
+/// and the bytes of its features.
 fn print_features(path: &Path, hypotheses: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {

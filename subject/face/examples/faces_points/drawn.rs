@@ -1,4 +1,4 @@
-//! Faces that are drawn: as many development faces as one likes, with the truth about them.
+//! Drawn faces: any number of development faces with exact ground truth.
 
 use std::error::Error;
 
@@ -8,15 +8,15 @@ use mocapd_testkit::photograph::{Extras, Scene};
 
 use super::data::{Face, Noise, Truth};
 
-/// How many.
+/// Number of faces.
 const FACES: u64 = 80;
 
-/// Faces of all shades, turned by up to 35 degrees and nodding by up to 15, with 25 to 110 pixels between the eyes.
+/// Faces of all skin tones, with yaw up to 35 degrees and pitch up to 15, and 25 to 110 pixels between the eyes.
 pub(crate) fn faces() -> Result<Vec<Face>, Box<dyn Error>> {
     (0..FACES).map(plain).collect()
 }
 
-/// Small faces of 20 to 60 pixels, in glasses, beards and fringes, in light from the side, grey and noisy ones.
+/// Small faces of 20 to 60 pixels, with glasses, beards and fringes, lit from the side, grey and noisy.
 pub(crate) fn worn_faces() -> Result<Vec<Face>, Box<dyn Error>> {
     (0..FACES).map(worn).collect()
 }

@@ -1,13 +1,13 @@
-//! How well the 53 points are found, as Markdown, on the photographs in the folder that `MOCAPD_FACES` names:
+//! Accuracy of the 53 points, as Markdown, on the photographs in the folder that `MOCAPD_FACES` names:
 //!
 //!     MOCAPD_FACES=../shared/faces cargo run --release -p mocapd-face --example faces_points
 //!
-//! Two tables a half: from the true eyes and mouth disturbed by seeded noise, and from the faces that detection finds.
-//! Beside the photographs there are the development ones made smaller, and two kinds of drawn faces.
-//! The arguments `development`, `small`, `drawn`, `worn` and `reported` print one of them only, `each` adds a line a face, and `offsets` prints where the
-//! annotators of the development half have the points, from where they were found: `OFFSETS_IO` of the default chain.
-//! `warned` prints how often the paper's points are said to contradict a face instead, on drawn faces, and `confidence`
-//! prints what the confidence of a face is learned from instead, of development and drawn faces.
+//! Two tables for each half: started from the true eyes and mouth disturbed by seeded noise, and from detected faces.
+//! In addition to the photographs there are the development ones reduced in size, and two kinds of drawn faces. The
+//! arguments `development`, `small`, `drawn`, `worn` and `reported` select one of them, `each` adds a line per face,
+//! and `offsets` prints the positions of the annotators of the development half relative to the found ones:
+//! `OFFSETS_IO` of the default chain. `warned` prints instead how often the paper's points on drawn faces get a note,
+//! and `confidence` prints the training data of the confidence, from development and drawn faces.
 
 mod confidence;
 mod data;
@@ -24,11 +24,11 @@ use mocapd_face::points::{self, FacePoints, RoughFace};
 use offsets::Offsets;
 use table::{Row, Table};
 
-/// Standard deviation of the starting places, as a share of the distance of the outer eye corners.
+/// Standard deviation of the starting positions, in outer interocular distances.
 const START_SD_INTEROCULAR: f64 = 0.04;
-/// What the development photographs' faces are made smaller to, once more.
+/// Outer interocular distance to which the development photographs' faces are reduced.
 const SMALL_INTEROCULAR_PX: f64 = 24.0;
-/// Disturbed starts of each face.
+/// Number of disturbed starts of each face.
 const STARTS: usize = 3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -111,7 +111,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The detected face that lies on this one, if there is one: its eyes within 0.35 of the true ones' distance.
+/// The detected face that overlaps this one, if there is one: its eyes are within 0.35 of the true interocular
+/// distance.
 fn detected(face: &data::Face) -> Option<RoughFace> {
     let (left, right) = (face.truth.centre(36..42), face.truth.centre(42..48));
     let near = 0.35 * data::distance(left, right);
@@ -134,7 +135,7 @@ fn disturbed_by(sd_interocular: f64, truth: &Truth, noise: &mut data::Noise) -> 
     RoughFace { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
 }
 
-/// The points found, by their numbers in iBUG-68.
+/// The found points by their numbers in iBUG-68.
 fn ibug(found: &FacePoints, point: usize) -> Option<[f64; 2]> {
     let id = mocapd_face::model::FeatureId::from_ibug(point)?;
     found.points.get(id.index()).map(|p| p.at)

@@ -1,5 +1,4 @@
-//! What annotators mean by a point, and what the method means by it: the median difference, both sides of the face taken
-//! together.
+//! Median differences between annotated and found points, both sides of the face together.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,12 +8,12 @@ use mocapd_face::points::FacePoints;
 use super::data::Face;
 use super::ibug;
 
-/// Differences by the point's number in iBUG-68, that of the right half of the face.
+/// Differences by the point's number in iBUG-68, in the right half of the face.
 #[derive(Default)]
 pub(crate) struct Offsets(BTreeMap<usize, Vec<[f64; 2]>>);
 
 impl Offsets {
-    /// Photographs of faces that look at the camera, more or less: an offset of a turned face is another one.
+    /// Nearly frontal photographs only: the offset of a turned face is different.
     pub(crate) fn add(&mut self, face: &Face, found: &FacePoints) {
         if face.truth.interocular_px() < 40.0
             || face.synthetic
@@ -57,7 +56,7 @@ impl fmt::Display for Offsets {
                 v.sort_by(f64::total_cmp);
                 v[v.len() / 2]
             };
-            // What lies on the middle line has no side.
+            // Points on the midline have no side.
             let x = if [33, 51, 57, 62, 66].contains(point) { 0.0 } else { median(0) };
             writeln!(f, "    ({point}, [{x:.3}, {:.3}]),", median(1))?;
         }

@@ -1,4 +1,4 @@
-//! Errors of one face, and their table.
+//! Errors of one face, and the table of them.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,7 +10,7 @@ use mocapd_face::points::FacePoints;
 use super::data::{Face, distance};
 use super::ibug;
 
-/// Errors in per cent of the distance of the outer eye corners, but for the yaw.
+/// Errors in per cent of the outer interocular distance, except for the yaw.
 pub(crate) struct Row {
     pub(crate) all: f64,
     pub(crate) eyes: f64,
@@ -18,11 +18,11 @@ pub(crate) struct Row {
     pub(crate) nose: f64,
     pub(crate) mouth: f64,
     outline: f64,
-    /// Whether the method takes the face for a good one; a method that cannot tell takes them all.
+    /// Whether the confidence is at least 0.5; true for a method without a confidence.
     sure: bool,
-    /// Found less true.
+    /// Found minus true yaw, in degrees.
     yaw_deg: Option<f64>,
-    /// The same of the generic face fitted to the points.
+    /// The same for the generic face fitted to the points.
     fitted_yaw_deg: Option<f64>,
 }
 
@@ -89,11 +89,11 @@ impl fmt::Display for Row {
     }
 }
 
-/// Rows by the kind of face and the method.
+/// Rows by kind of face and method.
 #[derive(Default)]
 pub(crate) struct Table {
     rows: BTreeMap<(&'static str, &'static str), Vec<Row>>,
-    /// Of each search by the default way.
+    /// Yaw errors of each search by the default method.
     pub(crate) spent_ms: Vec<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! How often the points of the paper's chain are said to contradict a face, and how often they are off, on drawn faces.
+//! How often the points of the paper's chain get a note, and how often they are wrong, on drawn faces.
 
 use std::error::Error;
 use std::io::Write;
@@ -11,10 +11,10 @@ use super::data::{Face, Noise};
 use super::table::Row;
 use super::{STARTS, detected, disturbed};
 
-/// Off by more than this, in per cent of the distance of the outer eye corners, on the mean.
+/// Limit of a mean error, in per cent of the outer interocular distance.
 const OFF: f64 = 10.0;
 
-/// Faces and those that are warned of: off as a whole; off in a part; in none.
+/// Number of faces, and of those with a note: with a large error as a whole; in one feature; in none.
 #[derive(Default)]
 struct Counts([[usize; 2]; 3]);
 

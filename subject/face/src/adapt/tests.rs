@@ -2,7 +2,7 @@ use super::*;
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, OUTER_EYES_MM};
 use mocapd_testkit::photograph::Random;
 
-/// How round the multiquadric's tip is.
+/// Radius of the multiquadric.
 const WIDTHS: [f64; 4] = [1.0, 0.3, 0.05, 0.0];
 
 fn scattered<const D: usize>(noise: &mut Random, count: usize) -> Vec<[f64; D]> {
@@ -60,9 +60,9 @@ fn weights_meet_the_side_conditions() {
     }
 }
 
-/// Two nodes on a line, worked out by hand: φ = √(1+r²), F(±1) = ±1, F(0) = 2 has ω = (-c, 2c, -c) by symmetry.
+/// Two nodes on a line, derived by hand: φ = √(1+r²), F(±1) = ±1, F(0) = 2 has ω = (-c, 2c, -c) by symmetry.
 #[test]
-fn three_nodes_are_as_worked_out_by_hand() {
+fn three_nodes_match_the_solution_by_hand() {
     let map = RadialMap::new(1.0, &[[-1.0], [0.0], [1.0]], &[[-1.0], [2.0], [1.0]]).unwrap();
     // The even part is E(x) = c (2φ(x) - φ(x-1) - φ(x+1)) + e with E(±1) = 0 and E(0) = 2.
     let (at_0, at_1) = (2.0 - 2.0 * 2f64.sqrt(), 2.0 * 2f64.sqrt() - 1.0 - 5f64.sqrt());
@@ -77,7 +77,7 @@ fn three_nodes_are_as_worked_out_by_hand() {
 }
 
 #[test]
-fn nodes_that_determine_no_map_are_refused() {
+fn degenerate_nodes_are_refused() {
     let square = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
     let map = |nodes: &[[f64; 2]]| RadialMap::new(1.0, nodes, nodes).unwrap_err();
     assert_eq!(map(&square[..2]), AdaptError::Nodes { found: 2, least: 3, most: 1000 });
@@ -128,9 +128,9 @@ fn features_of_an_adapted_face_lie_on_the_points() {
     }
 }
 
-/// Adaptation is worth its name: every vertex, not just the features, comes nearer to where it is on this person.
+/// Adaptation moves every vertex, not just the features, closer to its true position on this person.
 #[test]
-fn vertices_between_the_features_come_nearer() {
+fn vertices_between_the_features_improve() {
     let (model, camera, person) = turned_face();
     let truth = camera.project(&person);
     let seen = points(model, &camera, &person);
@@ -148,19 +148,19 @@ fn vertices_between_the_features_come_nearer() {
     let before = camera.project(&model.vertices);
     let paper = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Model).unwrap();
     assert!(error(&paper.vertices_px, 0..2) < 0.6 * error(&before, 0..2));
-    // With depths the third dimension comes nearer, too.
+    // With depths the third dimension improves, too.
     let depths: Vec<_> = seen.iter().map(|p| p[2]).collect();
     let deep = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Points(&depths))
         .unwrap();
     assert!(error(&deep.vertices_px, 2..3) < 0.7 * error(&paper.vertices_px, 2..3));
-    // And a shape that was fitted is a better beginning than the average.
+    // A fitted shape is a better starting point than the average.
     let fit = model.fit_shape(&given, &FitOptions::default()).unwrap();
     let fitted =
         adapt(model, &fit.vertices_mm, &fit.camera, &given, Width::PAPER, Depth::Model).unwrap();
     assert!(error(&fitted.vertices_px, 0..2) < error(&paper.vertices_px, 0..2));
 }
 
-/// Why the paper's d = 1 is no distance of eyes (docs/subject-face-model.md has these figures).
+/// Why the paper's d = 1 cannot be in units of the eye distance (docs/subject-face-model.md has these figures).
 #[test]
 fn a_basis_much_wider_than_features_are_apart_overshoots() {
     let (model, camera, person) = turned_face();

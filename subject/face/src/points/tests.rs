@@ -1,4 +1,4 @@
-//! Faces that are drawn here: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
+//! Drawn faces: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
 
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
@@ -19,7 +19,7 @@ struct Drawn {
     rough: RoughFace,
 }
 
-/// A drawn face turned by `yaw_deg`, with noise from `seed`, and its rough place, off by 3 % io.
+/// A drawn face turned by `yaw_deg`, with noise from `seed`, and its approximate position, off by 3 % io.
 fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     let landmarks = Landmarks::of(Model::generic().unwrap());
     let eyes = [SIDE as f64 / 2.0, 120.0];
@@ -85,7 +85,7 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     Drawn { photo: Photo::from_pixels(SIDE, SIDE, pixels).unwrap(), landmarks: p, rough }
 }
 
-/// A polygon drawn out from its centre.
+/// A polygon enlarged about its centre.
 fn grown(polygon: &[Point], by: f64) -> Vec<Point> {
     let c = mean(polygon.iter().copied());
     polygon.iter().map(|p| [c[0] + by * (p[0] - c[0]), c[1] + by * (p[1] - c[1])]).collect()
@@ -103,7 +103,7 @@ fn inside(polygon: &[Point], p: Point) -> bool {
     odd
 }
 
-/// Mean error of the 41 points that iBUG has too, in per cent of io.
+/// Mean error of the 41 points that iBUG-68 has, too, in per cent of io.
 fn error(found: &FacePoints, landmarks: &[Point; 68], which: std::ops::Range<usize>) -> f64 {
     let errors: Vec<f64> = which
         .filter_map(|i| {
@@ -115,7 +115,7 @@ fn error(found: &FacePoints, landmarks: &[Point; 68], which: std::ops::Range<usi
 }
 
 #[test]
-fn a_drawn_face_is_found_from_a_rough_place() {
+fn a_drawn_face_is_found_from_an_approximate_start() {
     for seed in 1..4 {
         let face = drawn(0.0, seed);
         let found = find(&face.photo, &face.rough).unwrap();
@@ -127,7 +127,7 @@ fn a_drawn_face_is_found_from_a_rough_place() {
 }
 
 #[test]
-fn a_turned_face_is_found_to_be_turned_that_way() {
+fn the_yaw_of_a_turned_face_has_the_right_sign() {
     for yaw in [-25.0, 25.0] {
         let face = drawn(yaw, 7);
         let found = find(&face.photo, &face.rough).unwrap();
@@ -136,8 +136,8 @@ fn a_turned_face_is_found_to_be_turned_that_way() {
     }
 }
 
-/// A rendered face, what it is begun from, and how sure it is: as it is, or with the mouth and the eye at the picture's left
-/// under flat patches.
+/// A rendered face, its starting position and its confidence: unmodified, or with the mouth and the eye at the
+/// picture's left covered by flat patches.
 fn sureness(seed: u64, covered: bool) -> f64 {
     let mut picture = Scene::portrait(seed, EYES_PX, 5.0).render().unwrap();
     let at = |i: usize| {
@@ -163,7 +163,7 @@ fn sureness(seed: u64, covered: bool) -> f64 {
 }
 
 #[test]
-fn a_face_is_sure_and_one_with_its_mouth_and_an_eye_covered_is_not() {
+fn covering_mouth_and_eye_lowers_the_confidence() {
     for seed in [4, 5, 6] {
         let (open, covered) = (sureness(seed, false), sureness(seed, true));
         assert!(open > 0.8, "seed {seed}: {open}");
@@ -172,7 +172,7 @@ fn a_face_is_sure_and_one_with_its_mouth_and_an_eye_covered_is_not() {
 }
 
 #[test]
-fn confidence_is_a_share_whatever_the_evidence() {
+fn confidence_is_a_probability_for_any_evidence() {
     let evidence = |v: f64| Evidence {
         clear: v,
         eyes: v,
@@ -191,7 +191,7 @@ fn confidence_is_a_share_whatever_the_evidence() {
 }
 
 #[test]
-fn the_papers_way_finds_a_drawn_face_too() {
+fn the_papers_method_finds_a_drawn_face() {
     let face = drawn(0.0, 2);
     let found = paper::find(&face.photo, &face.rough);
     assert!(error(&found, &face.landmarks, 36..48) < 7.0, "eyes");
@@ -208,7 +208,7 @@ fn the_same_photograph_gives_the_same_points() {
 }
 
 #[test]
-fn what_is_no_face_gives_finite_points() {
+fn pictures_without_a_face_give_finite_points() {
     let photo = Photo::from_pixels(40, 32, vec![[0, 0, 0]; 40 * 32]).unwrap();
     let at = [20.0, 16.0];
     for rough in [

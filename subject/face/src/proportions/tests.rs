@@ -1,7 +1,7 @@
 use super::*;
 use mocapd_testkit::photograph::Random;
 
-/// A face of the model in a pose, with an annotator's noise.
+/// A face of the model in a given pose, with an annotator's noise.
 fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; FeatureId::COUNT] {
     let model = Model::generic().unwrap();
     let options = FitOptions::default();
@@ -17,14 +17,14 @@ fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; Feat
     let mut points = [[0.0; 2]; FeatureId::COUNT];
     for ((id, point), [x, y, _]) in FeatureId::all().zip(&mut points).zip(camera.project(&places)) {
         let noise = options.noise_of(id);
-        // Half of an annotator's noise: it is the modes that are tried here.
+        // Half of an annotator's noise, because this tests the modes.
         let mut off = || 0.5 * noise * 90.0 * 1.3 * random.normal();
         *point = [x + off(), y + off()];
     }
     points
 }
 
-/// Moves some of the points by so many distances of the outer eye corners, to the right of the face and down it.
+/// Displaces some of the points, in outer interocular distances, to the right of the face and downwards.
 fn moved(
     points: &[[f64; 2]; FeatureId::COUNT],
     which: Range<usize>,
@@ -55,12 +55,12 @@ fn faces_of_the_model_contradict_nothing() {
             n += 1;
         }
     }
-    // Each of fourteen proportions is off once in 370 faces; most of them hang together.
+    // Each of fourteen proportions exceeds its limit once in 370 faces; most of them are correlated.
     assert!(warned * 20 <= n, "{warned} of {n}");
 }
 
 #[test]
-fn what_is_out_of_place_is_named() {
+fn displaced_features_are_named() {
     let proportions = ProportionModel::of(Model::generic().unwrap());
     let mut random = Random::new(12);
     let mouth = 39..53;
@@ -83,7 +83,7 @@ fn what_is_out_of_place_is_named() {
 }
 
 #[test]
-fn eyes_in_one_place_are_no_face() {
+fn coinciding_eyes_are_no_face() {
     let proportions = ProportionModel::of(Model::generic().unwrap());
     assert_eq!(proportions.contradictions(&[[7.0; 2]; FeatureId::COUNT]).len(), 1);
     assert_eq!(proportions.contradictions(&[[f64::NAN; 2]; FeatureId::COUNT]).len(), 1);

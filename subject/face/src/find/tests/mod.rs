@@ -11,7 +11,7 @@ use crate::photo::Photo;
 use crate::plane::Pyramid;
 use crate::vector;
 
-/// Somebody before clutter, and the middles of eyes and mouth.
+/// A drawn person in front of clutter, and the centres of eyes and mouth.
 fn drawn(seed: u64, interocular_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
     turned(seed, interocular_px, 0.0, roll_deg)
 }
@@ -34,7 +34,7 @@ fn turned(seed: u64, interocular_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo
     (photo, [mean(36, 42), mean(42, 48), mean(48, 60)])
 }
 
-/// A photograph as it is, without its colours, or otherwise changed.
+/// A photograph as it is, without its colours, or otherwise modified.
 fn with(photo: &Photo, change: impl Fn([u8; 3]) -> [u8; 3]) -> Photo {
     let pixels = photo.pixels().iter().copied().map(change).collect();
     Photo::from_pixels(photo.width(), photo.height(), pixels).unwrap()
@@ -63,7 +63,7 @@ fn a_drawn_face_is_found_at_any_size_and_roll_once() {
 }
 
 #[test]
-fn upside_down_it_is_less_of_a_face() {
+fn an_upside_down_face_has_a_lower_score() {
     let upright = drawn(6, 70.0, 0.0).0;
     let pixels: Vec<[u8; 3]> = upright.pixels().iter().rev().copied().collect();
     let over = Photo::from_pixels(upright.width(), upright.height(), pixels).unwrap();
@@ -72,7 +72,7 @@ fn upside_down_it_is_less_of_a_face() {
 }
 
 #[test]
-fn noise_and_nothing_have_no_faces() {
+fn noise_and_uniform_pictures_have_no_faces() {
     let mut random = Random::new(3);
     let mut grain = || random.byte();
     let noisy = (0..200 * 160).map(|_| [grain(), grain(), grain()]).collect();
@@ -84,7 +84,7 @@ fn noise_and_nothing_have_no_faces() {
 }
 
 #[test]
-fn a_frame_goes_through_its_eyes_and_its_mouth_however_it_is_turned() {
+fn a_frame_passes_through_eyes_and_mouth_at_any_turn() {
     let (eyes, mouth) = ([[30.0, 28.0], [50.0, 32.0]], [37.0, 56.0]);
     for turn in [0.0, 0.2, -0.3] {
         let frame = Frame::through(eyes, mouth, turn);
@@ -101,7 +101,7 @@ fn the_same_photograph_gives_the_same_faces() {
 }
 
 #[test]
-fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
+fn features_of_a_mirrored_photograph_are_the_mirrored_features() {
     let photo = drawn(8, 60.0, 11.0).0;
     let mirrored_pixels = photo.pixels().chunks(photo.width()).flat_map(|row| row.iter().rev());
     let pixels = mirrored_pixels.copied().collect();
@@ -122,7 +122,7 @@ fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
 }
 
 #[test]
-fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
+fn alignment_moves_eyes_and_mouth_nearer_to_the_truth() {
     let (mut before, mut after) = (0.0, 0.0);
     for seed in 0..8 {
         let (photo, truth) = drawn(seed, 80.0, 0.0);

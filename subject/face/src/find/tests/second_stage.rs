@@ -11,7 +11,7 @@ fn found(eyes: [[f64; 2]; 2], mouth: [f64; 2]) -> DetectedFace {
 }
 
 #[test]
-fn few_are_looked_at_again_and_those_whole() {
+fn the_second_stage_gets_few_hypotheses_with_all_features() {
     let photo = drawn(9, 60.0, 0.0).0;
     let again = second_stage_hypotheses(&photo);
     assert!((1..hypotheses(&photo).len() / 2).contains(&again.len()), "{}", again.len());
@@ -22,11 +22,11 @@ fn few_are_looked_at_again_and_those_whole() {
 }
 
 #[test]
-fn a_second_look_sees_eyes_and_mouth_and_where_the_nose_points() {
+fn the_second_stage_locates_eyes_and_mouth_and_estimates_the_turn() {
     for (seed, yaw_deg) in [(11, -25.0), (12, 25.0), (13, -18.0), (14, 18.0)] {
         let interocular_px = 80.0;
         let (photo, [left, right, mouth]) = turned(seed, interocular_px, yaw_deg, 0.0);
-        // As far beside them as a first look may be.
+        // As far off as the first stage may be.
         let beside = |[x, y]: [f64; 2]| [x + 0.05 * interocular_px, y - 0.05 * interocular_px];
         let first = found([beside(left), beside(right)], beside(mouth));
         let (frame, features) = second_stage(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
@@ -46,7 +46,7 @@ fn a_second_look_sees_eyes_and_mouth_and_where_the_nose_points() {
 }
 
 #[test]
-fn what_is_nowhere_or_nothing_is_not_looked_at_or_seen_whole() {
+fn degenerate_faces_are_skipped_or_have_all_features() {
     let photo = drawn(9, 60.0, 0.0).0;
     let pyramid = Pyramid::new(photo.grey());
     let small = Photo::from_pixels(32, 32, vec![[9; 3]; 32 * 32]).unwrap();
@@ -68,7 +68,7 @@ fn what_is_nowhere_or_nothing_is_not_looked_at_or_seen_whole() {
 }
 
 #[test]
-fn a_mouth_on_the_nose_is_begun_lower_and_one_far_aside_nearer() {
+fn an_implausible_mouth_is_moved_to_a_plausible_place() {
     let eyes = [[100.0, 100.0], [140.0, 100.0]];
     let rough = RoughFace::from(&found(eyes, [120.0, 130.0]));
     assert_eq!((rough.left_eye, rough.right_eye), (eyes[0], eyes[1]));
