@@ -1,4 +1,4 @@
-//! The names that the source declares: each is the field's or the ecosystem's, and stands for one thing.
+//! Checks the names that the source declares: each is a standard term, and is used for one thing.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::{
     text,
 };
 
-/// Names that this project once had for things that others have a name for, and the name to use.
+/// Names that this project once invented for things that have a standard name, and the name to use.
 const OUT_OF_USE: &[(&str, &str)] = &[
     ("Answers", "IdempotentReplies"),
     ("Asked", "JsonBody, or what is requested"),
@@ -59,26 +59,26 @@ const OUT_OF_USE: &[(&str, &str)] = &[
     ("words", "text or message; 16-bit words have their format in the name"),
 ];
 
-/// Endings that read as another unit, and the one to use.
+/// Endings that can be misread as another unit, and the ones to use.
 const OUT_OF_USE_AT_THE_END: &[(&str, &str)] = &[("_mhz", "_millihertz")];
 
-/// Types that each command or module has, as in the standard library.
+/// Names that several modules of a crate may give a type, as in the standard library.
 const IDIOMATIC: [&str; 4] = ["Args", "Error", "Iter", "Result"];
 
 #[test]
-fn no_name_is_of_a_private_dialect() {
-    let mut complaints = Vec::new();
+fn no_name_is_invented_where_a_standard_one_exists() {
+    let mut problems = Vec::new();
     for path in product_sources(&root()) {
         let path = path.display().to_string();
         for name in names(&text(&path)).all {
             let listed = OUT_OF_USE.iter().find(|(old, _)| *old == name);
             let ending = OUT_OF_USE_AT_THE_END.iter().find(|(old, _)| name.ends_with(old));
             if let Some((_, new)) = listed.or(ending) {
-                complaints.push(format!("{path}: `{name}` is called {new}"));
+                problems.push(format!("{path}: rename `{name}` to {new}"));
             }
         }
     }
-    assert!(complaints.is_empty(), "names:\n  {}", complaints.join("\n  "));
+    assert!(problems.is_empty(), "names that are not standard:\n  {}", problems.join("\n  "));
 }
 
 #[test]
@@ -93,10 +93,10 @@ fn no_two_types_of_a_crate_share_a_name() {
         }
     }
     places.retain(|_, paths| paths.len() > 1);
-    assert!(places.is_empty(), "types of one name: {places:#?}");
+    assert!(places.is_empty(), "types that share a name within a crate: {places:#?}");
 }
 
-/// The names that a file declares, without those of its unit tests.
+/// The names that a file declares, except in unit tests.
 #[derive(Default)]
 struct Names {
     types: Vec<String>,
@@ -104,7 +104,7 @@ struct Names {
 }
 
 fn names(source: &str) -> Names {
-    let file: File = syn::parse_file(source).expect("the compiler parses it, too");
+    let file: File = syn::parse_file(source).expect("the source compiles");
     let mut names = Names::default();
     names.visit_file(&file);
     names
@@ -179,7 +179,7 @@ mod tests {
     use super::names;
 
     #[test]
-    fn names_of_types_functions_fields_and_modules_are_found_and_those_of_tests_are_not() {
+    fn names_are_found_except_in_tests() {
         let found = names(
             "mod m { struct S { field: u8 } } impl T for u8 { fn method() {} } #[cfg(test)] mod tests { struct Told; }",
         );
