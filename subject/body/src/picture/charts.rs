@@ -125,8 +125,8 @@ fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]
     }
 }
 
-fn side_name(part: BodyPart, told: bool) -> &'static str {
-    match (part, told) {
+fn side_name(part: BodyPart, sides_known: bool) -> &'static str {
+    match (part, sides_known) {
         (BodyPart::Trunk, _) => "trunk",
         (BodyPart::Arm(Side::Left) | BodyPart::Leg(Side::Left), true) => "left",
         (BodyPart::Arm(Side::Right) | BodyPart::Leg(Side::Right), true) => "right",

@@ -181,7 +181,7 @@ const STATURE_SD: f64 = 0.018;
 const BONES_UNCERTAIN: f64 = 0.045;
 
 /// If one side's bone is more certain than the other's by this factor, it counts alone.
-const SURER_BY: f64 = 1.5;
+const SIGMA_RATIO: f64 = 1.5;
 
 /// Stature in any pose; none if a bone is missing or the result is implausible. `size_sigma` is the relative error
 /// common to all bones, which their number does not reduce.
@@ -189,8 +189,8 @@ fn stature(bones: &[Bone], size_sigma: f64) -> Option<Length> {
     let alone = |name: &str| bones.iter().find(|bone| bone.name == name).map(Bone::length);
     let mean = |a: &str, b: &str| match (alone(a), alone(b)) {
         // If a limb is cut off, the other side is worth more than the mean.
-        (Some(a), Some(b)) if a.sigma_mm > SURER_BY * b.sigma_mm => Some(b),
-        (Some(a), Some(b)) if b.sigma_mm > SURER_BY * a.sigma_mm => Some(a),
+        (Some(a), Some(b)) if a.sigma_mm > SIGMA_RATIO * b.sigma_mm => Some(b),
+        (Some(a), Some(b)) if b.sigma_mm > SIGMA_RATIO * a.sigma_mm => Some(a),
         (Some(a), Some(b)) => Some(Length {
             mm: f64::midpoint(a.mm, b.mm),
             sigma_mm: f64::midpoint(a.sigma_mm, b.sigma_mm),

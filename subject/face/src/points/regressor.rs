@@ -261,7 +261,7 @@ mod tests {
     }
 
     /// Mean error of eyes, brows, nose and mouth, as a fraction of the outer interocular distance.
-    fn off(drawn: &Drawn, glance: &LandmarkRegressor, landmarks: &LandmarkPoints) -> f64 {
+    fn off(drawn: &Drawn, regressor: &LandmarkRegressor, landmarks: &LandmarkPoints) -> f64 {
         let inner = |i: &usize| (17..27).contains(i) || *i > 30;
         let far: Vec<f64> = REGRESSED
             .iter()
@@ -269,7 +269,7 @@ mod tests {
             .zip(&drawn.landmarks)
             .filter(|((i, _), _)| inner(i))
             .map(|((_, landmarks), at)| {
-                let [x, y] = glance.to_photo(*landmarks);
+                let [x, y] = regressor.to_photo(*landmarks);
                 (x - at[0]).hypot(y - at[1])
             })
             .collect();
@@ -280,8 +280,8 @@ mod tests {
     fn landmarks_are_predicted_at_any_yaw() {
         for (seed, yaw_deg) in [(1, 0.0), (2, 15.0), (3, -15.0), (4, 30.0), (5, -30.0)] {
             let drawn = drawn(seed, yaw_deg);
-            let glance = LandmarkRegressor::new(&drawn.photo, &drawn.rough);
-            let off = off(&drawn, &glance, &glance.landmarks());
+            let regressor = LandmarkRegressor::new(&drawn.photo, &drawn.rough);
+            let off = off(&drawn, &regressor, &regressor.predict());
             assert!(off < 0.08, "seed {seed}, {yaw_deg} degrees: {off}");
         }
     }
@@ -291,8 +291,8 @@ mod tests {
         let mut drawn = drawn(6, 10.0);
         drawn.rough.left_eye[0] += 0.1 * INTEROCULAR_PX;
         drawn.rough.mouth[1] -= 0.1 * INTEROCULAR_PX;
-        let glance = LandmarkRegressor::new(&drawn.photo, &drawn.rough);
-        let off = off(&drawn, &glance, &glance.landmarks());
+        let regressor = LandmarkRegressor::new(&drawn.photo, &drawn.rough);
+        let off = off(&drawn, &regressor, &regressor.predict());
         assert!(off < 0.08, "{off}");
     }
 
@@ -301,10 +301,10 @@ mod tests {
         let photo = Photo::from_pixels(100, 80, vec![[90; 3]; 8000]).unwrap();
         let (left_eye, right_eye, mouth) = ([1e300, -5.0], [20.0, f64::NAN], [0.0; 2]);
         let rough = RoughFace { left_eye, right_eye, mouth };
-        let glance = LandmarkRegressor::new(&photo, &rough);
-        assert_eq!(glance.cells().len(), CROP_FEATURES);
+        let regressor = LandmarkRegressor::new(&photo, &rough);
+        assert_eq!(regressor.crop_features().len(), CROP_FEATURES);
         let far: LandmarkPoints = [[f64::NAN, 1e300]; REGRESSED.len()];
-        assert_eq!(glance.patches(&far).len(), PATCH_FEATURES);
-        assert!(glance.landmarks().iter().flatten().all(|v| v.is_finite()));
+        assert_eq!(regressor.patch_features(&far).len(), PATCH_FEATURES);
+        assert!(regressor.predict().iter().flatten().all(|v| v.is_finite()));
     }
 }
