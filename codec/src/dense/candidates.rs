@@ -2,9 +2,9 @@
 
 use super::{
     contexts::KINDS,
-    distance_correction::TOGETHER,
-    level::{Question, Side, Start},
-    level_prediction::{Batch, MEMORY, ROOM, Sites},
+    distance_correction::BATCH_ROWS,
+    level::{ResidualInputs, RowCodec, FirstRow},
+    level_prediction::{Batch, PAST_ROWS, PADDED_ROWS, LevelLayout},
     points::{Fineness, Grid, Lattice, Point, Points, UNITS_PER_TOLERANCE, floor, lanes},
 };
 use crate::{
@@ -14,22 +14,22 @@ use crate::{
 };
 
 /// An encoder at work on one block.
-pub(super) struct Encoding<'a, 'r> {
+pub(super) struct RowEncoder<'a, 'r> {
     channels: &'a [Rows<'a>],
     grid: Grid,
     pub(super) coder: RangeEncoder<'a>,
     pub(super) reports: &'r mut [BlockReport],
     /// The largest square whose root is within the tolerance, and the largest so far by channel.
-    allowed: f64,
+    max_square: f64,
     squares: [f64; GROUP_CHANNELS],
     /// The samples of the rows of the level, by axis; of some of them, the squares of where they are expected.
-    samples: [[f32; ROOM]; 3],
-    expected: [f64; TOGETHER],
+    samples: [[f32; PADDED_ROWS]; 3],
+    predicted_squares: [f64; BATCH_ROWS],
     /// Of the rows of the level, how far the samples are from where they are expected, in units.
-    off: [[f64; ROOM]; 3],
+    off: [[f64; PADDED_ROWS]; 3],
 }
 
-impl<'a, 'r> Encoding<'a, 'r> {
+impl<'a, 'r> RowEncoder<'a, 'r> {
     pub(super) fn new(
         channels: &'a [Rows<'a>],
         grid: Grid,
@@ -41,11 +41,11 @@ impl<'a, 'r> Encoding<'a, 'r> {
             grid,
             coder,
             reports,
-            allowed: largest_square(grid.tolerance_mm()),
+            max_square: largest_square(grid.tolerance_mm()),
             squares: [0.0; GROUP_CHANNELS],
-            samples: [[0.0; ROOM]; 3],
-            expected: [0.0; TOGETHER],
-            off: [[0.0; ROOM]; 3],
+            samples: [[0.0; PADDED_ROWS]; 3],
+            predicted_squares: [0.0; BATCH_ROWS],
+            off: [[0.0; PADDED_ROWS]; 3],
         }
     }
 
@@ -54,7 +54,7 @@ impl<'a, 'r> Encoding<'a, 'r> {
         for (report, squares) in self.reports.iter_mut().zip(self.squares) {
             report.max_error_mm = squares.sqrt();
         }
-        self.coder.finish() && self.squares.iter().all(|&squares| squares <= self.allowed)
+        self.coder.finish() && self.squares.iter().all(|&squares| squares <= self.max_square)
     }
 
     /// The squares of how far some of the rows of the level are from their samples, if they are there.
@@ -89,10 +89,10 @@ fn largest_square(tolerance_mm: f64) -> f64 {
 
 /// What a miss costs against the bits of the steps, by kind of row: the more rows are predicted from it, the
 /// more; and where none is. Found by trying.
-const MISS: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
-const LAST_MISS: f64 = 0.1;
+const DISTANCE_PRICES: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
+const LAST_LEVEL_PRICE: f64 = 0.1;
 
-impl<'a> Side for Encoding<'a, '_> {
+impl<'a> RowCodec for RowEncoder<'a, '_> {
     type Coder = RangeEncoder<'a>;
 
     fn coder(&mut self) -> &mut RangeEncoder<'a> {
@@ -102,30 +102,30 @@ impl<'a> Side for Encoding<'a, '_> {
     /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
     /// the nearer one the more is predicted from it.
     #[inline(always)]
-    fn choose(&mut self, question: Question) -> Point {
-        let Question { prediction, lattice, fineness, place, .. } = question;
+    fn choose(&mut self, inputs: ResidualInputs) -> Point {
+        let ResidualInputs { prediction, lattice, fineness, place, .. } = inputs;
         let reach = Reach::of(lattice, fineness);
         let (mut off, mut activity) = ([0.0; AXES], [0.0; AXES]);
         for axis in 0..3 {
             off[axis] = self.off[axis][place] * reach.per_step;
-            activity[axis] = f64::from(question.activity[axis]) / 256.0;
+            activity[axis] = f64::from(inputs.activity[axis]) / 256.0;
         }
-        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
+        let miss = if inputs.last_level { LAST_LEVEL_PRICE } else { DISTANCE_PRICES[inputs.kind] };
         let sample = self.samples.each_ref().map(|axis| axis[place]);
         let step = fineness.step(lattice) as f64;
         let is_inside = |steps: [f64; 3]| {
             let point = std::array::from_fn(|axis| prediction[axis] + steps[axis] * step);
-            squared_distance(widen(self.grid.position(point)), widen(sample)) <= self.allowed
+            squared_distance(widen(self.grid.position(point)), widen(sample)) <= self.max_square
         };
-        let cell = Cell { off, activity, miss, reach };
+        let cell = LatticeCell { off, activity, miss, reach };
         let steps = match lattice {
-            Lattice::Cubic => cell.cheapest::<1, CORNERS>(is_inside),
-            Lattice::Centred => cell.cheapest::<2, { 2 * CORNERS }>(is_inside),
+            Lattice::Cubic => cell.cheapest::<1, CELL_POINTS>(is_inside),
+            Lattice::Centred => cell.cheapest::<2, { 2 * CELL_POINTS }>(is_inside),
         };
         steps.map(|steps| steps as i64)
     }
 
-    fn start(&mut self, channel: usize, row: usize, step: i64, origins: &[Point]) -> Start {
+    fn choose_first(&mut self, channel: usize, row: usize, step: i64, origins: &[Point]) -> FirstRow {
         let units = self.grid.units(self.channels[channel].positions()[row]);
         let steps_from = |from: &Point| -> Point {
             std::array::from_fn(|axis| {
@@ -141,7 +141,7 @@ impl<'a> Side for Encoding<'a, '_> {
             steps.iter().map(axis).sum()
         };
         let ranked = origins.iter().enumerate().map(|(rank, from)| {
-            let start = Start { candidate: rank, steps: steps_from(from) };
+            let start = FirstRow { candidate: rank, steps: steps_from(from) };
             let rank_cost = if rank == 0 { 2 + origins.len() as u64 } else { rank as u64 };
             (cost(&start.steps) + rank_cost, start)
         });
@@ -149,10 +149,10 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
-    fn begin(&mut self, sites: &Sites) {
-        let rows = self.channels[sites.run.channel].positions();
-        for i in 0..sites.n.min(ROOM) {
-            let sample = rows[sites.at(i) - MEMORY];
+    fn begin(&mut self, layout: &LevelLayout) {
+        let rows = self.channels[layout.run.channel].positions();
+        for i in 0..layout.n.min(PADDED_ROWS) {
+            let sample = rows[layout.at(i) - PAST_ROWS];
             for (axis, coordinate) in self.samples.iter_mut().zip(sample) {
                 axis[i] = coordinate;
             }
@@ -162,7 +162,7 @@ impl<'a> Side for Encoding<'a, '_> {
     #[inline(always)]
     fn outside<const N: usize>(&mut self, batch: Batch, predictions: &Points<N>) -> u32 {
         let squares = self.squares(batch, predictions);
-        self.expected[..N].copy_from_slice(&squares);
+        self.predicted_squares[..N].copy_from_slice(&squares);
         for (axis, off) in self.off.iter_mut().enumerate() {
             let samples: [f32; N] = lanes(&self.samples[axis], batch.from);
             let off = &mut off[batch.from..batch.from + N];
@@ -172,17 +172,17 @@ impl<'a> Side for Encoding<'a, '_> {
         }
         let mut bits = 0;
         for (i, squares) in squares.into_iter().enumerate() {
-            bits |= u32::from(squares > self.allowed) << i;
+            bits |= u32::from(squares > self.max_square) << i;
         }
         bits
     }
 
     #[inline(always)]
-    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
+    fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
         // What is not moved was measured when it was expected.
         let mut squares = [0.0; N];
         if kept == 0 {
-            squares.copy_from_slice(&self.expected[..N]);
+            squares.copy_from_slice(&self.predicted_squares[..N]);
         } else {
             squares = self.squares(batch, points);
         }
@@ -197,7 +197,7 @@ impl<'a> Side for Encoding<'a, '_> {
 /// Axes side by side: three, and one to fill the lanes.
 const AXES: usize = 4;
 /// Of the cell that a sample is in.
-const CORNERS: usize = 8;
+const CELL_POINTS: usize = 8;
 
 /// How far the points of a lattice that come into question are from a sample.
 #[derive(Debug, Clone, Copy)]
@@ -228,7 +228,7 @@ impl Reach {
 
 /// The cell of a lattice that a sample is in.
 #[derive(Debug)]
-struct Cell<'a> {
+struct LatticeCell<'a> {
     /// By axis: from where the row is expected to the sample, in steps.
     off: [f64; AXES],
     /// What the magnitudes have lately been on average.
@@ -238,11 +238,11 @@ struct Cell<'a> {
     reach: &'a Reach,
 }
 
-impl Cell<'_> {
+impl LatticeCell<'_> {
     /// The steps to the cheapest corner that `is_inside`, the first of equals; 0 0 0 where none is. Of a lattice of
     /// one kind of points, any, or of two, all even and all odd.
     #[inline(always)]
-    fn cheapest<const KINDS: usize, const N: usize>(
+    fn cheapest<const PARITIES: usize, const N: usize>(
         &self,
         is_inside: impl Fn([f64; 3]) -> bool,
     ) -> [f64; 3] {
@@ -252,34 +252,34 @@ impl Cell<'_> {
             slope[axis] = 1.44 / (self.activity[axis] + 0.35);
         }
         let mut costs = [f64::INFINITY; N];
-        let mut around = [Around::default(); KINDS];
-        if KINDS == 1 {
-            around[0] = Around::new::<false>(0.0, &self.off, &slope, &first);
+        let mut axes = [CellAxes::default(); PARITIES];
+        if PARITIES == 1 {
+            axes[0] = CellAxes::new::<false>(0.0, &self.off, &slope, &first);
         } else {
-            around[0] = Around::new::<true>(0.0, &self.off, &slope, &first);
-            around[1] = Around::new::<true>(1.0, &self.off, &slope, &[0.0; AXES]);
+            axes[0] = CellAxes::new::<true>(0.0, &self.off, &slope, &first);
+            axes[1] = CellAxes::new::<true>(1.0, &self.off, &slope, &[0.0; AXES]);
         }
         let price = self.miss * self.reach.per_limit;
-        for (around, costs) in around.iter().zip(costs.chunks_exact_mut(CORNERS)) {
-            around.price(price, self.reach.limit, costs);
+        for (axes, costs) in axes.iter().zip(costs.chunks_exact_mut(CELL_POINTS)) {
+            axes.price(price, self.reach.limit, costs);
         }
         loop {
-            let (cost, corner) = cheapest(&costs);
+            let (cost, point) = cheapest(&costs);
             if cost == f64::INFINITY {
                 return [0.0; 3];
             }
-            let steps = around[corner / CORNERS % KINDS].corner(corner % CORNERS);
+            let steps = axes[point / CELL_POINTS % PARITIES].steps_of(point % CELL_POINTS);
             if is_inside(steps) {
                 return steps;
             }
-            costs[corner % N] = f64::INFINITY;
+            costs[point % N] = f64::INFINITY;
         }
     }
 }
 
 /// What the axes of the lattice points on both sides of the sample say.
 #[derive(Debug, Clone, Copy, Default)]
-struct Around {
+struct CellAxes {
     /// Below the sample and above it, whole numbers.
     steps: [[f64; AXES]; 2],
     /// The squares of their distances from the sample, in steps.
@@ -287,7 +287,7 @@ struct Around {
     bits: [[f64; AXES]; 2],
 }
 
-impl Around {
+impl CellAxes {
     /// Of the points whose coordinates are all `odd` or all even, or of any; a magnitude costs `slope` for each
     /// step, and `first` for the first one.
     #[inline(always)]
@@ -297,7 +297,7 @@ impl Around {
         slope: &[f64; AXES],
         first: &[f64; AXES],
     ) -> Self {
-        let mut around = Self::default();
+        let mut axes = Self::default();
         for side in 0..2 {
             for axis in 0..AXES {
                 let (steps, magnitude) = if CENTRED {
@@ -310,12 +310,12 @@ impl Around {
                 };
                 let miss = steps - off[axis];
                 let bits = magnitude * slope[axis] + first[axis];
-                around.steps[side][axis] = steps;
-                around.squares[side][axis] = miss * miss;
-                around.bits[side][axis] = if magnitude == 0.0 { 0.0 } else { bits };
+                axes.steps[side][axis] = steps;
+                axes.squares[side][axis] = miss * miss;
+                axes.bits[side][axis] = if magnitude == 0.0 { 0.0 } else { bits };
             }
         }
-        around
+        axes
     }
 
     /// What the corners cost: x changes from one to the next, then y, then z.
@@ -336,8 +336,8 @@ impl Around {
     }
 
     #[inline(always)]
-    fn corner(&self, corner: usize) -> [f64; 3] {
-        [0, 1, 2].map(|axis| self.steps[corner >> axis & 1][axis])
+    fn steps_of(&self, point: usize) -> [f64; 3] {
+        [0, 1, 2].map(|axis| self.steps[point >> axis & 1][axis])
     }
 }
 

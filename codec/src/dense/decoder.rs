@@ -1,8 +1,8 @@
 //! The half that only follows.
 
 use super::{
-    Dense, STORED,
-    level::Side,
+    Dense, P_CODED,
+    level::RowCodec,
     level_prediction::Batch,
     points::{Fineness, Grid, Points},
 };
@@ -18,32 +18,32 @@ impl PayloadDecoder for Dense {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         let n_channels = channels.len().min(GROUP_CHANNELS);
         let coder = RangeDecoder::new(payload);
-        let mut side = Decoding { channels, grid: self.grid, coder };
-        if side.coder.split(STORED, false) {
+        let mut codec = RowDecoder { channels, grid: self.grid, coder };
+        if codec.coder.split(P_CODED, false) {
             self.reset();
             for channel in 0..n_channels {
-                side.stored(channel)?;
+                codec.stored(channel)?;
             }
-            return side.coder.finish();
+            return codec.coder.finish();
         }
         // Out of their rows while the others of these are filled.
         let mut flags = [const { Vec::new() }; GROUP_CHANNELS];
         let mut is_raw = [false; GROUP_CHANNELS];
         for channel in 0..n_channels {
-            if side.channels[channel].has_samples() {
+            if codec.channels[channel].has_samples() {
                 // What the encoder chose comes out.
-                let fineness = self.storage(&mut side.coder, channel, Some(Fineness::Normal));
+                let fineness = self.storage(&mut codec.coder, channel, Some(Fineness::Normal));
                 is_raw[channel] = fineness.is_none();
             }
             if is_raw[channel] {
-                side.stored(channel)?;
+                codec.stored(channel)?;
             }
-            flags[channel] = std::mem::take(&mut side.channels[channel].present);
+            flags[channel] = std::mem::take(&mut codec.channels[channel].present);
         }
         let present: [Option<&[bool]>; GROUP_CHANNELS] =
             std::array::from_fn(|channel| (!is_raw[channel]).then_some(&flags[channel][..]));
-        self.block(&mut side, n_rows, &present[..n_channels])?;
-        let Decoding { channels, coder, .. } = side;
+        self.block(&mut codec, n_rows, &present[..n_channels])?;
+        let RowDecoder { channels, coder, .. } = codec;
         for (rows, present) in channels.iter_mut().zip(flags) {
             rows.present = present;
         }
@@ -51,13 +51,13 @@ impl PayloadDecoder for Dense {
     }
 }
 
-struct Decoding<'a> {
+struct RowDecoder<'a> {
     channels: &'a mut [DecodedRows],
     grid: Grid,
     coder: RangeDecoder<'a>,
 }
 
-impl Decoding<'_> {
+impl RowDecoder<'_> {
     /// A channel bit by bit.
     fn stored(&mut self, channel: usize) -> Result<()> {
         let rows = &mut self.channels[channel];
@@ -75,7 +75,7 @@ impl Decoding<'_> {
     }
 }
 
-impl<'a> Side for Decoding<'a> {
+impl<'a> RowCodec for RowDecoder<'a> {
     type Coder = RangeDecoder<'a>;
 
     fn coder(&mut self) -> &mut RangeDecoder<'a> {
@@ -83,7 +83,7 @@ impl<'a> Side for Decoding<'a> {
     }
 
     #[inline(always)]
-    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
+    fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
         let DecodedRows { positions, kept: flags, .. } = &mut self.channels[batch.channel];
         let [x, y, z] = self.grid.positions(points);
         for i in 0..batch.n.min(N) {

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "training")]
 use super::tally::Tally;
-use super::{Dense, STORED, candidates::Encoding};
+use super::{Dense, P_CODED, candidates::RowEncoder};
 use crate::{
     BlockReport, GROUP_CHANNELS, Result, Rows,
     coding::range::{BinaryCoder, RangeEncoder},
@@ -40,8 +40,8 @@ impl PayloadEncoder for Dense {
         // What is larger is stored raw.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
-        let mut side = Encoding::new(channels, self.grid, RangeEncoder::new(out, limit), reports);
-        side.coder.split(STORED, false);
+        let mut codec = RowEncoder::new(channels, self.grid, RangeEncoder::new(out, limit), reports);
+        codec.coder.split(P_CODED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
         for (channel, rows) in channels.iter().enumerate() {
             let Some(max_mm) = largest(*rows) else {
@@ -49,15 +49,15 @@ impl PayloadEncoder for Dense {
                 continue;
             };
             let fineness = self.grid.fineness(max_mm);
-            if self.storage(&mut side.coder, channel, fineness).is_some() {
+            if self.storage(&mut codec.coder, channel, fineness).is_some() {
                 present[channel] = Some(rows.present());
             } else {
-                store(&mut side.coder, *rows);
-                side.reports[channel].keep_all();
+                store(&mut codec.coder, *rows);
+                codec.reports[channel].keep_all();
             }
         }
-        let coded = self.block(&mut side, n_rows, &present[..channels.len()]);
-        if !side.finish() || coded.is_err() {
+        let coded = self.block(&mut codec, n_rows, &present[..channels.len()]);
+        if !codec.finish() || coded.is_err() {
             out.truncate(start);
             self.store_all(channels, out, reports);
         }
@@ -70,7 +70,7 @@ impl Dense {
     fn store_all(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &mut [BlockReport]) {
         self.reset();
         let mut coder = RangeEncoder::new(out, usize::MAX);
-        coder.split(STORED, true);
+        coder.split(P_CODED, true);
         for (rows, report) in channels.iter().zip(reports) {
             store(&mut coder, *rows);
             report.keep_all();

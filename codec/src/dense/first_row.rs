@@ -5,8 +5,8 @@
 //! worst, from where another marker is.
 
 use super::{
-    contexts::{CANDIDATES, MAX_EXPONENT, ORIGIN_EXPONENT, ORIGIN_NONE, ORIGIN_OWN, ORIGIN_RANK},
-    level_prediction::MEMORY,
+    contexts::{MAX_ORIGIN_ENDS, MAX_EXPONENT, ORIGIN_EXPONENT, ORIGIN_NONE, ORIGIN_OWN, ORIGIN_RANK},
+    level_prediction::PAST_ROWS,
     model::Model,
     points::Point,
     track::Track,
@@ -14,21 +14,21 @@ use super::{
 use crate::{Result, bound::squared_distance, coding::range::BinaryCoder, ensure};
 
 /// Rows after which the end of another channel's run is forgotten.
-const FORGOTTEN_ROWS: u64 = 200;
+const MAX_END_AGE_ROWS: u64 = 200;
 
 /// Candidates for a first row: the nearby one (always there) first, then the own, then the ends.
 #[derive(Debug)]
-pub(super) struct Origins {
-    points: [Point; CANDIDATES + 2],
+pub(super) struct OriginCandidates {
+    points: [Point; MAX_ORIGIN_ENDS + 2],
     /// Of the ends.
-    channels: [usize; CANDIDATES + 2],
+    channels: [usize; MAX_ORIGIN_ENDS + 2],
     n: usize,
     first_end: usize,
     /// How many rows ago the own was.
     own: Option<u64>,
 }
 
-impl Origins {
+impl OriginCandidates {
     pub(super) fn find(
         tracks: &[Track],
         channel: usize,
@@ -36,31 +36,31 @@ impl Origins {
         first_row: u64,
         present: &[Option<&[bool]>],
     ) -> Self {
-        let (mut points, mut channels) = ([[0; 3]; CANDIDATES + 2], [0; CANDIDATES + 2]);
+        let (mut points, mut channels) = ([[0; 3]; MAX_ORIGIN_ENDS + 2], [0; MAX_ORIGIN_ENDS + 2]);
         if let Some(before) = tracks[..channel].iter().rev().find(|track| track.is_known(at)) {
             points[0] = before.point(at);
         }
-        let now = first_row + (at - MEMORY) as u64;
+        let now = first_row + (at - PAST_ROWS) as u64;
         let own = tracks[channel].end.map(|end| now - end.row);
         if let (Some(end), Some(age)) = (tracks[channel].end, own) {
-            points[1] = moved(tracks, channel, at, end.point, age);
+            points[1] = moved_with_nearest(tracks, channel, at, end.point, age);
         }
         let first_end = 1 + usize::from(own.is_some());
         // The latest first; of equals the one of the lower channel.
-        let (mut n, mut rows) = (first_end, [u64::MAX; CANDIDATES + 2]);
+        let (mut n, mut rows) = (first_end, [u64::MAX; MAX_ORIGIN_ENDS + 2]);
         for (k, track) in tracks.iter().enumerate().take(present.len()) {
             let Some(end) = track.end.filter(|_| k != channel) else { continue };
             let goes_on = (end.row + 1).checked_sub(first_row).is_some_and(|next| {
                 present[k].is_some_and(|present| present.get(next as usize).is_some_and(|&p| p))
             });
-            if end.taken || goes_on || end.row >= now || end.row + FORGOTTEN_ROWS <= now {
+            if end.taken || goes_on || end.row >= now || end.row + MAX_END_AGE_ROWS <= now {
                 continue;
             }
             let place = rows[..n].partition_point(|&row| row >= end.row);
-            if place == first_end + CANDIDATES {
+            if place == first_end + MAX_ORIGIN_ENDS {
                 continue;
             }
-            n = (n + 1).min(first_end + CANDIDATES);
+            n = (n + 1).min(first_end + MAX_ORIGIN_ENDS);
             rows[place..n].rotate_right(1);
             channels[place..n].rotate_right(1);
             points[place..n].rotate_right(1);
@@ -111,7 +111,7 @@ impl Origins {
 }
 
 /// A point of `rows` rows ago, moved as its nearest neighbour of then has moved since.
-fn moved(tracks: &[Track], channel: usize, at: usize, point: Point, rows: u64) -> Point {
+fn moved_with_nearest(tracks: &[Track], channel: usize, at: usize, point: Point, rows: u64) -> Point {
     let Some(then) = usize::try_from(rows).ok().and_then(|rows| at.checked_sub(rows)) else {
         return point;
     };
@@ -135,7 +135,7 @@ fn moved(tracks: &[Track], channel: usize, at: usize, point: Point, rows: u64) -
 pub(super) fn residual(
     coder: &mut impl BinaryCoder,
     model: &mut Model,
-    way: usize,
+    class: usize,
     steps: Point,
 ) -> Result<Point> {
     let mut decoded = [0; 3];
@@ -143,7 +143,7 @@ pub(super) fn residual(
         let value = steps[axis].unsigned_abs() + 1;
         let wanted = value.ilog2() as usize;
         let mut exponent = 0;
-        let context = |i: usize| ORIGIN_EXPONENT.at((way * 3 + axis) * 48 + i);
+        let context = |i: usize| ORIGIN_EXPONENT.at((class * 3 + axis) * 48 + i);
         while model.single(coder, context(exponent), wanted > exponent) {
             exponent += 1;
             ensure(exponent <= MAX_EXPONENT, "a first row beyond every coordinate")?;

@@ -5,13 +5,13 @@ use super::{
         EXPONENT_EXPECTED, EXPONENT_REFERENCES, EXPONENTS, KINDS, LONGER_EXPECTED, LONGER_NEAR,
         LONGER_REFERENCES, MAX_EXPONENT, MIX_EXPONENT, MIX_LONGER, MIX_MOVING, MIX_NONZERO,
         MIX_SIGN, MOVING_EXPECTED, MOVING_REFERENCES, NEXT_BIT, NONZERO_EXPECTED,
-        NONZERO_REFERENCES, ODD, SIGN_REFERENCES, SIGN_SIDE, TOP_BIT, UNARY, eight, sign, six,
-        thirty_two,
+        NONZERO_REFERENCES, ODD, SIGN_REFERENCES, SIGN_SIDE, TOP_BIT, UNARY, activity_class, sign, magnitude_class,
+        expectation_class,
     },
     level_prediction::Hints,
     model::Model,
     points::{Lattice, Point},
-    track::{Steps, magnitude, marked, marked_weight},
+    track::{Steps, magnitude, unpack_magnitude, unpack_sum},
 };
 use crate::{
     Result,
@@ -20,22 +20,22 @@ use crate::{
 };
 
 /// How much the magnitudes around a row count in what is expected of its own, in 1/256: the format has them so.
-const OF_ACTIVITY: i32 = 115;
-const OF_BEFORE: i32 = 51;
-const OF_BEFORE_THAT: i32 = 26;
-const OF_NEIGHBOURS: i32 = 20;
-const OF_REFERENCES: i32 = 26;
+const ACTIVITY_WEIGHT: i32 = 115;
+const BEFORE_WEIGHT: i32 = 51;
+const BEFORE2_WEIGHT: i32 = 26;
+const NEIGHBOUR_WEIGHT: i32 = 20;
+const REFERENCE_WEIGHT: i32 = 26;
 
 /// What is around a row, as far as it says whether the row is moved.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Near {
+pub(super) struct Neighbourhood {
     pub(super) kind: usize,
     /// Coded magnitudes: nearest rows before and after of coarser levels, the row of the same level
     /// before, and the one before that.
     pub(super) left: Steps,
     pub(super) right: Steps,
     pub(super) before: Steps,
-    pub(super) before_that: Steps,
+    pub(super) before2: Steps,
     /// The sum of the references' marks.
     pub(super) references: u64,
     /// Of the kind, as [`Track::activity`](super::track::Track::activity).
@@ -47,21 +47,21 @@ pub(super) struct Near {
 pub(super) fn moving(
     coder: &mut impl BinaryCoder,
     model: &mut Model,
-    near: &Near,
+    near: &Neighbourhood,
     bend: u8,
     moved: bool,
 ) -> bool {
-    let Near { kind, left, right, before, before_that, .. } = *near;
+    let Neighbourhood { kind, left, right, before, before2, .. } = *near;
     let activity = near.activity[3];
-    let references = marked_weight(near.references);
-    let expectation = ((activity * OF_ACTIVITY) >> 8)
-        + i32::from(before.weight) * OF_BEFORE
-        + i32::from(before_that.weight) * OF_BEFORE_THAT
-        + (i32::from(left.weight) + i32::from(right.weight)) * OF_NEIGHBOURS
-        + references * OF_REFERENCES;
+    let references = unpack_sum(near.references);
+    let expectation = ((activity * ACTIVITY_WEIGHT) >> 8)
+        + i32::from(before.weight) * BEFORE_WEIGHT
+        + i32::from(before2.weight) * BEFORE2_WEIGHT
+        + (i32::from(left.weight) + i32::from(right.weight)) * NEIGHBOUR_WEIGHT
+        + references * REFERENCE_WEIGHT;
     let contexts = [
-        MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
-        MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + usize::from(bend)),
+        MOVING_REFERENCES.at((kind * 6 + magnitude_class(references)) * 8 + activity_class(activity)),
+        MOVING_EXPECTED.at((kind * 32 + expectation_class(expectation)) * 3 + usize::from(bend)),
     ];
     model.mixed(coder, contexts, MIX_MOVING + kind, moved)
 }
@@ -71,7 +71,7 @@ pub(super) fn moving(
 pub(super) struct Residual<'a, C> {
     pub(super) coder: &'a mut C,
     pub(super) model: &'a mut Model,
-    pub(super) near: &'a Near,
+    pub(super) near: &'a Neighbourhood,
     pub(super) hints: &'a Hints,
     pub(super) lattice: Lattice,
     pub(super) steps: Point,
@@ -165,22 +165,22 @@ struct Classes {
 impl<C: BinaryCoder> Residual<'_, C> {
     #[inline(always)]
     fn axis(&mut self, Axis { axis, form, some, certain }: Axis, wanted: i64) -> Result<i64> {
-        let Near { kind, left, right, before, references, activity, .. } = *self.near;
+        let Neighbourhood { kind, left, right, before, references, activity, .. } = *self.near;
         let last = sign(before.axes[axis]);
         let [left, right, before] =
             [left, right, before].map(|row| magnitude(row.axes[axis].into()));
-        let references = marked(references, axis);
-        let expectation = ((activity[axis] * OF_ACTIVITY) >> 8)
-            + before * OF_BEFORE
-            + (left + right) * OF_NEIGHBOURS
-            + references * OF_REFERENCES;
+        let references = unpack_magnitude(references, axis);
+        let expectation = ((activity[axis] * ACTIVITY_WEIGHT) >> 8)
+            + before * BEFORE_WEIGHT
+            + (left + right) * NEIGHBOUR_WEIGHT
+            + references * REFERENCE_WEIGHT;
         let classes = Classes {
             kind,
             form: form.number(),
-            near: six(before.max(left).max(right)),
-            referred: six(references),
-            active: eight(activity[axis]),
-            expected: thirty_two(expectation),
+            near: magnitude_class(before.max(left).max(right)),
+            referred: magnitude_class(references),
+            active: activity_class(activity[axis]),
+            expected: expectation_class(expectation),
         };
         let Classes { referred, active, expected, .. } = classes;
         if !certain {

@@ -1,8 +1,8 @@
 //! What an error in mid-block leaves behind.
 
 use super::{
-    level::{Question, Side},
-    level_prediction::{Batch, MEMORY, Sites},
+    level::{ResidualInputs, RowCodec},
+    level_prediction::{Batch, PAST_ROWS, LevelLayout},
     points::{Point, Points},
     walk::Dense,
 };
@@ -15,11 +15,11 @@ use crate::{
 const CHANNELS: usize = 12;
 
 /// Moves every row by an amount that all channels share in part; one row, if asked to, out of the world.
-struct Scripted<'a> {
+struct ScriptedCodec<'a> {
     coder: RangeEncoder<'a>,
     out_of_the_world: Option<(usize, usize)>,
     /// The rows that come next.
-    next: Sites,
+    next: LevelLayout,
 }
 
 /// From -8 to 7.
@@ -27,16 +27,16 @@ fn noise(seed: usize) -> i64 {
     (((seed + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 15) as i64 - 8
 }
 
-impl<'a> Side for Scripted<'a> {
+impl<'a> RowCodec for ScriptedCodec<'a> {
     type Coder = RangeEncoder<'a>;
 
     fn coder(&mut self) -> &mut RangeEncoder<'a> {
         &mut self.coder
     }
 
-    fn choose(&mut self, question: Question) -> Point {
+    fn choose(&mut self, inputs: ResidualInputs) -> Point {
         let channel = self.next.run.channel;
-        let row = self.next.at(question.place) - MEMORY;
+        let row = self.next.at(inputs.place) - PAST_ROWS;
         if self.out_of_the_world == Some((channel, row)) {
             return [1 << 40, 0, 0];
         }
@@ -46,15 +46,15 @@ impl<'a> Side for Scripted<'a> {
         })
     }
 
-    fn begin(&mut self, sites: &Sites) {
-        self.next = *sites;
+    fn begin(&mut self, layout: &LevelLayout) {
+        self.next = *layout;
     }
 
     fn outside<const N: usize>(&mut self, _: Batch, _: &Points<N>) -> u32 {
         u32::MAX
     }
 
-    fn settle<const N: usize>(&mut self, _: Batch, _: &Points<N>, _: u32) {}
+    fn finish_rows<const N: usize>(&mut self, _: Batch, _: &Points<N>, _: u32) {}
 }
 
 fn block(
@@ -65,9 +65,9 @@ fn block(
     let mut out = Vec::new();
     let present = vec![true; n_rows];
     let coder = RangeEncoder::new(&mut out, usize::MAX);
-    let mut side = Scripted { coder, out_of_the_world, next: Sites::default() };
-    group.block(&mut side, n_rows, &[Some(&present[..]); CHANNELS])?;
-    assert!(side.coder.finish());
+    let mut codec = ScriptedCodec { coder, out_of_the_world, next: LevelLayout::default() };
+    group.block(&mut codec, n_rows, &[Some(&present[..]); CHANNELS])?;
+    assert!(codec.coder.finish());
     Ok(out)
 }
 

@@ -122,7 +122,7 @@ impl Payload for Fast {
         self.channels.fill(Channel::NEW);
     }
 
-    fn break_off(&mut self) {
+    fn forget_rows(&mut self) {
         self.channels.iter_mut().for_each(|channel| channel.known = 0);
     }
 }

@@ -47,8 +47,8 @@ impl Pair {
             .map(|track| BlockReport { samples: samples(track), ..BlockReport::default() })
             .collect();
         if reports.iter().all(|report| report.samples == 0) {
-            self.encoder.break_off();
-            self.decoder.break_off();
+            self.encoder.forget_rows();
+            self.decoder.forget_rows();
             return (Vec::new(), blank(group));
         }
         let mut payload = vec![7; 3];

@@ -45,7 +45,7 @@ pub(crate) trait Payload: Send + fmt::Debug {
     }
 
     /// A stretch passed without any sample of the group: no row of it may be used for prediction.
-    fn break_off(&mut self) {}
+    fn forget_rows(&mut self) {}
 }
 
 /// A resampler's encoder.
@@ -140,7 +140,7 @@ impl<P: Payload> State<P> {
 
     /// An empty block.
     fn pass_empty(&mut self) {
-        self.payload.break_off();
+        self.payload.forget_rows();
         self.presence.skip();
     }
 }
