@@ -4,8 +4,8 @@
 
 With the simulator's log (mocapd-sim serve --log), also prints the error of the stored line.
 The exit code is 1 if the two lines differ by more than 20 us and a quarter of the bound, or the rates by more than
-2 ppm and a quarter of theirs. They may differ because early recorders selected the best round trip of a burst with the rate
-known at that time, whereas this script uses the final rate.
+2 ppm and a quarter of theirs. They may differ because early recorders selected the best round trip of a burst with the
+rate known at that time, whereas this script uses the final rate.
 """
 
 import argparse
