@@ -1,4 +1,4 @@
-//! What can be asked for, and what is answered.
+//! The commands and their responses.
 
 use std::sync::atomic::Ordering;
 
@@ -48,7 +48,7 @@ fn a_repeated_request_is_not_executed_again() {
     let quoted = ask(served.at, "POST", "/v1/start", &[("idempotency-key", "\"a-1\"")], "");
     assert_eq!((first.status, &first.body), (200, &again.body));
     assert_eq!(first.body, quoted.body);
-    assert_eq!(served.fake.carried_out.load(Ordering::Relaxed), 1);
+    assert_eq!(served.fake.executed.load(Ordering::Relaxed), 1);
     let both =
         ask(served.at, "POST", "/v1/stop", &[("idempotency-key", "b")], r#"{"request_id": "c"}"#);
     assert_tells(&both.refused(400, "invalid"), &["Idempotency-Key", "request_id"]);
@@ -85,7 +85,7 @@ fn invalid_requests_are_refused_with_a_reason() {
     for id in [String::new(), "x".repeat(65), "é".to_owned(), "a\tb".to_owned()] {
         bad("/v1/arm", &serde_json::json!({"request_id": id}).to_string());
     }
-    assert_eq!(served.fake.carried_out.load(Ordering::Relaxed), 3, "the fake's own refusals");
+    assert_eq!(served.fake.executed.load(Ordering::Relaxed), 3, "the fake's own refusals");
 }
 
 #[test]
@@ -133,8 +133,8 @@ fn health_is_bad_when_the_service_has_failed() {
     let health = get(served.at, "/healthz");
     assert_eq!((health.status, health.json()), (200, json!({"state": "idle"})));
     served.fake.fail("the disk failed: replace it");
-    let words = get(served.at, "/healthz").refused(503, "internal");
-    assert_eq!(words, "the disk failed: replace it");
+    let message = get(served.at, "/healthz").refused(503, "internal");
+    assert_eq!(message, "the disk failed: replace it");
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn requests_that_do_not_fit_into_the_queue_are_refused() {
         clients.into_iter().map(|client| client.join().unwrap()).collect()
     });
     let done = answers.iter().filter(|answer| answer.status == 200).count();
-    assert_eq!(done, 20, "four at work and sixteen in line");
+    assert_eq!(done, 20, "four executing and sixteen queued");
     for answer in answers.iter().filter(|answer| answer.status != 200) {
         answer.refused(503, "unavailable");
         assert_eq!(answer.header("retry-after"), Some("1"));

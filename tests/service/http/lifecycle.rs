@@ -1,4 +1,4 @@
-//! The Unix socket, and how the server starts and ends.
+//! The Unix socket, and starting and stopping the server.
 
 use std::{
     io::{Read, Write},
@@ -38,7 +38,7 @@ fn the_unix_socket_needs_no_token() {
     assert_eq!(over_unix(&path, &request("GET", "/v1/status", &[], "")).status, 200);
     let named = request("POST", "/v1/arm", &[("host", "whatever")], "{}");
     assert_eq!(over_unix(&path, &named).status, 200);
-    // A proxy's page may, and another site's through it may not.
+    // Behind a proxy the service's own page is accepted, a page of another site is not.
     let through = |origin| [("host", "rig.lab"), ("origin", origin)];
     let ours = request("POST", "/v1/arm", &through("https://rig.lab"), "{}");
     assert_eq!(over_unix(&path, &ours).status, 200);
@@ -53,24 +53,24 @@ fn the_unix_socket_needs_no_token() {
 }
 
 #[test]
-fn stopping_waits_for_running_requests_and_for_nothing_else() {
+fn stopping_waits_only_for_running_requests() {
     let served = serve();
     let at = served.at;
-    // Three that would stay for ever.
+    // An idle connection and an incomplete request would never end.
     let idle = connect(at);
     let mut slow = connect(at);
     slow.write_all(b"GET /v1/st").unwrap();
     served.fake.command_ms.store(400, Ordering::Relaxed);
-    let asked = std::thread::scope(|scope| {
-        let asked = scope.spawn(|| post(at, "/v1/arm", "{}"));
+    let response = std::thread::scope(|scope| {
+        let request = scope.spawn(|| post(at, "/v1/arm", "{}"));
         std::thread::sleep(Duration::from_millis(150));
         let began = Instant::now();
         served.stop();
         assert!(began.elapsed() < Duration::from_secs(6), "{:?}", began.elapsed());
-        asked.join().unwrap()
+        request.join().unwrap()
     });
-    assert_eq!(asked.status, 200, "it was being carried out");
-    assert!(TcpStream::connect(at).is_err(), "nobody listens any more");
+    assert_eq!(response.status, 200, "it was being executed");
+    assert!(TcpStream::connect(at).is_err(), "the server no longer listens");
     drop(idle);
 }
 
