@@ -26,7 +26,7 @@ const FITS_WELL: f64 = 1.0;
 pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<Ends, Refusal> {
     let start = start(mesh, graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
     let protrusions = protrusions(graph, start, workspace);
-    hangs_together(graph, &protrusions.mean)?;
+    check_connected(graph, &protrusions.mean)?;
     let whole = name(&protrusions, misfit);
     if let Err(refusal @ Refusal::TooManyEnds { .. }) = whole {
         return Err(refusal);
@@ -69,7 +69,7 @@ pub(crate) fn start(mesh: &Mesh, graph: &Graph) -> Option<u32> {
 }
 
 /// Rejects a surface that is not connected.
-fn hangs_together(graph: &Graph, field: &[f64]) -> Result<(), Refusal> {
+fn check_connected(graph: &Graph, field: &[f64]) -> Result<(), Refusal> {
     let on_surface = (0..graph.vertex_count() as u32).filter(|at| !graph.links(*at).is_empty());
     let vertices = on_surface.count();
     let reached = field.iter().filter(|far| far.is_finite()).count();

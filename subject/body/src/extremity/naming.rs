@@ -43,15 +43,15 @@ pub(crate) fn name(protrusions: &Protrusions, cost: Cost) -> Result<Naming, Refu
         return Err(Refusal::TooManyEnds { found });
     }
     let other_min = DISTINCT_MIN * protrusions.longest;
-    let way = |from: usize, to: usize| {
+    let distance = |from: usize, to: usize| {
         candidates[from].field[candidates[to].peak.vertex as usize].max(f64::MIN_POSITIVE)
     };
-    let namings = namings(candidates.len(), &way, cost);
+    let namings = namings(candidates.len(), &distance, cost);
     let by_misfit = |one: &&Naming, other: &&Naming| one.misfit.rms.total_cmp(&other.misfit.rms);
     let few = Refusal::TooFewEnds { found: candidates.len() };
     let best = *namings.iter().min_by(by_misfit).ok_or(few)?;
     let ends = best.ends;
-    let apart = |one: usize, other: usize| one != other && way(one, other) > other_min;
+    let apart = |one: usize, other: usize| one != other && distance(one, other) > other_min;
     let differs = |other: &[usize; 5]| {
         let pair = |at: usize, to: [usize; 2]| {
             let straight = apart(ends[at], other[to[0]]) || apart(ends[at + 1], other[to[1]]);
@@ -74,16 +74,16 @@ pub(crate) fn name(protrusions: &Protrusions, cost: Cost) -> Result<Naming, Refu
 }
 
 /// All assignments of five of `count` candidates, with their misfits.
-fn namings(count: usize, way: &impl Fn(usize, usize) -> f64, cost: Cost) -> Vec<Naming> {
+fn namings(count: usize, distance: &impl Fn(usize, usize) -> f64, cost: Cost) -> Vec<Naming> {
     let mut found = Vec::new();
     for head in 0..count {
         for [a, b] in pairs(count).filter(|hands| !hands.contains(&head)) {
             let free = |end: &usize| ![head, a, b].contains(end);
             for [c, d] in pairs(count).filter(|feet| feet.iter().all(free)) {
                 // A foot is nearer to the hand on its own side.
-                let crossed = way(a, c) + way(b, d) > way(a, d) + way(b, c);
+                let crossed = distance(a, c) + distance(b, d) > distance(a, d) + distance(b, c);
                 let ends = if crossed { [head, a, b, d, c] } else { [head, a, b, c, d] };
-                let misfit = cost(ends.map(|from| ends.map(|to| way(from, to))));
+                let misfit = cost(ends.map(|from| ends.map(|to| distance(from, to))));
                 found.push(Naming { ends, misfit, margin: f64::INFINITY });
             }
         }
@@ -156,15 +156,15 @@ pub struct Misfit {
 /// Number of measures.
 pub(crate) const MEASURE_COUNT: usize = 9;
 
-/// Measures of the geodesic distances between head, hands and feet; `ways[i][j]` leads from end i to end j, in the
+/// Measures of the geodesic distances between head, hands and feet; `distances[i][j]` leads from end i to end j, in the
 /// order of [`super::Extremities::all`].
 ///
 /// The first four are the mean logarithms of head to hands, head to feet, hand to hand, foot to foot, each minus the
 /// mean over all ten distances, which removes the size. The next four are small by symmetry: the differences of the two
 /// distances from the head to the hands, to the feet, and from hand to foot on the same side and across. The last is
 /// the excess of hand to foot across over the same side.
-pub(crate) fn measures(ways: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
-    let log = |from: usize, to: usize| ways[from][to].ln();
+pub(crate) fn measures(distances: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
+    let log = |from: usize, to: usize| distances[from][to].ln();
     let [a, b] = [log(0, 1), log(0, 2)];
     let [c, d] = [log(0, 3), log(0, 4)];
     let [hands, feet] = [log(1, 2), log(3, 4)];
@@ -186,8 +186,8 @@ pub(crate) fn measures(ways: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
 }
 
 /// The misfit of five points with such geodesic distances to a body.
-pub(crate) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
-    let measures = measures(ways);
+pub(crate) fn misfit(distances: [[f64; 5]; 5]) -> Misfit {
+    let measures = measures(distances);
     let squares = measures.iter().zip(&PRIORS).map(|(measure, prior)| {
         let deviation = (measure - prior.mean) / prior.sd;
         deviation * deviation
@@ -198,28 +198,28 @@ pub(crate) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
 
 /// Misfit to a body from which part of one limb, or of an arm and a leg, is missing: the shorter limb of a pair is
 /// extended to the length of the other. Infinite if no limb is shorter.
-pub(crate) fn misfit_cut(ways: [[f64; 5]; 5]) -> Misfit {
-    let arms = completed(ways, [1, 2], [3, 4]);
-    let legs = completed(ways, [3, 4], [1, 2]);
-    let both = arms.and_then(|ways| completed(ways, [3, 4], [1, 2]));
+pub(crate) fn misfit_cut(distances: [[f64; 5]; 5]) -> Misfit {
+    let arms = completed(distances, [1, 2], [3, 4]);
+    let legs = completed(distances, [3, 4], [1, 2]);
+    let both = arms.and_then(|distances| completed(distances, [3, 4], [1, 2]));
     let misfits = [arms, legs, both].into_iter().flatten().map(misfit);
     let best = misfits.min_by(|one, other| one.rms.total_cmp(&other.rms));
-    let none = Misfit { rms: f64::INFINITY, ..misfit(ways) };
+    let none = Misfit { rms: f64::INFINITY, ..misfit(distances) };
     Misfit { limit: MISFIT_CUT_MAX, ..best.unwrap_or(none) }
 }
 
 /// The distances with the shorter of two limbs extended to the length of the other. None unless one is clearly shorter,
 /// as seen from the head and from the other pair of limbs.
-fn completed(ways: [[f64; 5]; 5], [a, b]: [usize; 2], others: [usize; 2]) -> Option<[[f64; 5]; 5]> {
-    let by_head = ways[0][a] - ways[0][b];
-    let by_others = others.iter().map(|other| ways[*other][a] - ways[*other][b]).sum::<f64>() / 2.0;
-    let mean = ways.as_flattened().iter().sum::<f64>() / 20.0;
+fn completed(all: [[f64; 5]; 5], [a, b]: [usize; 2], others: [usize; 2]) -> Option<[[f64; 5]; 5]> {
+    let by_head = all[0][a] - all[0][b];
+    let by_others = others.iter().map(|other| all[*other][a] - all[*other][b]).sum::<f64>() / 2.0;
+    let mean = all.as_flattened().iter().sum::<f64>() / 20.0;
     let agree = by_head * by_others > 0.0;
     if !agree || by_head.abs().min(by_others.abs()) < SHORTER_MIN * mean {
         return None;
     }
     let (short, by) = (if by_head < 0.0 { a } else { b }, f64::midpoint(by_head, by_others).abs());
-    let mut longer = ways;
+    let mut longer = all;
     for other in (0..5).filter(|other| *other != short) {
         longer[short][other] += by;
         longer[other][short] += by;
@@ -238,9 +238,9 @@ const HAND_TO_FOOT: f64 =
 /// Misfit to a body whose hands touch something: contact shortens distances and never lengthens them.
 ///
 /// Distances are relative to that from head to feet, which no hand affects.
-pub(crate) fn misfit_in_contact(ways: [[f64; 5]; 5]) -> Misfit {
-    let measures = measures(ways);
-    let log = |from: usize, to: usize| ways[from][to].ln();
+pub(crate) fn misfit_in_contact(distances: [[f64; 5]; 5]) -> Misfit {
+    let measures = measures(distances);
+    let log = |from: usize, to: usize| distances[from][to].ln();
     let unit = (log(0, 3) + log(0, 4)) / 2.0 - PRIORS[1].mean;
     let strict = [
         (log(3, 4) - unit - PRIORS[3].mean) / PRIORS[3].sd,
@@ -257,8 +257,8 @@ pub(crate) fn misfit_in_contact(ways: [[f64; 5]; 5]) -> Misfit {
         (log(1, 4), HAND_TO_FOOT + half),
         (log(2, 3), HAND_TO_FOOT + half),
     ];
-    let loose = loose.map(|(way, prior)| {
-        let longer = way - unit - prior;
+    let loose = loose.map(|(distance, prior)| {
+        let longer = distance - unit - prior;
         if longer > 0.0 { longer / BETWEEN_PEOPLE } else { longer / SHORTENED }
     });
     let squares = strict.iter().chain(&loose).map(|deviation| deviation * deviation);

@@ -102,11 +102,11 @@ fn the_misfit_is_independent_of_size_and_side() {
         (3, 4) => 2.0 * foot,
         _ => hand + trunk + foot,
     };
-    let ways = |order: [usize; 5], scale: f64| order.map(|a| order.map(|b| scale * arm(a, b)));
-    let whole = misfit(ways([0, 1, 2, 3, 4], 1.0)).rms;
+    let distances = |order: [usize; 5], scale: f64| order.map(|a| order.map(|b| scale * arm(a, b)));
+    let whole = misfit(distances([0, 1, 2, 3, 4], 1.0)).rms;
     for (order, scale) in [([0, 2, 1, 4, 3], 1.0), ([0, 1, 2, 3, 4], 1000.0)] {
-        assert!((misfit(ways(order, scale)).rms - whole).abs() < 1e-9);
+        assert!((misfit(distances(order, scale)).rms - whole).abs() < 1e-9);
     }
-    let swapped = misfit(ways([0, 3, 4, 1, 2], 1.0)).rms;
+    let swapped = misfit(distances([0, 3, 4, 1, 2], 1.0)).rms;
     assert!(whole < MISFIT_MAX && swapped > 2.0 * whole, "{whole} and {swapped}");
 }

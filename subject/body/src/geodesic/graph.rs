@@ -139,17 +139,17 @@ impl Graph {
     /// Mesh edges only: the distance g of (Yu et al. 2008, section 2).
     #[must_use]
     pub fn along_edges(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let ways = adjacency.edges().iter().map(|edge| GraphEdge::along(mesh, edge));
-        Self::new(adjacency.vertex_count(), ways)
+        let edges = adjacency.edges().iter().map(|edge| GraphEdge::along(mesh, edge));
+        Self::new(adjacency.vertex_count(), edges)
     }
 
     /// Mesh edges, and across each edge the straight segment between the two opposite corners, with both triangles
     /// unfolded into one plane.
     #[must_use]
     pub fn with_short_cuts(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let mut ways = Vec::with_capacity(2 * adjacency.edges().len());
+        let mut edges = Vec::with_capacity(2 * adjacency.edges().len());
         for edge in adjacency.edges() {
-            ways.push(GraphEdge::along(mesh, edge));
+            edges.push(GraphEdge::along(mesh, edge));
             let [one, other] = edge.triangles;
             if one == NONE || other == NONE {
                 continue;
@@ -158,18 +158,18 @@ impl Graph {
             let Some((from, to)) = ends else { continue };
             let edge = edge.vertices.map(|vertex| mesh.point(vertex));
             if let Some(length) = across(edge, mesh.point(from), mesh.point(to)) {
-                ways.push(GraphEdge { ends: [from, to], length });
+                edges.push(GraphEdge { ends: [from, to], length });
             }
         }
-        Self::new(adjacency.vertex_count(), ways.into_iter())
+        Self::new(adjacency.vertex_count(), edges.into_iter())
     }
 
     /// A graph of arbitrary edges.
-    pub(crate) fn new(vertex_count: usize, ways: impl Iterator<Item = GraphEdge> + Clone) -> Self {
+    pub(crate) fn new(vertex_count: usize, edges: impl Iterator<Item = GraphEdge> + Clone) -> Self {
         let there_and_back = |GraphEdge { ends: [a, b], length }| {
             [(a, Link { to: b, length }), (b, Link { to: a, length })]
         };
-        Self(SparseRows::new(vertex_count, ways.flat_map(there_and_back)))
+        Self(SparseRows::new(vertex_count, edges.flat_map(there_and_back)))
     }
 
     /// Number of vertices.

@@ -134,11 +134,11 @@ fn top_of_head(graph: &Graph, fields: &Fields<'_>, workspace: &mut Workspace) ->
     let mut moved: Option<Vec<f64>> = None;
     for _ in 0..HEAD_STEPS {
         let around = moved.as_deref().unwrap_or(fields.distances[HEAD]);
-        let near = (0_u32..).zip(around).filter(|(_, way)| **way < reach);
-        let ways = near.map(|(at, way)| (from_limbs(fields, at), at, *way));
-        let best = ways.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
+        let near = (0_u32..).zip(around).filter(|(_, d)| **d < reach);
+        let ranked = near.map(|(at, d)| (from_limbs(fields, at), at, *d));
+        let best = ranked.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
         // Only a top near the edge of the searched region may continue beyond it.
-        let Some((_, top, _)) = best.filter(|(_, _, way)| *way > HEAD_EDGE * reach) else { break };
+        let Some((_, top, _)) = best.filter(|(_, _, d)| *d > HEAD_EDGE * reach) else { break };
         moved = Some(distances(graph, top, workspace));
     }
     moved
@@ -148,7 +148,7 @@ fn top_of_head(graph: &Graph, fields: &Fields<'_>, workspace: &mut Workspace) ->
 /// distances continue without a step, so the exact choice of vertices hardly matters.
 fn crown(fields: &Fields<'_>, around: &[f64]) -> Vec<(u32, f64)> {
     let Some(feet) = fields.between(FOOT[0], FOOT[1]) else { return Vec::new() };
-    let near = || (0_u32..).zip(around).filter(|(_, way)| **way < HEAD_REACH * feet);
+    let near = || (0_u32..).zip(around).filter(|(_, d)| **d < HEAD_REACH * feet);
     let most = near().map(|(at, _)| from_limbs(fields, at)).fold(0.0, f64::max);
     let starts = near().map(|(at, _)| (at, most - from_limbs(fields, at)));
     starts.filter(|(_, start)| *start < CROWN * feet).collect()
@@ -164,10 +164,10 @@ fn farthest(fields: &Fields<'_>) -> [u32; 5] {
                 .map(|other| fields.at(other, at as usize))
                 .sum::<f64>()
         };
-        let near = (0_u32..).zip(fields.distances[end]).filter(|(_, way)| **way < REACH * feet);
-        let ways = near.map(|(at, _)| (others(at), at)).filter(|(way, _)| way.is_finite());
+        let near = (0_u32..).zip(fields.distances[end]).filter(|(_, d)| **d < REACH * feet);
+        let ranked = near.map(|(at, _)| (others(at), at)).filter(|(d, _)| d.is_finite());
         // Of equals the lowest index, the same on every machine.
-        let best = ways.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
+        let best = ranked.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
         *vertex = best.map_or(*vertex, |(_, at)| at);
     }
     found

@@ -225,8 +225,8 @@ impl Curves {
     fn distance_from_top(&self) -> f64 {
         let neck = self.head.centre_at(HEAD_LEVELS[NECK]);
         let first = self.head.centre_at(HEAD_LEVELS[0]);
-        let way = |at: &&Point| (*at - neck).norm();
-        let top = self.head_vertices.iter().max_by(|one, other| way(one).total_cmp(&way(other)));
+        let far = |at: &&Point| (*at - neck).norm();
+        let top = self.head_vertices.iter().max_by(|one, other| far(one).total_cmp(&far(other)));
         top.map_or(0.0, |top| (top - first).norm())
     }
 }

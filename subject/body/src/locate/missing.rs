@@ -141,10 +141,10 @@ fn shorter(
 /// Shortening of the first limb relative to the second, in the mesh's unit, as seen from the head and from the other
 /// pair of extremities.
 fn shorter_by(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Option<[f64; 2]> {
-    let way = |one: usize, other: usize| fields.between(one, other);
-    let by_head = way(HEAD, b)? - way(HEAD, a)?;
+    let distance = |one: usize, other: usize| fields.between(one, other);
+    let by_head = distance(HEAD, b)? - distance(HEAD, a)?;
     // Both ends of the other pair, since each is nearer to one side.
-    let by_others = (way(c, b)? + way(d, b)? - way(c, a)? - way(d, a)?) / 2.0;
+    let by_others = (distance(c, b)? + distance(d, b)? - distance(c, a)? - distance(d, a)?) / 2.0;
     Some([by_head, by_others])
 }
 

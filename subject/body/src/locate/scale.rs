@@ -31,7 +31,7 @@ impl BodyScale {
     /// None if an extremity is unreachable, two coincide, or the estimates are not those of a body.
     pub(super) fn new(fields: &Fields<'_>) -> Option<Self> {
         let feet = fields.between(FOOT[0], FOOT[1])? / FOOT_TO_FOOT;
-        let all = fields.pairwise().map(|way| Some(way.filter(|way| *way > 0.0)? / ALL_PAIRS));
+        let all = fields.pairwise().map(|d| Some(d.filter(|d| *d > 0.0)? / ALL_PAIRS));
         let all = all.sum::<Option<f64>>()?;
         let feet_to_all = feet / all;
         let found = Self { length: f64::midpoint(feet, all), feet_to_all };

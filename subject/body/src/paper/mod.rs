@@ -217,14 +217,14 @@ pub fn extremity_points(
 pub fn head_by_symmetry(ends: [u32; 5], fields: &[Vec<f64>; 5]) -> Extremities {
     let mut best = (f64::INFINITY, Extremities { head: 0, hands: [0; 2], feet: [0; 2] });
     for (head, field) in fields.iter().enumerate() {
-        let way = |end: usize| field.get(ends[end] as usize).copied().unwrap_or(f64::INFINITY);
+        let reach = |end: usize| field.get(ends[end] as usize).copied().unwrap_or(f64::INFINITY);
         let mut others = [0, 1, 2, 3, 4].into_iter().filter(|end| *end != head);
         let [a, b, c, d] = [0; 4].map(|_| others.next().unwrap_or(head));
         for [[p, q], [r, s]] in [[[a, b], [c, d]], [[a, c], [b, d]], [[a, d], [b, c]]] {
-            let cost = (way(p) - way(q)).abs() + (way(r) - way(s)).abs();
+            let cost = (reach(p) - reach(q)).abs() + (reach(r) - reach(s)).abs();
             if cost < best.0 {
                 let (mut hands, mut feet) = ([ends[p], ends[q]], [ends[r], ends[s]]);
-                if way(p) + way(q) > way(r) + way(s) {
+                if reach(p) + reach(q) > reach(r) + reach(s) {
                     std::mem::swap(&mut hands, &mut feet);
                 }
                 best = (cost, Extremities { head: ends[head], hands, feet });

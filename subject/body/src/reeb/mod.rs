@@ -78,17 +78,17 @@ impl Reeb {
     /// handle, the longest counts.
     #[must_use]
     pub fn down(&self, tip: usize, cut: &Rings) -> Vec<u32> {
-        let mut way = Vec::new();
+        let mut path = Vec::new();
         let mut band = self.tips.get(tip).copied().flatten();
         // Each step descends one level, so the loop ends.
         while let Some(at) = band.and_then(|band| self.bands.get(band as usize)) {
             let length = |ring: &u32| cut.rings[*ring as usize].perimeter;
             let longest = |one: &&u32, other: &&u32| length(one).total_cmp(&length(other));
             let Some(ring) = at.below.iter().max_by(longest) else { break };
-            way.push(*ring);
+            path.push(*ring);
             band = Some(self.sides[*ring as usize][0]);
         }
-        way
+        path
     }
 
     /// All pairs of curves joined by a band: the arcs of the graph, drawn between centroids.
@@ -182,12 +182,12 @@ impl Segments {
         let [one, other, left, right] = [0, 1, 2, 3].map(|tip| upwards(reeb, cut, tip));
         let (trunk_count, legs) = split(&left, &right);
         let trunk = left[..trunk_count].to_vec();
-        let arm = |way: &[u32]| split(way, &left).0.min(split(way, &right).0);
+        let arm = |path: &[u32]| split(path, &left).0.min(split(path, &right).0);
         let starts = [arm(&one), arm(&other)];
         let between_hands = split(&one, &other).0;
         let fused = starts.iter().any(|start| *start >= trunk_count || *start < between_hands);
         let short = [&one[starts[0]..], &other[starts[1]..], &legs[0], &legs[1], &trunk];
-        if fused || short.iter().any(|way| way.is_empty()) {
+        if fused || short.iter().any(|path| path.is_empty()) {
             return Err(Refusal::Contact { handles: 0 });
         }
         let value = |ring: u32| cut.values[cut.rings[ring as usize].level as usize];
@@ -216,15 +216,15 @@ impl Segments {
         let limb = |tip: usize| {
             let part = if tip < 2 { ARM_REACH } else { LEG_REACH };
             let reach = part * far(tip, extremities.head);
-            let mut way = upwards(reeb, cut, tip);
+            let mut path = upwards(reeb, cut, tip);
             let near = |ring: &u32| {
                 let triangle = cut.rings[*ring as usize].triangle;
                 let corners = mesh.triangles.get(triangle as usize);
                 corners.is_some_and(|[vertex, ..]| far(tip, *vertex) <= reach)
             };
-            let count = way.iter().rev().take_while(|ring| near(ring)).count();
-            let rest = way.split_off(way.len() - count);
-            (way, rest)
+            let count = path.iter().rev().take_while(|ring| near(ring)).count();
+            let rest = path.split_off(path.len() - count);
+            (path, rest)
         };
         let [(_, one), (_, other), (trunk, left), (_, right)] = [0, 1, 2, 3].map(limb);
         let begins = |limb: &[u32]| {
@@ -243,9 +243,9 @@ impl Segments {
 
 /// The curves from the head to a tip.
 fn upwards(reeb: &Reeb, cut: &Rings, tip: usize) -> Vec<u32> {
-    let mut way = reeb.down(tip, cut);
-    way.reverse();
-    way
+    let mut path = reeb.down(tip, cut);
+    path.reverse();
+    path
 }
 
 /// Number of curves that two paths share from the head on, and their separate parts.

@@ -63,7 +63,7 @@ pub(super) fn remove_degenerate_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>
         key
     };
     // The orientation of a triangle relative to the sorted order of its vertices.
-    let looks_back = |&[a, b, c]: &[u32; 3]| (a < b) ^ (b < c) ^ (c < a);
+    let is_reversed = |&[a, b, c]: &[u32; 3]| (a < b) ^ (b < c) ^ (c < a);
     let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     order.sort_unstable_by_key(|&index| (key(&mesh.triangles[index as usize]), index));
     let mut duplicate = vec![false; mesh.triangles.len()];
@@ -71,8 +71,8 @@ pub(super) fn remove_degenerate_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>
         |a: &u32, b: &u32| key(&mesh.triangles[*a as usize]) == key(&mesh.triangles[*b as usize]);
     let mut twins = Vec::new();
     for group in order.chunk_by(same).filter(|group| group.len() > 1) {
-        let way = |index: &u32| looks_back(&mesh.triangles[*index as usize]);
-        let twin = group.iter().position(|index| way(index) != way(&group[0]));
+        let orientation = |index: &u32| is_reversed(&mesh.triangles[*index as usize]);
+        let twin = group.iter().position(|index| orientation(index) != orientation(&group[0]));
         for (at, &index) in group.iter().enumerate().skip(1) {
             duplicate[index as usize] = Some(at) != twin;
         }

@@ -197,14 +197,14 @@ fn stature(bones: &[Bone], size_sigma: f64) -> Option<Length> {
         }),
         (one, other) => one.or(other),
     };
-    let way = [
+    let path = [
         alone("head_throat")?,
         alone("throat_pelvis")?,
         mean("l_thigh", "r_thigh")?,
         mean("l_shank", "r_shank")?,
     ];
-    let stature_mm = STATURE_OF_BONES * way.iter().map(|bone| bone.mm).sum::<f64>();
-    let of_bones = way.iter().map(|bone| bone.sigma_mm.powi(2)).sum::<f64>().sqrt() / stature_mm;
+    let stature_mm = STATURE_OF_BONES * path.iter().map(|bone| bone.mm).sum::<f64>();
+    let of_bones = path.iter().map(|bone| bone.sigma_mm.powi(2)).sum::<f64>().sqrt() / stature_mm;
     let sigma = if of_bones > BONES_UNCERTAIN { of_bones } else { STATURE_SD }.hypot(size_sigma);
     STATURE_MM
         .contains(&stature_mm)

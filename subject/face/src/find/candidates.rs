@@ -154,11 +154,11 @@ impl Candidate {
     /// The frame of the template's face, on the photograph.
     pub(super) fn frame(&self) -> Option<Frame> {
         let Frame { across, down, turn, .. } = TEMPLATES.get(self.fit.pose)?.frame;
-        let way = |[x, y]: [f32; 2]| self.way(EYES_PX * x, EYES_PX * y);
-        Some(Frame { origin: self.origin, across: way(across), down: way(down), turn })
+        let offset = |[x, y]: [f32; 2]| self.offset(EYES_PX * x, EYES_PX * y);
+        Some(Frame { origin: self.origin, across: offset(across), down: offset(down), turn })
     }
 
-    fn way(&self, x: f32, y: f32) -> [f32; 2] {
+    fn offset(&self, x: f32, y: f32) -> [f32; 2] {
         [x * self.step[0] - y * self.step[1], x * self.step[1] + y * self.step[0]]
     }
 
@@ -169,7 +169,7 @@ impl Candidate {
             let from = best;
             for (scale, roll_rad) in changes {
                 let (sin, cos) = roll_rad.sin_cos();
-                let moved = Self { step: from.way(scale * cos, scale * sin), ..from };
+                let moved = Self { step: from.offset(scale * cos, scale * sin), ..from };
                 if let Some(found) = moved.best_near(pyramid).filter(|f| f.fit.odds > best.fit.odds)
                 {
                     best = found;
@@ -186,7 +186,7 @@ impl Candidate {
         let mut crop = Plane::filled(CROP_PX, CROP_PX, 0.0);
         for (y, row) in crop.values_mut().chunks_exact_mut(CROP_PX).enumerate() {
             for (x, value) in row.iter_mut().enumerate() {
-                let [dx, dy] = self.way(x as f32 - ex, y as f32 - ey);
+                let [dx, dy] = self.offset(x as f32 - ex, y as f32 - ey);
                 let at = |origin: f32, d: f32| (origin + d + 0.5) / done - 0.5;
                 *value =
                     plane.sample(at(self.origin[0], dx), at(self.origin[1], dy)).max(0.0).sqrt();
@@ -200,7 +200,7 @@ impl Candidate {
         });
         let (column, row, fit) = fits.max_by(|a, b| a.2.odds.total_cmp(&b.2.odds))?;
         let [x, y] = eyes_of(column as f32, row as f32);
-        let [dx, dy] = self.way(x - ex, y - ey);
+        let [dx, dy] = self.offset(x - ex, y - ey);
         Some(Self { origin: [self.origin[0] + dx, self.origin[1] + dy], fit, ..*self })
     }
 }

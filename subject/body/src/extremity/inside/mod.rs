@@ -96,7 +96,7 @@ struct Inside {
     /// Grid cells of the voxels.
     cells: Vec<usize>,
     /// Edges from each voxel to the later half of its 26 neighbours.
-    ways: Vec<GraphEdge>,
+    edges: Vec<GraphEdge>,
     /// Approximate depth of each voxel below the surface, in grid steps.
     depths: Vec<f64>,
 }
@@ -115,12 +115,12 @@ impl Inside {
             let other = cell as isize + (x * columns + y) * layers + z;
             numbers.get(other as usize).copied().filter(|number| *number != OUTSIDE)
         };
-        let mut ways = Vec::with_capacity(13 * cells.len());
+        let mut edges = Vec::with_capacity(13 * cells.len());
         let mut skin = Vec::new();
         for (number, cell) in (0_u32..).zip(&cells) {
             for (offset, length) in half_of_neighbours() {
                 if let Some(other) = around(*cell, offset) {
-                    ways.push(GraphEdge { ends: [number, other], length });
+                    edges.push(GraphEdge { ends: [number, other], length });
                 }
             }
             let faces = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]];
@@ -129,15 +129,15 @@ impl Inside {
             }
         }
         let depths =
-            distances_from(&Graph::new(cells.len(), ways.iter().copied()), skin, workspace);
-        Self { cells, ways, depths }
+            distances_from(&Graph::new(cells.len(), edges.iter().copied()), skin, workspace);
+        Self { cells, edges, depths }
     }
 
     /// The graph of voxels deeper than `layer`, with lengths in grid steps.
     fn deeper_than(&self, layer: f64) -> Graph {
         let deep = |end: &u32| self.depths[*end as usize] > layer;
-        let ways = self.ways.iter().filter(|way| way.ends.iter().all(deep));
-        Graph::new(self.cells.len(), ways.copied())
+        let edges = self.edges.iter().filter(|edge| edge.ends.iter().all(deep));
+        Graph::new(self.cells.len(), edges.copied())
     }
 }
 

@@ -67,12 +67,12 @@ fn ends(mesh: &Mesh) -> Extremities {
     let joints = joints();
     let at = |joint: Joint| joints.iter().find(|(name, _)| *name == joint).unwrap().1;
     let farthest = |from: Point, to: Point| {
-        let way = |vertex: &[f64; 3]| {
+        let reach = |vertex: &[f64; 3]| {
             let at = Point::from(*vertex) - to;
             at.dot(&(to - from).normalize()) - 2.0 * (at.norm() - 0.15).max(0.0)
         };
         let all = (0..).zip(&mesh.positions);
-        all.max_by(|one, other| way(one.1).total_cmp(&way(other.1))).unwrap().0
+        all.max_by(|one, other| reach(one.1).total_cmp(&reach(other.1))).unwrap().0
     };
     let hand = |side| farthest(at(Joint::Elbow(side)), at(Joint::Wrist(side)));
     let foot = |side| {
