@@ -220,11 +220,11 @@ fn the_take_is_finished_when_the_service_stops_and_at_its_maximum_length() {
     let long = engine.start(&named("long")).unwrap();
     wait_until("the end", || engine.status().state == State::Armed);
     assert!(read(&long.path).samples() > 0);
-    let mut received = Vec::new();
+    let mut ended = Vec::new();
     while let Some(event) = events.next(Duration::from_millis(100)) {
-        received.push(event);
+        ended.push(event);
     }
-    let stopped = received.iter().find(|event| event.kind == ServiceEventKind::TakeStopped).unwrap();
+    let stopped = ended.iter().find(|event| event.kind == ServiceEventKind::TakeStopped).unwrap();
     assert_tells(&stopped.message, &["long", EndingKind::Length.word()]);
     let open = engine.start(&named("open")).unwrap();
     engine.stop_service();
