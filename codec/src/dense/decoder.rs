@@ -1,4 +1,4 @@
-//! The half that only follows.
+//! The decoder of a group.
 
 use super::{
     Dense, P_CODED,
@@ -26,12 +26,12 @@ impl PayloadDecoder for Dense {
             }
             return codec.coder.finish();
         }
-        // Out of their rows while the others of these are filled.
+        // The flags are moved out while the other fields of the rows are written.
         let mut flags = [const { Vec::new() }; GROUP_CHANNELS];
         let mut is_raw = [false; GROUP_CHANNELS];
         for channel in 0..n_channels {
             if codec.channels[channel].has_samples() {
-                // What the encoder chose comes out.
+                // A decoder ignores its argument and returns the encoder's choice.
                 let fineness = self.storage(&mut codec.coder, channel, Some(Fineness::Normal));
                 is_raw[channel] = fineness.is_none();
             }
@@ -51,6 +51,7 @@ impl PayloadDecoder for Dense {
     }
 }
 
+/// The decoder of one block.
 struct RowDecoder<'a> {
     channels: &'a mut [DecodedRows],
     grid: Grid,
@@ -58,7 +59,7 @@ struct RowDecoder<'a> {
 }
 
 impl RowDecoder<'_> {
-    /// A channel bit by bit.
+    /// Reads the samples of a channel that are stored as plain float32 bits.
     fn stored(&mut self, channel: usize) -> Result<()> {
         let rows = &mut self.channels[channel];
         for row in 0..rows.present.len() {
@@ -90,7 +91,7 @@ impl<'a> RowCodec for RowDecoder<'a> {
             let row = batch.row(i);
             positions[row] = [x[i], y[i], z[i]];
         }
-        // No row is kept until it is said.
+        // All flags are false so far.
         let mut kept = kept;
         while kept != 0 {
             flags[batch.row(kept.trailing_zeros() as usize)] = true;

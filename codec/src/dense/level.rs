@@ -1,6 +1,6 @@
-//! The rows of one level and run: what the other channels say of them, their residuals, and what is learnt from them.
+//! The rows of one level of a run: prediction, residuals, and the update of all statistics.
 //!
-//! The same code encodes and decodes: what both sides do differently is behind [`RowCodec`].
+//! The same code encodes and decodes; [`RowCodec`] holds what differs between the two.
 
 use super::{
     contexts::{INTERPOLATED, ORIGIN},
@@ -22,65 +22,72 @@ use crate::{
     ensure,
 };
 
-/// What an encoder is asked before a residual is coded.
+/// The inputs of an encoder's choice of a residual.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ResidualInputs {
-    /// Among the rows of the level.
+    /// Index of the row within the level.
     pub(super) place: usize,
-    /// In units, whole.
+    /// The prediction in units; whole numbers.
     pub(super) prediction: [f64; 3],
-    /// Of the row.
+    /// Kind of the row.
     pub(super) kind: usize,
     pub(super) lattice: Lattice,
     pub(super) fineness: Fineness,
-    /// Averages of the magnitudes in 1/256, by axis.
+    /// Average magnitudes of the kind by axis, in 1/256 of a lattice step.
     pub(super) activity: [i32; 3],
-    /// Nothing is predicted from the row.
+    /// Whether no row is predicted from this one.
     pub(super) last_level: bool,
 }
 
-/// What a first row is coded from: one of the candidates, and the steps from there.
+/// How a first row is coded: the index of its origin among the candidates, and the lattice steps from there.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FirstRow {
     pub(super) candidate: usize,
     pub(super) steps: Point,
 }
 
-/// Encoder or decoder. What a decoder answers where it is asked for a choice is ignored.
+/// The part of coding that differs between encoder and decoder. The default methods are a decoder's, whose choices are
+/// ignored.
 pub(super) trait RowCodec {
     type Coder: BinaryCoder;
 
     fn coder(&mut self) -> &mut Self::Coder;
 
-    /// The lattice steps to code for a row outside; all zero to stay at the prediction.
+    /// Chooses the lattice steps of a row whose prediction misses the tolerance; all zero keep the prediction.
     #[inline(always)]
     fn choose(&mut self, _question: ResidualInputs) -> Point {
         [0; 3]
     }
 
-    /// How a first row is coded, in steps so large.
-    fn choose_first(&mut self, _channel: usize, _row: usize, _step: i64, _origins: &[Point]) -> FirstRow {
+    /// Chooses the origin and the steps of a first row; `step` is the size of a step in units.
+    fn choose_first(
+        &mut self,
+        _channel: usize,
+        _row: usize,
+        _step: i64,
+        _origins: &[Point],
+    ) -> FirstRow {
         FirstRow::default()
     }
 
-    /// Which rows come next.
+    /// Begins the rows of a level.
     #[inline(always)]
     fn begin(&mut self, _sites: &LevelLayout) {}
 
-    /// Of some of them, a bit each, those whose sample is not within the tolerance of the prediction.
+    /// One bit per row of a batch: its sample is outside the tolerance ball of the prediction.
     #[inline(always)]
     fn outside<const N: usize>(&mut self, _batch: Batch, _predictions: &Points<N>) -> u32 {
         0
     }
 
-    /// The points of some rows are known, in units; of those that are kept a bit is set.
+    /// Takes the final points of a batch in units; `kept` has one bit per row that is kept.
     fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32);
 }
 
-/// Strides 1, 2 and 4, which are off by little.
+/// The kinds of the strides 1, 2 and 4, whose predictions are close.
 const FINE_KINDS: std::ops::Range<usize> = INTERPOLATED..INTERPOLATED + 3;
 
-/// Everything that a group remembers of its channels, and what their rows are coded with.
+/// The state of a group: its channels, the probability model, and the predictors.
 #[derive(Debug)]
 pub(super) struct Channels {
     pub(super) tracks: Vec<Track>,
@@ -119,7 +126,7 @@ impl Channels {
         self.correction.reset();
     }
 
-    /// Stores a first row, which is moved by some steps.
+    /// Stores a first row with its coded steps.
     pub(super) fn store_first_row<S: RowCodec>(
         &mut self,
         codec: &mut S,
@@ -136,7 +143,7 @@ impl Channels {
         self.store_rows(codec, batch, &point.map(|units| [units as f64; 1]), 1)
     }
 
-    /// Codes the rows of the [`level`](Self::level): of anchors it is known where time alone puts them.
+    /// Codes the rows of the current [`level`](Self::level). The prediction in time of an anchor is already set.
     pub(super) fn code<S: RowCodec>(&mut self, codec: &mut S, kind: usize) -> Result<()> {
         let isa = self.isa;
         if FINE_KINDS.contains(&kind) {
@@ -146,24 +153,30 @@ impl Channels {
         }
     }
 
-    /// The marks of the references, summed, at some rows that lie side by side.
+    /// The summed packed steps of the references at `N` rows from `slot` on; without references, twice those of the
+    /// channel before.
     #[inline(always)]
-    fn reference_magnitudes<const N: usize>(&self, channel: usize, class: usize, slot: usize) -> [u64; N] {
+    fn reference_magnitudes<const N: usize>(
+        &self,
+        channel: usize,
+        class: usize,
+        slot: usize,
+    ) -> [u64; N] {
         let found = self.cross_channel.references(class, channel);
-        let marks = |k: usize| -> [u64; N] { lanes(&self.tracks[k].packed_steps, slot) };
+        let steps = |k: usize| -> [u64; N] { lanes(&self.tracks[k].packed_steps, slot) };
         if found.n == 0 && channel > 0 {
-            return marks(channel - 1).map(|marks| 2 * marks);
+            return steps(channel - 1).map(|steps| 2 * steps);
         }
         let mut sums = [0; N];
         for &k in &found.channels[..found.n] {
-            for (sum, marks) in sums.iter_mut().zip(marks(k)) {
-                *sum += marks;
+            for (sum, steps) in sums.iter_mut().zip(steps(k)) {
+                *sum += steps;
             }
         }
         sums
     }
 
-    /// Stores the points of some rows, of which those are kept whose bit is set.
+    /// Stores the points of a batch; `kept` has one bit per row that is kept.
     #[inline(always)]
     fn store_rows<S: RowCodec, const N: usize>(
         &mut self,
@@ -178,7 +191,7 @@ impl Channels {
         Ok(())
     }
 
-    /// Codes some of the rows of the level, `N` at most.
+    /// Codes a batch of up to `N` rows.
     #[inline(always)]
     fn batch<S: RowCodec, const N: usize, const COARSE: bool>(
         &mut self,
@@ -189,14 +202,15 @@ impl Channels {
         let Batch { channel, from, slot, .. } = batch;
         let referred = self.reference_magnitudes::<N>(channel, class_of(kind), slot);
         let Self { tracks, model, segments, correction, level, isa, .. } = self;
-        let mut points = correction.correct::<N, COARSE>(channel, kind, level, segments, tracks, from);
+        let mut points =
+            correction.correct::<N, COARSE>(channel, kind, level, segments, tracks, from);
         let outside = codec.outside(batch, &points);
         let layout = level.layout;
         let track = &mut tracks[channel];
         let mut activity = track.activity[kind];
         let mut kept = 0;
         let only = |steps: Steps| if layout.stride > 0 { steps } else { Steps::default() };
-        // What is right of a row is left of the next, and what is before it was the row itself.
+        // The right neighbour of a row is the left one of the next, and each row is the row before of the next.
         let mut left = track.steps[layout.neighbours(from).0];
         let mut before = only(track.steps_from(layout.run.start, batch.first, 2 * layout.stride));
         let mut before2 =
@@ -246,7 +260,7 @@ impl Channels {
     }
 }
 
-/// Codes the rows of a level, so many together.
+/// Codes the rows of a level in batches of `N`.
 #[derive(Debug)]
 struct LevelPass<'a, S, const N: usize, const COARSE: bool> {
     channels: &'a mut Channels,
@@ -278,7 +292,7 @@ impl<S: RowCodec, const N: usize, const COARSE: bool> Kernel for LevelPass<'_, S
         if class == 0 {
             channels.cross_channel.learn_anchor(channel, layout.slot);
         }
-        // The last level is between no other rows.
+        // No row is predicted from the last level.
         if kind != INTERPOLATED {
             channels.segments.remember(&layout, &channels.tracks);
         }

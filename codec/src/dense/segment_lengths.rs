@@ -16,8 +16,8 @@ use crate::{GROUP_CHANNELS, bound::squared_distance};
 
 /// Most partners of a channel; two in place of three lose 0.3 %.
 pub(super) const PARTNERS: usize = 3;
-/// Number of nearest earlier channels whose distances are followed. All pairs in place of the six nearest gain 0.0 %; of
-/// eight near channels in place of six the loss is 0.1 %.
+/// Number of nearest earlier channels whose distances are followed. All pairs in place of six channels gain 0.0 %,
+/// eight channels lose 0.1 %.
 const NEAR: usize = 6;
 /// [`NEAR`], padded to whole vectors.
 const NEAR_LANES: usize = NEAR.next_multiple_of(LANES);
@@ -98,8 +98,8 @@ impl<const N: usize> ChannelList<N> {
     }
 }
 
-/// The distances of two channels at the decoded rows of a span in tolerances, padded to a power of two; NaN where one of
-/// the channels is unknown.
+/// The distances of two channels at the decoded rows of a span in tolerances, padded to a power of two; NaN where one
+/// of the channels is unknown.
 type SpanRows = [f64; 2 * SPAN];
 
 /// The distances of two channels at every eighth row, those of anchors and of the strides 8 and more.
@@ -253,8 +253,8 @@ impl<'a> PairDistances<'a> {
         Self { layout, interior: layout.interior(), tracks, own: &tracks[layout.run.channel] }
     }
 
-    /// Predicts the distances to channel `k` at the rows, linearly between the neighbours. The distances at decoded rows
-    /// are read from `known`, which has one for every `2 * SPAN / N` rows, or else computed.
+    /// Predicts the distances to channel `k` at the rows, linearly between the neighbours. The distances at decoded
+    /// rows are read from `known`, which has one for every `2 * SPAN / N` rows, or else computed.
     #[inline(always)]
     fn expect<const N: usize>(&self, k: usize, known: &mut [f64; N], lengths: &mut PerRow) {
         let every = const { 2 * SPAN / N };

@@ -1,4 +1,4 @@
-//! The order in which a group's rows are coded: the same walk encodes and decodes.
+//! The order in which the rows of a group are coded. The same traversal encodes and decodes.
 
 use super::{
     LEVELS, SPAN,
@@ -15,10 +15,10 @@ use crate::{
     frame::Payload,
 };
 
-/// A run of present rows within a span, as rows of a track.
+/// A run of present rows of one channel within a span. Rows are indices into a [`Track`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Run {
-    /// Its first row, or the row before the span when it goes on from there.
+    /// Its first row, or the row before the span if the run continues from there.
     zero: usize,
     channel: usize,
     end: usize,
@@ -30,7 +30,7 @@ pub(crate) struct Dense {
     pub(super) grid: Grid,
     pub(super) channels: Channels,
     runs: Vec<Run>,
-    /// Rows since the key block.
+    /// Number of rows from the key block to this block.
     first_row: u64,
 }
 
@@ -38,7 +38,7 @@ impl Payload for Dense {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.channels.grow(n_channels);
         self.channels.tracks.iter_mut().for_each(|track| track.prepare(n_rows));
-        // Runs are at least a row long and a row apart.
+        // Runs are at least one row long and one row apart.
         self.runs.reserve((n_channels * SPAN.div_ceil(2)).saturating_sub(self.runs.len()));
     }
 
@@ -53,6 +53,7 @@ impl Payload for Dense {
 }
 
 impl Dense {
+    /// A group in its initial state.
     pub(crate) fn new(tolerance: Tolerance) -> Self {
         Self::with_isa(tolerance, Isa::detect())
     }
@@ -62,7 +63,7 @@ impl Dense {
         Self { grid, channels, runs: Vec::new(), first_row: 0 }
     }
 
-    /// Codes the rows of a block, `present` by channel; `None` for a channel that is stored raw.
+    /// Codes the rows of a block. `present` has the flags of each channel; `None` for a channel that is stored raw.
     pub(super) fn block<S: RowCodec>(
         &mut self,
         codec: &mut S,
@@ -82,7 +83,7 @@ impl Dense {
         Ok(())
     }
 
-    /// The rows after `before`, up to `last`.
+    /// Codes a span: the rows after `before`, up to `last`.
     fn span<S: RowCodec>(
         &mut self,
         codec: &mut S,
@@ -95,7 +96,7 @@ impl Dense {
         cross_channel.begin(n);
         for (channel, track) in tracks[..n].iter_mut().enumerate() {
             track.begin_span();
-            // Nowhere, where that is not known.
+            // NaN, where the row is unknown.
             cross_channel.set_position(channel, track.points[before]);
         }
         self.find_runs(before, last, present);
@@ -107,7 +108,7 @@ impl Dense {
         Ok(())
     }
 
-    /// All runs of the span, by first row, then channel.
+    /// Finds all runs of the span, ordered by first row, then channel.
     fn find_runs(&mut self, before: usize, last: usize, present: &[Option<&[bool]>]) {
         self.runs.clear();
         for (channel, present) in present.iter().enumerate() {
@@ -121,7 +122,7 @@ impl Dense {
         self.runs.sort_unstable();
     }
 
-    /// All rows of some runs.
+    /// Codes all rows of the runs of a span.
     fn walk<S: RowCodec>(
         &mut self,
         codec: &mut S,
@@ -148,7 +149,7 @@ impl Dense {
             let row = self.first_row + (run.end - PAST_ROWS) as u64;
             track.end = Some(RunEnd { row, point: track.point(run.end), taken: false });
         }
-        // Now by channel, so that the references of a row are there before it.
+        // By channel, so that the references of a row are decoded before it.
         runs.sort_unstable_by_key(|run| (run.channel, run.zero));
         for bit in (0..LEVELS).rev() {
             for run in &*runs {
@@ -159,7 +160,7 @@ impl Dense {
                 }
             }
         }
-        // A run that begins in this span starts with its own first row.
+        // For the next span, a run that begins in this one starts at its own first row.
         for run in runs.iter().filter(|run| run.zero > before) {
             self.channels.tracks[run.channel].run_start = run.zero;
         }
@@ -172,7 +173,7 @@ impl Dense {
         DecodedRun { channel, start, zero, end }
     }
 
-    /// Where the channel is among the others, and what follows from it.
+    /// Chooses the reference channels and the partners of a channel by its position among the others.
     fn choose_neighbours(&mut self, channel: usize, n: usize, before: usize) {
         let Channels { tracks, cross_channel, segments, .. } = &mut self.channels;
         if !cross_channel.has_position(channel) {
@@ -182,7 +183,7 @@ impl Dense {
         segments.choose_partners(channel, |k| cross_channel.nearness(channel, k));
     }
 
-    /// The first row of a run.
+    /// Codes the first row of a run.
     fn origin<S: RowCodec>(
         &mut self,
         codec: &mut S,
@@ -194,7 +195,8 @@ impl Dense {
         let Channels { tracks, model, .. } = &mut self.channels;
         let origins = OriginCandidates::find(tracks, channel, at, self.first_row, present);
         let step = tracks[channel].fineness.step(Lattice::Cubic);
-        let FirstRow { candidate, steps } = codec.choose_first(channel, at - PAST_ROWS, step, origins.points());
+        let FirstRow { candidate, steps } =
+            codec.choose_first(channel, at - PAST_ROWS, step, origins.points());
         let candidate = origins.code(codec.coder(), model, candidate);
         if let Some(end) = origins.taken(candidate).and_then(|k| tracks[k].end.as_mut()) {
             end.taken = true;
@@ -204,17 +206,19 @@ impl Dense {
         let from = origins.points()[candidate];
         let point: Point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        let layout = LevelLayout::anchor(DecodedRun { channel, start: at, zero: at, end: at }, before);
+        let decoded = DecodedRun { channel, start: at, zero: at, end: at };
+        let layout = LevelLayout::anchor(decoded, before);
         self.channels.store_first_row(codec, &layout, point, steps)
     }
 
-    /// The last row of a run within the span.
+    /// Codes the anchor of a run: its last row within the span.
     fn anchor<S: RowCodec>(&mut self, codec: &mut S, run: Run, before: usize) -> Result<()> {
         let decoded = self.decoded_run(&run, before);
         let (channel, rows) = (run.channel, run.end - run.zero);
         let track = &self.channels.tracks[channel];
         let known = |back: usize| track.point(run.zero - back);
-        let (expected, extrapolations) = track.anchor_errors.extrapolate(known, run.zero - decoded.start, rows);
+        let n_before = run.zero - decoded.start;
+        let (expected, extrapolations) = track.anchor_errors.extrapolate(known, n_before, rows);
         let kind = match rows {
             17.. => 1,
             5.. => 2,
@@ -228,7 +232,7 @@ impl Dense {
         Ok(())
     }
 
-    /// How a channel is stored in this block: not at all here, in fine steps, or as usual.
+    /// Codes how a channel is stored in this block: `None` for raw, or the size of its lattice steps.
     pub(super) fn storage(
         &mut self,
         coder: &mut impl BinaryCoder,
