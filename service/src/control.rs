@@ -73,7 +73,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// The path of a take by its name. A name that could lead out of the folder is invalid.
     ///
     /// # Errors
-    /// There is no such take.
+    /// No take of that name exists.
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal>;
 
     /// The status of the take being recorded, if it is this file, regardless of the file's current name. Never waits.
@@ -113,7 +113,7 @@ pub struct Start {
     /// Stored in the take as its first event.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
-    /// Seconds of pre-roll to include, as far as they are held; by default as configured.
+    /// Seconds of pre-roll to include, or as many as are held; by default as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pre_roll_s: Option<f64>,
 }

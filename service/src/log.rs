@@ -4,7 +4,7 @@
 //! (`engine/events.rs`).
 //!
 //! Text from outside is escaped ([`mocapd_take::escape`]): on stderr by the layer that writes lines. The journal keeps
-//! fields apart, so that nobody can forge an entry, but shows their bytes unchanged; text from outside is therefore
+//! fields apart, so that entries cannot be forged, but shows their bytes unchanged; text from outside is therefore
 //! also escaped where it is logged.
 
 mod rate_limit;

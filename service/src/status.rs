@@ -196,7 +196,7 @@ pub struct TakeSummary {
     pub modified_unix_ms: i64,
     /// Whether it is being written.
     pub is_open: bool,
-    /// Its condition as far as its header, last ledger and ending show.
+    /// Its condition, from its header, last ledger and ending.
     pub health: TakeHealth,
     /// Length in seconds; 0 while unknown.
     pub seconds: f64,

@@ -40,7 +40,7 @@ struct Worker {
     sender: Option<TriggerSender>,
     /// The take that another program started: it is not announced, because that program has announced it.
     triggered: Option<TriggeredTake>,
-    /// Limits messages about triggers without effect, of which a sender can send a thousand a second.
+    /// Limits messages about triggers without effect: a sender can send a thousand of them per second.
     rate_limit: RateLimit,
     stopped: Stopped,
 }

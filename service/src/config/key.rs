@@ -256,7 +256,7 @@ impl<'a> Given<'a> {
         self.read(|value| read(value.as_str().ok_or(None)?))
     }
 
-    /// A number with a unit. The unit is required because nobody who reads the file later can guess it.
+    /// A number with a unit. The unit is required because a reader of the file cannot guess it.
     pub(super) fn quantity<T>(
         &self,
         read: impl FnOnce(&str) -> Read<T>,

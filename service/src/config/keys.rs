@@ -77,7 +77,7 @@ keys! {
         ),
         DefaultValue::Text("auto"), When::NextArm, field!(device.uri, device_choice);
     /// Frame rate to set on the device; if absent, the device keeps its own.
-    /// Every take then has this rate, even if somebody set the device to another one.
+    /// Every take then has this rate, even if the device was set to another one.
     device.rate_hz: ValueType::Rate,
         DefaultValue::Absent("240"), When::NextArm, field!(device.rate_hz);
     /// Log every byte received while the device is armed, in a file beside the takes that `mocapd-sim serve` can replay.
@@ -139,7 +139,7 @@ keys! {
     take.reconnect: ValueType::Time(Duration::ZERO..=Duration::from_secs(86_400)),
         DefaultValue::Text("60s"), When::NextArm, field!(take.reconnect);
     /// Longest take: it is closed at this length, with the ending `length`; if absent, there is no limit.
-    /// It ends takes that nobody stops.
+    /// It ends forgotten takes.
     // A month: in longer takes the frame counter of a 1000 Hz device would wrap around.
     take.max_length: ValueType::Time(Duration::from_secs(1)..=Duration::from_secs(744 * 3600)),
         DefaultValue::Absent("\"1h\""), When::Now, field!(take.max_length);
@@ -229,7 +229,7 @@ keys! {
     trigger.allow_from: ValueType::List { of: "an address or a network in CIDR form", max: ITEMS_MAX },
         DefaultValue::EmptyList("192.168.10.0/24"), When::Now, field!(trigger.allow_from, each str::parse);
     /// Longest delay that a trigger may ask for; a trigger with a longer one is refused and logged.
-    /// Programs delay a start by fractions of a second so that several systems begin together; nobody but an attacker needs a minute.
+    /// Programs delay a start by fractions of a second so that several systems start together; only an attacker needs more.
     trigger.delay_max: ValueType::Time(Duration::ZERO..=DELAY_MAX),
         DefaultValue::Text("5s"), When::Now, field!(trigger.delay_max);
     /// How much is logged to standard error, and so to the journal.
@@ -313,7 +313,7 @@ fn host(text: &str) -> Result<String, String> {
 fn receiver(text: &str) -> Result<SocketAddr, String> {
     match address(text)? {
         address if address.port() == 0 => Err("the port is 0".to_owned()),
-        address if address.ip().is_unspecified() => Err("nobody can receive at it".to_owned()),
+        address if address.ip().is_unspecified() => Err("it is not the address of a receiver".to_owned()),
         address => Ok(address),
     }
 }

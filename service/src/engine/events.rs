@@ -102,7 +102,7 @@ impl EventPublisher {
 }
 
 impl Subscriber {
-    /// Sends an event. Returns `false` if the subscriber is gone: nobody else holds its counter.
+    /// Sends an event. Returns `false` if the subscriber is gone: its counter has no other owner.
     fn send(&self, event: &Arc<ServiceEvent>) -> bool {
         if Arc::strong_count(&self.missed) == 1 {
             return false;

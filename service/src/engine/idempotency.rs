@@ -7,7 +7,7 @@ use mocapd_acquire::pipeline::lock;
 use super::Inner;
 use crate::control::{Refusal, RefusalKind};
 
-/// Most replies that are remembered: clients repeat a request within seconds, and nobody sends hundreds a second.
+/// Most replies that are remembered: clients repeat a request within seconds, and none sends hundreds per second.
 const REPLIES_MAX: usize = 256;
 
 /// Longest request id in bytes.

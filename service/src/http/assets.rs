@@ -54,7 +54,7 @@ pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Prob
     };
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type(asset)));
-    // Asked for again each time, and answered with 304 until the program is another.
+    // Browsers revalidate at every use; the reply is 304 until the program changes.
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     let tag = HeaderValue::try_from(tag).map_err(|error| Problem::internal(error.to_string()))?;
     headers.insert(header::ETAG, tag);

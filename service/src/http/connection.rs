@@ -134,7 +134,7 @@ impl Acceptor {
             .max_buf_size(HEAD_BYTES_MAX)
             .max_headers(HEADERS_MAX);
         let mut connection = server.serve_connection(io, service);
-        // Whatever breaks a connection (a reset, an invalid head, a limit) has been replied to as far as possible.
+        // A broken connection (a reset, an invalid header, a limit) already got its reply if that was possible.
         let served = unless(guard.slot().evicted(), Pin::new(&mut connection));
         match until(&mut self.stopping, served).await {
             Some(Some(_)) => {}

@@ -318,7 +318,7 @@ fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> Result<(), Error> {
 
 fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> Result<(), Error> {
     figures! { out:
-        /// Frames that the device sent for the take, as far as known
+        /// Frames that the device sent for the take, if known
         gauge take_frames_sent = ledger.frames_sent as f64;
     }
     let frames = [

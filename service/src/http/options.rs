@@ -16,8 +16,8 @@ pub const CONNECTIONS_MAX: usize = 256;
 pub(super) const LINGER_MAX: usize = 32;
 
 /// Connections of the Unix socket beyond `connections_max`: the number of requests that can be running or waiting at
-/// once. Half of `connections_max` can be streams, so that even at worst enough connections can be evicted: whoever may
-/// open the socket always gets in.
+/// once. Half of `connections_max` can be streams, so that even at worst enough connections can be evicted: a user
+/// with access to the socket always gets a connection.
 pub(super) const UNIX_MORE: usize = work_queues::REQUESTS_MAX;
 
 /// File descriptors that a process has by default: the soft limit of Linux and systemd.
@@ -38,7 +38,7 @@ const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESC
 /// Where the server listens, and for whom.
 #[derive(Clone)]
 pub struct HttpOptions {
-    /// The Unix socket. Whoever may open it may do everything; its mode is 0660.
+    /// The Unix socket. Its users have full access; its mode is 0660.
     pub unix_socket: Option<PathBuf>,
     /// The TCP address: loopback, or any with a token.
     pub tcp: Option<SocketAddr>,

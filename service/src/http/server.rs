@@ -245,7 +245,7 @@ fn listen_unix(path: &Path) -> anyhow::Result<BoundSocket> {
     let context = || format!("cannot listen on {}", path.display());
     let socket = UnixSocket::new_stream().with_context(context)?;
     socket.bind(path).with_context(context)?;
-    // Nobody can connect before it listens, so the mode applies to all connections.
+    // No client can connect before it listens, so the mode applies to all connections.
     fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE)).with_context(context)?;
     let inode = fs::symlink_metadata(path).with_context(context)?.ino();
     let file = SocketFile { path: path.to_owned(), inode };

@@ -48,7 +48,7 @@ impl WorkQueues {
     pub(super) fn new(work_max: Duration) -> Self {
         Self {
             commands: WorkQueue::new(
-                "too many requests are being carried out",
+                "too many requests are being executed",
                 COMMANDS,
                 Some(work_max),
             ),

@@ -49,8 +49,8 @@ impl Listener {
     }
 
     /// Checks a datagram received at `now`, a time that never decreases. `exists` tells whether a take of a name
-    /// exists: its start is refused. That also ends every echo, because whoever announces our own take to us names one
-    /// that exists.
+    /// exists: its start is refused. That also ends every echo, because a program that announces our own take to us
+    /// names one that exists.
     ///
     /// # Errors
     /// Why the datagram has no effect.

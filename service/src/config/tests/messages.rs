@@ -146,8 +146,8 @@ fn wrong_addresses_and_paths_say_what_to_write() {
     let text = "[trigger]\nsend_to = ['10.0.0.1:1', '10.0.0.1:1']";
     refused(text, (2, 26), "trigger.send_to", &["\"10.0.0.1:1\""]);
     let port = wrong("trigger.send_to", "['10.0.0.1:0']", (2, 0), &["\"10.0.0.1:0\""]);
-    let nobody = wrong("trigger.send_to", "['0.0.0.0:1']", (2, 0), &["\"0.0.0.0:1\""]);
-    differ(&[(port, "10.0.0.1:0"), (nobody, "0.0.0.0:1")]);
+    let no_receiver = wrong("trigger.send_to", "['0.0.0.0:1']", (2, 0), &["\"0.0.0.0:1\""]);
+    differ(&[(port, "10.0.0.1:0"), (no_receiver, "0.0.0.0:1")]);
     wrong("trigger.allow_from", "['10.0.0.7/8']", (2, 0), &["\"10.0.0.7/8\"", "10.0.0.0/8"]);
     wrong("trigger.allow_from", &format!("[{}]", "'::1',".repeat(33)), (2, 0), &["33"]);
 }

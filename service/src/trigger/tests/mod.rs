@@ -240,7 +240,7 @@ fn our_own_triggers_come_back_and_do_nothing() {
     }
     let text = String::from_utf8(sent[0].clone()).unwrap();
     assert!(text.contains("a &quot;note&quot; &lt;&amp;&gt;\u{fffd}\u{fffd}"), "{text}");
-    // The longest trigger is one datagram that nobody refuses.
+    // The longest trigger fits into one datagram and is accepted.
     let longest = TakeName::of(&"&".repeat(1000)).unwrap();
     let datagram = announcer.start(&longest, &"&".repeat(100_000));
     assert!(datagram.len() < 4096 && parse(&datagram).is_ok(), "{}", datagram.len());

@@ -135,7 +135,7 @@ fn a_trigger_that_did_not_fit_acts_when_it_is_repeated() {
     // Without a number it is identified by its bytes.
     let unnumbered = "<CaptureStop RESULT='SUCCESS'/>".to_owned();
     for late in [numbered(100), unnumbered] {
-        // Nobody takes them out of the queue, so it fills up and the next one is refused.
+        // The queue is not emptied, so it fills up and the next one is refused.
         for packet in 0..DUE_EACH_MAX as u64 {
             let packet = packet + 10 * late.len() as u64;
             sender.send_to(numbered(packet).as_bytes(), service.at).unwrap();
