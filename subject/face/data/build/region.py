@@ -13,7 +13,7 @@ EYEBALLS = (14598, 14742)
 def face_region(points, triangles, body, landmarks, rings):
     """Triangles of the body that are visible from some view, cut at the jaw, the hairline and in front of the ears.
 
-    The cuts create vertices between two others: they are returned as (vertex, vertex, fraction), numbered after `points`.
+    The cuts create vertices between two others: they are returned as (vertex, vertex, fraction), after `points`.
     """
     inside = (points[triangles][:, :, 1] > -150).all(1)
     skin = (triangles < body).all(1)
