@@ -67,7 +67,7 @@ fn joints_are_accurate_on_bodies_not_learned_from() {
             }
         };
         let right = score::right(&mesh, &truth, &found.extremities, Limit::ByJoint);
-        assert!(right.unwrap(), "an end of {name} is not what it is called");
+        assert!(right.unwrap(), "an extremity of {name} is misnamed");
         assert!(found.joints.estimates.contains_key(&Joint::Head), "{name} has no head");
         let apart = score::apart(&found.joints, &truth);
         let twelve =
@@ -188,8 +188,8 @@ fn joints_rotate_translate_and_scale_with_the_body() {
         let (before, after) = (positions_of(&mesh), positions_of(&turned));
         assert_eq!(before.len(), after.len(), "{}", truth.name);
         for (joint, at) in before {
-            let way = distance(place(at), after[&joint]) / factor / truth.stature_m;
-            assert!(way <= 1e-6, "{joint:?} of {} moves by {way}", truth.name);
+            let moved = distance(place(at), after[&joint]) / factor / truth.stature_m;
+            assert!(moved <= 1e-6, "{joint:?} of {} moves by {moved}", truth.name);
         }
     }
 }
@@ -206,8 +206,8 @@ fn joints_are_independent_of_the_number_of_triangles() {
                 continue;
             }
             for (joint, at) in &found[one] {
-                let way = distance(*at, found[other][joint]) / truth.stature_m;
-                assert!(way <= 0.007, "{joint:?} of {}, {}: {way}", truth.name, same.name);
+                let moved = distance(*at, found[other][joint]) / truth.stature_m;
+                assert!(moved <= 0.007, "{joint:?} of {}, {}: {moved}", truth.name, same.name);
             }
             pairs += 1;
         }

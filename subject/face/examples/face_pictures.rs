@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         scene.noise = 1.0;
         let mut picture = scene.render()?;
         if covered {
-            let truth = picture.faces.first().ok_or("nobody sits there")?;
+            let truth = picture.faces.first().ok_or("the scene has no face")?;
             cover(&mut picture.image, truth, &[48, 54], [1.1, 0.35]);
             cover(&mut picture.image, truth, &[36, 39], [0.25, 0.5]);
         }
@@ -64,5 +64,5 @@ fn fitted(image: &RgbImage) -> Result<FittedFace, Box<dyn Error>> {
     let (width, height) = (Some(image.width()), Some(image.height()));
     let source = Source { name: "drawn.png".into(), sha256: "0".repeat(64), width, height };
     let faces = fit(&photo, &source, Method::Default)?;
-    faces.into_iter().next().ok_or_else(|| "nobody was found".into())
+    faces.into_iter().next().ok_or_else(|| "no face found".into())
 }

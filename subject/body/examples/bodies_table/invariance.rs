@@ -21,8 +21,8 @@ pub(crate) fn moved(cases: &[Case]) {
         };
         for (joint, estimate) in &before.estimates {
             let Some(again) = after.estimates.get(joint) else { continue };
-            let way = distance(place(estimate.position), again.position) / factor / case.stature;
-            most = most.max(way);
+            let moved = distance(place(estimate.position), again.position) / factor / case.stature;
+            most = most.max(moved);
         }
         meshes += 1;
     }

@@ -52,8 +52,8 @@ pub(crate) fn stretched(
         for bone in 0..3 {
             let longer = (at[bone + 1] - at[bone]) * (by[bone] - 1.0);
             let span = (levels[bone] - levels[bone + 1]).max(f64::MIN_POSITIVE);
-            for (position, way) in changed.positions.iter_mut().zip(field) {
-                let part = ((levels[bone] - way) / span).clamp(0.0, 1.0);
+            for (position, distance) in changed.positions.iter_mut().zip(field) {
+                let part = ((levels[bone] - distance) / span).clamp(0.0, 1.0);
                 *position = (Vector3::from(*position) + longer * part).into();
             }
             for name in &names[bone + 1..] {
@@ -69,10 +69,10 @@ pub(crate) fn stretched(
 fn level(mesh: &Mesh, field: &[f64], truth: &Truth, joint: &str, scale: f64) -> f64 {
     let at = Vector3::from(truth[joint]);
     let (mut sum, mut count) = (0.0, 0.0);
-    for (position, way) in mesh.positions.iter().zip(field) {
+    for (position, distance) in mesh.positions.iter().zip(field) {
         let far = (Vector3::from(*position) - at).norm() / scale;
         let weight = (1.0 - far / (2.0 * ROUND)).max(0.0);
-        sum += weight * way;
+        sum += weight * distance;
         count += weight;
     }
     sum / count

@@ -19,7 +19,7 @@ pub(crate) struct Girth {
 impl Girth {
     /// Increases in proportion to the distance from the nearest extremity.
     pub(crate) fn evenly(trunk: f64) -> Self {
-        let at = |way: f64| trunk * ((way - 0.076) / 0.404);
+        let at = |distance: f64| trunk * ((distance - 0.076) / 0.404);
         let [wrist, forearm, upper_arm] = [0.14, 0.20, 0.33].map(at);
         let [ankle, calf, knee, thigh] = [0.16, 0.25, 0.345, 0.46].map(at);
         Self { wrist, forearm, upper_arm, ankle, calf, knee, thigh, trunk }

@@ -224,7 +224,7 @@ fn damaged_models_are_refused() {
         let damaged = text.replacen(from, to, 1);
         assert_ne!(damaged, text, "{from}");
         let reason = Model::parse(&damaged).unwrap_err().to_string();
-        assert!(reasons.insert(reason.clone()), "{from}: said before: {reason}");
+        assert!(reasons.insert(reason.clone()), "{from}: duplicate message: {reason}");
     }
     for end in (0..text.len()).step_by(997) {
         assert!(Model::parse(&text[..end]).is_err());
