@@ -164,9 +164,13 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         }
     }
 
-    /// Checks the arguments and counts the samples into `reports`; returns the number of channels up to the last one with
-    /// samples.
-    fn count_samples(channels: &[Rows<'_>], least: usize, reports: &mut [BlockReport]) -> Result<usize> {
+    /// Checks the arguments and counts the samples into `reports`; returns the number of channels up to the last one
+    /// with samples.
+    fn count_samples(
+        channels: &[Rows<'_>],
+        least: usize,
+        reports: &mut [BlockReport],
+    ) -> Result<usize> {
         let argument = |message| Err(CodecError::InvalidArgument(message));
         if !(least..=GROUP_CHANNELS).contains(&channels.len()) {
             return argument(format!(
@@ -329,7 +333,7 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         self.resize(0, n_rows, out);
     }
 
-    /// Sets the numbers of channels and rows of `out`, whose contents are then undefined, reusing memory.
+    /// Sets the numbers of channels and rows of `out`, reusing memory; positions and presence are then undefined.
     fn resize(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
         self.spare.extend(out.drain(n_channels.min(out.len())..));
         while out.len() < n_channels {
