@@ -137,7 +137,8 @@ impl<'a> RangeEncoder<'a> {
     /// Appends to `out`, at most `limit` bytes.
     pub fn new(out: &'a mut Vec<u8>, limit: usize) -> Self {
         let start = out.len();
-        Self { out, start, limit, overflow: false, low: 0, range: u32::MAX, cached: None, pending: 0 }
+        let (low, range) = (0, u32::MAX);
+        Self { out, start, limit, overflow: false, low, range, cached: None, pending: 0 }
     }
 
     fn emit(&mut self, byte: u8) {

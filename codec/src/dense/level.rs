@@ -55,7 +55,7 @@ pub(super) trait RowCodec {
 
     /// Chooses the lattice steps of a row whose prediction misses the tolerance; all zero keep the prediction.
     #[inline(always)]
-    fn choose(&mut self, _question: ResidualInputs) -> Point {
+    fn choose(&mut self, _inputs: ResidualInputs) -> Point {
         [0; 3]
     }
 
@@ -72,7 +72,7 @@ pub(super) trait RowCodec {
 
     /// Begins the rows of a level.
     #[inline(always)]
-    fn begin(&mut self, _sites: &LevelLayout) {}
+    fn begin(&mut self, _layout: &LevelLayout) {}
 
     /// One bit per row of a batch: its sample is outside the tolerance ball of the prediction.
     #[inline(always)]
