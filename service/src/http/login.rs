@@ -110,7 +110,7 @@ const PLACE: &str = "<!-- problem -->";
 
 /// Whether the client is a browser that shows the response: `fetch` and programs accept anything, not HTML in
 /// particular.
-pub(super) fn is_wanted(headers: &HeaderMap) -> bool {
+pub(super) fn wants_html(headers: &HeaderMap) -> bool {
     let accepts = headers.get(header::ACCEPT).and_then(|accepts| accepts.to_str().ok());
     accepts.is_some_and(|accepts| accepts.contains("text/html"))
 }
