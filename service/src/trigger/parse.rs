@@ -187,8 +187,7 @@ pub struct TakeName {
 }
 
 impl TakeName {
-    /// What can be kept of a text; `None` when nothing can.
-    # Derives a valid name from a text; `None` if nothing of it is usable.
+    /// Derives a valid name from a text; `None` if nothing of it is usable.
     pub fn of(sent: &str) -> Option<Self> {
         let text: String =
             sent.chars().map(|c| if is_refused_in_name(c) { '_' } else { c }).collect();
