@@ -81,7 +81,7 @@ impl HttpServer {
             allowed_hosts: allow_hosts,
         };
         let (hub, is_stopped) = (Arc::clone(&events), stopped.clone());
-        let listen = move || hub.listen(&feed, &is_stopped);
+        let listen = move || hub.forward(&feed, &is_stopped);
         server.broadcast_threads.push(threads::spawn("mocapd-events", listen)?);
         let (hub, shown) = (Arc::clone(&live), Arc::clone(&control));
         let run = move || hub.run(shown.as_ref(), &stopped);
