@@ -55,11 +55,11 @@ impl<'a> Bytes<'a> {
             ensure(group < MAX_VARINT_BYTES - 1 || bits <= 1, "a varint of more than 64 bits")?;
             value |= bits << (7 * group);
             if byte & 0x80 == 0 {
-                ensure(byte != 0 || group == 0, "a varint longer than it needs to be")?;
+                ensure(byte != 0 || group == 0, "a varint that is not in its shortest form")?;
                 return Ok(value);
             }
         }
-        Err(CodecError::Corrupt("a varint without an end"))
+        Err(CodecError::Corrupt("a varint without a last byte"))
     }
 
     /// Takes all remaining bytes.

@@ -82,17 +82,17 @@ impl Raw {
     ) -> Result<()> {
         let n = rows.present.iter().filter(|&&p| p).count();
         let head = input.byte("the head of the columns")?;
-        ensure(head >> 6 == 0, "unknown flags of columns")?;
+        ensure(head >> 6 == 0, "unknown column flags")?;
         for (axis, (column, history)) in self.columns.iter_mut().zip(history).enumerate() {
             let order = usize::from(head >> (2 * axis) & 3);
-            ensure(order <= MAX_ORDER, "a difference of order 3")?;
+            ensure(order <= MAX_ORDER, "a difference order of 3")?;
             read_column(input, n, history, order, column)?;
         }
         let present = rows.positions.iter_mut().zip(&rows.present).filter(|(_, p)| **p);
         for (at, (position, _)) in present.enumerate() {
             for (value, column) in position.iter_mut().zip(&self.columns) {
                 *value =
-                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a value not finite"))?;
+                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a value that is not finite"))?;
             }
         }
         rows.kept.copy_from_slice(&rows.present);

@@ -156,7 +156,7 @@ pub(super) fn residual(
         let context = |i: usize| ORIGIN_EXPONENT.at((class * 3 + axis) * 48 + i);
         while model.single(coder, context(exponent), wanted > exponent) {
             exponent += 1;
-            ensure(exponent <= MAX_EXPONENT, "a first row beyond every coordinate")?;
+            ensure(exponent <= MAX_EXPONENT, "a first row out of range")?;
         }
         let low = coder.plain(value, exponent as u32);
         let length = ((1 << exponent) + low - 1) as i64;

@@ -185,7 +185,7 @@ impl Channels {
         points: &Points<N>,
         kept: u32,
     ) -> Result<()> {
-        ensure(in_range(points, batch.n), "a position beyond every coordinate")?;
+        ensure(in_range(points, batch.n), "a position out of range")?;
         self.tracks[batch.channel].store_points(batch, points);
         codec.finish_rows(batch, points, kept);
         Ok(())

@@ -238,7 +238,7 @@ impl<C: BinaryCoder> Residual<'_, C> {
                 break;
             }
             exponent += 1;
-            ensure(exponent <= MAX_EXPONENT, "a residual beyond every coordinate")?;
+            ensure(exponent <= MAX_EXPONENT, "a residual out of range")?;
         }
         Ok(self.mantissa(expected, exponent, rest) - 1 + UNARY as u64)
     }

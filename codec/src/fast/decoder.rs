@@ -112,7 +112,7 @@ impl Kernel for DecodeChannel<'_, '_> {
             walk::run(&mut codec, channel, points, n, cap)?;
             let [x, y, z] = points.known.axes(LEAD + 1 - origin);
             if gather(x, y, z, &mut positions[run]) {
-                return Err(CodecError::Corrupt("a position beyond every coordinate"));
+                return Err(CodecError::Corrupt("a position out of range"));
             }
         }
         if end != present.len() {
@@ -160,7 +160,7 @@ impl RunCodec for RunDecoder<'_, '_> {
                 filled_to = i + 1;
             }
             loop {
-                let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
+                let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("more rows than the level has"))?;
                 let entry = reader.entry(self.tables, place)?;
                 let symbol = entry as usize % 64;
                 *slot = self.tables.residuals[symbol];

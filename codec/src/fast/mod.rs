@@ -54,7 +54,7 @@ impl Mode {
     fn read(input: &mut Bytes<'_>) -> Result<Self> {
         match input.byte("the mode of a channel")? {
             mode @ 0..=4 => Ok(Self(mode)),
-            _ => Err(CodecError::Corrupt("an unknown mode of a channel")),
+            _ => Err(CodecError::Corrupt("an unknown channel mode")),
         }
     }
 

@@ -98,7 +98,7 @@ impl Presence {
         self.mark_absent_from(channels.len());
         ensure(
             channels.iter().any(|rows| rows.present.contains(&false)),
-            "a presence section of a block that needs none",
+            "a presence section without a gap",
         )?;
         Ok(())
     }

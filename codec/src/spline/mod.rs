@@ -212,7 +212,7 @@ impl PayloadDecoder for Spline {
             match input.byte("the mode of a channel")? {
                 CODED => self.read(&mut input, rows)?,
                 RAW => self.raw.read(&mut input, &mut Histories::default(), rows)?,
-                _ => return Err(CodecError::Corrupt("an unknown mode of a channel")),
+                _ => return Err(CodecError::Corrupt("an unknown channel mode")),
             }
         }
         input.finish()

@@ -70,7 +70,7 @@ fn invalid_heads_and_presence_sections() {
         (&[0x00, 0][..], "no number of channels after a key"),
         (&[0x40, 0], "no channels"),
         (&[0x40, 65], "more channels than a group has"),
-        (&[0x40, 0x81, 0x00], "a number longer than it needs to be"),
+        (&[0x40, 0x81, 0x00], "a number that is not in its shortest form"),
         (&[0xc0, 1, 5, 0], "a section that is cut short"),
         (&[0xc0, 1, 0], "a section that states that all rows are present"),
         (&[0xc0, 1, 1, 0xff], "one channel, and it has no sample"),
