@@ -185,7 +185,7 @@ mod tests {
         ] {
             let reason = NameTemplate::parse(text).unwrap_err();
             assert!(reason.contains(fact), "{text}: {reason}");
-            assert!(reasons.insert(reason.clone()), "{text}: said before: {reason}");
+            assert!(reasons.insert(reason.clone()), "{text}: duplicate message: {reason}");
         }
         for text in ["../x", "-rf", " x"] {
             assert_eq!(NameTemplate::parse(text), NameTemplate::parse(".hidden"), "{text}");

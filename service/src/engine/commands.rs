@@ -60,7 +60,7 @@ impl Inner {
         let until = Instant::now() + ARM_TIMEOUT;
         let mut core = self.core();
         core.failure = None;
-        core.wanted = true;
+        core.arm_requested = true;
         core.device.obstacle = None;
         self.changed.notify_all();
         loop {
@@ -91,7 +91,7 @@ impl Inner {
         if let Some(take) = &core.take {
             return Err(already_recording(take));
         }
-        core.wanted = false;
+        core.arm_requested = false;
         core.failure = None;
         while let Some(session) = &core.session {
             session.stop.store(true, Ordering::Relaxed);
@@ -412,40 +412,38 @@ impl Inner {
         if let Some(session) = &self.core().session {
             session.stop.store(true, Ordering::Relaxed);
         }
-        self.core().wanted = false;
+        self.core().arm_requested = false;
         self.viewers.close();
         self.changed.notify_all();
     }
 }
 
 /// Adds how much less was held than requested.
-fn with_shortfall(mut saved: Stopped, asked: Duration) -> Stopped {
+fn with_shortfall(mut saved: Stopped, requested: Duration) -> Stopped {
     /// A take ends at the latest frame, and frames are rounded to rows.
     const MARGIN_S: f64 = 0.1;
-    let (asked_s, held_s) = (asked.as_secs_f64(), saved.seconds);
-    if asked_s <= held_s + MARGIN_S {
+    let (requested_s, held_s) = (requested.as_secs_f64(), saved.seconds);
+    if requested_s <= held_s + MARGIN_S {
         return saved;
     }
-    saved.short_by_s = asked_s - held_s;
-    saved
-        .remarks
-        .push(format!("only {held_s:.1} s of the requested {asked_s:.1} s were held"));
+    saved.short_by_s = requested_s - held_s;
+    saved.remarks.push(format!("only {held_s:.1} s of the requested {requested_s:.1} s were held"));
     saved
 }
 
 /// Takes begin at key stretches: remarks on a pre-roll that differs noticeably from the requested one.
-fn pre_roll_remark(asked: Duration, before_request_s: f64) -> Option<String> {
+fn pre_roll_remark(requested: Duration, before_request_s: f64) -> Option<String> {
     /// Keys are a second apart while armed.
     const USUAL_S: f64 = 1.6;
-    let asked_s = asked.as_secs_f64();
-    if asked_s > before_request_s + 0.1 {
+    let requested_s = requested.as_secs_f64();
+    if requested_s > before_request_s + 0.1 {
         return Some(format!(
-            "only {before_request_s:.1} s of the requested {asked_s:.1} s of pre-roll were held"
+            "only {before_request_s:.1} s of the requested {requested_s:.1} s of pre-roll were held"
         ));
     }
-    (asked_s > 0.0 && before_request_s > asked_s + USUAL_S).then(|| {
+    (requested_s > 0.0 && before_request_s > requested_s + USUAL_S).then(|| {
         format!(
-            "the take begins {before_request_s:.1} s before the request, not {asked_s:.1} s: takes begin at key stretches, which are up to 10 s apart in what was recorded before"
+            "the take begins {before_request_s:.1} s before the request, not {requested_s:.1} s: takes begin at key stretches, which are up to 10 s apart in what was recorded before"
         )
     })
 }

@@ -112,7 +112,7 @@ impl Engine {
             heartbeat: heartbeat.clone(),
             sessions: AtomicU64::new(0),
         });
-        lock(&inner.core).wanted = arm_at_start;
+        lock(&inner.core).arm_requested = arm_at_start;
         let cut_off = recoveries::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);

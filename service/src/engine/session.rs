@@ -27,8 +27,8 @@ pub(super) const KEPT_OPEN_MAX: usize = 4;
 #[derive(Debug)]
 pub(super) struct Core {
     pub(super) options: Arc<EngineOptions>,
-    /// Whether the service is to be armed.
-    pub(super) wanted: bool,
+    /// Whether the device should be armed, now or when it is back.
+    pub(super) arm_requested: bool,
     pub(super) failure: Option<String>,
     pub(super) device: KnownDevice,
     /// While armed.
@@ -143,7 +143,7 @@ impl Core {
         Self {
             device: KnownDevice { uri: options.device.uri.to_string(), ..KnownDevice::default() },
             options: Arc::new(options),
-            wanted: false,
+            arm_requested: false,
             failure: None,
             session: None,
             take: None,

@@ -96,7 +96,7 @@ impl Inner {
                 left_s: None,
             },
         };
-        status.device.is_awaited = core.wanted && status.device.presence == Presence::Absent;
+        status.device.is_awaited = core.arm_requested && status.device.presence == Presence::Absent;
         core.fill_session(&mut status, measured_hz);
         drop(core);
         status.disk.free_bytes = load(&self.rates.free_bytes).checked_sub(1);

@@ -46,9 +46,9 @@ const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
 pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
     let mut watch = UsbWatch::new();
     while !inner.is_stopping() {
-        if !inner.core().wanted {
+        if !inner.core().arm_requested {
             inner.check_presence();
-            inner.wait_while(PRESENCE_INTERVAL, |core| !core.wanted);
+            inner.wait_while(PRESENCE_INTERVAL, |core| !core.arm_requested);
             continue;
         }
         let begun = Instant::now();
@@ -61,7 +61,7 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
                     discard(log);
                 }
                 let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
-                if inner.core().wanted && !inner.is_stopping() {
+                if inner.core().arm_requested && !inner.is_stopping() {
                     std::thread::sleep(rest);
                 }
             }
@@ -226,7 +226,7 @@ impl Inner {
             (Ok(recording), _) => match recording.ending {
                 EndingKind::DeviceEnded => {
                     // A replay that is over is not started again automatically.
-                    self.core().wanted = false;
+                    self.core().arm_requested = false;
                     "device ended its stream"
                 }
                 EndingKind::DeviceGone => "device gone",
@@ -279,7 +279,7 @@ impl Inner {
         let mut core = self.core();
         core.session = Some(session);
         // A disarm or stop may have been requested during arming.
-        if !core.wanted || self.is_stopping() {
+        if !core.arm_requested || self.is_stopping() {
             stop.store(true, Ordering::Relaxed);
         }
         drop(core);

@@ -100,10 +100,10 @@ fn is_request_id(id: &str) -> bool {
 }
 
 /// Whether the body is declared to be of this type, ignoring parameters.
-pub(super) fn is_type(headers: &HeaderMap, wanted: &str) -> bool {
+pub(super) fn is_type(headers: &HeaderMap, media_type: &str) -> bool {
     let value = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
     value.is_some_and(|value| {
-        value.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(wanted)
+        value.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(media_type)
     })
 }
 

@@ -179,7 +179,7 @@ impl LiveBroadcast {
 
     fn forward(&self, feed: &LiveFeed, stopped: &Stopped) {
         while self.sender.receiver_count() > 0 && !stopped.is_stopped() {
-            let asked = Instant::now();
+            let start = Instant::now();
             match feed.next(POLL_INTERVAL) {
                 Some(message) => self.put(&message),
                 None if feed.is_over() => {
@@ -188,7 +188,7 @@ impl LiveBroadcast {
                     return;
                 }
                 // A feed whose sender is gone returns immediately: it is opened again after a pause.
-                None if asked.elapsed() < POLL_INTERVAL / 2 => {
+                None if start.elapsed() < POLL_INTERVAL / 2 => {
                     std::thread::sleep(POLL_INTERVAL);
                     return;
                 }

@@ -22,7 +22,7 @@ use tokio::{sync::Notify, time::Instant};
 /// The client of a connection, for counting connections together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Peer {
-    /// A user of this machine, on the Unix socket; `None` if the kernel does not tell.
+    /// A user of this machine, on the Unix socket; `None` if the kernel does not report it.
     User(Option<u32>),
     /// An address. For IPv6 its first 64 bits: a host may use all of the others.
     Address(IpAddr),

@@ -162,8 +162,8 @@ pub(super) async fn download(
 ) -> Result<Response, Problem> {
     let name = take_name(name)?;
     let permit = app.stream_permit()?;
-    let (control, asked) = (Arc::clone(&app.control), name.clone());
-    let take = app.queues.files.run(move || open(control.as_ref(), &asked)).await??;
+    let (control, requested) = (Arc::clone(&app.control), name.clone());
+    let take = app.queues.files.run(move || open(control.as_ref(), &requested)).await??;
     answer(app, take, &name, &headers, permit)
 }
 
@@ -307,7 +307,7 @@ pub struct TakeCheck {
     pub name: String,
     /// Health as in the list, or `damaged` if there is damage between header and end.
     pub health: TakeHealth,
-    /// Why it ended, in the words of `stop`; empty if the take does not say.
+    /// Why it ended, as in the response to `stop`; empty if the take does not say.
     #[serde(default)]
     pub ending: String,
     /// Size of the file in bytes.
@@ -348,33 +348,33 @@ pub(super) async fn verify(
 ) -> Result<Json<TakeCheck>, Problem> {
     let name = take_name(name)?;
     // Dropped with the request, which ends when the client disconnects.
-    let wanted = Arc::new(());
-    let (control, asked) = (Arc::clone(&app.control), name);
-    let (is_wanted, stopping) = (Arc::downgrade(&wanted), app.stopping.clone());
+    let client = Arc::new(());
+    let control = Arc::clone(&app.control);
+    let (client_alive, stopping) = (Arc::downgrade(&client), app.stopping.clone());
     let work = move || {
-        let take = open(control.as_ref(), &asked)?;
+        let take = open(control.as_ref(), &name)?;
         if take.is_growing {
-            let message = format!("{asked} is being recorded: stop it first");
+            let message = format!("{name} is being recorded: stop it first");
             return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, message));
         }
-        let input = CancellableReader { input: SparseFile::of(take.file), is_wanted, stopping };
-        check(asked, take.len, Summary::read(BufReader::new(input)))
+        let input = CancellableReader { input: SparseFile::of(take.file), client_alive, stopping };
+        check(name, take.len, Summary::read(BufReader::new(input)))
     };
     let checked = app.queues.checks.run(work).await?;
-    drop(wanted);
+    drop(client);
     Ok(Json(checked?))
 }
 
 /// A reader that fails once the client has disconnected or the server stops.
 struct CancellableReader<R> {
     input: R,
-    is_wanted: Weak<()>,
+    client_alive: Weak<()>,
     stopping: watch::Receiver<bool>,
 }
 
 impl<R: Read> Read for CancellableReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if self.is_wanted.strong_count() == 0 || *self.stopping.borrow() {
+        if self.client_alive.strong_count() == 0 || *self.stopping.borrow() {
             return Err(io::Error::other("verification cancelled: the client has disconnected"));
         }
         self.input.read(buffer)

@@ -188,6 +188,7 @@ pub struct TakeName {
 
 impl TakeName {
     /// Derives a valid name from a text; `None` if nothing of it is usable.
+    #[must_use]
     pub fn of(sent: &str) -> Option<Self> {
         let text: String =
             sent.chars().map(|c| if is_refused_in_name(c) { '_' } else { c }).collect();
