@@ -161,7 +161,7 @@ impl Inner {
         let take = OpenTake {
             named: named.clone(),
             changes_reported: session.progress.file_changes(),
-            asked_unix_ms: super::status::unix_ms(),
+            requested_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz: session.header.rate_hz,
             first: None,

@@ -387,7 +387,7 @@ mod tests {
                     path: dir.path().join("now.take"),
                     file: FileId::of(&dir.path().metadata().unwrap()),
                 },
-                asked_unix_ms: 0,
+                requested_unix_ms: 0,
                 begun: Instant::now(),
                 rate_hz: 100.0,
                 first: None,

@@ -108,7 +108,7 @@ impl NamedTake {
 #[derive(Debug)]
 pub(super) struct OpenTake {
     pub(super) named: NamedTake,
-    pub(super) asked_unix_ms: i64,
+    pub(super) requested_unix_ms: i64,
     pub(super) begun: Instant,
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,

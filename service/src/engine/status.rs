@@ -138,7 +138,7 @@ impl Core {
             take_id: take.named.id.clone(),
             name: take.named.name.clone(),
             path: take.named.path.display().to_string(),
-            started_unix_ms: take.asked_unix_ms,
+            started_unix_ms: take.requested_unix_ms,
             rows: now.rows,
             seconds: now.rows as f64 / take.rate_hz,
             bytes: now.bytes,
