@@ -2,7 +2,7 @@
 
 use mocapd_codec::Settings;
 use mocapd_report::{
-    dedecoded::DecodedTake,
+    decoded::DecodedTake,
     plot::{MarkerQuality, QualityPlot},
 };
 use mocapd_service::control::Control;

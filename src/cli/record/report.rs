@@ -12,7 +12,7 @@ use super::raw::RawLogReport;
 use crate::cli::{
     clock::ClockReport,
     ledger::{self, OutagesReport},
-    output::shown,
+    output::plain_path,
     values::{SizeReport, bytes, count, frames_of, thousands},
 };
 
