@@ -3,8 +3,8 @@
 use super::{
     contexts::KINDS,
     distance_correction::BATCH_ROWS,
-    level::{ResidualInputs, RowCodec, FirstRow},
-    level_prediction::{Batch, PAST_ROWS, PADDED_ROWS, LevelLayout},
+    level::{FirstRow, ResidualInputs, RowCodec},
+    level_prediction::{Batch, LevelLayout, PADDED_ROWS, PAST_ROWS},
     points::{Fineness, Grid, Lattice, Point, Points, UNITS_PER_TOLERANCE, floor, lanes},
 };
 use crate::{

@@ -12,7 +12,7 @@ use std::hint::select_unpredictable;
 
 use super::{
     SPAN,
-    level_prediction::{Batch, LevelPrediction, PADDED_SPAN, LevelLayout},
+    level_prediction::{Batch, LevelLayout, LevelPrediction, PADDED_SPAN},
     points::{LANES, Points, copy, lanes, put, round},
 };
 use crate::{

@@ -5,8 +5,8 @@
 use super::{
     contexts::{INTERPOLATED, ORIGIN},
     cross_channel::{CrossChannel, class_of},
-    distance_correction::{DistanceCorrection, BATCH_ROWS},
-    level_prediction::{Batch, LevelPrediction, LevelLayout},
+    distance_correction::{BATCH_ROWS, DistanceCorrection},
+    level_prediction::{Batch, LevelLayout, LevelPrediction},
     model::Model,
     points::{Fineness, LANES, Lattice, Point, Points, in_range, lanes},
     residual::{self, Neighbourhood, Residual},
@@ -213,8 +213,7 @@ impl Channels {
         // The right neighbour of a row is the left one of the next, and each row is the row before of the next.
         let mut left = track.steps[layout.neighbours(from).0];
         let mut before = only(track.steps_from(layout.run.start, batch.first, 2 * layout.stride));
-        let mut before2 =
-            only(track.steps_from(layout.run.start, batch.first, 4 * layout.stride));
+        let mut before2 = only(track.steps_from(layout.run.start, batch.first, 4 * layout.stride));
         for i in 0..batch.n.min(N) {
             let at = batch.at(i);
             let right = only(track.steps[(at + layout.stride).min(layout.run.end)]);

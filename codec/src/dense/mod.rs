@@ -2,16 +2,16 @@
 //!
 //! # Method
 //!
-//! **Adaptive asynchronous sampling** (Shi et al., Adaptive asynchronous sampling based motion data compression,
-//! Acta Electronica Sinica 40(1), 2012). Every channel keeps only the rows that its own motion needs, and the rows
-//! between are interpolated. Shi et al. place spline knots freely. Here the rows lie on a dyadic grid: a block is cut
-//! into spans of [`SPAN`] rows; the last row of a run in a span is its *anchor*, extrapolated in time; the rows of the
+//! **Adaptive asynchronous sampling** (Shi et al., Adaptive asynchronous sampling based motion data compression, Acta
+//! Electronica Sinica 40(1), 2012). Every channel keeps only the rows that its own motion needs, and the rows between
+//! are interpolated. Shi et al. place spline knots freely. Here the rows lie on a dyadic grid: a block is cut into
+//! spans of [`SPAN`] rows; the last row of a run in a span is its *anchor*, extrapolated in time; the rows of the
 //! strides 32, 16, 8, 4, 2 and 1 follow, each predicted by a cubic through four decoded rows. A row whose prediction
 //! lies inside the tolerance ball is not kept and costs one cheap decision: the ball has 4.19, its inscribed cube 1.54
-//! cubed tolerances. A fixed grid needs no knot times, and residuals of different markers fall on the same rows, so that
-//! one marker can predict another. In a prototype at 1 mm the grid coded about as many samples as a spline keeps free
-//! knots, at 10.8 to 12.5 bits per sample in place of 15 to 20 per knot. Interpolation scales the quantisation noise of
-//! the decoded rows by 0.8, a second difference by the square root of 6.
+//! cubed tolerances. A fixed grid needs no knot times, and residuals of different markers fall on the same rows, so
+//! that one marker can predict another. In a prototype at 1 mm the grid coded about as many samples as a spline keeps
+//! free knots, at 10.8 to 12.5 bits per sample in place of 15 to 20 per knot. Interpolation scales the quantisation
+//! noise of the decoded rows by 0.8, a second difference by the square root of 6.
 //!
 //! **Prediction from other markers.** Markers of one body accelerate together: a residual is predicted from the
 //! residuals of up to three earlier channels by least squares over running covariances, which start from a function of

@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::{
     SPAN,
-    level_prediction::{DecodedRun, PerRow, PADDED_ROWS, LevelLayout},
+    level_prediction::{DecodedRun, LevelLayout, PADDED_ROWS, PerRow},
     points::{LANES, Points, UNITS_PER_TOLERANCE, lanes, put},
     track::Track,
 };

@@ -2,7 +2,7 @@
 
 use super::{
     level::{ResidualInputs, RowCodec},
-    level_prediction::{Batch, PAST_ROWS, LevelLayout},
+    level_prediction::{Batch, LevelLayout, PAST_ROWS},
     points::{Point, Points},
     walk::Dense,
 };

@@ -2,7 +2,7 @@
 
 use super::{
     contexts::KINDS,
-    level_prediction::{AnchorErrors, Batch, PAST_ROWS, PADDED_SPAN},
+    level_prediction::{AnchorErrors, Batch, PADDED_SPAN, PAST_ROWS},
     points::{Fineness, Point, Points, copy, integers},
 };
 

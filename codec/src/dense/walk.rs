@@ -4,8 +4,8 @@ use super::{
     LEVELS, SPAN,
     contexts::{FINE, INTERPOLATED, RAW},
     first_row::{self, OriginCandidates},
-    level::{Channels, RowCodec, FirstRow},
-    level_prediction::{DecodedRun, PAST_ROWS, LevelLayout},
+    level::{Channels, FirstRow, RowCodec},
+    level_prediction::{DecodedRun, LevelLayout, PAST_ROWS},
     points::{Fineness, Grid, Lattice, Point},
     track::{RunEnd, Track},
 };
