@@ -47,7 +47,7 @@ impl OriginCandidates {
         let now = first_row + (at - PAST_ROWS) as u64;
         let own = tracks[channel].end.map(|end| now - end.row);
         if let (Some(end), Some(age)) = (tracks[channel].end, own) {
-            points[1] = moved_with_nearest(tracks, channel, at, end.point, age);
+            points[1] = follow_nearest(tracks, channel, at, end.point, age);
         }
         let first_end = 1 + usize::from(own.is_some());
         // The latest end first; of equals that of the lower channel.
@@ -115,13 +115,7 @@ impl OriginCandidates {
 }
 
 /// A point of `rows` rows ago, moved as the channel nearest to it at that time has moved since.
-fn moved_with_nearest(
-    tracks: &[Track],
-    channel: usize,
-    at: usize,
-    point: Point,
-    rows: u64,
-) -> Point {
+fn follow_nearest(tracks: &[Track], channel: usize, at: usize, point: Point, rows: u64) -> Point {
     let Some(then) = usize::try_from(rows).ok().and_then(|rows| at.checked_sub(rows)) else {
         return point;
     };

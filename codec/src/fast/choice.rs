@@ -256,7 +256,7 @@ pub(super) struct RunEncoder<'a> {
     n: usize,
     at: usize,
     /// Whether a residual is too large to be coded.
-    pub(super) is_out_of_range: bool,
+    pub(super) out_of_range: bool,
     pub(super) kept: u32,
     /// The largest squared error in mm^2, as bits.
     worst: u64,
@@ -269,8 +269,8 @@ impl<'a> RunEncoder<'a> {
         residuals: &'a mut Residuals,
         ops: &'a mut Ops,
     ) -> Self {
-        let (n, at, is_out_of_range, kept, worst) = (0, 0, false, 0, 0);
-        Self { quantiser, targets, residuals, ops, n, at, is_out_of_range, kept, worst }
+        let (n, at, kept, worst) = (0, 0, 0, 0);
+        Self { quantiser, targets, residuals, ops, n, at, out_of_range: false, kept, worst }
     }
 
     /// Begins a run. Its first sample is row 0 where `origin` is 1, else row 1.
@@ -290,7 +290,7 @@ impl<'a> RunEncoder<'a> {
         let targets = self.targets.levels.axes(start).map(|axis| &axis[..count]);
         let Residuals { steps: [steps_x, steps_y, steps_z], symbols, sums } = &mut *self.residuals;
         let steps_x = &mut steps_x[..count];
-        self.is_out_of_range |=
+        self.out_of_range |=
             !choose::<FINEST>(self.quantiser, targets, rows.axes(0), steps_x, steps_y, steps_z);
         let steps: [&[i32]; 3] = [steps_x, steps_y, steps_z];
         describe_all(steps, &mut symbols[..count], sums);
@@ -338,7 +338,7 @@ impl RunCodec for RunEncoder<'_> {
         let target = [x, y, z];
         let [x, y, z, _] = prediction;
         let (chosen, in_reach) = self.quantiser.row::<false>(target, [x, y, z]);
-        self.is_out_of_range |= !in_reach;
+        self.out_of_range |= !in_reach;
         let mut point = prediction;
         let Residuals { steps, symbols, sums } = &mut *self.residuals;
         for axis in 0..3 {
@@ -367,7 +367,7 @@ impl RunCodec for RunEncoder<'_> {
 
     #[inline(always)]
     fn end_level(&mut self, rows: LevelRows, activity: &mut Activity) {
-        if self.is_out_of_range {
+        if self.out_of_range {
             // The channel is stored raw.
             return;
         }

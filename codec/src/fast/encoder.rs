@@ -77,7 +77,7 @@ impl Kernel for EncodeChannel<'_> {
             let samples = &rows.positions()[run];
             codec.begin(samples, usize::from(channel.known == 0));
             walk::run(&mut codec, channel, points, samples.len(), cap).ok()?;
-            if codec.is_out_of_range {
+            if codec.out_of_range {
                 return None;
             }
         }

@@ -29,7 +29,7 @@ const EXTRAPOLATORS: [(usize, f32); 7] =
     [(1, 0.0), (2, 1.0), (4, 1.0), (8, 1.0), (8, 0.5), (32, 1.0), (32, 0.5)];
 
 /// One point per extrapolation of an anchor.
-type AnchorPredictions = [PaddedPoint; EXTRAPOLATORS.len()];
+type Predictions = [PaddedPoint; EXTRAPOLATORS.len()];
 
 /// An anchor's error is clamped to this, in tolerances.
 const MAX_ERROR: f32 = 1024.0;
@@ -43,7 +43,7 @@ pub(super) struct Channel {
     pub(super) known: usize,
     pub(super) activity: [Activity; LEVELS],
     /// Recent errors of each extrapolation by axis: averages that forget an eighth per anchor.
-    pub(super) errors: AnchorPredictions,
+    pub(super) errors: Predictions,
 }
 
 impl Channel {
@@ -184,7 +184,7 @@ fn extrapolate(last: PaddedPoint, before: PaddedPoint, factor: f32) -> PaddedPoi
 
 /// The extrapolations of the first anchor of a run, `reach` rows away.
 #[inline(always)]
-fn first_extrapolations(channel: &Channel, reach: f32) -> AnchorPredictions {
+fn first_extrapolations(channel: &Channel, reach: f32) -> Predictions {
     let last = channel.before(0);
     let mut extrapolations = [last; EXTRAPOLATORS.len()];
     for (extrapolated, (window, weight)) in extrapolations.iter_mut().zip(EXTRAPOLATORS).skip(1) {
@@ -198,11 +198,7 @@ fn first_extrapolations(channel: &Channel, reach: f32) -> AnchorPredictions {
 
 /// The extrapolations of an anchor `reach` rows after the anchor `last`, from it and up to two anchors before it.
 #[inline(always)]
-fn extrapolations(
-    last: PaddedPoint,
-    before: [Option<PaddedPoint>; 2],
-    reach: f32,
-) -> AnchorPredictions {
+fn extrapolations(last: PaddedPoint, before: [Option<PaddedPoint>; 2], reach: f32) -> Predictions {
     let span = SPAN as f32;
     let near = before[0].unwrap_or(last);
     let (far, window) = before[1].map_or((near, span), |far| (far, 2.0 * span));
@@ -215,7 +211,7 @@ fn extrapolations(
 
 /// On each axis the extrapolation with the smallest error, the first of equals.
 #[inline(always)]
-fn best(errors: &AnchorPredictions, extrapolations: &AnchorPredictions) -> PaddedPoint {
+fn best(errors: &Predictions, extrapolations: &Predictions) -> PaddedPoint {
     let better = |a: (PaddedPoint, PaddedPoint), b: (PaddedPoint, PaddedPoint)| {
         let is_less: [bool; 4] = std::array::from_fn(|i| b.0[i] < a.0[i]);
         let pick = |a: PaddedPoint, b: PaddedPoint| -> PaddedPoint {

@@ -166,11 +166,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
 
     /// Checks the arguments and counts the samples into `reports`; returns the number of channels up to the last one
     /// with samples.
-    fn count_samples(
-        channels: &[Rows<'_>],
-        least: usize,
-        reports: &mut [BlockReport],
-    ) -> Result<usize> {
+    fn count(channels: &[Rows<'_>], least: usize, reports: &mut [BlockReport]) -> Result<usize> {
         let argument = |message| Err(CodecError::InvalidArgument(message));
         if !(least..=GROUP_CHANNELS).contains(&channels.len()) {
             return argument(format!(
@@ -287,7 +283,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         reports: &mut [BlockReport],
     ) -> Result<()> {
         let least = if key { 1 } else { self.state.n_channels.max(1) };
-        let n_sampled = Self::count_samples(channels, least, reports)?;
+        let n_sampled = Self::count(channels, least, reports)?;
         if key {
             self.state.reset();
         }
