@@ -92,7 +92,7 @@ impl Raw {
         for (at, (position, _)) in present.enumerate() {
             for (value, column) in position.iter_mut().zip(&self.columns) {
                 *value =
-                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a value that is not finite"))?;
+                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a non-finite value"))?;
             }
         }
         rows.kept.copy_from_slice(&rows.present);

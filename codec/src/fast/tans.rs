@@ -217,7 +217,7 @@ impl<'a> Reader<'a> {
     pub(super) fn entry(&mut self, tables: &Tables, place: usize) -> Result<Entry> {
         // Not masked to the table's size, which would delay the next entry.
         let at = place * STATES + self.state;
-        let entry = *tables.entries.get(at).ok_or(CodecError::Corrupt("a symbol state out of range"))?;
+        let entry = *tables.entries.get(at).ok_or(CodecError::Corrupt("a state out of range"))?;
         let shift = entry >> SHIFT_AT;
         let base = entry >> BASE_AT & (STATES as u32 - 1);
         // In two shifts: a shift by 64 would overflow.
