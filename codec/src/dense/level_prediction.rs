@@ -158,7 +158,7 @@ pub(super) struct LevelPrediction {
     pub(super) bends: [u8; PADDED_ROWS],
     /// By axis, in units: the sum of the references' signed residuals.
     pub(super) reference_residuals: [PerRow; 3],
-    /// Scratch memory: the decoded rows of one axis.
+    /// Scratch memory, by axis: the decoded rows around the level.
     nodes: [PerRow; 3],
 }
 
