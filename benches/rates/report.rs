@@ -149,8 +149,7 @@ pub(crate) fn csv(studies: &[Study]) -> String {
             let raw = study.raw_bytes_per_s(*rate_hz);
             let n_markers = study.n_markers;
             let EncodedSize { bytes, seconds, max_error_mm } = size;
-            let (name, noise, bytes_per_s) =
-                (&study.name, u8::from(*is_noisy), size.bytes_per_s());
+            let (name, noise, bytes_per_s) = (&study.name, u8::from(*is_noisy), size.bytes_per_s());
             text += &format!(
                 "{name},{n_markers},{rate_hz},{noise},{kind},{tolerance_mm},{seconds:.4},{bytes},\
                  {bytes_per_s:.1},{raw:.0},{max_error_mm:.6}\n"
