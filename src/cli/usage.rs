@@ -36,7 +36,7 @@ mod tests {
     use super::*;
     use crate::cli::Cli;
 
-    fn said(args: &[&str]) -> String {
+    fn message_of(args: &[&str]) -> String {
         let args = ["mocapd"].iter().chain(args);
         one_line(&Cli::try_parse_from(args).unwrap_err())
     }
@@ -58,7 +58,7 @@ mod tests {
                 "invalid value '0' for '--tolerance <LENGTH>': a tolerance of 0 keeps every bit: use --lossless",
             ),
         ] {
-            assert_eq!(said(args), expected);
+            assert_eq!(message_of(args), expected);
         }
     }
 }

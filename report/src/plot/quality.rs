@@ -126,7 +126,7 @@ pub fn quality(plot: &QualityPlot<'_>) -> Result<String, ReportError> {
             "the take has no markers or no frames: nothing to draw".to_owned(),
         ));
     }
-    let shown = shown(&all);
+    let shown = markers_to_draw(&all);
     let height = (HEAD + LINE * shown.len() as i32 + FOOT) as u32;
     sheet((WIDTH, height), |area| {
         let title = format!("Quality of {}", shortened(plot.name, 80));
@@ -164,7 +164,7 @@ pub fn quality(plot: &QualityPlot<'_>) -> Result<String, ReportError> {
 }
 
 /// The markers to draw, in column order: all of them, or if they are too many those with fewest samples and most noise.
-fn shown(all: &[MarkerQuality]) -> Vec<usize> {
+fn markers_to_draw(all: &[MarkerQuality]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..all.len()).collect();
     if all.len() > MARKERS_MAX {
         order.sort_by(|&a, &b| {
