@@ -120,7 +120,7 @@ impl ParallelFrames {
         let n_markers = info.markers.len();
         for index in 0..n_threads {
             let to_do = to_do.clone();
-            let take = TakeTraversal::of_map(files::open(path)?, &take, Decode::All)?;
+            let take = TakeTraversal::from_map(files::open(path)?, &take, Decode::All)?;
             let work = move || work(take, n_markers, &to_do);
             threads::spawn(&format!("mocapd-decode-{index}"), work)?;
         }

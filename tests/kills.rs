@@ -32,7 +32,7 @@ use mocapd_take::{
     damage::Problem,
     motion::{FrameSource, GAP, Motion, is_gap},
     reader::read_events,
-    recovery::Survey,
+    recovery::RecoveryScan,
 };
 
 use crate::support::distance_mm;
@@ -258,9 +258,9 @@ fn check(
     let next = sent.values().find(|frame| frame.seq == next_seq);
     cost.lost_ms = next.map_or(0.0, |next| killed_ns.saturating_sub(next.host_ns) as f64 / 1e6);
 
-    let survey = Survey::read(take).unwrap();
+    let scan = RecoveryScan::read(take).unwrap();
     let mut new = Vec::new();
-    survey.write(Cursor::new(take), &mut new, "tests").unwrap();
+    scan.write(Cursor::new(take), &mut new, "tests").unwrap();
     let new = Summary::read(&new[..]).unwrap();
     assert_eq!(new.take.problems, [], "seed {seed}");
     assert_eq!(new.contradictions(), [""; 0], "seed {seed}");

@@ -24,7 +24,7 @@ use rustix::{
 use serde::{Serialize, Serializer};
 
 pub use self::{
-    file_state::{DisplacedFile, FileState, Settled},
+    file_state::{DisplacedFile, FileState, SettledFile},
     new_file::{NewFile, NewFolder},
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };

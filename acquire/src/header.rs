@@ -4,8 +4,8 @@ use std::time::SystemTime;
 
 use anyhow::Context;
 use mocapd_codec::Settings;
+pub use mocapd_take::motion_encoder::channels;
 use mocapd_take::record::{CODEC_VERSION, Header};
-pub use mocapd_take::whole::channels;
 use rustix::rand::{GetRandomFlags, getrandom};
 
 /// The software version stored in takes.

@@ -35,7 +35,7 @@ impl TakeHealth {
 
     /// The name of the state in documents.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Complete => "complete",
             Self::Lossy => "lossy",

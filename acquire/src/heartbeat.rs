@@ -26,7 +26,7 @@ const DISK_TIMEOUT: Duration = Duration::from_secs(64);
 /// What a registered thread does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Who {
+pub enum ThreadRole {
     /// Decides what the service does.
     Supervisor = 1,
     /// Reads the device.
@@ -37,7 +37,7 @@ pub enum Who {
     Writer = 4,
 }
 
-impl Who {
+impl ThreadRole {
     fn of(number: u8) -> Option<Self> {
         [Self::Supervisor, Self::Reader, Self::Worker, Self::Writer]
             .into_iter()
@@ -45,7 +45,7 @@ impl Who {
     }
 }
 
-impl fmt::Display for Who {
+impl fmt::Display for ThreadRole {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Supervisor => "supervisor",
@@ -90,12 +90,12 @@ impl Heartbeat {
     ///
     /// # Errors
     /// When more threads register than there are slots.
-    pub fn beat(&self, role: Who) -> anyhow::Result<Beat> {
+    pub fn register(&self, role: ThreadRole) -> anyhow::Result<HeartbeatHandle> {
         for (index, slot) in self.slots.iter().enumerate() {
             let claim =
                 slot.owner.compare_exchange(0, role as u8, Ordering::AcqRel, Ordering::Relaxed);
             if claim.is_ok() {
-                let beat = Beat { slots: Arc::clone(&self.slots), index };
+                let beat = HeartbeatHandle { slots: Arc::clone(&self.slots), index };
                 beat.set(Activity::Working);
                 return Ok(beat);
             }
@@ -105,21 +105,21 @@ impl Heartbeat {
 
     /// A watchdog over all registered threads.
     #[must_use]
-    pub fn watch(&self, now: Instant) -> Watch {
-        Watch { slots: Arc::clone(&self.slots), seen: vec![(0, now); THREADS_MAX] }
+    pub fn watchdog(&self, now: Instant) -> Watchdog {
+        Watchdog { slots: Arc::clone(&self.slots), seen: vec![(0, now); THREADS_MAX] }
     }
 }
 
 /// One thread's handle on its heartbeat.
 #[derive(Debug)]
-pub struct Beat {
+pub struct HeartbeatHandle {
     slots: Arc<[HeartbeatSlot]>,
     index: usize,
 }
 
-impl Beat {
+impl HeartbeatHandle {
     /// The thread is working and will report again soon.
-    pub fn moved(&self) {
+    pub fn beat(&self) {
         self.set(Activity::Working);
         #[cfg(feature = "fault-hooks")]
         fault_hooks::hang_if_requested(self.role());
@@ -143,12 +143,12 @@ impl Beat {
     }
 
     #[cfg(feature = "fault-hooks")]
-    fn role(&self) -> Option<Who> {
-        Who::of(self.slots[self.index].owner.load(Ordering::Relaxed))
+    fn role(&self) -> Option<ThreadRole> {
+        ThreadRole::of(self.slots[self.index].owner.load(Ordering::Relaxed))
     }
 }
 
-impl Drop for Beat {
+impl Drop for HeartbeatHandle {
     fn drop(&mut self) {
         self.slots[self.index].owner.store(0, Ordering::Release);
     }
@@ -158,7 +158,7 @@ impl Drop for Beat {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HungThread {
     /// The thread's role.
-    pub role: Who,
+    pub role: ThreadRole,
     /// Time since its last heartbeat.
     pub silent_for: Duration,
 }
@@ -171,20 +171,20 @@ impl fmt::Display for HungThread {
 
 /// Finds silent threads. It sees only changes between two calls, so it must be called more often than the limit.
 #[derive(Debug)]
-pub struct Watch {
+pub struct Watchdog {
     slots: Arc<[HeartbeatSlot]>,
     /// For each slot, the last heartbeat and the time at which it changed.
     seen: Vec<(u64, Instant)>,
 }
 
-impl Watch {
+impl Watchdog {
     /// The thread that has been silent longest, of those that exceed their limit: `limit`, or more for a thread at the
     /// disk.
     pub fn overdue(&mut self, now: Instant, limit: Duration) -> Option<HungThread> {
         let mut worst: Option<HungThread> = None;
         for (slot, seen) in self.slots.iter().zip(&mut self.seen) {
             let pulse = slot.pulse.load(Ordering::Relaxed);
-            let role = Who::of(slot.owner.load(Ordering::Acquire));
+            let role = ThreadRole::of(slot.owner.load(Ordering::Acquire));
             let state = pulse & 3;
             if role.is_none() || state == Activity::Idle as u64 || pulse != seen.0 {
                 *seen = (pulse, now);
@@ -227,7 +227,7 @@ pub mod fault_hooks {
         flag::register_usize,
     };
 
-    use super::Who;
+    use super::ThreadRole;
 
     /// How often a hung thread checks for SIGUSR1.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -248,11 +248,11 @@ pub mod fault_hooks {
         Ok(())
     }
 
-    pub(crate) fn hang_if_requested(role: Option<Who>) {
+    pub(crate) fn hang_if_requested(role: Option<ThreadRole>) {
         let hangs = || HANGS.get().is_some_and(|hangs| hangs.load(Ordering::Relaxed) != 0);
-        let is_targeted = |role: Who| {
+        let is_targeted = |role: ThreadRole| {
             let target = TARGET.get().map_or("", String::as_str);
-            role != Who::Supervisor && (target.is_empty() || target == role.to_string())
+            role != ThreadRole::Supervisor && (target.is_empty() || target == role.to_string())
         };
         while hangs() && role.is_some_and(is_targeted) {
             std::thread::sleep(POLL_INTERVAL);
@@ -273,42 +273,48 @@ mod tests {
     #[test]
     fn a_silent_thread_is_overdue_until_it_moves_again() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
-        let mut watch = heartbeat.watch(start);
-        let reader = heartbeat.beat(Who::Reader).unwrap();
-        let worker = heartbeat.beat(Who::Worker).unwrap();
+        let mut watch = heartbeat.watchdog(start);
+        let reader = heartbeat.register(ThreadRole::Reader).unwrap();
+        let worker = heartbeat.register(ThreadRole::Worker).unwrap();
         for s in 1..8 {
-            worker.moved();
-            reader.moved();
+            worker.beat();
+            reader.beat();
             assert_eq!(watch.overdue(after(start, s), LIMIT), None);
         }
         for s in 8..18 {
-            worker.moved();
+            worker.beat();
             assert_eq!(watch.overdue(after(start, s), LIMIT), None, "{s}");
         }
-        worker.moved();
+        worker.beat();
         let overdue = watch.overdue(after(start, 18), LIMIT).unwrap();
-        assert_eq!(overdue, HungThread { role: Who::Reader, silent_for: Duration::from_secs(11) });
+        assert_eq!(
+            overdue,
+            HungThread { role: ThreadRole::Reader, silent_for: Duration::from_secs(11) }
+        );
         let text = overdue.to_string();
-        assert!(text.contains(&Who::Reader.to_string()) && text.contains("11.0 s"), "{text}");
-        reader.moved();
+        assert!(
+            text.contains(&ThreadRole::Reader.to_string()) && text.contains("11.0 s"),
+            "{text}"
+        );
+        reader.beat();
         assert_eq!(watch.overdue(after(start, 19), LIMIT), None);
     }
 
     #[test]
     fn a_thread_may_be_silent_while_idle_and_for_a_while_at_the_disk() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
-        let mut watch = heartbeat.watch(start);
-        let worker = heartbeat.beat(Who::Worker).unwrap();
-        let writer = heartbeat.beat(Who::Writer).unwrap();
+        let mut watch = heartbeat.watchdog(start);
+        let worker = heartbeat.register(ThreadRole::Worker).unwrap();
+        let writer = heartbeat.register(ThreadRole::Writer).unwrap();
         worker.idle();
         writer.at_disk();
         assert_eq!(watch.overdue(start, LIMIT), None);
         assert_eq!(watch.overdue(after(start, 64), LIMIT), None);
         let hung = watch.overdue(after(start, 65), LIMIT).unwrap();
-        assert_eq!(hung.role, Who::Writer);
+        assert_eq!(hung.role, ThreadRole::Writer);
         // A thread that works again is watched from then on.
-        writer.moved();
-        worker.moved();
+        writer.beat();
+        worker.beat();
         assert_eq!(watch.overdue(after(start, 70), LIMIT), None);
         assert!(watch.overdue(after(start, 81), LIMIT).is_some());
     }
@@ -316,16 +322,18 @@ mod tests {
     #[test]
     fn the_slot_of_an_ended_thread_is_reused() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
-        let mut watch = heartbeat.watch(start);
+        let mut watch = heartbeat.watchdog(start);
         for take in 0..1000 {
-            let beats: Vec<_> = (0..10).map(|_| heartbeat.beat(Who::Worker).unwrap()).collect();
+            let beats: Vec<_> =
+                (0..10).map(|_| heartbeat.register(ThreadRole::Worker).unwrap()).collect();
             assert_eq!(watch.overdue(after(start, 60 * take), LIMIT), None);
             drop(beats);
         }
         assert_eq!(watch.overdue(after(start, 100_000), LIMIT), None);
-        let all: Vec<_> = (0..THREADS_MAX).map(|_| heartbeat.beat(Who::Worker)).collect();
+        let all: Vec<_> =
+            (0..THREADS_MAX).map(|_| heartbeat.register(ThreadRole::Worker)).collect();
         assert!(all.iter().all(Result::is_ok));
-        let full = heartbeat.beat(Who::Reader).unwrap_err().to_string();
+        let full = heartbeat.register(ThreadRole::Reader).unwrap_err().to_string();
         assert!(full.contains(&THREADS_MAX.to_string()), "{full}");
     }
 }

@@ -6,12 +6,12 @@ use mocapd_take::{
     reader::{TakeBytes, TakeInput},
     record::Ledger,
     stretch::Stretch,
-    timeline::{Causes, Timeline},
-    traversal::{Decode, Found, Progress},
+    timeline::{LossCauses, Timeline},
+    traversal::{Decode, LocatedEvent, Progress},
 };
 
 use crate::{
-    clock::{Apart, ClockStatus, LineRefit},
+    clock::{ClockStatus, LineDeviation, LineRefit},
     health::TakeHealth,
 };
 
@@ -91,7 +91,7 @@ impl Summary {
     /// The health of the take.
     #[must_use]
     pub fn health(&self) -> TakeHealth {
-        let clock_is_off = self.clock_apart().is_some_and(|apart| !apart.agrees);
+        let clock_is_off = self.clock_deviation().is_some_and(|apart| !apart.agrees);
         if !self.contradictions().is_empty() || clock_is_off {
             TakeHealth::Damaged
         } else if !self.take.finished && self.take.damage.is_empty() {
@@ -111,11 +111,11 @@ impl Summary {
     /// How far the clock line is from the line fitted to the stored observations; `None` if there is no line, or
     /// observations are missing.
     #[must_use]
-    pub fn clock_apart(&self) -> Option<Apart> {
+    pub fn clock_deviation(&self) -> Option<LineDeviation> {
         // A recovered take may lack some observations.
         let recovered = |(name, _): &(String, String)| name == mocapd_take::recovery::RECOVERED;
         let lacks_some = self.take.damaged || self.take.header.settings.iter().any(recovered);
-        if lacks_some { None } else { self.line_refit.apart() }
+        if lacks_some { None } else { self.line_refit.deviation() }
     }
 
     /// Samples present.
@@ -154,14 +154,14 @@ impl Summary {
         ratio(self.samples() + self.rows_with_samples, 2 * self.knots())
     }
 
-    fn on_event(&mut self, found: &Found<'_>, progress: &Progress) {
+    fn on_event(&mut self, found: &LocatedEvent<'_>, progress: &Progress) {
         let is_damaged = progress.take.damaged;
         // A marker that appears later had a gap until then.
         let in_gap = self.rows > 0;
         let unseen = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
-        if let Some(renamed) = found.renamed {
-            let at = renamed.first.min(self.per_channel.len());
-            let new = std::iter::repeat_n(unseen.clone(), renamed.inserted);
+        if let Some(lost_entries) = found.lost_entries {
+            let at = lost_entries.first.min(self.per_channel.len());
+            let new = std::iter::repeat_n(unseen.clone(), lost_entries.inserted);
             self.per_channel.splice(at..at, new);
         }
         self.per_channel.resize(progress.channels().len(), unseen);
@@ -264,7 +264,7 @@ impl Summary {
 
     fn add_outages(&mut self, timeline: &Timeline) {
         for run in &timeline.runs {
-            let away = run.lost.is_some_and(|causes| causes.contains(Causes::DISCONNECTED));
+            let away = run.lost.is_some_and(|causes| causes.contains(LossCauses::DISCONNECTED));
             self.outages.0 += u32::from(away && !self.in_outage);
             self.outages.1 += if away { run.rows } else { 0 };
             self.in_outage = away;
@@ -305,7 +305,7 @@ impl ClaimChecker {
         self.recorded += recorded;
         let runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
         // Ledgers written after a recovery include the rows it found damaged.
-        let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes != Causes::DAMAGED));
+        let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes != LossCauses::DAMAGED));
         self.lost += lost.map(|run| run.rows).sum::<u64>();
         self.announced += recorded * n_channels as u64;
     }

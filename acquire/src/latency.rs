@@ -6,19 +6,19 @@ const N_BUCKETS: usize = 64 * PER_OCTAVE as usize;
 
 /// A histogram of durations in nanoseconds.
 #[derive(Debug, Clone)]
-pub struct Latency {
+pub struct LatencyHistogram {
     buckets: Box<[u64; N_BUCKETS]>,
     n: u64,
     max_ns: u64,
 }
 
-impl Default for Latency {
+impl Default for LatencyHistogram {
     fn default() -> Self {
         Self { buckets: Box::new([0; N_BUCKETS]), n: 0, max_ns: 0 }
     }
 }
 
-impl Latency {
+impl LatencyHistogram {
     /// Adds one duration.
     pub fn add(&mut self, ns: u64) {
         self.buckets[bucket(ns)] += 1;
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn quantiles_are_right_to_a_bucket() {
-        let mut latency = Latency::default();
+        let mut latency = LatencyHistogram::default();
         for ns in 1..=10_000 {
             latency.add(ns);
         }
@@ -79,7 +79,7 @@ mod tests {
             let got = latency.quantile_ns(q) as f64;
             assert!(got >= expected && got < expected * 1.13, "{q}: {got}");
         }
-        assert_eq!(Latency::default().quantile_ns(0.99), 0);
+        assert_eq!(LatencyHistogram::default().quantile_ns(0.99), 0);
         latency.add(u64::MAX);
         assert_eq!(latency.quantile_ns(1.0), u64::MAX);
     }

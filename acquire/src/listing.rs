@@ -1,7 +1,7 @@
 //! Attached devices, for `devices --json` and the API.
 
 use mocapd_drivers::{
-    registry::{self, Claim, Listed},
+    registry::{self, AttachedDevice, Claim},
     transport::{Access, TransportError},
 };
 use serde::{Deserialize, Serialize};
@@ -26,8 +26,8 @@ pub struct ListedDevice {
     pub problem: Option<String>,
 }
 
-impl From<Listed> for ListedDevice {
-    fn from(listed: Listed) -> Self {
+impl From<AttachedDevice> for ListedDevice {
+    fn from(listed: AttachedDevice) -> Self {
         Self {
             device: listed.candidate.location.to_string(),
             manufacturer: listed.candidate.manufacturer,

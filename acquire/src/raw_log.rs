@@ -20,7 +20,7 @@ use std::{
 use anyhow::Context;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use mocapd_drivers::{
-    raw_log::{Entry, RECORD_OVERHEAD_BYTES, Record, put_head, put_record},
+    raw_log::{Entry, RECORD_OVERHEAD_BYTES, Record, put_header, put_record},
     transport::{Transport, TransportError},
 };
 
@@ -108,7 +108,7 @@ impl RawLog {
         let id = FileId::of(&file.metadata()?);
         files::sync_name(path);
         let mut head = Vec::new();
-        put_head(&mut head);
+        put_header(&mut head);
         let name = path.display().to_string();
         if let Err(error) = file.write_all(&head) {
             // Half a head is no log, and occupies the name.

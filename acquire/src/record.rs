@@ -14,9 +14,10 @@ use mocapd_take::{
 };
 
 use crate::{
-    files::{FileState, Settled, TakeFile},
+    files::{FileState, SettledFile, TakeFile},
     pipeline::{
-        NewTake, NothingRecorded, Pipeline, Progress, TakeFailed, TakeOutput, Written, check_room,
+        NewTake, NothingRecorded, Pipeline, PipelineProgress, TakeAccount, TakeFailed, TakeOutput,
+        check_disk_space,
     },
     rig::{ReadOptions, ReaderOutcome, Rig},
     setting::Setting,
@@ -38,24 +39,24 @@ pub struct RecordOptions<'a> {
     /// Set to stop recording.
     pub stop: &'a AtomicBool,
     /// Receives messages for the user while the recording runs.
-    pub say: &'a dyn Fn(&str),
+    pub notify: &'a dyn Fn(&str),
     /// How the user can stop, appended to messages that say that the recording waits; may be empty.
     pub how_to_end: &'a str,
     /// Formats advice on the setting that an error names.
     pub how_to_set: fn(Setting) -> String,
     /// Called once the pipeline runs, with its live counters.
-    pub started: &'a mut dyn FnMut(&Arc<Progress>),
+    pub started: &'a mut dyn FnMut(&Arc<PipelineProgress>),
 }
 
 /// A finished recording.
 #[derive(Debug)]
 pub struct Recorded {
     /// What is on disk.
-    pub written: Written,
+    pub written: TakeAccount,
     /// What the reader counted.
     pub recording: ReaderOutcome,
     /// Where the take file is now.
-    pub file: Settled,
+    pub file: SettledFile,
     /// Rows per second.
     pub rate_hz: f64,
     /// Markers announced at the start.
@@ -67,7 +68,7 @@ pub struct Recorded {
 /// # Errors
 /// When nothing was recorded (the empty take file is removed then), or the take could not be written to its end.
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
-    check_room(options.take, options.keep_free_bytes)?;
+    check_disk_space(options.take, options.keep_free_bytes)?;
     let config = rig.pipeline_config(options.codec);
     let header = rig.take_header(&config)?;
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
@@ -87,8 +88,8 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
             stop: options.stop,
             rows_max,
             length: options.length,
-            for_one_take: true,
-            say: options.say,
+            single_take: true,
+            notify: options.notify,
             how_to_end: options.how_to_end,
             how_to_set: options.how_to_set,
         };
@@ -139,7 +140,7 @@ fn explain_early_end(
 ) -> anyhow::Error {
     let take = take.display();
     let settled = file.map(TakeOutput::settle);
-    let text = match settled.as_ref().and_then(Settled::words) {
+    let text = match settled.as_ref().and_then(SettledFile::message) {
         Some(what) => format!("the take {take} ends early; {what}"),
         None if settled.is_some_and(|file| file.state == FileState::InPlace) => {
             format!("the take {take} ends early; what was recorded can be read")

@@ -29,7 +29,7 @@ impl SettingRefused {
 
 /// An error in one line, in which `how_to_set` words the advice on the setting.
 #[must_use]
-pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
+pub fn message(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
     let causes = error.chain().map(|cause| match cause.downcast_ref::<SettingRefused>() {
         Some(refused) => refused.message_with(&how_to_set),
         None => cause.to_string(),
@@ -58,6 +58,6 @@ mod tests {
         let why = "no".to_owned();
         let refused = SettingRefused { why, setting: Setting::KeepFree, alternative: "!" };
         let error = anyhow::Error::from(refused).context("inner").context("outer");
-        assert_eq!(words(&error, |_| "--keep-free".to_owned()), "outer: inner: no; --keep-free!");
+        assert_eq!(message(&error, |_| "--keep-free".to_owned()), "outer: inner: no; --keep-free!");
     }
 }

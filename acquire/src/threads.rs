@@ -15,22 +15,22 @@ pub struct ResamplerFailed;
 
 /// Stops threads when it is dropped.
 #[derive(Debug)]
-pub struct Stopper(
+pub struct StopSender(
     #[expect(dead_code, reason = "that it is gone is the message")] Sender<Infallible>,
 );
 
-/// Reports that its [`Stopper`] was dropped.
+/// Reports that its [`StopSender`] was dropped.
 #[derive(Debug, Clone)]
-pub struct Stopped(Receiver<Infallible>);
+pub struct StopReceiver(Receiver<Infallible>);
 
 /// A stop signal that threads can select on together with other channels.
 #[must_use]
-pub fn stop() -> (Stopper, Stopped) {
+pub fn stop_channel() -> (StopSender, StopReceiver) {
     let (stopper, stopped) = bounded(0);
-    (Stopper(stopper), Stopped(stopped))
+    (StopSender(stopper), StopReceiver(stopped))
 }
 
-impl Stopped {
+impl StopReceiver {
     /// Whether to stop.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
@@ -60,7 +60,7 @@ pub fn spawn<T: Send + 'static>(
 
 /// Runs `work` on a named thread and `meanwhile` on this one, and returns when both are done. When the system refuses a
 /// thread, they run one after the other.
-pub fn beside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: impl FnOnce()) {
+pub fn run_alongside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: impl FnOnce()) {
     scope(|scope| {
         if Builder::new().name(name.to_owned()).spawn_scoped(scope, work).is_err() {
             work();

@@ -4,7 +4,7 @@ use std::fmt;
 
 use mocapd_take::{damage::Problem, record::Ledger};
 
-use crate::{clock::Apart, inspect::Summary};
+use crate::{clock::LineDeviation, inspect::Summary};
 
 /// The result of checking a take.
 #[derive(Debug)]
@@ -14,7 +14,7 @@ pub struct Verdict<'a> {
     /// Statements of the take about itself that its own data contradicts, one sentence each, in bytes that are intact.
     pub contradictions: Vec<String>,
     /// How far the stored clock line is from the line fitted to the stored observations.
-    pub clock: Option<Apart>,
+    pub clock: Option<LineDeviation>,
 }
 
 /// One defect of a take.
@@ -64,8 +64,8 @@ impl<'a> Verdict<'a> {
         }
         problems.extend(take.problems.iter().map(Finding::Damage));
         let mut contradictions = summary.contradictions().to_vec();
-        let clock = summary.clock_apart();
-        if let Some(Apart { offset_us, drift_ppm, agrees: false }) = &clock {
+        let clock = summary.clock_deviation();
+        if let Some(LineDeviation { offset_us, drift_ppm, agrees: false }) = &clock {
             contradictions.push(format!(
                 "the clock line differs by {offset_us:.1} us and {drift_ppm:.3} ppm from the line fitted to its observations"
             ));

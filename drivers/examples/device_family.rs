@@ -54,9 +54,9 @@ impl Protocol for Beacon {
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
         self.counters.bytes += bytes.len() as u64;
         // `push` follows every read, even an empty one: a good moment for replies that the driver makes itself.
-        if let Some(rate_mhz) = self.rate_requested.take() {
-            on_event(if rate_mhz == self.hello.rate_mhz {
-                DeviceEvent::RateSet(rate_mhz)
+        if let Some(rate_millihertz) = self.rate_requested.take() {
+            on_event(if rate_millihertz == self.hello.rate_millihertz {
+                DeviceEvent::RateSet(rate_millihertz)
             } else {
                 DeviceEvent::Refused(self.budget())
             });
@@ -95,7 +95,7 @@ impl Protocol for Beacon {
             Command::Stop => put_line("X", out),
             Command::Ping { host_ns } => put_line(&format!("P {host_ns}"), out),
             // The device has no such command. The next `push` replies.
-            Command::SetRate(rate_mhz) => self.rate_requested = Some(rate_mhz),
+            Command::SetRate(rate_millihertz) => self.rate_requested = Some(rate_millihertz),
         }
     }
 
@@ -111,13 +111,13 @@ impl Beacon {
         match fields.next()? {
             "I" => {
                 let (model, serial) = (fields.next()?.to_owned(), fields.next()?.to_owned());
-                let rate_mhz = number::<u32>(&mut fields)?.checked_mul(1000)?;
+                let rate_millihertz = number::<u32>(&mut fields)?.checked_mul(1000)?;
                 self.hello = Hello {
                     model,
                     serial,
-                    rate_mhz,
-                    rate_min_mhz: rate_mhz,
-                    rate_max_mhz: rate_mhz,
+                    rate_millihertz,
+                    rate_min_millihertz: rate_millihertz,
+                    rate_max_millihertz: rate_millihertz,
                     tick_hz: 1000,
                     markers_max: 32,
                     ..Hello::default()
@@ -155,7 +155,7 @@ impl Beacon {
         LinkBudget {
             needed_bytes_per_s: 0,
             available_bytes_per_s: u64::MAX,
-            rate_fits_mhz: self.hello.rate_mhz,
+            rate_fits_millihertz: self.hello.rate_millihertz,
         }
     }
 }

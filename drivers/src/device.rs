@@ -14,11 +14,11 @@ pub struct Hello {
     /// Firmware version, as the device reports it.
     pub firmware: String,
     /// Current frame rate, in millihertz: an integer that holds 59.94 Hz.
-    pub rate_mhz: u32,
+    pub rate_millihertz: u32,
     /// Lowest rate that the device supports, in millihertz.
-    pub rate_min_mhz: u32,
+    pub rate_min_millihertz: u32,
     /// Highest rate that the device supports, in millihertz.
-    pub rate_max_mhz: u32,
+    pub rate_max_millihertz: u32,
     /// Ticks of the device clock per second.
     pub tick_hz: u64,
     /// The axis that points up: 0 unknown, 1 x, 2 y, 3 z.
@@ -106,7 +106,7 @@ pub struct LinkBudget {
     /// Bytes per second that the line carries; `u64::MAX` when nothing limits it (a bare pty, USB).
     pub available_bytes_per_s: u64,
     /// Highest frame rate that fits the line, in millihertz.
-    pub rate_fits_mhz: u32,
+    pub rate_fits_millihertz: u32,
 }
 
 impl LinkBudget {
@@ -191,7 +191,7 @@ pub trait Protocol: Send + std::fmt::Debug {
     /// Takes the transport after every open and reopen, and returns the one to read from.
     ///
     /// Returns `line` unchanged for devices that send on their own. A protocol that must poll wraps it in a
-    /// [`PolledTransport`](crate::transport::turns::PolledTransport). The state of the device is unknown from
+    /// [`PolledTransport`](crate::transport::polled::PolledTransport). The state of the device is unknown from
     /// then on: a protocol that keeps any resets it here.
     fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
         line

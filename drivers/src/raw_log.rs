@@ -65,7 +65,7 @@ pub struct Record<'a> {
 }
 
 /// Appends the file header.
-pub fn put_head(out: &mut Vec<u8>) {
+pub fn put_header(out: &mut Vec<u8>) {
     out.extend_from_slice(&MAGIC);
     out.push(VERSION);
 }
@@ -217,7 +217,7 @@ mod tests {
             Entry::End,
         ];
         let mut log = Vec::new();
-        put_head(&mut log);
+        put_header(&mut log);
         let records = (0..).zip(entries).map(|(i, entry)| Record { time_ns: i << 40, entry });
         let records: Vec<_> = records.collect();
         records.iter().for_each(|record| put_record(record, &mut log));
@@ -236,7 +236,7 @@ mod tests {
     fn a_long_payload_goes_as_several_records() {
         let bytes = vec![5; 2 * PAYLOAD_BYTES_MAX + 1];
         let mut log = Vec::new();
-        put_head(&mut log);
+        put_header(&mut log);
         put_record(&Record { time_ns: 3, entry: Entry::FromDevice(&bytes) }, &mut log);
         let lengths: Vec<usize> = records(&log)
             .unwrap()

@@ -34,7 +34,7 @@ pub fn family_of(candidate: &Candidate) -> Option<(&'static Family, Claim)> {
 
 /// An attached device.
 #[derive(Debug)]
-pub struct Listed {
+pub struct AttachedDevice {
     /// The device as the operating system describes it.
     pub candidate: Candidate,
     /// Name of the family with the highest claim, and that claim.
@@ -47,7 +47,7 @@ pub struct Listed {
 ///
 /// # Errors
 /// `Io` when the operating system's device lists cannot be read.
-pub fn devices() -> Result<Vec<Listed>, TransportError> {
+pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
     let serial = serial_candidates()?;
     let usb = usb::devices()?;
     let mut listed = Vec::new();
@@ -112,9 +112,9 @@ fn is_port_of(port: &Candidate, device: &UsbDevice) -> bool {
     port.usb_ids == Some((device.vid, device.pid)) && port.serial == device.serial
 }
 
-fn list_device(candidate: Candidate, access: Access) -> Listed {
+fn list_device(candidate: Candidate, access: Access) -> AttachedDevice {
     let family = family_of(&candidate).map(|(family, claim)| (family.name, claim));
-    Listed { candidate, family, access }
+    AttachedDevice { candidate, family, access }
 }
 
 /// An open device and its protocol.
@@ -159,7 +159,7 @@ pub enum OpenError {
 /// # Errors
 /// `UnknownDriver`, `Unclaimed`, and the transport's error.
 pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
-    open_through(uri, &mut |_, line| line)
+    open_with_wrapper(uri, &mut |_, line| line)
 }
 
 /// Opens a device with a wrapper around its transport, such as a raw log: `wrap` gets the family's name
@@ -167,7 +167,7 @@ pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
 ///
 /// # Errors
 /// `UnknownDriver`, `Unclaimed`, and the transport's error.
-pub fn open_through(
+pub fn open_with_wrapper(
     uri: &DeviceUri,
     wrap: &mut dyn FnMut(&'static str, Box<dyn Transport>) -> Box<dyn Transport>,
 ) -> Result<OpenedDevice, OpenError> {
@@ -188,16 +188,13 @@ pub fn open_through(
 ///
 /// # Errors
 /// The transport's error.
-pub fn open_again(
-    uri: &DeviceUri,
-    identity: &Candidate,
-) -> Result<Box<dyn Transport>, TransportError> {
+pub fn reopen(uri: &DeviceUri, identity: &Candidate) -> Result<Box<dyn Transport>, TransportError> {
     open_transport(&current_location(&uri.location, identity))
 }
 
 /// Returns the current URI of a device that was open before.
 #[must_use]
-pub fn find_again(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
+pub fn current_uri(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
     DeviceUri { location: current_location(&uri.location, identity), driver: uri.driver.clone() }
 }
 

@@ -17,7 +17,7 @@ mod no_allocation {
         },
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
-        transport::turns::{Order, Orders, desk},
+        transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     };
 
     thread_local! {
@@ -98,8 +98,8 @@ mod no_allocation {
         let info = |id: u16| MarkerInfo { id, label: format!("marker {id}"), labelled: true };
         let hello = Hello {
             model: "model".to_owned(),
-            rate_mhz: 1,
-            rate_max_mhz: 1,
+            rate_millihertz: 1,
+            rate_max_millihertz: 1,
             tick_hz: 1,
             ..Hello::default()
         };
@@ -158,13 +158,13 @@ mod no_allocation {
     /// One read: executes the line commands and delivers the reply. Returns the number of markers received.
     fn ndi_read(
         host: &mut NdiHost,
-        commands: &Orders,
+        commands: &LineCommandReceiver,
         now_ns: &mut u64,
         wire: &mut Vec<u8>,
     ) -> usize {
         wire.clear();
-        while let Some(command) = commands.next_order() {
-            if let Order::Write { request, not_before_ns } = command {
+        while let Some(command) = commands.try_recv() {
+            if let LineCommand::Write { request, not_before_ns } = command {
                 *now_ns = not_before_ns.max(*now_ns) + 1_000_000;
                 ndi_reply(request.as_bytes(), (*now_ns / 16_000_000) as u32, wire);
             }
@@ -184,7 +184,7 @@ mod no_allocation {
 
     #[test]
     fn an_ndi_host_polls_without_allocating() {
-        let (sender, commands) = desk();
+        let (sender, commands) = line_command_channel();
         let mut host = NdiHost::new(sender, 9_600_000);
         let (mut now_ns, mut wire) = (0, Vec::with_capacity(8192));
         host.command(Command::Identify, &mut Vec::new());

@@ -145,7 +145,8 @@ mod serial_pty {
         end.push(&received, &mut |command| commands.push(command));
         assert_eq!(commands, [Command::Identify]);
 
-        let hello = Hello { rate_mhz: 1, rate_max_mhz: 1, tick_hz: 1, ..Hello::default() };
+        let hello =
+            Hello { rate_millihertz: 1, rate_max_millihertz: 1, tick_hz: 1, ..Hello::default() };
         let mut answer = Vec::new();
         end.hello(&hello, &mut answer).unwrap();
         device.write_all(&answer).unwrap();

@@ -16,12 +16,12 @@ use mocapd_drivers::{
 };
 use mocapd_take::{
     TakeWriter,
-    chunk::{self, Front},
+    chunk::{self, ChunkParse},
     interchange::Format,
     motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
     record::{Channel, Device, EndingKind, Event, EventKind, Header, Ledger, SummaryRecord},
-    stretch::{FrontWriter, Span, put_block},
-    timeline::{Causes, RowTime, Timeline, TimelineEncoder},
+    stretch::{Span, StretchHeaderWriter, put_block},
+    timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
 };
 
 /// Modes of a channel in `motion.rs`, with a scale: rest, random walk, smooth, given steps, jumps, any bits.
@@ -201,9 +201,9 @@ fn wires() -> Vec<Vec<u8>> {
         let hello = Hello {
             model: "rig".into(),
             serial: "1".into(),
-            rate_mhz: 100_000,
-            rate_min_mhz: 60_000,
-            rate_max_mhz: 1_000_000,
+            rate_millihertz: 100_000,
+            rate_min_millihertz: 60_000,
+            rate_max_millihertz: 1_000_000,
             tick_hz: 1 << i,
             markers_max: 64,
             ..Hello::default()
@@ -276,7 +276,7 @@ fn takes() -> Vec<Vec<u8>> {
             let take = take(kind, timed);
             let mut chunks = vec![1];
             let mut rest = &take[chunk::MAGIC.len()..];
-            while let Front::Whole { kind, payload, len } = chunk::front(rest) {
+            while let ChunkParse::Whole { kind, payload, len } = chunk::parse(rest) {
                 chunks.extend([kind, payload.len() as u8, (payload.len() >> 8) as u8]);
                 chunks.extend(payload);
                 rest = &rest[len..];
@@ -337,9 +337,9 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
     writer.event(&event).expect("an event");
     let paths: Vec<_> = (0..3).map(|channel| swing(channel, 5 * ROWS)).collect();
     let mut front = if timed {
-        FrontWriter::with_times(ROWS as u32, TimelineEncoder::new(1_000_000, 60.0))
+        StretchHeaderWriter::with_times(ROWS as u32, TimelineEncoder::new(1_000_000, 60.0))
     } else {
-        FrontWriter::new(ROWS as u32)
+        StretchHeaderWriter::new(ROWS as u32)
     };
     let mut encoder = settings.encoder();
     let mut first_row = 0;
@@ -349,7 +349,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
         let mut timeline = Timeline::default();
         timeline.restart(first_row);
         if timed && number == 2 {
-            timeline.push_lost(4, Causes::NOT_RECEIVED);
+            timeline.push_lost(4, LossCauses::NOT_RECEIVED);
         }
         let from = first_row + timeline.n_rows();
         for row in from..from + n_rows as u64 {

@@ -3,8 +3,8 @@
 use std::io::Cursor;
 
 use mocapd_take::{
-    TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource, recovery::Survey,
-    stretch::StretchDecoder,
+    TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource,
+    recovery::RecoveryScan, stretch::StretchDecoder,
 };
 
 use crate::Input;
@@ -47,20 +47,20 @@ pub fn recover_take(bytes: &[u8]) {
     if !events(&take, take.len().max(1)).is_ok_and(|(_, small)| small) {
         return;
     }
-    let survey = Survey::read(&take[..]).expect("its events could be read");
+    let scan = RecoveryScan::read(&take[..]).expect("its events could be read");
     let mut new = Vec::new();
-    match survey.write(Cursor::new(&take), &mut new, "fuzz") {
+    match scan.write(Cursor::new(&take), &mut new, "fuzz") {
         Ok(_) => {}
         // A header of maximum size has no room for the name of the recovering program.
         Err(TakeError::InvalidArgument(_)) => return,
         Err(error) => panic!("{error}"),
     }
-    let again = Survey::read(&new[..]).expect("a take");
+    let again = RecoveryScan::read(&new[..]).expect("a take");
     assert!(again.problems.is_empty() && !again.lost_anything(), "{:?}", again.problems);
-    let samples = |survey: &Survey| survey.per_channel.iter().map(|c| c.samples).sum::<u64>();
-    assert_eq!(samples(&survey), samples(&again), "other samples than were found");
-    assert_eq!(survey.rows, again.rows, "other rows than were found");
-    assert_eq!(survey.channels, again.channels, "other names than were found");
+    let samples = |scan: &RecoveryScan| scan.per_channel.iter().map(|c| c.samples).sum::<u64>();
+    assert_eq!(samples(&scan), samples(&again), "other samples than were found");
+    assert_eq!(scan.rows, again.rows, "other rows than were found");
+    assert_eq!(scan.channels, again.channels, "other names than were found");
 }
 
 /// Converts a fuzzer's bytes to a damaged take.
@@ -115,7 +115,7 @@ fn events(take: &[u8], piece: usize) -> Result<(usize, bool), TakeError> {
                 let most_channels = mocapd_codec::GROUP_CHANNELS * stretch.blocks.len();
                 if most_channels * stretch.span.n_rows as usize > SAMPLES_MAX {
                     small = false;
-                    decoder.pass();
+                    decoder.skip();
                 } else if decoder.decode(&stretch).is_ok() {
                     let finite = |p: &[f32; 3]| p.iter().all(|coordinate| coordinate.is_finite());
                     for rows in decoder.rows().flatten() {

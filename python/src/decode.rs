@@ -46,7 +46,7 @@ impl DecodeRequest<'_> {
         let next = || queue.lock().ok().and_then(|mut queue| queue.next());
         let worker = || {
             let decode = Decode::Groups(groups(self.columns));
-            let mut take = TakeTraversal::of_map(self.source.reader(), self.map, decode)?;
+            let mut take = TakeTraversal::from_map(self.source.reader(), self.map, decode)?;
             let mut done = Vec::new();
             while let Some((number, piece)) = next() {
                 let result = work(&mut take, piece)?;

@@ -5,8 +5,8 @@ use std::thread;
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_take::{
     motion::{Marker, Motion, MotionInfo, Position, UpAxis},
+    motion_encoder::{self, EncodePart, EncodePlan, EncodedPart, MotionWriter},
     record::{CODEC_VERSION, Header, ImportSource},
-    whole::{self, Coded, Part, Plan, WholeWriter},
 };
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyBytes};
@@ -69,9 +69,10 @@ pub(crate) fn encode<'py>(
     let motion = run_detached(py, None, |cancel| motion(values, n_rows, labels, rate_hz, cancel))?;
     let take = run_abandonable(py, move |cancel| {
         let mut header = header(&settings, rate_hz, UpAxis::from_code(up_axis));
-        header.channels = whole::channels(&motion.info.markers);
+        header.channels = motion_encoder::channels(&motion.info.markers);
         let codec = header.codec()?;
-        header.stretch_rows = whole::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
+        header.stretch_rows =
+            motion_encoder::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
         header.check()?;
         let values = motion.positions_mm.as_flattened().iter();
         let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
@@ -145,13 +146,13 @@ fn write(
     threads: usize,
     cancel: &Cancel,
 ) -> Result<Vec<u8>, Failure> {
-    let plan = Plan::new(motion, header)?;
-    let mut take = WholeWriter::new(&plan, header, Vec::new())?;
+    let plan = EncodePlan::new(motion, header)?;
+    let mut take = MotionWriter::new(&plan, header, Vec::new())?;
     let mut encoders: Vec<_> = (0..threads.max(1)).map(|_| plan.encoder()).collect();
-    let parts: Vec<Part> = plan.parts().collect();
+    let parts: Vec<EncodePart> = plan.parts().collect();
     for parts in parts.chunks(encoders.len()) {
         cancel.check()?;
-        let coded: Vec<Coded> = thread::scope(|scope| {
+        let coded: Vec<EncodedPart> = thread::scope(|scope| {
             let work = encoders.iter_mut().zip(parts);
             let threads: Vec<_> = work
                 .map(|(encoder, &part)| {

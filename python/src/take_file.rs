@@ -2,7 +2,7 @@
 
 use std::{ops::Range, path::PathBuf};
 
-use mocapd_take::{TakeMap, damage::Problem, timeline::Causes};
+use mocapd_take::{TakeMap, damage::Problem, timeline::LossCauses};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
@@ -157,7 +157,7 @@ impl TakeFile {
     /// How the recording ended, as (kind, detail); None if the take does not state it.
     fn ending(&self) -> Option<(String, String)> {
         let ending = self.map.ending.as_ref()?;
-        Some((ending.kind.word().to_owned(), ending.detail.clone()))
+        Some((ending.kind.name().to_owned(), ending.detail.clone()))
     }
 
     /// The events, each as a dict.
@@ -165,7 +165,7 @@ impl TakeFile {
         let out = PyList::empty(py);
         for event in &self.map.events {
             let dict = PyDict::new(py);
-            dict.set_item("kind", event.kind.word())?;
+            dict.set_item("kind", event.kind.name())?;
             dict.set_item("frame", event.row)?;
             dict.set_item("device_ticks", event.device_ticks)?;
             dict.set_item("host_ns", event.host_ns)?;
@@ -293,12 +293,12 @@ impl TakeFile {
 }
 
 /// The causes of lost rows as text.
-fn cause_text(causes: Causes) -> String {
+fn cause_text(causes: LossCauses) -> String {
     let all = [
-        (Causes::NOT_RECEIVED, "not received"),
-        (Causes::RING_FULL, "ring full"),
-        (Causes::DISCONNECTED, "disconnected"),
-        (Causes::DAMAGED, "damaged"),
+        (LossCauses::NOT_RECEIVED, "not received"),
+        (LossCauses::RING_FULL, "ring full"),
+        (LossCauses::DISCONNECTED, "disconnected"),
+        (LossCauses::DAMAGED, "damaged"),
     ];
     let texts = all.iter().filter(|(cause, _)| causes.contains(*cause)).map(|(_, text)| *text);
     let texts: Vec<_> = texts.collect();

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use mocapd_take::{TakeMap, TakeTraversal, timeline::Causes, traversal::Decode};
+use mocapd_take::{TakeMap, TakeTraversal, timeline::LossCauses, traversal::Decode};
 
 use crate::{errors::Failure, source::Source};
 
@@ -38,7 +38,7 @@ pub(crate) fn times(source: &Source, map: &TakeMap, rows: &Range<u64>) -> Result
     let n = n_rows as usize;
     let mut found =
         Times { device_ticks: vec![0; n], arrival_ns: vec![0; n], recorded: vec![false; n] };
-    let mut stretches = TakeTraversal::of_map(source.reader(), map, Decode::Groups(Vec::new()))?;
+    let mut stretches = TakeTraversal::from_map(source.reader(), map, Decode::Groups(Vec::new()))?;
     stretches.seek(rows.start)?;
     while let Some(span) = stretches.next_stretch()? {
         source.check()?;
@@ -58,19 +58,19 @@ pub(crate) fn times(source: &Source, map: &TakeMap, rows: &Range<u64>) -> Result
 }
 
 /// Runs of lost rows: first row, number of rows, causes.
-type LostRows = Vec<(u64, u64, Causes)>;
+type LostRows = Vec<(u64, u64, LossCauses)>;
 
 /// Reads the lost rows of a whole take as runs. The cost depends on the number of runs, not on their lengths.
 pub(crate) fn lost(source: &Source, map: &TakeMap) -> Result<LostRows, Failure> {
     let mut lost = LostRows::new();
-    let mut stretches = TakeTraversal::of_map(source.reader(), map, Decode::Groups(Vec::new()))?;
+    let mut stretches = TakeTraversal::from_map(source.reader(), map, Decode::Groups(Vec::new()))?;
     let mut at = 0;
     while let Some(span) = stretches.next_stretch()? {
         source.check()?;
         let timeline = stretches.timeline();
         let from = timeline.map_or(span.first_row, |timeline| timeline.first_row);
         // The stretches of rows between two stretches are damaged.
-        push_lost(&mut lost, map, at, from.saturating_sub(at), Causes::DAMAGED);
+        push_lost(&mut lost, map, at, from.saturating_sub(at), LossCauses::DAMAGED);
         let mut row = from;
         for run in timeline.map_or(&[][..], |timeline| &timeline.runs) {
             if let Some(causes) = run.lost {
@@ -80,13 +80,13 @@ pub(crate) fn lost(source: &Source, map: &TakeMap) -> Result<LostRows, Failure> 
         }
         at = span.end_row();
     }
-    push_lost(&mut lost, map, at, map.n_rows.saturating_sub(at), Causes::DAMAGED);
+    push_lost(&mut lost, map, at, map.n_rows.saturating_sub(at), LossCauses::DAMAGED);
     Ok(lost)
 }
 
 /// Appends a run, cut off at the end of the take and merged with the previous run if that has the same causes and ends
 /// here.
-fn push_lost(lost: &mut LostRows, map: &TakeMap, first: u64, n: u64, causes: Causes) {
+fn push_lost(lost: &mut LostRows, map: &TakeMap, first: u64, n: u64, causes: LossCauses) {
     let end = first.saturating_add(n).min(map.n_rows);
     if first >= end {
         return;

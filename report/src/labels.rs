@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 /// A marker set: each joint, and the labels for it in order of preference, separated by `/`. `*` stands for `l` and
-/// `r`. Labels are in the form of [`plain`].
+/// `r`. Labels are in the form of [`site_key`].
 type Names = [(&'static str, &'static str)];
 
 /// Labels that name the joint itself, as in joint files and by the generator, and the markers or computed joint centres
@@ -172,7 +172,7 @@ pub fn split(label: &str) -> (&str, &str) {
 /// The normalised form of a site: lower case, without separators, with the side as one letter in front. `L.Shoulder`,
 /// `l_shoulder`, `LeftShoulder` and `Shoulder_L` all become `lshoulder`.
 #[must_use]
-pub fn plain(site: &str) -> String {
+pub fn site_key(site: &str) -> String {
     let small = site.to_lowercase();
     let words: Vec<&str> =
         small.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect();
@@ -196,7 +196,7 @@ pub fn plain(site: &str) -> String {
 pub struct SubjectMarkers<'a> {
     /// The subject's name in the labels; may be empty.
     pub name: &'a str,
-    /// The column of each site in the form of [`plain`]; the first one of a repeated site.
+    /// The column of each site in the form of [`site_key`]; the first one of a repeated site.
     pub sites: HashMap<String, usize>,
 }
 
@@ -211,7 +211,7 @@ pub fn subjects<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<SubjectMar
         if place == subjects.len() {
             subjects.push(SubjectMarkers { name, sites: HashMap::new() });
         }
-        subjects[place].sites.entry(plain(site)).or_insert(column);
+        subjects[place].sites.entry(site_key(site)).or_insert(column);
     }
     subjects
 }
@@ -285,7 +285,7 @@ fn sides(names: &str) -> &'static [&'static str] {
 /// The lines to draw between markers, as pairs of columns of `labels`. Each subject gets the lines of the marker set
 /// that matches it best; of repeated labels the first is used.
 #[must_use]
-pub fn bones(labels: &[String]) -> Vec<[u16; 2]> {
+pub fn marker_lines(labels: &[String]) -> Vec<[u16; 2]> {
     // Columns in lines have 16 bits.
     let named = labels.iter().take(usize::from(u16::MAX) + 1).map(String::as_str);
     subjects(named).iter().flat_map(SubjectMarkers::lines).collect()
@@ -340,7 +340,7 @@ mod tests {
 
     /// The lines as pairs of names, each pair and all pairs in alphabetical order.
     fn names(labels: &[String]) -> Vec<[&str; 2]> {
-        let mut lines: Vec<[&str; 2]> = bones(labels)
+        let mut lines: Vec<[&str; 2]> = marker_lines(labels)
             .iter()
             .map(|line| {
                 let mut pair = line.map(|slot| labels[usize::from(slot)].as_str());
@@ -357,8 +357,11 @@ mod tests {
         for wrist in
             ["l_wrist", "L.Wrist", "LeftWrist", "Wrist_L", "LWRIST", "wrist left", "Left Wrist"]
         {
-            assert_eq!(bones(&owned(&["L_Elbow", wrist])), [[0, 1]], "{wrist}");
-            assert!(bones(&owned(&["R_Elbow", wrist])).is_empty(), "{wrist} is not the right one");
+            assert_eq!(marker_lines(&owned(&["L_Elbow", wrist])), [[0, 1]], "{wrist}");
+            assert!(
+                marker_lines(&owned(&["R_Elbow", wrist])).is_empty(),
+                "{wrist} is not the right one"
+            );
         }
     }
 
@@ -381,7 +384,7 @@ mod tests {
             "neck",
             "head",
         ]);
-        assert_eq!(bones(&shuffled).len(), 14);
+        assert_eq!(marker_lines(&shuffled).len(), 14);
         assert!(names(&shuffled).contains(&["neck", "pelvis"]));
         assert!(names(&shuffled).contains(&["l_hip", "pelvis"]));
     }
@@ -440,16 +443,16 @@ mod tests {
             "THEA", "FHEA", "RHEA", "RSHO", "RELB", "RWRI", "LSHO", "LELB", "LWRI", "RASI", "LASI",
             "VSAC", "RKNE", "RANK", "RHEE", "RTOE", "LKNE", "LANK", "LHEE", "LTOE",
         ]);
-        assert_eq!(bones(&full), bones(&short));
-        assert_eq!(bones(&full).len(), 23);
+        assert_eq!(marker_lines(&full), marker_lines(&short));
+        assert_eq!(marker_lines(&full).len(), 23);
     }
 
     #[test]
     fn skeletons_of_asf_and_bvh_are_chains() {
         let asf = owned(&["root", "lhipjoint", "lfemur", "ltibia", "lfoot", "ltoes"]);
-        assert_eq!(bones(&asf), [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]);
+        assert_eq!(marker_lines(&asf), [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]);
         let bvh = owned(&["Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"]);
-        assert_eq!(bones(&bvh), [[0, 1], [1, 2], [2, 3], [3, 4]]);
+        assert_eq!(marker_lines(&bvh), [[0, 1], [1, 2], [2, 3], [3, 4]]);
     }
 
     #[test]
@@ -465,19 +468,21 @@ mod tests {
 
     #[test]
     fn unknown_labels_get_no_lines() {
-        assert!(bones(&[]).is_empty());
-        assert!(bones(&owned(&["u001", "", ":", "left", "_", "marker 7", "LÄNGS"])).is_empty());
+        assert!(marker_lines(&[]).is_empty());
+        assert!(
+            marker_lines(&owned(&["u001", "", ":", "left", "_", "marker 7", "LÄNGS"])).is_empty()
+        );
     }
 
     #[test]
     fn the_first_of_repeated_labels_is_used() {
-        assert_eq!(bones(&owned(&["l_knee", "l_knee", "l_hip"])), [[2, 0]]);
+        assert_eq!(marker_lines(&owned(&["l_knee", "l_knee", "l_hip"])), [[2, 0]]);
     }
 
     #[test]
     fn columns_beyond_16_bits_are_ignored() {
         let mut many = vec!["u001".to_owned(); 65_535];
         many.extend(owned(&["l_hip", "l_knee"]));
-        assert!(bones(&many).is_empty());
+        assert!(marker_lines(&many).is_empty());
     }
 }

@@ -7,7 +7,7 @@ use crate::{
     labels::{SubjectMarkers, subjects},
 };
 
-/// Labels of the pelvis, in the form of [`crate::labels::plain`] and in order of preference.
+/// Labels of the pelvis, in the form of [`crate::labels::site_key`] and in order of preference.
 const PELVIS: &[&str] = &["pelvis", "hips", "root", "sacrum", "sacr", "midhip", "vsacral", "vsac"];
 /// Without a pelvis marker it is the mean of these: all markers of the first set that is complete.
 const AROUND_PELVIS: &[&[&str]] =

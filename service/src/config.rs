@@ -23,7 +23,7 @@ use anyhow::Context;
 use mocapd_acquire::setting::{self, Setting};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
-    registry::{Claim, Listed},
+    registry::{AttachedDevice, Claim},
     uri::DeviceUri,
 };
 use rustix::fs::{Access, access};
@@ -31,11 +31,11 @@ use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
 pub use self::{
-    key::{DefaultValue, Key, ValueType, When},
+    key::{DefaultValue, Key, ReloadPolicy, ValueType},
     keys::{example, table},
     name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name},
-    problem::{ConfigError, PROBLEMS_MAX, Place, Problem},
-    read::{CONFIG_BYTES_MAX, CONFIG_PATH, Overrides, Surroundings},
+    problem::{ConfigError, ConfigProblem, PROBLEMS_MAX, SourceLocation},
+    read::{CONFIG_BYTES_MAX, CONFIG_PATH, Environment, Overrides},
 };
 use crate::{log::Level, subject::SubjectFiles, trigger::Network};
 
@@ -158,7 +158,7 @@ pub struct Change {
     /// The key, such as `arm.pre_roll`.
     pub key: &'static str,
     /// When the new value applies.
-    pub when: When,
+    pub when: ReloadPolicy,
     /// The old value; `None` if there was none.
     pub from: Option<Json>,
     /// The new value.
@@ -277,7 +277,8 @@ impl Config {
             );
         } else if nobody_asks {
             notes.push(
-                "http.socket and http.listen are both empty: nothing can query the service".to_owned(),
+                "http.socket and http.listen are both empty: nothing can query the service"
+                    .to_owned(),
             );
         }
         if self.device.raw_log {
@@ -292,7 +293,7 @@ impl Config {
 
 /// An error as one line, with the configuration key that helps.
 pub(crate) fn message_with_keys(error: &anyhow::Error) -> String {
-    setting::words(error, key_hint)
+    setting::message(error, key_hint)
 }
 
 pub(crate) fn key_hint(setting: Setting) -> String {
@@ -309,25 +310,26 @@ pub(crate) fn key_hint(setting: Setting) -> String {
 ///
 /// # Errors
 /// There is no device, or more than one; the message says what to write.
-pub fn auto_device(choice: &DeviceChoice, attached: &[Listed]) -> Result<DeviceUri, String> {
+pub fn auto_device(
+    choice: &DeviceChoice,
+    attached: &[AttachedDevice],
+) -> Result<DeviceUri, String> {
     if let DeviceChoice::At(uri) = choice {
         return Ok(uri.clone());
     }
-    let claimed = |listed: &&Listed, claim: Claim| {
+    let claimed = |listed: &&AttachedDevice, claim: Claim| {
         listed.family.is_some_and(|(_, sure)| sure == claim)
             && (claim == Claim::Certain || listed.candidate.usb_ids.is_some())
     };
     let with = |claim| attached.iter().filter(move |listed| claimed(listed, claim));
-    let mut found: Vec<&Listed> = with(Claim::Certain).collect();
+    let mut found: Vec<&AttachedDevice> = with(Claim::Certain).collect();
     if found.is_empty() {
         found = with(Claim::Possible).collect();
     }
     match found[..] {
-        [] => Err(
-            "no device found that a driver recognises: connect one, or set device.uri; \
+        [] => Err("no device found that a driver recognises: connect one, or set device.uri; \
                    `mocapd devices` lists what is attached"
-                .to_owned(),
-        ),
+            .to_owned()),
         [only] => Ok(DeviceUri { location: only.candidate.location.clone(), driver: None }),
         _ => {
             // Bounded, so that a large hub does not fill the screen.

@@ -80,7 +80,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     fn live_take(&self, file: FileId) -> Option<TakeStatus>;
 
     /// Publishes an event of this kind to all subscribers.
-    fn tell(&self, _kind: ServiceEventKind, _message: &str) {}
+    fn notify(&self, _kind: ServiceEventKind, _message: &str) {}
 
     /// A feed of the events from now on.
     fn events(&self) -> EventFeed;

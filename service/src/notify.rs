@@ -12,7 +12,7 @@ use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
 use mocapd_take::escape::visible;
 use sd_notify::NotifyState;
 
-pub use mocapd_acquire::heartbeat::{Beat, Heartbeat, Who};
+pub use mocapd_acquire::heartbeat::{Heartbeat, HeartbeatHandle, ThreadRole};
 use mocapd_acquire::threads;
 
 /// Longest status text in bytes: `systemctl status` shows one line.
@@ -71,7 +71,7 @@ impl Notifier {
         let heartbeat = heartbeat.clone();
         let (stop, stopped) = bounded::<()>(1);
         let thread = threads::spawn("mocapd-notify", move || {
-            let mut watch = heartbeat.watch(Instant::now());
+            let mut watch = heartbeat.watchdog(Instant::now());
             let mut is_reported = false;
             loop {
                 match watch.overdue(Instant::now(), limit) {
@@ -213,13 +213,16 @@ mod tests {
     #[ignore = "run in its own process by the test below"]
     fn a_reader_that_hangs() {
         let heartbeat = Heartbeat::default();
-        let (reader, idle) = (heartbeat.beat(Who::Reader).unwrap(), heartbeat.beat(Who::Worker));
+        let (reader, idle) = (
+            heartbeat.register(ThreadRole::Reader).unwrap(),
+            heartbeat.register(ThreadRole::Worker),
+        );
         let idle = idle.unwrap();
         idle.idle();
         let pings = Notifier::watch(&heartbeat).unwrap().expect("the watchdog is on");
         let move_for_a_second = || {
             for _ in 0..50 {
-                reader.moved();
+                reader.beat();
                 std::thread::sleep(Duration::from_millis(20));
             }
         };

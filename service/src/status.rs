@@ -314,14 +314,14 @@ pub(crate) mod ending_word {
         ending: &Option<EndingKind>,
         serializer: S,
     ) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(ending.map_or("", EndingKind::word))
+        serializer.serialize_str(ending.map_or("", EndingKind::name))
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<Option<EndingKind>, D::Error> {
         let word = String::deserialize(deserializer)?;
-        Ok((!word.is_empty()).then(|| EndingKind::from_word(&word)))
+        Ok((!word.is_empty()).then(|| EndingKind::from_name(&word)))
     }
 }
 

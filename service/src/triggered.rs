@@ -8,14 +8,14 @@ use std::{
 };
 
 use crossbeam_channel::{after, never, select};
-use mocapd_acquire::threads::{self, Stopped, Stopper};
+use mocapd_acquire::threads::{self, StopReceiver, StopSender};
 use rustix::rand::{GetRandomFlags, getrandom};
 
 use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::{ServiceEvent, ServiceEventKind},
     trigger::{
-        Announcer, Capture, Listener, RateLimit, Received, StopResult, TakeName, Trigger,
+        Announcer, Capture, Listener, RateLimit, ReceivedTrigger, StopResult, TakeName, Trigger,
         TriggerQueue, first_packet_id,
         socket::{self, ListenerThread, TakeQueries, TriggerSender},
     },
@@ -26,7 +26,7 @@ use crate::config::TriggerConfig;
 #[derive(Debug)]
 pub struct Triggers {
     listening: Option<ListenerThread>,
-    stopper: Stopper,
+    stopper: StopSender,
     worker: JoinHandle<()>,
 }
 
@@ -42,7 +42,7 @@ struct Worker {
     triggered: Option<TriggeredTake>,
     /// Limits messages about triggers without effect: a sender can send a thousand of them per second.
     rate_limit: RateLimit,
-    stopped: Stopped,
+    stopped: StopReceiver,
 }
 
 /// The effect of a trigger, with its message.
@@ -78,7 +78,7 @@ impl Triggers {
         let mark = u64::from_le_bytes(mark);
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let triggers = TriggerQueue::default();
-        let (stopper, stopped) = threads::stop();
+        let (stopper, stopped) = threads::stop_channel();
         let mut listening = None;
         if let Some(address) = config.listen {
             let (names, takes, notifier) =
@@ -87,7 +87,7 @@ impl Triggers {
                 exists: Box::new(move |name| names.take_path(name).is_ok()),
                 recording: Box::new(move || takes.status().take.map(|take| take.name)),
             };
-            let report = move |text: &str| notifier.tell(ServiceEventKind::Trigger, text);
+            let report = move |text: &str| notifier.notify(ServiceEventKind::Trigger, text);
             let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
             let socket = socket::bind(address)?;
             listening = Some(socket::listen(socket, listener, queries, triggers.clone(), report)?);
@@ -150,7 +150,7 @@ impl Worker {
         }
     }
 
-    fn execute(&mut self, received: &Received) {
+    fn execute(&mut self, received: &ReceivedTrigger) {
         let note = received.trigger.note(received.from.ip());
         let outcome = match &received.trigger {
             Trigger::Start(start) => self.start(start, received.sender(), &note),
@@ -162,7 +162,7 @@ impl Worker {
             Outcome::Nothing(message) => self.rate_limit.admit(&message, self.triggers.now()),
         };
         if let Some(message) = message {
-            self.control.tell(ServiceEventKind::Trigger, &message);
+            self.control.notify(ServiceEventKind::Trigger, &message);
         }
     }
 
@@ -179,7 +179,7 @@ impl Worker {
         }
     }
 
-    fn stop(&self, stop: &Capture, received: &Received, note: &str) -> Outcome {
+    fn stop(&self, stop: &Capture, received: &ReceivedTrigger, note: &str) -> Outcome {
         let name = stop.name.as_ref().map(TakeName::text);
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);
@@ -240,7 +240,7 @@ impl Worker {
         for datagram in self.datagrams(event, name) {
             let failed = self.sender.as_ref().map(|sender| sender.send(&datagram));
             for message in failed.unwrap_or_default() {
-                self.control.tell(ServiceEventKind::Warning, &message);
+                self.control.notify(ServiceEventKind::Warning, &message);
             }
         }
     }

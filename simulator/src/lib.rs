@@ -1,7 +1,7 @@
 //! Simulated motion-capture devices that play recorded or generated motion to a real host.
 //!
 //! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate. [`device`] plays
-//! it over the link protocol, [`ndi`] over NDI's. [`faults`] injects faults by a script, and [`logged`] replays a raw
+//! it over the link protocol, [`ndi`] over NDI's. [`faults`] injects faults by a script, and [`log_device`] replays a raw
 //! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
 //! controller. None of them starts a thread, and only a line reads a clock.
 
@@ -11,7 +11,7 @@ pub mod faults;
 pub mod gadget;
 pub mod generator;
 pub mod line;
-pub mod logged;
+pub mod log_device;
 pub mod ndi;
 pub mod pty;
 pub mod replay;

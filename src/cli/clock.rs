@@ -123,8 +123,7 @@ impl ClockReport {
             let earlier =
                 self.lines.iter().filter(|line| u64::from(line.segment) + 1 < self.segments);
             for one in earlier.clone().take(LINES_SHOWN) {
-                let known =
-                    one.bound_us.map_or(String::new(), |us| format!(", within {us} us"));
+                let known = one.bound_us.map_or(String::new(), |us| format!(", within {us} us"));
                 line(
                     "",
                     &format!("segment {}: drift {:+.1} ppm{known}", one.segment, one.drift_ppm),

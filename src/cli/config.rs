@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_service::{
-    config::{self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem},
+    config::{self, CONFIG_PATH, Config, ConfigError, ConfigProblem, Overrides, SourceLocation},
     http::{Token, TokenError},
 };
 use rustix::process::geteuid;
@@ -53,11 +53,11 @@ struct ProblemReport {
     message: String,
 }
 
-impl From<&Problem> for ProblemReport {
-    fn from(problem: &Problem) -> Self {
+impl From<&ConfigProblem> for ProblemReport {
+    fn from(problem: &ConfigProblem) -> Self {
         let (line, column) = match problem.place {
-            Place::At { line, column } => (Some(line), Some(column)),
-            Place::Option(_) | Place::Nowhere => (None, None),
+            SourceLocation::At { line, column } => (Some(line), Some(column)),
+            SourceLocation::Option(_) | SourceLocation::Nowhere => (None, None),
         };
         Self { line, column, key: problem.key, message: problem.message.clone() }
     }

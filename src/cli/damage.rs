@@ -3,7 +3,7 @@
 use std::{fmt::Write, path::Path};
 
 use mocapd_acquire::inspect::Summary;
-use mocapd_take::damage::{LostRows, Why};
+use mocapd_take::damage::{DamageOrigin, LostRows};
 use serde::Serialize;
 
 use super::{
@@ -26,9 +26,9 @@ impl DamageReport {
         let report = |lost: &LostRows| Self {
             first_frame: lost.first_row,
             frames: lost.rows,
-            cause: match lost.why {
-                Why::Damaged => "damaged in the file",
-                Why::BeforeRecovery => "damaged before the take was recovered",
+            cause: match lost.origin {
+                DamageOrigin::Damaged => "damaged in the file",
+                DamageOrigin::BeforeRecovery => "damaged before the take was recovered",
             },
         };
         lost.iter().map(report).collect()
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn many_ranges_are_summed_up() {
-        let range = |first_row| LostRows { first_row, rows: 2, why: Why::Damaged };
+        let range = |first_row| LostRows { first_row, rows: 2, origin: DamageOrigin::Damaged };
         let lost: Vec<_> = (0..25).map(|i| range(10 * i)).collect();
         let lines = lines(&DamageReport::all(&lost));
         assert_eq!(lines[1], "frames 10 to 11, 2 frames: damaged in the file");

@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     ))?;
     let location = Location::Serial { path: simulated.path.clone(), baud: None };
     let rig = Rig::open(&DeviceUri { location, driver: None })?;
-    let limits = Limits { length: None, keep_free_bytes: 0, beside_bytes: None, subject: None };
+    let limits = Limits { length: None, keep_free_bytes: 0, raw_log_bytes: None, subject: None };
     let recorded = record_and_watch(rig, &take, codec, &limits, &stop)?;
     let sent = simulated.stop()?;
     let report = RecordReport::new(&take, &recorded, &codec);

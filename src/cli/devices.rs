@@ -32,7 +32,8 @@ fn line(listed: &ListedDevice) -> String {
 /// The list as text.
 pub(super) fn text(listed: &[ListedDevice]) -> String {
     if listed.is_empty() {
-        return "no devices found: plug one in, or try `mocapd demo`, which needs none\n".to_owned();
+        return "no devices found: plug one in, or try `mocapd demo`, which needs none\n"
+            .to_owned();
     }
     listed.iter().map(line).collect()
 }

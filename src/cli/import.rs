@@ -10,11 +10,11 @@ use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::NewFile,
-    pipeline::{Written, offline},
+    pipeline::{TakeAccount, offline},
     threads,
 };
 use mocapd_codec::Settings;
-use mocapd_service::subject::strangers;
+use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, Motion},
@@ -79,7 +79,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
-    let unseen = strangers(subject.as_ref(), &motion.info.labels());
+    let unseen = unused_part_notes(subject.as_ref(), &motion.info.labels());
     unseen.iter().for_each(|warning| about_file(warning));
     header.set_import_id(&bytes, subject.as_ref())?;
     motion.info.subject = subject;
@@ -129,7 +129,12 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
     .into())
 }
 
-fn write(motion: &Motion, header: &Header, workers: usize, to: &Path) -> anyhow::Result<Written> {
+fn write(
+    motion: &Motion,
+    header: &Header,
+    workers: usize,
+    to: &Path,
+) -> anyhow::Result<TakeAccount> {
     let mut output = NewFile::create(to)?;
     let counter = Arc::new(AtomicU64::new(0));
     let progress = Progress::follow("resampling", &counter, motion.positions_mm.len() as u64);
@@ -162,7 +167,7 @@ impl ImportReport {
         take: &Path,
         motion: &Motion,
         codec: &Settings,
-        written: &Written,
+        written: &TakeAccount,
         foreign_dropped: Vec<String>,
     ) -> Self {
         let info = &motion.info;

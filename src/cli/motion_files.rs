@@ -24,7 +24,8 @@ use super::{
 /// If it cannot be read.
 pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
     let file = BufReader::new(SparseFile::open(path)?);
-    let take = DecodedTake::read(file).with_context(|| format!("cannot read {}", path.display()))?;
+    let take =
+        DecodedTake::read(file).with_context(|| format!("cannot read {}", path.display()))?;
     for problem in &take.problems {
         notify(&format!("{}: {problem}", path.display()));
     }

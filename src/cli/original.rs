@@ -47,10 +47,7 @@ pub(super) fn read_motion_and_bytes(
     let motion = format.read_with(&bytes, options).with_context(reading)?;
     let name = path.display();
     let rate_hz = motion.info.rate_hz;
-    ensure!(
-        !motion.info.markers.is_empty(),
-        "{name} has no markers: nothing to import"
-    );
+    ensure!(!motion.info.markers.is_empty(), "{name} has no markers: nothing to import");
     ensure!(motion.n_frames() > 0, "{name} has no frames: nothing to import");
     ensure!(
         RATE_HZ.contains(&rate_hz),

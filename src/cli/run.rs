@@ -75,11 +75,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let engine = Arc::new(Engine::start(options, &heartbeat)?);
     let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
     for warning in config.warnings() {
-        control.tell(ServiceEventKind::Warning, &warning);
+        control.notify(ServiceEventKind::Warning, &warning);
     }
     let servers = Servers::open(&config, &control)?;
     let mut notifier = Notifier::default();
-    notifier.ready(&engine.status().words());
+    notifier.ready(&engine.status().summary());
     let pings = Notifier::watch(&heartbeat)?;
     let mut running = RunningService { args, config, log, engine, control, servers, notifier };
     let outcome = running.until_stopped(&signals);
@@ -122,7 +122,7 @@ impl Servers {
         let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
         if let Some(address) = http.as_ref().and_then(HttpServer::tcp_address) {
             control
-                .tell(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
+                .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
         Ok(Self { http, triggers })
@@ -188,7 +188,7 @@ impl RunningService<'_> {
                 Ok(SIGHUP) => self.reload(),
                 Ok(_) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
-                    self.notifier.status(&self.engine.status().words());
+                    self.notifier.status(&self.engine.status().summary());
                 }
                 Err(RecvTimeoutError::Disconnected) => {
                     anyhow::bail!("the signal thread has ended: this is a bug in mocapd")
@@ -209,13 +209,13 @@ impl RunningService<'_> {
                 tracing::error!("keeping the old configuration: {}", plain(&error.to_string()));
             }
         }
-        self.notifier.ready(&self.engine.status().words());
+        self.notifier.ready(&self.engine.status().summary());
     }
 
     fn apply(&mut self, mut config: Config) {
         let changes = self.config.changes(&config);
         for change in &changes {
-            tracing::info!("{}: {}", change.key, change.when.words());
+            tracing::info!("{}: {}", change.key, change.when.description());
         }
         let options = match create_directory(&config).and_then(|()| EngineOptions::load(&config)) {
             Ok(options) => options,
@@ -228,7 +228,7 @@ impl RunningService<'_> {
         self.engine.reload(options);
         let known = self.config.warnings();
         for warning in config.warnings().iter().filter(|warning| !known.contains(warning)) {
-            self.control.tell(ServiceEventKind::Warning, warning);
+            self.control.notify(ServiceEventKind::Warning, warning);
         }
         if let Err(error) = self.servers.reload(&self.config, &config, &self.control) {
             tracing::error!("{}", plain(&format!("{error:#}")));

@@ -6,7 +6,7 @@ use clap::Args;
 use mocapd::outcome::UsageError;
 use mocapd_acquire::{
     inspect::size_ratio,
-    pipeline::{STRETCH_LENGTHS, SYNC_MAX, Written},
+    pipeline::{STRETCH_LENGTHS, SYNC_MAX, TakeAccount},
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
@@ -164,7 +164,7 @@ pub(crate) struct SizeReport {
 }
 
 impl SizeReport {
-    pub(crate) fn new(written: &Written, codec: &Settings) -> Self {
+    pub(crate) fn new(written: &TakeAccount, codec: &Settings) -> Self {
         Self {
             samples: written.samples,
             raw_bytes: 12 * written.samples,

@@ -62,7 +62,7 @@ fn threads_end_when_a_channel_is_disconnected() {
     let path = take("fast", folder.path());
     let map = open(&path).map().clone();
     let traversal =
-        || TakeTraversal::of_map(File::open(&path).unwrap(), &map, Decode::All).unwrap();
+        || TakeTraversal::from_map(File::open(&path).unwrap(), &map, Decode::All).unwrap();
     // The receiver of the rows is gone: the thread ends instead of waiting.
     let (jobs, to_do) = bounded(2);
     for _ in 0..2 {

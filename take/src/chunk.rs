@@ -7,7 +7,7 @@ mod search;
 pub(crate) use self::prefix_crcs::HASHED_BYTES;
 pub(crate) use self::{
     prefix_crcs::PrefixCrcs,
-    search::{LongChunkScan, LongChunks, ResyncOutcome, indexed_front, resync},
+    search::{LongChunkScan, LongChunks, ResyncOutcome, indexed_parse, resync},
 };
 use crate::{TakeError, varint};
 
@@ -79,7 +79,7 @@ pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError>
 
 /// What the first bytes of a buffer hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Front<'a> {
+pub enum ChunkParse<'a> {
     /// A complete chunk with a matching CRC.
     Whole {
         /// Its type.
@@ -97,9 +97,9 @@ pub enum Front<'a> {
 
 /// Parses the chunk at the front of `bytes`.
 #[must_use]
-pub fn front(bytes: &[u8]) -> Front<'_> {
+pub fn parse(bytes: &[u8]) -> ChunkParse<'_> {
     match split(bytes) {
-        Front::Whole { len, .. } if !crc_matches(&bytes[..len]) => Front::Damaged,
+        ChunkParse::Whole { len, .. } if !crc_matches(&bytes[..len]) => ChunkParse::Damaged,
         front => front,
     }
 }
@@ -111,17 +111,17 @@ fn crc_matches(chunk: &[u8]) -> bool {
 }
 
 /// Parses the chunk at the front of `bytes` without checking its CRC.
-pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
+pub(crate) fn split(bytes: &[u8]) -> ChunkParse<'_> {
     match head(bytes) {
-        ChunkHead::Short(wanted) => Front::Short(wanted),
-        ChunkHead::Invalid => Front::Damaged,
+        ChunkHead::Short(wanted) => ChunkParse::Short(wanted),
+        ChunkHead::Invalid => ChunkParse::Damaged,
         ChunkHead::Valid { kind, len, head_bytes } => {
             let chunk = usize::try_from(len).ok().and_then(|len| bytes.get(..len));
             match chunk.and_then(|chunk| chunk.get(head_bytes..chunk.len() - CRC_BYTES)) {
                 Some(payload) => {
-                    Front::Whole { kind, payload, len: head_bytes + payload.len() + CRC_BYTES }
+                    ChunkParse::Whole { kind, payload, len: head_bytes + payload.len() + CRC_BYTES }
                 }
-                None => Front::Short(len),
+                None => ChunkParse::Short(len),
             }
         }
     }
@@ -168,30 +168,33 @@ mod tests {
     #[test]
     fn whole_chunks_come_back() {
         let bytes = two();
-        let Front::Whole { kind, payload, len } = front(&bytes) else { panic!() };
+        let ChunkParse::Whole { kind, payload, len } = parse(&bytes) else { panic!() };
         assert_eq!((kind, payload), (types::STRETCH, &b"first"[..]));
-        let Front::Whole { kind, payload, .. } = front(&bytes[len..]) else { panic!() };
+        let ChunkParse::Whole { kind, payload, .. } = parse(&bytes[len..]) else { panic!() };
         assert_eq!((kind, payload), (types::LEDGER, &[7; 300][..]));
     }
 
     #[test]
     fn every_truncation_is_short() {
         let bytes = two();
-        let Front::Whole { len, .. } = front(&bytes) else { panic!() };
+        let ChunkParse::Whole { len, .. } = parse(&bytes) else { panic!() };
         for cut in 0..len {
-            assert!(matches!(front(&bytes[..cut]), Front::Short(n) if n as usize > cut), "{cut}");
+            assert!(
+                matches!(parse(&bytes[..cut]), ChunkParse::Short(n) if n as usize > cut),
+                "{cut}"
+            );
         }
     }
 
     #[test]
     fn every_mutation_is_seen() {
         let bytes = two();
-        let Front::Whole { len, .. } = front(&bytes) else { panic!() };
+        let ChunkParse::Whole { len, .. } = parse(&bytes) else { panic!() };
         for at in 0..len {
             for flip in 1..=255_u8 {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= flip;
-                assert!(!matches!(front(&damaged), Front::Whole { .. }), "{at} {flip}");
+                assert!(!matches!(parse(&damaged), ChunkParse::Whole { .. }), "{at} {flip}");
             }
         }
     }

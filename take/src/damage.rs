@@ -1,6 +1,6 @@
 //! The problems of a damaged take, and its lost rows.
 
-use crate::{index::IndexEntry, record::Ledger, stretch::Stretch, timeline::Causes};
+use crate::{index::IndexEntry, record::Ledger, stretch::Stretch, timeline::LossCauses};
 
 /// Most problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file could have one
 /// every few bytes.
@@ -28,7 +28,7 @@ pub enum Problem {
     },
     /// The type or length of a chunk was damaged and has been restored.
     #[error("the head of the chunk at byte {offset} is damaged; its content is intact")]
-    Mended {
+    Repaired {
         /// File offset of the chunk.
         offset: u64,
     },
@@ -72,29 +72,29 @@ pub enum Problem {
         refusal: Refusal,
     },
     /// The index gives another row for a key stretch.
-    #[error("the index gives frame {told} for the stretch that begins at frame {found}")]
+    #[error("the index gives frame {stated} for the stretch that begins at frame {found}")]
     IndexRow {
         /// First row according to the index.
-        told: u64,
+        stated: u64,
         /// First row according to the stretch.
         found: u64,
     },
     /// The footer gives another number of rows.
-    #[error("the footer states {told} frames, but {found} were found")]
+    #[error("the footer states {stated} frames, but {found} were found")]
     FooterRows {
         /// Rows according to the footer.
-        told: u64,
+        stated: u64,
         /// Rows found.
         found: u64,
     },
     /// The last ledger of an undamaged take contradicts its content.
     #[error("the ledger states {} frames and {} samples, but the file has {} and {}; they were recounted",
-        told.frames, told.samples, found.frames, found.samples)]
+        stated.frames, stated.samples, found.frames, found.samples)]
     LedgerCounts {
         /// Counts in the ledger.
-        told: Counts,
+        stated: LedgerTotals,
         /// Counts in the file.
-        found: Counts,
+        found: LedgerTotals,
     },
     /// A foreign part was left out.
     #[error("{kind}: more foreign data than a take can hold")]
@@ -129,14 +129,14 @@ pub enum Refusal {
 
 /// Counts that a ledger and the stretches must agree on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Counts {
+pub struct LedgerTotals {
     /// Recorded frames.
     pub frames: u64,
     /// Samples in them.
     pub samples: u64,
 }
 
-impl Counts {
+impl LedgerTotals {
     pub(crate) fn from_ledger(ledger: &Ledger) -> Self {
         Self { frames: ledger.recorded, samples: ledger.samples_present }
     }
@@ -169,12 +169,12 @@ pub struct LostRows {
     /// Number of rows.
     pub rows: u64,
     /// The cause.
-    pub why: Why,
+    pub origin: DamageOrigin,
 }
 
 /// What damaged the rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Why {
+pub enum DamageOrigin {
     /// Their stretch is missing or damaged in this file, or depends on such a stretch.
     Damaged,
     /// They were damaged in the file that this take was recovered from.
@@ -222,15 +222,15 @@ impl LossTracker {
     /// Adds a stretch that was read. Returns the rows lost before it, or lost by its own record.
     pub(crate) fn add_stretch(&mut self, stretch: &Stretch<'_>) -> u64 {
         let from_row = stretch.from_row();
-        let mut sum = self.push(from_row, Why::Damaged);
+        let mut sum = self.push(from_row, DamageOrigin::Damaged);
         self.end_row = self.end_row.max(from_row);
         let runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
         let mut at = from_row;
         for run in runs {
             let end = at.saturating_add(run.rows);
-            if run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED)) {
+            if run.lost.is_some_and(|causes| causes.contains(LossCauses::DAMAGED)) {
                 self.end_row = self.end_row.max(at);
-                sum += self.push(end, Why::BeforeRecovery);
+                sum += self.push(end, DamageOrigin::BeforeRecovery);
             }
             at = end;
         }
@@ -245,7 +245,7 @@ impl LossTracker {
 
     /// Ends the take. Returns the rows known to be lost after the last stretch.
     pub(crate) fn finish(&mut self) -> u64 {
-        let lost = self.push(self.rows_min, Why::Damaged);
+        let lost = self.push(self.rows_min, DamageOrigin::Damaged);
         self.end_row = self.end_row.max(self.rows_min);
         lost
     }
@@ -256,15 +256,15 @@ impl LossTracker {
     }
 
     /// Counts the rows up to `end` as lost.
-    fn push(&mut self, end: u64, why: Why) -> u64 {
+    fn push(&mut self, end: u64, origin: DamageOrigin) -> u64 {
         let rows = end.saturating_sub(self.end_row);
         let Some(lost) = self.lost.as_mut().filter(|_| rows > 0) else { return rows };
         match lost.last_mut() {
             // Merging keeps the list short: a crafted run of two bytes would otherwise cost twelve times its size.
-            Some(last) if last.first_row + last.rows == self.end_row && last.why == why => {
+            Some(last) if last.first_row + last.rows == self.end_row && last.origin == origin => {
                 last.rows += rows;
             }
-            _ => lost.push(LostRows { first_row: self.end_row, rows, why }),
+            _ => lost.push(LostRows { first_row: self.end_row, rows, origin }),
         }
         rows
     }

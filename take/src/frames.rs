@@ -91,7 +91,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         info.events.sort_by_key(|event| event.frame);
         Ok(Self {
             info,
-            stretches: TakeTraversal::of_map(input, &map, Decode::All)?,
+            stretches: TakeTraversal::from_map(input, &map, Decode::All)?,
             map,
             current: None,
             stated_mm: Vec::new(),

@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom};
 
 use crate::{
     NotATake, TakeError,
-    chunk::{self, Front, MAGIC, types},
+    chunk::{self, ChunkParse, MAGIC, types},
     record::{Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding},
     varint,
 };
@@ -96,8 +96,8 @@ impl Footer {
     /// was closed.
     #[must_use]
     pub fn from_chunk(chunk: &[u8; Self::CHUNK_BYTES]) -> Option<Self> {
-        match chunk::front(chunk) {
-            Front::Whole { kind: types::FOOTER, payload, .. } => {
+        match chunk::parse(chunk) {
+            ChunkParse::Whole { kind: types::FOOTER, payload, .. } => {
                 Self::from_payload(payload, 0).ok()
             }
             _ => None,
@@ -240,11 +240,13 @@ impl Chunk {
             // Memory grows with the file's content, not with a length that it claims.
             input.by_ref().take(needed - bytes.len() as u64).read_to_end(&mut bytes)?;
             let is_wanted = bytes.first() == Some(&wanted);
-            match chunk::front(&bytes) {
-                Front::Whole { payload, len, .. } if is_wanted => {
+            match chunk::parse(&bytes) {
+                ChunkParse::Whole { payload, len, .. } if is_wanted => {
                     return Ok(Some(Self { payload: payload.to_vec(), len: len as u64 }));
                 }
-                Front::Short(more) if is_wanted && more <= max && more > needed => needed = more,
+                ChunkParse::Short(more) if is_wanted && more <= max && more > needed => {
+                    needed = more
+                }
                 _ => return Ok(None),
             }
         }

@@ -15,6 +15,7 @@ pub mod map;
 pub mod motion;
 pub mod phase;
 
+pub mod motion_encoder;
 pub mod reader;
 pub mod record;
 pub mod recovery;
@@ -24,7 +25,6 @@ pub mod timeline;
 pub mod traversal;
 mod up_axis;
 mod varint;
-pub mod whole;
 pub mod writer;
 
 pub use frames::{TakeFrames, read_motion};
@@ -50,7 +50,7 @@ pub enum NotATake {
     /// The file ends inside its header.
     #[error("the file ends inside its header, so nothing can be read")]
     HeaderCut,
-    /// The header is damaged; [`mend_start`](recovery::mend_start) may repair one byte of it.
+    /// The header is damaged; [`repair_start`](recovery::mend_start) may repair one byte of it.
     #[error("its header is damaged; try `mocapd recover`, which can repair one byte of it")]
     HeaderDamaged,
     /// The header has more damage than can be repaired.

@@ -23,7 +23,7 @@ pub struct TakeMap {
     pub n_rows: u64,
     /// Rows in stretches that were found and have samples; `None` if the stretches were not read. All other rows were
     /// lost or have no marker.
-    pub n_held: Option<u64>,
+    pub n_sampled_rows: Option<u64>,
     /// Rows of the longest stretch, which is what a decoder buffers of each marker; `None` if the stretches were not
     /// read.
     pub longest_stretch: Option<u64>,

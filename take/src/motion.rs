@@ -78,7 +78,7 @@ impl MotionEvent {
     /// A name for the event: its text, or its kind if the text is blank.
     #[must_use]
     pub fn label(&self) -> &str {
-        if self.text.trim().is_empty() { self.kind.word() } else { &self.text }
+        if self.text.trim().is_empty() { self.kind.name() } else { &self.text }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Recovers a damaged take: the new file has the valid chunks unchanged, records of what is lost in place of the
 //! others, a ledger that closes, an index and a footer.
 //!
-//! [`Survey::read`] reads and decodes the file once; [`Survey::write`] then copies its valid chunks. No stretch is
+//! [`RecoveryScan::read`] reads and decodes the file once; [`RecoveryScan::write`] then copies its valid chunks. No stretch is
 //! encoded again, so every error bound that its encoder proved still holds.
 
 mod ledger_tally;
@@ -10,8 +10,8 @@ mod start;
 mod write;
 
 pub use self::{
-    scan::{ChannelCount, Survey},
-    start::{RepairedStart, mend_start},
+    scan::{ChannelCount, RecoveryScan},
+    start::{RepairedStart, repair_start},
 };
 
 use crate::{chunk::types, record::Channel, stretch::Span};
@@ -39,7 +39,7 @@ enum OutputChunk {
 /// The kind of a chunk.
 #[expect(missing_docs, reason = "docs/take-format.md has the table")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum ChunkKind {
     Header,
     Channels,
     Stretch,
@@ -56,22 +56,22 @@ pub enum Kind {
 }
 
 /// Every kind with its chunk type and its name in reports.
-const KINDS: [(Kind, Option<u8>, &str); 12] = [
-    (Kind::Header, Some(types::HEADER), "header"),
-    (Kind::Channels, Some(types::CHANNELS), "channel table"),
-    (Kind::Stretch, Some(types::STRETCH), "stretch"),
-    (Kind::Event, Some(types::EVENT), "event"),
-    (Kind::Ledger, Some(types::LEDGER), "ledger"),
-    (Kind::Clock, Some(types::CLOCK), "clock"),
-    (Kind::Subject, Some(types::SUBJECT), "subject"),
-    (Kind::Foreign, Some(types::FOREIGN), "foreign"),
-    (Kind::Summary, Some(types::SUMMARY), "summary"),
-    (Kind::Index, Some(types::INDEX), "index"),
-    (Kind::Footer, Some(types::FOOTER), "footer"),
-    (Kind::Other, None, "unknown"),
+const KINDS: [(ChunkKind, Option<u8>, &str); 12] = [
+    (ChunkKind::Header, Some(types::HEADER), "header"),
+    (ChunkKind::Channels, Some(types::CHANNELS), "channel table"),
+    (ChunkKind::Stretch, Some(types::STRETCH), "stretch"),
+    (ChunkKind::Event, Some(types::EVENT), "event"),
+    (ChunkKind::Ledger, Some(types::LEDGER), "ledger"),
+    (ChunkKind::Clock, Some(types::CLOCK), "clock"),
+    (ChunkKind::Subject, Some(types::SUBJECT), "subject"),
+    (ChunkKind::Foreign, Some(types::FOREIGN), "foreign"),
+    (ChunkKind::Summary, Some(types::SUMMARY), "summary"),
+    (ChunkKind::Index, Some(types::INDEX), "index"),
+    (ChunkKind::Footer, Some(types::FOOTER), "footer"),
+    (ChunkKind::Other, None, "unknown"),
 ];
 
-impl Kind {
+impl ChunkKind {
     /// The kind with this chunk type.
     #[must_use]
     pub fn of(kind: Option<u8>) -> Self {
@@ -92,16 +92,16 @@ impl Kind {
 
     /// Whether a recovery rebuilds chunks of this kind, so that a damaged one loses nothing.
     #[must_use]
-    pub fn is_made_anew(self) -> bool {
+    pub fn is_rebuilt(self) -> bool {
         matches!(self, Self::Index | Self::Footer)
     }
 }
 
 /// Counts of chunks of one kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct KindCount {
+pub struct ChunkKindCount {
     /// The kind.
-    pub kind: Kind,
+    pub kind: ChunkKind,
     /// Valid chunks.
     pub recovered: u64,
     /// Damaged chunks, and chunks that need a damaged one. An unreadable region counts as one chunk of the kind in its

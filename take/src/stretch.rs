@@ -8,7 +8,7 @@ mod tests;
 
 pub(crate) use self::chain::{Placement, StretchChain};
 use self::header::StretchHeader;
-pub use self::header::{FrontWriter, put_moved};
+pub use self::header::{StretchHeaderWriter, put_renumbered};
 
 use std::iter;
 
@@ -18,7 +18,7 @@ use mocapd_codec::{
 
 use crate::{
     TakeError,
-    timeline::{Causes, Run, Timeline},
+    timeline::{LossCauses, RowRun, Timeline},
     varint,
 };
 
@@ -144,8 +144,9 @@ pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
 }
 
 /// Whether all runs are of rows that were damaged before a recovery.
-fn all_damaged(runs: &[Run]) -> bool {
-    let damaged = |run: &Run| run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED));
+fn all_damaged(runs: &[RowRun]) -> bool {
+    let damaged =
+        |run: &RowRun| run.lost.is_some_and(|causes| causes.contains(LossCauses::DAMAGED));
     !runs.is_empty() && runs.iter().all(damaged)
 }
 
@@ -226,7 +227,7 @@ impl StretchDecoder {
     }
 
     /// Skips a stretch, and with it all stretches that depend on it.
-    pub fn pass(&mut self) {
+    pub fn skip(&mut self) {
         self.waits_for_key = true;
     }
 

@@ -10,9 +10,9 @@ pub(crate) use self::coder::{TimelineDecoder, take_times};
 
 /// Causes of lost rows; a set, because a run of lost rows can have several.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Causes(pub u8);
+pub struct LossCauses(pub u8);
 
-impl Causes {
+impl LossCauses {
     /// Never arrived: lost on the link or dropped by the device; the ledger has the counts of each.
     pub const NOT_RECEIVED: Self = Self(1);
     /// Arrived while a ring buffer was full.
@@ -37,11 +37,11 @@ impl Causes {
 
 /// Consecutive rows with the same outcome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Run {
+pub struct RowRun {
     /// Number of rows.
     pub rows: u64,
     /// The causes of the loss; `None` for recorded rows.
-    pub lost: Option<Causes>,
+    pub lost: Option<LossCauses>,
 }
 
 /// The times of one recorded row.
@@ -62,7 +62,7 @@ pub struct Timeline {
     /// First row, recorded or lost.
     pub first_row: u64,
     /// Runs of recorded and lost rows, in order.
-    pub runs: Vec<Run>,
+    pub runs: Vec<RowRun>,
     /// The times of the recorded rows.
     pub times: Vec<RowTime>,
 }
@@ -82,14 +82,14 @@ impl Timeline {
     }
 
     /// Adds lost rows.
-    pub fn push_lost(&mut self, rows: u64, causes: Causes) {
+    pub fn push_lost(&mut self, rows: u64, causes: LossCauses) {
         self.extend_run(rows, Some(causes));
     }
 
     /// Adds a run of rows that were damaged before a recovery. A run of no rows states that only stretch numbers are
     /// missing.
     pub(crate) fn push_damaged(&mut self, rows: u64) {
-        self.runs.push(Run { rows, lost: Some(Causes::DAMAGED) });
+        self.runs.push(RowRun { rows, lost: Some(LossCauses::DAMAGED) });
     }
 
     /// Number of rows.
@@ -116,10 +116,10 @@ impl Timeline {
         rows.zip(self.times.iter().copied())
     }
 
-    fn extend_run(&mut self, rows: u64, lost: Option<Causes>) {
+    fn extend_run(&mut self, rows: u64, lost: Option<LossCauses>) {
         match self.runs.last_mut() {
             Some(last) if last.lost == lost => last.rows += rows,
-            _ if rows > 0 => self.runs.push(Run { rows, lost }),
+            _ if rows > 0 => self.runs.push(RowRun { rows, lost }),
             _ => {}
         }
     }

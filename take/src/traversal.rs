@@ -39,7 +39,7 @@ pub enum Decode {
 
 /// An element of a take that the traversal has reached.
 #[derive(Debug)]
-pub struct Found<'a> {
+pub struct LocatedEvent<'a> {
     /// File offset of its chunk.
     pub offset: u64,
     /// Size in bytes.
@@ -49,7 +49,7 @@ pub struct Found<'a> {
     /// For a stretch: its rows are unavailable, and the last problem gives the reason.
     pub is_refused: bool,
     /// For a stretch: it revealed lost entries of the channel table.
-    pub renamed: Option<LostEntries>,
+    pub lost_entries: Option<LostEntries>,
 }
 
 /// The state of a traversal.
@@ -110,7 +110,7 @@ impl Progress {
         let builds_map = matches!(scope, ProblemScope::All | ProblemScope::Map);
         let read = builds_map.then_some(0);
         Self {
-            take: TakeMap { n_held: read, longest_stretch: read, ..TakeMap::default() },
+            take: TakeMap { n_sampled_rows: read, longest_stretch: read, ..TakeMap::default() },
             rows_damaged: Vec::new(),
             table: ChannelTable::default(),
             losses: LossTracker::new(builds_map.then(Vec::new)),
@@ -196,12 +196,12 @@ impl Progress {
                 self.take.damaged = true;
                 self.table.add_damage();
             }
-            TakeEvent::Repaired { offset } => self.report(Problem::Mended { offset: *offset }),
+            TakeEvent::Repaired { offset } => self.report(Problem::Repaired { offset: *offset }),
             TakeEvent::Footer(footer) => {
                 let (stated, found) = (footer.n_rows, self.n_rows());
                 // Rows may be lost to damage that was reported; the footer adds no problem then.
                 if stated < found || stated > found && !self.take.damaged {
-                    self.report(Problem::FooterRows { told: stated, found });
+                    self.report(Problem::FooterRows { stated, found });
                 }
                 if self.take.damaged {
                     self.losses.raise_rows_min(stated);
@@ -220,9 +220,9 @@ impl Progress {
         }
         let misplaced =
             self.losses.seek_key.filter(|key| key.offset == offset && key.first_row != first_row);
-        if let Some(IndexEntry { first_row: told, .. }) = misplaced {
+        if let Some(IndexEntry { first_row: stated, .. }) = misplaced {
             // The seek to it may have skipped rows that exist.
-            self.report(Problem::IndexRow { told, found: first_row });
+            self.report(Problem::IndexRow { stated, found: first_row });
             self.take.damaged = true;
         }
         if let Err(refusal) = self.decode(offset, stretch) {
@@ -231,16 +231,16 @@ impl Progress {
             self.losses.raise_rows_min(stretch.span.end_row());
             return (true, None);
         }
-        let mut renamed = None;
+        let mut lost_entries = None;
         if self.builds_map() {
-            renamed = self.name_channels(stretch.stated_channels());
+            lost_entries = self.name_channels(stretch.stated_channels());
             let rows_before = self.n_rows();
             if key && n_rows > 0 && first_row >= rows_before {
                 self.take.keys.push(IndexEntry { offset, first_row });
             }
             self.take.longest_stretch = self.take.longest_stretch.max(Some(n_rows.into()));
             // A stretch without samples holds no rows.
-            if let Some(held) = &mut self.take.n_held
+            if let Some(held) = &mut self.take.n_sampled_rows
                 && stretch.blocks.iter().any(|block| !block.is_empty())
             {
                 *held += u64::from(n_rows);
@@ -248,14 +248,14 @@ impl Progress {
         }
         let lost = self.losses.add_stretch(stretch);
         self.add_lost(lost);
-        (false, renamed)
+        (false, lost_entries)
     }
 
     fn decode(&mut self, offset: u64, stretch: &Stretch<'_>) -> Result<(), Refusal> {
         let is_repeated = self.losses.is_repeated(offset, stretch);
         let Some(decoder) = &mut self.decoder else { return Ok(()) };
         if is_repeated {
-            decoder.pass();
+            decoder.skip();
             Err(Refusal::Twice)
         } else if decoder.depends_on_lost(stretch.span) {
             Err(Refusal::DependsOnLost)
@@ -268,11 +268,11 @@ impl Progress {
 
     /// Adds entries for channels that a stretch has and the table lacks.
     fn name_channels(&mut self, n_channels: usize) -> Option<LostEntries> {
-        let renamed = self.table.reconcile(n_channels)?;
-        self.report(Problem::NamesLost { markers: renamed.nameless });
-        let at = renamed.first.min(self.rows_damaged.len());
-        self.rows_damaged.splice(at..at, std::iter::repeat_n(0, renamed.inserted));
-        Some(renamed)
+        let lost_entries = self.table.reconcile(n_channels)?;
+        self.report(Problem::NamesLost { markers: lost_entries.nameless });
+        let at = lost_entries.first.min(self.rows_damaged.len());
+        self.rows_damaged.splice(at..at, std::iter::repeat_n(0, lost_entries.inserted));
+        Some(lost_entries)
     }
 
     fn end(&mut self, finished: bool) {
@@ -325,9 +325,9 @@ impl<R: Read + Seek> TakeTraversal<R> {
     ///
     /// # Errors
     /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
-    pub fn of_map(mut input: R, map: &TakeMap, decode: Decode) -> Result<Self, TakeError> {
+    pub fn from_map(mut input: R, map: &TakeMap, decode: Decode) -> Result<Self, TakeError> {
         input.seek(SeekFrom::Start(0))?;
-        let is_scanned = map.n_held.is_some();
+        let is_scanned = map.n_sampled_rows.is_some();
         let scope = if is_scanned { ProblemScope::Decoding } else { ProblemScope::Unscanned };
         let mut progress = Progress::new(decode, scope);
         progress.take.header = map.header.clone();
@@ -342,7 +342,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
     /// Those of [`TakeReader::next_event`], `Io`, and any error of `visit`.
     pub fn run(
         mut self,
-        mut visit: impl FnMut(&Found<'_>, &Progress) -> Result<(), TakeError>,
+        mut visit: impl FnMut(&LocatedEvent<'_>, &Progress) -> Result<(), TakeError>,
     ) -> Result<Progress, TakeError> {
         while !self.ended {
             self.step(&mut visit)?;
@@ -353,16 +353,16 @@ impl<R: Read + Seek> TakeTraversal<R> {
     /// Reads a piece of the file, or visits the next event.
     fn step(
         &mut self,
-        visit: impl FnOnce(&Found<'_>, &Progress) -> Result<(), TakeError>,
+        visit: impl FnOnce(&LocatedEvent<'_>, &Progress) -> Result<(), TakeError>,
     ) -> Result<(), TakeError> {
         let Some((end, event)) = self.reader.next_located()? else {
             return feed(&mut self.input, &mut self.reader);
         };
         // Events are contiguous in the file.
         let offset = std::mem::replace(&mut self.at, end);
-        let (is_refused, renamed) = self.progress.apply(offset, &event)?;
+        let (is_refused, lost_entries) = self.progress.apply(offset, &event)?;
         let len = end.saturating_sub(offset);
-        let found = Found { offset, len, event, is_refused, renamed };
+        let found = LocatedEvent { offset, len, event, is_refused, lost_entries };
         visit(&found, &self.progress)?;
         match found.event {
             TakeEvent::End { .. } => {
@@ -401,7 +401,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         self.reader = TakeReader::from_key(&take.header, key)?;
         self.at = key.offset;
         if let Some(decoder) = &mut self.progress.decoder {
-            decoder.pass();
+            decoder.skip();
         }
         self.progress.losses.seek(key);
         self.progress.damage_reported = false;

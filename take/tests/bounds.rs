@@ -14,7 +14,7 @@ use mocapd_take::{
     motion::{FrameSource, UpAxis},
     reader::read_events,
     record::{Channel, Device, Header, Ledger},
-    recovery::Survey,
+    recovery::RecoveryScan,
     stretch::{LIVE_ROWS_MAX, ROWS_MAX, Span, Stretch, StretchDecoder, StretchSizes, rows_max},
     traversal::Decode,
 };
@@ -277,7 +277,7 @@ fn a_footer_is_accepted_up_to_the_most_rows_that_can_be_lost() {
         let take = take("dense", &stretches, Some(n_rows));
         let frames = frames(&take);
         assert_eq!(frames.info().n_frames, if believed { n_rows } else { 30 });
-        assert_eq!(frames.map().n_held, Some(30));
+        assert_eq!(frames.map().n_sampled_rows, Some(30));
         assert_eq!(read(&take).1.len(), if believed { 1 } else { 2 });
         // The rows are missing because of the damage, and the footer adds no problem.
         let footer = frames.problems().iter().filter(|p| matches!(p, Problem::FooterRows { .. }));
@@ -294,7 +294,7 @@ fn a_footer_with_more_frames_is_a_problem() {
     assert_eq!(frames(&whole).problems(), []);
     let cut = take("dense", &stretches[..1], Some(60));
     let cut = frames(&cut);
-    assert_eq!(cut.problems(), [Problem::FooterRows { told: 60, found: 30 }]);
+    assert_eq!(cut.problems(), [Problem::FooterRows { stated: 60, found: 30 }]);
 }
 
 /// Their numbers fit, because exactly as many are missing as there are numbers.
@@ -347,8 +347,8 @@ fn duplicates_are_refused_after_a_seek() {
     assert!(map.problems.contains(&twice), "{:?}", map.problems);
     for row in [0, 60] {
         // A map that was built without reading stretches leaves all problems to the traversal.
-        let map = TakeMap { n_held: None, ..map.clone() };
-        let mut part = TakeTraversal::of_map(Cursor::new(&take), &map, Decode::All).unwrap();
+        let map = TakeMap { n_sampled_rows: None, ..map.clone() };
+        let mut part = TakeTraversal::from_map(Cursor::new(&take), &map, Decode::All).unwrap();
         part.seek(row).unwrap();
         let mut rows = Vec::new();
         while let Some(span) = part.next_stretch().unwrap() {
@@ -366,24 +366,24 @@ fn a_stretch_that_is_refused_names_no_channels() {
     let take = take("dense", &[held(0, 0, 30, one), again], None);
     let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
     assert_eq!((map.channels.len(), map.longest_stretch), (1, Some(30)));
-    let survey = Survey::read(&take).unwrap();
-    assert_eq!((survey.channels.len(), survey.per_channel.len()), (1, 1));
+    let scan = RecoveryScan::read(&take).unwrap();
+    assert_eq!((scan.channels.len(), scan.per_channel.len()), (1, 1));
     let named = |problem: &Problem| matches!(problem, Problem::NamesLost { .. });
-    assert!(!map.problems.iter().chain(&survey.problems).any(named), "{:?}", survey.problems);
+    assert!(!map.problems.iter().chain(&scan.problems).any(named), "{:?}", scan.problems);
     // A stretch that is not refused names all of them.
     let take = self::take("dense", &[held(0, 0, 30, one), held(1, 30, 30, three)], None);
-    assert_eq!(Survey::read(&take).unwrap().channels.len(), 3);
+    assert_eq!(RecoveryScan::read(&take).unwrap().channels.len(), 3);
 }
 
 #[test]
 fn an_index_with_another_row_is_a_problem() {
     let take = take("dense", &[held(0, 0, 30, &AT_REST), held(1, 30, 30, &AT_REST)], Some(60));
     let mut map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
-    map.n_held = None;
+    map.n_sampled_rows = None;
     map.keys[1].first_row = 20;
-    let mut part = TakeTraversal::of_map(Cursor::new(&take), &map, Decode::All).unwrap();
+    let mut part = TakeTraversal::from_map(Cursor::new(&take), &map, Decode::All).unwrap();
     part.seek(25).unwrap();
     assert_eq!(part.next_stretch().unwrap().map(|span| span.first_row), Some(30));
-    assert_eq!(part.problems(), [Problem::IndexRow { told: 20, found: 30 }]);
+    assert_eq!(part.problems(), [Problem::IndexRow { stated: 20, found: 30 }]);
     assert!(!part.is_intact());
 }

@@ -37,8 +37,8 @@ fn scanned(take: &[u8]) -> TakeMap {
 /// The offsets of all chunks, and of the end.
 fn chunks(take: &[u8]) -> Vec<usize> {
     let mut at = vec![8];
-    while let mocapd_take::chunk::Front::Whole { len, .. } =
-        mocapd_take::chunk::front(&take[at[at.len() - 1]..])
+    while let mocapd_take::chunk::ChunkParse::Whole { len, .. } =
+        mocapd_take::chunk::parse(&take[at[at.len() - 1]..])
     {
         at.push(at[at.len() - 1] + len);
     }
@@ -87,11 +87,11 @@ fn the_map_from_heads_equals_the_map_from_chunks() {
     let take = take::take("dense");
     let quick = TakeMap::open(&mut Cursor::new(&take)).unwrap();
     let slow = scanned(&take);
-    assert_eq!((quick.n_held, slow.n_held.is_some()), (None, true));
+    assert_eq!((quick.n_sampled_rows, slow.n_sampled_rows.is_some()), (None, true));
     assert!(quick.finished && quick.keys.len() == 10 && quick.events.len() == 5);
     assert_eq!(quick.channels.len(), 6);
     // The length of stretches is unknown, because they were not read.
-    assert_eq!(quick, TakeMap { n_held: None, longest_stretch: None, ..slow });
+    assert_eq!(quick, TakeMap { n_sampled_rows: None, longest_stretch: None, ..slow });
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn what_is_cut_or_damaged_is_scanned() {
         for cut in [end - 3, end] {
             let quick = TakeMap::open(&mut Cursor::new(&take[..cut])).unwrap();
             if cut < take.len() {
-                assert!(!quick.finished && quick.n_held.is_some(), "cut at {cut}");
+                assert!(!quick.finished && quick.n_sampled_rows.is_some(), "cut at {cut}");
                 assert_eq!(quick, scanned(&take[..cut]), "cut at {cut}");
             }
         }
@@ -131,8 +131,8 @@ fn damage_skipped_by_opening_is_reported_when_it_is_read() {
         let mut hurt = whole.clone();
         hurt[key.offset as usize + 40] ^= 1;
         let map = TakeMap::open(&mut Cursor::new(&hurt)).unwrap();
-        assert!(map.problems.is_empty() && map.n_held.is_none());
-        let mut stretches = TakeTraversal::of_map(Cursor::new(&hurt), &map, Decode::All).unwrap();
+        assert!(map.problems.is_empty() && map.n_sampled_rows.is_none());
+        let mut stretches = TakeTraversal::from_map(Cursor::new(&hurt), &map, Decode::All).unwrap();
         stretches.seek(key.first_row).unwrap();
         while stretches.next_stretch().unwrap().is_some() {}
         let problems = stretches.problems();
@@ -148,9 +148,9 @@ fn only_the_groups_that_are_wanted_have_rows() {
             .unwrap();
     let map = TakeMap::open(&mut Cursor::new(&bytes)).unwrap();
     assert!(map.channels.len() > 64);
-    let mut all = TakeTraversal::of_map(Cursor::new(&bytes), &map, Decode::All).unwrap();
+    let mut all = TakeTraversal::from_map(Cursor::new(&bytes), &map, Decode::All).unwrap();
     let groups = Decode::Groups(vec![1]);
-    let mut second = TakeTraversal::of_map(Cursor::new(&bytes), &map, groups).unwrap();
+    let mut second = TakeTraversal::from_map(Cursor::new(&bytes), &map, groups).unwrap();
     let mut with_samples = 0;
     while let Some(span) = all.next_stretch().unwrap() {
         assert_eq!(second.next_stretch().unwrap(), Some(span));
@@ -189,7 +189,7 @@ fn what_lies_before_the_key_is_not_read() {
     let read = Rc::new(Cell::new(0));
     let mut input = Counting(Cursor::new(&take), Rc::clone(&read));
     let map = TakeMap::open(&mut input).unwrap();
-    let mut stretches = TakeTraversal::of_map(input, &map, Decode::All).unwrap();
+    let mut stretches = TakeTraversal::from_map(input, &map, Decode::All).unwrap();
     read.set(0);
     let key = map.keys[9];
     stretches.seek(map.n_rows - 1).unwrap();

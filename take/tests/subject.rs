@@ -9,18 +9,18 @@ use std::{io::Cursor, ops::Range};
 
 use mocapd_take::{
     TakeFrames, TakeMap,
-    chunk::{self, Front, MAGIC, MAY_SKIP, types},
+    chunk::{self, ChunkParse, MAGIC, MAY_SKIP, types},
     damage::Problem,
     motion::{FrameSource, GAP},
     reader::read_events,
     record::{Record, Subject},
-    recovery::{Kind, Survey},
+    recovery::{ChunkKind, RecoveryScan},
 };
 
 /// The range of the take's SUBJECT, right after the header.
 fn place(take: &[u8]) -> Range<usize> {
-    let front = |at: usize| match chunk::front(&take[at..]) {
-        Front::Whole { kind, len, .. } => (kind, at + len),
+    let front = |at: usize| match chunk::parse(&take[at..]) {
+        ChunkParse::Whole { kind, len, .. } => (kind, at + len),
         other => panic!("{other:?}"),
     };
     let (header, behind) = front(MAGIC.len());
@@ -54,7 +54,7 @@ fn every_reader_finds_it() {
     assert_eq!((found, problems), (Some(take::subject()), vec![]));
     let quick = TakeMap::open(&mut Cursor::new(&whole)).unwrap();
     let scanned = TakeMap::scan(&mut Cursor::new(&whole)).unwrap();
-    assert_eq!(quick.n_held, None, "known by the heads of its chunks");
+    assert_eq!(quick.n_sampled_rows, None, "known by the heads of its chunks");
     assert_eq!(quick.subject, Some(take::subject()));
     assert_eq!(scanned.subject, quick.subject);
     let mut bytes = 0;
@@ -99,7 +99,7 @@ fn a_damaged_one_costs_nothing_else() {
         let (found, problems, subject) = samples(&hurt);
         assert!(found == wanted && problems.len() == 1, "byte {at}: {problems:?}");
         // A head that alone is damaged is repaired.
-        let is_mended = matches!(problems[0], Problem::Mended { .. });
+        let is_mended = matches!(problems[0], Problem::Repaired { .. });
         assert_eq!(subject.is_some(), is_mended, "byte {at}: {problems:?}");
     }
     // The CRC matches, but the content is invalid.
@@ -124,11 +124,11 @@ fn a_recovery_keeps_it() {
         hurt
     };
     for take in [&whole, &hurt, &whole[..whole.len() / 2].to_vec()] {
-        let survey = Survey::read(&take[..]).unwrap();
+        let scan = RecoveryScan::read(&take[..]).unwrap();
         let mut new = Vec::new();
-        survey.write(Cursor::new(&take[..]), &mut new, "tests").unwrap();
+        scan.write(Cursor::new(&take[..]), &mut new, "tests").unwrap();
         assert_eq!(new[place(&new)], whole[place(&whole)], "the same bytes, behind the header");
-        let kept = survey.kinds.iter().find(|count| count.kind == Kind::Subject).unwrap();
+        let kept = scan.kinds.iter().find(|count| count.kind == ChunkKind::Subject).unwrap();
         assert_eq!((kept.recovered, kept.discarded), (1, 0));
     }
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use mocapd_body::Mesh;
 use mocapd_testkit::{
     photograph::Scene,
-    synthetic_body::{Options, Pose, body},
+    synthetic_body::{BodyOptions, Pose, body},
 };
 
 /// Outer interocular distance: that of a portrait which fills a screen.
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(seed) => seed.to_str().ok_or("SEED must be a number")?.parse()?,
         None => 5,
     };
-    let (mesh, _) = body(seed, Pose::A, Options { n_faces: N_FACES, turned: false });
+    let (mesh, _) = body(seed, Pose::A, BodyOptions { n_faces: N_FACES, turned: false });
     std::fs::write(Path::new(&folder).join("scan.obj"), obj(&mesh)?)?;
     Scene::portrait(seed, INTEROCULAR_PX, 0.0)
         .render()?

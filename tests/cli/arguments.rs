@@ -1,7 +1,7 @@
 //! Invalid arguments: exit code 2, and one line that says what to type.
 
 use super::Folder;
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 /// A folder with `jump.csv` and `jump.take`, so that only the argument under test is wrong.
 fn folder() -> Folder {
@@ -13,7 +13,7 @@ fn folder() -> Folder {
 
 #[track_caller]
 fn refused_with(folder: &Folder, args: &[&str], facts: &[&str]) {
-    assert_tells(&folder.refuses(args, 2), facts);
+    assert_mentions(&folder.refuses(args, 2), facts);
 }
 
 /// Asserts that a value of an option is refused, in a message with both and with these facts.

@@ -15,7 +15,7 @@ use super::{
     devices::{RawLine, Recorder, Simulated},
     unprivileged,
 };
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
 #[track_caller]
 fn refused(folder: &Folder, device: &str) -> String {
@@ -29,10 +29,10 @@ fn absent_devices_and_other_files_are_refused() {
     let absent = |device: &str| TransportError::NotFound { device: device.to_owned() }.to_string();
     assert_eq!(refused(&folder, "serial:/dev/mocapd-none"), absent("/dev/mocapd-none"));
     for path in ["file", ".", "/dev/null"] {
-        assert_tells(&refused(&folder, &format!("serial:{path}")), &[path, "/dev/ttyUSB0"]);
+        assert_mentions(&refused(&folder, &format!("serial:{path}")), &[path, "/dev/ttyUSB0"]);
     }
     assert_eq!(refused(&folder, "usb:1209:0001:none"), absent("usb:1209:0001:none"));
-    assert_tells(&absent(""), &["mocapd devices"]);
+    assert_mentions(&absent(""), &["mocapd devices"]);
 }
 
 #[test]
@@ -60,8 +60,8 @@ fn a_device_without_permission_is_refused() {
     let Some(user) = unprivileged::command_in(&folder) else { return };
     unprivileged::forbid(&device.path);
     let line = folder.refused(user(&["record", "-d", &device.uri(), "-o", "new.take"]), 1);
-    assert_tells(&line, &[&device.path.display().to_string()]);
-    assert!(["udev", "usermod"].iter().any(|remedy| tells(&line, remedy)), "{line}");
+    assert_mentions(&line, &[&device.path.display().to_string()]);
+    assert!(["udev", "usermod"].iter().any(|remedy| mentions(&line, remedy)), "{line}");
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
     let device = Simulated::start(jump(1, 500.0, 0.5), settings, Some(baud));
     let uri = device.uri();
     let line = folder.refuses(&["record", "-d", &uri, "-o", "new.take"], 1);
-    assert_tells(&line, &["500 Hz", "11520"]);
+    assert_mentions(&line, &["500 Hz", "11520"]);
     let rate = line.split("--rate ").nth(1).and_then(|rest| rest.split(',').next());
     let rate = rate.unwrap_or_else(|| panic!("no rate in: {line}"));
     assert!(rate.parse::<f64>().is_ok_and(|hz| hz > 10.0 && hz < 500.0), "{line}");
@@ -85,7 +85,7 @@ fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
     std::fs::remove_file(folder.path("new.take")).unwrap();
     let more = format!("{}", rate.parse::<f64>().unwrap() + 1.0);
     let line = folder.refuses(&[&record[..], &[more.as_str()]].concat(), 1);
-    assert_tells(&line, &[&more, "11520", "--rate", rate]);
+    assert_mentions(&line, &[&more, "11520", "--rate", rate]);
 }
 
 /// Both wait for an answer that never comes, in parallel.
@@ -116,8 +116,8 @@ fn silent_and_foreign_devices_are_refused() {
         done.store(true, Ordering::Relaxed);
         let (noisy_line, mute_line) = (ended.0.unwrap(), ended.1.unwrap());
         // The message names the driver that could not decode the noise; silence has none to name.
-        assert_tells(&noisy_line, &[&noisy_uri, "dvmc", "baud", "?driver=NAME"]);
-        assert_tells(&mute_line, &[&mute.uri(), "cable", "baud", "?driver=NAME"]);
-        assert!(!tells(&mute_line, "dvmc"), "{mute_line}");
+        assert_mentions(&noisy_line, &[&noisy_uri, "dvmc", "baud", "?driver=NAME"]);
+        assert_mentions(&mute_line, &[&mute.uri(), "cable", "baud", "?driver=NAME"]);
+        assert!(!mentions(&mute_line, "dvmc"), "{mute_line}");
     });
 }

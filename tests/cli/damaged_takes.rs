@@ -4,7 +4,7 @@ use mocapd_take::{NotATake, damage::Problem};
 use serde_json::Value;
 
 use super::{Folder, Ran};
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 /// Length of a header, the first chunk: type 01, varint length, payload, CRC-32.
 fn header_end(take: &[u8]) -> usize {
@@ -46,7 +46,7 @@ fn looked_at(folder: &Folder) -> (Value, Vec<String>) {
     }
     std::fs::remove_file(folder.path("bad.csv")).ok();
     let export: Ran = folder.run(&["export", "bad.take", "-o", "bad.csv"]).with_code(3);
-    assert_tells(&export.stderr, &["bad.take", problems(&info)[0]]);
+    assert_mentions(&export.stderr, &["bad.take", problems(&info)[0]]);
     let rows: Vec<String> = folder.text("bad.csv").lines().skip(1).map(str::to_owned).collect();
     assert_eq!(rows.len() as u64, info["frames"].as_u64().unwrap());
     (info, rows)
@@ -72,13 +72,16 @@ fn a_truncated_take_is_read_to_its_end() {
     for cut in [9, header - 1] {
         folder.write("bad.take", &take[..cut]);
         let line = folder.refuses(&["info", "bad.take"], 1);
-        assert_tells(&line, &["bad.take", &NotATake::HeaderCut.to_string()]);
+        assert_mentions(&line, &["bad.take", &NotATake::HeaderCut.to_string()]);
     }
     for cut in [header, header + 1] {
         folder.write("bad.take", &take[..cut]);
         assert_eq!(folder.run(&["info", "bad.take", "--json"]).with_code(3).json()["frames"], 0);
         folder.run(&["verify", "bad.take"]).with_code(3);
-        assert_tells(&folder.refuses(&["export", "bad.take", "-o", "new.csv"], 1), &["bad.take"]);
+        assert_mentions(
+            &folder.refuses(&["export", "bad.take", "-o", "new.csv"], 1),
+            &["bad.take"],
+        );
     }
 }
 
@@ -110,7 +113,7 @@ fn damage_in_the_middle_costs_its_stretch_and_no_more() {
     let verify = folder.run(&["verify", "bad.take"]).with_code(3);
     // The frames on the ledger, and those that are left.
     let counts = [&info["ledger"]["samples_present"], &info["samples"]].map(Value::to_string);
-    assert_tells(&verify.stderr, &["bad.take", &counts[0], &counts[1]]);
+    assert_mentions(&verify.stderr, &["bad.take", &counts[0], &counts[1]]);
 }
 
 #[test]

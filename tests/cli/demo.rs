@@ -1,7 +1,7 @@
 //! `demo`: recording, verification and export without hardware.
 
 use super::Folder;
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 #[test]
 fn the_demo_records_verifies_and_exports() {
@@ -10,7 +10,7 @@ fn the_demo_records_verifies_and_exports() {
     let ran = folder.run(&demo).with_code(0);
     assert_eq!(ran.stderr, "");
     let facts = ["240 Hz", "1 s", "1 mm", "ledger closes", "mocapd info d/jump-001.take"];
-    assert_tells(&ran.stdout, &facts);
+    assert_mentions(&ran.stdout, &facts);
     let info = folder.run(&["info", "d/jump-001.take", "--json"]).with_code(0).json();
     assert_eq!(info["ledger"]["closes"], true, "{info}");
     let names = || {

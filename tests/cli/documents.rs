@@ -7,7 +7,7 @@ use std::{
 };
 
 use mocapd_take::{
-    chunk::{self, Front, types},
+    chunk::{self, ChunkParse, types},
     index::Footer,
     record::{Record, Subject},
 };
@@ -17,7 +17,7 @@ use super::{
     Folder,
     devices::{Recorder, Simulated},
 };
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 const DOCUMENT: &str = include_str!("../../docs/json.md");
 
@@ -140,7 +140,7 @@ fn info_and_verify() {
     let mut bytes = folder.read(take);
     let mut at = chunk::MAGIC.len();
     let mut last = 0;
-    while let Front::Whole { kind, len, .. } = chunk::front(&bytes[at..]) {
+    while let ChunkParse::Whole { kind, len, .. } = chunk::parse(&bytes[at..]) {
         last = if kind == types::STRETCH { at } else { last };
         at += len;
     }
@@ -253,7 +253,7 @@ fn doctor() {
     let is_failure = |finding: &&Value| finding["verdict"] == "failure";
     let n_failures = no_folder.json().as_array().unwrap().iter().filter(is_failure).count();
     assert!(n_failures > 0, "{}", no_folder.stdout);
-    assert_tells(&no_folder.stderr, &[&n_failures.to_string()]);
+    assert_mentions(&no_folder.stderr, &[&n_failures.to_string()]);
     check("`mocapd doctor`", &[no_folder.json(), examined.json()]);
     assert_eq!(folder.path("").read_dir().unwrap().count(), 0);
 }

@@ -4,7 +4,7 @@ use mocapd_acquire::files::NameTaken;
 use mocapd_take::{interchange::Format, motion::MotionEvent, record::EventKind};
 
 use super::Folder;
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 fn folder() -> (Folder, Vec<String>) {
     let folder = Folder::new();
@@ -54,7 +54,7 @@ fn an_empty_part_is_refused() {
         &["--to", "0"],
     ] {
         let line = folder.refuses(&[&["export", "jump.take", "-o", "a.csv"], times].concat(), 2);
-        assert_tells(&line, &["jump.take", "1.000 s", "--from", "--to"]);
+        assert_mentions(&line, &["jump.take", "1.000 s", "--from", "--to"]);
     }
 }
 
@@ -86,17 +86,17 @@ fn parquet_and_mcap_are_built_in_or_the_error_says_how_to_get_them() {
             assert!(folder.path(output).metadata().unwrap().len() > 1000);
         } else {
             let line = folder.refuses(&export, 1);
-            assert_tells(&line, &["cargo build --release --features full"]);
+            assert_mentions(&line, &["cargo build --release --features full"]);
             assert!(!folder.path(output).exists());
         }
     }
     for output in ["a.csv", "b.mcap"] {
         let line = folder.refuses(&["export", "jump.take", "-o", output, "--wide"], 2);
-        assert_tells(&line, &["--wide", ".parquet"]);
+        assert_mentions(&line, &["--wide", ".parquet"]);
     }
     folder.write("t.parquet", "PAR1");
     let line = folder.refuses(&["import", "t.parquet", "-o", "t.take"], 2);
-    assert_tells(&line, &["t.parquet", ".c3d", ".trc", ".tsv", ".csv"]);
+    assert_mentions(&line, &["t.parquet", ".c3d", ".trc", ".tsv", ".csv"]);
 }
 
 /// Events stay with their frames: from a file to the take, to another file, and those of an excerpt to the excerpt.
@@ -127,7 +127,7 @@ fn events_go_where_their_frames_go() {
     folder.run(&["import", "part.c3d", "-o", "part.take"]).with_code(0);
     assert_eq!(events_of("part.take"), [trigger(10)]);
     let line = folder.run(&["export", "jump.take", "-o", "jump.csv"]).with_code(0).stderr;
-    assert_tells(&line, &["jump.csv", "2 events"]);
+    assert_mentions(&line, &["jump.csv", "2 events"]);
 }
 
 /// Formats chosen by name, and a folder that is created atomically.
@@ -159,6 +159,6 @@ fn incompatible_options_are_refused() {
         (&["-o", "a"], [".c3d", "--format"]),
         (&["-o", "a.c3d", "--format", "hdf5"], ["hdf5", "--format"]),
     ] {
-        assert_tells(&folder.refuses(&[&["export", "jump.take"], args].concat(), 2), &facts);
+        assert_mentions(&folder.refuses(&[&["export", "jump.take"], args].concat(), 2), &facts);
     }
 }

@@ -6,7 +6,7 @@ pub(super) mod played;
 use std::fs;
 
 use mocapd_acquire::verdict::Finding;
-use mocapd_simulator::faults::{Agreement, Expect, Fate, Script};
+use mocapd_simulator::faults::{ExpectedRecording, Fate, LedgerMatch, Script};
 use serde_json::Value;
 
 use self::{
@@ -14,7 +14,7 @@ use self::{
     played::{Played, play, sent_frames},
 };
 use super::Folder;
-use crate::support::{assert_tells, chunks, rows, tells};
+use crate::support::{assert_mentions, chunks, mentions, rows};
 
 const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/simulator/faults");
 
@@ -86,16 +86,16 @@ fn agrees(name: &str) {
 
 /// An exit code of 3 is explained, and so is it by commands that read the take; a ledger that closes causes no such
 /// message.
-fn contradictions_are_reported(folder: &Folder, played: &Played, expect: &Expect) {
+fn contradictions_are_reported(folder: &Folder, played: &Played, expect: &ExpectedRecording) {
     let (verify, info) = (folder.run(&["verify", "a.take"]), folder.run(&["info", "a.take"]));
     let open = Finding::LedgerOpen.to_string();
     for output in [&played.ran.stderr, &verify.stderr, &info.stderr] {
-        assert_eq!(tells(output, &open), !expect.contradictions.is_empty(), "{output}");
+        assert_eq!(mentions(output, &open), !expect.contradictions.is_empty(), "{output}");
     }
     for contradiction in contradictions(&played.report["ledger"]) {
-        assert_tells(&played.ran.stderr, &[&contradiction]);
-        assert_tells(&verify.stderr, &["a.take", &contradiction]);
-        assert_tells(&info.stdout, &[&contradiction]);
+        assert_mentions(&played.ran.stderr, &[&contradiction]);
+        assert_mentions(&verify.stderr, &["a.take", &contradiction]);
+        assert_mentions(&info.stdout, &[&contradiction]);
     }
 }
 
@@ -103,7 +103,7 @@ fn contradictions(ledger: &Value) -> Vec<String> {
     serde_json::from_value(ledger["contradictions"].clone()).unwrap()
 }
 
-fn ledger_agrees(played: &Played, expect: &Expect, output: &str) {
+fn ledger_agrees(played: &Played, expect: &ExpectedRecording, output: &str) {
     let ledger = &played.report["ledger"];
     let expected = expected(&played.fates);
     assert_eq!(ledger["frame_balance"], 0, "{output}");
@@ -116,12 +116,12 @@ fn ledger_agrees(played: &Played, expect: &Expect, output: &str) {
     assert_eq!(count("dropped_by_device"), expected.dropped, "dropped: {output}");
     assert_eq!(count("lost_on_link"), expected.lost_on_link, "lost: {output}");
     match expect.ledger {
-        Agreement::Exact => {
+        LedgerMatch::Exact => {
             assert_eq!(count("unknown_after_disconnect"), expected.unknown, "unknown: {output}");
             assert_eq!(count("frames_sent"), played.fates.len() as u64, "sent: {output}");
             assert_eq!(count("frames_sent"), played.sent.total.frames_produced);
         }
-        Agreement::ByHostClock => {
+        LedgerMatch::ByHostClock => {
             // The frames due by the host's clock, within half a second on a busy machine.
             let unknown = count("unknown_after_disconnect") as f64 / played::RATE_HZ;
             assert!((unknown - expected.away_s).abs() < 0.5, "{unknown} s: {output}");
@@ -143,7 +143,7 @@ fn ledger_agrees(played: &Played, expect: &Expect, output: &str) {
 }
 
 /// The texts of a recording contain those that its script expects, in order.
-pub(super) fn texts_agree(ledger: &Value, info: &Value, expect: &Expect) {
+pub(super) fn texts_agree(ledger: &Value, info: &Value, expect: &ExpectedRecording) {
     let events = info["events"].as_array().unwrap().iter();
     let events = events.map(|event| event["text"].as_str().unwrap().to_owned()).collect();
     for (what, found, wanted) in [

@@ -3,7 +3,7 @@
 use std::process::{Command, Stdio};
 
 use super::{Folder, Ran, devices::Simulated};
-use crate::support::{assert_tells, crowd};
+use crate::support::{assert_mentions, crowd};
 
 /// Runs a script in `folder`, where `disk` is a file system of so many bytes; `None`, with the reason printed, where
 /// none can be mounted. The program is `$mocapd`, the device `$device`.
@@ -51,7 +51,7 @@ fn a_take_is_closed_before_the_disk_is_full_and_the_next_is_refused() {
 
     assert_eq!(second.code, Some(1), "{}", second.stderr);
     let line = second.stderr.lines().last().unwrap();
-    assert_tells(line, &["disk/b.take", "4 MB", "--keep-free"]);
+    assert_mentions(line, &["disk/b.take", "4 MB", "--keep-free"]);
 }
 
 #[test]

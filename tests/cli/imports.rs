@@ -9,7 +9,7 @@ use mocapd_take::{
 use serde_json::Value;
 
 use super::Folder;
-use crate::support::{assert_tells, chunks, crowd, jump};
+use crate::support::{assert_mentions, chunks, crowd, jump};
 
 fn samples(motion: &Motion) -> u64 {
     motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
@@ -133,7 +133,7 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
     assert_eq!(header(&plain).created_unix_ms, 0);
     assert_eq!(folder.run(&["info", "1.take", "--json"]).json()["created"], Value::Null);
     let printed = folder.run(&["info", "1.take"]).with_code(0).stdout;
-    assert_tells(&printed, &[concat!("mocapd ", env!("CARGO_PKG_VERSION"))]);
+    assert_mentions(&printed, &[concat!("mocapd ", env!("CARGO_PKG_VERSION"))]);
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn a_take_that_differs_fails_and_says_where() {
     folder.write_motion("b.csv", &motion);
     let ran = folder.run(&["verify", "a.take", "--against", "b.csv", "--json"]).with_code(1);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["a.take", "b.csv"]);
+    assert_mentions(&ran.stderr, &["a.take", "b.csv"]);
     let against = &ran.json()["against"];
     assert_eq!(against["within_tolerance"], false);
     assert_eq!((&against["worst_frame"], &against["worst_marker"]), (&31.into(), &marker.into()));
@@ -179,7 +179,7 @@ fn a_take_that_differs_fails_and_says_where() {
     assert!((error - 50.0).abs() < 0.6, "{error}");
     assert_eq!(against["labels_differing"][0], "crown");
     let printed = folder.run(&["verify", "a.take", "--against", "b.csv"]).with_code(1).stdout;
-    assert_tells(&printed, &["0.5 mm", "crown"]);
+    assert_mentions(&printed, &["0.5 mm", "crown"]);
 }
 
 #[test]
@@ -188,11 +188,11 @@ fn foreign_parts_are_kept_reported_and_dropped_on_request() {
     folder.write_motion("a.c3d", &jump(11, 60.0, 0.5));
     folder.run(&["import", "a.c3d", "-o", "kept.take"]).with_code(0);
     let info = folder.run(&["info", "kept.take"]).with_code(0).stdout;
-    assert_tells(&info, &["c3d/parameters"]);
+    assert_mentions(&info, &["c3d/parameters"]);
     let ran = folder.run(&["import", "a.c3d", "-o", "bare.take", "--drop-foreign", "--json"]);
     let ran = ran.with_code(0);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["a.c3d", "c3d/parameters"]);
+    assert_mentions(&ran.stderr, &["a.c3d", "c3d/parameters"]);
     assert_eq!(ran.json()["foreign_dropped"], serde_json::json!(["c3d/parameters"]));
     let info = folder.run(&["info", "bare.take", "--json"]).with_code(0).json();
     assert_eq!(info["foreign_parts"], serde_json::json!([]));
@@ -203,6 +203,6 @@ fn foreign_parts_are_kept_reported_and_dropped_on_request() {
     // Another format cannot store them, and the export reports it.
     let ran = folder.run(&["export", "kept.take", "-o", "kept.csv"]).with_code(0);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["kept.csv", "c3d/parameters", "z"]);
+    assert_mentions(&ran.stderr, &["kept.csv", "c3d/parameters", "z"]);
     assert_eq!(folder.run(&["export", "kept.take", "-o", "kept.c3d"]).with_code(0).stderr, "");
 }

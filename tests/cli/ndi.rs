@@ -7,7 +7,7 @@ use mocapd_simulator::{
 use mocapd_take::motion::Motion;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
 /// How many late answers are tolerated: a busy machine may wake
 /// the simulated system late.
@@ -120,7 +120,7 @@ fn slow_line(
         record.extend(["--seconds", "2s"]);
     }
     let ran = folder.run(&record).with_code(3);
-    assert_tells(&ran.stderr, &["57600", "60 Hz", "@230400"]);
+    assert_mentions(&ran.stderr, &["57600", "60 Hz", "@230400"]);
     let report = ran.json();
     if !looping {
         // A second run, with text output.
@@ -128,7 +128,7 @@ fn slow_line(
         let printed = folder.run(&record).with_code(3).stdout;
         let info = folder.run(&["info", &words, "--json"]).json();
         let appeared = info["channels"].as_array().unwrap().len() - tools.len();
-        assert_tells(&printed, &[&tools.len().to_string(), &appeared.to_string()]);
+        assert_mentions(&printed, &[&tools.len().to_string(), &appeared.to_string()]);
     }
     let log = device.unplug();
     // Of the last run, or of the only one.
@@ -163,7 +163,7 @@ fn refusals_say_what_to_do() {
     let device = Simulated::serve(NdiDevice::new(motion, settings).unwrap(), None);
     let uri = format!("{}?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &uri, "-o", "a.take"], 1);
-    assert_tells(&line, &["NDI", "tool"]);
+    assert_mentions(&line, &["NDI", "tool"]);
 }
 
 #[test]
@@ -175,11 +175,11 @@ fn a_line_too_slow_for_its_tools_is_refused_and_a_rate_cannot_be_set() {
         Simulated::serve(NdiDevice::new(motion.clone(), system(&motion, &tools)).unwrap(), None);
     let slow = format!("{}@9600?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &slow, "-o", "a.take"], 1);
-    assert_tells(&line, &["4 tools", "9600", "60 Hz", "@230400"]);
-    assert!(!tells(&line, "USB"), "{line}");
+    assert_mentions(&line, &["4 tools", "9600", "60 Hz", "@230400"]);
+    assert!(!mentions(&line, "USB"), "{line}");
     let uri = format!("{}?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &uri, "-o", "a.take", "--rate", "120"], 1);
-    assert_tells(&line, &["120 Hz", "60 Hz", "--rate"]);
+    assert_mentions(&line, &["120 Hz", "60 Hz", "--rate"]);
 }
 
 #[test]

@@ -12,7 +12,7 @@ use mocapd_simulator::generator::JumpSpec;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::{Folder, unprivileged};
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 fn folder() -> Folder {
     let folder = Folder::new();
@@ -59,12 +59,12 @@ fn a_missing_folder_is_not_created() {
     ] {
         assert_eq!(folder.refuses(args, 1), expected, "{args:?}");
     }
-    assert_tells(&folder.refuses(&["bench", "pipeline", "--dir", "no/such"], 1), &["no/such"]);
+    assert_mentions(&folder.refuses(&["bench", "pipeline", "--dir", "no/such"], 1), &["no/such"]);
     folder.write("file", "");
     let line = folder.refuses(&["import", "jump.csv", "-o", "file/new.take"], 1);
-    assert_tells(&line, &["file/new.take"]);
+    assert_mentions(&line, &["file/new.take"]);
     let line = folder.refuses(&["demo", "--seconds", "1", "--out", "file"], 1);
-    assert_tells(&line, &["file"]);
+    assert_mentions(&line, &["file"]);
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn an_import_that_fails_leaves_nothing() {
     let spec = JumpSpec { seconds: Some(15.0), ..JumpSpec::new(1, 120.0) };
     folder.write_motion("long.csv", &spec.generate().unwrap().motion);
     let import = ["import", "long.csv", "-o", "new.take", "--resampler", "spline:exhaustive"];
-    assert_tells(&folder.refuses(&import, 1), &["new.take", "1024", "1800", ":worst-sample"]);
+    assert_mentions(&folder.refuses(&import, 1), &["new.take", "1024", "1800", ":worst-sample"]);
 }
 
 #[test]

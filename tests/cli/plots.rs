@@ -5,7 +5,7 @@ use mocapd_simulator::generator::JumpSpec;
 use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo};
 
 use super::Folder;
-use crate::support::{assert_tells, tells};
+use crate::support::{assert_mentions, mentions};
 
 fn folder() -> Folder {
     let folder = Folder::new();
@@ -104,7 +104,7 @@ fn a_trajectory_has_its_samples_and_its_tolerance() {
     assert_eq!(circles("fill=\"none\""), 4 * 120 + 1);
     let kept = circles("fill=\"#D55E00\"");
     assert!(kept > 4 * 3 && kept % 4 == 1, "{kept}");
-    assert_tells(&svg, &["x (mm)", "z (mm)", "(s)", "5 mm", "r_wrist", "jump.take"]);
+    assert_mentions(&svg, &["x (mm)", "z (mm)", "(s)", "5 mm", "r_wrist", "jump.take"]);
     // With an original there is an error axis.
     let axes = |svg: &str| svg.matches("(mm)").count();
     assert_eq!(axes(&svg), axes(&drawn(&folder, &args[..4])) + 1);
@@ -130,7 +130,7 @@ fn unusual_takes_give_plots_or_reasons() {
         folder.refuses(&[&["plot"], args, &["-o", "new.svg"]].concat(), code)
     };
     drawn(&folder, &["quality", "gaps.take"]);
-    assert_tells(&refuses(&["trajectory", "gaps.take"], 1), &["m<1>&"]);
+    assert_mentions(&refuses(&["trajectory", "gaps.take"], 1), &["m<1>&"]);
     refuses(&["pose", "gaps.take"], 1);
     let thirteen = vec!["1s"; 13].join(",");
     for (args, code, facts) in [
@@ -140,12 +140,12 @@ fn unusual_takes_give_plots_or_reasons() {
         (&["pose", "half.take", "--at", &thirteen], 1, &["13", "1", "12"]),
         (&["sizes", "a", "b", "c", "d", "e", "f", "g"], 2, &["7"]),
     ] {
-        assert_tells(&refuses(args, code), facts);
+        assert_mentions(&refuses(args, code), facts);
     }
     let absent = FileError::NotFound("none.take".into()).to_string();
     assert_eq!(refuses(&["quality", "none.take"], 1), absent);
     let plot = |output: &'static str| ["plot", "quality", "one.take", "-o", output];
-    assert_tells(&folder.refuses(&plot("q.gif"), 2), &["q.gif", ".svg", ".png"]);
+    assert_mentions(&folder.refuses(&plot("q.gif"), 2), &["q.gif", ".svg", ".png"]);
     folder.write("there.svg", "mine");
     let exists = NameTaken { path: "there.svg".into() }.to_string();
     assert_eq!(folder.refuses(&plot("there.svg"), 1), exists);
@@ -164,7 +164,7 @@ fn ten_thousand_markers_can_be_plotted() {
     let quality = texts(&drawn(&folder, &["quality", "many.take"]));
     // The caption states how many markers are shown.
     for (picture, n_shown) in [(&pose, "500"), (&quality, "60")] {
-        let is_stated = |text: &String| tells(text, n_shown) && tells(text, "10000");
+        let is_stated = |text: &String| mentions(text, n_shown) && mentions(text, "10000");
         assert!(picture.iter().any(is_stated), "{picture:?}");
     }
     assert_eq!(quality.iter().filter(|text| text.starts_with("m<")).count(), 60, "{quality:?}");
@@ -180,5 +180,8 @@ fn a_skeleton_file_defines_the_lines() {
     assert_eq!(lines(&["pose", "m.take", "--at", "0s", "--skeleton", "bones.csv"]), none + 2);
     folder.write("bones.csv", "m<0>&,toe\n");
     let args = ["plot", "pose", "m.take", "-o", "new.svg", "--skeleton", "bones.csv"];
-    assert_tells(&folder.refuses(&args, 2), &["bones.csv", "line 1", "toe", "mocapd subject body"]);
+    assert_mentions(
+        &folder.refuses(&args, 2),
+        &["bones.csv", "line 1", "toe", "mocapd subject body"],
+    );
 }

@@ -6,11 +6,11 @@ use mocapd_body::{Joint, Joints, Mesh, Side, skeleton::Skeleton};
 use mocapd_face::{fit::NoFace, fitted::FittedFace};
 use mocapd_testkit::{
     photograph::Scene,
-    synthetic_body::{Options, Pose, body},
+    synthetic_body::{BodyOptions, Pose, body},
 };
 
 use super::Folder;
-use crate::support::{assert_tells, tells};
+use crate::support::{assert_mentions, mentions};
 
 fn obj(mesh: &Mesh) -> String {
     let mut text = String::new();
@@ -33,13 +33,13 @@ fn length_mm(joints: &Joints, from: Joint, to: Joint) -> f64 {
 #[test]
 fn scans_of_one_person_give_a_skeleton_and_a_picture() {
     let folder = Folder::new();
-    let options = Options { n_faces: 6000, turned: true };
+    let options = BodyOptions { n_faces: 6000, turned: true };
     let (mesh, truth) = body(7, Pose::A, options);
     folder.write("a.obj", obj(&mesh));
     folder.write("walk.obj", obj(&body(7, Pose::Walk, options).0));
     let args = ["subject", "body", "a.obj", "walk.obj", "-o", "s.json", "--picture", "p.svg"];
     let ran = folder.run(&args).with_code(0);
-    assert_tells(&ran.stdout, &["l_upper_arm", "2 scans"]);
+    assert_mentions(&ran.stdout, &["l_upper_arm", "2 scans"]);
     let skeleton = Skeleton::from_json(&folder.read("s.json")).unwrap();
     assert_eq!(skeleton.sources.len(), 2);
     assert!(skeleton.sources.iter().all(|source| source.unit.as_deref() == Some("m") && source.unit_inferred == Some(true)));
@@ -50,12 +50,12 @@ fn scans_of_one_person_give_a_skeleton_and_a_picture() {
     // Nothing is written if no bone has a plausible length, or two outputs are the same file.
     let ran =
         folder.run(&["subject", "body", "a.obj", "--unit", "mm", "-o", "mm.json"]).with_code(1);
-    assert_tells(&ran.stderr, &["a.obj", "2 mm", "--unit"]);
+    assert_mentions(&ran.stderr, &["a.obj", "2 mm", "--unit"]);
     assert!(!folder.path("mm.json").exists());
     folder.run(&["subject", "body", "a.obj", "-o", "x.svg", "--picture", "x.svg"]).with_code(2);
     let picture = String::from_utf8(folder.read("p.svg")).unwrap();
     assert!(picture.starts_with("<svg"), "{picture}");
-    assert_tells(&picture, &["knee"]);
+    assert_mentions(&picture, &["knee"]);
 
     // With -, stdout has only the skeleton, stderr the table, and no file is called -.
     let ran = folder.run(&["subject", "body", "a.obj", "walk.obj", "-o", "-"]).with_code(0);
@@ -81,7 +81,7 @@ fn other_meshes_than_bodies_are_refused_with_a_reason() {
     folder.write("nan.obj", tetrahedron.replace("v 1 0 0", "v nan 0 0"));
     folder.write("short.stl", [0; 83]);
     // A scan up to the waist.
-    let mut half = body(7, Pose::A, Options { n_faces: 3000, turned: false }).0;
+    let mut half = body(7, Pose::A, BodyOptions { n_faces: 3000, turned: false }).0;
     let is_low = |corner: &u32| half.positions[*corner as usize][1] < 0.9;
     half.triangles = half.triangles.iter().copied().filter(|t| t.iter().all(is_low)).collect();
     folder.write("half.obj", obj(&half));
@@ -94,7 +94,7 @@ fn other_meshes_than_bodies_are_refused_with_a_reason() {
         ("half.obj", &["%"]),
     ] {
         let ran = folder.run(&["subject", "body", name, "-o", "s.json"]).with_code(1);
-        assert_tells(&ran.stderr, &[&[name], facts].concat());
+        assert_mentions(&ran.stderr, &[&[name], facts].concat());
         assert!(!folder.path("s.json").exists());
     }
 }
@@ -110,7 +110,7 @@ fn a_photograph_gives_a_face() {
     let args = ["subject", "face", "a.ppm", "--largest", "-o", "f.json", "--obj", "f.obj"];
     let ran = folder.run(&[&args[..], &["--overlay", "o.png", "--views", "v.svg"]].concat());
     let ran = ran.with_code(0);
-    assert_tells(&ran.stdout, &["1 face", "of 53"]);
+    assert_mentions(&ran.stdout, &["1 face", "of 53"]);
     let face = FittedFace::from_json(&folder.read("f.json")).unwrap();
     let truth = &picture.faces[0];
     let off = |point: &mocapd_face::model::Landmark| {
@@ -133,7 +133,7 @@ fn a_photograph_gives_a_face() {
 
     let ran = folder.run(&["subject", "face", "a.ppm", "--largest", "-o", "-"]).with_code(0);
     assert_eq!(ran.stdout.trim_end().as_bytes(), folder.read("f.json").trim_ascii_end());
-    assert_tells(&ran.stderr, &["1 face", "of 53"]);
+    assert_mentions(&ran.stderr, &["1 face", "of 53"]);
     for option in ["--overlay", "--obj", "--views"] {
         let ran = folder.run(&["subject", "face", "a.ppm", option, "-"]).with_code(2);
         assert!(ran.stderr.contains("-") && ran.stdout.is_empty(), "{}", ran.stderr);
@@ -156,7 +156,7 @@ fn a_face_turned_far_gets_a_warning() {
         folder.write(&format!("{name}.ppm"), ppm);
         let ran = folder.run(&["subject", "face", &format!("{name}.ppm")]).with_code(0);
         // The warning names the face and the angle beyond which its far side is unreliable.
-        let is_warned = tells(&ran.stderr, "face 1") && tells(&ran.stderr, "35");
+        let is_warned = mentions(&ran.stderr, "face 1") && mentions(&ran.stderr, "35");
         assert_eq!(is_warned, name == "side", "{} {}", ran.stdout, ran.stderr);
     }
 }
@@ -169,7 +169,7 @@ fn a_photograph_without_a_face_is_an_error() {
     folder.write("a.ppm", &ppm);
     folder.write("cut.ppm", &ppm[..2000]);
     let ran = folder.run(&["subject", "face", "a.ppm", "-o", "f.json"]).with_code(1);
-    assert_tells(&ran.stderr, &["a.ppm", &NoFace::NotFound.to_string()]);
+    assert_mentions(&ran.stderr, &["a.ppm", &NoFace::NotFound.to_string()]);
     let ran = folder.run(&["subject", "face", "cut.ppm", "-o", "f.json"]).with_code(1);
     assert!(ran.stderr.contains("cut.ppm"), "{}", ran.stderr);
     assert!(!folder.path("f.json").exists());

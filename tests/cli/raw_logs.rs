@@ -4,14 +4,14 @@ use std::{fs, path::PathBuf, sync::Arc};
 
 use mocapd_acquire::files::{FileError, NameTaken};
 use mocapd_drivers::{
-    raw_log::{Entry, Record, put_head, put_record, records},
+    raw_log::{Entry, Record, put_header, put_record, records},
     transport::TransportError,
 };
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     faults::FaultyDevice,
     generator::JumpSpec,
-    logged::{LogDevice, LogDeviceError},
+    log_device::{LogDevice, LogDeviceError},
     ndi::{NdiDevice, NdiSettings},
 };
 use serde_json::{Value, json};
@@ -21,7 +21,7 @@ use super::{
     devices::Simulated,
     faults::{self, played::record_from},
 };
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 const LOGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/logs");
 
@@ -147,7 +147,7 @@ fn a_log_without_an_end_is_recorded_once() {
     let all: Vec<Record<'_>> = records(&log).unwrap().map(Result::unwrap).collect();
     let kept = &all[..all.len() - 4];
     let mut cut = Vec::new();
-    put_head(&mut cut);
+    put_header(&mut cut);
     kept.iter().for_each(|record| put_record(record, &mut cut));
     let mut unplugged = cut.clone();
     for (entry, after_ns) in [(Entry::Closed, 50_000_000), (Entry::End, 900_000_000)] {
@@ -205,7 +205,7 @@ fn write_the_stored_logs() {
 /// A log without the names of its ptys.
 fn nameless(log: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
-    put_head(&mut out);
+    put_header(&mut out);
     for record in records(log).unwrap() {
         let mut record = record.unwrap();
         if let Entry::Opened(_) = record.entry {
@@ -226,7 +226,7 @@ fn a_log_is_never_overwritten_and_an_empty_one_is_removed() {
     std::os::unix::fs::symlink(".", folder.path("here")).unwrap();
     let whole = folder.path("a.take");
     for same in ["a.take", "./a.take", "here/a.take", whole.to_str().unwrap()] {
-        assert_tells(&folder.refuses(&record(same), 2), &["--raw", "--output"]);
+        assert_mentions(&folder.refuses(&record(same), 2), &["--raw", "--output"]);
     }
     let no_folder = FileError::NoFolder("nowhere".into()).to_string();
     assert_eq!(folder.refuses(&record("nowhere/a.rawlog"), 1), no_folder);
@@ -237,7 +237,7 @@ fn a_log_is_never_overwritten_and_an_empty_one_is_removed() {
     let slow = Simulated::start(jump(1, 120.0, 1.0), settings, Some(9600));
     let line =
         folder.refuses(&["record", "-d", &slow.uri(), "-o", "a.take", "--raw", "a.rawlog"], 1);
-    assert_tells(&line, &["120 Hz", "960"]);
+    assert_mentions(&line, &["120 Hz", "960"]);
 }
 
 #[test]
@@ -246,7 +246,7 @@ fn a_log_is_reported_with_its_size() {
     let device = Simulated::of(jump(1, 120.0, 1.0));
     let args = ["record", "-d", &device.uri(), "-o", "a.take", "--raw", "a.rawlog"];
     let ran = folder.run(&args).with_code(0);
-    assert_tells(&ran.stdout, &["a.rawlog"]);
+    assert_mentions(&ran.stdout, &["a.rawlog"]);
     let args = ["record", "-d", &device.uri(), "-o", "b.take", "--raw", "b.rawlog", "--json"];
     let report = folder.run(&args).with_code(0).json();
     let log = folder.read("b.rawlog");

@@ -14,7 +14,7 @@ use super::{
     Folder,
     devices::{Recorder, Simulated, frames_in},
 };
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 #[test]
 fn a_recording_equals_what_was_sent() {
@@ -54,7 +54,10 @@ fn the_text_has_the_figures_of_the_report() {
     let folder = Folder::new();
     let device = Simulated::of(jump(6, 240.0, 0.5));
     let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take"]).with_code(0);
-    assert_tells(&ran.stdout, &["a.take", "120 frames", "15 markers", "240 Hz", "ledger closes"]);
+    assert_mentions(
+        &ran.stdout,
+        &["a.take", "120 frames", "15 markers", "240 Hz", "ledger closes"],
+    );
     assert_eq!(ran.stderr, "");
 }
 
@@ -139,7 +142,7 @@ fn a_pulled_plug_leaves_a_readable_take() {
     assert_eq!(info["frames"], report["ledger"]["frames_sent"]);
     assert_eq!(info["events"][0]["kind"], "host");
     let event = info["events"][0]["text"].as_str().unwrap();
-    assert_tells(&folder.run(&["info", "a.take"]).stdout, &[event]);
+    assert_mentions(&folder.run(&["info", "a.take"]).stdout, &[event]);
     folder.run(&["export", "a.take", "-o", "a.csv"]).with_code(0);
     assert_eq!(folder.text("a.csv").lines().count() as u64, 1 + info["frames"].as_u64().unwrap());
 }
@@ -182,7 +185,7 @@ fn a_device_that_comes_back_is_recorded_again() {
     assert!((0.1..60.0).contains(&away_s), "{outages}");
     let [gone, back] = &info["events"].as_array().unwrap()[..] else { panic!("{info}") };
     assert_eq!((&gone["kind"], &back["kind"]), (&"host".into(), &"host".into()));
-    assert_tells(back["text"].as_str().unwrap(), &[&outages["frames"].to_string()]);
+    assert_mentions(back["text"].as_str().unwrap(), &[&outages["frames"].to_string()]);
 }
 
 #[test]
@@ -196,7 +199,7 @@ fn a_killed_recording_is_a_take_with_a_ledger() {
     assert_eq!(info["finished"], false);
     assert!(info["frames"].as_u64().unwrap() > 0);
     let printed = folder.run(&["info", "a.take"]).with_code(3);
-    assert_tells(&printed.stderr, &["a.take", &Problem::CutOff.to_string()]);
+    assert_mentions(&printed.stderr, &["a.take", &Problem::CutOff.to_string()]);
     // The port is free again, but the take exists.
     let record = ["record", "-d", &device.uri(), "-o", "a.take"];
     let exists = NameTaken { path: "a.take".into() }.to_string();

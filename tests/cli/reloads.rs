@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_service::config::{When, keys::KEYS};
+use mocapd_service::config::{ReloadPolicy, keys::KEYS};
 use mocapd_simulator::generator::JumpSpec;
 
 use super::{Folder, devices::Simulated, service::Service};
@@ -161,7 +161,7 @@ fn keys_that_apply_at_once_do() {
     let (triggers, peer) = (free(), UdpSocket::bind("127.0.0.1:0").unwrap());
     peer.set_read_timeout(Some(QUIET)).unwrap();
     let rows = rows(triggers, peer.local_addr().unwrap());
-    let at_once = KEYS.iter().filter(|key| key.when == When::Now).map(|key| key.path);
+    let at_once = KEYS.iter().filter(|key| key.when == ReloadPolicy::Now).map(|key| key.path);
     let tried: BTreeSet<_> = rows.iter().map(|row| row.key).collect();
     assert_eq!(tried, at_once.collect(), "each key that is taken over at once has a row here");
 

@@ -6,7 +6,7 @@ use mocapd_simulator::generator::JumpSpec;
 use serde_json::Value;
 
 use super::Folder;
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 /// One generated trial at 60 Hz, without gaps.
 fn folder() -> Folder {
@@ -92,20 +92,20 @@ fn invalid_studies_are_refused() {
     let folder = folder();
     folder.write("bad.csv", "file,phase,first_frame\nother.c3d,walking,3\n");
     let refused = folder.refuses(&["study", "jump.c3d", "--phases", "bad.csv"], 2);
-    assert_tells(&refused, &["other.c3d"]);
+    assert_mentions(&refused, &["other.c3d"]);
     folder.write("bad.csv", "file,phase,first_frame\njump.c3d,diving,3\n");
     let refused = folder.refuses(&["study", "jump.c3d", "--phases", "bad.csv"], 2);
-    assert_tells(&refused, &["bad.csv", "line 2", "diving", "walking"]);
+    assert_mentions(&refused, &["bad.csv", "line 2", "diving", "walking"]);
     let absent = FileError::NotFound("none.c3d".into()).to_string();
     assert_eq!(folder.refuses(&["study", "none.c3d"], 1), absent);
     let refused = folder.refuses(&["study", "jump.c3d", "--cutoff", "0"], 2);
-    assert_tells(&refused, &["--cutoff", "0", "6Hz"]);
+    assert_mentions(&refused, &["--cutoff", "0", "6Hz"]);
     let refused = folder.refuses(&["study", "jump.c3d", "--tolerances", "1mm,0"], 2);
-    assert_tells(&refused, &["--tolerances", "0", "--lossless"]);
+    assert_mentions(&refused, &["--tolerances", "0", "--lossless"]);
     // Without a jump the take is studied as a whole, with a warning.
     folder.write_motion("still.csv", &jump(1, 60.0, 0.8));
     let still = folder.run(&["study", "still.csv", "--tolerances", "10mm"]).with_code(0);
-    assert_tells(&still.stderr, &["still.csv", &NoJump::NeverInFlight.to_string()]);
+    assert_mentions(&still.stderr, &["still.csv", &NoJump::NeverInFlight.to_string()]);
     assert!(still.stdout.contains("| 10 mm |"), "{}", still.stdout);
 }
 
@@ -130,10 +130,10 @@ fn verify_reports_the_errors_of_derivatives() {
     assert!(fine[0] > 0.0 && fine[0] < 2.0 && coarse[0] > 5.0 * fine[0], "{fine:?} {coarse:?}");
     assert!(coarse[1] > 5.0 * fine[1], "{fine:?} {coarse:?}");
     let printed = folder.run(&["verify", "5mm.take", "--against", "jump.c3d", "--cutoff", "6Hz"]);
-    assert_tells(&printed.with_code(0).stdout, &["mm/s^2"]);
+    assert_mentions(&printed.with_code(0).stdout, &["mm/s^2"]);
     let refused =
         folder.refuses(&["verify", "5mm.take", "--against", "jump.c3d", "--cutoff", "30Hz"], 2);
-    assert_tells(&refused, &["30 Hz", "60 Hz"]);
+    assert_mentions(&refused, &["30 Hz", "60 Hz"]);
     let refused = folder.refuses(&["verify", "5mm.take", "--cutoff", "6Hz"], 2);
-    assert_tells(&refused, &["--against"]);
+    assert_mentions(&refused, &["--against"]);
 }

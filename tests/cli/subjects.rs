@@ -13,7 +13,7 @@ use mocapd_testkit::recorded::RecordedData;
 use serde_json::Value;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, places, tells};
+use crate::support::{assert_mentions, jump, mentions, places};
 
 pub(super) const FACE: &str = r#"{"format":"mocapd-face","version":1,"method":"default","source":{"name":"a.jpg","sha256":"7f"},"vertices_mm":[[0,0,0],[9,0,0],[0,9,0]],
 "lines":[[0,1],[1,2]],"features":{"nose":0}}"#;
@@ -98,7 +98,7 @@ fn imports_store_the_subject_and_info_shows_it() {
     assert!(info["bytes"]["subject"].as_u64().unwrap() > 300);
     let printed = folder.run(&["info", "with.take"]).with_code(0).stdout;
     let facts = ["S 01", "1712 mm", "15 joints", "14 bones", "SHA-256 00ab", "3 vertices"];
-    assert_tells(&printed, &facts);
+    assert_mentions(&printed, &facts);
     assert_eq!(folder.run(&["info", "without.take", "--json"]).json()["subject"], Value::Null);
 
     // The subject survives damage elsewhere in the take.
@@ -121,26 +121,26 @@ fn invalid_documents_are_refused_before_anything_is_written() {
     let absent = FileError::NotFound("none.json".into()).to_string();
     assert_eq!(refused(&["--skeleton", "none.json"]), absent);
     let no_skeleton = ["f.json", "mocapd-skeleton", "mocapd subject body -o"];
-    assert_tells(&refused(&["--skeleton", "f.json"]), &no_skeleton);
+    assert_mentions(&refused(&["--skeleton", "f.json"]), &no_skeleton);
     let facts = ["jump.csv", "JSON", "mocapd-face", "mocapd subject face -o", "line 1"];
-    assert_tells(&refused(&["--face", "jump.csv"]), &facts);
+    assert_mentions(&refused(&["--face", "jump.csv"]), &facts);
     let facts = ["jump.csv", "line 1", "mocapd-face-mapping", "singing-face-mapping.json"];
-    assert_tells(&refused(&["--face", "f.json", "--face-markers", "jump.csv"]), &facts);
+    assert_mentions(&refused(&["--face", "f.json", "--face-markers", "jump.csv"]), &facts);
     folder.run(&["import", "jump.csv", "-o", "a.take"]).with_code(0);
     folder.write("scan.ply", b"ply\nformat binary_little_endian 1.0\n\xff\xfe");
     let drawn = |with: &str| {
         let args = ["plot", "pose", "a.take", "-o", "p.svg", "--skeleton", with];
         let why = folder.run(&args).stderr;
         assert!(!folder.path("p.svg").exists());
-        assert_tells(&why, &[with, "mocapd subject body -o"]);
+        assert_mentions(&why, &[with, "mocapd subject body -o"]);
     };
     ["f.json", "scan.ply", "jump.csv"].into_iter().for_each(drawn);
-    assert_tells(&refused(&["--face", "large.json"]), &["large.json", "1048576 bytes"]);
+    assert_mentions(&refused(&["--face", "large.json"]), &["large.json", "1048576 bytes"]);
     let long = "S".repeat(129);
     folder.refuses(&["import", "jump.csv", "-o", "new.take", "--subject", &long], 2);
     // No device is opened either.
     let args = ["record", "-d", "serial:/dev/none", "-o", "new.take", "--skeleton", "f.json"];
-    assert_tells(&folder.refuses(&args, 1), &no_skeleton);
+    assert_mentions(&folder.refuses(&args, 1), &no_skeleton);
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn recordings_of_other_markers_begin_with_a_warning() {
     assert_eq!(of(motion.clone(), "same.take"), "");
     let mut other = motion;
     other.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
-    assert_tells(&of(other, "other.take"), &["skeleton"]);
+    assert_mentions(&of(other, "other.take"), &["skeleton"]);
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn a_pose_has_the_skeletons_bones_and_their_lengths() {
     assert!(!message.contains("face"), "{message}");
     // A face without a mapping cannot be drawn: the message says how to give one.
     let (_, message) = drawn(&["with.take"]);
-    assert_tells(&message, &["--face-markers", "singing-face-mapping.json"]);
+    assert_mentions(&message, &["--face-markers", "singing-face-mapping.json"]);
     let lines = |svg: &str| svg.matches("<polyline").count() + svg.matches("<line").count();
     assert_eq!(lines(&own), lines(&by_file));
     for name in ["to_l_elbow", "to_r_ankle", "to_head"] {
@@ -242,18 +242,18 @@ fn a_pose_shows_the_face_from_the_front() {
     let subject = ["--face", "f.json", "--face-markers", "few.json"];
     folder.run(&[&["import", "a.csv", "-o", "few.take"], &subject[..]].concat()).with_code(0);
     let ran = folder.run(&["plot", "pose", "few.take", "-o", "few.svg"]).with_code(0);
-    assert_tells(&ran.stderr, &["face", "--face-markers"]);
+    assert_mentions(&ran.stderr, &["face", "--face-markers"]);
     let exported = folder.run(&["export", "a.take", "-o", "a.trc"]).with_code(0);
-    assert_tells(&exported.stderr, &["a.trc", "face", "face-markers"]);
+    assert_mentions(&exported.stderr, &["a.trc", "face", "face-markers"]);
     folder.write("five.json", folder.text("m.json").replace("]}", r#",{"label":"chin","at":3}]}"#));
     let subject = ["--face", "f.json", "--face-markers", "five.json"];
     let ran = folder.run(&[&["import", "a.csv", "-o", "five.take"], &subject[..]].concat());
-    assert_tells(&ran.with_code(0).stderr, &["a.csv", "4", "5"]);
+    assert_mentions(&ran.with_code(0).stderr, &["a.csv", "4", "5"]);
     folder.write("nowhere.json", folder.text("m.json").replace("\"at\":3", "\"at\":\"snout\""));
     let subject = ["--face", "f.json", "--face-markers", "nowhere.json"];
     let ran = folder.run(&[&["import", "a.csv", "-o", "no.take"], &subject[..]].concat());
     let why = &ran.with_code(1).stderr;
-    assert_tells(why, &["nowhere.json", "nose", "snout"]);
+    assert_mentions(why, &["nowhere.json", "nose", "snout"]);
     let svg = roxmltree::Document::parse(&svg).unwrap();
     let lines = svg.descendants().filter(|node| node.has_tag_name("polyline")).count();
     assert!(lines >= 5, "four of the face and the floor: {lines}");
@@ -271,13 +271,13 @@ fn without_a_skeleton_or_joints_verify_says_what_to_do() {
     let folder = folder(&jump(4, 60.0, 1.0));
     import(&folder, "without.take", &[]);
     let why = folder.refuses(&["verify", "without.take", "--skeleton"], 2);
-    assert_tells(&why, &["without.take", "--skeleton"]);
+    assert_mentions(&why, &["without.take", "--skeleton"]);
     let mut motion = jump(4, 60.0, 1.0);
     motion.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
     folder.write_motion("unnamed.csv", &motion);
     folder.run(&["import", "unnamed.csv", "-o", "unnamed.take"]).with_code(0);
     let why = folder.refuses(&["verify", "unnamed.take", "--skeleton", "s.json"], 1);
-    assert_tells(&why, &SITES);
+    assert_mentions(&why, &SITES);
 }
 
 /// Jumps of many styles at typical rates, with walking and swinging arms: no frame is a swap.
@@ -416,13 +416,13 @@ fn a_skeleton_and_a_face_of_other_markers_get_a_warning() {
     let with = ["--skeleton", "s.json", "--face", "f.json", "--face-markers", "m.json"];
     let ran =
         folder.run(&[&["import", "jump.csv", "-o", "a.take"], &with[..]].concat()).with_code(0);
-    assert!(!tells(&ran.stderr, "skeleton"), "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["jump.csv", "face", "1", "2", "4"]);
+    assert!(!mentions(&ran.stderr, "skeleton"), "{}", ran.stderr);
+    assert_mentions(&ran.stderr, &["jump.csv", "face", "1", "2", "4"]);
 
     let text = String::from_utf8(folder.read("jump.csv")).unwrap();
     let strange =
         SITES.iter().fold(text, |text, site| text.replace(site, &format!("x{}", site.len())));
     folder.write("strange.csv", strange);
     let ran = folder.run(&["import", "strange.csv", "-o", "b.take", "--skeleton", "s.json"]);
-    assert_tells(&ran.with_code(0).stderr, &["strange.csv", "skeleton"]);
+    assert_mentions(&ran.with_code(0).stderr, &["strange.csv", "skeleton"]);
 }

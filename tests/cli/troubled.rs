@@ -14,7 +14,7 @@ use mocapd_simulator::{
 use mocapd_take::motion::Motion;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
 /// A device whose trouble begins some time after its first command.
 struct Troubled<D> {
@@ -122,7 +122,7 @@ fn assert_away_once(info: &serde_json::Value) {
     let n_lost = info["outages"]["frames"].to_string();
     let mut events = info["events"].as_array().unwrap().iter();
     let is_told = |event: &serde_json::Value| {
-        event["kind"] == "host" && tells(event["text"].as_str().unwrap(), &n_lost)
+        event["kind"] == "host" && mentions(event["text"].as_str().unwrap(), &n_lost)
     };
     assert!(events.any(is_told), "{n_lost} frames: {}", info["events"]);
 }
@@ -286,8 +286,8 @@ fn a_stream_ends_even_if_its_end_is_lost() {
                 assert_eq!(event["kind"], "host", "{info}");
                 // The recorder is notified as well.
                 let event = event["text"].as_str().unwrap();
-                assert_tells(event, &["end of the stream"]);
-                assert_tells(&ran.stderr, &[event]);
+                assert_mentions(event, &["end of the stream"]);
+                assert_mentions(&ran.stderr, &[event]);
             });
         }
     });

@@ -1,19 +1,19 @@
 //! `verify` of intact takes whose statements about themselves are wrong.
 
 use mocapd_take::{
-    chunk::{self, Front, types},
+    chunk::{self, ChunkParse, types},
     index::{Footer, parse_index},
     record::{Clock, Ledger, Record},
 };
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
 /// A copy of a take with the payload of the last chunk of `kind` changed, and valid checksums.
 pub(super) fn changed(take: &[u8], kind: u8, change: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let mut chunks = Vec::new();
     let mut rest = &take[chunk::MAGIC.len()..];
-    while let Front::Whole { kind, payload, len } = chunk::front(rest) {
+    while let ChunkParse::Whole { kind, payload, len } = chunk::parse(rest) {
         chunks.push((kind, payload));
         rest = &rest[len..];
     }
@@ -102,9 +102,9 @@ fn a_take_that_contradicts_itself_fails() {
         let is_of_clocks = facts == ["us", "ppm"];
         assert_eq!(report["clock"]["agrees"], !is_of_clocks, "{report}");
         let found: Vec<String> = serde_json::from_value(report["contradictions"].clone()).unwrap();
-        let tells_all = |found: &String| facts.iter().all(|fact| tells(found, fact));
+        let tells_all = |found: &String| facts.iter().all(|fact| mentions(found, fact));
         assert!(found.iter().any(tells_all), "{facts:?}: {found:?}");
-        assert_tells(&ran.stderr, &["bad.take", &found[0]]);
+        assert_mentions(&ran.stderr, &["bad.take", &found[0]]);
     }
 }
 

@@ -4,13 +4,13 @@ use mocapd_acquire::clock::fit;
 use mocapd_drivers::device::Frame;
 use mocapd_take::record::{Event, EventKind};
 
-use crate::support::{TICK_HZ, assert_tells, chunks, config, dense, jump, samples, start};
+use crate::support::{TICK_HZ, assert_mentions, chunks, config, dense, jump, samples, start};
 
 /// Records 120 frames per second; `ticks` maps a frame's true time in microseconds to device time.
 fn record(
     seconds: u64,
     ticks: impl Fn(u64) -> u64,
-) -> (Vec<u8>, mocapd_acquire::pipeline::Written) {
+) -> (Vec<u8>, mocapd_acquire::pipeline::TakeAccount) {
     let motion = jump(8, 120.0, 2.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
     for seq in 0..120 * seconds {
@@ -78,7 +78,7 @@ fn a_jump_is_an_event_and_a_segment_and_loses_no_frame() {
     assert!(written.ledger.closes(), "{:?}", written.ledger);
     let [event] = &events(&take)[..] else { panic!("{:?}", events(&take)) };
     assert_eq!(event.kind, EventKind::Host);
-    assert_tells(&event.text, &["5.000 s"]);
+    assert_mentions(&event.text, &["5.000 s"]);
     assert!((1800..1810).contains(&event.row), "{event:?}");
     let clocks = chunks(&take).clocks;
     let segments: Vec<_> = clocks.iter().map(|clock| clock.segment).collect();
@@ -115,7 +115,7 @@ fn a_long_silence_is_an_event_at_the_frame_that_ends_it() {
     assert!(written.ledger.closes(), "{:?}", written.ledger);
     let [event] = &events(&take)[..] else { panic!("{:?}", events(&take)) };
     assert_eq!((event.row, event.kind), (100, EventKind::Host));
-    assert_tells(&event.text, &["2.508 s"]);
+    assert_mentions(&event.text, &["2.508 s"]);
 }
 
 #[test]

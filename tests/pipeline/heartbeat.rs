@@ -7,7 +7,7 @@ use std::{
 };
 
 use mocapd_acquire::{
-    heartbeat::{Watch, Who},
+    heartbeat::{ThreadRole, Watchdog},
     pipeline::TakeOutput,
 };
 
@@ -19,7 +19,7 @@ const PAUSE: Duration = Duration::from_millis(1200);
 const LIMIT: Duration = Duration::from_secs(10);
 
 /// The role of a thread that is overdue after `seconds` of silence from now on.
-fn overdue_after(watch: &mut Watch, seconds: u64) -> Option<Who> {
+fn overdue_after(watch: &mut Watchdog, seconds: u64) -> Option<ThreadRole> {
     // Registers all heartbeats so far; a thread that moves during the pause is alive.
     watch.overdue(Instant::now(), LIMIT);
     std::thread::sleep(PAUSE);
@@ -31,12 +31,12 @@ fn overdue_after(watch: &mut Watch, seconds: u64) -> Option<Who> {
 fn a_hung_reader_is_overdue_and_idle_workers_are_not() {
     let motion = jump(31, 100.0, 2.0);
     let config = config(&motion, fast(1.0));
-    let mut watch = config.heartbeat.watch(Instant::now());
+    let mut watch = config.heartbeat.watchdog(Instant::now());
     let (mut intake, pipeline) = start(&config, Vec::new());
     for seq in 0..100 {
         feed(&mut intake, &motion, seq);
     }
-    assert_eq!(overdue_after(&mut watch, 20), Some(Who::Reader));
+    assert_eq!(overdue_after(&mut watch, 20), Some(ThreadRole::Reader));
     // The reader ticks although the device sends nothing, and the writer moves by itself.
     std::thread::sleep(PAUSE);
     intake.tick(0);
@@ -76,7 +76,7 @@ impl TakeOutput for Stalling {
 fn a_stalled_disk_is_tolerated_while_memory_lasts_and_then_the_writer_has_hung() {
     let motion = jump(32, 100.0, 2.0);
     let config = config(&motion, fast(1.0));
-    let mut watch = config.heartbeat.watch(Instant::now());
+    let mut watch = config.heartbeat.watchdog(Instant::now());
     let (release, gate) = sync_channel(1);
     let (mut intake, pipeline) = start(&config, Stalling { gate, writes: 0 });
     for seq in 0..100 {
@@ -89,7 +89,7 @@ fn a_stalled_disk_is_tolerated_while_memory_lasts_and_then_the_writer_has_hung()
         watch.overdue(later, LIMIT).map(|overdue| overdue.role)
     };
     assert_eq!(reader_alive(32), None, "no frame is lost yet, and a restart would lose some");
-    assert_eq!(reader_alive(80), Some(Who::Writer));
+    assert_eq!(reader_alive(80), Some(ThreadRole::Writer));
     release.send(()).unwrap();
     intake.finish();
     pipeline.finish().unwrap();

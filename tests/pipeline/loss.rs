@@ -3,11 +3,11 @@
 use mocapd_drivers::device::Status;
 use mocapd_take::{
     motion::is_gap,
-    timeline::{Causes, Run},
+    timeline::{LossCauses, RowRun},
 };
 
 use crate::support::{
-    assert_tells, chunks, config, dense, feed, feed_samples, jump, record, rows, samples, start,
+    assert_mentions, chunks, config, dense, feed, feed_samples, jump, record, rows, samples, start,
 };
 
 #[test]
@@ -32,10 +32,10 @@ fn lost_frames_are_empty_rows_with_their_cause() {
             assert_eq!(is_gap(got), lost(&seq) || is_gap(expected), "{seq}");
         }
     }
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
     let not_received: Vec<_> = runs
         .iter()
-        .filter(|run| run.lost == Some(Causes::NOT_RECEIVED))
+        .filter(|run| run.lost == Some(LossCauses::NOT_RECEIVED))
         .map(|run| run.rows)
         .collect();
     assert_eq!(not_received, [2, 29, 200]);
@@ -83,7 +83,7 @@ fn counters_that_contradict_each_other_are_flagged() {
         let ledger = pipeline.finish().unwrap().0.ledger;
         assert!(!ledger.closes());
         let [contradiction] = &ledger.contradictions[..] else { panic!("{ledger:?}") };
-        assert_tells(contradiction, &facts);
+        assert_mentions(contradiction, &facts);
         assert_eq!(ledger.frame_balance(), 0);
     }
 }
@@ -170,7 +170,7 @@ fn an_impossible_number_of_frames_is_a_contradiction_without_rows() {
         let (written, take) = pipeline.finish().unwrap();
         assert_eq!(written.ledger.frames_sent, 100);
         let [contradiction] = &written.ledger.contradictions[..] else { panic!() };
-        assert_tells(contradiction, &[&frames_produced.to_string()]);
+        assert_mentions(contradiction, &[&frames_produced.to_string()]);
         assert_eq!(rows(&take).0.len(), 100);
     }
 }

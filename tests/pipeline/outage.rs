@@ -5,7 +5,7 @@ use mocapd_drivers::device::{Frame, Status};
 use mocapd_take::{
     motion::{Motion, is_gap},
     record::Ledger,
-    timeline::{Causes, Run},
+    timeline::{LossCauses, RowRun},
 };
 
 use crate::support::{
@@ -58,8 +58,8 @@ fn frames_skipped_by_the_counter_are_unknown_and_have_rows() {
             assert_eq!(is_gap(got), is_lost(seq) || is_gap(expected), "{seq}");
         }
     }
-    let gone = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let gone = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
     let rows_gone = runs.iter().filter(|run| run.lost == Some(gone)).map(|run| run.rows);
     assert_eq!(rows_gone.sum::<u64>(), 150);
 }
@@ -96,8 +96,8 @@ fn a_device_that_lost_its_power_restarts_at_zero_and_the_take_keeps_time() {
     assert_eq!(rows.len(), 500);
     assert!(rows[30..300].iter().flatten().all(|&position| is_gap(position)));
     assert!(rows[300..].iter().flatten().any(|&position| !is_gap(position)));
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
-    let gone = runs.iter().filter(|run| run.lost == Some(Causes::DISCONNECTED));
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let gone = runs.iter().filter(|run| run.lost == Some(LossCauses::DISCONNECTED));
     assert_eq!(gone.map(|run| run.rows).sum::<u64>(), 270);
 }
 
@@ -142,7 +142,7 @@ fn an_outage_of_an_hour_has_its_rows_too() {
     assert_closes(&written.ledger);
     assert_eq!((written.ledger.recorded, written.ledger.frames_sent), (100, 3_600_050));
     assert_eq!(written.ledger.unknown_after_disconnect, 3_599_950);
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
     assert_eq!(runs.iter().map(|run| run.rows).sum::<u64>(), 3_600_050);
 }
 

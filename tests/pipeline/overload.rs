@@ -12,7 +12,7 @@ use mocapd_take::{
     TakeFrames,
     damage::Problem,
     motion::{FrameSource, GAP, is_gap},
-    timeline::Causes,
+    timeline::LossCauses,
 };
 
 use crate::support::{chunks, config, dense, fast, feed, io_error_of, jump, rows, start};
@@ -98,7 +98,7 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
     let found = chunks(&output.bytes);
     let runs: Vec<_> = found.timelines.iter().flat_map(|t| &t.runs).collect();
     let lost: u64 =
-        runs.iter().filter(|run| run.lost == Some(Causes::RING_FULL)).map(|run| run.rows).sum();
+        runs.iter().filter(|run| run.lost == Some(LossCauses::RING_FULL)).map(|run| run.rows).sum();
     assert_eq!(lost, 100);
     // Each frame is complete or missing.
     let recorded: std::collections::HashSet<u64> = found

@@ -4,7 +4,9 @@ use std::{io, time::Duration};
 
 use mocapd_acquire::{
     inspect::Summary,
-    pipeline::{Armed, Intake, NewTake, Pipeline, PreRollConfig, TakeHandle, TakeOutput, Written},
+    pipeline::{
+        ArmedHandles, Intake, NewTake, Pipeline, PreRollConfig, TakeAccount, TakeHandle, TakeOutput,
+    },
 };
 use mocapd_take::{
     motion::{Motion, Position, is_gap},
@@ -26,7 +28,7 @@ pub(super) fn header(motion: &Motion) -> mocapd_take::record::Header {
     header
 }
 
-pub(super) fn arm(motion: &Motion, pre_roll: PreRollConfig) -> (Intake, Pipeline, Armed) {
+pub(super) fn arm(motion: &Motion, pre_roll: PreRollConfig) -> (Intake, Pipeline, ArmedHandles) {
     let mut config = config(motion, dense(1.0));
     config.pre_roll = Some(pre_roll);
     Pipeline::arm(&config, &header(motion)).unwrap()
@@ -38,8 +40,8 @@ pub(super) fn arrival_ns(motion: &Motion, seq: usize) -> u64 {
 }
 
 pub(super) fn new_take(motion: &Motion, pre_roll: Duration, seq: usize) -> NewTake {
-    let asked_ns = arrival_ns(motion, seq);
-    NewTake { pre_roll, asked_ns, ..NewTake::new(Vec::new(), header(motion)) }
+    let requested_ns = arrival_ns(motion, seq);
+    NewTake { pre_roll, requested_ns, ..NewTake::new(Vec::new(), header(motion)) }
 }
 
 pub(super) fn feed_all(
@@ -55,11 +57,11 @@ pub(super) fn feed_all(
     }
 }
 
-pub(super) fn ended(handle: &TakeHandle) -> (Written, Vec<u8>) {
+pub(super) fn ended(handle: &TakeHandle) -> (TakeAccount, Vec<u8>) {
     end_of(handle)
 }
 
-fn end_of<W: TakeOutput>(handle: &TakeHandle) -> (Written, W) {
+fn end_of<W: TakeOutput>(handle: &TakeHandle) -> (TakeAccount, W) {
     let (written, output) = handle.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
     (written, output_of(output))
 }
@@ -230,8 +232,8 @@ fn memory_bounds_the_pre_roll_and_a_take_without_a_frame_is_no_error_of_the_pipe
     let (written, _) = ended(&handle);
     assert!(written.ledger.recorded < 1400, "{}", written.ledger.recorded);
     let progress = pipeline.progress().clone();
-    assert!(progress.held_bytes.load(std::sync::atomic::Ordering::Relaxed) <= 15_000);
-    assert!(progress.held_cut.load(std::sync::atomic::Ordering::Relaxed));
+    assert!(progress.pre_roll_bytes.load(std::sync::atomic::Ordering::Relaxed) <= 15_000);
+    assert!(progress.pre_roll_is_cut.load(std::sync::atomic::Ordering::Relaxed));
     drop(intake);
     pipeline.join().unwrap();
 }

@@ -7,7 +7,7 @@ use mocapd_drivers::device::Status;
 use mocapd_take::record::{EndingKind, Event, EventKind};
 
 use super::takes::{PRE_ROLL, arm, arrival_ns, ended, feed_all, new_take};
-use crate::support::{assert_tells, jump, rows};
+use crate::support::{assert_mentions, jump, rows};
 
 const SOON: Duration = Duration::from_secs(30);
 
@@ -217,7 +217,7 @@ fn a_take_that_ends_in_a_silence_has_what_was_due_in_it_and_the_next_one_has_non
         );
         let event = summary.take.events.last().unwrap();
         assert_eq!(event.kind, EventKind::Host);
-        assert_tells(&event.text, &["2.010 s"]);
+        assert_mentions(&event.text, &["2.010 s"]);
         // The next take begins during the silence.
         let handle = armed.takes.begin(new_take(&motion, Duration::ZERO, 600)).unwrap();
         intake.tick(arrival_ns(&motion, 600));

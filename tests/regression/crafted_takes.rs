@@ -2,13 +2,13 @@
 
 use mocapd_take::{
     TakeWriter,
-    damage::{Counts, Problem},
+    damage::{LedgerTotals, Problem},
     record::{CODEC_VERSION, Channel, Header, Ledger},
     stretch::{CHANNELS_MAX, Span},
 };
 
 use super::sparse_files::{assert_small, run};
-use crate::{cli::Folder, support::assert_tells};
+use crate::{cli::Folder, support::assert_mentions};
 
 fn header() -> Header {
     Header {
@@ -80,7 +80,7 @@ fn more_markers_than_a_take_has_are_refused_by_an_import() {
     assert_eq!(verify["samples"], 2 * CHANNELS_MAX as u64);
     folder.write("more.csv", csv(CHANNELS_MAX + 1));
     let ran = folder.run(&["import", "more.csv", "-o", "more.take"]).with_code(1);
-    assert_tells(&ran.stderr, &[&CHANNELS_MAX.to_string()]);
+    assert_mentions(&ran.stderr, &[&CHANNELS_MAX.to_string()]);
     assert!(!folder.path("more.take").exists());
 }
 
@@ -111,10 +111,10 @@ fn a_ledger_with_more_frames_than_the_take_is_counted_again() {
     folder.run(&["verify", "a.take"]).with_code(1);
     let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
     let recounted = Problem::LedgerCounts {
-        told: Counts { frames: n, samples: 0 },
-        found: Counts { frames: 0, samples: 0 },
+        stated: LedgerTotals { frames: n, samples: 0 },
+        found: LedgerTotals { frames: 0, samples: 0 },
     };
-    assert_tells(&ran.stderr, &["a.take", &recounted.to_string()]);
+    assert_mentions(&ran.stderr, &["a.take", &recounted.to_string()]);
     // The rest is consistent.
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
     assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");

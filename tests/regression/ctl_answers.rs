@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::{
     cli::{Folder, Ran, devices::Simulated},
     service::engine::wait_until,
-    support::{assert_tells, jump, tells},
+    support::{assert_mentions, jump, mentions},
 };
 
 /// `mocapd run`, and `ctl` to control it.
@@ -88,7 +88,7 @@ fn a_save_of_more_than_the_pre_roll_has_says_so_and_the_watch_shows_the_pre_roll
     BufReader::new(watch.stdout.take().unwrap()).read_line(&mut line).unwrap();
     watch.kill().unwrap();
     watch.wait().unwrap();
-    assert_tells(&line, &["armed", "lost", "Hz", "pre-roll", "free"]);
+    assert_mentions(&line, &["armed", "lost", "Hz", "pre-roll", "free"]);
 }
 
 #[test]
@@ -128,5 +128,5 @@ fn a_stop_of_a_take_that_has_failed_says_why() {
     let refused = service.ctl(&["stop"]).with_code(1);
     assert!(failure.contains("fails") && refused.stderr.contains(&failure), "{}", refused.stderr);
     // The answer is not about the take before.
-    assert!(!tells(&refused.stderr, "before"), "{}", refused.stderr);
+    assert!(!mentions(&refused.stderr, "before"), "{}", refused.stderr);
 }

@@ -1,28 +1,28 @@
 //! A missing limb is left out, or its joints state their uncertainty.
 
 use mocapd_body::{
-    Joint, Joints, Mesh, Refusal, Side, Survey,
+    Joint, Joints, Mesh, Refusal, ScanAnalysis, Side,
     read::{Format, Scan},
     repair::repair,
     skeleton::Method,
 };
-use mocapd_testkit::synthetic_body::{Cut, Options, Part, Pose, body, cut_limb};
+use mocapd_testkit::synthetic_body::{BodyOptions, LimbCut, LimbPart, Pose, body, cut_limb};
 
 /// Largest error of a joint whose stated standard deviation is below [`SURE`], as a fraction of stature.
 const FAR: f64 = 0.1;
 const SURE: f64 = 0.03;
 const NOTICED: &str = "limb-cut-off";
 
-fn analyse(mesh: Mesh) -> Result<Survey, Refusal> {
+fn analyse(mesh: Mesh) -> Result<ScanAnalysis, Refusal> {
     let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
-    Survey::new(&repair(scan, None).unwrap().mesh, Method::Default)
+    ScanAnalysis::new(&repair(scan, None).unwrap().mesh, Method::Default)
 }
 
-fn has_notice(analysis: &Survey) -> bool {
+fn has_notice(analysis: &ScanAnalysis) -> bool {
     analysis.notes.iter().any(|note| note.code == NOTICED)
 }
 
-fn far_and_sure(analysis: &Survey, truth: &Joints, stature: f64) -> Vec<(Joint, f64)> {
+fn far_and_sure(analysis: &ScanAnalysis, truth: &Joints, stature: f64) -> Vec<(Joint, f64)> {
     let other = |side| if side == Side::Left { Side::Right } else { Side::Left };
     let of = |joint: Joint| match joint {
         Joint::Shoulder(side) => Joint::Shoulder(other(side)),
@@ -54,10 +54,10 @@ fn far_and_sure(analysis: &Survey, truth: &Joints, stature: f64) -> Vec<(Joint, 
 
 #[test]
 fn no_joint_of_a_body_with_a_missing_limb_is_wrong_and_confident() {
-    let mut seen: Vec<(Cut, bool)> = Vec::new();
+    let mut seen: Vec<(LimbCut, bool)> = Vec::new();
     for (at, pose) in (0..).zip([Pose::A, Pose::Walk, Pose::Down]) {
-        let (mesh, truth) = body(at, pose, Options::default());
-        let crown = body(at, Pose::A, Options { n_faces: 500, turned: false }).1;
+        let (mesh, truth) = body(at, pose, BodyOptions::default());
+        let crown = body(at, Pose::A, BodyOptions { n_faces: 500, turned: false }).1;
         let stature = crown.estimates[&Joint::Head].position[1];
         let whole = analyse(mesh.clone()).unwrap();
         assert!(!has_notice(&whole), "{pose:?}: {:?}", whole.notes);
@@ -70,7 +70,7 @@ fn no_joint_of_a_body_with_a_missing_limb_is_wrong_and_confident() {
         }
     }
     assert!(seen.len() >= 12, "only {} cuts are no reason to refuse a scan", seen.len());
-    let legs = [Part::Foot, Part::HalfShank, Part::Shank, Part::Knee];
+    let legs = [LimbPart::Foot, LimbPart::HalfShank, LimbPart::Shank, LimbPart::Knee];
     let unnoticed = seen.iter().filter(|(cut, noticed)| legs.contains(&cut.part) && !noticed);
     let unnoticed: Vec<_> = unnoticed.collect();
     assert!(unnoticed.len() <= 1, "{unnoticed:?}");
@@ -78,10 +78,10 @@ fn no_joint_of_a_body_with_a_missing_limb_is_wrong_and_confident() {
 
 #[test]
 fn what_is_cut_off_is_left_out_and_the_other_side_keeps_its_place() {
-    let (mesh, truth) = body(0, Pose::A, Options::default());
+    let (mesh, truth) = body(0, Pose::A, BodyOptions::default());
     // A shank: neither its ankle nor its foot is in the scan.
     let cuts = (0..64).map(|turn| 8 * turn + 1).filter_map(|seed| cut_limb(&mesh, &truth, seed));
-    let (rest, cut) = cuts.into_iter().find(|(_, cut)| cut.part == Part::HalfShank).unwrap();
+    let (rest, cut) = cuts.into_iter().find(|(_, cut)| cut.part == LimbPart::HalfShank).unwrap();
     let found = analyse(rest).unwrap();
     let other = if cut.side == Side::Left { Side::Right } else { Side::Left };
     assert!(has_notice(&found) && found.joints.sides_told, "{:?}", found.notes);

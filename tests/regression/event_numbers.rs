@@ -4,7 +4,7 @@ use mocapd_take::interchange::Format;
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, jump},
+    support::{assert_mentions, jump},
 };
 
 #[test]
@@ -25,7 +25,7 @@ fn info_numbers_the_frame_of_an_event_as_the_files_do() {
     folder.run(&["import", "a.tsv", "-o", "a.take"]).with_code(0);
     let printed = folder.run(&["info", "a.take"]).with_code(0).stdout;
     let line = printed.lines().find(|line| line.contains("toe off")).unwrap();
-    assert_tells(line, &["frame 735", "0.400 s", "mark"]);
+    assert_mentions(line, &["frame 735", "0.400 s", "mark"]);
     folder.run(&["export", "a.take", "-o", "b.tsv"]).with_code(0);
     assert!(folder.text("b.tsv").contains("EVENT\ttoe off\t735\t0.4"));
 }

@@ -6,7 +6,7 @@ use mocapd_take::{
     motion::{Motion, is_gap},
 };
 
-use crate::{cli::Folder, support::tells};
+use crate::{cli::Folder, support::mentions};
 
 /// Two markers at 120 Hz, in metres or whatever `mm` of them make one.
 fn csv(frames: impl Iterator<Item = usize>, mm: f64) -> String {
@@ -43,7 +43,7 @@ fn rounded_times_tell_the_rate_and_missing_lines_keep_their_time() {
     assert_eq!((motion.info.rate_hz, motion.info.n_frames), (120.0, 600));
     assert_eq!(rows_with_gaps(&motion), [100, 101, 102, 300]);
     assert_eq!(motion.frame(599), whole.frame(599));
-    assert!(motion.info.source.warnings.iter().any(|warning| tells(warning, "4 frames")));
+    assert!(motion.info.source.warnings.iter().any(|warning| mentions(warning, "4 frames")));
 }
 
 #[test]

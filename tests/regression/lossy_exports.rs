@@ -2,7 +2,7 @@
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, config, dense, jump, record},
+    support::{assert_mentions, config, dense, jump, record},
 };
 
 #[test]
@@ -14,6 +14,6 @@ fn an_export_says_how_many_frames_the_recording_lost() {
     folder.write("lossy.take", record(&motion, &config, lossy).1);
     folder.write("whole.take", record(&motion, &config, 0..motion.n_frames()).1);
     let message = folder.run(&["export", "lossy.take", "-o", "lossy.c3d"]).with_code(0).stderr;
-    assert_tells(&message, &["lossy.take", "4 frames"]);
+    assert_mentions(&message, &["lossy.take", "4 frames"]);
     assert_eq!(folder.run(&["export", "whole.take", "-o", "whole.c3d"]).with_code(0).stderr, "");
 }

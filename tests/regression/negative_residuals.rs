@@ -1,7 +1,7 @@
 //! Fourth words that all say "missing" for real coordinates, and coordinates for which only some do.
 
 use mocapd_take::{
-    interchange::{Format, Turned},
+    interchange::{Format, RotatedFrames},
     motion::{Ambiguity, Motion, MotionFrames, UpAxis, is_gap},
 };
 
@@ -119,7 +119,7 @@ fn coordinates_under_gaps_are_scaled_and_turned_with_the_others() {
             |bytes: &[u8]| words(bytes, 8).into_iter().map(f32::from_bits).collect::<Vec<_>>();
         assert_eq!(floats(&write(&motion)), [50.0, 100.0, 150.0, 0.0, 55.0, 105.0, 155.0, -1.0]);
         let mut frames = MotionFrames::new(&motion);
-        let mut turned = Turned::new(&mut frames, UpAxis::Y).unwrap().unwrap();
+        let mut turned = RotatedFrames::new(&mut frames, UpAxis::Y).unwrap().unwrap();
         let mut bytes = Vec::new();
         Format::C3d.write(&mut turned, &mut bytes).unwrap();
         assert_eq!(floats(&bytes), [50.0, 150.0, -100.0, 0.0, 55.0, 155.0, -105.0, -1.0]);

@@ -7,7 +7,7 @@ use crate::{
         Folder,
         devices::{Recorder, Simulated},
     },
-    support::{jump, rows, tells},
+    support::{jump, mentions, rows},
 };
 
 #[test]
@@ -27,7 +27,7 @@ fn every_command_names_the_same_places() {
     let places = |args: &[&str]| {
         let message = folder.run(args).with_code(3).stderr;
         // In any order.
-        expected.iter().filter(|place| tells(&message, place)).cloned().collect::<Vec<_>>()
+        expected.iter().filter(|place| mentions(&message, place)).cloned().collect::<Vec<_>>()
     };
     for args in [
         &["info", "bad.take"][..],

@@ -17,7 +17,7 @@ use serde_json::Value;
 use super::negative_residuals::words;
 use crate::{
     cli::{Folder, Ran, devices::Simulated, service::Service},
-    support::{assert_tells, c3d_file::C3dFile, config, dense, jump, places, record},
+    support::{assert_mentions, c3d_file::C3dFile, config, dense, jump, places, record},
 };
 
 /// Places that are damaged.
@@ -186,7 +186,7 @@ fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
     command.current_dir(folder.path("."));
     let line = folder.refused(command, 1);
     let nowhere = folder.path("nowhere").display().to_string();
-    assert_tells(&line, &[&nowhere, "TMPDIR"]);
+    assert_mentions(&line, &[&nowhere, "TMPDIR"]);
     // From the middle on, and turned.
     let part = ["export", "a.take", "-o", "c.c3d", "--from", "0.5s", "--up", "y"];
     let (export, resident) = run(&folder, &part);

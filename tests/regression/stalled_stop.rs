@@ -9,7 +9,7 @@
 mod real;
 mod world;
 
-use mocapd_acquire::{clock::Apart, inspect::Summary};
+use mocapd_acquire::{clock::LineDeviation, inspect::Summary};
 
 use self::world::{Ended, Stalled, World};
 use crate::support::chunks;
@@ -28,8 +28,9 @@ fn contradictions(ended: &Ended) -> Vec<String> {
         found.push(format!("{ledger:?}"));
     }
     // Not merely within the limits for earlier versions: the same line.
-    let is_same = |apart: &Apart| apart.offset_us.abs() < 0.1 && apart.drift_ppm.abs() < 0.01;
-    let apart = summary.clock_apart().filter(|apart| !apart.agrees || !is_same(apart));
+    let is_same =
+        |apart: &LineDeviation| apart.offset_us.abs() < 0.1 && apart.drift_ppm.abs() < 0.01;
+    let apart = summary.clock_deviation().filter(|apart| !apart.agrees || !is_same(apart));
     found.extend(apart.map(|apart| format!("{apart:?}")));
 
     // The stored observations are from before the end of the take, and the line is the one known then.
@@ -85,7 +86,7 @@ fn a_disk_that_stalls_at_the_stop_leaves_out_what_came_after_it() {
 fn observations_that_find_no_room_are_left_out_of_the_line_as_well() {
     let (take, written) = world::flooded();
     let summary = Summary::read(&take[..]).unwrap();
-    let apart = summary.clock_apart().unwrap();
+    let apart = summary.clock_deviation().unwrap();
     assert!(apart.agrees && apart.offset_us.abs() < 0.1, "{apart:?}");
     let ledger = summary.take.ledger.as_ref().unwrap();
     assert_eq!(ledger.contradictions, [] as [String; 0]);

@@ -11,7 +11,8 @@ use mocapd_service::{
     config::TriggerConfig,
     control::{Control, Start},
     trigger::{
-        DELAYED_OTHERS_MAX, Heard, Listener, Network, Received, Refusal, Trigger, Waiting, parse,
+        DELAYED_OTHERS_MAX, Incoming, Listener, Network, PendingTriggers, ReceivedTrigger, Trigger,
+        TriggerError, parse,
     },
     triggered::Triggers,
 };
@@ -33,7 +34,7 @@ fn datagram(element: &str, name: &str, delay_ms: u64, packet: u64) -> Vec<u8> {
 /// The service's side in virtual time.
 struct Desk {
     listener: Listener,
-    waiting: Waiting,
+    waiting: PendingTriggers,
     refused: HashMap<&'static str, usize>,
     most_waiting: usize,
 }
@@ -43,26 +44,26 @@ impl Desk {
         let networks = allow_from.iter().map(|text| text.parse::<Network>().unwrap()).collect();
         Self {
             listener: Listener::new(networks, DELAY_MAX, 7),
-            waiting: Waiting::default(),
+            waiting: PendingTriggers::default(),
             refused: HashMap::new(),
             most_waiting: 0,
         }
     }
 
-    fn hear(&mut self, from: IpAddr, bytes: &[u8], now: Duration) {
-        let heard = self.listener.hear(from, bytes, now, &|_| false);
+    fn receive(&mut self, from: IpAddr, bytes: &[u8], now: Duration) {
+        let heard = self.listener.receive(from, bytes, now, &|_| false);
         let accepted = heard.and_then(|heard| {
-            let Heard::Trigger(trigger) = heard else { panic!("{heard:?}") };
+            let Incoming::Trigger(trigger) = heard else { panic!("{heard:?}") };
             let is_known = self.listener.is_known(from);
             let from = SocketAddr::new(from, 8989);
-            self.waiting.push(Received { from, trigger, is_known, recording: None }, now)
+            self.waiting.push(ReceivedTrigger { from, trigger, is_known, recording: None }, now)
         });
         let Err(refusal) = accepted else { return };
         let why = match refusal {
-            Refusal::NotAllowed(_) => "not allowed",
-            Refusal::DelayTooLong { .. } => "too long",
-            Refusal::TooManyOfSender { .. } => "too many of one",
-            Refusal::TooMany(_) => "too many",
+            TriggerError::NotAllowed(_) => "not allowed",
+            TriggerError::DelayTooLong { .. } => "too long",
+            TriggerError::TooManyOfSender { .. } => "too many of one",
+            TriggerError::TooMany(_) => "too many",
             other => panic!("{other}"),
         };
         *self.refused.entry(why).or_default() += 1;
@@ -84,14 +85,14 @@ fn two_minutes(desk: &mut Desk, hostile: u8) -> Vec<Duration> {
                     _ => ("CaptureStop", 4000),
                 };
                 let bytes = datagram(element, "disturb", delay_ms, ms);
-                desk.hear(IpAddr::from([198, 51, 100, n]), &bytes, now);
+                desk.receive(IpAddr::from([198, 51, 100, n]), &bytes, now);
             }
         }
         match ms % 2000 {
-            300 => desk.hear(known, &datagram("CaptureStart", "walk", 33, ms), now),
+            300 => desk.receive(known, &datagram("CaptureStart", "walk", 33, ms), now),
             1700 => {
                 sent.insert(ms, now);
-                desk.hear(known, &datagram("CaptureStop", "walk", 0, ms), now);
+                desk.receive(known, &datagram("CaptureStop", "walk", 0, ms), now);
             }
             _ => {}
         }

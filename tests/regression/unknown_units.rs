@@ -7,7 +7,7 @@ use mocapd_take::{
 
 use crate::{
     cli::Folder,
-    support::{c3d_file::C3dFile, tells},
+    support::{c3d_file::C3dFile, mentions},
 };
 
 /// Three markers of a body that is 1.8 m tall, in a unit of so many millimetres.
@@ -113,7 +113,7 @@ fn a_given_unit_and_axis_override_those_of_the_file() {
     assert_eq!((motion.info.up, motion.info.source.factor), (UpAxis::Z, 10.0));
     let warnings = &motion.info.source.warnings;
     let is_warned = |facts: [&str; 2]| {
-        warnings.iter().any(|warning| facts.iter().all(|fact| tells(warning, fact)))
+        warnings.iter().any(|warning| facts.iter().all(|fact| mentions(warning, fact)))
     };
     // The unit of the file, the requested one, and the axis.
     assert!(is_warned(["mm", "cm"]) && is_warned(["z", "up"]), "{warnings:?}");

@@ -4,7 +4,7 @@ use mocapd_take::interchange::{Format, ReadOptions};
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, c3d_file::C3dFile, jump, tells},
+    support::{assert_mentions, c3d_file::C3dFile, jump, mentions},
 };
 
 /// The third column of coordinates of a CSV file's first marker.
@@ -26,10 +26,10 @@ fn omissions_are_reported_and_up_rotates() {
     for ending in ["csv", "trc", "tsv", "xdf"] {
         let plain = ["export", "jump.take", "-o", &format!("plain.{ending}")];
         let message = folder.run(&plain).with_code(0).stderr;
-        assert_tells(&message, &["z"]);
+        assert_mentions(&message, &["z"]);
         let turned = ["export", "jump.take", "-o", &format!("turned.{ending}"), "--up", "y"];
         let message = folder.run(&turned).with_code(0).stderr;
-        assert!(!tells(&message, "z"), "{ending}: {message}");
+        assert!(!mentions(&message, "z"), "{ending}: {message}");
     }
     let (plain, turned) = (folder.text("plain.csv"), folder.text("turned.csv"));
     assert_eq!(column(&turned, 0), column(&plain, 0));

@@ -12,7 +12,7 @@ use crate::{
         devices::{Recorder, Simulated},
         service::Service,
     },
-    support::{assert_tells, jump, tells},
+    support::{assert_mentions, jump, mentions},
 };
 
 /// A folder with one in it for the take, and a device that never ends.
@@ -42,7 +42,7 @@ fn record_continues_a_removed_take_and_saves_it() {
     folder.run(&["verify", "in/a.saved.take"]).with_code(0);
     let info = folder.run(&["info", "in/a.saved.take", "--json"]).with_code(0).json();
     assert_eq!(info["ledger"]["recorded"], report["frames"]);
-    assert_tells(info["ending_detail"].as_str().unwrap(), &["removed"]);
+    assert_mentions(info["ending_detail"].as_str().unwrap(), &["removed"]);
     assert!(!folder.path("in/a.take").exists());
 }
 
@@ -190,7 +190,7 @@ fn the_service_ends_a_take_that_was_cut_short() {
     folder.run(&["ctl", "--connect", &socket, "stop"]).with_code(3);
     assert_eq!(file.metadata().unwrap().len(), 150, "nothing is written behind the cut");
     let log = folder.text("rig.log");
-    let is_closing = |line: &str| tells(line, "short") && tells(line, "mocapd recover");
+    let is_closing = |line: &str| mentions(line, "short") && mentions(line, "mocapd recover");
     assert!(log.lines().any(is_closing), "{log}");
     // The next take is not affected.
     assert_eq!(service.post("/v1/start", r#"{"name": "next"}"#).0, 200);

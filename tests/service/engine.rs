@@ -14,7 +14,7 @@ use mocapd_take::record::{EndingKind, Subject};
 
 use crate::{
     cli::{devices::Simulated, subjects::skeleton},
-    support::{assert_tells, dense, jump},
+    support::{assert_mentions, dense, jump},
 };
 
 pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
@@ -225,7 +225,7 @@ fn the_take_is_finished_when_the_service_stops_and_at_its_maximum_length() {
         ended.push(event);
     }
     let stopped = ended.iter().find(|event| event.kind == ServiceEventKind::TakeStopped).unwrap();
-    assert_tells(&stopped.message, &["long", EndingKind::Length.word()]);
+    assert_mentions(&stopped.message, &["long", EndingKind::Length.name()]);
     let open = engine.start(&named("open")).unwrap();
     engine.stop_service();
     assert!(read(&open.path).samples() > 0);
@@ -346,7 +346,7 @@ fn a_full_disk_is_reported_and_nothing_is_left_on_it() {
         room(|options| options.take.keep_free_bytes = u64::MAX / 2);
     let refused = engine.start(&named("full")).unwrap_err();
     assert_eq!(refused.kind, RefusalKind::Disk, "{refused}");
-    assert_tells(&refused.message, &["take.keep_free"]);
+    assert_mentions(&refused.message, &["take.keep_free"]);
     assert_eq!(directory.path().read_dir().unwrap().count(), 0);
     assert_eq!(engine.status().state, State::Idle);
 }

@@ -11,7 +11,7 @@ use mocapd_acquire::{
     header,
     inspect::Summary,
     pipeline::{
-        Counts, Intake, NewTake, Pipeline, PipelineConfig, TakeFailed, TakeOutput, Written,
+        Counts, Intake, NewTake, Pipeline, PipelineConfig, TakeAccount, TakeFailed, TakeOutput,
     },
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
@@ -34,7 +34,7 @@ pub(crate) mod c3d_file;
 pub(crate) const TICK_HZ: u64 = 1_000_000;
 
 /// Whether a message mentions a fact (a name, number, option or command) as a whole, not as part of another word.
-pub(crate) fn tells(message: &str, fact: &str) -> bool {
+pub(crate) fn mentions(message: &str, fact: &str) -> bool {
     let is_inner = |c: char| c.is_alphanumeric() || c == '_';
     let is_digit = |c: char| c.is_ascii_digit();
     message.match_indices(fact).any(|(at, _)| {
@@ -51,9 +51,9 @@ pub(crate) fn tells(message: &str, fact: &str) -> bool {
 
 /// Asserts that a message mentions all facts that its reader needs, whatever its wording.
 #[track_caller]
-pub(crate) fn assert_tells(message: &str, facts: &[&str]) {
+pub(crate) fn assert_mentions(message: &str, facts: &[&str]) {
     for fact in facts {
-        assert!(tells(message, fact), "'{fact}' is not in: {message}");
+        assert!(mentions(message, fact), "'{fact}' is not in: {message}");
     }
 }
 
@@ -132,7 +132,7 @@ pub(crate) fn config(motion: &Motion, codec: Settings) -> PipelineConfig {
 pub(crate) struct Recording<W>(Pipeline, PhantomData<W>);
 
 impl<W: TakeOutput> Recording<W> {
-    pub(crate) fn finish(self) -> Result<(Written, W), TakeFailed> {
+    pub(crate) fn finish(self) -> Result<(TakeAccount, W), TakeFailed> {
         self.0.finish().map(|(written, output)| (written, output_of(output)))
     }
 }
@@ -156,7 +156,7 @@ pub(crate) fn record(
     motion: &Motion,
     config: &PipelineConfig,
     wanted: impl IntoIterator<Item = usize>,
-) -> (Written, Vec<u8>, Counts) {
+) -> (TakeAccount, Vec<u8>, Counts) {
     let (mut intake, pipeline) = start(config, Vec::new());
     for seq in wanted {
         while intake.is_full() {
@@ -229,7 +229,7 @@ pub(crate) fn chunks(take: &[u8]) -> Chunks {
 pub(crate) fn places(take: &[u8]) -> Vec<(u8, Range<usize>)> {
     let mut at = chunk::MAGIC.len();
     let mut places = Vec::new();
-    while let chunk::Front::Whole { kind, len, .. } = chunk::front(&take[at..]) {
+    while let chunk::ChunkParse::Whole { kind, len, .. } = chunk::parse(&take[at..]) {
         places.push((kind, at..at + len));
         at += len;
     }

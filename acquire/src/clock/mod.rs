@@ -16,7 +16,7 @@ mod tests;
 
 pub use fit::{Bound, Burst, Line, fit};
 pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, StoreItem};
-pub use observations::{Apart, LineRefit};
+pub use observations::{LineDeviation, LineRefit};
 pub use prober::Prober;
 
 /// Longest age of an observation that the line is fitted to: over two minutes the oscillators of a device and of a host

@@ -7,7 +7,7 @@ use super::{
     observations::{Arrivals, Bursts, lines},
     seconds,
 };
-use crate::latency::Latency;
+use crate::latency::LatencyHistogram;
 
 /// An item of the clock model for the take to store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -84,7 +84,7 @@ pub struct ClockModel {
     bursts: Bursts,
     gate: OutlierGate,
     line: Option<Line>,
-    lateness: Latency,
+    lateness: LatencyHistogram,
     late_squared: f64,
     probes: u64,
     points: u64,
@@ -105,7 +105,7 @@ impl ClockModel {
             bursts: Bursts::new(),
             gate: OutlierGate::default(),
             line: None,
-            lateness: Latency::default(),
+            lateness: LatencyHistogram::default(),
             late_squared: 0.0,
             probes: 0,
             points: 0,

@@ -253,7 +253,7 @@ const SLACK_PPM: f64 = 2.0;
 
 /// How far a stored line is from the line refitted to its observations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Apart {
+pub struct LineDeviation {
     /// At the reference point, in microseconds: negative when the stored line is later.
     #[serde(rename = "apart_us")]
     pub offset_us: f64,
@@ -290,7 +290,7 @@ impl LineRefit {
 
     /// Compares the last record's line with its observations; `None` if there is no line.
     #[must_use]
-    pub fn apart(&self) -> Option<Apart> {
+    pub fn deviation(&self) -> Option<LineDeviation> {
         let stored = self.line?;
         let tick_hz = self.tick_hz.max(1) as f64;
         let stored_ppm = stored.drift_ppb as f64 / 1e3;
@@ -308,12 +308,13 @@ impl LineRefit {
             b.agrees.cmp(&a.agrees).then(nearer)
         });
         // The line has no observations.
-        let nothing = Apart { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
+        let nothing =
+            LineDeviation { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
         Some(nearest.unwrap_or(nothing))
     }
 }
 
-fn deviation(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
+fn deviation(line: &Line, stored: &ClockLine, tick_hz: f64) -> LineDeviation {
     let stored_ppm = stored.drift_ppb as f64 / 1e3;
     let passed_s = seconds(line.at.device_ticks, stored.device_ticks, tick_hz);
     let at_ns = line.at.host_us.wrapping_mul(1000).wrapping_sub(stored.host_ns).cast_signed();
@@ -322,5 +323,5 @@ fn deviation(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
     let (us, ppm) =
         stored.bound.map_or((0.0, 0.0), |b| (b.offset_us as f64, b.drift_ppb as f64 / 1e3));
     let agrees = offset_us.abs() <= SLACK_US + us / 4.0 && drift_ppm.abs() <= SLACK_PPM + ppm / 4.0;
-    Apart { offset_us, drift_ppm, agrees }
+    LineDeviation { offset_us, drift_ppm, agrees }
 }

@@ -118,7 +118,7 @@ impl Prober {
     }
 
     /// Starts the schedule again because the clocks changed, but no sooner than links allow.
-    pub fn hurry(&mut self) {
+    pub fn restart_schedule(&mut self) {
         if self.bursts > 0 {
             self.bursts = 0;
             self.next_burst_ns =
@@ -136,7 +136,7 @@ impl Prober {
     }
 
     /// Stops probing: the device cannot be queried.
-    pub fn off(&mut self) {
+    pub fn disable(&mut self) {
         self.off = true;
     }
 

@@ -74,7 +74,7 @@ struct Run {
 
 impl Run {
     /// After each stored item, how far the line was from the line refitted to the stored items.
-    fn apart(&self) -> Vec<Apart> {
+    fn apart(&self) -> Vec<LineDeviation> {
         let (mut refit, mut n) = (LineRefit::default(), 0);
         let each = self.lines.iter().filter_map(|(stored, status)| {
             let &ClockStatus { segment, tick_hz, line, .. } = status;
@@ -87,7 +87,7 @@ impl Run {
                 }
             }
             refit.add(&clock);
-            refit.apart()
+            refit.deviation()
         });
         each.collect()
     }
@@ -169,7 +169,7 @@ impl World {
                 let at_s = (now_ns - START_NS) * 1e-9;
                 events.extend(event.map(|event| (at_s, event)));
                 if model.wants_probes() {
-                    prober.hurry();
+                    prober.restart_schedule();
                 }
             }
             if let Some(at) = prober.due(now_ns as u64) {
@@ -389,7 +389,7 @@ fn the_line_can_be_refitted_from_the_stored_observations_at_any_time() {
         for world in worlds(usual).step_by(13) {
             for apart in world.run(45.0).apart() {
                 assert!(apart.agrees, "{world:?}: {apart:?}");
-                let Apart { offset_us, drift_ppm, .. } = apart;
+                let LineDeviation { offset_us, drift_ppm, .. } = apart;
                 worst = (worst.0.max(offset_us.abs()), worst.1.max(drift_ppm.abs()));
                 n_lines += 1;
             }

@@ -60,7 +60,7 @@ pub struct DisplacedFile {
 impl DisplacedFile {
     /// What happened and what to do, for a take that is still being recorded.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn message(&self) -> String {
         let Self { created_as, open_at, bytes: (found, written), .. } = self;
         let (take, open_at) = (created_as.display(), open_at.display());
         match self.state {
@@ -86,7 +86,7 @@ impl DisplacedFile {
 
 /// The file of a take that has ended.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Settled {
+pub struct SettledFile {
     /// What happened to it.
     pub state: FileState,
     /// Where it is now, or where its copy is if it was removed. `None` if it has no name.
@@ -97,10 +97,10 @@ pub struct Settled {
     pub problem: Option<String>,
 }
 
-impl Settled {
+impl SettledFile {
     /// What happened; `None` when nothing did.
     #[must_use]
-    pub fn words(&self) -> Option<String> {
+    pub fn message(&self) -> Option<String> {
         let displaced = self.displaced.as_ref()?;
         let take = displaced.created_as.display();
         Some(match (self.state, &self.path, &self.problem) {
@@ -116,10 +116,10 @@ impl Settled {
                 "the take {take} was renamed during the recording: it is now {}",
                 path.display()
             ),
-            (FileState::Renamed, None, _) => format!(
-                "the take {take} was renamed during the recording: its new name is unknown"
-            ),
-            _ => displaced.words(),
+            (FileState::Renamed, None, _) => {
+                format!("the take {take} was renamed during the recording: its new name is unknown")
+            }
+            _ => displaced.message(),
         })
     }
 }

@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use crossbeam_channel::{Sender, TrySendError, bounded};
-use mocapd_take::interchange::bids::Folder;
+use mocapd_take::interchange::bids::DatasetFolder;
 use rustix::{
     fs::{Advice, AtFlags, CWD, Mode, OFlags, RenameFlags, fadvise, linkat, openat, renameat_with},
     io::Errno,
@@ -166,7 +166,7 @@ impl NewFolder {
     }
 }
 
-impl Folder for NewFolder {
+impl DatasetFolder for NewFolder {
     fn file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>> {
         let hidden = self.hidden.as_ref().ok_or(io::ErrorKind::NotFound)?;
         let path = hidden.join(path);

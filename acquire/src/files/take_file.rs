@@ -16,7 +16,7 @@ use rustix::{
     io::Errno,
 };
 
-use super::{DisplacedFile, FileState, NewFile, Settled, file_state::is_mounted, proc_link};
+use super::{DisplacedFile, FileState, NewFile, SettledFile, file_state::is_mounted, proc_link};
 
 /// Identifies a file, whatever its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -106,8 +106,8 @@ pub trait TakeOutput: Any + Write + Send {
     }
 
     /// Where the output is, after the take has ended. Saves a copy of a removed file.
-    fn settle(&mut self) -> Settled {
-        Settled::default()
+    fn settle(&mut self) -> SettledFile {
+        SettledFile::default()
     }
 }
 
@@ -293,10 +293,11 @@ impl TakeOutput for TakeFile {
         })
     }
 
-    fn settle(&mut self) -> Settled {
+    fn settle(&mut self) -> SettledFile {
         let state = self.check_state();
         let displaced = self.displaced();
-        let mut settled = Settled { state, path: self.current_path(), displaced, problem: None };
+        let mut settled =
+            SettledFile { state, path: self.current_path(), displaced, problem: None };
         if state == FileState::Removed {
             match self.save_copy() {
                 Ok(path) => settled.path = Some(path),

@@ -41,7 +41,7 @@ pub struct NewTake {
     /// How much from before the request to include, as far as the pre-roll buffer holds it.
     pub pre_roll: Duration,
     /// When the take was requested, by the host's monotonic clock.
-    pub asked_ns: u64,
+    pub requested_ns: u64,
     /// The first event of the take.
     pub notes: Option<Event>,
     /// Bytes of the disk to leave free.
@@ -56,7 +56,7 @@ impl NewTake {
             header,
             subject: None,
             pre_roll: Duration::ZERO,
-            asked_ns: 0,
+            requested_ns: 0,
             notes: None,
             keep_free_bytes: 0,
         }
@@ -80,7 +80,7 @@ pub struct FirstRow {
 pub struct NothingRecorded;
 
 /// The result of a take: its account and its closed output, or why it ended early.
-pub type TakeEnd = Result<(Written, Box<dyn TakeOutput>), TakeFailed>;
+pub type TakeResult = Result<(TakeAccount, Box<dyn TakeOutput>), TakeFailed>;
 
 /// A take that ended early. What was written before stays, unless the error is [`NothingRecorded`].
 pub struct TakeFailed {
@@ -111,7 +111,7 @@ impl fmt::Display for TakeFailed {
 
 /// The account of a take that was written.
 #[derive(Debug, Clone, Default)]
-pub struct Written {
+pub struct TakeAccount {
     /// The ledger in the take.
     pub ledger: Ledger,
     /// The ending in the take.
@@ -138,14 +138,14 @@ pub struct TakeHandle {
     /// Receives the first row when it would survive a power cut.
     pub first: Receiver<FirstRow>,
     /// Receives the result when the take is closed.
-    pub ended: Receiver<TakeEnd>,
+    pub ended: Receiver<TakeResult>,
 }
 
 /// The sending ends of a [`TakeHandle`].
 #[derive(Debug, Clone)]
 pub(super) struct Reply {
     pub(super) first: Sender<FirstRow>,
-    pub(super) ended: Sender<TakeEnd>,
+    pub(super) ended: Sender<TakeResult>,
 }
 
 pub(super) fn reply_channel() -> (Reply, TakeHandle) {
@@ -220,21 +220,22 @@ impl CommandReceiver {
 
 /// Sends commands for takes. One take at a time: each is ended before the next is begun.
 #[derive(Debug)]
-pub struct Takes {
+pub struct CommandSender {
     n_queued: Arc<AtomicUsize>,
     marks: Sender<MarkRequest>,
     commands: Sender<TakeCommand>,
 }
 
-pub(super) fn command_channel() -> (Takes, CommandReceiver) {
+pub(super) fn command_channel() -> (CommandSender, CommandReceiver) {
     let (marks_in, marks) = bounded(MARKS_MAX);
     let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX);
     let n_queued = Arc::new(AtomicUsize::new(0));
-    let takes = Takes { n_queued: Arc::clone(&n_queued), marks: marks_in, commands: commands_in };
+    let takes =
+        CommandSender { n_queued: Arc::clone(&n_queued), marks: marks_in, commands: commands_in };
     (takes, CommandReceiver { n_queued, marks, commands })
 }
 
-impl Takes {
+impl CommandSender {
     /// Begins a take at the next frame, or at an earlier one from the pre-roll.
     ///
     /// # Errors

@@ -10,14 +10,14 @@ use std::{
 
 use rustix::fs::statvfs;
 
-use super::Progress;
+use super::PipelineProgress;
 use crate::{
     files::{TakeOutput, folder_of},
     setting::{Setting, SettingRefused},
 };
 
 /// The smallest reserve: enough for a ledger, the index of a take of days and a few stretches.
-pub const HELD_MIN_BYTES: u64 = 4 << 20;
+pub const RESERVE_MIN_BYTES: u64 = 4 << 20;
 
 /// Seconds of data to reserve: the stretches in memory after a stall of the disk, and those until the device stops.
 const RESERVE_S: f64 = 60.0;
@@ -76,14 +76,14 @@ impl DiskReserve {
         &mut self,
         output: &mut dyn TakeOutput,
         written: u64,
-        progress: &Progress,
+        progress: &PipelineProgress,
         now: Instant,
     ) {
         if self.last_poll.is_some_and(|(last, ..)| now.duration_since(last) < POLL_INTERVAL) {
             return;
         }
         let raw_log_bytes =
-            progress.beside_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
+            progress.raw_log_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
         if let Some((last, before, raw_log_before)) = self.last_poll {
             let passed_s = now.duration_since(last).as_secs_f64();
             // Before there is a mean, use the first second's rate.
@@ -107,10 +107,10 @@ impl DiskReserve {
         };
         // The last few bytes are for closing the take.
         let left = available.saturating_add(reserved);
-        self.state.is_full |= left < HELD_MIN_BYTES;
+        self.state.is_full |= left < RESERVE_MIN_BYTES;
         let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
         let both_per_s = self.bytes_per_s + self.raw_log_bytes_per_s;
-        let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / both_per_s;
+        let left_s = left.saturating_sub(RESERVE_MIN_BYTES) as f64 / both_per_s;
         // The reserve belongs to the take alone, not to the raw log.
         let raw_log_s = available as f64 / self.raw_log_bytes_per_s;
         let left_s = if self.raw_log_bytes_per_s > 0.0 { left_s.min(raw_log_s) } else { left_s };
@@ -127,7 +127,7 @@ impl DiskReserve {
     }
 
     fn reserve(&mut self, output: &mut dyn TakeOutput, written: u64) {
-        let target = HELD_MIN_BYTES.max((self.bytes_per_s * RESERVE_S) as u64);
+        let target = RESERVE_MIN_BYTES.max((self.bytes_per_s * RESERVE_S) as u64);
         // Topping up at half the reserve saves a system call every second.
         if self.state.is_full || !self.can_reserve || self.reserved_to >= written + target / 2 {
             return;
@@ -137,7 +137,7 @@ impl DiskReserve {
         let spare =
             output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
         let wanted = (written + target).min(from.saturating_add(spare));
-        for to in [wanted, (written + HELD_MIN_BYTES).min(wanted)] {
+        for to in [wanted, (written + RESERVE_MIN_BYTES).min(wanted)] {
             if to <= from {
                 return;
             }
@@ -165,18 +165,18 @@ fn is_full(error: &io::Error) -> bool {
 ///
 /// # Errors
 /// When the disk is too full. The message states free and required space, and what to do.
-pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
+pub fn check_disk_space(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
     // If free space is unknown, creating the file decides.
     let Ok(disk) = statvfs(folder_of(path)) else { return Ok(()) };
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
-    if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
+    if free_bytes < keep_free_bytes.saturating_add(RESERVE_MIN_BYTES) {
         let why = format!(
             "the disk is nearly full: {:.0} MB are free for {}, but {:.0} MB have to stay free, and closing \
              a take needs {:.0} MB",
             mb(free_bytes),
             path.display(),
             mb(keep_free_bytes),
-            mb(HELD_MIN_BYTES)
+            mb(RESERVE_MIN_BYTES)
         );
         let alternative = ", free some space, or record to another disk";
         return Err(SettingRefused { why, setting: Setting::KeepFree, alternative }.into());
@@ -236,7 +236,7 @@ mod tests {
     fn run_until_full(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
         let (mut reserve, progress, start) =
-            (DiskReserve::new(10 * MIB), Progress::default(), Instant::now());
+            (DiskReserve::new(10 * MIB), PipelineProgress::default(), Instant::now());
         let (mut left, mut least) = (Vec::new(), disk.free);
         for second in 0..100 {
             reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
@@ -271,7 +271,7 @@ mod tests {
         // The reserve lasts half a minute after the quota is reached.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut reserve, progress, start) =
-            (DiskReserve::new(0), Progress::default(), Instant::now());
+            (DiskReserve::new(0), PipelineProgress::default(), Instant::now());
         for second in 0..100 {
             if second == 5 {
                 disk.holds = Err(io::ErrorKind::QuotaExceeded);
@@ -290,9 +290,9 @@ mod tests {
         // 3 MiB a second of raw log beside 1 MiB of the take: 950 MiB last for a quarter of the time.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut reserve, progress, start) =
-            (DiskReserve::new(50 * MIB), Progress::default(), Instant::now());
+            (DiskReserve::new(50 * MIB), PipelineProgress::default(), Instant::now());
         let raw_log = Arc::new(AtomicU64::new(9));
-        progress.beside_bytes.set(Arc::clone(&raw_log)).unwrap();
+        progress.raw_log_bytes.set(Arc::clone(&raw_log)).unwrap();
         for second in 0..10 {
             reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
             raw_log.fetch_add(3 * MIB, Ordering::Relaxed);
@@ -306,7 +306,7 @@ mod tests {
     fn the_time_left_includes_the_reserve() {
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut reserve, progress, start) =
-            (DiskReserve::new(0), Progress::default(), Instant::now());
+            (DiskReserve::new(0), PipelineProgress::default(), Instant::now());
         for second in 0..10 {
             reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
         }

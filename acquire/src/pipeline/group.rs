@@ -9,7 +9,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::{BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows};
 use mocapd_take::{
     record::Header,
-    stretch::{FrontWriter, put_block},
+    stretch::{StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
 };
 
@@ -18,7 +18,7 @@ use super::{
     plan::Plan,
     ring::{RingConsumer, RingProducer, Sample, TimelineItem, ring},
 };
-use crate::heartbeat::Beat;
+use crate::heartbeat::HeartbeatHandle;
 
 /// Channels or the timeline, with all buffers preallocated.
 #[derive(Debug)]
@@ -48,7 +48,7 @@ struct ChannelCoder {
     samples: Vec<Sample>,
     block: Vec<u8>,
     /// Visibility counters, if requested, by slot across all groups.
-    seen: Option<SeenCounters>,
+    seen: Option<VisibilityCounters>,
 }
 
 #[derive(Debug)]
@@ -63,7 +63,7 @@ impl Group {
     pub(super) fn channels(
         plan: &Plan,
         index: usize,
-        seen: Option<SeenCounters>,
+        seen: Option<VisibilityCounters>,
         parts: &Sender<Part>,
     ) -> (Self, Vec<RingProducer<Sample>>) {
         let rows = plan.stretch_rows as usize;
@@ -118,9 +118,9 @@ impl Group {
     }
 
     /// Does every job for which there is a buffer.
-    pub(super) fn run_jobs(&mut self, heartbeat: &Beat) {
+    pub(super) fn run_jobs(&mut self, heartbeat: &HeartbeatHandle) {
         while !self.jobs.is_empty() {
-            heartbeat.moved();
+            heartbeat.beat();
             let Ok(mut bytes) = self.buffers.try_recv() else { return };
             let Ok(job) = self.jobs.try_recv() else {
                 drop(self.buffers_back.try_send(bytes));
@@ -160,7 +160,7 @@ impl ChannelCoder {
             slot.positions.extend(self.samples[..n_rows].iter().map(|s| s.position_mm));
             slot.present.extend(self.samples[..n_rows].iter().map(|s| s.present));
         }
-        if let Some(SeenCounters(seen)) = &self.seen {
+        if let Some(VisibilityCounters(seen)) = &self.seen {
             let seen = &seen[self.first_slot..];
             let slots = self.slots[..n_channels].iter();
             slots.zip(seen).for_each(|(slot, seen)| seen.count(&slot.present));
@@ -198,7 +198,7 @@ pub(super) struct TimelineCoder {
     ring: RingConsumer<TimelineItem>,
     timeline: Timeline,
     next_row: u64,
-    front: FrontWriter,
+    front: StretchHeaderWriter,
 }
 
 impl TimelineCoder {
@@ -210,7 +210,7 @@ impl TimelineCoder {
         let mut timeline = Timeline::default();
         timeline.runs.reserve(items_max);
         timeline.times.reserve(items_max);
-        let front = FrontWriter::with_times(header.stretch_rows, times);
+        let front = StretchHeaderWriter::with_times(header.stretch_rows, times);
         Self { ring, timeline, next_row: 0, front }
     }
 
@@ -240,7 +240,7 @@ impl TimelineCoder {
 
 /// Visibility counters of all channels, by slot.
 #[derive(Debug, Clone, Default)]
-pub struct SeenCounters(pub(super) Arc<[VisibilityCounts]>);
+pub struct VisibilityCounters(pub(super) Arc<[VisibilityCounts]>);
 
 /// Visibility counters of one channel, in rows of the encoded stretches.
 #[derive(Debug, Default)]
@@ -266,7 +266,7 @@ pub struct Visibility {
     pub longest_gap: u64,
 }
 
-impl SeenCounters {
+impl VisibilityCounters {
     pub(super) fn new(n_slots: usize) -> Self {
         Self((0..n_slots).map(|_| VisibilityCounts::default()).collect())
     }
@@ -317,7 +317,7 @@ mod tests {
 
     #[test]
     fn gaps_go_on_from_stretch_to_stretch() {
-        let seen = SeenCounters::new(1);
+        let seen = VisibilityCounters::new(1);
         seen.0[0].count(&[true, false, false]);
         seen.0[0].count(&[false, true, true, false]);
         let wanted = Visibility { rows: 7, present: 3, gaps: 2, longest_gap: 3 };

@@ -10,7 +10,7 @@ use std::sync::{Arc, atomic::Ordering};
 use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
 use mocapd_take::{
     record::{Event, TakeEnding},
-    timeline::{Causes, RowTime},
+    timeline::{LossCauses, RowTime},
 };
 
 use self::{
@@ -19,16 +19,16 @@ use self::{
     losses::{PendingLoss, SilenceMonitor},
 };
 use super::{
-    Counts, PipelineConfig, Progress,
+    Counts, PipelineConfig, PipelineProgress,
     commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
     messages::{Control, FrameTimes, ToWriter},
     plan::Plan,
     pool::Feed,
-    ring::{RingProducer, Sample, TapHead, TapIn, TimelineItem},
+    ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
 };
 use crate::{
-    heartbeat::{Beat, Who},
-    latency::Latency,
+    heartbeat::{HeartbeatHandle, ThreadRole},
+    latency::LatencyHistogram,
 };
 
 /// No slot: the channel pool was exhausted when the marker appeared.
@@ -41,8 +41,8 @@ pub struct Intake {
     timeline: RingProducer<TimelineItem>,
     feed: Feed,
     to_writer: ToWriter,
-    progress: Arc<Progress>,
-    heartbeat: Beat,
+    progress: Arc<PipelineProgress>,
+    heartbeat: HeartbeatHandle,
     /// Slot of each marker id; `NO_SLOT` if it has none.
     slot_of_id: Vec<u32>,
     /// Label of each slot, as announced.
@@ -91,7 +91,7 @@ pub struct Intake {
     due_until_ns: Option<u64>,
     finished: bool,
     commands: CommandReceiver,
-    tap: TapIn,
+    tap: PreviewSender,
 }
 
 /// Most frames that a device can have produced beyond those seen: a day and more at 10 kHz. A larger number
@@ -105,8 +105,8 @@ pub(super) struct ReaderEndpoints {
     pub(super) feed: Feed,
     pub(super) to_writer: ToWriter,
     pub(super) commands: CommandReceiver,
-    pub(super) tap: TapIn,
-    pub(super) progress: Arc<Progress>,
+    pub(super) tap: PreviewSender,
+    pub(super) progress: Arc<PipelineProgress>,
 }
 
 impl Intake {
@@ -127,7 +127,7 @@ impl Intake {
             timeline,
             feed,
             progress,
-            heartbeat: config.heartbeat.beat(Who::Reader)?,
+            heartbeat: config.heartbeat.register(ThreadRole::Reader)?,
             slot_of_id,
             labels,
             announced: Vec::new(),
@@ -191,19 +191,19 @@ impl Intake {
         self.clock_events(event, frame.device_ticks, arrival_ns);
         self.fill_row(frame);
         self.tap.offer(
-            TapHead {
+            PreviewFrame {
                 row: self.next_row + self.pending.rows(),
                 device_ticks: frame.device_ticks,
                 arrival_ns,
                 n_channels: self.n_channels,
-                is_shown: false,
+                is_displayed: false,
             },
             &self.row[..self.n_channels],
         );
         self.make_room();
         if !self.has_room() {
             self.counts.ring_full += 1;
-            self.pending.add(1, Causes::RING_FULL);
+            self.pending.add(1, LossCauses::RING_FULL);
             self.row.fill(Sample::default());
             self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
             return;
@@ -228,7 +228,7 @@ impl Intake {
     /// slowly, or not at all, is closed when its time is up.
     pub fn tick(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
-        self.heartbeat.moved();
+        self.heartbeat.beat();
         self.execute_commands(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
@@ -237,7 +237,7 @@ impl Intake {
 
     /// Sends a heartbeat while the reader waits for a device.
     pub(crate) fn keep_alive(&self) {
-        self.heartbeat.moved();
+        self.heartbeat.beat();
     }
 
     /// Records an event at the current row.
@@ -333,7 +333,7 @@ impl Intake {
     }
 
     /// Sets the link decoder's counters.
-    pub fn link(&mut self, link: LinkCounters) {
+    pub fn set_link_counters(&mut self, link: LinkCounters) {
         self.counts.link = link;
     }
 
@@ -372,7 +372,7 @@ impl Intake {
     }
 
     /// The live counters.
-    pub(crate) fn progress(&self) -> &Progress {
+    pub(crate) fn progress(&self) -> &PipelineProgress {
         &self.progress
     }
 
@@ -386,7 +386,7 @@ impl Intake {
     }
 
     /// Publishes the latency for observers.
-    pub(crate) fn publish_latency(&self, latency: &Latency) {
+    pub(crate) fn publish_latency(&self, latency: &LatencyHistogram) {
         let p99_ns = latency.quantile_ns(0.99);
         self.progress.ring_latency_p99_ns.store(p99_ns, Ordering::Relaxed);
     }
@@ -420,8 +420,8 @@ impl Intake {
                 self.counts.impossible_produced = Some(status.frames_produced);
                 self.counts.status = None;
             } else {
-                let gone = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-                let cause = if self.counts.ended { Causes::NOT_RECEIVED } else { gone };
+                let gone = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
+                let cause = if self.counts.ended { LossCauses::NOT_RECEIVED } else { gone };
                 self.counts.outages += u32::from(!self.counts.ended && unseen > 0);
                 self.pending.add(unseen, cause);
             }

@@ -30,15 +30,16 @@ use crossbeam_channel::bounded;
 use mocapd_take::record::Header;
 
 pub use commands::{
-    FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, TakeHandle, Takes, Written,
+    CommandSender, FirstRow, NewTake, NothingRecorded, TakeAccount, TakeFailed, TakeHandle,
+    TakeResult,
 };
 pub use counts::{Counts, PendingRows};
-pub use disk::{DiskSpace, HELD_MIN_BYTES, check_room};
-pub use group::{SeenCounters, Visibility};
+pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
+pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
-pub use progress::{Progress, TakeProgress, lock};
-pub use ring::{TapHead, TapOut};
+pub use progress::{PipelineProgress, TakeProgress, lock};
+pub use ring::{PreviewFrame, PreviewReceiver};
 
 use self::{
     group::Group,
@@ -48,27 +49,27 @@ use self::{
     writer::{LiveTake, Writer},
 };
 pub use crate::files::TakeOutput;
-use crate::{heartbeat::Who, threads};
+use crate::{heartbeat::ThreadRole, threads};
 
 /// The threads behind an [`Intake`].
 #[derive(Debug)]
 pub struct Pipeline {
     pool: Pool,
     writer: std::thread::JoinHandle<anyhow::Result<()>>,
-    progress: Arc<Progress>,
+    progress: Arc<PipelineProgress>,
     /// Only in a pipeline for a single take.
     take: Option<TakeHandle>,
 }
 
 /// Handles of a pipeline whose takes begin and end on command.
 #[derive(Debug)]
-pub struct Armed {
+pub struct ArmedHandles {
     /// Sends commands for takes.
-    pub takes: Takes,
+    pub takes: CommandSender,
     /// Frames to preview.
-    pub tap: TapOut,
+    pub tap: PreviewReceiver,
     /// The visibility of each marker.
-    pub seen: SeenCounters,
+    pub seen: VisibilityCounters,
 }
 
 impl Pipeline {
@@ -90,8 +91,11 @@ impl Pipeline {
     ///
     /// # Errors
     /// When a thread cannot be started, or the resampler needs whole takes.
-    pub fn arm(config: &PipelineConfig, header: &Header) -> anyhow::Result<(Intake, Self, Armed)> {
-        let seen = SeenCounters::new(config.channels.len() + config.reserve);
+    pub fn arm(
+        config: &PipelineConfig,
+        header: &Header,
+    ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
+        let seen = VisibilityCounters::new(config.channels.len() + config.reserve);
         Self::run(config, header, None, Some(seen))
     }
 
@@ -99,11 +103,11 @@ impl Pipeline {
         config: &PipelineConfig,
         header: &Header,
         take: Option<LiveTake>,
-        seen: Option<SeenCounters>,
-    ) -> anyhow::Result<(Intake, Self, Armed)> {
+        seen: Option<VisibilityCounters>,
+    ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
         let plan = Plan::new(config)?;
-        let progress = Arc::new(Progress::new(&config.channels));
-        let writer_heartbeat = config.heartbeat.beat(Who::Writer)?;
+        let progress = Arc::new(PipelineProgress::new(&config.channels));
+        let writer_heartbeat = config.heartbeat.register(ThreadRole::Writer)?;
 
         let (parts_in, parts) = bounded(plan.parts_max());
         let (to_writer, from_reader) = messages::reader_to_writer();
@@ -142,13 +146,13 @@ impl Pipeline {
             drop(guard);
             written
         })?;
-        let armed = Armed { takes, tap, seen: seen.unwrap_or_default() };
+        let armed = ArmedHandles { takes, tap, seen: seen.unwrap_or_default() };
         Ok((intake, Self { pool, writer, progress, take: None }, armed))
     }
 
     /// Live counters.
     #[must_use]
-    pub fn progress(&self) -> &Arc<Progress> {
+    pub fn progress(&self) -> &Arc<PipelineProgress> {
         &self.progress
     }
 
@@ -157,7 +161,7 @@ impl Pipeline {
     /// # Errors
     /// The writer's error, with the output: what was written before it is a readable take. A pipeline that was armed
     /// has no take to return.
-    pub fn finish(mut self) -> TakeEnd {
+    pub fn finish(mut self) -> TakeResult {
         let take = self.take.take();
         let outcome = self.join();
         // The take's own error comes first: it is the more specific one.

@@ -10,14 +10,14 @@ use std::{
 
 use anyhow::Context;
 use crossbeam_channel::bounded;
-pub use mocapd_take::whole::stretch_rows;
+pub use mocapd_take::motion_encoder::stretch_rows;
 use mocapd_take::{
     motion::Motion,
+    motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter},
     record::Header,
-    whole::{Coded, Part, Plan, WholeWriter},
 };
 
-use super::{Written, messages::PartReport};
+use super::{TakeAccount, messages::PartReport};
 use crate::threads::ResamplerFailed;
 
 /// Encodes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
@@ -30,26 +30,27 @@ pub fn write_take<W: Write>(
     n_workers: usize,
     progress: &AtomicU64,
     out: W,
-) -> anyhow::Result<(Written, W)> {
-    let plan = Plan::new(motion, header)?;
-    let mut take = WholeWriter::new(&plan, header, out)
+) -> anyhow::Result<(TakeAccount, W)> {
+    let plan = EncodePlan::new(motion, header)?;
+    let mut take = MotionWriter::new(&plan, header, out)
         .context("cannot write the take's header, or what is beside trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
         let mut encoder = plan.encoder();
-        move |part: &Part| {
+        move |part: &EncodePart| {
             let coded = encoder.encode(*part)?;
             progress.fetch_add((part.n_rows * part.n_markers) as u64, Ordering::Relaxed);
             Ok(coded)
         }
     };
-    in_order(plan.parts(), n_workers, worker, |part, coded: Coded| {
+    in_order(plan.parts(), n_workers, worker, |part, coded: EncodedPart| {
         coded.reports.iter().for_each(|channel| report.add_channel(channel));
         take.push(*part, &coded).context("cannot write a stretch")
     })?;
     let (ledger, out, file_bytes) = take.finish().context("cannot close the take")?;
     let PartReport { samples, kept, max_error_mm, .. } = report;
-    let written = Written { ledger, file_bytes, samples, kept, max_error_mm, ..Written::default() };
+    let written =
+        TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..TakeAccount::default() };
     Ok((written, out))
 }
 

@@ -16,13 +16,13 @@ use std::{
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::{
-    Counts, Progress,
+    Counts, PipelineProgress,
     group::Group,
     messages::{EncodeJob, StretchEnd},
     plan::Plan,
 };
 use crate::{
-    heartbeat::{Beat, Heartbeat, Who},
+    heartbeat::{Heartbeat, HeartbeatHandle, ThreadRole},
     threads,
 };
 
@@ -103,7 +103,7 @@ impl Pool {
     pub(super) fn start(
         plan: &Plan,
         groups: Vec<Group>,
-        progress: &Arc<Progress>,
+        progress: &Arc<PipelineProgress>,
         heartbeat: &Heartbeat,
     ) -> anyhow::Result<(Self, Feed)> {
         let n_groups = groups.len();
@@ -124,7 +124,7 @@ impl Pool {
         for index in 0..plan.workers {
             let (parked, queue) = (Arc::clone(&wakes.parked), wakes_out.clone());
             let guard = FailOnPanic(Arc::clone(progress));
-            let worker_heartbeat = heartbeat.beat(Who::Worker)?;
+            let worker_heartbeat = heartbeat.register(ThreadRole::Worker)?;
             workers.push(threads::spawn(&format!("mocapd-work-{index}"), move || {
                 run_worker(&parked, &queue, &worker_heartbeat);
                 drop(guard);
@@ -144,13 +144,17 @@ impl Pool {
             self.wakes.queue.send(None).ok();
         }
         for worker in self.workers {
-            // A panic was already reported through `Progress::failed`.
+            // A panic was already reported through `PipelineProgress::failed`.
             drop(worker.join());
         }
     }
 }
 
-fn run_worker(parked: &[ParkedGroup], queue: &Receiver<Option<usize>>, heartbeat: &Beat) {
+fn run_worker(
+    parked: &[ParkedGroup],
+    queue: &Receiver<Option<usize>>,
+    heartbeat: &HeartbeatHandle,
+) {
     let next = || {
         heartbeat.idle();
         queue.recv()
@@ -173,7 +177,7 @@ fn run_worker(parked: &[ParkedGroup], queue: &Receiver<Option<usize>>, heartbeat
 /// Marks the pipeline as failed when a thread panics: a worker takes its group with it, a writer the file, and the
 /// recording cannot go on as if nothing had happened.
 #[derive(Debug)]
-pub(super) struct FailOnPanic(pub(super) Arc<Progress>);
+pub(super) struct FailOnPanic(pub(super) Arc<PipelineProgress>);
 
 impl Drop for FailOnPanic {
     fn drop(&mut self) {

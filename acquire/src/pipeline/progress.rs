@@ -11,7 +11,7 @@ use crate::files::{DisplacedFile, FileState};
 
 /// Live counters of a running pipeline. For display: the ledger is authoritative.
 #[derive(Debug, Default)]
-pub struct Progress {
+pub struct PipelineProgress {
     /// Frames accepted.
     pub frames: AtomicU64,
     /// Frames lost so far, for any reason.
@@ -25,7 +25,7 @@ pub struct Progress {
     /// Samples in the stretches written.
     pub samples: AtomicU64,
     /// Bytes of the raw log, if it grows on the same disk: the estimate of the time left includes it.
-    pub beside_bytes: OnceLock<Arc<AtomicU64>>,
+    pub raw_log_bytes: OnceLock<Arc<AtomicU64>>,
     /// Seconds until the disk is full; `u64::MAX` while unknown.
     pub disk_left_s: AtomicU64,
     /// The disk is so full that the take has to end: stop feeding the pipeline, and it is closed.
@@ -46,11 +46,11 @@ pub struct Progress {
     /// All channels so far by slot, including those that appeared later.
     pub channels: Mutex<Vec<Channel>>,
     /// Bytes of the pre-roll buffer.
-    pub held_bytes: AtomicU64,
+    pub pre_roll_bytes: AtomicU64,
     /// Length of the pre-roll buffer in milliseconds.
-    pub held_ms: AtomicU64,
+    pub pre_roll_ms: AtomicU64,
     /// The pre-roll is shorter than configured because it reached its memory limit.
-    pub held_cut: AtomicBool,
+    pub pre_roll_is_cut: AtomicBool,
     /// The state of the take's file as a code, and details of it.
     file_state: AtomicU8,
     displaced: Mutex<Option<DisplacedFile>>,
@@ -61,7 +61,7 @@ pub struct Progress {
     pub take: Mutex<Option<TakeProgress>>,
 }
 
-impl Progress {
+impl PipelineProgress {
     pub(super) fn new(channels: &[Channel]) -> Self {
         Self { channels: Mutex::new(channels.to_vec()), ..Self::default() }
     }

@@ -10,7 +10,7 @@ use std::fmt;
 
 use mocapd_take::{
     motion::{GAP, Position},
-    timeline::{Causes, RowTime},
+    timeline::{LossCauses, RowTime},
 };
 use ringbuf::{
     HeapCons, HeapProd, HeapRb,
@@ -30,7 +30,7 @@ const _: () = assert!(size_of::<Sample>() == 16);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TimelineItem {
     Recorded(RowTime),
-    Lost { rows: u64, causes: Causes },
+    Lost { rows: u64, causes: LossCauses },
 }
 
 /// The reader's end.
@@ -106,7 +106,7 @@ const QUEUED_FRAMES_MAX: usize = 2 * BURST_FRAMES as usize;
 
 /// The data of a previewed frame besides its positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct TapHead {
+pub struct PreviewFrame {
     /// Its row, counted from the start of the pipeline.
     pub row: u64,
     /// Time by the device's clock.
@@ -116,13 +116,13 @@ pub struct TapHead {
     /// Number of channels.
     pub n_channels: usize,
     /// Whether to display it; otherwise it belongs to a burst only.
-    pub is_shown: bool,
+    pub is_displayed: bool,
 }
 
 /// The reader's end of the preview.
 #[derive(Debug)]
-pub(super) struct TapIn {
-    heads: RingProducer<TapHead>,
+pub(super) struct PreviewSender {
+    heads: RingProducer<PreviewFrame>,
     positions: RingProducer<Position>,
     last_display_ns: u64,
     last_burst_ns: u64,
@@ -131,30 +131,31 @@ pub(super) struct TapIn {
 
 /// The viewer's end of the preview.
 #[derive(Debug)]
-pub struct TapOut {
-    heads: RingConsumer<TapHead>,
+pub struct PreviewReceiver {
+    heads: RingConsumer<PreviewFrame>,
     positions: RingConsumer<Position>,
 }
 
-pub(super) fn tap(n_slots: usize) -> (TapIn, TapOut) {
+pub(super) fn tap(n_slots: usize) -> (PreviewSender, PreviewReceiver) {
     let (heads, heads_out) = ring(QUEUED_FRAMES_MAX);
     let (positions, positions_out) = ring(QUEUED_FRAMES_MAX * n_slots.max(1));
-    let out = TapOut { heads: heads_out, positions: positions_out };
-    (TapIn { heads, positions, last_display_ns: 0, last_burst_ns: 0, burst_left: 0 }, out)
+    let out = PreviewReceiver { heads: heads_out, positions: positions_out };
+    (PreviewSender { heads, positions, last_display_ns: 0, last_burst_ns: 0, burst_left: 0 }, out)
 }
 
-impl TapIn {
+impl PreviewSender {
     /// Offers a frame, which is queued if it is due for display or part of a burst.
-    pub(super) fn offer(&mut self, head: TapHead, row: &[Sample]) {
-        let is_shown = head.arrival_ns.saturating_sub(self.last_display_ns) >= DISPLAY_INTERVAL_NS;
-        if is_shown {
+    pub(super) fn offer(&mut self, head: PreviewFrame, row: &[Sample]) {
+        let is_displayed =
+            head.arrival_ns.saturating_sub(self.last_display_ns) >= DISPLAY_INTERVAL_NS;
+        if is_displayed {
             self.last_display_ns = head.arrival_ns;
         }
         if head.arrival_ns.saturating_sub(self.last_burst_ns) >= BURST_INTERVAL_NS {
             self.last_burst_ns = head.arrival_ns;
             self.burst_left = BURST_FRAMES;
         }
-        if !is_shown && self.burst_left == 0 {
+        if !is_displayed && self.burst_left == 0 {
             return;
         }
         self.burst_left = self.burst_left.saturating_sub(1);
@@ -164,13 +165,13 @@ impl TapIn {
         for sample in row {
             self.positions.push(if sample.present { sample.position_mm } else { GAP });
         }
-        self.heads.push(TapHead { is_shown, ..head });
+        self.heads.push(PreviewFrame { is_displayed, ..head });
     }
 }
 
-impl TapOut {
+impl PreviewReceiver {
     /// The next frame. Fills `positions` by slot, with NaN where a marker was not seen.
-    pub fn next(&mut self, positions: &mut Vec<Position>) -> Option<TapHead> {
+    pub fn next(&mut self, positions: &mut Vec<Position>) -> Option<PreviewFrame> {
         let head = self.heads.pop()?;
         positions.clear();
         positions.resize(head.n_channels, GAP);
@@ -194,11 +195,14 @@ mod tests {
         let (mut tap_in, mut tap_out) = tap(1);
         let (mut shown, mut rows, mut positions) = (0, Vec::new(), Vec::new());
         for row in 0..2000 {
-            let head =
-                TapHead { row, arrival_ns: 1_000_000_000 + row * 2_000_000, ..TapHead::default() };
-            tap_in.offer(TapHead { n_channels: 1, ..head }, &[Sample::default()]);
+            let head = PreviewFrame {
+                row,
+                arrival_ns: 1_000_000_000 + row * 2_000_000,
+                ..PreviewFrame::default()
+            };
+            tap_in.offer(PreviewFrame { n_channels: 1, ..head }, &[Sample::default()]);
             while let Some(head) = tap_out.next(&mut positions) {
-                shown += u32::from(head.is_shown);
+                shown += u32::from(head.is_displayed);
                 rows.push(head.row);
             }
         }
@@ -214,8 +218,12 @@ mod tests {
     fn frames_that_nobody_takes_are_left_out() {
         let (mut tap_in, mut tap_out) = tap(1);
         for row in 0..2000 {
-            let head =
-                TapHead { row, arrival_ns: row * 2_000_000, n_channels: 1, ..TapHead::default() };
+            let head = PreviewFrame {
+                row,
+                arrival_ns: row * 2_000_000,
+                n_channels: 1,
+                ..PreviewFrame::default()
+            };
             tap_in.offer(head, &[Sample::default()]);
         }
         let mut positions = Vec::new();

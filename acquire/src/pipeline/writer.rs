@@ -17,14 +17,14 @@ use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 pub(super) use self::live::LiveTake;
 use self::{clocks::ClockWriter, pre_roll::PreRollBuffer};
 use super::{
-    Counts, NewTake, Progress, TakeFailed,
+    Counts, NewTake, PipelineProgress, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
     pool::WakeQueue,
 };
-use crate::{files::FileState, heartbeat::Beat, threads::ResamplerFailed};
+use crate::{files::FileState, heartbeat::HeartbeatHandle, threads::ResamplerFailed};
 
 /// Shortest polling interval of the writer, even if it is to sync with every stretch.
 const POLL_INTERVAL_MIN: Duration = Duration::from_millis(50);
@@ -49,7 +49,7 @@ pub(super) struct Writer {
     waiting: Option<(u64, Control)>,
     buffers_back: Vec<Sender<Vec<u8>>>,
     wakes: WakeQueue,
-    progress: Arc<Progress>,
+    progress: Arc<PipelineProgress>,
     assembler: StretchAssembler,
     payload: Vec<u8>,
     /// The counters at the end of the last stretch.
@@ -70,7 +70,7 @@ impl Writer {
         from_reader: FromReader,
         buffers_back: Vec<Sender<Vec<u8>>>,
         wakes: WakeQueue,
-        progress: &Arc<Progress>,
+        progress: &Arc<PipelineProgress>,
     ) -> Self {
         let mut table = Vec::with_capacity(plan.n_slots);
         table.extend(lock(&progress.channels).iter().map(|channel| (0, channel.clone())));
@@ -104,7 +104,7 @@ impl Writer {
 
     /// Runs until the last stretch. After an error it still accepts the parts, so that the reader and the workers can
     /// finish; what was written before stays.
-    pub(super) fn run(mut self, heartbeat: &Beat) -> anyhow::Result<()> {
+    pub(super) fn run(mut self, heartbeat: &HeartbeatHandle) -> anyhow::Result<()> {
         let mut idle_since = Instant::now();
         let progress = Arc::clone(&self.progress);
         self.with_take(|take, _| {
@@ -112,7 +112,7 @@ impl Writer {
             Ok(())
         });
         loop {
-            heartbeat.moved();
+            heartbeat.beat();
             let sync_after = self.sync_every.clamp(POLL_INTERVAL_MIN, PARTS_TIMEOUT);
             match self.parts.recv_timeout(sync_after.min(FILE_CHECK_INTERVAL)) {
                 Ok(part) => {
@@ -270,9 +270,9 @@ impl Writer {
     fn publish_pre_roll(&self) {
         let Some(buffer) = &self.pre_roll else { return };
         let progress = &self.progress;
-        progress.held_bytes.store(buffer.bytes() as u64, Ordering::Relaxed);
-        progress.held_ms.store((buffer.seconds() * 1e3) as u64, Ordering::Relaxed);
-        progress.held_cut.store(buffer.is_cut(), Ordering::Relaxed);
+        progress.pre_roll_bytes.store(buffer.bytes() as u64, Ordering::Relaxed);
+        progress.pre_roll_ms.store((buffer.seconds() * 1e3) as u64, Ordering::Relaxed);
+        progress.pre_roll_is_cut.store(buffer.is_cut(), Ordering::Relaxed);
     }
 
     fn publish_clock(&self) {
@@ -310,14 +310,15 @@ impl Writer {
                 let progress = Arc::clone(&self.progress);
                 let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
                 clocks.begin();
-                let requested_ns = take.asked_ns;
+                let requested_ns = take.requested_ns;
                 self.live = self.begin_take(*take, &reply, end, &mut clocks, &progress);
                 self.clocks = clocks;
                 self.with_take(|take, _| take.mark_request(end.span.first_row, requested_ns));
             }
             TakeCommand::Save(take, reply) => {
                 // The open take goes on, and observers keep seeing that one.
-                let (mut clocks, progress) = (self.clocks.for_saved_take(), Progress::new(&[]));
+                let (mut clocks, progress) =
+                    (self.clocks.for_saved_take(), PipelineProgress::new(&[]));
                 let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
                 if let Some(saved) = saved {
                     saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
@@ -340,9 +341,9 @@ impl Writer {
         reply: &Reply,
         end: &StretchEnd,
         clocks: &mut ClockWriter,
-        progress: &Progress,
+        progress: &PipelineProgress,
     ) -> Option<LiveTake> {
-        let from = self.pre_roll.as_ref().map_or(0, |p| p.start_of(new.pre_roll, new.asked_ns));
+        let from = self.pre_roll.as_ref().map_or(0, |p| p.start_of(new.pre_roll, new.requested_ns));
         let first = self.pre_roll.as_ref().and_then(|buffer| buffer.from(from).next());
         let (base, rows_before, stretch) = match first {
             // The row after the preceding stretch: rows lost before the first stretch belong to the take.
@@ -351,7 +352,8 @@ impl Writer {
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
         // The first row is older than the request.
-        let before_ns = first.map_or(0, |kept| new.asked_ns.saturating_sub(kept.first.arrival_ns));
+        let before_ns =
+            first.map_or(0, |kept| new.requested_ns.saturating_sub(kept.first.arrival_ns));
         new.header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
@@ -379,7 +381,7 @@ impl Writer {
         from: usize,
         first: u64,
         clocks: &mut ClockWriter,
-        progress: &Progress,
+        progress: &PipelineProgress,
     ) -> anyhow::Result<()> {
         take.poll_disk(progress);
         let Some(buffer) = &self.pre_roll else { return Ok(()) };

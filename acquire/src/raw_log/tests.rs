@@ -21,7 +21,7 @@ fn a_stalled_disk_costs_bytes_of_the_log_and_the_log_counts_them() {
     let mut line = tap.wrap("dvmc", Box::new(line));
     let mut buffer = vec![0; 1 << 16];
     let mut log = Vec::new();
-    put_head(&mut log);
+    put_header(&mut log);
     let mut passed = 0;
     // Far more than two blocks hold, and nothing is written: every read returns all the same.
     for round in 0..20u8 {

@@ -71,12 +71,12 @@ impl Rig {
     ///
     /// # Errors
     /// When the device cannot be opened or does not answer.
-    pub fn open_again(
+    pub fn reopen(
         uri: &DeviceUri,
         identity: &Candidate,
         raw_log: Option<RawLogTap>,
     ) -> anyhow::Result<Self> {
-        let mut rig = Self::open_logged(&registry::find_again(uri, identity), raw_log)?;
+        let mut rig = Self::open_logged(&registry::current_uri(uri, identity), raw_log)?;
         rig.uri = uri.clone();
         Ok(rig)
     }
@@ -98,7 +98,7 @@ impl Rig {
     /// # Errors
     /// When the device cannot be opened or does not answer.
     pub fn open_logged(uri: &DeviceUri, raw_log: Option<RawLogTap>) -> anyhow::Result<Self> {
-        let opened = registry::open_through(uri, &mut |family, line| match &raw_log {
+        let opened = registry::open_with_wrapper(uri, &mut |family, line| match &raw_log {
             Some(tap) => tap.wrap(family, line),
             None => line,
         })?;
@@ -107,7 +107,7 @@ impl Rig {
 
     /// Bounds the loss: a killed process loses at most the open stretch, a power cut also what came since the last
     /// sync.
-    pub fn risk_at_most(&mut self, stretch: Duration, sync_every: Duration) {
+    pub fn limit_loss(&mut self, stretch: Duration, sync_every: Duration) {
         self.loss_limits = Some((stretch, sync_every));
     }
 
@@ -126,7 +126,7 @@ impl Rig {
     /// The frame rate in Hz.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
-        f64::from(self.hello.rate_mhz) / 1000.0
+        f64::from(self.hello.rate_millihertz) / 1000.0
     }
 
     /// The pipeline configuration for this device.
@@ -182,17 +182,18 @@ impl Rig {
     }
 
     fn try_set_rate(&mut self, rate_hz: f64, cancel: &dyn Fn() -> bool) -> anyhow::Result<()> {
-        let rate_mhz = (rate_hz * 1000.0).round();
-        if !(1.0..=4e9).contains(&rate_mhz) {
+        let rate_millihertz = (rate_hz * 1000.0).round();
+        if !(1.0..=4e9).contains(&rate_millihertz) {
             return Err(rate_error(&format!("cannot run a device at {rate_hz} Hz"), &self.hello));
         }
-        let answer = self.request(Command::SetRate(rate_mhz as u32), cancel, |event| match event {
-            DeviceEvent::RateSet(set) => Some(Ok(set)),
-            DeviceEvent::Refused(budget) => Some(Err(budget)),
-            _ => None,
-        })?;
+        let answer =
+            self.request(Command::SetRate(rate_millihertz as u32), cancel, |event| match event {
+                DeviceEvent::RateSet(set) => Some(Ok(set)),
+                DeviceEvent::Refused(budget) => Some(Err(budget)),
+                _ => None,
+            })?;
         match answer {
-            Ok(set) => self.hello.rate_mhz = set,
+            Ok(set) => self.hello.rate_millihertz = set,
             Err(budget) if !budget.fits() => return Err(too_slow(budget, rate_hz, &self.hello)),
             Err(_) => {
                 let why = format!("the device refuses {rate_hz} Hz");
@@ -249,8 +250,8 @@ impl Rig {
 
 /// The error for an unsupported rate, which states the supported ones.
 fn rate_error(why: &str, hello: &Hello) -> anyhow::Error {
-    let [min_hz, max_hz] =
-        [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
+    let [min_hz, max_hz] = [hello.rate_min_millihertz, hello.rate_max_millihertz]
+        .map(|millihertz| f64::from(millihertz) / 1000.0);
     if min_hz < max_hz {
         return anyhow!("{why}: it supports {min_hz} to {max_hz} Hz");
     }
@@ -264,10 +265,10 @@ fn too_slow(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
         "the line is too slow for {} Hz: the frames need {} bytes per second, the line carries {}",
         rate_hz, budget.needed_bytes_per_s, budget.available_bytes_per_s
     );
-    if budget.rate_fits_mhz < hello.rate_min_mhz {
+    if budget.rate_fits_millihertz < hello.rate_min_millihertz {
         return anyhow!("{why}; raise the baud rate on both ends, or use USB");
     }
-    let setting = Setting::Rate(Some(f64::from(budget.rate_fits_mhz) / 1000.0));
+    let setting = Setting::Rate(Some(f64::from(budget.rate_fits_millihertz) / 1000.0));
     SettingRefused { why, setting, alternative: ", or raise the baud rate on both ends" }.into()
 }
 

@@ -20,8 +20,8 @@ use crate::{
     clock::Prober,
     files::FileState,
     host_clock::monotonic_ns,
-    latency::Latency,
-    pipeline::{Counts, Intake, Progress},
+    latency::LatencyHistogram,
+    pipeline::{Counts, Intake, PipelineProgress},
     setting::Setting,
 };
 
@@ -46,9 +46,9 @@ pub struct ReadOptions<'a> {
     pub length: Option<Duration>,
     /// The reader serves a single take: the end of the take ends the reading, and changes to the take's file are
     /// reported.
-    pub for_one_take: bool,
+    pub single_take: bool,
     /// Receives messages for the user while the reader runs.
-    pub say: &'a dyn Fn(&str),
+    pub notify: &'a dyn Fn(&str),
     /// How the user can stop, appended to messages that say that the reader waits; may be empty.
     pub how_to_end: &'a str,
     /// Formats advice on the setting that an error names.
@@ -63,7 +63,7 @@ pub struct ReaderOutcome {
     /// The final counters.
     pub counts: Counts,
     /// Time from the read that delivered a frame's last byte until the frame was in every ring.
-    pub ring_latency: Latency,
+    pub ring_latency: LatencyHistogram,
     /// Times that the device was disconnected and came back.
     pub outages: u32,
 }
@@ -89,7 +89,7 @@ impl Rig {
     ) -> anyhow::Result<ReaderOutcome> {
         let mut reader = Reader {
             intake: &mut intake,
-            latency: Latency::default(),
+            latency: LatencyHistogram::default(),
             latency_published_ns: 0,
             prober: Prober::new(),
             end: None,
@@ -104,7 +104,7 @@ impl Rig {
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
-        intake.link(self.link_counters());
+        intake.set_link_counters(self.link_counters());
         // An open take gets this ending.
         intake.set_ending(match &outcome {
             Ok(ending) => (*ending).into(),
@@ -175,7 +175,7 @@ impl Rig {
                 Err(TransportError::Disconnected { .. }) => return Ok(EndingKind::DeviceGone),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
-            reader.notes.drain(..).for_each(|note| (options.say)(&note));
+            reader.notes.drain(..).for_each(|note| (options.notify)(&note));
             let now_ns = monotonic_ns();
             if reader.intake.frames_seen() != frames_before {
                 silence = Silence { last_frame_ns: now_ns, is_reported: false };
@@ -215,7 +215,7 @@ impl Rig {
                     stopped_ns = Some(now_ns);
                 }
                 Some(stopped_ns) if now_ns - stopped_ns > STOP_TIMEOUT.as_nanos() as u64 => {
-                    (options.say)(
+                    (options.notify)(
                         "the device does not confirm the stop: its last frames may be missing",
                     );
                     return Ok(EndingKind::Stopped);
@@ -237,7 +237,7 @@ impl Rig {
             Err(TransportError::Disconnected { .. }) => return Some(EndingKind::DeviceGone),
             // The device takes no commands: the take ends with its last frame.
             Err(error) => {
-                (options.say)(&error.to_string());
+                (options.notify)(&error.to_string());
                 return Some(EndingKind::Stopped);
             }
         }
@@ -276,7 +276,7 @@ impl Rig {
     /// Sends a ping when one is due.
     fn probe(&mut self, reader: &mut Reader<'_>) {
         if reader.intake.wants_probes() {
-            reader.prober.hurry();
+            reader.prober.restart_schedule();
         }
         let now_ns = monotonic_ns();
         let Some(due_ns) = reader.prober.due(now_ns) else { return };
@@ -287,7 +287,7 @@ impl Rig {
             Ok(()) if !self.outbox.is_empty() => reader.prober.sent(host_ns),
             // The driver has no ping, or the device does not read: record without. A disconnected device shows in the
             // next read.
-            Ok(()) | Err(_) => reader.prober.off(),
+            Ok(()) | Err(_) => reader.prober.disable(),
         }
     }
 
@@ -304,7 +304,7 @@ impl Rig {
         let arrival_ns = monotonic_ns();
         self.protocol.push(&self.buffer[..n], &mut |event| reader.event(event, arrival_ns));
         if n > 0 {
-            reader.intake.link(self.link_counters());
+            reader.intake.set_link_counters(self.link_counters());
         }
         reader.intake.tick(arrival_ns);
         Ok(())
@@ -323,7 +323,7 @@ impl Silence {
             return;
         }
         let how_to_end = options.how_to_end;
-        (options.say)(&format!(
+        (options.notify)(&format!(
             "no frame for 3 s: is the device capturing? Still waiting{how_to_end}"
         ));
         self.is_reported = true;
@@ -345,10 +345,10 @@ impl Stalls {
         self.reported += 1;
         if self.reported <= STALLS_REPORTED_MAX {
             intake.event(host_event("the device stalled and its endpoint was cleared"));
-            (options.say)("the device stalled and its endpoint was cleared: data may be lost");
+            (options.notify)("the device stalled and its endpoint was cleared: data may be lost");
         }
         if self.reported == STALLS_REPORTED_MAX {
-            (options.say)("the device keeps stalling: further stalls are not reported");
+            (options.notify)("the device keeps stalling: further stalls are not reported");
         }
     }
 }
@@ -357,7 +357,7 @@ impl Stalls {
 fn take_ending(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
     let progress = intake.progress();
     match progress.file_state() {
-        _ if !options.for_one_take => None,
+        _ if !options.single_take => None,
         FileState::Truncated => Some(EndingKind::Truncated),
         FileState::Unmounted => Some(EndingKind::Unmounted),
         _ => progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull),
@@ -365,20 +365,24 @@ fn take_ending(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind>
 }
 
 /// Reports each change of the take's file once. A change that ends the take is reported with its end.
-fn report_file_change(progress: &Progress, options: &ReadOptions<'_>, reported: &Cell<u32>) {
+fn report_file_change(
+    progress: &PipelineProgress,
+    options: &ReadOptions<'_>,
+    reported: &Cell<u32>,
+) {
     let changes = progress.file_changes();
     let is_reported = changes == reported.replace(changes);
-    if !options.for_one_take || is_reported || progress.file_state().ends_take() {
+    if !options.single_take || is_reported || progress.file_state().ends_take() {
         return;
     }
     if let Some(displaced) = progress.displaced() {
-        (options.say)(&displaced.words());
+        (options.notify)(&displaced.message());
     }
 }
 
 pub(super) struct Reader<'a> {
     pub(super) intake: &'a mut Intake,
-    latency: Latency,
+    latency: LatencyHistogram,
     latency_published_ns: u64,
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
@@ -528,7 +532,7 @@ impl Rig {
             let text =
                 "the end of the stream was lost on the line: the device says that it has ended";
             reader.intake.event(host_event(text));
-            (options.say)(text);
+            (options.notify)(text);
             reader.intake.status(status, true);
             reader.end = Some(());
             return Ok(true);
@@ -555,19 +559,19 @@ impl Rig {
         options: &ReadOptions<'_>,
     ) -> Result<bool, TransportError> {
         if (&now.model, &now.serial) != (&self.hello.model, &self.hello.serial) {
-            (options.say)(&format!("another device answers, {} {}", now.model, now.serial));
+            (options.notify)(&format!("another device answers, {} {}", now.model, now.serial));
             return Ok(false);
         }
         reader.restarts += 1;
         reader.reset_counters();
         if reader.restarts <= RESTARTS_REPORTED_MAX {
             reader.intake.event(host_event("the device identified itself and was restarted"));
-            (options.say)(
+            (options.notify)(
                 "the device identified itself, as after a reset, a power loss or a long silence: it was restarted",
             );
         }
-        if now.rate_mhz != self.hello.rate_mhz {
-            self.send(Command::SetRate(self.hello.rate_mhz))?;
+        if now.rate_millihertz != self.hello.rate_millihertz {
+            self.send(Command::SetRate(self.hello.rate_millihertz))?;
         }
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
         self.send(Command::Start { line_bytes_per_s })?;

@@ -69,11 +69,11 @@ impl Rig {
             return false;
         }
         let gone_ns = monotonic_ns();
-        (options.say)(&format!(
+        (options.notify)(&format!(
             "{} is gone: plug it in again within {} s to continue {}{}",
             self.uri,
             (self.replug_timeout.as_secs_f64() * 10.0).round() / 10.0,
-            if options.for_one_take { "the take" } else { "recording" },
+            if options.single_take { "the take" } else { "recording" },
             options.how_to_end
         ));
         let mut obstacle = Obstacle { message: String::new(), since_ns: gone_ns, reported: true };
@@ -88,15 +88,15 @@ impl Rig {
             let wait = match self.attempt(reader, options, &cancel) {
                 ReconnectAttempt::Back => {
                     // The first frame shows how long it was away.
-                    (options.say)("the device is back");
+                    (options.notify)("the device is back");
                     return true;
                 }
                 ReconnectAttempt::Absent(message) => {
-                    obstacle.update(message, options.say);
+                    obstacle.update(message, options.notify);
                     POLL_INTERVAL
                 }
                 ReconnectAttempt::Failed(message) => {
-                    obstacle.update(message, options.say);
+                    obstacle.update(message, options.notify);
                     RETRY_INTERVAL
                 }
             };
@@ -113,7 +113,7 @@ impl Rig {
         options: &ReadOptions<'_>,
         cancel: &dyn Fn(&Reader<'_>) -> bool,
     ) -> ReconnectAttempt {
-        match registry::open_again(&self.uri, &self.identity) {
+        match registry::reopen(&self.uri, &self.identity) {
             Ok(line) => {
                 let line = match &self.raw_log {
                     Some(tap) => tap.wrap(self.family, line),
@@ -127,7 +127,7 @@ impl Rig {
             Ok(()) => ReconnectAttempt::Back,
             Err(error) => {
                 self.transport = Box::new(UnpluggedTransport);
-                ReconnectAttempt::Failed(setting::words(&error, options.how_to_set))
+                ReconnectAttempt::Failed(setting::message(&error, options.how_to_set))
             }
         }
     }
@@ -152,7 +152,7 @@ impl Rig {
             was.model,
             was.serial
         );
-        if now.rate_mhz != was.rate_mhz {
+        if now.rate_millihertz != was.rate_millihertz {
             self.try_set_rate(self.rate_hz(), &|| cancel(reader))?;
         }
         reader.restart(&self.markers);

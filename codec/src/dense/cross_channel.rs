@@ -498,11 +498,9 @@ impl ReferenceSolver<'_> {
                 1 => self.solve_weights::<2>(buffers, &found.channels),
                 _ => self.solve_weights::<3>(buffers, &found.channels),
             };
-            gain = (0..=n)
-                .fold(0.0, |sum, i| {
-                    sum + found.weights[i] * lane_at(&buffers.own_row, found.channels[i])
-                })
-                / own;
+            gain = (0..=n).fold(0.0, |sum, i| {
+                sum + found.weights[i] * lane_at(&buffers.own_row, found.channels[i])
+            }) / own;
         }
         for i in 0..found.n {
             let covariance = lane_at(&buffers.own_row, found.channels[i]);

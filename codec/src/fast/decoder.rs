@@ -160,7 +160,8 @@ impl RunCodec for RunDecoder<'_, '_> {
                 filled_to = i + 1;
             }
             loop {
-                let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("too many rows in a level"))?;
+                let slot =
+                    steps.get_mut(i).ok_or(CodecError::Corrupt("too many rows in a level"))?;
                 let entry = reader.entry(self.tables, place)?;
                 let symbol = entry as usize % 64;
                 *slot = self.tables.residuals[symbol];

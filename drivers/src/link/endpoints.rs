@@ -3,7 +3,7 @@
 use super::{
     COMMAND_WIRE_BYTES_MAX, ENVELOPE_BYTES, EncodeError, FrameForm, MARKERS_MAX,
     MARKERS_MESSAGE_BYTES_MAX, WIRE_BYTES_MAX,
-    envelope::{Deframer, Framer, DecodeOutcome},
+    envelope::{DecodeOutcome, Deframer, Framer},
     frame::{get_frame, put_frame},
     messages::{self, kind},
 };
@@ -143,8 +143,8 @@ impl DeviceLink {
     }
 
     /// Encodes the acceptance of `SetRate`: the rate from the next Start on, in millihertz.
-    pub fn rate_set(&mut self, rate_mhz: u32, out: &mut Vec<u8>) {
-        self.framer.write(kind::RATE_SET, rate_mhz, out);
+    pub fn rate_set(&mut self, rate_millihertz: u32, out: &mut Vec<u8>) {
+        self.framer.write(kind::RATE_SET, rate_millihertz, out);
     }
 }
 
@@ -214,7 +214,7 @@ impl Protocol for HostLink {
                 framer.write(kind::START, line_bytes_per_s, out);
             }
             Command::Stop => framer.write(kind::STOP, (), out),
-            Command::SetRate(rate_mhz) => framer.write(kind::SET_RATE, rate_mhz, out),
+            Command::SetRate(rate_millihertz) => framer.write(kind::SET_RATE, rate_millihertz, out),
             Command::Ping { host_ns } => framer.write(kind::PING, host_ns, out),
         }
     }

@@ -33,16 +33,18 @@ const LABELLED: u8 = 1;
 wire_struct!(Status { frames_produced, frames_dropped, temperature_c_100 });
 wire_struct!(Trigger { device_ticks, input, kind });
 wire_struct!(Pong { host_ns, device_ticks });
-wire_struct!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_mhz });
+wire_struct!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_millihertz });
 
 /// The reason why a Hello is invalid; sender and receiver apply the same rule.
 fn hello_error(hello: &Hello) -> Option<&'static str> {
     if hello.tick_hz == 0 {
         Some("tick_hz is 0; give the ticks per second of the device clock")
-    } else if hello.rate_mhz == 0 {
-        Some("rate_mhz is 0; give the frame rate of the next Start")
-    } else if !(hello.rate_min_mhz..=hello.rate_max_mhz).contains(&hello.rate_mhz) {
-        Some("rate_mhz is not within rate_min_mhz..=rate_max_mhz")
+    } else if hello.rate_millihertz == 0 {
+        Some("rate_millihertz is 0; give the frame rate of the next Start")
+    } else if !(hello.rate_min_millihertz..=hello.rate_max_millihertz)
+        .contains(&hello.rate_millihertz)
+    {
+        Some("rate_millihertz is not within rate_min_millihertz..=rate_max_millihertz")
     } else if hello.up_axis > 3 {
         Some("up_axis is not one of 0 (unknown), 1 (x), 2 (y), 3 (z)")
     } else if usize::from(hello.markers_max) > MARKERS_MAX {
@@ -72,8 +74,10 @@ pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeEr
     if let Some(error) = hello_error(hello) {
         return Err(EncodeError::Hello(error));
     }
-    for rate_mhz in [hello.rate_mhz, hello.rate_min_mhz, hello.rate_max_mhz] {
-        rate_mhz.put(out);
+    for rate_millihertz in
+        [hello.rate_millihertz, hello.rate_min_millihertz, hello.rate_max_millihertz]
+    {
+        rate_millihertz.put(out);
     }
     hello.tick_hz.put(out);
     hello.up_axis.put(out);
@@ -87,8 +91,10 @@ pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeEr
 /// Decodes a Hello into `hello`, reusing its memory. After `None` its contents are unspecified.
 pub(super) fn get_hello(payload: &[u8], hello: &mut Hello) -> Option<()> {
     let mut cursor = Cursor::new(payload);
-    for rate_mhz in [&mut hello.rate_mhz, &mut hello.rate_min_mhz, &mut hello.rate_max_mhz] {
-        *rate_mhz = cursor.get()?;
+    for rate_millihertz in
+        [&mut hello.rate_millihertz, &mut hello.rate_min_millihertz, &mut hello.rate_max_millihertz]
+    {
+        *rate_millihertz = cursor.get()?;
     }
     hello.tick_hz = cursor.get()?;
     hello.up_axis = cursor.get()?;

@@ -132,19 +132,19 @@ pub enum EncodeError {
 /// the rest is for Markers that appear.
 pub const RESERVE_BYTES_PER_S: u64 = 1024;
 
-/// Computes the link budget of frames of `frame_bytes` on the wire at `rate_mhz`, and the highest rate up
-/// to `rate_max_mhz` that fits the line, in millihertz (0 when none does).
+/// Computes the link budget of frames of `frame_bytes` on the wire at `rate_millihertz`, and the highest rate up
+/// to `rate_max_millihertz` that fits the line, in millihertz (0 when none does).
 ///
 /// A `line_bytes_per_s` of 0 means a line without a limit.
 #[must_use]
 pub fn link_budget(
     frame_bytes: usize,
-    rate_mhz: u32,
-    rate_max_mhz: u32,
+    rate_millihertz: u32,
+    rate_max_millihertz: u32,
     line_bytes_per_s: u64,
 ) -> LinkBudget {
     let frame_bytes = u128::from(frame_bytes.max(1) as u64);
-    let needed = (frame_bytes * u128::from(rate_mhz)).div_ceil(1000);
+    let needed = (frame_bytes * u128::from(rate_millihertz)).div_ceil(1000);
     let needed = u64::try_from(needed).unwrap_or(u64::MAX).saturating_add(RESERVE_BYTES_PER_S);
     let available = if line_bytes_per_s == 0 { u64::MAX } else { line_bytes_per_s };
     let for_frames = u128::from(available.saturating_sub(RESERVE_BYTES_PER_S));
@@ -152,7 +152,7 @@ pub fn link_budget(
     LinkBudget {
         needed_bytes_per_s: needed,
         available_bytes_per_s: available,
-        rate_fits_mhz: fits_millihertz.min(rate_max_mhz),
+        rate_fits_millihertz: fits_millihertz.min(rate_max_millihertz),
     }
 }
 
@@ -164,7 +164,7 @@ mod tests {
     fn the_highest_fitting_rate_fits_and_the_next_does_not() {
         for line in [11_520u64, 92_160, 300_000, 1_200_000] {
             for frame_bytes in [64, 559, 2104] {
-                let fits = link_budget(frame_bytes, 1, u32::MAX, line).rate_fits_mhz;
+                let fits = link_budget(frame_bytes, 1, u32::MAX, line).rate_fits_millihertz;
                 assert!(link_budget(frame_bytes, fits, u32::MAX, line).fits());
                 assert!(!link_budget(frame_bytes, fits + 1, u32::MAX, line).fits());
             }
@@ -176,7 +176,7 @@ mod tests {
         for (n_markers, frame_bytes, rate_fits_hz) in [(40, 436, 685), (200, 2063, 144)] {
             assert_eq!(frame_bytes_in_volume(FrameForm::Compact, n_markers), frame_bytes);
             let budget = link_budget(frame_bytes, 60_000, 1_000_000, 300_000);
-            assert_eq!(budget.rate_fits_mhz / 1000, rate_fits_hz);
+            assert_eq!(budget.rate_fits_millihertz / 1000, rate_fits_hz);
         }
     }
 
@@ -185,13 +185,13 @@ mod tests {
         let budget = link_budget(160_657, 1_000_000, 1_000_000, 0);
         assert!(budget.fits());
         assert_eq!(budget.available_bytes_per_s, u64::MAX);
-        assert_eq!(budget.rate_fits_mhz, 1_000_000);
+        assert_eq!(budget.rate_fits_millihertz, 1_000_000);
     }
 
     #[test]
     fn a_line_below_the_reserve_fits_no_rate() {
         let budget = link_budget(100, 60_000, 1_000_000, 960);
         assert!(!budget.fits());
-        assert_eq!(budget.rate_fits_mhz, 0);
+        assert_eq!(budget.rate_fits_millihertz, 0);
     }
 }

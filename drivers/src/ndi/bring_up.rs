@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     device::{Hello, MarkerInfo},
-    transport::turns::Order,
+    transport::polled::LineCommand,
 };
 
 /// Steps of the search for the device: `INIT:` at a baud rate, or a break (`None`). A device in its power-on
@@ -93,7 +93,7 @@ impl NdiHost {
             }
             None => {
                 self.set_baud(BAUD_AT_RESET);
-                self.line.order(Order::Break);
+                self.line.send(LineCommand::Break);
                 self.await_reply(Task::Break(step), BREAK_TIMEOUT_MS);
             }
         }
@@ -101,7 +101,7 @@ impl NdiHost {
 
     fn set_baud(&mut self, baud: u32) {
         self.baud = baud;
-        self.line.order(Order::Baud(baud));
+        self.line.send(LineCommand::Baud(baud));
     }
 
     fn send_text(&mut self, task: Task, text: &str) {
@@ -152,7 +152,7 @@ impl NdiHost {
             (Task::FrameFrequency, _) => {
                 let hz = parse_value(outcome).and_then(|value| value.parse().ok());
                 let hz = hz.filter(|hz| FRAME_HZ_RANGE.contains(hz)).unwrap_or(FRAME_HZ_DEFAULT);
-                self.hello.rate_mhz = (hz * 1000.0).round() as u32;
+                self.hello.rate_millihertz = (hz * 1000.0).round() as u32;
                 self.send_text(Task::TrackFrequency, "GET:Param.Tracking.Track Frequency");
             }
             (Task::TrackFrequency, _) => {
@@ -245,9 +245,10 @@ impl NdiHost {
             return;
         }
         let hello = &mut self.hello;
-        let frame_rate_millihertz = hello.rate_mhz;
-        hello.rate_mhz = frame_rate_millihertz / self.divisor;
-        (hello.rate_min_mhz, hello.rate_max_mhz) = (hello.rate_mhz, hello.rate_mhz);
+        let frame_rate_millihertz = hello.rate_millihertz;
+        hello.rate_millihertz = frame_rate_millihertz / self.divisor;
+        (hello.rate_min_millihertz, hello.rate_max_millihertz) =
+            (hello.rate_millihertz, hello.rate_millihertz);
         // BX2 has a clock in nanoseconds; the clock of BX is the frame number.
         hello.tick_hz = if self.bx2 { 1_000_000_000 } else { u64::from(frame_rate_millihertz) };
         hello.markers_max = self.table.len() as u16 + STRAYS_MAX as u16;
@@ -262,7 +263,7 @@ impl NdiHost {
         let mut goodbye = Vec::new();
         goodbye.extend(tracking.then(|| with_crc("TSTOP:")));
         goodbye.extend(is_faster.then(|| with_crc("COMM:00000")));
-        self.line.order(Order::Farewell(goodbye));
+        self.line.send(LineCommand::Goodbye(goodbye));
     }
 }
 

@@ -5,7 +5,7 @@ use super::{
     host::{Drain, HostState, MS, NdiHost, OnEvent, Outcome, Pending, PendingCommands, Task},
     message::{self, REPLY_BYTES_MAX, Reply, code},
 };
-use crate::transport::turns::{Order, Request};
+use crate::transport::polled::{LineCommand, Request};
 
 /// Silence on the line that ends a drain after damage: longer than the 16 ms for which an adapter may hold
 /// back the rest of a reply.
@@ -59,7 +59,7 @@ impl NdiHost {
             pending.attempts += 1;
             pending.active_ns = not_before_ns.max(now_ns);
             let request = pending.request;
-            if !self.line.order(Order::Write { request, not_before_ns }) {
+            if !self.line.send(LineCommand::Write { request, not_before_ns }) {
                 // The line is gone; the next read returns the error.
                 self.pending = None;
             }
@@ -71,7 +71,7 @@ impl NdiHost {
         self.state = HostState::Off;
         self.pending = None;
         self.todo = PendingCommands::default();
-        self.line.order(Order::Fail(message));
+        self.line.send(LineCommand::Fail(message));
     }
 
     /// Ends the session with the refusal of a request, its error code and advice.
@@ -137,7 +137,9 @@ impl NdiHost {
     /// Handles a device that keeps sending unrequested bytes: at the wrong baud rate, or of another kind.
     fn drain_timed_out(&mut self, on_event: OnEvent<'_>) {
         match self.pending.take() {
-            Some(Pending { task: task @ (Task::Probe(_) | Task::Break(_) | Task::Verify), .. }) => {
+            Some(Pending {
+                task: task @ (Task::Probe(_) | Task::Break(_) | Task::Verify), ..
+            }) => {
                 self.dispatch(task, Outcome::Timeout, on_event);
             }
             _ => self.restart_search(),

@@ -13,7 +13,7 @@ use crate::{
     },
     transport::{
         Transport,
-        turns::{Desk, PolledTransport, Request, desk},
+        polled::{LineCommandSender, PolledTransport, Request, line_command_channel},
     },
 };
 
@@ -128,7 +128,7 @@ pub(super) struct PendingCommands {
 /// The [`Protocol`] of NDI systems, sans-io.
 #[derive(Debug)]
 pub struct NdiHost {
-    pub(super) line: Desk,
+    pub(super) line: LineCommandSender,
     pub(super) state: HostState,
     pub(super) todo: PendingCommands,
     pub(super) pending: Option<Pending>,
@@ -162,7 +162,7 @@ pub struct NdiHost {
 impl NdiHost {
     /// Makes a driver for a device in unknown state on a line of at most `baud_max` baud.
     #[must_use]
-    pub fn new(line: Desk, baud_max: u32) -> Self {
+    pub fn new(line: LineCommandSender, baud_max: u32) -> Self {
         Self {
             line,
             state: HostState::Off,
@@ -200,8 +200,8 @@ impl NdiHost {
             if std::mem::take(&mut self.todo.stop) {
                 on_event(DeviceEvent::EndOfStream(self.run.status()));
             }
-            if let Some(rate_mhz) = self.todo.set_rate.take() {
-                on_event(self.rate_reply(rate_mhz));
+            if let Some(rate_millihertz) = self.todo.set_rate.take() {
+                on_event(self.rate_reply(rate_millihertz));
             }
             if std::mem::take(&mut self.todo.start) {
                 self.start();
@@ -219,21 +219,21 @@ impl NdiHost {
     }
 
     /// The reply to `SetRate`: the rate is a setting of the device, which this driver reads but never changes.
-    fn rate_reply(&self, rate_mhz: u32) -> DeviceEvent<'static> {
-        if rate_mhz == self.hello.rate_mhz {
-            return DeviceEvent::RateSet(rate_mhz);
+    fn rate_reply(&self, rate_millihertz: u32) -> DeviceEvent<'static> {
+        if rate_millihertz == self.hello.rate_millihertz {
+            return DeviceEvent::RateSet(rate_millihertz);
         }
         DeviceEvent::Refused(LinkBudget {
             needed_bytes_per_s: 0,
             available_bytes_per_s: u64::MAX,
-            rate_fits_mhz: self.hello.rate_mhz,
+            rate_fits_millihertz: self.hello.rate_millihertz,
         })
     }
 }
 
 impl Protocol for NdiHost {
     fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
-        let (sender, receiver) = desk();
+        let (sender, receiver) = line_command_channel();
         self.line = sender;
         self.state = HostState::Off;
         self.todo = PendingCommands::default();
@@ -265,7 +265,7 @@ impl Protocol for NdiHost {
                 self.todo.start = false;
                 self.todo.stop = matches!(self.state, HostState::Ready | HostState::Tracking);
             }
-            Command::SetRate(rate_mhz) => self.todo.set_rate = Some(rate_mhz),
+            Command::SetRate(rate_millihertz) => self.todo.set_rate = Some(rate_millihertz),
             // The API has no request for the time. A pong only means that the device is present, which frames show
             // while it tracks.
             Command::Ping { .. } if self.state == HostState::Tracking => {}

@@ -1,6 +1,6 @@
 //! The wire format: requests, replies, checksums, error codes and baud rates.
 
-use crate::transport::turns::Request;
+use crate::transport::polled::Request;
 
 /// Baud rate after power-on, after a break, and after `COMM:00000`.
 pub const BAUD_AT_RESET: u32 = 9_600;
@@ -83,7 +83,7 @@ const RECEIVED_BYTES_MAX: usize = 1024;
 
 /// The device's receive buffer: collects the bytes of a request until its carriage return.
 #[derive(Debug, Default)]
-pub struct RequestLine {
+pub struct RequestReader {
     bytes: Vec<u8>,
     too_long: bool,
 }
@@ -97,7 +97,7 @@ pub struct ReceivedRequest {
     pub args: String,
 }
 
-impl RequestLine {
+impl RequestReader {
     /// Takes one byte. Returns the request that it completes, or the [error code](code) for an invalid one.
     pub fn push(&mut self, byte: u8) -> Option<Result<ReceivedRequest, u8>> {
         if byte != b'\r' {
@@ -196,10 +196,7 @@ fn strip_crc(bytes: &[u8]) -> Option<&[u8]> {
 }
 
 /// Error codes of devices, as in `ERRORxx`.
-#[expect(
-    missing_docs,
-    reason = "the vendor's guide describes each, and `advice` says what to do"
-)]
+#[expect(missing_docs, reason = "the vendor's guide describes each, and `advice` says what to do")]
 pub mod code {
     pub const INVALID_COMMAND: u8 = 0x01;
     pub const TOO_LONG: u8 = 0x02;

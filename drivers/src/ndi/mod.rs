@@ -1,7 +1,7 @@
 //! NDI Polaris and Vega optical trackers over their Combined API on a serial line: `docs/ndi.md`.
 //!
 //! The device only replies to requests. [`NdiHost`] therefore sends
-//! [line commands](crate::transport::turns), which the transport executes before the next read.
+//! [line commands](crate::transport::polled), which the transport executes before the next read.
 
 mod assignment;
 mod bring_up;
@@ -15,12 +15,12 @@ mod tracking;
 
 pub use host::{BAUD_MAX_DEFAULT, NdiHost};
 pub use message::{
-    BAUD_AT_RESET, BAUDS, ReceivedRequest, RequestLine, code, crc16, put_binary, put_text,
+    BAUD_AT_RESET, BAUDS, ReceivedRequest, RequestReader, code, crc16, put_binary, put_text,
 };
 
 use crate::{
     family::{Claim, Family},
-    transport::turns::desk,
+    transport::polled::line_command_channel,
     uri::Location,
 };
 
@@ -40,7 +40,7 @@ pub(crate) const FAMILY: Family = Family {
             Location::Usb { .. } => None,
         };
         // A sender without a receiver, until `attach` connects the protocol to a line.
-        let (sender, _) = desk();
+        let (sender, _) = line_command_channel();
         Box::new(NdiHost::new(sender, baud.unwrap_or(BAUD_MAX_DEFAULT)))
     },
 };

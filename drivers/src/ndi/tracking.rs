@@ -44,7 +44,7 @@ impl NdiHost {
             (Task::Start, Outcome::Text(_) | Outcome::Refused(code::WRONG_MODE)) => {
                 self.state = HostState::Tracking;
                 self.set_goodbye(true);
-                let rate_hz = f64::from(self.hello.rate_mhz) / 1000.0;
+                let rate_hz = f64::from(self.hello.rate_millihertz) / 1000.0;
                 self.run.begin();
                 self.strays.restart(rate_hz);
                 self.pacer.restart((1e9 / rate_hz) as u64, self.line.now_ns());
@@ -148,8 +148,8 @@ impl NdiHost {
         let bytes = self.reply_bytes(0);
         link_budget(
             bytes,
-            self.hello.rate_mhz,
-            self.hello.rate_max_mhz,
+            self.hello.rate_millihertz,
+            self.hello.rate_max_millihertz,
             line_bytes_per_s(self.baud),
         )
     }
@@ -186,13 +186,13 @@ impl NdiHost {
     }
 
     fn needed_bytes_per_s(&self, strays: usize) -> u64 {
-        (self.bytes_per_frame(strays) * u64::from(self.hello.rate_mhz)).div_ceil(1000)
+        (self.bytes_per_frame(strays) * u64::from(self.hello.rate_millihertz)).div_ceil(1000)
     }
 
     fn limit_text(&self, strays: usize, needed: u64) -> String {
         let tools = self.table.len();
         let most_hz = line_bytes_per_s(self.baud) as f64 / self.bytes_per_frame(strays) as f64;
-        let rate_hz = f64::from(self.hello.rate_mhz) / 1000.0;
+        let rate_hz = f64::from(self.hello.rate_millihertz) / 1000.0;
         let needed = needed.max(self.needed_bytes_per_s(strays));
         let enough = BAUDS.iter().find(|(baud, _)| line_bytes_per_s(*baud) >= needed);
         let advice = match enough {

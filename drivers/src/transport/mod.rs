@@ -1,9 +1,9 @@
 //! Transports: byte streams to devices over serial lines and USB bulk endpoints.
 
 mod access;
+pub mod polled;
 pub mod serial;
 mod tty;
-pub mod turns;
 pub mod usb;
 
 use std::{fmt::Debug, io, time::Duration};

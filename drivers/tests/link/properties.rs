@@ -97,9 +97,9 @@ proptest! {
         table in vec((any::<u16>(), "\\PC{0,60}", any::<bool>()), 0..200),
     ) {
         rates.sort_unstable();
-        let [rate_min_mhz, rate_mhz, rate_max_mhz] = rates;
+        let [rate_min_millihertz, rate_millihertz, rate_max_millihertz] = rates;
         let hello = Hello {
-            model, serial, firmware, rate_mhz, rate_min_mhz, rate_max_mhz, tick_hz, up_axis, markers_max, n_frames,
+            model, serial, firmware, rate_millihertz, rate_min_millihertz, rate_max_millihertz, tick_hz, up_axis, markers_max, n_frames,
         };
         let table = table
             .into_iter()
@@ -125,7 +125,7 @@ proptest! {
     #[test]
     fn every_small_message_comes_back(a in any::<u64>(), b in any::<u64>(), c in any::<u32>(), d in any::<i16>(), e in any::<[u8; 2]>()) {
         let status = Status { frames_produced: a, frames_dropped: b, temperature_c_100: d };
-        let budget = LinkBudget { needed_bytes_per_s: a, available_bytes_per_s: b, rate_fits_mhz: c };
+        let budget = LinkBudget { needed_bytes_per_s: a, available_bytes_per_s: b, rate_fits_millihertz: c };
         let trigger = Trigger { device_ticks: a, input: e[0], kind: e[1] };
         let pong = Pong { host_ns: a, device_ticks: b };
         let mut device = DeviceLink::new();

@@ -75,7 +75,7 @@ fn frame_numbers_are_divided_when_every_second_frame_is_tracked() {
     let numbers: Vec<_> = script.frames.iter().map(|frame| frame.0).collect();
     assert_eq!(numbers, [301, 302, 303]);
     let hello = script.hello.unwrap();
-    assert_eq!((hello.rate_mhz, hello.tick_hz), (30_000, 60_000));
+    assert_eq!((hello.rate_millihertz, hello.tick_hz), (30_000, 60_000));
     assert_eq!(script.frames[0].1, 602_000, "10.03 s of a counter at 60 Hz");
 }
 

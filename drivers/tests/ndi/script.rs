@@ -4,7 +4,7 @@ use mocapd_drivers::device::{
     Command, DeviceEvent, Hello, LinkCounters, MarkerInfo, MarkerSample, Protocol,
 };
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::turns::{Order, Orders, desk};
+use mocapd_drivers::transport::polled::{LineCommand, LineCommandReceiver, line_command_channel};
 
 const MS: u64 = 1_000_000;
 
@@ -12,7 +12,7 @@ type ReplyFn = Box<dyn FnMut(&[u8]) -> Vec<u8>>;
 
 pub(super) struct Script {
     host: NdiHost,
-    commands: Orders,
+    commands: LineCommandReceiver,
     now_ns: u64,
     reply: ReplyFn,
     pub(super) sent: Vec<String>,
@@ -28,7 +28,7 @@ pub(super) struct Script {
 impl Script {
     /// Makes a script from `reply`, with the default replies where it returns none.
     pub(super) fn new(mut reply: impl FnMut(&[u8]) -> Option<Vec<u8>> + 'static) -> Self {
-        let (sender, commands) = desk();
+        let (sender, commands) = line_command_channel();
         Self {
             host: NdiHost::new(sender, 921_600),
             commands,
@@ -61,17 +61,17 @@ impl Script {
         for _ in 0..times {
             self.commands.set_now_ns(self.now_ns);
             let mut bytes = Vec::new();
-            while let Some(command) = self.commands.next_order() {
+            while let Some(command) = self.commands.try_recv() {
                 match command {
-                    Order::Write { request, not_before_ns } => {
+                    LineCommand::Write { request, not_before_ns } => {
                         self.now_ns = self.now_ns.max(not_before_ns);
                         self.sent.push(String::from_utf8(request.as_bytes().to_vec()).unwrap());
                         bytes = (self.reply)(request.as_bytes());
                     }
-                    Order::Break => self.sent.push("(break)".to_owned()),
-                    Order::Baud(baud) => self.bauds.push(baud),
-                    Order::Farewell(_) => {}
-                    Order::Fail(message) => self.failed = Some(message),
+                    LineCommand::Break => self.sent.push("(break)".to_owned()),
+                    LineCommand::Baud(baud) => self.bauds.push(baud),
+                    LineCommand::Goodbye(_) => {}
+                    LineCommand::Fail(message) => self.failed = Some(message),
                 }
             }
             self.now_ns += if bytes.is_empty() { 20 * MS } else { MS / 10 };

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use mocapd_drivers::device::{Command, MarkerInfo, Protocol};
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::{Transport, turns::desk};
+use mocapd_drivers::transport::{Transport, polled::line_command_channel};
 use mocapd_testkit::memory;
 
 use super::script::{Script, text};
@@ -34,7 +34,7 @@ fn a_vega_with_one_tool() {
     let hello = script.hello.clone().unwrap();
     assert_eq!(hello.model, "Polaris Vega Control Firmware");
     assert_eq!((hello.serial.as_str(), hello.firmware.as_str()), ("P9-00123", "Polaris Vega 008"));
-    assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 1_000_000_000));
+    assert_eq!((hello.rate_millihertz, hello.tick_hz), (60_000, 1_000_000_000));
     let label = "8700449".to_owned();
     assert_eq!(script.markers, [MarkerInfo { id: 1, label, labelled: true }]);
     assert_eq!(script.counters().messages, 11);
@@ -96,7 +96,7 @@ fn an_old_system_has_no_bx2_and_its_clock_is_the_frame_number() {
         .started();
         script.read(1);
         let hello = script.hello.unwrap();
-        assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 60_000));
+        assert_eq!((hello.rate_millihertz, hello.tick_hz), (60_000, 60_000));
         assert!(script.sent.contains(&"BX:10013E6C\r".to_owned()), "{:?}", script.sent);
     }
 }
@@ -245,7 +245,7 @@ fn immediate_wrong_replies_do_not_cause_a_busy_loop() {
 
 #[test]
 fn a_reattach_begins_with_init() {
-    let mut host = NdiHost::new(desk().0, 921_600);
+    let mut host = NdiHost::new(line_command_channel().0, 921_600);
     for _ in 0..2 {
         let (line, mut device) = memory::pair(256);
         let mut line = host.attach(Box::new(line));
@@ -266,7 +266,7 @@ fn a_reattach_begins_with_init() {
 
 #[test]
 fn a_reattach_tries_the_requested_baud_rate_again() {
-    let mut host = NdiHost::new(desk().0, 921_600);
+    let mut host = NdiHost::new(line_command_channel().0, 921_600);
     for expected in [&b"6A"[..], b"6"] {
         let (line, mut device) = memory::pair(256);
         let mut line = host.attach(Box::new(line));

@@ -4,7 +4,7 @@ use mocapd_body::{
     Joints, Mesh, Repaired, Unit,
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 /// An octahedron, of which a fuzzer can change a large part with few bytes, also with a hole, a duplicate vertex and
 /// a stray triangle; and a small body.
@@ -29,7 +29,7 @@ fn meshes() -> Vec<Mesh> {
     double.triangles[3] = [3, 6, 4];
     let mut stray = whole.clone();
     stray.triangles.push([0, 2, 3]);
-    let figure = body(1, Pose::A, Options { n_faces: 500, turned: false }).0;
+    let figure = body(1, Pose::A, BodyOptions { n_faces: 500, turned: false }).0;
     vec![whole, hole, double, stray, figure]
 }
 
@@ -144,7 +144,7 @@ pub(crate) fn skeletons() -> Vec<Vec<u8>> {
         unit: Unit::Metre,
         notes: vec!["a note".to_owned()],
     };
-    let options = Options { n_faces: 500, turned: true };
+    let options = BodyOptions { n_faces: 500, turned: true };
     let posed = |pose: &Pose| scan(*pose, body(1, *pose, options).1);
     let all: Vec<ScanJoints> = Pose::ALL.iter().map(posed).collect();
     let lists = [&all[..1], &all[..], &[scan(Pose::A, Joints::default())]];

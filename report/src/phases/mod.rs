@@ -29,8 +29,9 @@ pub fn parts(starts: &[(Phase, usize)], n_frames: usize) -> Vec<PhaseSpan> {
     starts
         .iter()
         .zip(ends)
-        .map(|(&(phase, from), to)| {
-            PhaseSpan { phase, frames: from.min(n_frames)..to.min(n_frames) }
+        .map(|(&(phase, from), to)| PhaseSpan {
+            phase,
+            frames: from.min(n_frames)..to.min(n_frames),
         })
         .filter(|part| !part.frames.is_empty())
         .collect()
@@ -47,9 +48,8 @@ const HEADER: &str = "file,phase,first_frame";
 pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, ReportError> {
     let lines = text.lines().zip(1..).map(|(line, number)| (line.trim(), number));
     let mut lines = lines.filter(|(line, _)| !line.is_empty() && !line.starts_with('#'));
-    let bad = |number: u32, what: String| {
-        ReportError::InvalidArgument(format!("line {number}: {what}"))
-    };
+    let bad =
+        |number: u32, what: String| ReportError::InvalidArgument(format!("line {number}: {what}"));
     match lines.next() {
         Some((HEADER, _)) => {}
         Some((line, number)) => {
@@ -69,7 +69,7 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, Report
             ));
         };
         let names = || Phase::ALL.map(Phase::name).join(", ");
-        let phase = Phase::of_name(phase)
+        let phase = Phase::from_name(phase)
             .ok_or_else(|| bad(number, format!("unknown phase '{phase}': use {}", names())))?;
         let frame = frame
             .parse()

@@ -211,9 +211,8 @@ mod tests {
 
     #[test]
     fn hostile_names_are_escaped() {
-        let svg = sheet((100, 40), |area| {
-            text(area, "a<b>&\"\u{1}\n", (5, 20), left_aligned(BODY, INK))
-        });
+        let svg =
+            sheet((100, 40), |area| text(area, "a<b>&\"\u{1}\n", (5, 20), left_aligned(BODY, INK)));
         let svg = svg.unwrap();
         assert!(!svg.contains("a<b>") && svg.contains("a&lt;b&gt;&amp;"), "{svg}");
         assert!(png(&svg).is_ok());

@@ -280,8 +280,7 @@ impl View {
         let motion = &plot.take.motion;
         let axis = |axis: usize| Direction { axis, sign: 1.0 };
         let up = plot.up;
-        let face =
-            |moment: usize| plot.faces.get(moment).into_iter().flatten().flatten().copied();
+        let face = |moment: usize| plot.faces.get(moment).into_iter().flatten().flatten().copied();
         let of_moment = |(moment, &row): (usize, &usize)| {
             let markers = seen(motion, row).map(|(_, at)| at);
             markers.chain(face(moment)).collect()

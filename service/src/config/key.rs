@@ -8,7 +8,7 @@ use toml::de::DeValue;
 
 use super::{
     Config,
-    problem::{Place, Problem, excerpt},
+    problem::{ConfigProblem, SourceLocation, excerpt},
 };
 use crate::units::{self, duration_text, size_text};
 
@@ -32,7 +32,7 @@ pub struct Key {
     /// The value if the key is left out.
     pub default: DefaultValue,
     /// When a running service applies a new value.
-    pub when: When,
+    pub when: ReloadPolicy,
     pub(super) field: Field,
 }
 
@@ -86,7 +86,7 @@ pub enum DefaultValue {
 
 /// When a running service applies a new value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum When {
+pub enum ReloadPolicy {
     /// Immediately, even while a take is recorded.
     Now,
     /// With the next take.
@@ -97,10 +97,10 @@ pub enum When {
     Restart,
 }
 
-impl When {
+impl ReloadPolicy {
     /// A short text for tables and logs.
     #[must_use]
-    pub fn words(self) -> &'static str {
+    pub fn description(self) -> &'static str {
         match self {
             Self::Now => "at once",
             Self::NextTake => "with the next take",
@@ -194,7 +194,7 @@ impl ValueType {
 #[derive(Debug)]
 pub(super) struct Field {
     /// Reads the value from the document into the configuration.
-    pub(super) read: fn(&mut Config, &Given<'_>) -> Result<(), Vec<Problem>>,
+    pub(super) read: fn(&mut Config, &Given<'_>) -> Result<(), Vec<ConfigProblem>>,
     /// Gives the value, which has the same form in TOML and JSON; `None` if the key has none.
     pub(super) to_json: fn(&Config) -> Option<Json>,
 }
@@ -233,17 +233,20 @@ pub(super) type Read<T> = Result<T, Option<String>>;
 pub(super) struct Given<'a> {
     pub(super) key: &'static Key,
     pub(super) value: &'a DeValue<'a>,
-    pub(super) place: Place,
+    pub(super) place: SourceLocation,
     /// The source text, to locate entries of a list.
     pub(super) text: &'a str,
 }
 
 impl<'a> Given<'a> {
-    fn problem(&self, place: Place, message: String) -> Problem {
-        Problem { place, key: Some(self.key.path), message }
+    fn problem(&self, place: SourceLocation, message: String) -> ConfigProblem {
+        ConfigProblem { place, key: Some(self.key.path), message }
     }
 
-    fn read<T>(&self, read: impl FnOnce(&'a DeValue<'a>) -> Read<T>) -> Result<T, Vec<Problem>> {
+    fn read<T>(
+        &self,
+        read: impl FnOnce(&'a DeValue<'a>) -> Read<T>,
+    ) -> Result<T, Vec<ConfigProblem>> {
         read(self.value).map_err(|why| {
             let why = why.map(|why| format!("{}; ", line(&why))).unwrap_or_default();
             let (path, found, advice) = (self.key.path, found(self.value), self.key.advice());
@@ -252,7 +255,10 @@ impl<'a> Given<'a> {
     }
 
     /// A text, parsed by `read`.
-    pub(super) fn text<T>(&self, read: impl FnOnce(&str) -> Read<T>) -> Result<T, Vec<Problem>> {
+    pub(super) fn text<T>(
+        &self,
+        read: impl FnOnce(&str) -> Read<T>,
+    ) -> Result<T, Vec<ConfigProblem>> {
         self.read(|value| read(value.as_str().ok_or(None)?))
     }
 
@@ -260,7 +266,7 @@ impl<'a> Given<'a> {
     pub(super) fn quantity<T>(
         &self,
         read: impl FnOnce(&str) -> Read<T>,
-    ) -> Result<T, Vec<Problem>> {
+    ) -> Result<T, Vec<ConfigProblem>> {
         self.text(|text| match text.trim().parse::<f64>() {
             Ok(number) if number != 0.0 => Err(Some("the unit is missing".to_owned())),
             _ => read(text),
@@ -271,7 +277,7 @@ impl<'a> Given<'a> {
     pub(super) fn list<T: PartialEq>(
         &self,
         read: impl Fn(&str) -> Result<T, String>,
-    ) -> Result<Vec<T>, Vec<Problem>> {
+    ) -> Result<Vec<T>, Vec<ConfigProblem>> {
         let ValueType::List { max, .. } = self.key.values else { return Ok(Vec::new()) };
         let items = self.read(|value| match value.as_array() {
             Some(items) if items.len() > max => Err(Some(format!("{} are too many", items.len()))),
@@ -279,7 +285,8 @@ impl<'a> Given<'a> {
         })?;
         let (path, mut good, mut problems) = (self.key.path, Vec::new(), Vec::new());
         for item in &items[..] {
-            let (value, at) = (item.get_ref(), Place::of_byte(self.text, item.span().start));
+            let (value, at) =
+                (item.get_ref(), SourceLocation::of_byte(self.text, item.span().start));
             let found = found(value);
             let read = match value.as_str() {
                 Some(text) => read(text).map_err(|why| format!("{why}; ")),
@@ -332,7 +339,7 @@ fn line(why: &str) -> String {
 
 /// A type of configuration values. What `to_json` writes, `read` parses to exactly the same value.
 pub(super) trait ConfigValue: Serialize + Sized {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>>;
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>>;
 
     /// The value as JSON: a text, number or flag, or `None`.
     fn to_json(&self) -> Option<Json> {
@@ -341,13 +348,13 @@ pub(super) trait ConfigValue: Serialize + Sized {
 }
 
 impl ConfigValue for bool {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.read(|value| value.as_bool().ok_or(None))
     }
 }
 
 impl ConfigValue for usize {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.read(|value| {
             if matches!(value, DeValue::Float(_)) {
                 return Err(Some("a whole number needs no decimal point or exponent".to_owned()));
@@ -362,7 +369,7 @@ impl ConfigValue for usize {
 
 /// A frame rate in Hz.
 impl ConfigValue for f64 {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.read(|value| {
             let text = match value {
                 DeValue::String(text) => text.to_string(),
@@ -378,7 +385,7 @@ impl ConfigValue for f64 {
 }
 
 impl ConfigValue for Duration {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.quantity(|text| {
             let time = units::duration(text).map_err(Some)?;
             let in_range =
@@ -394,7 +401,7 @@ impl ConfigValue for Duration {
 
 /// A number of bytes.
 impl ConfigValue for u64 {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.quantity(|text| {
             let bytes = units::size_bytes(text).map_err(Some)?;
             let in_range =
@@ -410,7 +417,7 @@ impl ConfigValue for u64 {
 
 /// A path; whether it exists is not checked.
 impl ConfigValue for PathBuf {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.text(|text| match text {
             "" => Err(None),
             _ => path(text, PATH_BYTES_MAX).map_err(Some),
@@ -419,7 +426,7 @@ impl ConfigValue for PathBuf {
 }
 
 impl<T: ConfigValue> ConfigValue for Option<T> {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         T::read(given).map(Some)
     }
 
@@ -430,7 +437,7 @@ impl<T: ConfigValue> ConfigValue for Option<T> {
 
 /// A socket address; `""` means none.
 impl ConfigValue for Option<SocketAddr> {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
+    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.text(|text| match text {
             "" => Ok(None),
             _ => address(text).map(Some).map_err(Some),

@@ -13,7 +13,9 @@ use serde_json::json;
 
 use super::{
     DeviceChoice, NameTemplate,
-    key::{ConfigValue, DefaultValue, Field, Key, Read, ValueType, When, address, field, path},
+    key::{
+        ConfigValue, DefaultValue, Field, Key, Read, ReloadPolicy, ValueType, address, field, path,
+    },
     problem::suggestion,
 };
 use crate::{
@@ -26,7 +28,10 @@ pub const SECTIONS: &[(&str, &str)] = &[
     ("device", "The device to record."),
     ("take", "Where takes are written, and how."),
     ("subject", "Who is captured; stored in every take."),
-    ("arm", "What is kept in memory between takes, so that a take can begin before its start command."),
+    (
+        "arm",
+        "What is kept in memory between takes, so that a take can begin before its start command.",
+    ),
     ("http", "The HTTP interface: its addresses, and who may use it."),
     ("trigger", "Capture triggers over UDP, received and sent."),
     ("log", "How much is logged."),
@@ -69,39 +74,39 @@ keys! {
         DefaultValue::Dynamic {
             description: "the file name without .toml; `rig` for mocapd.toml",
             example: "\"left\"",
-        }, When::Now, field!(rig_name, rig_name);
+        }, ReloadPolicy::Now, field!(rig_name, rig_name);
     /// The device to record; `auto` is the only attached device that a driver recognises, as listed by `mocapd devices`.
     /// A path under /dev/serial/by-id or a USB serial number stays the same when other devices are plugged in.
     device.uri: ValueType::Text(
             "auto, serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME if needed"
         ),
-        DefaultValue::Text("auto"), When::NextArm, field!(device.uri, device_choice);
+        DefaultValue::Text("auto"), ReloadPolicy::NextArm, field!(device.uri, device_choice);
     /// Frame rate to set on the device; if absent, the device keeps its own.
     /// Every take then has this rate, even if the device was set to another one.
     device.rate_hz: ValueType::Rate,
-        DefaultValue::Absent("240"), When::NextArm, field!(device.rate_hz);
+        DefaultValue::Absent("240"), ReloadPolicy::NextArm, field!(device.rate_hz);
     /// Log every byte received while the device is armed, in a file beside the takes that `mocapd-sim serve` can replay.
     /// For tracking down faults of a rig: a log is many times as large as its take.
     device.raw_log: ValueType::Flag,
-        DefaultValue::Flag(false), When::NextArm, field!(device.raw_log);
+        DefaultValue::Flag(false), ReloadPolicy::NextArm, field!(device.raw_log);
     /// Folder for new takes; created at startup if it does not exist.
     /// Under systemd it is the only folder that the service may write to.
     take.directory: ValueType::Text("a folder"),
         DefaultValue::Dynamic {
             description: "`$STATE_DIRECTORY` if set (systemd sets it), otherwise `\".\"`",
             example: "\"/var/lib/mocapd\"",
-        }, When::NextTake, field!(take.directory);
+        }, ReloadPolicy::NextTake, field!(take.directory);
     /// Name of a take that is started without one.
     /// Names that begin with the date sort by time; if a name exists, a number is appended, because takes are never overwritten.
     take.name: ValueType::Text(
             "a file name without .take, in which {date}, {time}, {rig} and {count} are replaced"
         ),
-        DefaultValue::Text("{date}_{time}_{rig}"), When::NextTake,
+        DefaultValue::Text("{date}_{time}_{rig}"), ReloadPolicy::NextTake,
         field!(take.name, |text| NameTemplate::parse(text).map_err(Some));
     /// Largest distance between a sample and its reconstruction; not allowed together with `lossless = true`.
     /// Half a millimetre is five to fifteen times the noise of a good rig, and the default of `mocapd record`.
     take.tolerance: ValueType::Distance,
-        DefaultValue::Text("0.5mm"), When::NextArm,
+        DefaultValue::Text("0.5mm"), ReloadPolicy::NextArm,
         Field {
             read: |config, given| given.quantity(tolerance).map(|mm| config.take.codec.tolerance = mm),
             to_json: |config| {
@@ -112,7 +117,7 @@ keys! {
     /// Store every sample bit for bit; the same as `resampler = "lossless"`.
     /// For archives that must not change; takes are several times as large.
     take.lossless: ValueType::Flag,
-        DefaultValue::Flag(false), When::NextArm,
+        DefaultValue::Flag(false), ReloadPolicy::NextArm,
         Field {
             // Its effect depends on `take.resampler`: see `ConfigReader::codec`.
             read: |_, given| bool::read(given).map(drop),
@@ -121,32 +126,32 @@ keys! {
     /// How samples are compressed.
     /// `dense` makes the smallest takes, `fast` suits slow hosts; spline and sync need whole takes and cannot record.
     take.resampler: ValueType::Text("dense, fast or lossless"),
-        DefaultValue::Text("dense"), When::NextArm, field!(take.codec.kind, resampler);
+        DefaultValue::Text("dense"), ReloadPolicy::NextArm, field!(take.codec.kind, resampler);
     /// Length of a stretch, which is written as a whole: a killed process loses at most one.
     /// Shorter stretches lose less and make larger takes.
     take.stretch: ValueType::Time(STRETCH_LENGTHS),
-        DefaultValue::Text("500ms"), When::NextArm, field!(take.stretch);
+        DefaultValue::Text("500ms"), ReloadPolicy::NextArm, field!(take.stretch);
     /// How often written data is synced to the disk: a power cut loses at most this time and one stretch.
     /// With the default stretch that is one second; `0s` syncs after every stretch.
     take.sync: ValueType::Time(Duration::ZERO..=SYNC_MAX),
-        DefaultValue::Text("500ms"), When::NextArm, field!(take.sync);
+        DefaultValue::Text("500ms"), ReloadPolicy::NextArm, field!(take.sync);
     /// Disk space to keep free: a take that reaches it is closed, and no new take starts.
     /// A system whose disk is full cannot even log the reason; `0B` uses all of it.
     take.keep_free: ValueType::Size(0..=1 << 50),
-        DefaultValue::Text("256MiB"), When::NextTake, field!(take.keep_free_bytes);
+        DefaultValue::Text("256MiB"), ReloadPolicy::NextTake, field!(take.keep_free_bytes);
     /// How long a take waits for a device that has disconnected; `0s` closes the take at once.
     /// A minute is enough to plug a cable back in, and for a device to restart.
     take.reconnect: ValueType::Time(Duration::ZERO..=Duration::from_secs(86_400)),
-        DefaultValue::Text("60s"), When::NextArm, field!(take.reconnect);
+        DefaultValue::Text("60s"), ReloadPolicy::NextArm, field!(take.reconnect);
     /// Longest take: it is closed at this length, with the ending `length`; if absent, there is no limit.
     /// It ends forgotten takes.
     // A month: in longer takes the frame counter of a 1000 Hz device would wrap around.
     take.max_length: ValueType::Time(Duration::from_secs(1)..=Duration::from_secs(744 * 3600)),
-        DefaultValue::Absent("\"1h\""), When::Now, field!(take.max_length);
+        DefaultValue::Absent("\"1h\""), ReloadPolicy::Now, field!(take.max_length);
     /// Name of the subject, stored in every take.
     /// Where labels name several subjects, as in `S01:LKNE`, it selects the one that the skeleton belongs to.
     subject.name: ValueType::Text("a name of at most 128 bytes"),
-        DefaultValue::Absent("\"S01\""), When::NextTake,
+        DefaultValue::Absent("\"S01\""), ReloadPolicy::NextTake,
         Field {
             read: |config, given| given.text(subject_name).map(|name| config.subject.name = Some(name)),
             to_json: |config| config.subject.name.as_deref().map(|name| json!(name)),
@@ -154,40 +159,40 @@ keys! {
     /// The skeleton.json that `mocapd subject body` made from a scan; stored in every take and drawn by the dashboard.
     /// Known limb lengths reveal markers that were swapped, even years later.
     subject.skeleton: ValueType::Text("the path of a file"),
-        DefaultValue::Absent("\"/srv/subjects/s01-skeleton.json\""), When::NextTake,
+        DefaultValue::Absent("\"/srv/subjects/s01-skeleton.json\""), ReloadPolicy::NextTake,
         field!(subject.skeleton);
     /// The face.json that `mocapd subject face` made from a photograph; stored in every take.
     /// Markers on a face are identified by their positions on it.
     subject.face: ValueType::Text("the path of a file"),
-        DefaultValue::Absent("\"/srv/subjects/s01-face.json\""), When::NextTake, field!(subject.face);
+        DefaultValue::Absent("\"/srv/subjects/s01-face.json\""), ReloadPolicy::NextTake, field!(subject.face);
     /// Which marker sits where on the `face`, as labels and vertices of the wireframe; stored in every take, and used by the dashboard to draw the face under its markers.
     /// Facial marker sets have no standard names.
     subject.face_markers: ValueType::Text("the path of a file"),
-        DefaultValue::Absent("\"/srv/subjects/face-markers.json\""), When::NextTake,
+        DefaultValue::Absent("\"/srv/subjects/face-markers.json\""), ReloadPolicy::NextTake,
         field!(subject.face_markers);
     /// Whether the service opens the device and arms itself at startup.
     /// The rig is then ready to record once it is switched on; with `false`, other programs can use the device until it is armed.
     arm.at_start: ValueType::Flag,
-        DefaultValue::Flag(true), When::Restart, field!(arm.at_start);
+        DefaultValue::Flag(true), ReloadPolicy::Restart, field!(arm.at_start);
     /// How much of the past is kept in memory while armed.
     /// Motion from before the start command can still be saved.
     arm.pre_roll: ValueType::Time(Duration::ZERO..=TEN_MINUTES),
-        DefaultValue::Text("10s"), When::NextArm, field!(arm.pre_roll);
+        DefaultValue::Text("10s"), ReloadPolicy::NextArm, field!(arm.pre_roll);
     /// How much of the pre-roll a start puts into its take unless it asks for another length; at most `pre_roll`.
     /// By default a take begins at its start command.
     arm.include_pre_roll: ValueType::Time(Duration::ZERO..=TEN_MINUTES),
-        DefaultValue::Text("0s"), When::NextTake, field!(arm.include_pre_roll);
+        DefaultValue::Text("0s"), ReloadPolicy::NextTake, field!(arm.include_pre_roll);
     /// Memory limit of the pre-roll; when it is reached, the oldest data is dropped first.
     /// Ten minutes of two hundred markers at 1000 Hz, stored bit for bit, would need more than a gigabyte.
     arm.memory_max: ValueType::Size(1 << 20..=64 << 30),
-        DefaultValue::Text("256MiB"), When::NextArm, field!(arm.memory_max_bytes);
+        DefaultValue::Text("256MiB"), ReloadPolicy::NextArm, field!(arm.memory_max_bytes);
     /// Unix socket of the HTTP interface; `""` for none.
     /// The permissions of its folder decide who may use it, so it needs no token.
     http.socket: ValueType::Text("the path of a Unix socket of at most 107 bytes, or \"\" for none"),
         DefaultValue::Dynamic {
             description: "`$RUNTIME_DIRECTORY/mocapd.sock` if that is set (systemd sets it), otherwise `\"/run/mocapd/mocapd.sock\"`",
             example: "\"/run/mocapd/mocapd.sock\"",
-        }, When::Restart,
+        }, ReloadPolicy::Restart,
         Field {
             read: |config, given| given.text(socket).map(|socket| config.http.socket = socket),
             to_json: |config| config.http.socket.to_json().or_else(|| Some(json!(""))),
@@ -195,47 +200,47 @@ keys! {
     /// TCP address of the HTTP interface; `""` for none.
     /// Only this machine can reach 127.0.0.1; an address that other machines can reach needs a `token_file`.
     http.listen: ValueType::Text("an address and a port, or \"\" for none"),
-        DefaultValue::Text("127.0.0.1:7060"), When::Restart, field!(http.listen);
+        DefaultValue::Text("127.0.0.1:7060"), ReloadPolicy::Restart, field!(http.listen);
     /// File with the token that clients must send over TCP; mode 0600 or stricter, owned by the service's user.
     /// Without a token, anybody who can reach the address could stop a take.
     http.token_file: ValueType::Text("the path of a file"),
-        DefaultValue::Absent("\"/etc/mocapd/token\""), When::Restart, field!(http.token_file);
+        DefaultValue::Absent("\"/etc/mocapd/token\""), ReloadPolicy::Restart, field!(http.token_file);
     /// Host names under which clients may reach the service over TCP, besides its address and localhost.
     /// Requests under any other name are refused, so that web pages of others cannot reach the service through a browser.
     http.allowed_hosts: ValueType::List {
             of: "a host name or address without a port",
             max: ITEMS_MAX,
         },
-        DefaultValue::EmptyList("rig.lab.example"), When::Now, field!(http.allowed_hosts, each host);
+        DefaultValue::EmptyList("rig.lab.example"), ReloadPolicy::Now, field!(http.allowed_hosts, each host);
     /// Limit on simultaneous connections, for the Unix socket and for TCP separately; beyond it, a new connection replaces an idle one or is refused.
     /// A dashboard needs a few. With 256, connections and their downloads use 889 of the 1024 file descriptors that a process has by default, and leave the others to takes.
     http.connections_max: ValueType::Integer(1..=CONNECTIONS_MAX as u64),
-        DefaultValue::Integer(64), When::Restart, field!(http.connections_max);
+        DefaultValue::Integer(64), ReloadPolicy::Restart, field!(http.connections_max);
     /// UDP address for capture triggers from other programs; `""` for none.
     /// No trigger can start a take unless this is set.
     trigger.listen: ValueType::Text(
             "an address and a port, such as \"0.0.0.0:8989\", or \"\" for none"
         ),
-        DefaultValue::Text(""), When::Now, field!(trigger.listen);
+        DefaultValue::Text(""), ReloadPolicy::Now, field!(trigger.listen);
     /// Addresses that are sent triggers when a take starts or stops here.
     /// Other systems of the laboratory then record the same take under the same name.
     trigger.send_to: ValueType::List {
             of: "an address and a port; broadcast addresses are allowed",
             max: SEND_TO_MAX,
         },
-        DefaultValue::EmptyList("192.168.10.255:8989"), When::Now, field!(trigger.send_to, each receiver);
+        DefaultValue::EmptyList("192.168.10.255:8989"), ReloadPolicy::Now, field!(trigger.send_to, each receiver);
     /// Senders whose triggers are accepted; if empty, all are accepted, and `mocapd config check` warns of it.
     /// Triggers carry no authentication: the sender's address is all that can be checked.
     trigger.allow_from: ValueType::List { of: "an address or a network in CIDR form", max: ITEMS_MAX },
-        DefaultValue::EmptyList("192.168.10.0/24"), When::Now, field!(trigger.allow_from, each str::parse);
+        DefaultValue::EmptyList("192.168.10.0/24"), ReloadPolicy::Now, field!(trigger.allow_from, each str::parse);
     /// Longest delay that a trigger may ask for; a trigger with a longer one is refused and logged.
     /// Programs delay a start by fractions of a second so that several systems start together; only an attacker needs more.
     trigger.delay_max: ValueType::Time(Duration::ZERO..=DELAY_MAX),
-        DefaultValue::Text("5s"), When::Now, field!(trigger.delay_max);
+        DefaultValue::Text("5s"), ReloadPolicy::Now, field!(trigger.delay_max);
     /// How much is logged to standard error, and so to the journal.
     /// `info` logs every arm, start, stop and outage, and nothing per frame.
     log.level: ValueType::Text("error, warn, info, debug or trace"),
-        DefaultValue::Text("info"), When::Now, field!(log_level, level);
+        DefaultValue::Text("info"), ReloadPolicy::Now, field!(log_level, level);
 }
 
 /// Longest rig name in bytes: it is part of every take name.
@@ -313,7 +318,9 @@ fn host(text: &str) -> Result<String, String> {
 fn receiver(text: &str) -> Result<SocketAddr, String> {
     match address(text)? {
         address if address.port() == 0 => Err("the port is 0".to_owned()),
-        address if address.ip().is_unspecified() => Err("it is not the address of a receiver".to_owned()),
+        address if address.ip().is_unspecified() => {
+            Err("it is not the address of a receiver".to_owned())
+        }
         address => Ok(address),
     }
 }
@@ -371,16 +378,15 @@ fn comment(out: &mut String, text: &str) {
 /// The table of one section in docs/config.md.
 #[must_use]
 pub fn table(section: &str) -> String {
-    let mut out =
-        "| key | value | default | purpose | a reload applies it |
+    let mut out = "| key | value | default | purpose | a reload applies it |
         |---|---|---|---|---|
         "
-            .to_owned();
+    .to_owned();
     for key in KEYS.iter().filter(|key| key.section() == section) {
         // A bar would end the column.
         let [takes, default] =
             [key.values.description(), key.default_text()].map(|text| text.replace('|', "\\|"));
-        let (name, what, why, when) = (key.name(), key.what, key.why, key.when.words());
+        let (name, what, why, when) = (key.name(), key.what, key.why, key.when.description());
         // Writing into a String does not fail.
         writeln!(out, "| `{name}` | {takes} | {default} | {what} {why} | {when} |").ok();
     }

@@ -7,7 +7,7 @@ pub const PROBLEMS_MAX: usize = 20;
 
 /// The location of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Place {
+pub enum SourceLocation {
     /// In the file. Line and column count from 1, the column in characters.
     At {
         /// The line.
@@ -23,9 +23,9 @@ pub enum Place {
 
 /// One problem of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Problem {
+pub struct ConfigProblem {
     /// The location of the value.
-    pub place: Place,
+    pub place: SourceLocation,
     /// The key, such as `arm.pre_roll`; `None` if the problem is not about a known key.
     pub key: Option<&'static str>,
     /// What was found, what is expected, and what to write.
@@ -53,7 +53,7 @@ pub enum ConfigError {
         /// The name of the file.
         name: String,
         /// The problems in the order of the file: at least one, at most [`PROBLEMS_MAX`].
-        problems: Vec<Problem>,
+        problems: Vec<ConfigProblem>,
         /// How many problems were left out.
         more: usize,
     },
@@ -76,21 +76,23 @@ impl ConfigError {
     }
 }
 
-impl Problem {
+impl ConfigProblem {
     /// The problem on one line, with its location.
     #[must_use]
     pub fn line(&self, name: &str) -> String {
         let message = &self.message;
         match self.place {
-            Place::At { line, column } => format!("{name} line {line}, column {column}: {message}"),
-            Place::Option(option) => format!("{option}: {message}"),
-            Place::Nowhere => format!("{name}: {message}"),
+            SourceLocation::At { line, column } => {
+                format!("{name} line {line}, column {column}: {message}")
+            }
+            SourceLocation::Option(option) => format!("{option}: {message}"),
+            SourceLocation::Nowhere => format!("{name}: {message}"),
         }
     }
 }
 
 /// The first problem and the number of the others, on one line.
-fn on_one_line(name: &str, problems: &[Problem], more: usize) -> String {
+fn on_one_line(name: &str, problems: &[ConfigProblem], more: usize) -> String {
     let first = problems.first().map(|problem| problem.line(name)).unwrap_or_default();
     match problems.len().saturating_sub(1) + more {
         0 => first,
@@ -98,7 +100,7 @@ fn on_one_line(name: &str, problems: &[Problem], more: usize) -> String {
     }
 }
 
-impl Place {
+impl SourceLocation {
     /// The line and column of a byte of the text.
     pub(super) fn of_byte(text: &str, byte: usize) -> Self {
         let before = text.get(..byte).unwrap_or(text);

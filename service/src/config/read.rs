@@ -18,8 +18,8 @@ use toml::{
 };
 
 use super::{
-    ArmConfig, Config, ConfigError, DeviceConfig, HttpConfig, NameTemplate, PROBLEMS_MAX, Place,
-    Problem, TakeConfig, TriggerConfig,
+    ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig, NameTemplate,
+    PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
     key::{Given, Key, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
@@ -45,7 +45,7 @@ pub struct Overrides {
 
 /// Properties of the process and the file that defaults depend on.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Surroundings {
+pub struct Environment {
     /// The first folder of `$STATE_DIRECTORY`, which persists.
     pub state_directory: Option<PathBuf>,
     /// The first folder of `$RUNTIME_DIRECTORY`, which is removed when the service stops.
@@ -54,7 +54,7 @@ pub struct Surroundings {
     pub file_stem: Option<String>,
 }
 
-impl Surroundings {
+impl Environment {
     /// Reads the environment of this process, for a configuration file.
     #[must_use]
     pub fn of_process(file: &Path) -> Self {
@@ -88,7 +88,7 @@ impl Config {
         let mut bytes = Vec::new();
         opened.take(CONFIG_BYTES_MAX as u64 + 1).read_to_end(&mut bytes).map_err(unreadable)?;
         let name = file.display().to_string();
-        Self::parse(&name, &bytes, &Surroundings::of_process(file), overrides)
+        Self::parse(&name, &bytes, &Environment::of_process(file), overrides)
     }
 
     /// Parses a configuration; errors call it `name`.
@@ -98,7 +98,7 @@ impl Config {
     pub fn parse(
         name: &str,
         bytes: &[u8],
-        environment: &Surroundings,
+        environment: &Environment,
         overrides: &Overrides,
     ) -> Result<Self, ConfigError> {
         let text = text(bytes).map_err(|problem| refused(name, vec![problem]))?;
@@ -115,7 +115,7 @@ impl Config {
         ];
         let options = options.map(|(path, option, value)| {
             let value = value.as_deref().map(|value| DeValue::String(Cow::Borrowed(value)));
-            (path, Place::Option(option), value)
+            (path, SourceLocation::Option(option), value)
         });
         let mut reader = ConfigReader { text, given: BTreeMap::new(), problems: Vec::new() };
         for (name, value) in document.get_ref() {
@@ -138,8 +138,8 @@ impl Config {
     }
 
     /// A configuration whose values are all replaced key by key.
-    fn blank() -> Result<Self, Problem> {
-        let bug = |message| Problem { place: Place::Nowhere, key: None, message };
+    fn blank() -> Result<Self, ConfigProblem> {
+        let bug = |message| ConfigProblem { place: SourceLocation::Nowhere, key: None, message };
         let tolerance = Tolerance::from_mm(Tolerance::MIN_MM);
         Ok(Self {
             rig_name: String::new(),
@@ -169,8 +169,8 @@ impl Config {
 /// Collects the given values by key path, and their problems.
 struct ConfigReader<'a> {
     text: &'a str,
-    given: BTreeMap<&'static str, (Place, &'a DeValue<'a>)>,
-    problems: Vec<Problem>,
+    given: BTreeMap<&'static str, (SourceLocation, &'a DeValue<'a>)>,
+    problems: Vec<ConfigProblem>,
 }
 
 impl<'a> ConfigReader<'a> {
@@ -199,7 +199,7 @@ impl<'a> ConfigReader<'a> {
             let word = name.get_ref().as_ref();
             let here = KEYS.iter().filter(|key| key.section() == section);
             if let Some(key) = here.clone().find(|key| key.name() == word) {
-                let place = Place::of_byte(self.text, value.span().start);
+                let place = SourceLocation::of_byte(self.text, value.span().start);
                 self.given.insert(key.path, (place, value.get_ref()));
                 continue;
             }
@@ -216,8 +216,8 @@ impl<'a> ConfigReader<'a> {
     }
 
     fn refuse_name(&mut self, name: &Spanned<DeString<'_>>, message: String) {
-        let place = Place::of_byte(self.text, name.span().start);
-        self.problems.push(Problem { place, key: None, message });
+        let place = SourceLocation::of_byte(self.text, name.span().start);
+        self.problems.push(ConfigProblem { place, key: None, message });
     }
 
     /// Reads the value of a key, or its default.
@@ -230,7 +230,7 @@ impl<'a> ConfigReader<'a> {
             Some((place, value)) => read(*place, value, self.text, config),
             None if !key.has_default() => Ok(()),
             None => match DeValue::parse(&default) {
-                Ok(value) => read(Place::Nowhere, value.get_ref(), &default, config),
+                Ok(value) => read(SourceLocation::Nowhere, value.get_ref(), &default, config),
                 Err(error) => Err(vec![syntax_problem(&default, &error)]),
             },
         };
@@ -248,12 +248,12 @@ impl<'a> ConfigReader<'a> {
 
     /// Reports a problem of a key at the location of its value.
     fn refuse(&mut self, path: &'static str, message: String) {
-        let place = self.given.get(path).map_or(Place::Nowhere, |(place, _)| *place);
-        self.problems.push(Problem { place, key: Some(path), message });
+        let place = self.given.get(path).map_or(SourceLocation::Nowhere, |(place, _)| *place);
+        self.problems.push(ConfigProblem { place, key: Some(path), message });
     }
 
     /// Fills in the defaults that depend on the environment.
-    fn environment_defaults(&mut self, config: &mut Config, environment: &Surroundings) {
+    fn environment_defaults(&mut self, config: &mut Config, environment: &Environment) {
         if !self.is_given("rig.name") {
             let stem = environment.file_stem.as_deref().filter(|stem| *stem != "mocapd");
             let stem = stem.unwrap_or("rig");
@@ -352,31 +352,35 @@ fn advice(path: &str) -> String {
     KEYS.iter().find(|key| key.path == path).map(Key::advice).unwrap_or_default()
 }
 
-fn text(bytes: &[u8]) -> Result<&str, Problem> {
-    let problem = |place, message| Problem { place, key: None, message };
+fn text(bytes: &[u8]) -> Result<&str, ConfigProblem> {
+    let problem = |place, message| ConfigProblem { place, key: None, message };
     if bytes.len() > CONFIG_BYTES_MAX {
         let message = "the file is larger than 1 MiB: is it a configuration?";
-        return Err(problem(Place::Nowhere, message.to_owned()));
+        return Err(problem(SourceLocation::Nowhere, message.to_owned()));
     }
     std::str::from_utf8(bytes).map_err(|error| {
         let (valid, _) = bytes.split_at(error.valid_up_to());
         let valid = str::from_utf8(valid).unwrap_or_default();
         let message = "invalid UTF-8: save the file as UTF-8";
-        problem(Place::of_byte(valid, valid.len()), message.to_owned())
+        problem(SourceLocation::of_byte(valid, valid.len()), message.to_owned())
     })
 }
 
-fn refused(name: &str, mut problems: Vec<Problem>) -> ConfigError {
+fn refused(name: &str, mut problems: Vec<ConfigProblem>) -> ConfigError {
     problems.sort_by_key(|problem| problem.place);
     let more = problems.len().saturating_sub(PROBLEMS_MAX);
     problems.truncate(PROBLEMS_MAX);
     ConfigError::Refused { name: name.to_owned(), problems, more }
 }
 
-fn syntax_problem(text: &str, error: &toml::de::Error) -> Problem {
+fn syntax_problem(text: &str, error: &toml::de::Error) -> ConfigProblem {
     let at = error.span().map_or(0, |span| span.start);
     let message = error.message().lines().collect::<Vec<_>>().join(", ");
-    Problem { place: Place::of_byte(text, at), key: None, message: message + hint(text, at) }
+    ConfigProblem {
+        place: SourceLocation::of_byte(text, at),
+        key: None,
+        message: message + hint(text, at),
+    }
 }
 
 /// Explains the most frequent error: `pre_roll = 10s`, a value with a unit but without quotes.

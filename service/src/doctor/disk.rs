@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::{latency::Latency, pipeline::HELD_MIN_BYTES};
+use mocapd_acquire::{latency::LatencyHistogram, pipeline::RESERVE_MIN_BYTES};
 use rustix::fs::{statfs, statvfs};
 
 use super::Finding;
@@ -47,7 +47,7 @@ pub(super) fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMu
             }
             // Space that a recording would not use is not used for measurements, either.
             let spare = free_bytes.saturating_sub(keep_free_bytes);
-            if spare < HELD_MIN_BYTES {
+            if spare < RESERVE_MIN_BYTES {
                 return;
             }
             match measure(folder, spare / 2) {
@@ -75,7 +75,7 @@ fn space(free_bytes: u64, keep_free_bytes: u64) -> Finding {
     let left = free_bytes.saturating_sub(keep_free_bytes);
     let seen =
         format!("{:.0} MB free, of which {:.0} are kept free", mb(free_bytes), mb(keep_free_bytes));
-    if left < HELD_MIN_BYTES {
+    if left < RESERVE_MIN_BYTES {
         Finding::failure(what, seen, "delete some files, or record to another disk")
     } else if left < HOUR_BYTES {
         Finding::warning(what, seen, "delete some files: an hour of a large rig may not fit")
@@ -133,7 +133,7 @@ fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
     }
     file.sync_data()?;
     let bytes_per_s = written as f64 / begun.elapsed().as_secs_f64();
-    let mut syncs = Latency::default();
+    let mut syncs = LatencyHistogram::default();
     let begun = Instant::now();
     for _ in 0..syncs_max {
         file.write_all(&block[..STRETCH_BYTES])?;
@@ -170,7 +170,7 @@ fn speed(bytes_per_s: f64) -> Finding {
     }
 }
 
-fn sync(syncs: &Latency) -> Finding {
+fn sync(syncs: &LatencyHistogram) -> Finding {
     let ms = |ns: u64| ns as f64 * 1e-6;
     let (p50, max) = (syncs.quantile_ns(0.5), syncs.max_ns());
     let seen = format!("median {:.1} ms, maximum {:.1} ms of {}", ms(p50), ms(max), syncs.count());
@@ -196,7 +196,7 @@ mod tests {
         assert!(kind(0x4d44).seen.contains("4 GB"));
         assert!(kind(0x1234).seen.contains("0x1234"));
         assert_eq!(speed(1e6).verdict, Verdict::Warning);
-        let mut syncs = Latency::default();
+        let mut syncs = LatencyHistogram::default();
         syncs.add(3_000_000);
         assert_eq!(sync(&syncs).verdict, Verdict::Good);
         syncs.add(900_000_000);

@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::latency::Latency;
+use mocapd_acquire::latency::LatencyHistogram;
 
 /// The severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -100,7 +100,7 @@ fn source(name: &str) -> Finding {
 
 /// Measures how late a sleeping thread is woken, as the reader would be.
 fn timer_latency() -> Finding {
-    let mut late = Latency::default();
+    let mut late = LatencyHistogram::default();
     for _ in 0..SLEEPS {
         let before = Instant::now();
         std::thread::sleep(SLEEP);
@@ -109,15 +109,11 @@ fn timer_latency() -> Finding {
     timer_finding(&late)
 }
 
-fn timer_finding(late: &Latency) -> Finding {
+fn timer_finding(late: &LatencyHistogram) -> Finding {
     let us = |ns: u64| ns / 1000;
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
-    let seen = format!(
-        "timer latency {} us (p99), {} us (maximum of {})",
-        us(p99),
-        us(max),
-        late.count()
-    );
+    let seen =
+        format!("timer latency {} us (p99), {} us (maximum of {})", us(p99), us(max), late.count());
     if p99 > LATE_NS_MAX {
         Finding::warning("wake-ups", seen, "close other programs, or reserve a core for mocapd")
     } else {
@@ -192,7 +188,7 @@ mod tests {
         assert_eq!(synchronised(Some("yes")).verdict, Verdict::Good);
         assert!(synchronised(Some("no")).remedy.unwrap().contains("set-ntp"));
         assert_eq!(synchronised(None).verdict, Verdict::Note);
-        let mut late = Latency::default();
+        let mut late = LatencyHistogram::default();
         (0..100).for_each(|_| late.add(60_000));
         assert_eq!(timer_finding(&late).verdict, Verdict::Good);
         (0..10).for_each(|_| late.add(30_000_000));

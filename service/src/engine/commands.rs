@@ -11,7 +11,7 @@ use mocapd_acquire::{
     files::TakeFile,
     header,
     host_clock::monotonic_ns,
-    pipeline::{FirstRow, NewTake, check_room},
+    pipeline::{FirstRow, NewTake, check_disk_space},
     threads,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind};
@@ -110,7 +110,7 @@ impl Inner {
         command: &CommandGuard<'_>,
         start: &Start,
     ) -> Result<Started, Refusal> {
-        let asked_ns = monotonic_ns();
+        let requested_ns = monotonic_ns();
         let core = self.core();
         if let Some(take) = &core.take {
             return Err(already_recording(take));
@@ -125,7 +125,7 @@ impl Inner {
             return Err(Refusal::new(RefusalKind::Device, message));
         }
         let (name, notes) = (start.name.as_deref(), start.notes.as_deref());
-        let (named, take) = self.new_take(name, notes, pre_roll, asked_ns)?;
+        let (named, take) = self.new_take(name, notes, pre_roll, requested_ns)?;
         let begun = self.arm(command).and_then(|()| self.begin_take(&named, take));
         let first = begun.inspect_err(|_| named.discard())?;
         let Ok(first) = first.recv_timeout(FIRST_FRAME_TIMEOUT) else {
@@ -143,7 +143,7 @@ impl Inner {
         let notes = notes.filter(|notes| !notes.is_empty());
         let kind = ServiceEventKind::TakeStarted;
         self.publish_with_notes(kind, &format!("recording {name}"), Some(&name), notes);
-        let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
+        let before_request_s = requested_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
         let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
         let first_frame = FirstFrame {
             device_ticks: first.device_ticks,
@@ -276,7 +276,7 @@ impl Inner {
         _command: &CommandGuard<'_>,
         save: &SaveLast,
     ) -> Result<Stopped, Refusal> {
-        let asked_ns = monotonic_ns();
+        let requested_ns = monotonic_ns();
         let last = seconds(save.seconds, "seconds")?;
         if last.is_zero() {
             let message = "seconds is 0: there is nothing to save";
@@ -286,7 +286,7 @@ impl Inner {
             let message = "not armed: the pre-roll is empty";
             return Err(Refusal::new(RefusalKind::Conflict, message));
         }
-        let (named, take) = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
+        let (named, take) = self.new_take(save.name.as_deref(), None, last, requested_ns)?;
         let mut core = self.core();
         let saved = match &mut core.session {
             Some(session) => {
@@ -297,8 +297,9 @@ impl Inner {
         };
         let _closing = self.closing(&mut core);
         drop(core);
-        let late =
-            |_| Refusal::new(RefusalKind::Unavailable, "the disk is stalled: still writing the take");
+        let late = |_| {
+            Refusal::new(RefusalKind::Unavailable, "the disk is stalled: still writing the take")
+        };
         let end = saved.and_then(|(ended, rate_hz)| {
             Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });
@@ -312,7 +313,7 @@ impl Inner {
         name: Option<&str>,
         notes: Option<&str>,
         pre_roll: Duration,
-        asked_ns: u64,
+        requested_ns: u64,
     ) -> Result<(NamedTake, NewTake), Refusal> {
         if self.is_stopping() {
             return Err(stopping());
@@ -320,7 +321,7 @@ impl Inner {
         let options = std::sync::Arc::clone(&self.core().options);
         let refused = |kind, error: &anyhow::Error| Refusal::new(kind, message_with_keys(error));
         let (name, path) = self.free_name(name, &options)?;
-        check_room(&path, options.take.keep_free_bytes)
+        check_disk_space(&path, options.take.keep_free_bytes)
             .map_err(|error| refused(RefusalKind::Disk, &error))?;
         let notes = notes.filter(|notes| !notes.is_empty());
         if let Some(notes) = notes {
@@ -330,12 +331,12 @@ impl Inner {
             .map_err(|error| refused(RefusalKind::Internal, &error))?;
         let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
         let file = output.id();
-        let notes = notes.map(|text| Event::new(EventKind::Mark, asked_ns, text));
+        let notes = notes.map(|text| Event::new(EventKind::Mark, requested_ns, text));
         let id = header.take_id_text();
         let take = NewTake {
             subject: options.subject.clone(),
             pre_roll,
-            asked_ns,
+            requested_ns,
             notes,
             keep_free_bytes: options.take.keep_free_bytes,
             ..NewTake::new(output, header)
@@ -407,7 +408,7 @@ impl Inner {
                 drop(self.stop_take(command, EndingKind::ServiceStopped));
             }
         };
-        threads::beside("mocapd-close", close, || self.wait_until_closed());
+        threads::run_alongside("mocapd-close", close, || self.wait_until_closed());
         drop(command);
         if let Some(session) = &self.core().session {
             session.stop.store(true, Ordering::Relaxed);

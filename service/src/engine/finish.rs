@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use mocapd_acquire::{
-    files::{FileState, Settled},
-    pipeline::{NothingRecorded, TakeEnd, TakeFailed, TakeOutput, Written},
+    files::{FileState, SettledFile},
+    pipeline::{NothingRecorded, TakeAccount, TakeFailed, TakeOutput, TakeResult},
 };
 use mocapd_take::record::EndingKind;
 
@@ -20,7 +20,7 @@ use crate::{
 
 impl Inner {
     /// Closes the current take, or reports that it could not be closed.
-    pub(super) fn finish_take(&self, end: TakeEnd) -> Result<Stopped, Refusal> {
+    pub(super) fn finish_take(&self, end: TakeResult) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = core.take.take() else {
             let message = "the take has already been stopped: check the status";
@@ -59,7 +59,7 @@ impl Inner {
     /// Handles the end of a take: written completely, or failed.
     pub(super) fn closed(
         &self,
-        end: TakeEnd,
+        end: TakeResult,
         take: &NamedTake,
         rate_hz: f64,
     ) -> Result<Stopped, Refusal> {
@@ -69,7 +69,7 @@ impl Inner {
         }
         let name = &take.name;
         let settled = output.settle();
-        if let Some(message) = settled.words() {
+        if let Some(message) = settled.message() {
             self.publish(ServiceEventKind::Warning, &message, Some(name));
         }
         let stopped = stopped(&written, take, &settled, rate_hz);
@@ -107,13 +107,14 @@ impl Inner {
             return Refusal::new(RefusalKind::Conflict, message);
         }
         let name = &take.name;
-        let message = format!("no frame arrived, so there is no take {name}: is the device capturing?");
+        let message =
+            format!("no frame arrived, so there is no take {name}: is the device capturing?");
         self.publish(ServiceEventKind::Warning, &message, Some(name));
         Refusal::new(RefusalKind::Device, message)
     }
 
     /// Stores the take as the last one in the status.
-    fn remember(&self, written: &Written, settled: &Settled, stopped: &Stopped) {
+    fn remember(&self, written: &TakeAccount, settled: &SettledFile, stopped: &Stopped) {
         let ending = &written.ending;
         // The same summary as in the list; if no name leads to the file, the data of the writer.
         let listed = settled.path.as_deref().and_then(summary_of);
@@ -134,7 +135,7 @@ impl Inner {
             || matches!(ending.kind, EndingKind::Truncated | EndingKind::Unmounted);
         let lost = || {
             let ended = || format!("the take {} has ended ({})", stopped.name, ending.kind);
-            settled.words().unwrap_or_else(ended)
+            settled.message().unwrap_or_else(ended)
         };
         let mut core = self.core();
         core.last_take = Some(summary);
@@ -142,7 +143,7 @@ impl Inner {
     }
 
     /// The take has ended, but its file has no name any more.
-    fn vanished(&self, name: &str, settled: &Settled, file: Box<dyn TakeOutput>) -> Refusal {
+    fn vanished(&self, name: &str, settled: &SettledFile, file: Box<dyn TakeOutput>) -> Refusal {
         let message = self.keep_open(settled, file);
         let mut core = self.core();
         core.failure = Some(message.clone());
@@ -154,8 +155,8 @@ impl Inner {
     }
 
     /// Keeps a file without a name open if that helps, and returns the message about it.
-    fn keep_open(&self, settled: &Settled, file: Box<dyn TakeOutput>) -> String {
-        let message = settled.words().unwrap_or_default();
+    fn keep_open(&self, settled: &SettledFile, file: Box<dyn TakeOutput>) -> String {
+        let message = settled.message().unwrap_or_default();
         // An unmounted file system waits for the file to be closed.
         let displaced = settled.displaced.as_ref();
         let Some(displaced) = displaced.filter(|_| settled.state != FileState::Unmounted) else {
@@ -217,7 +218,7 @@ impl Inner {
         let recover = "`mocapd recover` closes it";
         let Some(mut file) = output else { return format!("{recover}") };
         let settled = file.settle();
-        match (settled.words(), &settled.path) {
+        match (settled.message(), &settled.path) {
             (None, _) => format!("its content can be read, and {recover}"),
             (Some(message), Some(_)) => format!("{message}, and {recover}"),
             (Some(_), None) => self.keep_open(&settled, file),
@@ -241,7 +242,7 @@ impl Drop for Closing<'_> {
     }
 }
 
-fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) -> Stopped {
+fn stopped(written: &TakeAccount, take: &NamedTake, file: &SettledFile, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
     // The reply has the current name, by which the take can be requested. Events have the name it started with.
@@ -257,7 +258,7 @@ fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) ->
         ending: Some(written.ending.kind),
         ledger: ledger.into(),
         short_by_s: 0.0,
-        remarks: file.words().into_iter().collect(),
+        remarks: file.message().into_iter().collect(),
     }
 }
 
@@ -364,10 +365,10 @@ mod tests {
             Ok(())
         }
 
-        fn settle(&mut self) -> Settled {
+        fn settle(&mut self) -> SettledFile {
             self.1.lock().unwrap().clone_from(&self.0.core().last_take);
             let path = Some("now.take".into());
-            Settled { path, ..Settled::default() }
+            SettledFile { path, ..SettledFile::default() }
         }
     }
 
@@ -397,7 +398,7 @@ mod tests {
             });
         };
         let end = |recorded| {
-            let mut written = Written::default();
+            let mut written = TakeAccount::default();
             written.ledger.recorded = recorded;
             let output = SeenWhileClosing(Arc::clone(&engine.inner), Arc::clone(&seen));
             engine.inner.finish_take(Ok((written, Box::new(output))))

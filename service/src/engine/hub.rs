@@ -12,9 +12,9 @@ use std::{
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_acquire::{
     host_clock::monotonic_ns,
-    pipeline::{Progress, TapHead, TapOut, lock},
+    pipeline::{PipelineProgress, PreviewFrame, PreviewReceiver, lock},
 };
-use mocapd_report::labels::bones;
+use mocapd_report::labels::marker_lines;
 use mocapd_take::{
     motion::Position,
     record::{Header, Subject},
@@ -23,7 +23,7 @@ use mocapd_take::{
 use super::{Inner, quality::MarkerStatistics};
 use crate::{
     live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
-    subject::{FaceUnderMarkers, live_limbs, with_limbs},
+    subject::{FaceOverlay, live_limbs, with_limbs},
 };
 
 /// Time between polls of the tap, which holds a quarter of a second.
@@ -38,8 +38,8 @@ const VIEWERS_MAX: usize = 64;
 /// A pipeline that has been armed.
 #[derive(Debug)]
 pub(super) struct NewSession {
-    pub(super) tap: TapOut,
-    pub(super) progress: Arc<Progress>,
+    pub(super) tap: PreviewReceiver,
+    pub(super) progress: Arc<PipelineProgress>,
     pub(super) header: Header,
 }
 
@@ -66,7 +66,7 @@ pub(super) struct Hub {
     sessions: Receiver<NewSession>,
     session: Option<NewSession>,
     table: Arc<LiveTable>,
-    face: Option<FaceUnderMarkers>,
+    face: Option<FaceOverlay>,
     positions: Vec<Position>,
 }
 
@@ -174,17 +174,17 @@ impl Hub {
                 let mut table = table(session, subject.as_deref());
                 // A marker that has just appeared has no label until the writer has seen it, and is shown then.
                 if table.labels.len() != self.table.labels.len() {
-                    self.face = FaceUnderMarkers::new(subject.as_deref(), &table.labels);
-                    table.face = self.face.as_ref().map(FaceUnderMarkers::wireframe);
+                    self.face = FaceOverlay::new(subject.as_deref(), &table.labels);
+                    table.face = self.face.as_ref().map(FaceOverlay::wireframe);
                     self.table = Arc::new(table);
                 }
                 self.positions.truncate(self.table.labels.len());
             }
             lock(&self.inner.statistics).frame(&head, &self.positions);
-            if !head.is_shown || self.inner.viewers.is_empty() {
+            if !head.is_displayed || self.inner.viewers.is_empty() {
                 continue;
             }
-            let TapHead { row, device_ticks, arrival_ns, .. } = head;
+            let PreviewFrame { row, device_ticks, arrival_ns, .. } = head;
             let arrival_unix_us = offset_us + arrival_ns / 1000;
             let positions_mm = self.positions.clone();
             let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
@@ -199,7 +199,7 @@ fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
     let labels: Vec<String> = channels.iter().map(|channel| channel.label.clone()).collect();
     let limbs = live_limbs(subject, &labels);
     LiveTable {
-        bones: with_limbs(bones(&labels), &limbs),
+        bones: with_limbs(marker_lines(&labels), &limbs),
         limbs,
         face: None,
         labels,

@@ -261,7 +261,7 @@ impl Control for Engine {
         self.inner.status().take.filter(|take| take.take_id == id)
     }
 
-    fn tell(&self, kind: ServiceEventKind, message: &str) {
+    fn notify(&self, kind: ServiceEventKind, message: &str) {
         self.inner.publish(kind, message, None);
     }
 
@@ -277,7 +277,7 @@ impl Control for Engine {
 impl Status {
     /// The status in one line, as systemd shows it.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn summary(&self) -> String {
         let outage = self.device.outage.map(|outage| {
             let what = if self.device.presence == Presence::Silent { "frames" } else { "device" };
             format!("no {what} for {:.0} s", outage.seconds)

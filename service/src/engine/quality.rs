@@ -1,6 +1,6 @@
 //! Marker statistics from the frames of the tap: noise, and suspected swaps of markers.
 
-use mocapd_acquire::pipeline::{TapHead, lock};
+use mocapd_acquire::pipeline::{PreviewFrame, lock};
 use mocapd_report::{column::sample, noise::NoiseEstimator};
 use mocapd_take::motion::{Position, is_gap};
 
@@ -52,7 +52,7 @@ impl MarkerStatistics {
     }
 
     /// Adds a frame of the tap.
-    pub(super) fn frame(&mut self, head: &TapHead, positions: &[Position]) {
+    pub(super) fn frame(&mut self, head: &PreviewFrame, positions: &[Position]) {
         self.markers.resize_with(positions.len(), MarkerRecord::default);
         // Samples are not consecutive between two bursts, and where frames were lost.
         if self.last_row.is_none_or(|last| head.row != last + 1) {
@@ -66,7 +66,7 @@ impl MarkerStatistics {
             self.noise_ns = head.arrival_ns;
             self.markers.iter_mut().for_each(|marker| marker.noise_mm = marker.noise.noise_mm());
         }
-        if head.is_shown {
+        if head.is_displayed {
             self.find_swaps(positions);
             self.before.clear();
             self.before.extend_from_slice(positions);
@@ -138,10 +138,11 @@ mod tests {
     fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<MarkerRecord> {
         let mut statistics = MarkerStatistics::new(RATE_HZ as f64);
         for row in 0..12 * RATE_HZ {
-            let is_shown = row % 8 == 0;
-            if is_shown || row % 60 < 16 {
+            let is_displayed = row % 8 == 0;
+            if is_displayed || row % 60 < 16 {
                 let arrival_ns = 1_000_000_000 + row * 1_000_000_000 / RATE_HZ;
-                let head = TapHead { row, arrival_ns, is_shown, ..TapHead::default() };
+                let head =
+                    PreviewFrame { row, arrival_ns, is_displayed, ..PreviewFrame::default() };
                 statistics.frame(&head, &position(row));
             }
         }

@@ -12,7 +12,7 @@ use mocapd_acquire::{
     header::SOFTWARE,
     health::TakeHealth,
 };
-use mocapd_take::recovery::{Survey, mend_start};
+use mocapd_take::recovery::{RecoveryScan, repair_start};
 
 use super::{Inner, folder::summary_of};
 use crate::status::{ServiceEventKind, TakeSummary};
@@ -75,11 +75,11 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
 
 fn recover(path: &Path, output: &Path) -> anyhow::Result<String> {
     let reading = || format!("cannot read {}", path.display());
-    let (mut input, _) = mend_start(SparseFile::open(path)?).with_context(reading)?;
-    let survey = Survey::read(&mut input).with_context(reading)?;
+    let (mut input, _) = repair_start(SparseFile::open(path)?).with_context(reading)?;
+    let scan = RecoveryScan::read(&mut input).with_context(reading)?;
     let mut file = NewFile::create(output)?;
-    survey.write(&mut input, BufWriter::new(&mut file), SOFTWARE)?;
+    scan.write(&mut input, BufWriter::new(&mut file), SOFTWARE)?;
     file.keep()?;
-    let losses = survey.losses_in_words();
-    Ok(if survey.lost_anything() { losses } else { "nothing that was written is lost".to_owned() })
+    let losses = scan.loss_summary();
+    Ok(if scan.lost_anything() { losses } else { "nothing that was written is lost".to_owned() })
 }

@@ -12,7 +12,10 @@ use std::{
 use crossbeam_channel::Receiver;
 use mocapd_acquire::{
     files::FileId,
-    pipeline::{FirstRow, NewTake, Progress, SeenCounters, TakeEnd, TakeOutput, Takes},
+    pipeline::{
+        CommandSender, FirstRow, NewTake, PipelineProgress, TakeOutput, TakeResult,
+        VisibilityCounters,
+    },
 };
 use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
@@ -62,9 +65,9 @@ pub(super) struct KnownDevice {
 #[derive(Debug)]
 pub(super) struct Session {
     pub(super) number: u64,
-    pub(super) takes: Takes,
-    pub(super) progress: Arc<Progress>,
-    pub(super) seen: SeenCounters,
+    pub(super) takes: CommandSender,
+    pub(super) progress: Arc<PipelineProgress>,
+    pub(super) seen: VisibilityCounters,
     /// The header of its takes, except for their own fields.
     pub(super) header: Header,
     pub(super) slots: usize,
@@ -112,7 +115,7 @@ pub(super) struct OpenTake {
     pub(super) begun: Instant,
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
-    pub(super) ended: Receiver<TakeEnd>,
+    pub(super) ended: Receiver<TakeResult>,
     /// Number of changes to its file that have been reported.
     pub(super) changes_reported: u32,
     /// The requested ending, once one was requested.
@@ -135,7 +138,8 @@ impl Core {
     pub(super) fn away(&self) -> Option<String> {
         let session = self.session.as_ref()?;
         session.progress.is_away.load(Ordering::Relaxed).then(|| {
-            "the device is absent: plug it in or switch it on; recording continues by itself".to_owned()
+            "the device is absent: plug it in or switch it on; recording continues by itself"
+                .to_owned()
         })
     }
 

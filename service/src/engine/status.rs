@@ -9,7 +9,7 @@ use std::{
 use mocapd_acquire::{
     header::SOFTWARE,
     host_clock::monotonic_ns,
-    pipeline::{HELD_MIN_BYTES, lock},
+    pipeline::{RESERVE_MIN_BYTES, lock},
 };
 use rustix::fs::statvfs;
 
@@ -72,7 +72,7 @@ impl Inner {
                 serial: core.device.hello.serial.clone(),
                 firmware: core.device.hello.firmware.clone(),
                 driver: core.device.driver.clone(),
-                rate_hz: f64::from(core.device.hello.rate_mhz) / 1000.0,
+                rate_hz: f64::from(core.device.hello.rate_millihertz) / 1000.0,
                 markers: core.device.markers,
                 obstacle: core.device.obstacle.clone().or_else(|| core.away()),
                 outages: 0,
@@ -127,9 +127,9 @@ impl Core {
         input.jitter_p99_us = load(&progress.jitter_p99_us);
         input.drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 / 1e3;
         status.pre_roll.wanted_s = session.pre_roll.as_secs_f64();
-        status.pre_roll.held_s = load(&progress.held_ms) as f64 / 1e3;
-        status.pre_roll.held_bytes = load(&progress.held_bytes);
-        status.pre_roll.is_cut = progress.held_cut.load(Ordering::Relaxed);
+        status.pre_roll.held_s = load(&progress.pre_roll_ms) as f64 / 1e3;
+        status.pre_roll.held_bytes = load(&progress.pre_roll_bytes);
+        status.pre_roll.is_cut = progress.pre_roll_is_cut.load(Ordering::Relaxed);
         let Some(take) = &self.take else { return };
         let left_s = load(&progress.disk_left_s);
         status.disk.left_s = (left_s != u64::MAX && left_s > 0).then_some(left_s);
@@ -150,7 +150,7 @@ impl Core {
             max_error_mm: now.max_error_mm,
             ledger: (&now.ledger).into(),
             file: progress.file_state(),
-            file_notice: progress.displaced().map(|displaced| displaced.words()),
+            file_notice: progress.displaced().map(|displaced| displaced.message()),
         });
     }
 }
@@ -182,7 +182,7 @@ fn estimated_left_s(status: &Status) -> Option<u64> {
     }
     let bytes_per_s = held.held_bytes as f64 / held.held_s;
     // The space needed to close a take is not available for its frames.
-    let kept = status.disk.keep_free_bytes.saturating_add(HELD_MIN_BYTES);
+    let kept = status.disk.keep_free_bytes.saturating_add(RESERVE_MIN_BYTES);
     let spare = status.disk.free_bytes?.saturating_sub(kept);
     Some((spare as f64 / bytes_per_s) as u64)
 }

@@ -29,7 +29,7 @@ use super::{
     session::{Core, KnownDevice, Session},
 };
 use crate::{
-    config::{message_with_keys, key_hint},
+    config::{key_hint, message_with_keys},
     status::ServiceEventKind,
 };
 
@@ -136,7 +136,7 @@ impl Inner {
             return Err(error);
         }
         rig.wait_for_replug(options.take.reconnect);
-        rig.risk_at_most(options.take.stretch, options.take.sync);
+        rig.limit_loss(options.take.stretch, options.take.sync);
         let mut core = self.core();
         core.device = KnownDevice {
             uri: uri.to_string(),
@@ -159,7 +159,7 @@ impl Inner {
     ) -> anyhow::Result<Rig> {
         let tap = log.as_ref().map(RawLog::tap);
         match identity {
-            Some(identity) => Rig::open_again(uri, &identity, tap),
+            Some(identity) => Rig::reopen(uri, &identity, tap),
             None => Rig::open_logged(uri, tap),
         }
     }
@@ -204,8 +204,8 @@ impl Inner {
             stop: &stop,
             rows_max: None,
             length: None,
-            for_one_take: false,
-            say: &say,
+            single_take: false,
+            notify: &say,
             how_to_end: "",
             how_to_set: key_hint,
         };

@@ -8,7 +8,7 @@ use std::{
 use crossbeam_channel::TryRecvError;
 use mocapd_acquire::{
     files::FileState,
-    heartbeat::{Beat, Who},
+    heartbeat::{HeartbeatHandle, ThreadRole},
 };
 use mocapd_take::record::EndingKind;
 
@@ -24,11 +24,11 @@ const RATES_INTERVAL: Duration = Duration::from_secs(1);
 /// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>) {
     // With sixty other threads registered, a heartbeat may be refused. Then the watchdog does not watch this thread.
-    let beat = inner.heartbeat.beat(Who::Supervisor).ok();
+    let beat = inner.heartbeat.register(ThreadRole::Supervisor).ok();
     let mut rates = RateMeter::default();
     while !inner.is_stopping() {
         if let Some(beat) = &beat {
-            beat.moved();
+            beat.beat();
         }
         inner.publish_deferred();
         // Waits for the end of a take, during which the disk may stall.
@@ -103,7 +103,7 @@ impl Inner {
             && !progress.file_state().ends_take()
             && let Some(displaced) = progress.displaced()
         {
-            self.publish(ServiceEventKind::Warning, &displaced.words(), Some(&name));
+            self.publish(ServiceEventKind::Warning, &displaced.message(), Some(&name));
         }
     }
 }
@@ -141,7 +141,7 @@ struct RateMeter {
 }
 
 impl RateMeter {
-    fn update(&mut self, inner: &Inner, beat: Option<&Beat>) {
+    fn update(&mut self, inner: &Inner, beat: Option<&HeartbeatHandle>) {
         if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_INTERVAL) {
             return;
         }

@@ -12,7 +12,7 @@ use std::{
 
 use axum::body::Bytes;
 use crossbeam_channel::{Receiver, Sender, bounded, select};
-use mocapd_acquire::threads::Stopped;
+use mocapd_acquire::threads::StopReceiver;
 use tokio::sync::broadcast;
 
 use super::Counts;
@@ -46,7 +46,7 @@ impl EventBroadcast {
 
     /// Forwards events until it is stopped or the feed ends, on its own thread. The feed was opened earlier, so that
     /// nothing is missed.
-    pub(super) fn forward(&self, feed: &EventFeed, stopped: &Stopped) {
+    pub(super) fn forward(&self, feed: &EventFeed, stopped: &StopReceiver) {
         loop {
             select! {
                 recv(feed.events) -> event => match event {
@@ -164,7 +164,7 @@ impl LiveBroadcast {
     }
 
     /// Forwards frames while there are viewers, until it is stopped, on its own thread.
-    pub(super) fn run(&self, control: &dyn Control, stopped: &Stopped) {
+    pub(super) fn run(&self, control: &dyn Control, stopped: &StopReceiver) {
         while !stopped.is_stopped() && !self.is_over() {
             if self.sender.receiver_count() == 0 {
                 select! {
@@ -177,7 +177,7 @@ impl LiveBroadcast {
         }
     }
 
-    fn forward(&self, feed: &LiveFeed, stopped: &Stopped) {
+    fn forward(&self, feed: &LiveFeed, stopped: &StopReceiver) {
         while self.sender.receiver_count() > 0 && !stopped.is_stopped() {
             let start = Instant::now();
             match feed.next(POLL_INTERVAL) {

@@ -125,9 +125,7 @@ impl Acceptor {
             request.extensions_mut().insert(via);
             request.extensions_mut().insert(Arc::clone(&slot));
             let (slot, answer) = (Arc::clone(&slot), router.clone().call(request));
-            async move {
-                answer.await.map(|response| response.map(|body| slot.response_body(body)))
-            }
+            async move { answer.await.map(|response| response.map(|body| slot.response_body(body))) }
         });
         let mut server = http1::Builder::new();
         server

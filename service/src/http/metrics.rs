@@ -375,9 +375,9 @@ fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> Result<(), Er
         /// Markers of the previous take; 0 while unknown
         gauge last_take_markers = take.markers as f64;
     }
-    let names = TakeHealth::ALL.map(TakeHealth::word);
+    let names = TakeHealth::ALL.map(TakeHealth::name);
     let help = "Health of the previous take: 1 for the current one";
-    out.one_of("last_take_health", help, &names, take.health.word())
+    out.one_of("last_take_health", help, &names, take.health.name())
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use std::{
 use anyhow::{Context, bail};
 use axum::body::Bytes;
 use jiff::Timestamp;
-use mocapd_acquire::threads::{self, Stopper};
+use mocapd_acquire::threads::{self, StopSender};
 use tokio::{
     net::{TcpListener, TcpSocket, UnixListener, UnixSocket},
     runtime::{Builder, Runtime},
@@ -40,7 +40,7 @@ pub struct HttpServer {
     within: watch::Sender<Duration>,
     /// The listeners' threads.
     threads: Vec<JoinHandle<()>>,
-    broadcast_stopper: Option<Stopper>,
+    broadcast_stopper: Option<StopSender>,
     /// The threads that forward events and live frames.
     broadcast_threads: Vec<JoinHandle<()>>,
     tcp: Option<SocketAddr>,
@@ -70,7 +70,7 @@ impl HttpServer {
         let live = Arc::new(LiveBroadcast::new(Arc::clone(&counts)));
         let auth = Arc::new(Auth::new(token.as_deref()));
         let document: Bytes = routes::openapi()?.into();
-        let (broadcast_stopper, stopped) = threads::stop();
+        let (broadcast_stopper, stopped) = threads::stop_channel();
         let mut server = Self {
             stop,
             within,

@@ -400,7 +400,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
     let Verdict { problems, mut contradictions, .. } = Verdict::of(&summary);
     contradictions.truncate(LISTED_MAX);
     let header = &summary.take.header;
-    let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
+    let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.name());
     Ok(TakeCheck {
         name,
         health: summary.health(),

@@ -55,13 +55,13 @@ pub(super) fn slots(labels: &[String]) -> HashMap<String, usize> {
 
 /// A face, and the markers that hold it.
 #[derive(Debug)]
-pub struct FaceUnderMarkers {
+pub struct FaceOverlay {
     face: FittedFace,
     mapping: Mapping,
     slots: HashMap<String, usize>,
 }
 
-impl FaceUnderMarkers {
+impl FaceOverlay {
     /// For a subject that was checked when it was read; `None` if it has no face, or no mapping of markers.
     #[must_use]
     pub fn new(subject: Option<&Subject>, labels: &[String]) -> Option<Self> {
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn it_is_laid_under_its_markers() {
         let labels = ["x", "S1:d", "S1:c", "b", "a"].map(str::to_owned);
-        let face = FaceUnderMarkers::new(Some(&subject()), &labels).unwrap();
+        let face = FaceOverlay::new(Some(&subject()), &labels).unwrap();
         assert_eq!(face.wireframe().vertices_mm.len(), 5);
         // Scaled by two, rotated by a right angle about z, and translated.
         let placed = |[x, y, z]: [f32; 3]| [100.0 - 2.0 * y, 7.0 + 2.0 * x, 2.0 * z - 50.0];
@@ -138,11 +138,11 @@ mod tests {
     #[test]
     fn without_a_face_or_a_mapping_there_is_nothing_to_draw() {
         let labels = ["a".to_owned()];
-        assert!(FaceUnderMarkers::new(None, &labels).is_none());
+        assert!(FaceOverlay::new(None, &labels).is_none());
         let mut alone = Subject::default();
         alone.set(Subject::FACE, FACE.as_bytes().to_vec());
-        assert!(FaceUnderMarkers::new(Some(&alone), &labels).is_none());
+        assert!(FaceOverlay::new(Some(&alone), &labels).is_none());
         alone.set(Subject::FACE_MARKERS, b"{}".to_vec());
-        assert!(FaceUnderMarkers::new(Some(&alone), &labels).is_none());
+        assert!(FaceOverlay::new(Some(&alone), &labels).is_none());
     }
 }

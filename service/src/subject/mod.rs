@@ -20,7 +20,7 @@ use mocapd_face::{
 use mocapd_report::limbs::{Limb, limbs};
 use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
 
-pub use self::face::FaceUnderMarkers;
+pub use self::face::FaceOverlay;
 use crate::live::LiveLimb;
 
 /// Longest name of a subject in bytes: a line on a screen.
@@ -156,7 +156,7 @@ pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]>
 /// Messages about parts of the subject that match no markers with these labels. The documents were checked when they
 /// were read: errors are ignored here.
 #[must_use]
-pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
+pub fn unused_part_notes(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
     let mut notes = Vec::new();
     if limbs_between(subject, labels).is_some_and(|limbs| limbs.is_empty()) {
         notes.push(

@@ -1,6 +1,6 @@
 use std::{collections::HashSet, fs};
 
-use mocapd_report::labels::bones;
+use mocapd_report::labels::marker_lines;
 use mocapd_simulator::generator::{BONES, SITES};
 
 use super::*;
@@ -124,7 +124,7 @@ fn labels(names: &[&str]) -> Vec<String> {
 
 /// The lines as pairs of names, each pair and all pairs in alphabetical order.
 fn names(labels: &[String]) -> Vec<[&str; 2]> {
-    let mut lines: Vec<[&str; 2]> = bones(labels)
+    let mut lines: Vec<[&str; 2]> = marker_lines(labels)
         .iter()
         .map(|line| {
             let mut pair = line.map(|slot| labels[usize::from(slot)].as_str());
@@ -155,7 +155,7 @@ fn the_generators_sites_get_the_generators_bones() {
 fn markers_on_segments_get_no_lines() {
     let mut with_clusters = labels(&SITES);
     with_clusters.extend(labels(&["trunk_1", "l_thigh_1", "r_upper_arm_2", "head_1"]));
-    assert_eq!(bones(&with_clusters), bones(&labels(&SITES)));
+    assert_eq!(marker_lines(&with_clusters), marker_lines(&labels(&SITES)));
 }
 
 #[test]

@@ -11,12 +11,12 @@ use std::{
 
 use ipnet::IpNet;
 
-use super::{Refusal, Trigger, encode, parse};
+use super::{Trigger, TriggerError, encode, parse};
 use crate::config::problem::excerpt;
 
 /// A datagram that was parsed and accepted.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Heard {
+pub enum Incoming {
     /// A trigger of another program, received for the first time.
     Trigger(Trigger),
     /// A repeat: senders repeat their datagrams.
@@ -54,34 +54,34 @@ impl Listener {
     ///
     /// # Errors
     /// Why the datagram has no effect.
-    pub fn hear(
+    pub fn receive(
         &mut self,
         from: IpAddr,
         datagram: &[u8],
         now: Duration,
         exists: &dyn Fn(&str) -> bool,
-    ) -> Result<Heard, Refusal> {
+    ) -> Result<Incoming, TriggerError> {
         let from = from.to_canonical();
         if !self.allow_from.is_empty() && !self.is_known(from) {
-            return Err(Refusal::NotAllowed(from));
+            return Err(TriggerError::NotAllowed(from));
         }
         let trigger = parse(datagram)?;
         if encode::is_from_instance(&trigger, self.instance_id) {
-            return Ok(Heard::Own);
+            return Ok(Incoming::Own);
         }
         if self.seen.is_repeat(from, &trigger, datagram, now) {
-            return Ok(Heard::Repeat);
+            return Ok(Incoming::Repeat);
         }
         if trigger.delay() > self.delay_max {
-            return Err(Refusal::DelayTooLong { found: trigger.delay(), max: self.delay_max });
+            return Err(TriggerError::DelayTooLong { found: trigger.delay(), max: self.delay_max });
         }
         if let Trigger::Start(start) = &trigger
             && let Some(name) = &start.name
             && exists(name.text())
         {
-            return Err(Refusal::NameTaken(name.to_string()));
+            return Err(TriggerError::NameTaken(name.to_string()));
         }
-        Ok(Heard::Trigger(trigger))
+        Ok(Incoming::Trigger(trigger))
     }
 
     /// Forgets a trigger that did not fit into the queue: its repeats are new attempts of the sender, not repeats of an

@@ -2,7 +2,7 @@
 //! them. docs/triggers.md specifies the bytes.
 //!
 //! Everything except [`socket`] and [`TriggerQueue`] is sans-io: a datagram and the time go in, and a [`Trigger`] or a
-//! [`Refusal`] comes out.
+//! [`TriggerError`] comes out.
 
 mod encode;
 mod listener;
@@ -17,10 +17,11 @@ use std::{net::IpAddr, time::Duration};
 
 pub use self::{
     encode::{Announcer, first_packet_id},
-    listener::{Heard, IDS_MAX, Listener, Network, REMEMBERED, SENDERS_MAX},
+    listener::{IDS_MAX, Incoming, Listener, Network, REMEMBERED, SENDERS_MAX},
     parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, parse},
     queue::{
-        DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, TriggerQueue, Waiting,
+        DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, PendingTriggers, ReceivedTrigger,
+        TriggerQueue,
     },
     socket::RateLimit,
 };
@@ -143,7 +144,7 @@ impl Trigger {
 /// Why a datagram has no effect: what was found, and what to do about it, on one line.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Refusal {
+pub enum TriggerError {
     /// The sender is not in `trigger.allow_from`.
     #[error("{0} is not in trigger.allow_from")]
     NotAllowed(IpAddr),
@@ -178,7 +179,9 @@ pub enum Refusal {
         max: Duration,
     },
     /// Too many triggers of the sender, which is not in `trigger.allow_from`, are pending.
-    #[error("{waiting} triggers of {sender}, which is not in trigger.allow_from, are pending already")]
+    #[error(
+        "{waiting} triggers of {sender}, which is not in trigger.allow_from, are pending already"
+    )]
     TooManyOfSender {
         /// Number of its pending triggers.
         waiting: usize,

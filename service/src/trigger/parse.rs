@@ -4,7 +4,7 @@ use std::{fmt, time::Duration};
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use super::{About, Capture, Refusal, StopResult, Trigger};
+use super::{About, Capture, StopResult, Trigger, TriggerError};
 use crate::config::{NAME_BYTES_MAX, is_refused_in_name};
 
 /// Largest trigger in bytes: no UDP datagram is larger.
@@ -32,38 +32,39 @@ const SHOWN_MAX: usize = 60;
 ///
 /// # Errors
 /// It is not a trigger, or one of its values is invalid.
-pub fn parse(datagram: &[u8]) -> Result<Trigger, Refusal> {
+pub fn parse(datagram: &[u8]) -> Result<Trigger, TriggerError> {
     if datagram.len() > DATAGRAM_BYTES_MAX {
-        return Err(Refusal::TooLong(datagram.len()));
+        return Err(TriggerError::TooLong(datagram.len()));
     }
     let text = text(datagram)?;
     if text.bytes().filter(|byte| *byte == b'=').count() > ATTRIBUTES_MAX {
-        return Err(Refusal::Xml(format!("more than {ATTRIBUTES_MAX} attributes")));
+        return Err(TriggerError::Xml(format!("more than {ATTRIBUTES_MAX} attributes")));
     }
     // Document types are refused, and with them entities that would expand.
     let options =
         ParsingOptions { allow_dtd: false, nodes_limit: NODES_MAX, entity_resolver: None };
     let document = Document::parse_with_options(text, options)
-        .map_err(|error| Refusal::Xml(cut(&error.to_string(), 200)))?;
+        .map_err(|error| TriggerError::Xml(cut(&error.to_string(), 200)))?;
     let root = document.root_element();
     let element = root.tag_name().name();
     match element {
         "CaptureStart" => Ok(Trigger::Start(Capture { result: None, ..capture(root)? })),
         "CaptureStop" => capture(root).map(Trigger::Stop),
         "CaptureComplete" => capture(root).map(Trigger::Complete),
-        _ => Err(Refusal::Element(cut(element, SHOWN_MAX))),
+        _ => Err(TriggerError::Element(cut(element, SHOWN_MAX))),
     }
 }
 
 /// Decodes the text, without a final 0 or a byte order mark.
-fn text(datagram: &[u8]) -> Result<&str, Refusal> {
-    let text = std::str::from_utf8(datagram)
-        .map_err(|error| Refusal::Encoding(format!("byte {} is not UTF-8", error.valid_up_to())))?;
+fn text(datagram: &[u8]) -> Result<&str, TriggerError> {
+    let text = std::str::from_utf8(datagram).map_err(|error| {
+        TriggerError::Encoding(format!("byte {} is not UTF-8", error.valid_up_to()))
+    })?;
     let is_space = |c: char| " \t\r\n".contains(c);
     let text = text.trim_end_matches(|c| c == '\0' || is_space(c));
     let text = text.trim_start_matches('\u{feff}').trim_start_matches(is_space);
     if text.contains('\0') {
-        return Err(Refusal::Encoding("a 0 byte within the text".to_owned()));
+        return Err(TriggerError::Encoding("a 0 byte within the text".to_owned()));
     }
     let Some(encoding) = declared_encoding(text) else { return Ok(text) };
     let is = |names: &[&str]| names.iter().any(|name| encoding.eq_ignore_ascii_case(name));
@@ -72,7 +73,7 @@ fn text(datagram: &[u8]) -> Result<&str, Refusal> {
     if agrees || is(&["utf-8", "utf8", "us-ascii", "ascii"]) {
         return Ok(text);
     }
-    Err(Refusal::Encoding(format!("declared as {}", cut(encoding, SHOWN_MAX))))
+    Err(TriggerError::Encoding(format!("declared as {}", cut(encoding, SHOWN_MAX))))
 }
 
 /// The encoding in the XML declaration, which the parser does not check.
@@ -85,7 +86,7 @@ fn declared_encoding(text: &str) -> Option<&str> {
 }
 
 /// Reads the child elements. If an element is repeated, the first counts, and the others are kept as texts.
-fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
+fn capture(root: Node<'_, '_>) -> Result<Capture, TriggerError> {
     let (mut name, mut delay, mut about) = (None, None, About::default());
     for node in root.children().filter(Node::is_element) {
         let element = node.tag_name().name();
@@ -114,8 +115,9 @@ fn attribute<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
         .map(|found| found.value())
 }
 
-fn take_name(value: &str, about: &mut About) -> Result<TakeName, Refusal> {
-    let name = TakeName::of(value).ok_or_else(|| Refusal::Name(cut(&printable(value), SHOWN_MAX)))?;
+fn take_name(value: &str, about: &mut About) -> Result<TakeName, TriggerError> {
+    let name =
+        TakeName::of(value).ok_or_else(|| TriggerError::Name(cut(&printable(value), SHOWN_MAX)))?;
     if name.was_changed() {
         let sent = cut(&printable(value), SHOWN_MAX);
         about.changed.push(format!("the name \"{sent}\" was changed to {name}"));
@@ -123,20 +125,20 @@ fn take_name(value: &str, about: &mut About) -> Result<TakeName, Refusal> {
     Ok(name)
 }
 
-fn packet_id(value: &str) -> Result<u64, Refusal> {
+fn packet_id(value: &str) -> Result<u64, TriggerError> {
     let text = value.trim();
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
-    text.parse().ok().filter(|_| is_number).ok_or_else(|| Refusal::Number {
+    text.parse().ok().filter(|_| is_number).ok_or_else(|| TriggerError::Number {
         what: "PacketID",
         found: cut(&printable(value), SHOWN_MAX),
         wanted: "send a whole number",
     })
 }
 
-fn milliseconds(value: &str) -> Result<Duration, Refusal> {
+fn milliseconds(value: &str) -> Result<Duration, TriggerError> {
     let found = value.trim().parse::<f64>().ok();
     let delay = found.filter(|ms| (0.0..=DELAY_MAX.as_millis() as f64).contains(ms));
-    delay.map(|ms| Duration::from_secs_f64(ms / 1000.0)).ok_or_else(|| Refusal::Number {
+    delay.map(|ms| Duration::from_secs_f64(ms / 1000.0)).ok_or_else(|| TriggerError::Number {
         what: "Delay",
         found: cut(&printable(value), SHOWN_MAX),
         wanted: "send milliseconds, 0 to 60000",

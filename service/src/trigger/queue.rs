@@ -1,7 +1,7 @@
 //! Accepted triggers that wait for execution, in limited numbers.
 //!
 //! A trigger without a delay is due immediately, and executed after the previous one. A delayed trigger is due later
-//! and holds up nothing else. [`Waiting`] is sans-io: the time goes in, and due triggers come out. [`TriggerQueue`]
+//! and holds up nothing else. [`PendingTriggers`] is sans-io: the time goes in, and due triggers come out. [`TriggerQueue`]
 //! applies it in real time, between the thread that receives triggers and the one that executes them.
 
 use std::{
@@ -12,7 +12,7 @@ use std::{
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::{Refusal, Trigger};
+use super::{Trigger, TriggerError};
 
 /// Most undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few seconds: if so
 /// many wait, the service is stuck, and a start executed minutes later would record nothing that anybody wanted.
@@ -30,7 +30,7 @@ pub const DELAYED_OTHERS_MAX: usize = 8;
 
 /// An accepted trigger.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Received {
+pub struct ReceivedTrigger {
     /// The sender.
     pub from: SocketAddr,
     /// The trigger.
@@ -41,7 +41,7 @@ pub struct Received {
     pub recording: Option<String>,
 }
 
-impl Received {
+impl ReceivedTrigger {
     /// The address that identifies the sender.
     #[must_use]
     pub fn sender(&self) -> IpAddr {
@@ -51,7 +51,7 @@ impl Received {
 
 /// The pending triggers.
 #[derive(Debug, Default)]
-pub struct Waiting {
+pub struct PendingTriggers {
     entries: Vec<Entry>,
     next_number: u64,
 }
@@ -62,15 +62,15 @@ struct Entry {
     /// In order of arrival.
     number: u64,
     is_delayed: bool,
-    received: Received,
+    received: ReceivedTrigger,
 }
 
-impl Waiting {
+impl PendingTriggers {
     /// Accepts a trigger received at `now`.
     ///
     /// # Errors
     /// Too many triggers are pending.
-    pub fn push(&mut self, received: Received, now: Duration) -> Result<(), Refusal> {
+    pub fn push(&mut self, received: ReceivedTrigger, now: Duration) -> Result<(), TriggerError> {
         let delay = received.trigger.delay();
         let is_delayed = delay > Duration::ZERO;
         let (sender, is_known) = (received.sender(), received.is_known);
@@ -85,10 +85,10 @@ impl Waiting {
             (true, false) => (DELAYED_OTHERS_MAX, Some(1)),
         };
         if own_max.is_some_and(|max| own >= max) {
-            return Err(Refusal::TooManyOfSender { waiting: own, sender });
+            return Err(TriggerError::TooManyOfSender { waiting: own, sender });
         }
         if all >= all_max {
-            return Err(Refusal::TooMany(all));
+            return Err(TriggerError::TooMany(all));
         }
         let number = self.next_number;
         self.next_number += 1;
@@ -115,7 +115,7 @@ impl Waiting {
     }
 
     /// Takes the next trigger due at `now`, in order of due times.
-    pub fn take_due(&mut self, now: Duration) -> Option<Received> {
+    pub fn take_due(&mut self, now: Duration) -> Option<ReceivedTrigger> {
         let due = |at: &usize| self.entries[*at].due <= now;
         let order = |at: &usize| (self.entries[*at].due, self.entries[*at].number);
         let at = (0..self.entries.len()).filter(due).min_by_key(order)?;
@@ -141,7 +141,7 @@ impl Waiting {
 /// The pending triggers, shared by two threads.
 #[derive(Debug, Clone)]
 pub struct TriggerQueue {
-    waiting: Arc<Mutex<Waiting>>,
+    waiting: Arc<Mutex<PendingTriggers>>,
     /// Holds at most one message: the next due time may have changed.
     wake: Sender<()>,
     woken: Receiver<()>,
@@ -166,7 +166,7 @@ impl TriggerQueue {
     ///
     /// # Errors
     /// Too many triggers are pending.
-    pub fn push(&self, received: Received) -> Result<(), Refusal> {
+    pub fn push(&self, received: ReceivedTrigger) -> Result<(), TriggerError> {
         self.lock().push(received, self.now())?;
         // If the channel is full, the receiver will wake up anyway.
         self.wake.try_send(()).ok();
@@ -175,7 +175,7 @@ impl TriggerQueue {
 
     /// Takes the next trigger that is due now.
     #[must_use]
-    pub fn take_due(&self) -> Option<Received> {
+    pub fn take_due(&self) -> Option<ReceivedTrigger> {
         self.lock().take_due(self.now())
     }
 
@@ -191,13 +191,13 @@ impl TriggerQueue {
         &self.woken
     }
 
-    /// Cancels pending starts: see [`Waiting::cancel_starts`].
+    /// Cancels pending starts: see [`PendingTriggers::cancel_starts`].
     #[must_use]
     pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
         self.lock().cancel_starts(from, name)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
+    fn lock(&self) -> MutexGuard<'_, PendingTriggers> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -206,9 +206,9 @@ impl TriggerQueue {
 mod tests {
     use super::{super::Capture, *};
 
-    fn start(sender: u8, is_known: bool, delay_ms: u64) -> Received {
+    fn start(sender: u8, is_known: bool, delay_ms: u64) -> ReceivedTrigger {
         let delay = Duration::from_millis(delay_ms);
-        Received {
+        ReceivedTrigger {
             from: SocketAddr::from(([192, 0, 2, sender], 1)),
             trigger: Trigger::Start(Capture { delay, ..Capture::default() }),
             is_known,
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn the_first_that_is_due_comes_first() {
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingTriggers::default();
         let at = Duration::from_millis;
         for (sender, delay_ms) in [(1, 300), (2, 100), (3, 0), (4, 0)] {
             waiting.push(start(sender, true, delay_ms), at(1000)).unwrap();
@@ -233,14 +233,14 @@ mod tests {
 
     #[test]
     fn one_delayed_trigger_per_unlisted_sender_and_eight_in_all() {
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingTriggers::default();
         let mut push = |received| waiting.push(received, Duration::ZERO);
         for sender in 0..DELAYED_OTHERS_MAX as u8 {
             push(start(sender, false, 1)).unwrap();
             let again = push(start(sender, false, 1));
-            assert!(matches!(again, Err(Refusal::TooManyOfSender { waiting: 1, .. })));
+            assert!(matches!(again, Err(TriggerError::TooManyOfSender { waiting: 1, .. })));
         }
-        assert_eq!(push(start(99, false, 1)), Err(Refusal::TooMany(DELAYED_OTHERS_MAX)));
+        assert_eq!(push(start(99, false, 1)), Err(TriggerError::TooMany(DELAYED_OTHERS_MAX)));
         // They take nothing away from undelayed triggers, or from listed senders.
         for _ in 0..DUE_EACH_MAX {
             push(start(0, false, 0)).unwrap();
@@ -250,29 +250,30 @@ mod tests {
         for _ in 0..DELAYED_MAX {
             push(start(100, true, 1)).unwrap();
         }
-        assert_eq!(push(start(100, true, 1)), Err(Refusal::TooMany(DELAYED_MAX)));
+        assert_eq!(push(start(100, true, 1)), Err(TriggerError::TooMany(DELAYED_MAX)));
     }
 
     #[test]
     fn a_listed_sender_has_no_limit_of_its_own() {
         for (delay_ms, max) in [(0, DUE_MAX), (1, DELAYED_MAX)] {
-            let mut waiting = Waiting::default();
+            let mut waiting = PendingTriggers::default();
             for _ in 0..max {
                 waiting.push(start(1, true, delay_ms), Duration::ZERO).unwrap();
             }
             for sender in [1, 2] {
                 let refused = waiting.push(start(sender, true, delay_ms), Duration::ZERO);
-                assert_eq!(refused, Err(Refusal::TooMany(max)));
+                assert_eq!(refused, Err(TriggerError::TooMany(max)));
             }
         }
     }
 
     #[test]
     fn a_stop_cancels_the_starts_of_its_sender() {
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingTriggers::default();
         waiting.push(start(1, true, 10), Duration::ZERO).unwrap();
         waiting.push(start(2, true, 10), Duration::ZERO).unwrap();
-        let stop = Received { trigger: Trigger::Stop(Capture::default()), ..start(1, true, 0) };
+        let stop =
+            ReceivedTrigger { trigger: Trigger::Stop(Capture::default()), ..start(1, true, 0) };
         assert_eq!(waiting.cancel_starts(stop.from, None), 1);
         assert_eq!(waiting.take_due(Duration::from_secs(1)), Some(start(2, true, 10)));
         assert_eq!(waiting.next_due(), None);

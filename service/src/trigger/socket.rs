@@ -16,7 +16,7 @@ use rustix::{
     pipe::{PipeFlags, pipe_with},
 };
 
-use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Received, TriggerQueue};
+use super::{DATAGRAM_BYTES_MAX, Incoming, Listener, ReceivedTrigger, TriggerQueue};
 
 /// Delay before trying again: a network that is down stays down for a while.
 const RETRY_DELAY: Duration = Duration::from_millis(100);
@@ -101,11 +101,11 @@ pub fn listen(
             let message = match received {
                 Ok((n_bytes, from)) => {
                     let datagram = buffer.get(..n_bytes).unwrap_or_default();
-                    let heard = listener.hear(from.ip(), datagram, now, &queries.exists);
+                    let heard = listener.receive(from.ip(), datagram, now, &queries.exists);
                     let accepted = heard.and_then(|heard| match heard {
-                        Heard::Repeat | Heard::Own => Ok(()),
-                        Heard::Trigger(trigger) => {
-                            let pushed = queue.push(Received {
+                        Incoming::Repeat | Incoming::Own => Ok(()),
+                        Incoming::Trigger(trigger) => {
+                            let pushed = queue.push(ReceivedTrigger {
                                 from,
                                 trigger: trigger.clone(),
                                 is_known: listener.is_known(from.ip()),

@@ -38,7 +38,7 @@ impl Device {
                 let pong = Pong { host_ns, device_ticks: self.ticks(now_ns) };
                 self.answer(|link, out| link.pong(pong, out));
             }
-            Command::SetRate(rate_mhz) => self.set_rate(rate_mhz),
+            Command::SetRate(rate_millihertz) => self.set_rate(rate_millihertz),
             Command::Start { line_bytes_per_s } => self.start(line_bytes_per_s, now_ns),
             Command::Stop => {
                 // Frames that were due before the command are part of the run.
@@ -75,15 +75,15 @@ impl Device {
         self.pending_end = Some(self.status());
     }
 
-    fn budget(&self, rate_mhz: u32, host_line_bytes_per_s: u64) -> LinkBudget {
+    fn budget(&self, rate_millihertz: u32, host_line_bytes_per_s: u64) -> LinkBudget {
         let lines = [self.settings.line_bytes_per_s, host_line_bytes_per_s];
         let line = lines.into_iter().filter(|line| *line > 0).min().unwrap_or(0);
         let frame_bytes = frame_bytes_in_volume(self.settings.form, self.table.len());
-        link_budget(frame_bytes, rate_mhz, self.hello.rate_max_mhz, line)
+        link_budget(frame_bytes, rate_millihertz, self.hello.rate_max_millihertz, line)
     }
 
     fn start(&mut self, line_bytes_per_s: u64, now_ns: u64) {
-        let budget = self.budget(self.hello.rate_mhz, line_bytes_per_s);
+        let budget = self.budget(self.hello.rate_millihertz, line_bytes_per_s);
         if !budget.fits() {
             self.log.refused += 1;
             self.answer(|link, out| link.refused(budget, out));
@@ -107,26 +107,26 @@ impl Device {
         self.answer(|link, out| link.started(budget, out));
     }
 
-    fn set_rate(&mut self, rate_mhz: u32) {
-        let mut budget = self.budget(rate_mhz, 0);
+    fn set_rate(&mut self, rate_millihertz: u32) {
+        let mut budget = self.budget(rate_millihertz, 0);
         if self.run.is_some() {
-            budget.rate_fits_mhz = self.hello.rate_mhz;
+            budget.rate_fits_millihertz = self.hello.rate_millihertz;
         }
-        if self.run.is_some() || !RATE_MILLIHERTZ.contains(&rate_mhz) || !budget.fits() {
+        if self.run.is_some() || !RATE_MILLIHERTZ.contains(&rate_millihertz) || !budget.fits() {
             self.log.refused += 1;
             self.answer(|link, out| link.refused(budget, out));
             return;
         }
-        self.adopt_rate(rate_mhz);
-        self.answer(|link, out| link.rate_set(rate_mhz, out));
+        self.adopt_rate(rate_millihertz);
+        self.answer(|link, out| link.rate_set(rate_millihertz, out));
     }
 
-    pub(super) fn adopt_rate(&mut self, rate_mhz: u32) {
+    pub(super) fn adopt_rate(&mut self, rate_millihertz: u32) {
         let motion = Arc::clone(self.replay.motion());
-        self.replay = self.rates.replay(motion, rate_mhz);
-        self.hello.rate_mhz = rate_mhz;
+        self.replay = self.rates.replay(motion, rate_millihertz);
+        self.hello.rate_millihertz = rate_millihertz;
         self.hello.n_frames = if self.settings.looping { 0 } else { self.replay.n_frames() };
         let frame_bytes = frame_bytes_max(usize::from(self.hello.markers_max));
-        self.outbox.resize(frame_bytes, rate_mhz, self.settings.queue_bytes);
+        self.outbox.resize(frame_bytes, rate_millihertz, self.settings.queue_bytes);
     }
 }

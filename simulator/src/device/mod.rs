@@ -99,9 +99,9 @@ impl Device {
             model: "mocapd-sim".to_owned(),
             serial: settings.serial.clone(),
             firmware: env!("CARGO_PKG_VERSION").to_owned(),
-            rate_mhz: rates.rate_mhz,
-            rate_min_mhz: *RATE_MILLIHERTZ.start(),
-            rate_max_mhz: *RATE_MILLIHERTZ.end(),
+            rate_millihertz: rates.rate_millihertz,
+            rate_min_millihertz: *RATE_MILLIHERTZ.start(),
+            rate_max_millihertz: *RATE_MILLIHERTZ.end(),
             tick_hz: TICK_HZ,
             up_axis: motion.info.up.code(),
             markers_max: (found + ghosts) as u16,
@@ -129,7 +129,7 @@ impl Device {
             samples: Vec::new(),
             settings,
         };
-        device.adopt_rate(rates.rate_mhz);
+        device.adopt_rate(rates.rate_millihertz);
         let mut trial = Vec::new();
         device.link.hello(&device.hello, &mut trial)?;
         device.link.markers(&device.table, &mut trial)?;
@@ -165,7 +165,7 @@ impl Device {
     }
 
     fn frame_time_ns(&self, run: &Run) -> u64 {
-        let after_ns = frame_after_ns(self.log.run.frames_produced, self.hello.rate_mhz);
+        let after_ns = frame_after_ns(self.log.run.frames_produced, self.hello.rate_millihertz);
         run.start_ns.saturating_add(self.clock.caller_ns(after_ns))
     }
 

@@ -29,8 +29,13 @@ pub(crate) struct Outbox {
 
 impl Outbox {
     /// Sets the capacity to `requested` bytes, or to one second of frames, between 64 KiB and 4 MiB.
-    pub(crate) fn resize(&mut self, frame_bytes: usize, rate_mhz: u32, requested: Option<usize>) {
-        let second = frame_bytes as u64 * u64::from(rate_mhz) / 1000;
+    pub(crate) fn resize(
+        &mut self,
+        frame_bytes: usize,
+        rate_millihertz: u32,
+        requested: Option<usize>,
+    ) {
+        let second = frame_bytes as u64 * u64::from(rate_millihertz) / 1000;
         let second = usize::try_from(second).unwrap_or(CAPACITY_MAX);
         let capacity = requested.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
         self.capacity = capacity.max(FRAMES_MIN * frame_bytes);

@@ -126,7 +126,7 @@ pub(crate) struct Rates {
     /// but another rate was requested.
     native_millihertz: Option<u32>,
     /// The initial rate.
-    pub(crate) rate_mhz: u32,
+    pub(crate) rate_millihertz: u32,
     /// Speed in thousandths.
     speed_milli: u64,
 }
@@ -144,27 +144,27 @@ impl Rates {
             return Err(DeviceError::Speed { found: speed });
         }
         let speed_milli = (speed * 1000.0).round() as u64;
-        let faster = |rate_mhz: u32| {
-            let product_hz = f64::from(rate_mhz) * speed_milli as f64 / 1e6;
-            let rate_hz = f64::from(rate_mhz) / 1000.0;
+        let faster = |rate_millihertz: u32| {
+            let product_hz = f64::from(rate_millihertz) * speed_milli as f64 / 1e6;
+            let rate_hz = f64::from(rate_millihertz) / 1000.0;
             to_millihertz(product_hz).ok_or(DeviceError::Product { rate_hz, speed, product_hz })
         };
-        let (native_millihertz, rate_mhz) = match wanted_hz {
+        let (native_millihertz, rate_millihertz) = match wanted_hz {
             None => faster(recorded_millihertz).map(|native| (Some(native), native))?,
             Some(found_hz) => {
                 let asked = to_millihertz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
                 (faster(recorded_millihertz).ok(), faster(asked)?)
             }
         };
-        Ok(Self { recorded_millihertz, native_millihertz, rate_mhz, speed_milli })
+        Ok(Self { recorded_millihertz, native_millihertz, rate_millihertz, speed_milli })
     }
 
     /// The motion, resampled to a rate in [`RATE_MILLIHERTZ`].
-    pub(crate) fn replay(&self, motion: Arc<Motion>, rate_mhz: u32) -> Replay {
+    pub(crate) fn replay(&self, motion: Arc<Motion>, rate_millihertz: u32) -> Replay {
         let recorded = u64::from(self.recorded_millihertz) * self.speed_milli;
         let resampled = || {
-            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_mhz) * 1000)
-                .filter(|_| Some(rate_mhz) != self.native_millihertz)
+            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_millihertz) * 1000)
+                .filter(|_| Some(rate_millihertz) != self.native_millihertz)
         };
         resampled().unwrap_or_else(|| Replay::native(motion))
     }
@@ -178,7 +178,8 @@ fn to_millihertz(rate_hz: f64) -> Option<u32> {
 }
 
 /// Time from the first frame to frame `number`, nanoseconds of the device's clock.
-pub(crate) fn frame_after_ns(number: u64, rate_mhz: u32) -> u64 {
-    let after = u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_mhz.max(1));
+pub(crate) fn frame_after_ns(number: u64, rate_millihertz: u32) -> u64 {
+    let after =
+        u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_millihertz.max(1));
     u64::try_from(after).unwrap_or(u64::MAX)
 }

@@ -4,9 +4,9 @@
 //! encoded bytes, and `connection` stalls or cuts the link. `fates` tracks what became of every frame.
 //! `docs/faults.md` lists all keys.
 
-mod fates;
 mod connection;
 mod device;
+mod fates;
 mod kinds;
 mod script;
 mod source;
@@ -19,6 +19,7 @@ pub use crate::device::{Fate, FaultCounts, FaultTotals, FrameFate};
 pub use device::FaultyDevice;
 pub use kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, Kinds, TIME_MAX_S, WINDOW};
 pub use script::{
-    Agreement, Expect, FAULTS_MAX, SCRIPT_BYTES_MAX, ScheduledFault, Script, ScriptError,
+    ExpectedRecording, FAULTS_MAX, LedgerMatch, SCRIPT_BYTES_MAX, ScheduledFault, Script,
+    ScriptError,
 };
 pub(crate) use source::SourceFaults;

@@ -22,7 +22,7 @@ pub struct Script {
     /// The faults, in the script's order.
     pub faults: Vec<ScheduledFault>,
     /// What a recording should come to. Tests read it; the device does not.
-    pub expect: Option<Expect>,
+    pub expect: Option<ExpectedRecording>,
 }
 
 /// A fault and the window in which it acts.
@@ -61,7 +61,7 @@ struct ScriptFile {
     seed: u64,
     #[serde(default)]
     fault: Vec<FaultTable>,
-    expect: Option<Expect>,
+    expect: Option<ExpectedRecording>,
 }
 
 #[derive(Deserialize)]
@@ -136,12 +136,12 @@ pub(super) fn nanoseconds(seconds: f64) -> u64 {
 /// What a recording of a device under the script should come to.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
-pub struct Expect {
+pub struct ExpectedRecording {
     /// The recorder's exit code.
     pub exit: u8,
     /// How closely its ledger matches the device's log.
     #[serde(default)]
-    pub ledger: Agreement,
+    pub ledger: LedgerMatch,
     /// A part of each contradiction in its ledger; there must be no others.
     #[serde(default)]
     pub contradictions: Vec<String>,
@@ -156,7 +156,7 @@ pub struct Expect {
 /// How closely a ledger matches the device's log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
-pub enum Agreement {
+pub enum LedgerMatch {
     /// Every count equals the log's.
     #[default]
     Exact,

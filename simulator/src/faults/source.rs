@@ -88,7 +88,8 @@ impl SourceFaults {
         for (index, scheduled) in self.script.faults.iter().enumerate() {
             match scheduled.fault {
                 Fault::CounterJump { at_s, by }
-                    if nanoseconds(at_s) <= since_ns && !self.counter_jumps_done.contains(&index) =>
+                    if nanoseconds(at_s) <= since_ns
+                        && !self.counter_jumps_done.contains(&index) =>
                 {
                     self.counter_jumps_done.push(index);
                     self.counts.add(Kind::CounterJump, 1);

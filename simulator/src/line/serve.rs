@@ -202,7 +202,9 @@ impl Server<'_> {
             }
             let Some(bytes) = pending.get(..allowed.min(pending.len())).filter(|b| !b.is_empty())
             else {
-                return Ok(Progress::Until(self.pace.as_ref().map_or(now_ns, BaudLimiter::next_ns)));
+                return Ok(Progress::Until(
+                    self.pace.as_ref().map_or(now_ns, BaudLimiter::next_ns),
+                ));
             };
             let n = self.line.write(bytes).map_err(self.failed("writing"))?;
             if n == 0 {

@@ -66,7 +66,8 @@ impl NdiDevice {
         let n_frames = self.replay.n_frames().max(1);
         while let Some(start_ns) = self.tracking.start_ns {
             let produced = self.log.run.frames_produced;
-            let next_ns = start_ns.saturating_add(frame_after_ns(produced, self.rates.rate_mhz));
+            let next_ns =
+                start_ns.saturating_add(frame_after_ns(produced, self.rates.rate_millihertz));
             if next_ns > now_ns {
                 return next_ns;
             }

@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use frames::Tracking;
-use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestLine, put_text};
+use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestReader, put_text};
 use mocapd_take::motion::{Marker, Motion};
 use setup::Ports;
 
@@ -35,7 +35,7 @@ pub struct NdiDevice {
     replay: Replay,
     rates: Rates,
     ports: Ports,
-    line: RequestLine,
+    line: RequestReader,
     outbox: Outbox,
     initialized: bool,
     baud: u32,
@@ -84,14 +84,14 @@ impl NdiDevice {
         }
         let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
         let n_columns = markers.len();
-        let replay = rates.replay(motion, rates.rate_mhz);
+        let replay = rates.replay(motion, rates.rate_millihertz);
         let mut outbox = Outbox::default();
-        outbox.resize(0, rates.rate_mhz, None);
+        outbox.resize(0, rates.rate_millihertz, None);
         Ok(Self {
             replay,
             rates,
             ports: Ports::new(tools, n_columns),
-            line: RequestLine::default(),
+            line: RequestReader::default(),
             outbox,
             initialized: false,
             baud: BAUD_AT_RESET,
@@ -113,8 +113,8 @@ impl NdiDevice {
 
     /// The frame rate, in millihertz.
     #[must_use]
-    pub fn rate_mhz(&self) -> u32 {
-        self.rates.rate_mhz
+    pub fn rate_millihertz(&self) -> u32 {
+        self.rates.rate_millihertz
     }
 
     /// Whether it is in tracking mode.
@@ -176,7 +176,7 @@ impl LineDevice for NdiDevice {
 
     fn on_break(&mut self, _: u64) {
         self.reset();
-        self.line = RequestLine::default();
+        self.line = RequestReader::default();
         self.outbox.discard();
         (self.baud, self.baud_after) = (BAUD_AT_RESET, None);
         self.outbox.put(false, |out| put_text("RESET", out));

@@ -89,7 +89,7 @@ impl NdiDevice {
                 Ok((self.settings.serial.clone(), "3;1;0;12;;Serial number"))
             }
             "Param.Tracking.Frame Frequency" => {
-                let rate_hz = f64::from(self.rate_mhz()) / 1000.0;
+                let rate_hz = f64::from(self.rate_millihertz()) / 1000.0;
                 Ok((rate_hz.to_string(), "1;3;1;10000;;Frames a second"))
             }
             "Param.Tracking.Track Frequency" => {

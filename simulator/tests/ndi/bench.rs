@@ -4,7 +4,9 @@ use mocapd_drivers::device::{
     Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, MarkerSample, Protocol, Status,
 };
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::turns::{Order, Orders, Request, desk};
+use mocapd_drivers::transport::polled::{
+    LineCommand, LineCommandReceiver, Request, line_command_channel,
+};
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_simulator::ndi::{NdiDevice, NdiSettings};
@@ -29,8 +31,8 @@ type Damage = Box<dyn FnMut(&mut Vec<u8>)>;
 pub(super) struct Bench {
     pub(super) device: NdiDevice,
     pub(super) host: NdiHost,
-    orders: Orders,
-    postponed: Option<Order>,
+    commands: LineCommandReceiver,
+    postponed: Option<LineCommand>,
     pub(super) now_ns: u64,
     pub(super) host_baud: u32,
     /// Whether the line transmits a break.
@@ -62,11 +64,11 @@ impl Bench {
     pub(super) fn new(motion: Motion, settings: NdiSettings, baud_max: u32) -> Self {
         let mut device = NdiDevice::new(motion, settings).unwrap();
         device.keep_frame_log();
-        let (desk, orders) = desk();
+        let (sender, commands) = line_command_channel();
         Self {
             device,
-            host: NdiHost::new(desk, baud_max),
-            orders,
+            host: NdiHost::new(sender, baud_max),
+            commands,
             postponed: None,
             now_ns: 7 * MS,
             host_baud: 3_000_000,
@@ -94,7 +96,7 @@ impl Bench {
     pub(super) fn send(&mut self, command: Command) {
         let mut out = Vec::new();
         self.host.command(command, &mut out);
-        assert!(out.is_empty(), "an NDI host writes by orders");
+        assert!(out.is_empty(), "an NDI host sends line commands");
     }
 
     pub(super) fn identify(&mut self) {
@@ -126,10 +128,10 @@ impl Bench {
 
     /// One read of the daemon, with the processing of its bytes.
     pub(super) fn read(&mut self) {
-        self.orders.set_now_ns(self.now_ns);
+        self.commands.set_now_ns(self.now_ns);
         let may_read = self.execute();
         let bytes = if may_read { self.receive() } else { Vec::new() };
-        self.orders.set_now_ns(self.now_ns);
+        self.commands.set_now_ns(self.now_ns);
         let Self {
             host, hellos, markers, frames, started, refused, notes, status, end, pongs, ..
         } = self;
@@ -152,9 +154,9 @@ impl Bench {
     }
 
     fn execute(&mut self) -> bool {
-        while let Some(order) = self.postponed.take().or_else(|| self.orders.next_order()) {
+        while let Some(order) = self.postponed.take().or_else(|| self.commands.try_recv()) {
             match order {
-                Order::Write { request, not_before_ns } => {
+                LineCommand::Write { request, not_before_ns } => {
                     let early_ns = not_before_ns.saturating_sub(self.now_ns);
                     self.now_ns += early_ns.min(READ_NS);
                     if early_ns > READ_NS {
@@ -167,16 +169,16 @@ impl Bench {
                     self.device.poll(self.now_ns);
                     self.device.on_bytes(&bytes, self.now_ns);
                 }
-                Order::Break => {
+                LineCommand::Break => {
                     self.breaks += 1;
                     self.now_ns += 50 * MS;
                     if self.has_break {
                         self.device.on_break(self.now_ns);
                     }
                 }
-                Order::Baud(baud) => self.host_baud = baud,
-                Order::Farewell(farewell) => self.farewell = farewell,
-                Order::Fail(message) => self.failed = Some(message),
+                LineCommand::Baud(baud) => self.host_baud = baud,
+                LineCommand::Goodbye(farewell) => self.farewell = farewell,
+                LineCommand::Fail(message) => self.failed = Some(message),
             }
         }
         true

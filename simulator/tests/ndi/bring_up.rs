@@ -2,7 +2,7 @@
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_drivers::ndi::BAUDS;
-use mocapd_drivers::transport::turns::Request;
+use mocapd_drivers::transport::polled::Request;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::NdiSettings;
 
@@ -33,7 +33,7 @@ fn a_device_that_was_just_switched_on() {
     let hello = &bench.hellos[0];
     assert_eq!(hello.model, "mocapd-sim Control Firmware");
     assert_eq!(hello.serial, "SIM0001");
-    assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 1_000_000_000));
+    assert_eq!((hello.rate_millihertz, hello.tick_hz), (60_000, 1_000_000_000));
     let table: Vec<_> =
         bench.markers.iter().map(|m| (m.id, m.label.as_str(), m.labelled)).collect();
     assert_eq!(table, [(1, "pelvis", true), (2, "head", true)]);

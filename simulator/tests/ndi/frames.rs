@@ -2,7 +2,7 @@
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_drivers::ndi::crc16;
-use mocapd_drivers::transport::turns::Request;
+use mocapd_drivers::transport::polled::Request;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::NdiSettings;
 

@@ -62,7 +62,11 @@ fn on_a_slow_line_strays_keep_their_numbers() {
     for (baud, skipped_min) in [(115_200, 0), (57_600, 200)] {
         let numbered = numbered(&motion, baud);
         assert!(numbered.skipped >= skipped_min, "{numbered:?}");
-        assert_eq!((numbered.numbers, numbered.renumbered, numbered.confused), (20, 0, 0), "{baud}");
+        assert_eq!(
+            (numbered.numbers, numbered.renumbered, numbered.confused),
+            (20, 0, 0),
+            "{baud}"
+        );
     }
 }
 

@@ -151,7 +151,7 @@ fn run_in_process(
             }
         });
     }
-    intake.link(link.counters());
+    intake.set_link_counters(link.counters());
     intake.finish();
     let (written, _) = pipeline.finish().map_err(|failed| failed.error)?;
     let seconds = started.elapsed().as_secs_f64();

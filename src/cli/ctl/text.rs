@@ -76,8 +76,8 @@ pub(super) fn status(status: &Status) -> String {
             "  before    {}: {}, {}, ended: {}",
             plain(&take.name),
             bytes(take.bytes),
-            take.health.word(),
-            take.ending.map_or("", EndingKind::word)
+            take.health.name(),
+            take.ending.map_or("", EndingKind::name)
         )
         .ok();
     }
@@ -173,7 +173,7 @@ pub(super) fn started(started: &Started) -> String {
 pub(super) fn stopped(stopped: &Stopped) -> String {
     let path = stopped.path.display().to_string();
     let frames = frames_of(stopped.ledger.recorded, stopped.rows);
-    let (size, ending) = (bytes(stopped.bytes), stopped.ending.map_or("", EndingKind::word));
+    let (size, ending) = (bytes(stopped.bytes), stopped.ending.map_or("", EndingKind::name));
     format!("{}: {frames}, {:.1} s, {size}; it ended: {ending}\n", plain(&path), stopped.seconds)
 }
 
@@ -184,7 +184,7 @@ pub(super) fn takes(takes: &[TakeSummary]) -> String {
     let mut out = String::new();
     for take in takes {
         let when = time(take.modified_unix_ms);
-        let health = if take.is_open { "being written" } else { take.health.word() };
+        let health = if take.is_open { "being written" } else { take.health.name() };
         let (size, name) = (bytes(take.bytes), plain(&take.name));
         writeln!(out, "{when}  {size:>10}  {health:<13} {name}{}", ended(take)).ok();
     }

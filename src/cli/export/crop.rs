@@ -29,14 +29,14 @@ pub(super) struct CroppedFrames<'a> {
     counter: Arc<AtomicU64>,
 }
 
-/// The frames of a take at or after `from` and before `to`; its stretches hold `n_held` frames.
+/// The frames of a take at or after `from` and before `to`; its stretches hold `n_sampled_rows` frames.
 ///
 /// # Errors
 /// If the take has no frames; a usage error if none is in the range, or if `to` is missing and lost frames outnumber
 /// both the recorded ones and [`LOST_UNASKED_MAX`].
 pub(super) fn range(
     info: &MotionInfo,
-    n_held: u64,
+    n_sampled_rows: u64,
     from: Option<Duration>,
     to: Option<Duration>,
 ) -> anyhow::Result<Range<u64>> {
@@ -50,8 +50,8 @@ pub(super) fn range(
         ))
         .into());
     }
-    let lost = info.n_frames.saturating_sub(n_held);
-    if to.is_none() && lost > LOST_UNASKED_MAX.max(n_held) {
+    let lost = info.n_frames.saturating_sub(n_sampled_rows);
+    if to.is_none() && lost > LOST_UNASKED_MAX.max(n_sampled_rows) {
         return Err(UsageError(format!(
             "{lost} of the {} frames are empty, and each would be a row of gaps: give --to to limit the export",
             info.n_frames
@@ -101,7 +101,7 @@ mod tests {
     use mocapd_take::{
         TakeFrames, TakeWriter,
         record::{Header, Ledger},
-        stretch::{FrontWriter, Span},
+        stretch::{Span, StretchHeaderWriter},
         timeline::Timeline,
     };
 
@@ -130,7 +130,7 @@ mod tests {
         };
         header.set_codec(&settings);
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
-        let mut front = FrontWriter::new(600);
+        let mut front = StretchHeaderWriter::new(600);
         for (first_row, number) in [(0, 0), (600 + lost, 1)] {
             let span = Span { first_row, n_rows: 600, key: true, number };
             let mut payload = Vec::new();
@@ -146,7 +146,7 @@ mod tests {
             let frames = TakeFrames::open(Cursor::new(take(lost))).unwrap();
             range(
                 frames.info(),
-                frames.map().n_held.unwrap_or_default(),
+                frames.map().n_sampled_rows.unwrap_or_default(),
                 None,
                 to_s.map(Duration::from_secs),
             )
@@ -155,10 +155,7 @@ mod tests {
         };
         assert_eq!(part(LOST_UNASKED_MAX - 1200, None), Ok(LOST_UNASKED_MAX));
         let refused = part(1 << 31, None).unwrap_err();
-        assert!(
-            refused.starts_with("2147484848 of the 2147484848 frames are empty"),
-            "{refused}"
-        );
+        assert!(refused.starts_with("2147484848 of the 2147484848 frames are empty"), "{refused}");
         assert_eq!(part(1 << 31, Some(10)), Ok(600));
         assert_eq!(part(1 << 31, Some(1_000_000)), Ok(60_000_000));
     }

@@ -96,10 +96,10 @@ impl FormatArgs {
     ///
     /// # Errors
     /// A usage error if a label has other characters than letters and digits.
-    pub(super) fn names(&self, take: &Path) -> anyhow::Result<bids::Names> {
+    pub(super) fn names(&self, take: &Path) -> anyhow::Result<bids::BidsLabels> {
         let stem = take.file_stem().unwrap_or_default().to_string_lossy();
-        let task = self.task.clone().unwrap_or_else(|| bids::Names::task_of(&stem));
+        let task = self.task.clone().unwrap_or_else(|| bids::BidsLabels::task_of(&stem));
         let subject = self.subject.as_deref().unwrap_or("01");
-        bids::Names::new(subject, &task).map_err(|error| UsageError(error.to_string()).into())
+        bids::BidsLabels::new(subject, &task).map_err(|error| UsageError(error.to_string()).into())
     }
 }

@@ -13,8 +13,8 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
-    parallel_frames::ParallelFrames,
     outcome::{Outcome, UsageError},
+    parallel_frames::ParallelFrames,
 };
 use mocapd_acquire::{
     files::{self, NewFile, NewFolder, SparseFile},
@@ -23,7 +23,7 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_take::{
     TakeFrames, TakeMap,
-    interchange::{Direction, Format, Turned, bids, npz},
+    interchange::{Direction, Format, RotatedFrames, bids, npz},
     motion::{FrameSource, UpAxis},
     record::Ledger,
 };
@@ -61,12 +61,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     paths::check_output(&args.output)?;
     let reading = || format!("cannot read {}", args.take.display());
     let file = SparseFile::open(&args.take)?;
-    let wanted = |kind: &str| format.gives_back(kind);
+    let wanted = |kind: &str| format.restores(kind);
     let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
         .with_context(reading)?;
-    let range =
-        crop::range(frames.info(), frames.map().n_held.unwrap_or_default(), args.from, args.to)
-            .with_context(|| args.take.display().to_string())?;
+    let range = crop::range(
+        frames.info(),
+        frames.map().n_sampled_rows.unwrap_or_default(),
+        args.from,
+        args.to,
+    )
+    .with_context(|| args.take.display().to_string())?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
         return Err(UsageError(format!(
             "{} states no up axis, so --up cannot rotate it: import its file again with --up",
@@ -87,8 +91,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let frames: &mut dyn FrameSource = match args.up {
             None => &mut cropped,
             Some(up) => {
-                turned = Turned::new(&mut cropped, up)?.context("the take states no up axis")?;
-                not_rotated = turned.not_turned();
+                turned =
+                    RotatedFrames::new(&mut cropped, up)?.context("the take states no up axis")?;
+                not_rotated = turned.not_rotated();
                 &mut turned
             }
         };
@@ -177,7 +182,7 @@ pub(super) fn write(
 /// Writes a folder atomically: under its name there is the whole folder or none.
 fn write_folder(
     frames: &mut dyn FrameSource,
-    names: &bids::Names,
+    names: &bids::BidsLabels,
     path: &Path,
 ) -> anyhow::Result<()> {
     let mut output = NewFolder::create(path)?;

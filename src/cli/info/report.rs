@@ -114,7 +114,7 @@ impl InfoReport {
             damage: DamageReport::all(&summary.take.damage),
             recovered: recovered(header),
             health: summary.health(),
-            ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.name()),
             ending_detail: detail(summary),
             software: header.software.clone(),
             created: created_unix_ms(header).and_then(utc),
@@ -153,7 +153,7 @@ impl InfoReport {
             clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
             events: events
                 .map(|event| EventReport {
-                    kind: event.kind.word(),
+                    kind: event.kind.name(),
                     frame: event.row,
                     device_ticks: event.device_ticks,
                     input: event.input,

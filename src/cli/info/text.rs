@@ -65,7 +65,7 @@ pub(super) fn text(report: &InfoReport) -> String {
 
 /// The health of the take and how it ended.
 fn health(report: &InfoReport) -> String {
-    let mut out = report.health.word().to_owned();
+    let mut out = report.health.name().to_owned();
     if let Some(ending) = report.ending {
         out += &format!("; ended: {ending}");
     }

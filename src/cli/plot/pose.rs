@@ -13,7 +13,7 @@ use mocapd_report::{
     plot::{PosePlot, pose},
     up::Up,
 };
-use mocapd_service::{live::FacePose, subject::FaceUnderMarkers, units};
+use mocapd_service::{live::FacePose, subject::FaceOverlay, units};
 use mocapd_take::{
     motion::{Motion, frame_at},
     record::Subject,
@@ -63,7 +63,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rows.extend(evenly_spread(n_frames));
     }
     let labels = motion.info.labels();
-    let mut bones = labels::bones(&labels);
+    let mut bones = labels::marker_lines(&labels);
     let given = args.skeleton.as_deref();
     let mut limbs = None;
     match given.map(|path| read_bones(path, &labels)).transpose()?.flatten() {
@@ -136,7 +136,7 @@ impl Faces {
 
     fn of(motion: &Motion, labels: &[String], rows: &[usize]) -> Self {
         let subject = motion.info.subject.as_ref();
-        let Some(face) = FaceUnderMarkers::new(subject, labels) else { return Self::default() };
+        let Some(face) = FaceOverlay::new(subject, labels) else { return Self::default() };
         let wireframe = face.wireframe();
         let poses: Vec<_> = rows.iter().map(|&row| face.pose(motion.frame(row))).collect();
         let of_moment = |pose: &Option<FacePose>| {

@@ -90,12 +90,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             rig.set_rate(rate_hz).map_err(watch::name_option)?;
         }
         rig.wait_for_replug(args.reconnect);
-        rig.risk_at_most(args.stretch, args.sync);
+        rig.limit_loss(args.stretch, args.sync);
         let beside = log.filter(|log| paths::are_on_one_disk(log.path(), &args.output));
         let limits = Limits {
             length: args.seconds,
             keep_free_bytes: args.keep_free,
-            beside_bytes: beside.map(RawLog::file_bytes),
+            raw_log_bytes: beside.map(RawLog::file_bytes),
             subject,
         };
         record_and_watch(rig, &args.output, codec, &limits, &stop)
@@ -114,7 +114,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if is_full {
         notify(&report.disk_full());
     }
-    if let Some(notice) = recorded.file.words() {
+    if let Some(notice) = recorded.file.message() {
         notify(&notice);
     }
     if let Some(outages) = report.outages() {

@@ -73,7 +73,7 @@ impl RecordReport {
                 EndingKind::DeviceGone => "disconnected",
                 EndingKind::Length => "stopped",
                 EndingKind::CutOff => "writer failed",
-                ending => ending.word(),
+                ending => ending.name(),
             },
             file_state: recorded.file.state,
             file_path: recorded.file.path.clone(),

@@ -15,7 +15,7 @@ use mocapd_acquire::{
     setting::{self, Setting, SettingRefused},
 };
 use mocapd_codec::Settings;
-use mocapd_service::subject::strangers;
+use mocapd_service::subject::unused_part_notes;
 use mocapd_take::record::Subject;
 
 use crate::cli::{
@@ -32,7 +32,7 @@ pub(crate) struct Limits {
     /// End when no more than this is free on the disk.
     pub(crate) keep_free_bytes: u64,
     /// Size of the raw log, if it grows on the same disk.
-    pub(crate) beside_bytes: Option<Arc<AtomicU64>>,
+    pub(crate) raw_log_bytes: Option<Arc<AtomicU64>>,
     /// The subject to store in the take.
     pub(crate) subject: Option<Subject>,
 }
@@ -46,11 +46,11 @@ pub(crate) fn record_and_watch(
     stop: &AtomicBool,
 ) -> anyhow::Result<Recorded> {
     let mut display = None;
-    let mut started = |progress: &Arc<mocapd_acquire::pipeline::Progress>| {
+    let mut started = |progress: &Arc<mocapd_acquire::pipeline::PipelineProgress>| {
         let progress = Arc::clone(progress);
-        if let Some(beside) = &limits.beside_bytes {
+        if let Some(beside) = &limits.raw_log_bytes {
             // This cannot fail: the pipeline is new, so the cell is empty.
-            progress.beside_bytes.set(Arc::clone(beside)).ok();
+            progress.raw_log_bytes.set(Arc::clone(beside)).ok();
         }
         display = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
@@ -69,7 +69,9 @@ pub(crate) fn record_and_watch(
     let labels: Vec<String> = channels.into_iter().map(|channel| channel.label).collect();
     // Without labels there is nothing to compare yet: the device may announce its markers later.
     if !labels.is_empty() {
-        strangers(limits.subject.as_ref(), &labels).iter().for_each(|warning| notify(warning));
+        unused_part_notes(limits.subject.as_ref(), &labels)
+            .iter()
+            .for_each(|warning| notify(warning));
     }
     let mut options = RecordOptions {
         take,
@@ -78,7 +80,7 @@ pub(crate) fn record_and_watch(
         length,
         keep_free_bytes,
         stop,
-        say: &notify,
+        notify: &notify,
         how_to_end: "; Ctrl-C finishes the take",
         how_to_set: with_option,
         started: &mut started,
@@ -93,7 +95,7 @@ pub(super) fn name_option(error: anyhow::Error) -> anyhow::Error {
     if !error.is::<SettingRefused>() {
         return error;
     }
-    anyhow::Error::msg(setting::words(&error, with_option))
+    anyhow::Error::msg(setting::message(&error, with_option))
 }
 
 fn with_option(setting: Setting) -> String {
@@ -116,7 +118,7 @@ fn disk_left(left_s: u64) -> String {
 }
 
 /// Drift and jitter of the device's clock; empty while unknown.
-fn clock(progress: &mocapd_acquire::pipeline::Progress) -> String {
+fn clock(progress: &mocapd_acquire::pipeline::PipelineProgress) -> String {
     let p99_us = progress.jitter_p99_us.load(Ordering::Relaxed);
     if p99_us == 0 {
         return String::new();

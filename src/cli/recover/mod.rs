@@ -17,7 +17,7 @@ use mocapd_acquire::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
 };
-use mocapd_take::recovery::{Survey, mend_start};
+use mocapd_take::recovery::{RecoveryScan, repair_start};
 
 use self::report::RecoverReport;
 use super::{
@@ -48,8 +48,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     // The file is read twice: to scan it and to copy it.
     let progress = Progress::follow("recovering", &read, 2 * file_bytes);
     let (mut input, repaired) =
-        mend_start(CountingReader { file, read: Arc::clone(&read) }).with_context(reading)?;
-    let scan = Survey::read(&mut input).with_context(reading)?;
+        repair_start(CountingReader { file, read: Arc::clone(&read) }).with_context(reading)?;
+    let scan = RecoveryScan::read(&mut input).with_context(reading)?;
     let writing = || format!("cannot write {}", args.output.display());
     let mut output = NewFile::create(&args.output)?;
     let written =
@@ -69,7 +69,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
     }
     if scan.lost_anything() {
-        notify(&format!("{name}: {}", scan.losses_in_words()));
+        notify(&format!("{name}: {}", scan.loss_summary()));
     }
     Ok(Outcome::of(scan.lost_anything()))
 }

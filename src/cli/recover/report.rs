@@ -3,7 +3,7 @@
 use std::{fmt::Write, path::PathBuf};
 
 use mocapd_acquire::ledger::LedgerDocument;
-use mocapd_take::recovery::{KindCount, Survey};
+use mocapd_take::recovery::{ChunkKindCount, RecoveryScan};
 use serde::Serialize;
 
 use super::Args;
@@ -52,17 +52,17 @@ struct RecoveredMarkerReport {
 impl RecoverReport {
     pub(super) fn new(
         args: &Args,
-        scan: &Survey,
+        scan: &RecoveryScan,
         problems: Vec<String>,
         take_bytes: u64,
         output_bytes: u64,
     ) -> Self {
-        let chunk = |count: &KindCount| ChunkReport {
+        let chunk = |count: &ChunkKindCount| ChunkReport {
             kind: count.kind.name(),
             recovered: count.recovered,
             discarded: count.discarded,
         };
-        let there = |count: &&KindCount| count.recovered + count.discarded > 0;
+        let there = |count: &&ChunkKindCount| count.recovered + count.discarded > 0;
         let markers = scan.channels.iter().zip(&scan.per_channel);
         Self {
             take: args.take.clone(),

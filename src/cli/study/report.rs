@@ -220,7 +220,7 @@ pub(super) fn figures(
         let span = to.end - 1 - from.start;
         let rows: Vec<usize> =
             (0..MOMENTS).map(|i| from.start + i * span / (MOMENTS - 1)).collect();
-        let bones = labels::bones(&labels);
+        let bones = labels::marker_lines(&labels);
         let spec = PosePlot {
             name: &trial.name,
             take: &decoded,

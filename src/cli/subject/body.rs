@@ -12,7 +12,7 @@ use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_body::{
-    Repaired, Survey, Unit,
+    Repaired, ScanAnalysis, Unit,
     picture::{Drawing, svg},
     read, repair,
     skeleton::{Method, ScanJoints, Skeleton, Source},
@@ -69,8 +69,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let (Some(output), Some(drawing)) = (output, &args.picture)
         && paths::are_one(output, drawing)
     {
-        let message =
-            format!("{}: --output and --picture name the same file", output.display());
+        let message = format!("{}: --output and --picture name the same file", output.display());
         return Err(UsageError(message).into());
     }
     let method = match args.method {
@@ -118,16 +117,17 @@ fn analyse(
     path: &Path,
     unit: Option<Unit>,
     method: Method,
-) -> anyhow::Result<(Repaired, ScanJoints, Survey)> {
+) -> anyhow::Result<(Repaired, ScanJoints, ScanAnalysis)> {
     let file = path.display();
     let bytes = files::read_bounded(path, read::BYTES_MAX)?;
-    let scan = read::read(&bytes, &file_name(path)).with_context(|| format!("cannot read {file}"))?;
+    let scan =
+        read::read(&bytes, &file_name(path)).with_context(|| format!("cannot read {file}"))?;
     let repaired =
         repair::repair(scan, unit).with_context(|| format!("{file} is not a body scan"))?;
     for note in &repaired.notes {
         notify(&format!("{file}: {note}"));
     }
-    let analysis = match Survey::new(&repaired.mesh, method) {
+    let analysis = match ScanAnalysis::new(&repaired.mesh, method) {
         Ok(analysis) => analysis,
         Err(refusal) => bail!("{file}: no skeleton ({}): {refusal}", refusal.code()),
     };
@@ -195,7 +195,12 @@ fn unit(text: &str) -> Result<Unit, String> {
 }
 
 /// The picture, as SVG; with level curves if `analysis` has those of a body.
-fn picture(name: &str, repaired: &Repaired, analysis: &Survey, skeleton: &Skeleton) -> String {
+fn picture(
+    name: &str,
+    repaired: &Repaired,
+    analysis: &ScanAnalysis,
+    skeleton: &Skeleton,
+) -> String {
     let is_paper = skeleton.method == Method::Paper.name();
     let method = if is_paper { "as Yu et al. 2008" } else { "default method" };
     let title = format!("{name}, {method}");

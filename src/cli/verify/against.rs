@@ -31,12 +31,13 @@ pub(crate) struct AgainstReport {
 #[derive(Debug, Serialize)]
 struct AmbiguityReport {
     kind: &'static str,
-    words: String,
+    #[serde(rename = "words")]
+    text: String,
 }
 
 impl From<&Ambiguity> for AmbiguityReport {
     fn from(found: &Ambiguity) -> Self {
-        Self { kind: found.kind(), words: found.to_string() }
+        Self { kind: found.kind(), text: found.to_string() }
     }
 }
 
@@ -122,10 +123,8 @@ impl AgainstReport {
             out += &format!("  {}\n", plain(note));
         }
         for ambiguity in &self.ambiguities {
-            let text = plain(&ambiguity.words);
-            out += &format!(
-                "  the original is ambiguous, and was read as at import: {text}\n"
-            );
+            let text = plain(&ambiguity.text);
+            out += &format!("  the original is ambiguous, and was read as at import: {text}\n");
         }
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");

@@ -12,7 +12,7 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
-    clock::Apart,
+    clock::LineDeviation,
     files::SparseFile,
     health::TakeHealth,
     inspect::Summary,
@@ -73,7 +73,7 @@ struct VerifyReport {
     tolerance_mm: f64,
     stated_max_error_mm: f64,
     /// The clock line, fitted again to the observations in the take and compared with the stored one.
-    clock: Option<Apart>,
+    clock: Option<LineDeviation>,
     against: Option<AgainstReport>,
     derivatives: Option<DerivativesReport>,
     limbs: Option<LimbsReport>,
@@ -154,7 +154,7 @@ impl VerifyReport {
             take: take.to_owned(),
             intact: problems.is_empty(),
             health: summary.health(),
-            ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.name()),
             ledger_closes: summary.take.ledger.as_ref().map(Ledger::closes),
             problems,
             contradictions,
@@ -182,11 +182,11 @@ impl VerifyReport {
         let mut out = format!(
             "{}: {state}, {}{ending}, {}, {}; checked every checksum, block and ledger\n",
             plain_path(&self.take),
-            self.health.word(),
+            self.health.name(),
             count(self.frames, "frame"),
             count(self.samples, "sample")
         );
-        if let Some(Apart { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
+        if let Some(LineDeviation { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
             out += &format!(
                 "clock line fitted again from the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
             );

@@ -18,12 +18,12 @@ use std::{
 };
 
 use mocapd_body::{
-    Mesh, Survey,
+    Mesh, ScanAnalysis,
     geodesic::{Adjacency, Graph, Workspace, distances},
     read::read,
     skeleton::Method,
 };
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 use rustix::time::{ClockId, clock_gettime};
 
 /// Limits: a mesh with at most this many faces takes at most this many milliseconds.
@@ -65,7 +65,7 @@ fn row(name: &str, mesh: &Mesh, rounds: usize) -> Result<bool, Box<dyn Error>> {
     let mut gives = String::new();
     for _ in 0..rounds.max(1) {
         let begin_ms = busy_ms();
-        let analysis = black_box(Survey::new(black_box(mesh), Method::Default));
+        let analysis = black_box(ScanAnalysis::new(black_box(mesh), Method::Default));
         whole.push(busy_ms() - begin_ms);
         gives = analysis.map_or_else(|reason| reason.code().to_owned(), |_| "joints".to_owned());
         let begin_ms = busy_ms();
@@ -99,7 +99,7 @@ fn median_and_least(times: &mut [f64]) -> (f64, f64) {
 fn generated() -> Vec<(String, Mesh)> {
     let sizes = GENERATED.into_iter().zip(1_u64..);
     let one = |(n_faces, seed): (usize, u64), pose: Pose| {
-        let (mesh, _) = body(seed, pose, Options { n_faces, turned: true });
+        let (mesh, _) = body(seed, pose, BodyOptions { n_faces, turned: true });
         (format!("{pose:?}, seed {seed}"), mesh)
     };
     sizes.flat_map(|size| Pose::ALL.map(|pose| one(size, pose))).collect()

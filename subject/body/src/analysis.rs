@@ -26,7 +26,7 @@ const HEAD_UNCERTAIN: &str = "the point taken for the top of the head is not the
 
 /// Joints and extremities of one scan, and how far to trust them.
 #[derive(Debug, Clone)]
-pub struct Survey {
+pub struct ScanAnalysis {
     /// The joints, in the mesh's frame and unit.
     pub joints: Joints,
     /// Head, hands and feet.
@@ -40,11 +40,11 @@ pub struct Survey {
     /// Remarks for readers of the joints.
     pub notes: Vec<Note>,
     /// Level sets and Reeb graph of the geodesic distance from the head (Yu et al. 2008): always for [`Method::Paper`],
-    /// otherwise after [`Survey::with_levels`].
+    /// otherwise after [`ScanAnalysis::with_levels`].
     pub levels: Option<Levels>,
 }
 
-impl Survey {
+impl ScanAnalysis {
     /// Finds the joints of a body on a closed, connected surface.
     ///
     /// # Errors

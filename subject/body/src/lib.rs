@@ -1,7 +1,7 @@
 //! Joint centres from a body scan: any pose, any orientation, no markers and no template body.
 //!
 //! A scan becomes a skeleton in four steps. [`read`] parses a mesh file; [`repair`] closes it into one manifold
-//! surface; [`Survey`] finds head, hands, feet and joint centres, each with its standard deviation; [`skeleton`]
+//! surface; [`ScanAnalysis`] finds head, hands, feet and joint centres, each with its standard deviation; [`skeleton`]
 //! combines one scan or several into bone lengths and writes JSON. [`picture`] draws the result as SVG.
 //!
 //! Two methods share these steps. The default ([`locate`]) extends the one of Yu et al. 2008; [`paper`] implements
@@ -12,6 +12,7 @@
 //! skeleton as a document. The default method's weights were learned from two synthetic bodies by
 //! `benches/subject/learn.py`.
 
+pub mod analysis;
 mod diagnosis;
 pub mod extremity;
 pub mod geodesic;
@@ -26,17 +27,16 @@ pub mod read;
 pub mod reeb;
 pub mod repair;
 pub mod skeleton;
-pub mod analysis;
 #[cfg(test)]
 mod tests;
 mod topology;
 mod unit;
 
+pub use analysis::ScanAnalysis;
 pub use diagnosis::{Note, Refusal};
 pub use joint::{Estimate, Joint, Joints, Side};
 pub use mesh::Mesh;
 pub use plausible::Plausibility;
 pub use reeb::Levels;
 pub use repair::Repaired;
-pub use analysis::Survey;
 pub use unit::{Unit, UnitError};

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joint, Mesh, Side, Survey};
+use mocapd_body::{Joint, Mesh, ScanAnalysis, Side};
 use mocapd_testkit::recorded::RecordedData;
 use nalgebra::{Rotation3, Vector3};
 
@@ -47,8 +47,8 @@ fn bodies(starts: &[&str]) -> Option<Vec<PathBuf>> {
     Some(found)
 }
 
-fn analysis(mesh: &Mesh) -> Result<Survey, String> {
-    Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())
+fn analysis(mesh: &Mesh) -> Result<ScanAnalysis, String> {
+    ScanAnalysis::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn joints_are_accurate_on_bodies_not_learned_from() {
 type End = (&'static str, fn(Side) -> Joint);
 
 /// Length errors of upper arms, forearms, thighs and shanks.
-fn length_errors(found: &Survey, truth: &Truth) -> Vec<f64> {
+fn length_errors(found: &ScanAnalysis, truth: &Truth) -> Vec<f64> {
     let bones: [[End; 2]; 4] = [
         [("shoulder", Joint::Shoulder), ("elbow", Joint::Elbow)],
         [("elbow", Joint::Elbow), ("wrist", Joint::Wrist)],

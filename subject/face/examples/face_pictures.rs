@@ -11,7 +11,7 @@ use mocapd_face::Photo;
 use mocapd_face::fit::fit;
 use mocapd_face::fitted::{FittedFace, Method, Overlay, Source};
 use mocapd_face::model::FeatureId;
-use mocapd_testkit::photograph::{Scene, Truth};
+use mocapd_testkit::photograph::{GroundTruth, Scene};
 
 const INTEROCULAR_PX: f64 = 70.0;
 const SEED: u64 = 2;
@@ -43,7 +43,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// A plain patch over the centre of some of the points, of the given width and height in outer interocular distances.
-fn cover(image: &mut RgbImage, truth: &Truth, ibug: &[usize], size_interocular: [f64; 2]) {
+fn cover(image: &mut RgbImage, truth: &GroundTruth, ibug: &[usize], size_interocular: [f64; 2]) {
     let points = ibug.iter().filter_map(|i| FeatureId::from_ibug(*i)).map(|id| truth.at(id));
     let sum = points.fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);
     let middle = sum.map(|s| s / ibug.len() as f64);

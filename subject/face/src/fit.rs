@@ -8,8 +8,8 @@ use crate::fitted::{FittedFace, Method, Source};
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, ModelError, OUTER_EYES_MM};
 use crate::paper;
 use crate::photo::Photo;
-use crate::proportions::ProportionModel;
 use crate::points::{self, FacePoints, RoughFace};
+use crate::proportions::ProportionModel;
 use crate::vector::{distance, middle};
 
 /// Most faces that are fitted, by score: a class, or a team.

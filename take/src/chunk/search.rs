@@ -9,7 +9,7 @@
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{
-    CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, Front, HEAD_BYTES_MAX, crc_matches, head,
+    CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, crc_matches, head,
     prefix_crcs::{PrefixCrcs, extend_crc, shifted_crc},
     split, types,
 };
@@ -98,9 +98,15 @@ fn classify(bytes: &[u8], at: usize, prefixes: &mut PrefixCrcs) -> ChunkCandidat
 }
 
 /// Parses the chunk at `bytes[at..]` like [`front`](super::front), with the help of the prefix CRCs of `bytes`.
-pub(crate) fn indexed_front<'a>(bytes: &'a [u8], at: usize, crcs: &mut PrefixCrcs) -> Front<'a> {
+pub(crate) fn indexed_parse<'a>(
+    bytes: &'a [u8],
+    at: usize,
+    crcs: &mut PrefixCrcs,
+) -> ChunkParse<'a> {
     match split(&bytes[at..]) {
-        Front::Whole { len, .. } if !is_whole(bytes, at, at + len, crcs) => Front::Damaged,
+        ChunkParse::Whole { len, .. } if !is_whole(bytes, at, at + len, crcs) => {
+            ChunkParse::Damaged
+        }
         front => front,
     }
 }
@@ -337,7 +343,7 @@ mod tests {
     use mocapd_testkit::random::Random;
 
     use super::*;
-    use crate::chunk::{front, put};
+    use crate::chunk::{parse, put};
 
     fn next(bytes: &[u8]) -> ResyncOutcome {
         resync(bytes, &mut PrefixCrcs::default(), 1, true, |_| None)
@@ -370,7 +376,7 @@ mod tests {
             put(&mut bytes, types::STRETCH, &payload(2_000_000)).unwrap();
         }
         bytes[150_000] ^= 1;
-        assert_eq!(front(&bytes), Front::Damaged);
+        assert_eq!(parse(&bytes), ChunkParse::Damaged);
         assert_eq!(next(&bytes), ResyncOutcome::Found(found));
         // Without the end of the next chunk, nothing after its beginning is judged.
         let prefixes = &mut PrefixCrcs::default();

@@ -29,12 +29,12 @@ const MISSING: &str = "n/a";
 
 /// The labels of subject and task in file names: ASCII letters and digits.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Names {
+pub struct BidsLabels {
     subject: String,
     task: String,
 }
 
-impl Names {
+impl BidsLabels {
     /// Checks both labels.
     ///
     /// # Errors
@@ -77,7 +77,7 @@ impl Names {
 }
 
 /// Creates the files of a dataset.
-pub trait Folder {
+pub trait DatasetFolder {
     /// Creates a new file; `path` is relative, with `/` between folders.
     ///
     /// # Errors
@@ -90,7 +90,11 @@ pub trait Folder {
 ///
 /// # Errors
 /// `Unsupported` for a take without markers; `Io` if reading or writing fails.
-pub fn write(frames: &mut dyn FrameSource, names: &Names, folder: &mut dyn Folder) -> Result<()> {
+pub fn write(
+    frames: &mut dyn FrameSource,
+    names: &BidsLabels,
+    folder: &mut dyn DatasetFolder,
+) -> Result<()> {
     let info = frames.info().clone();
     if info.markers.is_empty() {
         return Err(InterchangeError::Unsupported(
@@ -142,7 +146,7 @@ fn events_tsv(info: &MotionInfo) -> String {
     let mut table = "onset\tduration\ttrial_type\tkind\n".to_owned();
     for event in &info.events {
         let onset = event.frame as f64 / info.rate_hz;
-        let (label, kind) = (cell(event.label()), event.kind.word());
+        let (label, kind) = (cell(event.label()), event.kind.name());
         table.push_str(&format!("{onset}\t0\t{label}\t{kind}\n"));
     }
     table
@@ -168,7 +172,7 @@ fn number(value: f64) -> Value {
     if value.fract() == 0.0 { json!(value as u64) } else { json!(value) }
 }
 
-fn dataset_json(names: &Names) -> io::Result<Vec<u8>> {
+fn dataset_json(names: &BidsLabels) -> io::Result<Vec<u8>> {
     let generator = json!({
         "Name": "mocapd",
         "Version": env!("CARGO_PKG_VERSION"),
@@ -182,7 +186,7 @@ fn dataset_json(names: &Names) -> io::Result<Vec<u8>> {
     ])
 }
 
-fn readme(names: &Names, info: &MotionInfo) -> String {
+fn readme(names: &BidsLabels, info: &MotionInfo) -> String {
     format!(
         "# Optical motion capture: {}\n\n\
          One recording of subject {}: {} markers, {} frames at {} Hz.\n\
@@ -203,7 +207,7 @@ fn participants_json() -> io::Result<Vec<u8>> {
     json([("participant_id", json!({ "Description": "Unique label of the participant" }))])
 }
 
-fn motion_json(names: &Names, info: &MotionInfo) -> io::Result<Vec<u8>> {
+fn motion_json(names: &BidsLabels, info: &MotionInfo) -> io::Result<Vec<u8>> {
     let n_markers = info.markers.len();
     // The specification recommends stating a count of 0 for channel types that are absent.
     let absent = [
@@ -267,7 +271,7 @@ mod tests {
 
     #[test]
     fn names_are_letters_and_digits() {
-        let names = Names::new("01", "walk2").unwrap();
+        let names = BidsLabels::new("01", "walk2").unwrap();
         assert_eq!(
             names.path("motion.tsv"),
             "sub-01/motion/sub-01_task-walk2_tracksys-optical_motion.tsv"
@@ -275,10 +279,10 @@ mod tests {
         for (subject, task) in
             [("", "a"), ("a", ""), ("a b", "c"), ("../a", "c"), ("a", "gehen_\u{e4}")]
         {
-            assert!(Names::new(subject, task).is_err(), "{subject} {task}");
+            assert!(BidsLabels::new(subject, task).is_err(), "{subject} {task}");
         }
-        assert_eq!(Names::task_of("squat_jump-47m 120hz"), "squatjump47m120hz");
-        assert_eq!(Names::task_of("\u{e4}"), "recording");
+        assert_eq!(BidsLabels::task_of("squat_jump-47m 120hz"), "squatjump47m120hz");
+        assert_eq!(BidsLabels::task_of("\u{e4}"), "recording");
     }
 
     #[test]

@@ -36,7 +36,7 @@ mod units;
 mod xdf;
 mod zip;
 
-pub use rotated::Turned;
+pub use rotated::RotatedFrames;
 pub use rotation::Direction;
 pub use text::column_labels;
 pub use units::LengthUnit;
@@ -197,7 +197,7 @@ impl Format {
 
     /// Whether an export to this format restores foreign parts of a kind: those that an import of it kept.
     #[must_use]
-    pub fn gives_back(self, kind: &str) -> bool {
+    pub fn restores(self, kind: &str) -> bool {
         self.capabilities().foreign.is_some_and(|format| kind.starts_with(format))
     }
 
@@ -205,7 +205,7 @@ impl Format {
     /// `up_is_chosen`: the caller chose it for this export and knows it.
     #[must_use]
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
-        let others = info.foreign.iter().filter(|part| !self.gives_back(&part.kind));
+        let others = info.foreign.iter().filter(|part| !self.restores(&part.kind));
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));

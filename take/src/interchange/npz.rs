@@ -92,7 +92,7 @@ fn write_events(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek>)
     let time_s = events.iter().map(|event| event.frame as f64 / info.rate_hz);
     times.extend(time_s.flat_map(f64::to_le_bytes));
     archive.put("event_time_s.npy", &times)?;
-    let kinds: Vec<&str> = events.iter().map(|event| event.kind.word()).collect();
+    let kinds: Vec<&str> = events.iter().map(|event| event.kind.name()).collect();
     archive.put("event_kind.npy", &text_array(&kinds)?)?;
     let labels: Vec<&str> = events.iter().map(MotionEvent::label).collect();
     archive.put("event_label.npy", &text_array(&labels)?)?;

@@ -8,19 +8,19 @@ use crate::{
 
 /// A frame source rotated by a quarter turn: its positions, and of the data kept from a C3D file the force plate
 /// corners and the coordinates under gaps.
-pub struct Turned<'a> {
+pub struct RotatedFrames<'a> {
     frames: &'a mut dyn FrameSource,
     info: MotionInfo,
     rotation: Rotation,
 }
 
-impl std::fmt::Debug for Turned<'_> {
+impl std::fmt::Debug for RotatedFrames<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Turned").field("rotation", &self.rotation).finish_non_exhaustive()
+        f.debug_struct("RotatedFrames").field("rotation", &self.rotation).finish_non_exhaustive()
     }
 }
 
-impl<'a> Turned<'a> {
+impl<'a> RotatedFrames<'a> {
     /// Rotates `frames` so that the axis `up` points up; `None` if the source does not state its up axis.
     ///
     /// # Errors
@@ -37,14 +37,14 @@ impl<'a> Turned<'a> {
 
     /// Kinds of the foreign parts that keep their old axes although they may hold vectors in space: model outputs.
     #[must_use]
-    pub fn not_turned(&self) -> Vec<String> {
+    pub fn not_rotated(&self) -> Vec<String> {
         let kept = self.info.foreign.iter().filter(|part| part.kind == c3d::MODEL_OUTPUTS);
         let kept = kept.filter(|_| !self.rotation.is_identity());
         kept.map(|part| part.kind.clone()).collect()
     }
 }
 
-impl FrameSource for Turned<'_> {
+impl FrameSource for RotatedFrames<'_> {
     fn info(&self) -> &MotionInfo {
         &self.info
     }

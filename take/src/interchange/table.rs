@@ -8,8 +8,7 @@ use crate::motion::{GAP, Position};
 pub(super) const MAX_POSITIONS_PER_BYTE: usize = 4;
 
 /// The warning for a file whose last number may lack digits.
-pub(super) const CUT_OFF: &str =
-    "The file ends in the middle of a line; its last number may be cut off, so that sample is a gap.";
+pub(super) const CUT_OFF: &str = "The file ends in the middle of a line; its last number may be cut off, so that sample is a gap.";
 
 /// The assumed rate of a file with one frame and no stated rate; a C3D file without a rate gets the same.
 const RATE_OF_ONE_FRAME_HZ: f64 = 100.0;

@@ -9,10 +9,10 @@ use super::TakeMap;
 use crate::{
     TakeError, TakeEvent,
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX,
-        types,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkParse, HEAD_BYTES_MAX, MAGIC, MAY_SKIP,
+        PAYLOAD_BYTES_MAX, types,
     },
-    damage::Why,
+    damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
     reader::record,
     record::{Header, Record},
@@ -46,7 +46,7 @@ impl TakeMap {
         input.seek(SeekFrom::Start(0))?;
         let mut map = TakeTraversal::without_decoding(input).run(|_, _| Ok(()))?.take;
         // A recovered take states its lost rows itself.
-        map.damaged |= map.damage.iter().any(|lost| lost.why == Why::BeforeRecovery);
+        map.damaged |= map.damage.iter().any(|lost| lost.origin == DamageOrigin::BeforeRecovery);
         Ok(map)
     }
 }
@@ -182,8 +182,8 @@ impl<R: Read + Seek> ChunkCursor<R> {
             self.input.seek_relative(-(bytes.len() as i64))?;
         }
         Ok(match chunk::split(&bytes) {
-            Front::Whole { kind, len, .. } => Some((kind, len as u64)),
-            Front::Short(len) if len > bytes.len() as u64 && bytes.len() > 1 => {
+            ChunkParse::Whole { kind, len, .. } => Some((kind, len as u64)),
+            ChunkParse::Short(len) if len > bytes.len() as u64 && bytes.len() > 1 => {
                 Some((bytes[0], len)).filter(|_| len <= PAYLOAD_BYTES_MAX + 10)
             }
             _ => None,
@@ -219,8 +219,8 @@ impl<R: Read + Seek> ChunkCursor<R> {
         let mut chunk = Vec::new();
         self.input.by_ref().take(chunk_bytes).read_to_end(&mut chunk)?;
         self.at += chunk.len() as u64;
-        Ok(match chunk::front(&chunk) {
-            Front::Whole { payload, len, .. } if len as u64 == chunk_bytes => {
+        Ok(match chunk::parse(&chunk) {
+            ChunkParse::Whole { payload, len, .. } if len as u64 == chunk_bytes => {
                 Some(payload.to_vec())
             }
             _ => None,

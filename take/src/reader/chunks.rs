@@ -4,7 +4,7 @@ use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
     NotATake, TakeError,
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, Front, HEAD_BYTES_MAX, LongChunkScan,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, LongChunkScan,
         LongChunks, MAY_SKIP, PrefixCrcs, types,
     },
     foreign::{self, ForeignPart, InflateCheck},
@@ -53,16 +53,16 @@ impl TakeReader {
             }
             _ => {}
         }
-        match chunk::indexed_front(&self.buffer, self.used, &mut self.prefixes) {
-            Front::Whole { kind, len, .. } => {
+        match chunk::indexed_parse(&self.buffer, self.used, &mut self.prefixes) {
+            ChunkParse::Whole { kind, len, .. } => {
                 let start = self.used;
                 self.used += len;
                 self.wanted = 1;
                 return Step::Chunk { kind, start, len };
             }
-            Front::Short(wanted) if !self.complete => self.wanted = wanted,
-            Front::Short(_) => self.damage = begin_damage(CUT),
-            Front::Damaged => self.damage = begin_damage(BAD_CRC),
+            ChunkParse::Short(wanted) if !self.complete => self.wanted = wanted,
+            ChunkParse::Short(_) => self.damage = begin_damage(CUT),
+            ChunkParse::Damaged => self.damage = begin_damage(BAD_CRC),
         }
         Step::Retry
     }
@@ -94,7 +94,8 @@ impl TakeReader {
         len: usize,
     ) -> Result<TakeEvent<'_>, TakeError> {
         let offset = self.base + start as u64;
-        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len]) else {
+        let ChunkParse::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len])
+        else {
             return Err(TakeError::NotATake(NotATake::Changed));
         };
         let Some(chain) = &mut self.chain else {

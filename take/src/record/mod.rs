@@ -113,7 +113,7 @@ pub enum EventKind {
 impl EventKind {
     /// The name of the kind.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Mark => "mark",
             Self::Trigger => "trigger",
@@ -125,9 +125,9 @@ impl EventKind {
 
     /// The kind with this name.
     #[must_use]
-    pub fn from_word(word: &str) -> Option<Self> {
+    pub fn from_name(word: &str) -> Option<Self> {
         let all = [Self::Mark, Self::Trigger, Self::SyncPulse, Self::Device, Self::Host];
-        all.into_iter().find(|kind| kind.word() == word)
+        all.into_iter().find(|kind| kind.name() == word)
     }
 }
 

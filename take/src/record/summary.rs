@@ -95,7 +95,7 @@ impl EndingKind {
 
     /// The name in reports and JSON documents.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Stopped => "stopped",
             Self::Length => "length",
@@ -113,14 +113,14 @@ impl EndingKind {
 
     /// The kind with this name; `Other(0)` for an unknown one.
     #[must_use]
-    pub fn from_word(word: &str) -> Self {
-        Self::ALL.into_iter().find(|kind| kind.word() == word).unwrap_or(Self::Other(0))
+    pub fn from_name(word: &str) -> Self {
+        Self::ALL.into_iter().find(|kind| kind.name() == word).unwrap_or(Self::Other(0))
     }
 }
 
 impl fmt::Display for EndingKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.name())
     }
 }
 

@@ -4,7 +4,7 @@ use crate::{
     damage::LostRows,
     record::Ledger,
     stretch::Stretch,
-    timeline::{Causes, Run},
+    timeline::{LossCauses, RowRun},
 };
 
 /// Rows by outcome, counted from the stretches.
@@ -19,14 +19,14 @@ struct RowCounts {
 }
 
 impl RowCounts {
-    fn add(&mut self, run: &Run) {
+    fn add(&mut self, run: &RowRun) {
         let counter = match run.lost {
             None => &mut self.recorded,
-            Some(causes) if causes.contains(Causes::DAMAGED) => &mut self.damaged,
+            Some(causes) if causes.contains(LossCauses::DAMAGED) => &mut self.damaged,
             // A run with several causes does not say how many rows each cause has. It counts for the first cause here
             // that it names. The counters of a ledger are exact and are used where a ledger exists.
-            Some(causes) if causes.contains(Causes::NOT_RECEIVED) => &mut self.not_received,
-            Some(causes) if causes.contains(Causes::RING_FULL) => &mut self.ring_full,
+            Some(causes) if causes.contains(LossCauses::NOT_RECEIVED) => &mut self.not_received,
+            Some(causes) if causes.contains(LossCauses::RING_FULL) => &mut self.ring_full,
             Some(_) => &mut self.disconnected,
         };
         *counter = counter.saturating_add(run.rows);
@@ -64,7 +64,7 @@ impl LedgerTally {
         let before = self.rows.recorded;
         match &stretch.timeline {
             Some(timeline) => timeline.runs.iter().for_each(|run| self.rows.add(run)),
-            None => self.rows.add(&Run { rows: stretch.span.n_rows.into(), lost: None }),
+            None => self.rows.add(&RowRun { rows: stretch.span.n_rows.into(), lost: None }),
         }
         let recorded = self.rows.recorded - before;
         self.announced = self.announced.saturating_add(recorded.saturating_mul(n_channels as u64));

@@ -1,14 +1,14 @@
 //! The first pass over the file: which chunks can be kept, and what is lost.
 
-use super::{KINDS, Kind, KindCount, OutputChunk, ledger_tally::LedgerTally};
+use super::{ChunkKind, ChunkKindCount, KINDS, OutputChunk, ledger_tally::LedgerTally};
 use crate::{
     NotATake, TakeError, TakeEvent,
     chunk::types,
-    damage::{Counts, LostRows, Problem, Why},
+    damage::{DamageOrigin, LedgerTotals, LostRows, Problem},
     reader::TakeInput,
     record::{Channel, EndingKind, Header, Ledger, TakeEnding},
     stretch::{NUMBERS, Span, Stretch},
-    traversal::{Decode, Found, Progress, LostEntries, TakeTraversal},
+    traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
 };
 
 /// Most chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the shortest
@@ -26,7 +26,7 @@ pub struct ChannelCount {
 
 /// What a recovery keeps of a file and what is lost.
 #[derive(Debug)]
-pub struct Survey {
+pub struct RecoveryScan {
     /// The header, as the file has it.
     pub header: Header,
     /// The complete channel table.
@@ -34,7 +34,7 @@ pub struct Survey {
     /// Counts by channel.
     pub per_channel: Vec<ChannelCount>,
     /// Chunk counts by kind.
-    pub kinds: [KindCount; KINDS.len()],
+    pub kinds: [ChunkKindCount; KINDS.len()],
     /// Everything missing or damaged.
     pub problems: Vec<Problem>,
     /// Rows lost to damage, in order, including those of an earlier recovery.
@@ -57,7 +57,7 @@ pub struct Survey {
     pub(super) contradicted: bool,
 }
 
-impl Survey {
+impl RecoveryScan {
     /// Reads and decodes everything that is valid. It holds one chunk at a time, and about forty bytes for each chunk.
     ///
     /// # Errors
@@ -72,14 +72,14 @@ impl Survey {
     /// Rows lost to damage in this file.
     #[must_use]
     pub fn rows_damaged(&self) -> u64 {
-        let here = self.damage.iter().filter(|lost| lost.why == Why::Damaged);
+        let here = self.damage.iter().filter(|lost| lost.origin == DamageOrigin::Damaged);
         here.fold(0, |sum, lost| sum.saturating_add(lost.rows))
     }
 
     /// Whether the new take lacks anything that the file had, or may have had.
     #[must_use]
     pub fn lost_anything(&self) -> bool {
-        let lost = |count: &KindCount| count.discarded > 0 && !count.kind.is_made_anew();
+        let lost = |count: &ChunkKindCount| count.discarded > 0 && !count.kind.is_rebuilt();
         !self.finished
             || self.names_lost
             || self.contradicted
@@ -110,7 +110,7 @@ enum ChunkAction {
 /// The state of the first pass.
 #[derive(Debug)]
 struct RecoveryScanner {
-    kinds: [KindCount; KINDS.len()],
+    kinds: [ChunkKindCount; KINDS.len()],
     output: Vec<OutputChunk>,
     tally: LedgerTally,
     samples: Vec<u64>,
@@ -128,7 +128,7 @@ struct RecoveryScanner {
 impl Default for RecoveryScanner {
     fn default() -> Self {
         Self {
-            kinds: KINDS.map(|(kind, ..)| KindCount { kind, recovered: 0, discarded: 0 }),
+            kinds: KINDS.map(|(kind, ..)| ChunkKindCount { kind, recovered: 0, discarded: 0 }),
             output: Vec::new(),
             tally: LedgerTally::default(),
             samples: Vec::new(),
@@ -144,9 +144,9 @@ impl Default for RecoveryScanner {
 }
 
 impl RecoveryScanner {
-    fn visit(&mut self, found: &Found<'_>, progress: &Progress) -> Result<(), TakeError> {
-        if let Some(renamed) = found.renamed {
-            self.name_channels(renamed, progress.channels());
+    fn visit(&mut self, found: &LocatedEvent<'_>, progress: &Progress) -> Result<(), TakeError> {
+        if let Some(lost_entries) = found.lost_entries {
+            self.name_channels(lost_entries, progress.channels());
         }
         if let TakeEvent::Stretch(stretch) = &found.event
             && !found.is_refused
@@ -175,9 +175,10 @@ impl RecoveryScanner {
                 self.closed |= ledger.finished;
                 self.tally.mark_ledger();
                 let (frames, samples) = (self.tally.recorded(), self.samples.iter().sum());
-                let (stated, found) = (Counts::from_ledger(ledger), Counts { frames, samples });
+                let (stated, found) =
+                    (LedgerTotals::from_ledger(ledger), LedgerTotals { frames, samples });
                 if stated != found && !ledger.finished && !progress.take.damaged {
-                    self.contradiction = Some(Problem::LedgerCounts { told: stated, found });
+                    self.contradiction = Some(Problem::LedgerCounts { stated, found });
                 }
                 // A ledger after damage counts more than is kept; its counts go into the new last ledger.
                 let is_stale = ledger.finished || progress.take.damaged || stated != found;
@@ -194,11 +195,11 @@ impl RecoveryScanner {
             }
             TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy),
             TakeEvent::Damaged { kind, .. } => {
-                if self.kinds[Kind::Header as usize].recovered > 0 {
+                if self.kinds[ChunkKind::Header as usize].recovered > 0 {
                     self.missing_at.get_or_insert(self.output.len());
                 }
                 // Only summary, index and footer follow the last ledger.
-                let is_expected = Kind::of(*kind).follows_last_ledger();
+                let is_expected = ChunkKind::of(*kind).follows_last_ledger();
                 let kind = if self.closed && !is_expected { Some(types::INDEX) } else { *kind };
                 (kind.unwrap_or_default(), ChunkAction::Discard)
             }
@@ -211,13 +212,13 @@ impl RecoveryScanner {
 
     fn add_chunk(
         &mut self,
-        found: &Found<'_>,
+        found: &LocatedEvent<'_>,
         kind: u8,
         span: Option<Span>,
         action: ChunkAction,
     ) -> Result<(), TakeError> {
         let (offset, len) = (found.offset, found.len);
-        let count = &mut self.kinds[Kind::of(Some(kind)) as usize];
+        let count = &mut self.kinds[ChunkKind::of(Some(kind)) as usize];
         match action {
             ChunkAction::Discard => {
                 count.discarded += 1;
@@ -260,12 +261,12 @@ impl RecoveryScanner {
     }
 
     /// Inserts entries for the lost ones at the same place in the new take.
-    fn name_channels(&mut self, renamed: LostEntries, channels: &[Channel]) {
+    fn name_channels(&mut self, lost_entries: LostEntries, channels: &[Channel]) {
         self.names_lost = true;
-        let first = renamed.first.min(self.samples.len());
-        self.samples.splice(first..first, std::iter::repeat_n(0, renamed.inserted));
+        let first = lost_entries.first.min(self.samples.len());
+        self.samples.splice(first..first, std::iter::repeat_n(0, lost_entries.inserted));
         let at = self.missing_at.take().unwrap_or(self.output.len());
-        if renamed.nameless > renamed.inserted {
+        if lost_entries.nameless > lost_entries.inserted {
             // Entries whose columns are unknown.
             let mut seen = 0;
             self.output.retain(|chunk| {
@@ -274,12 +275,12 @@ impl RecoveryScanner {
                 !(uncertain && seen > at)
             });
         }
-        let nameless = renamed.first..renamed.first + renamed.nameless;
+        let nameless = lost_entries.first..lost_entries.first + lost_entries.nameless;
         let nameless = channels.get(nameless).unwrap_or_default();
         self.output.insert(at.min(self.output.len()), OutputChunk::Channels(nameless.to_vec()));
     }
 
-    fn finish(mut self, progress: Progress) -> Survey {
+    fn finish(mut self, progress: Progress) -> RecoveryScan {
         let Progress { take, rows_damaged, .. } = progress;
         let rows = take.n_rows - self.end_row;
         if rows > 0 {
@@ -294,10 +295,14 @@ impl RecoveryScanner {
         if self.closed {
             problems.pop_if(|last| *last == Problem::CutOff);
         }
-        let here: Vec<_> =
-            take.damage.iter().filter(|lost| lost.why == Why::Damaged).copied().collect();
+        let here: Vec<_> = take
+            .damage
+            .iter()
+            .filter(|lost| lost.origin == DamageOrigin::Damaged)
+            .copied()
+            .collect();
         let channel_count = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
-        let mut scan = Survey {
+        let mut scan = RecoveryScan {
             header: take.header,
             ledger: self.tally.close(take.ledger.as_ref(), &here),
             ending,
@@ -319,12 +324,13 @@ impl RecoveryScanner {
         if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
             && !scan.lost_anything()
         {
-            let (stated, found) = (Counts::from_ledger(&ledger), Counts::from_ledger(&scan.ledger));
+            let (stated, found) =
+                (LedgerTotals::from_ledger(&ledger), LedgerTotals::from_ledger(&scan.ledger));
             if stated == found {
                 scan.ledger = ledger;
             } else {
                 scan.contradicted = true;
-                scan.problems.push(Problem::LedgerCounts { told: stated, found });
+                scan.problems.push(Problem::LedgerCounts { stated, found });
             }
         }
         scan

@@ -4,7 +4,7 @@
 use std::io::{self, Read, Seek, SeekFrom};
 
 use crate::{
-    chunk::{self, Front, MAGIC, types},
+    chunk::{self, ChunkParse, MAGIC, types},
     damage::Problem,
     reader::TakeInput,
 };
@@ -32,7 +32,7 @@ pub struct RepairedStart<R> {
 /// all. So ordinary readers do not repair headers, and a recovery reports the repair.
 /// # Errors
 /// Any error of reading `input`.
-pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>, Vec<Problem>)> {
+pub fn repair_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>, Vec<Problem>)> {
     let mut start = Vec::new();
     input.seek(SeekFrom::Start(0))?;
     input.by_ref().take(START_BYTES_MAX).read_to_end(&mut start)?;
@@ -42,7 +42,7 @@ pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>,
         if let Some(at) = repair_header(rest) {
             repaired.push(Problem::HeaderByte((MAGIC.len() + at) as u64));
         }
-        let header = matches!(chunk::front(rest), Front::Whole { kind: types::HEADER, .. });
+        let header = matches!(chunk::parse(rest), ChunkParse::Whole { kind: types::HEADER, .. });
         if header && *magic != MAGIC {
             magic.copy_from_slice(&MAGIC);
             repaired.push(Problem::Magic);
@@ -56,10 +56,12 @@ pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(RepairedStart<R>,
 
 /// Corrects the one wrong byte of the header at the front of `bytes`, if there is exactly one. Returns its position.
 fn repair_header(bytes: &mut [u8]) -> Option<usize> {
-    if chunk::front(bytes) != Front::Damaged {
+    if chunk::parse(bytes) != ChunkParse::Damaged {
         return None;
     }
-    let Front::Whole { kind: types::HEADER, len, .. } = chunk::split(bytes) else { return None };
+    let ChunkParse::Whole { kind: types::HEADER, len, .. } = chunk::split(bytes) else {
+        return None;
+    };
     let (body, crc) = bytes.get_mut(..len)?.split_last_chunk_mut::<4>()?;
     let difference = crc32fast::hash(body) ^ u32::from_le_bytes(*crc);
     // The wrong byte is in the CRC itself.

@@ -2,21 +2,21 @@
 
 use std::io::{Read, Seek, SeekFrom, Write};
 
-use super::{OutputChunk, RECOVERED, Survey};
+use super::{OutputChunk, RECOVERED, RecoveryScan};
 use crate::{
     TakeError,
-    chunk::{self, CHUNK_HELD_MAX, Front},
+    chunk::{self, CHUNK_HELD_MAX, ChunkParse},
     reader::repair_head,
     record::{Event, EventKind, Header, SummaryRecord},
-    stretch::{FrontWriter, NUMBERS, ROWS_PASSED_MAX, Span},
+    stretch::{NUMBERS, ROWS_PASSED_MAX, Span, StretchHeaderWriter},
     timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
 };
 
-impl Survey {
+impl RecoveryScan {
     /// A short summary of the losses, for readers of the new take.
     #[must_use]
-    pub fn losses_in_words(&self) -> String {
+    pub fn loss_summary(&self) -> String {
         if !self.lost_anything() {
             return "nothing was lost".to_owned();
         }
@@ -52,7 +52,7 @@ impl Survey {
         software: &str,
     ) -> Result<u64, TakeError> {
         let mut header = self.header.clone();
-        let note = format!("by {software}: {}", self.losses_in_words());
+        let note = format!("by {software}: {}", self.loss_summary());
         header.settings.push((RECOVERED.to_owned(), note.clone()));
         let mut take = TakeWriter::new(output, &header)?;
         let mut headers = header_writer(&header);
@@ -89,15 +89,18 @@ impl Survey {
     }
 }
 
-fn header_writer(header: &Header) -> FrontWriter {
+fn header_writer(header: &Header) -> StretchHeaderWriter {
     let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
-    FrontWriter::with_times(header.stretch_rows, TimelineEncoder::new(tick_hz, header.rate_hz))
+    StretchHeaderWriter::with_times(
+        header.stretch_rows,
+        TimelineEncoder::new(tick_hz, header.rate_hz),
+    )
 }
 
 /// Writes stretches without rows in place of lost rows, and an event that reports the loss.
 fn write_lost<W: Write>(
     take: &mut TakeWriter<W>,
-    headers: &mut FrontWriter,
+    headers: &mut StretchHeaderWriter,
     first_row: u64,
     rows: u64,
     number: u8,
@@ -148,11 +151,11 @@ fn read_chunk(
 
 /// The payload of a chunk that is valid, or whose head can be repaired.
 fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
-    if !matches!(chunk::front(bytes), Front::Whole { .. }) {
+    if !matches!(chunk::parse(bytes), ChunkParse::Whole { .. }) {
         repair_head(bytes);
     }
-    match chunk::front(bytes) {
-        Front::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
+    match chunk::parse(bytes) {
+        ChunkParse::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
             Ok(payload)
         }
         _ => Err(changed(offset)),

@@ -1,6 +1,8 @@
 //! Continuity from stretch to stretch: the first row of each, and the state of the clocks before it.
 
-use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, header::StretchHeader, rows_max, take_blocks};
+use super::{
+    NUMBERS, ROWS_PASSED_MAX, Span, Stretch, header::StretchHeader, rows_max, take_blocks,
+};
 use crate::{
     TakeError,
     record::Header,

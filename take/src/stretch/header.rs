@@ -3,7 +3,7 @@
 use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, RUNS_MAX, Span, StretchSizes};
 use crate::{
     TakeError,
-    timeline::{Causes, Run, Timeline, TimelineEncoder, take_times},
+    timeline::{LossCauses, RowRun, Timeline, TimelineEncoder, take_times},
     varint,
 };
 
@@ -19,12 +19,12 @@ const SHARED: u8 = 8;
 
 /// Writes the headers of a take's stretches, in order.
 #[derive(Debug)]
-pub struct FrontWriter {
+pub struct StretchHeaderWriter {
     stretch_rows: u32,
     times: Option<TimelineEncoder>,
 }
 
-impl FrontWriter {
+impl StretchHeaderWriter {
     /// A writer for stretches without time lines, as in imports. `stretch_rows` is that of the take's HEADER.
     #[must_use]
     pub fn new(stretch_rows: u32) -> Self {
@@ -99,7 +99,7 @@ pub(crate) struct StretchHeader<'a> {
     pub(crate) from_row: Option<u64>,
     pub(crate) n_rows: u32,
     /// With a time line: the runs of rows from `from_row` on.
-    pub(crate) runs: Option<Vec<Run>>,
+    pub(crate) runs: Option<Vec<RowRun>>,
     /// Rows from `from_row` to the end: `n_rows`, and those lost before.
     pub(crate) rows_passed: u64,
     pub(crate) times: &'a [u8],
@@ -153,10 +153,10 @@ impl<'a> StretchHeader<'a> {
         let runs = match shape & (HAS_TIMES | RUNS_LISTED) {
             0 => None,
             HAS_TIMES if n_rows == 0 => Some(Vec::new()),
-            HAS_TIMES => Some(vec![Run { rows: n_rows, lost: None }]),
+            HAS_TIMES => Some(vec![RowRun { rows: n_rows, lost: None }]),
             _ => Some(take_runs(cursor).ok_or("its runs are invalid")?),
         };
-        let rows_of = |runs: &[Run], all: bool| {
+        let rows_of = |runs: &[RowRun], all: bool| {
             let runs = runs.iter().filter(|run| all || run.lost.is_none());
             runs.fold(0_u64, |sum, run| sum.saturating_add(run.rows))
         };
@@ -204,25 +204,25 @@ impl StretchHeader<'_> {
     }
 }
 
-fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<Run>> {
+fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<RowRun>> {
     let n_runs = cursor.varint().filter(|&n| n <= RUNS_MAX)?;
     let mut runs = Vec::new();
     for _ in 0..n_runs {
         let head = cursor.varint()?;
-        let lost = if head & 1 == 1 { Some(Causes(cursor.byte()?)) } else { None };
+        let lost = if head & 1 == 1 { Some(LossCauses(cursor.byte()?)) } else { None };
         let rows = Some(head >> 1).filter(|&rows| rows > 0)?;
-        runs.push(Run { rows, lost });
+        runs.push(RowRun { rows, lost });
     }
     Some(runs)
 }
 
-/// Appends `payload`, made by [`FrontWriter`], for another take: with stretch number `number`, and with row
+/// Appends `payload`, made by [`StretchHeaderWriter`], for another take: with stretch number `number`, and with row
 /// `rows_before` of the original recording as row 0. Only the number and the row of a key stretch are rewritten;
 /// nothing is decoded.
 ///
 /// # Errors
 /// `InvalidArgument` for a payload without a complete header, or a stretch that begins before the take.
-pub fn put_moved(
+pub fn put_renumbered(
     payload: &[u8],
     rows_before: u64,
     number: u8,

@@ -3,11 +3,11 @@
 use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 
 use super::{
-    FrontWriter, LIVE_ROWS_MAX, NUMBERS, Placement, Span, Stretch, StretchChain, StretchDecoder,
-    StretchSizes, put_block, put_moved, take_blocks,
+    LIVE_ROWS_MAX, NUMBERS, Placement, Span, Stretch, StretchChain, StretchDecoder,
+    StretchHeaderWriter, StretchSizes, put_block, put_renumbered, take_blocks,
 };
 use crate::{
-    timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder},
+    timeline::{LossCauses, RowRun, RowTime, Timeline, TimelineEncoder},
     varint,
 };
 
@@ -17,18 +17,18 @@ const STRETCH_ROWS: u32 = 30;
 /// Payloads of `n` stretches with some loss, and the spans and time lines that they encode.
 fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
     let times = TimelineEncoder::new(TICK_HZ, 60.0);
-    let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+    let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
     let mut row = 0;
     let stretch = |i: u64| {
         let mut timeline = Timeline::default();
         timeline.restart(row);
         let rows = if i == 0 || i % 7 == 3 { 6 } else { STRETCH_ROWS.into() };
         let lost_before = if i % 5 == 4 { 100 } else { 0 };
-        timeline.push_lost(lost_before, Causes::NOT_RECEIVED);
+        timeline.push_lost(lost_before, LossCauses::NOT_RECEIVED);
         while timeline.n_rows() < lost_before + rows {
             let at = row + timeline.n_rows();
             if i % 6 == 5 && at % 30 == 10 {
-                timeline.push_lost(1, Causes::RING_FULL);
+                timeline.push_lost(1, LossCauses::RING_FULL);
             }
             timeline.push(RowTime {
                 device_ticks: at * 1_000_000 / 60,
@@ -127,10 +127,10 @@ fn what_may_have_hidden_a_stretch_breaks_the_chain() {
 #[test]
 fn a_take_may_end_with_lost_rows() {
     let times = TimelineEncoder::new(TICK_HZ, 60.0);
-    let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+    let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
     let mut timeline = Timeline::default();
     timeline.restart(0);
-    timeline.push_lost(77, Causes::DISCONNECTED);
+    timeline.push_lost(77, LossCauses::DISCONNECTED);
     let span = Span { first_row: 77, n_rows: 0, key: true, number: 0 };
     let mut payload = Vec::new();
     front.put(span, &timeline, &[], false, &mut payload);
@@ -138,12 +138,12 @@ fn a_take_may_end_with_lost_rows() {
     let stretch = placed(&mut chain, &payload).unwrap();
     assert_eq!((stretch.span, stretch.blocks.len()), (span, 0));
     let runs = stretch.timeline.unwrap().runs;
-    assert_eq!(runs, [Run { rows: 77, lost: Some(Causes::DISCONNECTED) }]);
+    assert_eq!(runs, [RowRun { rows: 77, lost: Some(LossCauses::DISCONNECTED) }]);
 }
 
 #[test]
 fn an_import_has_no_time_line_and_states_every_row() {
-    let mut front = FrontWriter::new(600);
+    let mut front = StretchHeaderWriter::new(600);
     let mut chain = StretchChain::new(LIVE_ROWS_MAX, 600, 1);
     for (number, n_rows) in [(0, 600), (1, 600), (2, 55)] {
         let span = Span { first_row: u64::from(number) * 600, n_rows, key: true, number };
@@ -236,7 +236,7 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
         for (number, (span, timeline, payload)) in all[begin..].iter().enumerate() {
             let number = (number % usize::from(NUMBERS)) as u8;
             let mut moved = Vec::new();
-            put_moved(payload, rows_before, number, &mut moved).unwrap();
+            put_renumbered(payload, rows_before, number, &mut moved).unwrap();
             let stretch = placed(&mut chain, &moved).unwrap();
             assert!(!stretch.missing_before);
             let span = Span { first_row: span.first_row - rows_before, number, ..*span };
@@ -246,7 +246,10 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
         }
     }
     let mut out = Vec::new();
-    assert!(put_moved(&[], 0, 0, &mut out).is_err());
+    assert!(put_renumbered(&[], 0, 0, &mut out).is_err());
     let key = &all[20];
-    assert!(put_moved(&key.2, key.1.first_row + 1, 0, &mut out).is_err(), "begins before the take");
+    assert!(
+        put_renumbered(&key.2, key.1.first_row + 1, 0, &mut out).is_err(),
+        "begins before the take"
+    );
 }

@@ -2,7 +2,7 @@
 
 use proptest::prelude::{Just, Strategy, any, prop, prop_oneof, proptest};
 
-use super::{Causes, RowTime, Timeline, TimelineDecoder, TimelineEncoder, take_times};
+use super::{LossCauses, RowTime, Timeline, TimelineDecoder, TimelineEncoder, take_times};
 use crate::varint::Cursor;
 
 /// The rows of one stretch.
@@ -38,11 +38,14 @@ fn timeline(first_row: u64, part: &TestRows) -> Timeline {
     let mut timeline = Timeline::default();
     timeline.restart(first_row);
     for (i, &rows) in part.lost_before.iter().enumerate() {
-        timeline.push_lost(rows, if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL });
+        timeline.push_lost(
+            rows,
+            if i % 2 == 0 { LossCauses::NOT_RECEIVED } else { LossCauses::RING_FULL },
+        );
     }
     for (i, &time) in part.times.iter().enumerate() {
         timeline.push(time);
-        timeline.push_lost(u64::from(part.lost_within && i % 11 == 5), Causes::NOT_RECEIVED);
+        timeline.push_lost(u64::from(part.lost_within && i % 11 == 5), LossCauses::NOT_RECEIVED);
     }
     timeline
 }

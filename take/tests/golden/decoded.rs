@@ -6,7 +6,7 @@ use mocapd_take::{
     reader::read_events,
     record::{Channel, Event, Ledger},
     stretch::{Stretch, StretchDecoder},
-    timeline::{Causes, RowTime},
+    timeline::{LossCauses, RowTime},
 };
 
 /// The decoded content of a take.
@@ -19,7 +19,7 @@ pub(crate) struct Decoded {
     /// The recorded rows.
     pub(crate) times: Vec<(u64, RowTime)>,
     /// First row, rows and causes.
-    pub(crate) lost: Vec<(u64, u64, Causes)>,
+    pub(crate) lost: Vec<(u64, u64, LossCauses)>,
     pub(crate) events: Vec<Event>,
     pub(crate) ledgers: Vec<Ledger>,
     pub(crate) stated_mm: f64,

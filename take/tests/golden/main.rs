@@ -81,8 +81,8 @@ fn another_version_is_refused_with_its_number() {
     for golden in GOLDENS {
         let take = stored(&golden);
         let behind_magic = chunk::MAGIC.len();
-        let chunk::Front::Whole { kind: Header::KIND, payload, len } =
-            chunk::front(&take[behind_magic..])
+        let chunk::ChunkParse::Whole { kind: Header::KIND, payload, len } =
+            chunk::parse(&take[behind_magic..])
         else {
             panic!("{}: no header in front", golden.name)
         };

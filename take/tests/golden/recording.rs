@@ -4,7 +4,7 @@ use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::{
     TakeWriter,
     record::{ClockFit, Device, Event, EventKind, Header, Ledger},
-    stretch::{FrontWriter, Span, put_block},
+    stretch::{Span, StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
 };
 
@@ -44,7 +44,7 @@ impl Golden {
         let mut groups = [settings.encoder(), settings.encoder()];
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
         let times = TimelineEncoder::new(TICK_HZ, header.rate_hz);
-        let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+        let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
         let mut ledger = Ledger::default();
         for (i, (plan, timeline)) in PLANS.iter().zip(&timelines).enumerate() {
             if i == APPEAR {

@@ -4,7 +4,7 @@ use mocapd_codec::{BlockEncoder, BlockReport, ResamplerKind, Rows, Settings, Tol
 use mocapd_take::{
     TakeWriter,
     record::{CODEC_VERSION, Channel, Header, ImportSource, Ledger},
-    stretch::{FrontWriter, Span, put_block},
+    stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
 };
 
@@ -112,7 +112,7 @@ impl Golden {
         let settings = self.settings();
         let mut encoder = settings.encoder();
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
-        let mut front = FrontWriter::new(STRETCH_ROWS);
+        let mut front = StretchHeaderWriter::new(STRETCH_ROWS);
         let mut ledger = Ledger { finished: true, ..Ledger::default() };
         for (number, first) in (0..n_rows).step_by(STRETCH_ROWS as usize).enumerate() {
             let end = n_rows.min(first + STRETCH_ROWS as usize);

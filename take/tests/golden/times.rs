@@ -1,6 +1,6 @@
 //! The times and losses of a recording's rows: seeded, in integers.
 
-use mocapd_take::timeline::{Causes, RowTime, Timeline};
+use mocapd_take::timeline::{LossCauses, RowTime, Timeline};
 
 use super::motion::Random;
 
@@ -18,29 +18,34 @@ pub(crate) const STRETCH_ROWS: u32 = 60;
 pub(crate) struct Plan {
     pub(crate) key: bool,
     /// Rows lost before it, and the causes.
-    pub(crate) lost_before: (u64, Causes),
+    pub(crate) lost_before: (u64, LossCauses),
     pub(crate) n_rows: u32,
     /// Offsets of rows lost inside it, and the causes.
-    pub(crate) lost: &'static [(u64, Causes)],
+    pub(crate) lost: &'static [(u64, LossCauses)],
     /// No marker is visible.
     pub(crate) empty: bool,
 }
 
-const NOTHING: Plan =
-    Plan { key: false, lost_before: (0, Causes(0)), n_rows: STRETCH_ROWS, lost: &[], empty: false };
+const NOTHING: Plan = Plan {
+    key: false,
+    lost_before: (0, LossCauses(0)),
+    n_rows: STRETCH_ROWS,
+    lost: &[],
+    empty: false,
+};
 
 /// Three and a half seconds: a short first stretch, an empty one, rows lost for every cause, two keys.
 pub(crate) const PLANS: [Plan; 8] = [
     Plan { key: true, n_rows: 6, ..NOTHING },
     NOTHING,
-    Plan { lost: &[(20, Causes::NOT_RECEIVED), (21, Causes::NOT_RECEIVED)], ..NOTHING },
+    Plan { lost: &[(20, LossCauses::NOT_RECEIVED), (21, LossCauses::NOT_RECEIVED)], ..NOTHING },
     Plan { empty: true, ..NOTHING },
-    Plan { lost: &[(9, Causes::RING_FULL), (10, Causes::NOT_RECEIVED)], ..NOTHING },
+    Plan { lost: &[(9, LossCauses::RING_FULL), (10, LossCauses::NOT_RECEIVED)], ..NOTHING },
     // Not received while the device was disconnected.
-    Plan { key: true, lost_before: (70, Causes(1 | 4)), ..NOTHING },
+    Plan { key: true, lost_before: (70, LossCauses(1 | 4)), ..NOTHING },
     Plan { n_rows: 27, ..NOTHING },
     // The take ends with lost rows.
-    Plan { lost_before: (4, Causes::NOT_RECEIVED), n_rows: 0, ..NOTHING },
+    Plan { lost_before: (4, LossCauses::NOT_RECEIVED), n_rows: 0, ..NOTHING },
 ];
 
 /// Number of rows.

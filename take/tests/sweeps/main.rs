@@ -29,7 +29,7 @@ use mocapd_take::{
     damage::Problem,
     motion::{FrameSource, GAP, Position, is_gap},
     reader::read_events,
-    recovery::Survey,
+    recovery::RecoveryScan,
     timeline::{RowTime, Timeline},
 };
 
@@ -152,9 +152,9 @@ impl Whole {
 
     /// Recovers a damaged copy: the new take has `samples` samples and no problem.
     fn check_recovered(&self, damaged: &[u8], samples: usize, what: &str) {
-        let survey = Survey::read(damaged).unwrap();
+        let scan = RecoveryScan::read(damaged).unwrap();
         let mut new = Vec::new();
-        survey.write(Cursor::new(damaged), &mut new, "sweeps").unwrap();
+        scan.write(Cursor::new(damaged), &mut new, "sweeps").unwrap();
         let mut recovered = 0;
         let (_, problems) = read(&new, |at, row| {
             for (&got, &wanted) in row.iter().zip(&self.rows[at]) {
@@ -166,7 +166,7 @@ impl Whole {
         .unwrap();
         assert!(problems.is_empty(), "{what}: {problems:?}");
         assert_eq!(recovered, samples, "{what}: other samples are recovered than can be read");
-        assert!(survey.ledger.closes(), "{what}: {:?}", survey.ledger);
+        assert!(scan.ledger.closes(), "{what}: {:?}", scan.ledger);
     }
 }
 

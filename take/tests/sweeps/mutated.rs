@@ -5,10 +5,10 @@ use std::{collections::BTreeSet, io::Cursor, ops::Range, time::Instant};
 
 use mocapd_take::{
     TakeError, TakeFrames, TakeMap, TakeTraversal,
-    chunk::{self, Front},
+    chunk::{self, ChunkParse},
     damage::{Problem, Refusal},
     motion::FrameSource,
-    recovery::Survey,
+    recovery::RecoveryScan,
     traversal::Decode,
 };
 
@@ -33,7 +33,7 @@ const GAP: [u32; 3] = [f32::NAN.to_bits(); 3];
 fn chunks(take: &[u8]) -> Vec<Range<usize>> {
     let mut at = chunk::MAGIC.len();
     let mut chunks = Vec::new();
-    while let Front::Whole { len, .. } = chunk::front(&take[at..]) {
+    while let ChunkParse::Whole { len, .. } = chunk::parse(&take[at..]) {
         chunks.push(at..at + len);
         at += len;
     }
@@ -68,7 +68,8 @@ fn mutate(take: &mut Vec<u8>, random: &mut Random) {
         }
         // Change the payload and make the CRC match.
         _ => {
-            let Front::Whole { kind, payload, .. } = chunk::front(&take[chosen.clone()]) else {
+            let ChunkParse::Whole { kind, payload, .. } = chunk::parse(&take[chosen.clone()])
+            else {
                 return;
             };
             let mut payload = payload.to_vec();
@@ -125,7 +126,7 @@ fn in_pieces(take: &[u8], map: &TakeMap, n: usize) -> Result<Read, TakeError> {
     read.add_problems(&map.problems);
     let n_markers = map.channels.len();
     read.frames = vec![vec![GAP; n_markers]; map.n_rows as usize];
-    let new = || TakeTraversal::of_map(Cursor::new(take), map, Decode::All);
+    let new = || TakeTraversal::from_map(Cursor::new(take), map, Decode::All);
     let mut readers = [new()?, new()?];
     for (i, rows) in map.pieces(&(0..map.n_rows), n).into_iter().enumerate() {
         readers[i / 2 % 2].read_rows(&rows, |take, held, offset| {
@@ -180,8 +181,8 @@ fn whole(take: &[u8]) -> Result<Read, TakeError> {
 fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> {
     // No way of reading goes through days of lost rows row by row.
     let map = TakeMap::scan(&mut Cursor::new(take))?;
-    let survey = Survey::read(take)?;
-    if map.n_rows.max(survey.rows) > ROWS_MAX {
+    let scan = RecoveryScan::read(take)?;
+    if map.n_rows.max(scan.rows) > ROWS_MAX {
         return Ok(());
     }
     let all = whole(take)?;
@@ -193,8 +194,8 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
         matches!(problem, Problem::Refused { refusal: Refusal::Undecodable(_), .. })
     };
     // Stretches that cannot be decoded may have rows and name channels, which the map counts.
-    let is_decodable = !survey.problems.iter().any(undecodable);
-    let is_same = map.n_rows == survey.rows && labels(&map.channels) == labels(&survey.channels);
+    let is_decodable = !scan.problems.iter().any(undecodable);
+    let is_same = map.n_rows == scan.rows && labels(&map.channels) == labels(&scan.channels);
     if !is_same {
         assert!(!is_decodable, "{what}: rows or names");
         return Ok(());
@@ -217,10 +218,10 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     };
     assert!(read.frames == all.frames, "{what}: frame by frame, other frames");
     if is_decodable {
-        assert_eq!(map.damage, survey.damage, "{what}: damage");
+        assert_eq!(map.damage, scan.damage, "{what}: damage");
         assert_eq!(read.problems, all.problems, "{what}: frame by frame");
     }
-    let samples: u64 = survey.per_channel.iter().map(|channel| channel.samples).sum();
+    let samples: u64 = scan.per_channel.iter().map(|channel| channel.samples).sum();
     assert_eq!(samples, all.n_samples as u64, "{what}: samples in the scan");
 
     let n = [3, 100][random.below(2)];
@@ -230,7 +231,7 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     let by_heads = TakeMap::open(&mut Cursor::new(take))?;
     let is_known = by_heads.n_rows == map.n_rows
         && by_heads.channels == map.channels
-        && !survey.problems.iter().any(is_twice);
+        && !scan.problems.iter().any(is_twice);
     if is_known && by_heads.keys != map.keys {
         // The index is wrong, with a matching CRC.
         let pieces = in_pieces(take, &by_heads, n)?;
@@ -249,7 +250,7 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     same(&behind.problems, &format!("{what}: from frame {from}"));
 
     let mut recovered = Vec::new();
-    survey.write(Cursor::new(take), &mut recovered, "sweeps")?;
+    scan.write(Cursor::new(take), &mut recovered, "sweeps")?;
     let (again, _) = frames(&recovered, 0)?;
     assert!(again.problems.is_empty(), "{what}: recovered, {:?}", again.problems);
     assert!(again.frames == all.frames, "{what}: recovered, it is another");

@@ -4,8 +4,8 @@ use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
     record::{Channel, Clock, ClockPoint, Device, Event, EventKind, Header, Ledger, Subject},
-    stretch::{FrontWriter, NUMBERS, Span, put_block},
-    timeline::{Causes, RowTime, Timeline, TimelineEncoder},
+    stretch::{NUMBERS, Span, StretchHeaderWriter, put_block},
+    timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
 };
 
 const STRETCHES: usize = 100;
@@ -68,7 +68,7 @@ pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
     let mut writer = TakeWriter::new(Vec::new(), &header(&settings)).unwrap();
     writer.subject(&subject()).unwrap();
     let times = TimelineEncoder::new(1_000_000, 60.0);
-    let mut front = FrontWriter::with_times(ROWS as u32, times);
+    let mut front = StretchHeaderWriter::with_times(ROWS as u32, times);
     let mut encoder = settings.encoder();
     let mut ledger = Ledger::default();
     let mut first_row = 0;
@@ -81,7 +81,7 @@ pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
         let mut timeline = Timeline::default();
         timeline.restart(first_row);
         if stretch % 7 == 3 {
-            timeline.push_lost(5, Causes::NOT_RECEIVED);
+            timeline.push_lost(5, LossCauses::NOT_RECEIVED);
             ledger.lost_on_link += 5;
         }
         let from = first_row + timeline.n_rows();

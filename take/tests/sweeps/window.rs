@@ -16,8 +16,8 @@ use mocapd_take::{
     motion::{Foreign, UpAxis},
     reader::{feed, read_events},
     record::{Channel, Header, Ledger},
-    recovery::Survey,
-    stretch::{FrontWriter, Span, put_block},
+    recovery::RecoveryScan,
+    stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
 };
 
@@ -106,7 +106,7 @@ fn found(take: &[u8]) -> Found {
 fn chunks(take: &[u8]) -> Vec<&[u8]> {
     let mut rest = &take[chunk::MAGIC.len()..];
     let mut chunks = Vec::new();
-    while let chunk::Front::Whole { len, .. } = chunk::front(rest) {
+    while let chunk::ChunkParse::Whole { len, .. } = chunk::parse(rest) {
         let (chunk, behind) = rest.split_at(len);
         chunks.push(chunk);
         rest = behind;
@@ -241,9 +241,9 @@ fn a_long_record_is_damaged_and_what_is_unknown_is_skipped() {
         assert_eq!((read.damaged, read.skipped), (damaged, skipped), "type {kind:02x}");
 
         // A copied index would give the offsets of another file.
-        let survey = Survey::read(&with_long).unwrap();
+        let scan = RecoveryScan::read(&with_long).unwrap();
         let mut recovered = Vec::new();
-        survey.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
+        scan.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
         let is_copied = is_skipped && kind != types::INDEX;
         let again = found(&recovered);
         assert_eq!(again.damaged, [], "type {kind:02x}");
@@ -259,7 +259,7 @@ fn the_cut_off_is_reported_after_any_number_of_problems() {
     chunk::put(&mut empty, types::EVENT, &[]).unwrap();
     let mut cut = chunk::MAGIC.to_vec();
     chunks(&take)[..5].iter().for_each(|chunk| cut.extend_from_slice(chunk));
-    let last = |take: &[u8]| Survey::read(take).unwrap().problems.last().cloned();
+    let last = |take: &[u8]| RecoveryScan::read(take).unwrap().problems.last().cloned();
     let expected = last(&cut);
     assert!(expected.is_some());
     cut.extend(empty.repeat(10_100));
@@ -310,15 +310,15 @@ fn a_valid_long_chunk_is_skipped_and_found_behind_damage() {
     let kept = &mocapd_take::motion::FrameSource::info(&frames).foreign;
     assert_eq!(kept[0], Foreign { kind: "c3d/analog".to_owned(), data: data.into() });
     let mut recovered = Vec::new();
-    let survey = Survey::read(&with_long).unwrap();
-    survey.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
-    assert!(!survey.lost_anything());
+    let scan = RecoveryScan::read(&with_long).unwrap();
+    scan.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
+    assert!(!scan.lost_anything());
     assert!(recovered.windows(long.len()).step_by(1).take(10_000).any(|part| part == long));
     let again = found(&recovered);
     assert_eq!((again.foreign, again.finished), (parts, true));
     let mut changed = with_long.clone();
     changed[at as usize + MIB] ^= 1;
-    let error = survey.write(Cursor::new(&changed), Vec::new(), "sweeps").unwrap_err();
+    let error = scan.write(Cursor::new(&changed), Vec::new(), "sweeps").unwrap_err();
     assert!(matches!(error, TakeError::Corrupt { .. }), "{error}");
 }
 
@@ -353,7 +353,7 @@ fn long_stretches() -> (Vec<u8>, Vec<u64>) {
     let (mut block, mut reports) = (Vec::new(), [BlockReport::default(); CHANNELS]);
     settings.encoder().encode(&rows, &[], true, &mut block, &mut reports).unwrap();
     let mut writer = TakeWriter::new(Vec::new(), &header).unwrap();
-    let mut front = FrontWriter::new(ROWS as u32);
+    let mut front = StretchHeaderWriter::new(ROWS as u32);
     let mut offsets = Vec::new();
     for number in 0..4 {
         let first_row = u64::from(number) * ROWS as u64;
@@ -392,13 +392,13 @@ fn stretches_that_are_longer_than_the_window_are_read_and_each_is_found() {
         assert_eq!(numbers, [0, 2, 3], "byte {at}");
         assert_eq!(read.damaged, [(offsets[1], offsets[2] - offsets[1])]);
         let map = TakeMap::scan(&mut Cursor::new(&hurt)).unwrap();
-        assert_eq!((map.n_rows, map.n_held), (400_000, Some(300_000)));
+        assert_eq!((map.n_rows, map.n_sampled_rows), (400_000, Some(300_000)));
     }
     let mut hurt = take.clone();
     hurt[offsets[1] as usize + 100] ^= 1;
-    let survey = Survey::read(&hurt).unwrap();
+    let scan = RecoveryScan::read(&hurt).unwrap();
     let mut recovered = Vec::new();
-    survey.write(Cursor::new(&hurt), &mut recovered, "sweeps").unwrap();
+    scan.write(Cursor::new(&hurt), &mut recovered, "sweeps").unwrap();
     let mut n_stretches = 0;
     read_events(&recovered, |event| {
         assert!(!matches!(event, TakeEvent::Damaged { .. }));

@@ -1,6 +1,6 @@
 //! A cluttered background: wood, walls and cloth, much of it in the colours of skin.
 
-use super::random::Random;
+use super::random::PictureRng;
 use super::raster::{Canvas, Colour};
 
 const SHAPES: usize = 22;
@@ -17,7 +17,7 @@ const COLOURS: [Colour; 8] = [
 ];
 
 /// Fills the canvas with clutter.
-pub(super) fn fill(canvas: &mut Canvas, random: &mut Random) {
+pub(super) fn fill(canvas: &mut Canvas, random: &mut PictureRng) {
     let size = canvas.size_px();
     let base: Colour = random.one_of(&COLOURS);
     let tilt = [random.between(-0.3, 0.3), random.between(-0.3, 0.3)];
@@ -31,7 +31,7 @@ pub(super) fn fill(canvas: &mut Canvas, random: &mut Random) {
 }
 
 /// Draws a slanted box or ellipse with a grain.
-fn shape(canvas: &mut Canvas, random: &mut Random, size: [f64; 2]) {
+fn shape(canvas: &mut Canvas, random: &mut PictureRng, size: [f64; 2]) {
     let colour: Colour = random.one_of(&COLOURS);
     let light = random.between(0.5, 1.3);
     let middle = size.map(|s| random.between(-0.1, 1.1) * s);

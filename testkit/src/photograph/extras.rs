@@ -2,7 +2,7 @@
 
 /// Glasses, beard, fringe and light of a sitter; none by default.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Extras {
+pub struct Occlusions {
     /// Thickness of the rims of glasses; 0 for none.
     pub rims_mm: f64,
     /// Density of a beard: 0 is none, 1 covers the skin.
@@ -21,7 +21,7 @@ const HAIRLINE_MM: f64 = 66.0;
 const MOUSTACHE_MM: f64 = -47.0;
 const CHEEKS: (f64, f64) = (45.0, -30.0);
 
-impl Extras {
+impl Occlusions {
     /// Whether all values can be drawn.
     pub(super) fn is_finite(&self) -> bool {
         let lengths = [self.rims_mm, self.beard, self.fringe_mm];

@@ -17,8 +17,8 @@ use image::RgbImage;
 use mocapd_face::model::{Camera, FeatureId, Model, ModelError, OUTER_EYES_MM};
 use thiserror::Error;
 
-pub use extras::Extras;
-pub use random::Random;
+pub use extras::Occlusions;
+pub use random::PictureRng;
 
 /// A picture to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,7 @@ pub struct Sitter {
     /// Seed of shape, skin, hair, eyes and light.
     pub seed: u64,
     /// Outer interocular distance of a frontal face of average width, pixels.
-    pub io_px: f64,
+    pub interocular_px: f64,
     /// See [`Camera::yaw_deg`].
     pub yaw_deg: f64,
     /// See [`Camera::pitch_deg`].
@@ -53,12 +53,12 @@ pub struct Sitter {
     /// Standard deviation of the shape's modes: 0 gives the average face, 1 the variation of the population.
     pub variety: f64,
     /// Glasses, beard, fringe and light.
-    pub extras: Extras,
+    pub extras: Occlusions,
 }
 
 /// Ground truth of one face in a picture.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Truth {
+pub struct GroundTruth {
     /// Pose of the head relative to the camera.
     pub camera: Camera,
     /// Standard deviations of the model's modes.
@@ -75,7 +75,7 @@ pub struct Picture {
     /// The pixels.
     pub image: RgbImage,
     /// One entry per sitter, in the order of the scene.
-    pub faces: Vec<Truth>,
+    pub faces: Vec<GroundTruth>,
 }
 
 /// Why a scene cannot be drawn.
@@ -97,19 +97,20 @@ impl Scene {
     pub const MAX_SIDE_PX: u32 = 4096;
 
     /// One centred face in a picture that is 4 interocular distances wide and 4.6 high.
-    pub fn portrait(seed: u64, io_px: f64, yaw_deg: f64) -> Self {
-        let side = |factor: f64| (factor * io_px).clamp(1.0, f64::from(Self::MAX_SIDE_PX)) as u32;
+    pub fn portrait(seed: u64, interocular_px: f64, yaw_deg: f64) -> Self {
+        let side =
+            |factor: f64| (factor * interocular_px).clamp(1.0, f64::from(Self::MAX_SIDE_PX)) as u32;
         let (width_px, height_px) = (side(4.0), side(4.6));
-        let eyes_px = [2.0 * io_px, 2.0 * io_px];
+        let eyes_px = [2.0 * interocular_px, 2.0 * interocular_px];
         let sitter = Sitter {
             seed,
-            io_px,
+            interocular_px,
             yaw_deg,
             pitch_deg: 0.0,
             roll_deg: 0.0,
             eyes_px,
             variety: 0.8,
-            extras: Extras::default(),
+            extras: Occlusions::default(),
         };
         Self { width_px, height_px, faces: vec![sitter], noise: 3.0, seed }
     }
@@ -125,7 +126,7 @@ impl Scene {
         }
         let model = Model::generic()?;
         let mut canvas = raster::Canvas::new(self.width_px, self.height_px);
-        clutter::fill(&mut canvas, &mut Random::new(self.seed ^ 0xb0c4));
+        clutter::fill(&mut canvas, &mut PictureRng::new(self.seed ^ 0xb0c4));
         let mut faces = Vec::new();
         for (number, sitter) in self.faces.iter().enumerate() {
             if !sitter.is_valid() {
@@ -134,7 +135,7 @@ impl Scene {
             canvas.clear_depth();
             faces.push(sitter.draw(model, &mut canvas));
         }
-        let image = canvas.to_image(self.noise, &mut Random::new(self.seed ^ 0x5e45));
+        let image = canvas.to_image(self.noise, &mut PictureRng::new(self.seed ^ 0x5e45));
         Ok(Picture { image, faces })
     }
 }
@@ -152,16 +153,16 @@ impl Sitter {
         let most = f64::from(Scene::MAX_SIDE_PX);
         self.extras.is_finite()
             && numbers.iter().all(|v| v.abs() < 1e6)
-            && (1.0..=most).contains(&self.io_px)
+            && (1.0..=most).contains(&self.interocular_px)
     }
 
-    fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> Truth {
-        let mut random = Random::new(self.seed);
+    fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> GroundTruth {
+        let mut random = PictureRng::new(self.seed);
         // Clipped, because shapes beyond a few standard deviations are unnatural.
         let mut amount = || self.variety * random.normal().clamp(-2.0, 2.0);
         let coefficients: Vec<f64> = model.modes.iter().map(|_| amount()).collect();
         let camera = Camera {
-            scale_px_per_mm: self.io_px / OUTER_EYES_MM,
+            scale_px_per_mm: self.interocular_px / OUTER_EYES_MM,
             yaw_deg: self.yaw_deg,
             pitch_deg: self.pitch_deg,
             roll_deg: self.roll_deg,
@@ -171,7 +172,7 @@ impl Sitter {
         let palette = paint::Palette::new(&mut random).with(self.extras);
         head::draw(model, &vertices_mm, &camera, &palette, canvas);
         let places = model.feature_points(&vertices_mm, &camera.rotation());
-        Truth {
+        GroundTruth {
             camera,
             coefficients,
             points_px: camera.project(&places),
@@ -180,7 +181,7 @@ impl Sitter {
     }
 }
 
-impl Truth {
+impl GroundTruth {
     /// Position of one of the 53 landmarks, pixels.
     pub fn at(&self, id: FeatureId) -> [f64; 2] {
         let [x, y, _] = self.points_px[id.index()];

@@ -2,8 +2,8 @@
 
 use mocapd_face::model::Model;
 
-use super::extras::Extras;
-use super::random::Random;
+use super::extras::Occlusions;
+use super::random::PictureRng;
 use super::raster::{Colour, Fragment, unit};
 
 /// Linear albedo of skin, from very light to very dark.
@@ -41,7 +41,7 @@ pub(super) struct Palette {
     iris: Colour,
     lips: Colour,
     light: [f64; 3],
-    extras: Extras,
+    extras: Occlusions,
 }
 
 /// Positions of the features on the average face, in front view. Paint keeps its place on the skin when the shape
@@ -56,7 +56,7 @@ pub(super) struct FaceLayout {
 }
 
 impl Palette {
-    pub(super) fn new(random: &mut Random) -> Self {
+    pub(super) fn new(random: &mut PictureRng) -> Self {
         let shade = random.between(0.85, 1.1);
         let skin = random.one_of(&SKINS).map(|c| c * shade);
         // Lips are redder than skin: darker, most of all in green and blue.
@@ -64,11 +64,11 @@ impl Palette {
         let light = unit([random.between(-0.7, 0.7), random.between(0.1, 0.8), 1.0]);
         let (hair, clothes, iris) =
             (random.one_of(&HAIRS), random.one_of(&CLOTHES), random.one_of(&IRISES));
-        Self { skin, hair, clothes, iris, lips, light, extras: Extras::default() }
+        Self { skin, hair, clothes, iris, lips, light, extras: Occlusions::default() }
     }
 
     /// Adds glasses, beard and fringe, and sets the light if given.
-    pub(super) fn with(self, extras: Extras) -> Self {
+    pub(super) fn with(self, extras: Occlusions) -> Self {
         Self { light: extras.light.map_or(self.light, unit), extras, ..self }
     }
 

@@ -2,9 +2,9 @@
 
 /// A stream of random numbers, the same on every machine: splitmix64 (Steele, Lea and Flood 2014).
 #[derive(Debug, Clone)]
-pub struct Random(u64);
+pub struct PictureRng(u64);
 
-impl Random {
+impl PictureRng {
     /// The stream of a seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {

@@ -2,7 +2,7 @@
 
 use image::{Rgb, RgbImage};
 
-use super::random::Random;
+use super::random::PictureRng;
 
 /// Each pixel is the average of this many by this many samples.
 pub(super) const OVERSAMPLING: u32 = 2;
@@ -105,7 +105,7 @@ impl Canvas {
     }
 
     /// The picture: samples averaged, gamma-encoded (1 / 2.2), with noise added.
-    pub(super) fn to_image(&self, noise: f64, random: &mut Random) -> RgbImage {
+    pub(super) fn to_image(&self, noise: f64, random: &mut PictureRng) -> RgbImage {
         let n = OVERSAMPLING as usize;
         RgbImage::from_fn((self.width / n) as u32, (self.height / n) as u32, |x, y| {
             let mut sum = [0.0; 3];

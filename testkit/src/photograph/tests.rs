@@ -70,8 +70,8 @@ fn scenes_out_of_range_are_refused() {
         Err(RenderError::Size(_, 5000))
     ));
     for change in [
-        |s: &mut Sitter| s.io_px = f64::NAN,
-        |s: &mut Sitter| s.io_px = 1e9,
+        |s: &mut Sitter| s.interocular_px = f64::NAN,
+        |s: &mut Sitter| s.interocular_px = 1e9,
         |s: &mut Sitter| s.yaw_deg = f64::INFINITY,
         |s: &mut Sitter| s.eyes_px = [1e9, 0.0],
     ] {
@@ -105,7 +105,7 @@ fn a_beard_covers_the_chin_but_not_nose_and_lips() {
     for seed in 0..8 {
         let mut scene = Scene { noise: 0.0, ..Scene::portrait(seed, 90.0, 0.0) };
         let plain = scene.render().unwrap();
-        scene.faces[0].extras = Extras { beard: 0.9, ..Extras::default() };
+        scene.faces[0].extras = Occlusions { beard: 0.9, ..Occlusions::default() };
         let worn = scene.render().unwrap();
         let at = |name: &str| plain.faces[0].at(FeatureId::from_name(name).unwrap());
         let change = |[x, y]: [f64; 2]| {
@@ -130,9 +130,9 @@ fn rims_stay_below_the_brow_and_a_fringe_above() {
     let (mut rims, mut fringe) = (0, 0);
     let mut scene = Scene { noise: 0.0, ..Scene::portrait(1, 90.0, 0.0) };
     let plain = scene.render().unwrap().image;
-    scene.faces[0].extras = Extras { rims_mm: 2.5, ..Extras::default() };
+    scene.faces[0].extras = Occlusions { rims_mm: 2.5, ..Occlusions::default() };
     let rimmed = scene.render().unwrap().image;
-    scene.faces[0].extras = Extras { fringe_mm: 30.0, ..Extras::default() };
+    scene.faces[0].extras = Occlusions { fringe_mm: 30.0, ..Occlusions::default() };
     let fringed = scene.render().unwrap().image;
     let eyes = scene.faces[0].eyes_px[1];
     for (x, y, pixel) in plain.enumerate_pixels() {

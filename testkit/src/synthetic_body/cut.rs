@@ -9,7 +9,7 @@ use super::{Point, unit};
 
 /// The part of a limb that is cut off, up to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum LimbPart {
     /// From the ankle.
     Foot,
     /// From the middle of the shank.
@@ -31,7 +31,7 @@ pub enum Part {
 /// Constructs the joint of one side.
 type OfSide = fn(Side) -> Joint;
 
-impl Part {
+impl LimbPart {
     /// All parts.
     pub const ALL: [Self; 8] = [
         Self::Foot,
@@ -78,9 +78,9 @@ impl Part {
 
 /// A cut through a limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cut {
+pub struct LimbCut {
     /// The part removed.
-    pub part: Part,
+    pub part: LimbPart,
     /// The side of the body.
     pub side: Side,
     /// Angle between the plane's normal and the bone.
@@ -96,10 +96,10 @@ const TRIES: usize = 16;
 
 /// Removes a part of a limb, selected by the seed; `None` when every plane tried removes more than the limb.
 #[must_use]
-pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, Cut)> {
+pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, LimbCut)> {
     let mut random = BodyRng::new(seed ^ 0x6375_7421);
     // Consecutive seeds select the parts in turn.
-    let part = Part::ALL[(seed % Part::ALL.len() as u64) as usize];
+    let part = LimbPart::ALL[(seed % LimbPart::ALL.len() as u64) as usize];
     let side = if random.between(0.0, 1.0) < 0.5 { Side::Left } else { Side::Right };
     let capped = random.between(0.0, 1.0) < 0.5;
     let (near, far, share) = part.cut_site();
@@ -118,7 +118,7 @@ pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, Cut)> 
         let [least, most] = part.surface_share();
         let taken = |rest: &Mesh| 1.0 - area(rest) / area(mesh);
         if let Some(found) = found.filter(|rest| (least..most).contains(&taken(rest))) {
-            return Some((found, Cut { part, side, tilt_deg, capped }));
+            return Some((found, LimbCut { part, side, tilt_deg, capped }));
         }
     }
     None

@@ -11,7 +11,7 @@ mod random;
 #[cfg(test)]
 mod tests;
 
-pub use cut::{Cut, Part, cut_limb};
+pub use cut::{LimbCut, LimbPart, cut_limb};
 pub use pose::Pose;
 
 use self::figure::Figure;
@@ -28,7 +28,7 @@ fn unit(direction: Point) -> Point {
 
 /// Resolution and orientation of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct BodyOptions {
     /// Number of faces, within 10 %. With fewer than 2000, limbs may merge.
     pub n_faces: usize,
     /// Rotate and move the body at random. Otherwise x is the subject's left, y is up, z is forward, and the soles are
@@ -36,7 +36,7 @@ pub struct Options {
     pub turned: bool,
 }
 
-impl Default for Options {
+impl Default for BodyOptions {
     /// Like the scans of Yu et al. 2008: 5000 faces, in a random orientation.
     fn default() -> Self {
         Self { n_faces: 5000, turned: true }
@@ -49,7 +49,7 @@ impl Default for Options {
 /// The seed determines stature (1.5 to 1.95 m), proportions and girths, which are the same in every pose, and the
 /// orientation.
 #[must_use]
-pub fn body(seed: u64, pose: Pose, options: Options) -> (Mesh, Joints) {
+pub fn body(seed: u64, pose: Pose, options: BodyOptions) -> (Mesh, Joints) {
     let figure = Figure::new(&mut BodyRng::new(seed), pose);
     let mut mesh = polygonise::surface(&figure.field, options.n_faces);
     let mut joints = Joints { estimates: figure.joints, sides_told: true, size_sigma: 0.0 };

@@ -4,14 +4,14 @@ use std::collections::HashMap;
 
 use mocapd_body::{Joint, Joints, Mesh, Side};
 
-use super::{Options, Point, Pose, body};
+use super::{BodyOptions, Point, Pose, body};
 
 fn each() -> impl Iterator<Item = (u64, Pose, Mesh, Joints)> {
     let seeds = 0..4;
     seeds.flat_map(|seed| {
         Pose::ALL.into_iter().map(move |pose| {
             let n_faces = if seed % 2 == 0 { 5000 } else { 9000 };
-            let (mesh, joints) = body(seed, pose, Options { n_faces, turned: seed > 1 });
+            let (mesh, joints) = body(seed, pose, BodyOptions { n_faces, turned: seed > 1 });
             (seed, pose, mesh, joints)
         })
     })
@@ -101,7 +101,7 @@ fn bones(joints: &Joints) -> Vec<f64> {
 
 #[test]
 fn a_pose_moves_bones_and_does_not_stretch_them() {
-    let of = |seed, pose| body(seed, pose, Options { n_faces: 2000, turned: true }).1;
+    let of = |seed, pose| body(seed, pose, BodyOptions { n_faces: 2000, turned: true }).1;
     let standing = bones(&of(3, Pose::A));
     for pose in Pose::ALL {
         for (a, b) in standing.iter().zip(bones(&of(3, pose))) {
@@ -113,7 +113,7 @@ fn a_pose_moves_bones_and_does_not_stretch_them() {
 
 #[test]
 fn left_is_left() {
-    let (_, joints) = body(5, Pose::Walk, Options { n_faces: 2000, turned: true });
+    let (_, joints) = body(5, Pose::Walk, BodyOptions { n_faces: 2000, turned: true });
     let at = |joint: Joint| Point::from(joints.estimates[&joint].position);
     // Left x up is forward, where the left arm swings.
     let up = at(Joint::Throat) - at(Joint::Pelvis);
@@ -124,7 +124,7 @@ fn left_is_left() {
 
 #[test]
 fn the_same_seed_gives_the_same_body() {
-    let options = Options::default();
+    let options = BodyOptions::default();
     assert_eq!(body(7, Pose::Sit, options), body(7, Pose::Sit, options));
     assert_ne!(body(7, Pose::Sit, options).0, body(8, Pose::Sit, options).0);
 }

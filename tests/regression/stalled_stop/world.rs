@@ -11,8 +11,8 @@ use mocapd_acquire::{
     clock::Prober,
     header,
     pipeline::{
-        Armed, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeHandle, TakeOutput,
-        Written,
+        ArmedHandles, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeAccount,
+        TakeHandle, TakeOutput,
     },
 };
 use mocapd_drivers::device::{Frame, MarkerSample};
@@ -75,7 +75,7 @@ pub(super) struct World {
 pub(super) struct Ended {
     pub(super) name: &'static str,
     pub(super) take: Vec<u8>,
-    pub(super) written: Written,
+    pub(super) written: TakeAccount,
     /// The host's clock when the reader ended it.
     pub(super) until_ns: u64,
 }
@@ -301,7 +301,7 @@ impl World {
             }
             intake.tick(now_ns as u64);
             if intake.wants_probes() {
-                prober.hurry();
+                prober.restart_schedule();
             }
             if let Some(due_ns) = prober.due(now_ns as u64) {
                 now_ns = now_ns.max(due_ns as f64);
@@ -339,7 +339,7 @@ fn patiently<T>(mut order: impl FnMut() -> anyhow::Result<T>) -> T {
     }
 }
 
-fn end_of(begun: &TakeHandle) -> (Written, Gated) {
+fn end_of(begun: &TakeHandle) -> (TakeAccount, Gated) {
     let (written, output) = begun.ended.recv_timeout(Duration::from_secs(30)).unwrap().unwrap();
     (written, output_of(output))
 }
@@ -362,15 +362,15 @@ fn header() -> Header {
     header
 }
 
-fn arm() -> (Intake, Pipeline, Armed) {
+fn arm() -> (Intake, Pipeline, ArmedHandles) {
     Pipeline::arm(&config(), &header()).unwrap()
 }
 
-fn new_take(disk: &Arc<Disk>, pre_roll_s: f64, asked_ns: f64) -> NewTake {
+fn new_take(disk: &Arc<Disk>, pre_roll_s: f64, requested_ns: f64) -> NewTake {
     let output = Gated { disk: Arc::clone(disk), bytes: Vec::new() };
     NewTake {
         pre_roll: Duration::from_secs_f64(pre_roll_s),
-        asked_ns: asked_ns as u64,
+        requested_ns: requested_ns as u64,
         ..NewTake::new(output, header())
     }
 }
@@ -386,7 +386,7 @@ fn give(intake: &mut Intake, seq: u32, device_ticks: u64, arrival_ns: u64) {
 pub(super) const FLOOD: u64 = 2_048;
 
 /// A take whose disk stalls while more is observed of the clocks than can wait.
-pub(super) fn flooded() -> (Vec<u8>, Written) {
+pub(super) fn flooded() -> (Vec<u8>, TakeAccount) {
     let disk = Arc::new(Disk::default());
     let (mut intake, pipeline, mut armed) = arm();
     let mut next_seq = 0;
@@ -397,8 +397,12 @@ pub(super) fn flooded() -> (Vec<u8>, Written) {
             give(intake, next_seq, ticks, at_ns + 90_000);
             for trip in 0..trips {
                 // Each tells a little more than the one before.
-                let asked_ns = at_ns + trip * 200_000;
-                intake.probe(ticks + trip * 200 + 50, asked_ns, asked_ns + 200_000 - trip * 1_000);
+                let requested_ns = at_ns + trip * 200_000;
+                intake.probe(
+                    ticks + trip * 200 + 50,
+                    requested_ns,
+                    requested_ns + 200_000 - trip * 1_000,
+                );
             }
             next_seq += 1;
         }

@@ -213,7 +213,7 @@ fn ledger(lost_on_link: u64) -> LedgerDocument {
 }
 
 impl Control for Fake {
-    fn tell(&self, kind: ServiceEventKind, message: &str) {
+    fn notify(&self, kind: ServiceEventKind, message: &str) {
         self.told.lock().unwrap().push((kind.to_string(), message.to_owned()));
     }
 

@@ -8,7 +8,7 @@ use super::{
     client::{ask, get, post},
     serve,
 };
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 #[test]
 fn from_idle_to_a_take_and_back() {
@@ -51,7 +51,7 @@ fn a_repeated_request_is_not_executed_again() {
     assert_eq!(served.fake.executed.load(Ordering::Relaxed), 1);
     let both =
         ask(served.at, "POST", "/v1/stop", &[("idempotency-key", "b")], r#"{"request_id": "c"}"#);
-    assert_tells(&both.refused(400, "invalid"), &["Idempotency-Key", "request_id"]);
+    assert_mentions(&both.refused(400, "invalid"), &["Idempotency-Key", "request_id"]);
     ask(served.at, "POST", "/v1/stop", &[("idempotency-key", "\"\"")], "").refused(400, "invalid");
 }
 
@@ -74,8 +74,8 @@ fn invalid_requests_are_refused_with_a_reason() {
     ] {
         bad("/v1/arm", body);
     }
-    assert_tells(&bad("/v1/start", r#"{"nmae": "x"}"#), &["nmae"]);
-    assert_tells(&bad("/v1/start", r#"{"name": "a", "name": "b"}"#), &["name"]);
+    assert_mentions(&bad("/v1/start", r#"{"nmae": "x"}"#), &["nmae"]);
+    assert_mentions(&bad("/v1/start", r#"{"name": "a", "name": "b"}"#), &["name"]);
     bad("/v1/start", r#"{"pre_roll_s": 1e999}"#);
     bad("/v1/start", r#"{"pre_roll_s": -1}"#);
     bad("/v1/start", r#"{"name": "../x"}"#);

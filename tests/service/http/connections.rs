@@ -12,7 +12,7 @@ use super::{
     client::{Answer, connect, get, request},
     local, serve_with, short_limits,
 };
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 fn serve_with_short_limits(connections_max: usize) -> super::Served {
     serve_with(HttpOptions { limits: short_limits(), connections_max, ..local() })
@@ -109,7 +109,7 @@ fn a_connection_beyond_the_limit_is_refused_and_the_slot_is_free_afterwards() {
         .collect();
     std::thread::sleep(Duration::from_millis(200));
     let answer = get(served.at, "/v1/status");
-    assert_tells(&answer.refused(503, "unavailable"), &["connections"]);
+    assert_mentions(&answer.refused(503, "unavailable"), &["connections"]);
     assert_eq!(answer.header("retry-after"), Some("1"));
     for stream in &busy {
         assert_eq!(Answer::parse(&until_closed(stream).1).status, 200);

@@ -15,7 +15,7 @@ use super::{
     client::{Answer, connect, post, request},
     local, serve, serve_with,
 };
-use crate::{service::fake::Fake, support::assert_tells};
+use crate::{service::fake::Fake, support::assert_mentions};
 
 fn over_unix(path: &Path, bytes: &[u8]) -> Answer {
     let mut stream = UnixStream::connect(path).unwrap();
@@ -47,7 +47,7 @@ fn the_unix_socket_needs_no_token() {
 
     let again = HttpOptions { unix_socket: Some(path.clone()), ..HttpOptions::default() };
     let refused = HttpServer::start(again, Fake::new(folder.path(), Vec::new())).unwrap_err();
-    assert_tells(&refused.to_string(), &[&path.display().to_string()]);
+    assert_mentions(&refused.to_string(), &[&path.display().to_string()]);
     served.stop();
     assert!(!path.exists());
 }

@@ -6,7 +6,7 @@ use super::{
     client::{ask, exchange, get, post, request},
     local, serve, serve_with,
 };
-use crate::{service::fake::Fake, support::assert_tells};
+use crate::{service::fake::Fake, support::assert_mentions};
 
 const TOKEN: &str = "correct-horse-battery-staple";
 
@@ -23,7 +23,7 @@ fn another_name_for_the_service_is_refused() {
         assert_eq!(as_host(host).status, 200, "{host}");
     }
     for host in ["evil.example", "rig.lab.evil.example", "127.0.0.1.evil.example", "2130706433"] {
-        assert_tells(&as_host(host).refused(421, "forbidden"), &[host, "allowed_hosts"]);
+        assert_mentions(&as_host(host).refused(421, "forbidden"), &[host, "allowed_hosts"]);
     }
     as_host("a b").refused(400, "invalid");
     as_host("").refused(400, "invalid");
@@ -129,7 +129,7 @@ fn the_service_does_not_listen_on_the_network_without_a_token() {
         HttpServer::start(options, Fake::new(folder.path(), Vec::new()))
     };
     let refused = start(None).unwrap_err().to_string();
-    assert_tells(&refused, &["0.0.0.0:0", "token", "127.0.0.1"]);
+    assert_mentions(&refused, &["0.0.0.0:0", "token", "127.0.0.1"]);
     assert!(start(Some(TOKEN)).is_ok());
 }
 

@@ -10,7 +10,7 @@ use super::{
     client::{Answer, ask, connect, exchange, get, post, request},
     serve,
 };
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 fn with_take(name: &str) -> super::Served {
     let served = serve();
@@ -176,7 +176,7 @@ fn a_client_that_stops_reading_costs_a_slot_and_no_memory() {
         })
         .collect();
     let refused = get(served.at, "/v1/takes/big/download").refused(503, "unavailable");
-    assert_tells(&refused, &["streams", "downloads"]);
+    assert_mentions(&refused, &["streams", "downloads"]);
     assert_eq!(get(served.at, "/v1/status").status, 200);
     // The clients read nothing for longer than the limit: their slots are free again.
     std::thread::sleep(std::time::Duration::from_millis(2000));

@@ -3,7 +3,7 @@
 use mocapd_drivers::device::Frame;
 use mocapd_take::{
     record::{Event, EventKind},
-    timeline::Causes,
+    timeline::LossCauses,
 };
 
 use super::{Intake, UNSEEN_MAX, frame_counter::SeqStep};
@@ -20,7 +20,7 @@ impl Intake {
                 self.counts.not_produced(counted.saturating_sub(missing));
                 let new = missing.saturating_sub(counted);
                 self.counts.not_received += new;
-                self.pending.add(new, Causes::NOT_RECEIVED);
+                self.pending.add(new, LossCauses::NOT_RECEIVED);
             }
             SeqStep::Again => {
                 self.counts.duplicates += 1;
@@ -49,13 +49,13 @@ impl Intake {
         let silent_s = self.silence.until_ns(arrival_ns) as f64 * 1e-9;
         let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
-                let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
+                let causes = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
                 (u64::from(missing), causes, "continues", "are missing by its counter")
             }
             // The counter does not cover the time between; use the host's clock, so that the take keeps time.
             None => {
                 let due = self.due(silent_s);
-                (due, Causes::DISCONNECTED, "started again", "were due by the host's clock")
+                (due, LossCauses::DISCONNECTED, "started again", "were due by the host's clock")
             }
         };
         let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));
@@ -168,7 +168,7 @@ impl Intake {
         } else {
             self.counts.lost_to_silence(new);
         }
-        self.pending.add(new, Causes::DISCONNECTED);
+        self.pending.add(new, LossCauses::DISCONNECTED);
     }
 
     fn silence_event(&mut self, silent_s: f64, device_ticks: u64, host_ns: u64) {
@@ -181,21 +181,21 @@ impl Intake {
 /// A short list of runs of lost rows, without allocation.
 #[derive(Debug, Default)]
 pub(super) struct PendingLoss {
-    runs: [(u64, Causes); RUNS_MAX],
+    runs: [(u64, LossCauses); RUNS_MAX],
     n_runs: usize,
     rows: u64,
     counted: PendingRows,
 }
 
 impl PendingLoss {
-    pub(super) fn add(&mut self, rows: u64, causes: Causes) {
+    pub(super) fn add(&mut self, rows: u64, causes: LossCauses) {
         if rows == 0 {
             return;
         }
         self.rows += rows;
-        let counted = if causes.contains(Causes::DISCONNECTED) {
+        let counted = if causes.contains(LossCauses::DISCONNECTED) {
             &mut self.counted.in_outages
-        } else if causes.contains(Causes::RING_FULL) {
+        } else if causes.contains(LossCauses::RING_FULL) {
             &mut self.counted.ring_full
         } else {
             &mut self.counted.not_received
@@ -223,7 +223,7 @@ impl PendingLoss {
     }
 
     /// Removes the runs, oldest first.
-    pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, Causes)> + use<> {
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, LossCauses)> + use<> {
         let runs = std::mem::take(&mut self.runs);
         self.rows = 0;
         self.counted = PendingRows::default();
@@ -239,13 +239,13 @@ mod tests {
     fn runs_merge_and_nothing_is_lost() {
         let mut pending = PendingLoss::default();
         for i in 0..40 {
-            let causes = if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL };
+            let causes = if i % 2 == 0 { LossCauses::NOT_RECEIVED } else { LossCauses::RING_FULL };
             pending.add(3, causes);
         }
         assert_eq!((pending.rows(), pending.n_runs), (120, RUNS_MAX));
         let runs: Vec<_> = pending.drain().collect();
         assert_eq!(runs.iter().map(|run| run.0).sum::<u64>(), 120);
-        assert_eq!(runs[7].1, Causes::NOT_RECEIVED.union(Causes::RING_FULL));
+        assert_eq!(runs[7].1, LossCauses::NOT_RECEIVED.union(LossCauses::RING_FULL));
         assert_eq!((pending.rows(), pending.n_runs), (0, 0));
     }
 }

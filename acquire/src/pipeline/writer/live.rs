@@ -10,7 +10,7 @@ use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
     record::{Channel, ClockLine, EndingKind, Event, EventKind, Ledger, SummaryRecord, TakeEnding},
-    stretch::{NUMBERS, Span, put_moved},
+    stretch::{NUMBERS, Span, put_renumbered},
 };
 
 use super::clocks::ClockWriter;
@@ -18,8 +18,8 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeOutput,
-        TakeProgress, Written,
+        Counts, FirstRow, NewTake, NothingRecorded, PipelineProgress, TakeAccount, TakeFailed,
+        TakeOutput, TakeProgress, TakeResult,
         commands::Reply,
         disk::DiskReserve,
         lock,
@@ -139,7 +139,7 @@ impl LiveTake {
         let number = self.next_number;
         self.next_number = (number + 1) % NUMBERS;
         self.shifted.clear();
-        put_moved(payload, self.rows_before, number, &mut self.shifted).context(failure)?;
+        put_renumbered(payload, self.rows_before, number, &mut self.shifted).context(failure)?;
         let first_row = span.first_row.saturating_sub(self.rows_before);
         self.take.stretch(Span { first_row, number, ..span }, &self.shifted).context(failure)?;
         if span.n_rows > 0 {
@@ -171,7 +171,7 @@ impl LiveTake {
     pub(super) fn ledger_and_sync(
         &mut self,
         clocks: &mut ClockWriter,
-        progress: &Progress,
+        progress: &PipelineProgress,
     ) -> anyhow::Result<()> {
         let ledger_is_due = self.ledgers.is_due(&self.counts, Instant::now());
         clocks.write(Some(&mut self.take), &self.counts.clock, ledger_is_due)?;
@@ -188,13 +188,13 @@ impl LiveTake {
         Ok(())
     }
 
-    pub(super) fn poll_disk(&mut self, progress: &Progress) {
+    pub(super) fn poll_disk(&mut self, progress: &PipelineProgress) {
         let written = self.take.bytes();
         self.disk.poll(&mut **self.take.get_mut(), written, progress, Instant::now());
     }
 
     /// Publishes the file's state when it has changed.
-    pub(super) fn check_file(&mut self, progress: &Progress) {
+    pub(super) fn check_file(&mut self, progress: &PipelineProgress) {
         let state = self.take.get_mut().poll_state();
         if state == FileState::InPlace && state == self.file_state {
             return;
@@ -229,7 +229,7 @@ impl LiveTake {
     }
 
     /// Publishes the take's progress for observers.
-    pub(super) fn publish(&self, progress: &Progress) {
+    pub(super) fn publish(&self, progress: &PipelineProgress) {
         progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
         progress.samples.store(self.report.samples, Ordering::Relaxed);
         let now = TakeProgress {
@@ -265,7 +265,7 @@ impl LiveTake {
         ended.try_send(self.finish(clocks, ending)).ok();
     }
 
-    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd {
+    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeResult {
         self.file_state = self.take.get_mut().check_state();
         match self.file_state {
             FileState::Truncated => return Ok(self.finish_cut_short()),
@@ -282,19 +282,19 @@ impl LiveTake {
             Err(error) => return Err(self.failed(error)),
         };
         let file_bytes = self.take.bytes();
-        let written = Written { ending, clock_lines, file_bytes, ..self.written(ledger) };
+        let written = TakeAccount { ending, clock_lines, file_bytes, ..self.written(ledger) };
         let output = self.take.abandon();
-        Ok((Written { disk: self.disk.close(&*output), ..written }, output))
+        Ok((TakeAccount { disk: self.disk.close(&*output), ..written }, output))
     }
 
-    fn written(&self, ledger: Ledger) -> Written {
-        Written {
+    fn written(&self, ledger: Ledger) -> TakeAccount {
+        TakeAccount {
             ledger,
             clock: self.counts.clock,
             samples: self.report.samples,
             kept: self.report.kept,
             max_error_mm: self.report.max_error_mm,
-            ..Written::default()
+            ..TakeAccount::default()
         }
     }
 
@@ -322,7 +322,7 @@ impl LiveTake {
     }
 
     /// Ends a truncated take without writing more: the file is a take that was cut off.
-    fn finish_cut_short(mut self) -> (Written, Box<dyn TakeOutput>) {
+    fn finish_cut_short(mut self) -> (TakeAccount, Box<dyn TakeOutput>) {
         let displaced = self.take.get_mut().displaced();
         let (found, written) = displaced.map_or((0, self.take.bytes()), |file| file.bytes);
         let detail = format!("cut short from {written} to {found} bytes by another program");
@@ -330,11 +330,11 @@ impl LiveTake {
         // The file does not contain what was recorded.
         ledger.contradictions.push(format!("the file was {detail}"));
         let ending = TakeEnding::new(EndingKind::Truncated, detail);
-        let written = Written { ending, file_bytes: found, ..self.written(ledger) };
+        let written = TakeAccount { ending, file_bytes: found, ..self.written(ledger) };
         let mut output = self.take.abandon();
         // A file system that does not release the reserve now does so when the file is closed.
         output.release(found).ok();
-        (Written { disk: self.disk.close(&*output), ..written }, output)
+        (TakeAccount { disk: self.disk.close(&*output), ..written }, output)
     }
 }
 

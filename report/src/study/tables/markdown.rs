@@ -53,8 +53,7 @@ fn takes(findings: &Findings) -> String {
     let mut out = String::new();
     let n = findings.trials.len();
     if n <= LISTED_MAX {
-        let mut table =
-            Table::new(["take", "frames", "Hz", "markers", "phases and their frames"]);
+        let mut table = Table::new(["take", "frames", "Hz", "markers", "phases and their frames"]);
         for trial in &findings.trials {
             let phases = match &trial.phases {
                 Ok(phases) => {
@@ -174,7 +173,8 @@ fn within(findings: &Findings) -> String {
         };
         table.row([tolerance(mm)].into_iter().chain(phases.iter().map(cell)));
     }
-    table.markdown() + "\nPhases have no ends of their own here, which would limit the ratio of short ones.\n"
+    table.markdown()
+        + "\nPhases have no ends of their own here, which would limit the ratio of short ones.\n"
 }
 
 fn claims(findings: &Findings) -> String {

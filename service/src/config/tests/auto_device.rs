@@ -4,9 +4,9 @@ use mocapd_drivers::{registry::Candidate, transport::Access};
 
 use super::*;
 
-fn listed(uri: &str, usb_ids: Option<(u16, u16)>, claim: Claim) -> Listed {
+fn listed(uri: &str, usb_ids: Option<(u16, u16)>, claim: Claim) -> AttachedDevice {
     let uri: DeviceUri = uri.parse().unwrap();
-    Listed {
+    AttachedDevice {
         candidate: Candidate { usb_ids, ..Candidate::at(uri.location) },
         family: (claim != Claim::No).then_some(("dvmc", claim)),
         access: Access::Accessible,
@@ -25,8 +25,9 @@ fn the_surest_and_only_one_is_meant() {
         listed(&uri, Some((0x1209, 1)), Claim::Certain)
     };
     let mouse = || listed("usb:046d:c077", Some((0x046d, 0xc077)), Claim::No);
-    let auto =
-        |attached: &[Listed]| auto_device(&DeviceChoice::Auto, attached).map(|uri| uri.to_string());
+    let auto = |attached: &[AttachedDevice]| {
+        auto_device(&DeviceChoice::Auto, attached).map(|uri| uri.to_string())
+    };
     assert_eq!(auto(&[bare(), mouse(), rig(1), adapter(0)]).unwrap(), "usb:1209:0001:1");
     assert_eq!(auto(&[bare(), adapter(0)]).unwrap(), "serial:/dev/ttyUSB0");
     for none in [&[][..], &[bare()], &[mouse()]] {

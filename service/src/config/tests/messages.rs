@@ -24,7 +24,9 @@ fn assert_tells(message: &str, facts: &[&str]) {
 fn refused(text: &str, at: (usize, usize), key: &str, facts: &[&str]) -> String {
     let error = refusal(text);
     let ConfigError::Refused { problems, more: 0, .. } = &error else { panic!("{error}") };
-    let [Problem { place: Place::At { line, column }, key: found, message }] = &problems[..] else {
+    let [ConfigProblem { place: SourceLocation::At { line, column }, key: found, message }] =
+        &problems[..]
+    else {
         panic!("{problems:#?}");
     };
     let (column_wanted, message) = (if at.1 == 0 { *column } else { at.1 }, message.clone());
@@ -204,12 +206,12 @@ fn invalid_utf_8_and_files_that_are_too_long_are_refused() {
         }
     };
     let latin = [&b"[arm]\n# \xc3\xa4 \xc3\xa9\n"[..], &[0xff]].concat();
-    let Problem { place, message, .. } = refused(&latin);
-    assert_eq!(place, Place::At { line: 3, column: 1 });
+    let ConfigProblem { place, message, .. } = refused(&latin);
+    assert_eq!(place, SourceLocation::At { line: 3, column: 1 });
     assert!(message.contains("UTF-8"), "{message}");
     let long = vec![b'#'; CONFIG_BYTES_MAX + 1];
-    let Problem { place, message, .. } = refused(&long);
-    assert!(place == Place::Nowhere && message.contains("1 MiB"), "{message}");
+    let ConfigProblem { place, message, .. } = refused(&long);
+    assert!(place == SourceLocation::Nowhere && message.contains("1 MiB"), "{message}");
     assert!(parse(str::from_utf8(&long[1..]).unwrap()).is_ok());
     // Deep nesting is refused, and does not end the process.
     assert!(parse(&format!("[arm]\npre_roll = {}", "[".repeat(100_000))).is_err());
@@ -223,7 +225,7 @@ fn all_problems_are_reported_at_once_up_to_a_limit() {
     let error = refusal(three);
     let ConfigError::Refused { problems, more: 0, .. } = &error else { panic!("{error}") };
     let places: Vec<_> = problems.iter().map(|problem| problem.place).collect();
-    let at = |line, column| Place::At { line, column };
+    let at = |line, column| SourceLocation::At { line, column };
     assert_eq!(places, [at(2, 12), at(3, 14), at(5, 9)]);
     assert_eq!(error.lines().len(), 3);
     // The one-line form has the first problem, the number of the others, and the command that lists them.
@@ -242,13 +244,13 @@ fn all_problems_are_reported_at_once_up_to_a_limit() {
 
 #[test]
 fn a_file_name_that_is_no_rig_name_asks_for_one() {
-    let surroundings = Surroundings { file_stem: Some("my rig".to_owned()), ..nowhere() };
+    let environment = Environment { file_stem: Some("my rig".to_owned()), ..nowhere() };
     let parse = |text: &str| {
-        Config::parse("my rig.toml", text.as_bytes(), &surroundings, &Overrides::default())
+        Config::parse("my rig.toml", text.as_bytes(), &environment, &Overrides::default())
     };
     let error = parse("").unwrap_err();
     let ConfigError::Refused { problems, .. } = &error else { panic!("{error}") };
-    assert_eq!((problems[0].place, problems[0].key), (Place::Nowhere, Some("rig.name")));
+    assert_eq!((problems[0].place, problems[0].key), (SourceLocation::Nowhere, Some("rig.name")));
     let message = error.to_string();
     assert!(message.contains("my rig.toml") && message.contains("name = \"left\""), "{message}");
     assert_eq!(parse("[rig]\nname = 'mine'").unwrap().rig_name, "mine");

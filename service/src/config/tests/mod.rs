@@ -1,13 +1,13 @@
 mod auto_device;
 mod documents;
-mod sweep;
 mod messages;
+mod sweep;
 
 use super::*;
 
 /// An environment without systemd.
-pub(super) fn nowhere() -> Surroundings {
-    Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() }
+pub(super) fn nowhere() -> Environment {
+    Environment { file_stem: Some("left".to_owned()), ..Environment::default() }
 }
 
 pub(super) fn parse(text: &str) -> Result<Config, ConfigError> {
@@ -121,13 +121,13 @@ fn a_written_configuration_is_parsed_to_the_same() {
 
 #[test]
 fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
-    let surroundings = Surroundings {
+    let environment = Environment {
         state_directory: Some("/var/lib/mocapd".into()),
         runtime_directory: Some("/run/other".into()),
         file_stem: Some("mocapd".to_owned()),
     };
     let parse = |text: &str, overrides: &Overrides| {
-        Config::parse("x", text.as_bytes(), &surroundings, overrides)
+        Config::parse("x", text.as_bytes(), &environment, overrides)
     };
     let config = parse("", &Overrides::default()).unwrap();
     assert_eq!(config.rig_name, "rig");
@@ -154,8 +154,13 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     let overrides = Overrides { listen: text_of("0.0.0.0:80"), ..Overrides::default() };
     let error = parse("", &overrides).unwrap_err();
     let ConfigError::Refused { problems, .. } = &error else { panic!("{error}") };
-    let [Problem { place: Place::Option("--listen"), key: Some("http.listen"), message }] =
-        &problems[..]
+    let [
+        ConfigProblem {
+            place: SourceLocation::Option("--listen"),
+            key: Some("http.listen"),
+            message,
+        },
+    ] = &problems[..]
     else {
         panic!("{problems:?}");
     };
@@ -178,10 +183,10 @@ fn changes_have_their_reload_policy() {
     assert_eq!(
         found,
         [
-            ("take.name", When::NextTake),
-            ("arm.pre_roll", When::NextArm),
-            ("http.listen", When::Restart),
-            ("log.level", When::Now)
+            ("take.name", ReloadPolicy::NextTake),
+            ("arm.pre_roll", ReloadPolicy::NextArm),
+            ("http.listen", ReloadPolicy::Restart),
+            ("log.level", ReloadPolicy::Now)
         ]
     );
     assert_eq!(changes[1].from, Some("10s".into()));

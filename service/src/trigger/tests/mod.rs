@@ -12,7 +12,7 @@ fn start(inside: &str) -> String {
     format!("<CaptureStart>{inside}</CaptureStart>")
 }
 
-fn refused(datagram: impl AsRef<[u8]>) -> Refusal {
+fn refused(datagram: impl AsRef<[u8]>) -> TriggerError {
     let refusal = parse(datagram.as_ref()).unwrap_err();
     let reason = refusal.to_string();
     assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
@@ -74,18 +74,18 @@ fn nothing_is_dropped_silently() {
 #[test]
 fn invalid_triggers_are_refused() {
     let is_no_xml = |datagram: &str| match refused(datagram) {
-        Refusal::Xml(why) => why,
+        TriggerError::Xml(why) => why,
         other => panic!("{other:?}"),
     };
     for datagram in ["", "start", "<CaptureStart>"] {
         is_no_xml(datagram);
     }
-    assert_eq!(refused("<CapturePause/>"), Refusal::Element("CapturePause".to_owned()));
+    assert_eq!(refused("<CapturePause/>"), TriggerError::Element("CapturePause".to_owned()));
     let long = refused(format!("<{}/>", "x".repeat(60_000)));
-    assert!(matches!(&long, Refusal::Element(name) if name.ends_with("xxx...")), "{long:?}");
-    assert_eq!(refused(vec![b' '; DATAGRAM_BYTES_MAX + 1]), Refusal::TooLong(65_537));
+    assert!(matches!(&long, TriggerError::Element(name) if name.ends_with("xxx...")), "{long:?}");
+    assert_eq!(refused(vec![b' '; DATAGRAM_BYTES_MAX + 1]), TriggerError::TooLong(65_537));
     let encoding = |datagram: &[u8], fact: &str| match refused(datagram) {
-        Refusal::Encoding(why) => assert!(why.contains(fact), "'{fact}' is not in: {why}"),
+        TriggerError::Encoding(why) => assert!(why.contains(fact), "'{fact}' is not in: {why}"),
         other => panic!("{other:?}"),
     };
     encoding(b"<CaptureStart><Name VALUE=\"L\xe4ufer\"/></CaptureStart>", "byte 28");
@@ -98,7 +98,7 @@ fn invalid_triggers_are_refused() {
     let number = |element: &str, value: &str| {
         let refusal = refused(start(&format!("<{element} VALUE='{value}'/>")));
         assert!(
-            matches!(&refusal, Refusal::Number { what, found, .. } if (*what, found.as_str()) == (element, value)),
+            matches!(&refusal, TriggerError::Number { what, found, .. } if (*what, found.as_str()) == (element, value)),
             "{refusal:?}"
         );
         refusal.to_string()
@@ -110,7 +110,7 @@ fn invalid_triggers_are_refused() {
         let reason = number("Delay", delay);
         assert!(reason.contains(&DELAY_MAX.as_millis().to_string()), "{reason}");
     }
-    assert_eq!(refused(start("<Name VALUE='...'/>")), Refusal::Name("...".to_owned()));
+    assert_eq!(refused(start("<Name VALUE='...'/>")), TriggerError::Name("...".to_owned()));
     let bomb = "<!DOCTYPE x [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;&a;'>]>\
                 <CaptureStart><Name VALUE='&b;'/></CaptureStart>";
     is_no_xml(bomb);
@@ -125,9 +125,14 @@ fn invalid_triggers_are_refused() {
     assert!(many.contains("256"), "{many}");
 }
 
-fn hear(listener: &mut Listener, text: &str, from: &str, at_s: u64) -> Result<Heard, Refusal> {
+fn receive(
+    listener: &mut Listener,
+    text: &str,
+    from: &str,
+    at_s: u64,
+) -> Result<Incoming, TriggerError> {
     let now = Duration::from_secs(at_s);
-    listener.hear(from.parse().unwrap(), text.as_bytes(), now, &|name| name == "old")
+    listener.receive(from.parse().unwrap(), text.as_bytes(), now, &|name| name == "old")
 }
 
 fn packet(id: u64) -> String {
@@ -137,23 +142,24 @@ fn packet(id: u64) -> String {
 #[test]
 fn repeats_do_nothing() {
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
-    let mut hear = |text: &str, from: &str, at_s| hear(&mut listener, text, from, at_s).unwrap();
-    assert!(matches!(hear(&packet(5), "10.0.0.1", 0), Heard::Trigger(_)));
-    assert_eq!(hear(&packet(5), "10.0.0.1", 1), Heard::Repeat);
+    let mut receive =
+        |text: &str, from: &str, at_s| receive(&mut listener, text, from, at_s).unwrap();
+    assert!(matches!(receive(&packet(5), "10.0.0.1", 0), Incoming::Trigger(_)));
+    assert_eq!(receive(&packet(5), "10.0.0.1", 1), Incoming::Repeat);
     // The same address, whatever it came over.
-    assert_eq!(hear(&packet(5), "::ffff:10.0.0.1", 1), Heard::Repeat);
-    assert!(matches!(hear(&packet(5), "10.0.0.2", 1), Heard::Trigger(_)), "another sender's");
-    assert!(matches!(hear(&packet(6), "10.0.0.1", 1), Heard::Trigger(_)), "another number");
+    assert_eq!(receive(&packet(5), "::ffff:10.0.0.1", 1), Incoming::Repeat);
+    assert!(matches!(receive(&packet(5), "10.0.0.2", 1), Incoming::Trigger(_)), "another sender's");
+    assert!(matches!(receive(&packet(6), "10.0.0.1", 1), Incoming::Trigger(_)), "another number");
     let stop = "<CaptureStop><PacketID VALUE='5'/></CaptureStop>";
-    assert!(matches!(hear(stop, "10.0.0.1", 1), Heard::Trigger(_)), "another element");
+    assert!(matches!(receive(stop, "10.0.0.1", 1), Incoming::Trigger(_)), "another element");
     // A minute after it was last received, it is a new trigger.
-    assert_eq!(hear(&packet(5), "10.0.0.1", 50), Heard::Repeat);
-    assert_eq!(hear(&packet(5), "10.0.0.1", 110), Heard::Repeat);
-    assert!(matches!(hear(&packet(5), "10.0.0.1", 171), Heard::Trigger(_)));
+    assert_eq!(receive(&packet(5), "10.0.0.1", 50), Incoming::Repeat);
+    assert_eq!(receive(&packet(5), "10.0.0.1", 110), Incoming::Repeat);
+    assert!(matches!(receive(&packet(5), "10.0.0.1", 171), Incoming::Trigger(_)));
     // Without a packet number the bytes decide.
-    assert!(matches!(hear("<CaptureStart/>", "10.0.0.1", 171), Heard::Trigger(_)));
-    assert_eq!(hear("<CaptureStart/>", "10.0.0.1", 172), Heard::Repeat);
-    assert!(matches!(hear("<CaptureStart />", "10.0.0.1", 172), Heard::Trigger(_)));
+    assert!(matches!(receive("<CaptureStart/>", "10.0.0.1", 171), Incoming::Trigger(_)));
+    assert_eq!(receive("<CaptureStart/>", "10.0.0.1", 172), Incoming::Repeat);
+    assert!(matches!(receive("<CaptureStart />", "10.0.0.1", 172), Incoming::Trigger(_)));
 }
 
 #[test]
@@ -186,28 +192,31 @@ fn unlisted_senders_are_refused_before_anything_is_parsed() {
     let networks = ["10.0.0.0/24", "fe80::/10"].map(|text| text.parse().unwrap());
     let mut listener = Listener::new(networks.into(), DELAY_MAX, 1);
     for from in ["10.0.0.1", "::ffff:10.0.0.2", "fe80::1"] {
-        assert!(hear(&mut listener, &packet(1), from, 0).is_ok(), "{from}");
+        assert!(receive(&mut listener, &packet(1), from, 0).is_ok(), "{from}");
     }
-    let refusal = hear(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
-    assert_eq!(refusal, Refusal::NotAllowed("10.0.1.1".parse().unwrap()));
+    let refusal = receive(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
+    assert_eq!(refusal, TriggerError::NotAllowed("10.0.1.1".parse().unwrap()));
     let reason = refusal.to_string();
     assert!(reason.contains("10.0.1.1") && reason.contains("trigger.allow_from"), "{reason}");
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
-    assert!(hear(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
+    assert!(receive(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
 }
 
 #[test]
 fn an_existing_name_is_refused_and_reported_once() {
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     let old = start("<Name VALUE='old'/><PacketID VALUE='1'/>");
-    let refusal = hear(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
-    assert_eq!(refusal, Refusal::NameTaken("old".to_owned()));
-    assert_eq!(hear(&mut listener, &old, "10.0.0.1", 0), Ok(Heard::Repeat));
+    let refusal = receive(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
+    assert_eq!(refusal, TriggerError::NameTaken("old".to_owned()));
+    assert_eq!(receive(&mut listener, &old, "10.0.0.1", 0), Ok(Incoming::Repeat));
     // The name counts as it would become; and a stop of it is not a start.
     let same = start("<Name VALUE='.old.take'/><PacketID VALUE='2'/>");
-    assert!(matches!(hear(&mut listener, &same, "10.0.0.1", 0), Err(Refusal::NameTaken(_))));
+    assert!(matches!(
+        receive(&mut listener, &same, "10.0.0.1", 0),
+        Err(TriggerError::NameTaken(_))
+    ));
     let stop = "<CaptureStop><Name VALUE='old'/></CaptureStop>";
-    assert!(matches!(hear(&mut listener, stop, "10.0.0.1", 0), Ok(Heard::Trigger(_))));
+    assert!(matches!(receive(&mut listener, stop, "10.0.0.1", 0), Ok(Incoming::Trigger(_))));
 }
 
 #[test]
@@ -222,11 +231,11 @@ fn our_own_triggers_come_back_and_do_nothing() {
     let (mut own, mut others) =
         (Listener::new(Vec::new(), DELAY_MAX, 7), Listener::new(Vec::new(), DELAY_MAX, 8));
     for (datagram, id) in sent.iter().zip(1..) {
-        let hear = |listener: &mut Listener| {
-            listener.hear(FROM, datagram, Duration::ZERO, &|_| false).unwrap()
+        let receive = |listener: &mut Listener| {
+            listener.receive(FROM, datagram, Duration::ZERO, &|_| false).unwrap()
         };
-        assert_eq!(hear(&mut own), Heard::Own);
-        let Heard::Trigger(trigger) = hear(&mut others) else { panic!("heard nothing") };
+        assert_eq!(receive(&mut own), Incoming::Own);
+        let Incoming::Trigger(trigger) = receive(&mut others) else { panic!("heard nothing") };
         assert_eq!(trigger.capture().name.as_ref().unwrap().text(), "new");
         assert_eq!(trigger.capture().about.packet_id, Some(id));
         assert_eq!(trigger.capture().about.changed, [""; 0]);

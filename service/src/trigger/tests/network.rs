@@ -21,7 +21,7 @@ struct Service {
 }
 
 /// Waits at most `timeout` for the next trigger that is due.
-fn next(triggers: &TriggerQueue, timeout: Duration) -> Option<Received> {
+fn next(triggers: &TriggerQueue, timeout: Duration) -> Option<ReceivedTrigger> {
     let until = Instant::now() + timeout;
     loop {
         let due = triggers.take_due();
@@ -48,7 +48,7 @@ impl Service {
         Self { at, triggers, reports, listening }
     }
 
-    fn next(&self) -> Received {
+    fn next(&self) -> ReceivedTrigger {
         next(&self.triggers, GIVE_UP).unwrap()
     }
 
@@ -92,7 +92,7 @@ fn refusals_are_reported_a_few_at_a_time() {
     let reports: Vec<String> = service.reports.try_iter().collect();
     assert_eq!(reports.len(), 5, "{reports:?}");
     let from = client.local_addr().unwrap();
-    let taken = Refusal::NameTaken("old".to_owned()).to_string();
+    let taken = TriggerError::NameTaken("old".to_owned()).to_string();
     let first = &reports[0];
     assert!(first.contains(&from.to_string()) && first.contains(&taken), "{first}");
     service.end();
@@ -107,7 +107,7 @@ fn triggers_that_do_not_fit_are_dropped_and_reported() {
     }
     let reports = service.reports.recv_timeout(GIVE_UP).unwrap();
     let sender = client.local_addr().unwrap().ip();
-    let refusal = Refusal::TooManyOfSender { waiting: DUE_EACH_MAX, sender };
+    let refusal = TriggerError::TooManyOfSender { waiting: DUE_EACH_MAX, sender };
     assert!(reports.contains(&refusal.to_string()), "{reports}");
     for _ in 0..DUE_EACH_MAX {
         service.next();

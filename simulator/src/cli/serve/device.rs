@@ -33,10 +33,10 @@ pub(super) fn device(
             let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| log_line(warning));
-            let rate_mhz = device.hello().rate_mhz;
+            let rate_millihertz = device.hello().rate_millihertz;
             match script {
-                Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_mhz),
-                None => (Box::new(device), rate_mhz),
+                Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_millihertz),
+                None => (Box::new(device), rate_millihertz),
             }
         }
         DeviceProtocol::Ndi if args.drift_ppm != 0.0 => {
@@ -47,12 +47,12 @@ pub(super) fn device(
         DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| log_line(warning));
-            let rate_mhz = device.rate_mhz();
-            (Box::new(device), rate_mhz)
+            let rate_millihertz = device.rate_millihertz();
+            (Box::new(device), rate_millihertz)
         }
     };
-    let (device, rate_mhz) = device;
-    let hz = f64::from(rate_mhz) / 1000.0;
+    let (device, rate_millihertz) = device;
+    let hz = f64::from(rate_millihertz) / 1000.0;
     Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C to stop")))
 }
 

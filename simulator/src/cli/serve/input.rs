@@ -10,7 +10,7 @@ use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
-use mocapd_simulator::logged::{LogDevice, LogDeviceError};
+use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
@@ -93,9 +93,7 @@ pub(super) fn log(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
     let mut log = Vec::new();
     file.take(LOG_BYTES_MAX + 1).read_to_end(&mut log).with_context(cannot_read)?;
     if log.len() as u64 > LOG_BYTES_MAX {
-        return Err(
-            anyhow::anyhow!("{}: the log is longer than 1 GiB", path.display()).into()
-        );
+        return Err(anyhow::anyhow!("{}: the log is longer than 1 GiB", path.display()).into());
     }
     Ok(Some(log))
 }
@@ -154,7 +152,8 @@ pub(super) fn log_device(
         _ => anyhow::anyhow!("{name}: {error}").into(),
     })?;
     if device.unplugs() && !args.line.has_stable_name() {
-        let message = "the cable is pulled in this log, so the device needs a stable name: use --pty=LINK";
+        let message =
+            "the cable is pulled in this log, so the device needs a stable name: use --pty=LINK";
         return Err(Failure::usage(anyhow::anyhow!("{name}: {message}")));
     }
     device.problems().iter().for_each(|problem| log_line(&problem.to_string()));

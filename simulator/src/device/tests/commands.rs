@@ -123,7 +123,7 @@ fn rates_are_set_and_refused() {
     let refusals: Vec<_> = bench
         .events
         .iter()
-        .filter_map(|h| if let Event::Refused(b) = h { Some(b.rate_fits_mhz) } else { None })
+        .filter_map(|h| if let Event::Refused(b) = h { Some(b.rate_fits_millihertz) } else { None })
         .collect();
     // During a run, the only rate that fits is the current one.
     assert_eq!(refusals, [10_000_000, 10_000_000, 10_000_000, 400_000]);
@@ -144,10 +144,10 @@ fn a_slow_line_is_refused_with_the_rate_that_fits() {
     bench.read();
     let Event::Refused(budget) = bench.events[0] else { panic!("{:?}", bench.events) };
     assert!(budget.needed_bytes_per_s > 11_520 && budget.available_bytes_per_s == 11_520);
-    assert!((10_000..100_000).contains(&budget.rate_fits_mhz));
+    assert!((10_000..100_000).contains(&budget.rate_fits_millihertz));
     bench.pass(500 * MS, true);
     assert!(bench.frames().is_empty());
-    bench.send(Command::SetRate(budget.rate_fits_mhz));
+    bench.send(Command::SetRate(budget.rate_fits_millihertz));
     bench.send(line);
     bench.pass(3_000 * MS, true);
     assert!(bench.events.iter().any(|h| matches!(h, Event::Started(_))));

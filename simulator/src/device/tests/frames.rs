@@ -10,7 +10,7 @@ fn every_frame_arrives_in_order_bit_for_bit() {
     bench.send(Command::Identify);
     bench.pass(700 * MS, true);
     let Event::Hello(hello) = &bench.events[0] else { panic!("{:?}", bench.events) };
-    assert_eq!((hello.rate_mhz, hello.n_frames, hello.up_axis), (100_000, 300, 3));
+    assert_eq!((hello.rate_millihertz, hello.n_frames, hello.up_axis), (100_000, 300, 3));
     assert_eq!(bench.events[1], Event::Markers(15));
     assert_eq!(bench.events.len(), 2, "frames before Start");
     bench.send(start());
@@ -63,7 +63,7 @@ fn speed_multiplies_the_rate_and_keeps_the_frames() {
     let motion = jump(2.0);
     let settings = DeviceSettings { speed: 10.0, ..DeviceSettings::default() };
     let mut bench = Bench::new(motion.clone(), settings);
-    assert_eq!(bench.device.hello().rate_mhz, 1_000_000);
+    assert_eq!(bench.device.hello().rate_millihertz, 1_000_000);
     bench.send(start());
     bench.pass(198 * MS, true);
     assert!(bench.ends().is_empty());

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joint, Joints, Mesh, Side, Survey};
+use mocapd_body::{Joint, Joints, Mesh, ScanAnalysis, Side};
 
 use crate::paper::ByPaper;
 use crate::read::Truth;
@@ -117,6 +117,7 @@ impl Case {
 
 /// The whole pipeline from a mesh in memory.
 pub(crate) fn skeleton(mesh: &Mesh) -> Result<Joints, String> {
-    let analysis = Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
+    let analysis =
+        ScanAnalysis::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
     Ok(analysis.joints)
 }

@@ -3,7 +3,7 @@
 use mocapd_body::extremity::{self, Extremities};
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joints, Mesh, Survey, paper};
+use mocapd_body::{Joints, Mesh, ScanAnalysis, paper};
 
 use crate::case::KINDS;
 use crate::group::Group;
@@ -28,7 +28,7 @@ struct Found {
 
 impl ByPaper {
     pub(crate) fn measure(mesh: &Mesh, truth: &Truth) -> Self {
-        let own = Survey::new(mesh, Method::Paper).ok();
+        let own = ScanAnalysis::new(mesh, Method::Paper).ok();
         let with_ends = ends(mesh).and_then(|ends| paper::joints(mesh, 0, Some(ends)).ok());
         Self {
             own: own.map(|own| Found::new(mesh, truth, &own.joints, &own.extremities)),

@@ -15,8 +15,8 @@ use std::path::Path;
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Estimate, Joint, Joints, Mesh, Side, Survey};
-use mocapd_testkit::synthetic_body::{Options, Pose, body, cut_limb};
+use mocapd_body::{Estimate, Joint, Joints, Mesh, ScanAnalysis, Side};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body, cut_limb};
 
 #[path = "../bodies/read.rs"]
 mod read;
@@ -102,8 +102,8 @@ fn generated(first: u64) -> Vec<Body> {
     let poses = [Pose::A, Pose::Down, Pose::Walk, Pose::Sit, Pose::Squat];
     let each = (0..BODIES).map(|at| {
         let (seed, pose) = (first + at as u64, poses[at % poses.len()]);
-        let (mesh, truth) = body(seed, pose, Options::default());
-        let upright = body(seed, Pose::A, Options { n_faces: 500, turned: false }).1;
+        let (mesh, truth) = body(seed, pose, BodyOptions::default());
+        let upright = body(seed, Pose::A, BodyOptions { n_faces: 500, turned: false }).1;
         let stature = upright.estimates[&Joint::Head].position[1];
         Body { name: format!("generated_{seed}_{pose:?}"), mesh, truth, stature }
     });
@@ -126,7 +126,7 @@ fn scans(folder: &Path) -> Result<Vec<Body>, Box<dyn Error>> {
 fn evaluate(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String> {
     let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
     let repaired = repair(scan, None).map_err(|error| error.to_string())?;
-    let analysis = Survey::new(&repaired.mesh, Method::Default);
+    let analysis = ScanAnalysis::new(&repaired.mesh, Method::Default);
     let analysis = analysis.map_err(|refusal| refusal.code().to_owned())?;
     let errors = |swapped: bool| {
         analysis.joints.estimates.iter().filter_map(move |(joint, found)| {

@@ -124,8 +124,7 @@ fn leg(landmarks: &Landmarks, side: usize) -> Limb {
         root: at(&JOINTS.hip),
         hinge: at(&JOINTS.knee),
         end: at(&JOINTS.ankle),
-        hinge_sigma: limb::knee_sigma(landmarks.halves[side].sharpness[1])
-            .hypot(JOINTS.knee.sigma),
+        hinge_sigma: limb::knee_sigma(landmarks.halves[side].sharpness[1]).hypot(JOINTS.knee.sigma),
         missing: landmarks.missing[1][side],
     }
 }

@@ -35,7 +35,7 @@ pub struct Repaired {
 
 impl Repaired {
     /// A note if the inferred unit may be another. `stature` is in the mesh's unit
-    /// ([`Survey::body_scale`](super::Survey::body_scale)); without it, the extent of the mesh counts.
+    /// ([`ScanAnalysis::body_scale`](super::Survey::body_scale)); without it, the extent of the mesh counts.
     #[must_use]
     pub fn unit_ambiguity(&self, stature: Option<f64>) -> Option<Note> {
         let stature = || stature.unwrap_or_else(|| self.mesh.extent());
@@ -137,7 +137,8 @@ fn choose_unit(
         return Ok((unit, false));
     }
     let unit = Unit::infer(mesh)?;
-    let text = format!("the file states no unit: assumed {unit}, in which it has the size of a body");
+    let text =
+        format!("the file states no unit: assumed {unit}, in which it has the size of a body");
     notes.push(Note::new("unit-inferred", text));
     Ok((unit, true))
 }

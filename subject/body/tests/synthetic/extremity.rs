@@ -3,7 +3,7 @@
 use mocapd_body::extremity::{Ends, NamingMode, find};
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_body::{Joint, Joints, Mesh, Refusal, Side};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn ends(mesh: &Mesh) -> Result<Ends, Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
@@ -29,7 +29,7 @@ fn pair(mesh: &Mesh, joints: &Joints, ends: [u32; 2], joint: fn(Side) -> Joint, 
 #[test]
 fn head_hands_and_feet_are_found_in_every_pose() {
     for (seed, pose) in (1..).zip(Pose::ALL) {
-        let (mesh, joints) = body(seed, pose, Options { n_faces: 4000, turned: true });
+        let (mesh, joints) = body(seed, pose, BodyOptions { n_faces: 4000, turned: true });
         let side = Side::Left;
         let [hip, knee, ankle] = [Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)]
             .map(|joint| at(&joints, joint));
@@ -51,7 +51,7 @@ fn head_hands_and_feet_are_found_in_every_pose() {
 
 #[test]
 fn the_ends_are_invariant_to_rotation_translation_and_scale() {
-    let (mesh, _) = body(7, Pose::Walk, Options { n_faces: 4000, turned: false });
+    let (mesh, _) = body(7, Pose::Walk, BodyOptions { n_faces: 4000, turned: false });
     let whole = ends(&mesh).unwrap();
     let (sin, cos) = 1.1_f64.sin_cos();
     for scale in [1.0, 1000.0] {
@@ -73,7 +73,7 @@ type Cut = (&'static str, fn([f64; 3], f64) -> [f64; 3], f64);
 
 #[test]
 fn a_missing_arm_is_detected() {
-    let (mut mesh, joints) = body(5, Pose::A, Options { n_faces: 6000, turned: false });
+    let (mut mesh, joints) = body(5, Pose::A, BodyOptions { n_faces: 6000, turned: false });
     let elbow = at(&joints, Joint::Elbow(Side::Left))[0];
     mesh.positions.iter_mut().for_each(|at| at[0] = at[0].min(elbow));
     assert_eq!(ends(&mesh).unwrap().mode, NamingMode::CutLimb);
@@ -82,7 +82,7 @@ fn a_missing_arm_is_detected() {
 #[test]
 fn a_part_of_a_body_is_refused() {
     // The missing part is pressed into the cutting plane, so that the surface stays closed.
-    let (mesh, joints) = body(5, Pose::A, Options { n_faces: 6000, turned: false });
+    let (mesh, joints) = body(5, Pose::A, BodyOptions { n_faces: 6000, turned: false });
     let waist = at(&joints, Joint::Pelvis)[1] + 0.15;
     let knee = at(&joints, Joint::Knee(Side::Left))[1];
     let cuts: [Cut; 3] = [

@@ -3,10 +3,10 @@
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joint, Mesh, Survey, Unit};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_body::{Joint, Mesh, ScanAnalysis, Unit};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
-const UPRIGHT: Options = Options { n_faces: 5000, turned: false };
+const UPRIGHT: BodyOptions = BodyOptions { n_faces: 5000, turned: false };
 
 /// The part of a body below a height, closed.
 fn below(mesh: Mesh, height: f64) -> Mesh {
@@ -17,7 +17,7 @@ fn below(mesh: Mesh, height: f64) -> Mesh {
     repair(scan, Some(Unit::Metre)).unwrap().mesh
 }
 
-fn head_is_left_out(analysis: &Survey) -> bool {
+fn head_is_left_out(analysis: &ScanAnalysis) -> bool {
     analysis.notes.iter().any(|note| note.code == "head-left-out")
 }
 
@@ -25,7 +25,7 @@ fn head_is_left_out(analysis: &Survey) -> bool {
 fn whole_bodies_have_a_head_in_every_pose() {
     for (seed, pose) in (11..).zip(Pose::ALL) {
         let (mesh, _) = body(seed, pose, UPRIGHT);
-        let analysis = Survey::new(&mesh, Method::Default).unwrap();
+        let analysis = ScanAnalysis::new(&mesh, Method::Default).unwrap();
         assert!(!head_is_left_out(&analysis), "{pose:?}");
         assert!(analysis.joints.estimates.contains_key(&Joint::Head), "{pose:?}");
     }
@@ -40,7 +40,7 @@ fn a_cut_off_head_is_left_out_or_the_scan_refused() {
         for height in [0.865, 0.88, 0.895] {
             let cut = below(mesh.clone(), height * stature);
             // A short neck's stump does not protrude, which leaves four extremities.
-            let Ok(analysis) = Survey::new(&cut, Method::Default) else { continue };
+            let Ok(analysis) = ScanAnalysis::new(&cut, Method::Default) else { continue };
             assert!(head_is_left_out(&analysis), "{pose:?} {height}");
             let joints = &analysis.joints.estimates;
             assert!(!joints.contains_key(&Joint::Head) && !joints.contains_key(&Joint::Throat));

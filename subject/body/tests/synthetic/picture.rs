@@ -3,7 +3,7 @@
 use mocapd_body::picture::{BodyPart, Curve, Drawing, Line, Mark, ReebEdge, ReebNode, svg};
 use mocapd_body::skeleton::{Method, ScanJoints, Skeleton, Source, joint_name};
 use mocapd_body::{Joint, Joints, Mesh, Side, Unit, extremity, geodesic, paper};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 /// Every number of every attribute is finite, every element closed.
 fn sound(text: &str) {
@@ -29,7 +29,7 @@ fn traced<'a>(mesh: &'a Mesh, joints: &Joints) -> Drawing<'a> {
 
 #[test]
 fn a_body_is_drawn_with_all_its_data() {
-    let (mesh, mut joints) = body(2, Pose::A, Options::default());
+    let (mesh, mut joints) = body(2, Pose::A, BodyOptions::default());
     joints.estimates.values_mut().for_each(|estimate| estimate.sigma = 0.02);
     let drawing = Drawing { title: "a < b & \"c\"\u{7}", ..traced(&mesh, &joints) };
     let text = svg(&drawing);
@@ -49,7 +49,7 @@ fn a_body_is_drawn_with_all_its_data() {
 
 #[test]
 fn stature_notes_and_uncertain_joints_are_drawn() {
-    let (mesh, mut joints) = body(2, Pose::A, Options::default());
+    let (mesh, mut joints) = body(2, Pose::A, BodyOptions::default());
     joints.estimates.values_mut().for_each(|estimate| estimate.sigma = 0.02);
     let elbow = Joint::Elbow(Side::Left);
     joints.estimates.get_mut(&elbow).unwrap().sigma = 0.14;
@@ -92,7 +92,7 @@ fn stature_notes_and_uncertain_joints_are_drawn() {
 
 #[test]
 fn curves_follow_the_limbs_and_joints_are_in_order() {
-    let (mesh, joints) = body(3, Pose::T, Options::default());
+    let (mesh, joints) = body(3, Pose::T, BodyOptions::default());
     let drawing = traced(&mesh, &joints);
     assert_eq!(drawing.curves.len(), 5);
     for curve in &drawing.curves {

@@ -1,7 +1,7 @@
 //! Anatomical plausibility of joints.
 
 use mocapd_body::{Joint, Joints, Plausibility, Side};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 /// Moves some joints towards another one, by a share of the distance.
 fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joints {
@@ -17,7 +17,7 @@ fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joi
 #[test]
 fn joints_of_bodies_are_plausible_and_displaced_ones_are_not() {
     for (seed, pose) in (1..).zip(Pose::ALL) {
-        let (_, joints) = body(seed, pose, Options { n_faces: 500, turned: true });
+        let (_, joints) = body(seed, pose, BodyOptions { n_faces: 500, turned: true });
         assert_eq!(Plausibility::of(&joints), Plausibility::Whole, "{pose:?}");
         let in_the_belly = moved(&joints, Joint::Shoulder, Joint::Pelvis, 0.8);
         assert_eq!(Plausibility::of(&in_the_belly), Plausibility::WithoutArms, "{pose:?}");

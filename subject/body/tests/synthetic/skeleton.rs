@@ -5,7 +5,7 @@ use mocapd_body::skeleton::{
     joint_name,
 };
 use mocapd_body::{Estimate, Joint, Joints, Mesh, Repaired, Side, Unit};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
@@ -27,7 +27,7 @@ fn source(name: &str) -> Source {
 }
 
 fn joints(seed: u64, pose: Pose) -> Joints {
-    body(seed, pose, Options { n_faces: 500, turned: true }).1
+    body(seed, pose, BodyOptions { n_faces: 500, turned: true }).1
 }
 
 fn scan(pose: Pose, joints: Joints) -> ScanJoints {
@@ -186,7 +186,7 @@ fn rewriting_a_document_keeps_it_identical() {
 #[test]
 fn stature_is_computed_in_any_pose_but_not_without_a_bone() {
     for pose in Pose::ALL {
-        let (mesh, joints) = body(3, Pose::Down, Options { n_faces: 5000, turned: false });
+        let (mesh, joints) = body(3, Pose::Down, BodyOptions { n_faces: 5000, turned: false });
         let height = |at: &[f64; 3]| at[1];
         let top = mesh.positions.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
         let sole = mesh.positions.iter().map(height).fold(f64::INFINITY, f64::min);

@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use mocapd_face::Photo;
 use mocapd_face::find::{self, DetectedFace};
 use mocapd_face::model::FeatureId;
-use mocapd_testkit::photograph::{Extras, Scene, Truth};
+use mocapd_testkit::photograph::{GroundTruth, Occlusions, Scene};
 use serde_json::json;
 
 use super::{Face, score};
@@ -16,9 +16,9 @@ use super::{Face, score};
 const SIZE_PX: (u32, u32) = (480, 520);
 
 /// Seeded pseudo-random numbers by SplitMix64 (Steele, Lea and Flood 2014).
-struct Random(u64);
+struct PictureRng(u64);
 
-impl Random {
+impl PictureRng {
     fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -39,12 +39,12 @@ impl Random {
 /// A picture, its face (none on every fifth picture), and the rows of the table to which it belongs.
 struct Drawn {
     image: RgbImage,
-    face: Option<(Face, Truth, f64)>,
+    face: Option<(Face, GroundTruth, f64)>,
     kinds: Vec<&'static str>,
 }
 
 fn draw(seed: u64) -> Option<Drawn> {
-    let mut random = Random(seed.wrapping_mul(0x0005_851f_42d4_c957));
+    let mut random = PictureRng(seed.wrapping_mul(0x0005_851f_42d4_c957));
     let eyes_px = 40.0 * 5.0_f64.powf(random.uniform().powf(1.3));
     let yaw_deg = random.between(-35.0, 35.0);
     let mut scene = Scene::portrait(seed, eyes_px, yaw_deg);
@@ -62,13 +62,13 @@ fn draw(seed: u64) -> Option<Drawn> {
     let rims_mm = random.between(1.0, 2.5);
     let beard = random.between(0.4, 0.95);
     let fringe_mm = random.between(10.0, 45.0);
-    sitter.extras = Extras {
+    sitter.extras = Occlusions {
         rims_mm: random.sometimes(0.2, rims_mm),
         beard: random.sometimes(0.25, beard),
         fringe_mm: random.sometimes(0.3, fringe_mm),
         light: Some([random.between(-1.4, 1.4), random.between(-0.3, 1.6), 1.0]),
     };
-    let Extras { rims_mm, beard, fringe_mm, light } = sitter.extras;
+    let Occlusions { rims_mm, beard, fringe_mm, light } = sitter.extras;
     let empty = seed % 5 == 4;
     if empty {
         scene.faces.clear();
@@ -119,7 +119,7 @@ fn draw(seed: u64) -> Option<Drawn> {
 }
 
 /// Applies a tone curve and a colour of the light: natural, grey or cast.
-fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
+fn develop(image: &mut RgbImage, random: &mut PictureRng) -> &'static str {
     let gamma = random.between(0.7, 1.5);
     let (grey, cast) = (random.uniform() < 0.2, random.uniform() < 0.2);
     let warm = random.between(0.6, 0.85);
@@ -145,7 +145,7 @@ fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
 }
 
 /// Eyes in the convention of the annotations: the mean of six points each.
-fn known(truth: &Truth) -> Option<Face> {
+fn known(truth: &GroundTruth) -> Option<Face> {
     let mean = |from: usize, count: usize| {
         let points = (from..from + count).map(|i| FeatureId::from_ibug(i).map(|id| truth.at(id)));
         let sum = points.sum_points()?;

@@ -4,7 +4,7 @@ use std::error::Error;
 
 use mocapd_face::Photo;
 use mocapd_face::model::{FeatureId, Model};
-use mocapd_testkit::photograph::{Extras, Scene};
+use mocapd_testkit::photograph::{Occlusions, Scene};
 
 use super::data::{Face, Noise, Truth};
 
@@ -38,7 +38,7 @@ fn worn(seed: u64) -> Result<Face, Box<dyn Error>> {
         sitter.pitch_deg = between(-15.0, 15.0);
         sitter.roll_deg = between(-10.0, 10.0);
         sitter.variety = 1.0;
-        sitter.extras = Extras { rims_mm, beard, fringe_mm, light };
+        sitter.extras = Occlusions { rims_mm, beard, fringe_mm, light };
     }
     face(&format!("drawn_worn_{seed:03}"), &scene, yaw, grey > 0.0)
 }

@@ -4,8 +4,8 @@ use std::error::Error;
 use std::io::Write;
 
 use mocapd_face::model::Model;
-use mocapd_face::proportions::ProportionModel;
 use mocapd_face::points;
+use mocapd_face::proportions::ProportionModel;
 
 use super::data::{Face, Noise};
 use super::table::Row;

@@ -1,8 +1,8 @@
 //! Alignment of eyes and mouth: a cascade of linear regressions from the feature vector of a rough frame, each stage
 //! learned on the residuals of the one before (Xiong and De la Torre 2013).
 
-use super::frame::Frame;
 use super::features::{FEATURE_COUNT, FeatureVector, mirrored};
+use super::frame::Frame;
 use crate::table::{f32s, i16s};
 
 /// One stage: regression of x and y of left eye, right eye and mouth, as fractions of the frame's eye distance.

@@ -1,6 +1,6 @@
 use super::*;
 use crate::model::{Camera, Model};
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
 fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
     // An arbitrary similarity: rotated, scaled by 1.07, translated. Project flips y; twice is the identity.
@@ -39,7 +39,7 @@ fn noise_and_missing_markers_change_the_alignment_little() {
     let model = Model::generic().unwrap();
     let mapping = Mapping::singing_face().unwrap();
     let there = moved(&model.vertices);
-    let mut random = Random::new(11);
+    let mut random = PictureRng::new(11);
     let noisy: BTreeMap<String, [f64; 3]> = mapping
         .markers
         .iter()
@@ -151,7 +151,7 @@ fn an_error_is_a_short_line_for_any_mapping() {
 #[test]
 fn changed_bytes_give_an_error_or_a_valid_mapping() {
     let good = Mapping::singing_face().unwrap().to_json().unwrap().into_bytes();
-    let mut random = Random::new(5);
+    let mut random = PictureRng::new(5);
     let mut read = 0;
     for _ in 0..400 {
         let mut bytes = good.clone();

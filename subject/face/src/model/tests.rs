@@ -3,7 +3,7 @@ mod recorded;
 use std::collections::HashSet;
 
 use super::*;
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
 fn camera(yaw_deg: f64, pitch_deg: f64, roll_deg: f64) -> Camera {
     Camera { scale_px_per_mm: 1.3, yaw_deg, pitch_deg, roll_deg, origin_px: [210.0, 180.0] }
@@ -134,7 +134,7 @@ fn yaw_turns_the_nose_to_the_right_of_the_picture() {
 #[test]
 fn the_pose_and_points_of_random_faces_are_recovered() {
     let model = Model::generic().unwrap();
-    let mut noise = Random::new(7);
+    let mut noise = PictureRng::new(7);
     let (mut worst_yaw, mut sum) = (0.0f64, 0.0);
     let rounds = 60;
     for _ in 0..rounds {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::model::{Camera, Model};
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
 /// The outline of an upright cylinder of radius 100 around the origin, rotated in the picture by `roll`, and eyes
 /// painted `side` radians left and right of a midline that is turned by `yaw`.
@@ -71,7 +71,7 @@ fn eyes_outside_of_the_face_are_refused() {
 /// Mean errors of both rules on random heads turned by up to 35 degrees, for outlines given by the caller.
 fn errors_deg(outline: impl Fn(&Model, &Camera, &[[f64; 3]]) -> Vec<[f64; 2]>) -> [f64; 2] {
     let model = Model::generic().unwrap();
-    let mut random = Random::new(21);
+    let mut random = PictureRng::new(21);
     let mut errors = [0.0; 2];
     let rounds = 100;
     for _ in 0..rounds {

@@ -1,8 +1,8 @@
 use super::*;
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
 /// A face of the model in a given pose, with an annotator's noise.
-fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; FeatureId::COUNT] {
+fn example(random: &mut PictureRng, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; FeatureId::COUNT] {
     let model = Model::generic().unwrap();
     let options = FitOptions::default();
     let coefficients: Vec<f64> = model.modes.iter().map(|_| random.normal()).collect();
@@ -46,7 +46,7 @@ const POSES: [[f64; 2]; 5] = [[0.0, 0.0], [30.0, 0.0], [-20.0, 10.0], [10.0, -12
 #[test]
 fn faces_of_the_model_contradict_nothing() {
     let proportions = ProportionModel::of(Model::generic().unwrap());
-    let mut random = Random::new(11);
+    let mut random = PictureRng::new(11);
     let (mut warned, mut n) = (0, 0);
     for [yaw_deg, pitch_deg] in POSES {
         for _ in 0..40 {
@@ -62,7 +62,7 @@ fn faces_of_the_model_contradict_nothing() {
 #[test]
 fn displaced_features_are_named() {
     let proportions = ProportionModel::of(Model::generic().unwrap());
-    let mut random = Random::new(12);
+    let mut random = PictureRng::new(12);
     let mouth = 39..53;
     for [yaw_deg, pitch_deg] in POSES {
         let good = example(&mut random, yaw_deg, pitch_deg);

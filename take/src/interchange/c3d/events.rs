@@ -51,7 +51,7 @@ impl EventEntry {
         if !(0.0..n_frames as f64).contains(&frame) {
             return None;
         }
-        let kind = EventKind::from_word(&self.description).unwrap_or(EventKind::Mark);
+        let kind = EventKind::from_name(&self.description).unwrap_or(EventKind::Mark);
         Some(MotionEvent { frame: frame as u64, kind, text: self.text() })
     }
 }
@@ -119,7 +119,7 @@ pub(super) fn fill(parameters: &mut Parameters, info: &MotionInfo, whole: bool) 
             kept.unwrap_or_else(|| EventEntry {
                 context: GENERAL.to_owned(),
                 label: cut(event.label(), label_bytes.min(255)).to_owned(),
-                description: event.kind.word().to_owned(),
+                description: event.kind.name().to_owned(),
                 subject: subject.clone(),
                 time: time(first_frame - 1 + event.frame, info.rate_hz),
                 icon: 0,

@@ -7,7 +7,9 @@ use super::{
     header::{BLOCK, ByteOrder, C3dHeader},
     malformed,
     parameters::Parameters,
-    stride::{CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate, by_size, choose, combine},
+    stride::{
+        CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate, by_size, choose, combine,
+    },
 };
 use crate::{
     ambiguity::{Ambiguity, FrameLayout, Notes},

@@ -233,7 +233,8 @@ impl<'a> ParameterRecord<'a> {
             4 => 4,
             other => return Err(format!("expected type -1, 1, 2 or 4, found {other}")),
         };
-        let (n_dimensions, rest) = rest.split_first().ok_or("the number of dimensions is missing")?;
+        let (n_dimensions, rest) =
+            rest.split_first().ok_or("the number of dimensions is missing")?;
         let (dimensions, rest) = rest
             .split_at_checked(usize::from(*n_dimensions))
             .ok_or("the dimensions are cut off")?;

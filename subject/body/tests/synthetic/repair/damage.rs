@@ -3,9 +3,9 @@
 use super::{clean, codes, euler, repaired, volume};
 use mocapd_body::repair::FACES_KEPT_MAX;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Mesh, Survey, Unit};
+use mocapd_body::{Mesh, ScanAnalysis, Unit};
 use mocapd_testkit::random::Random;
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 use nalgebra::Vector3;
 
 #[test]
@@ -62,7 +62,7 @@ fn triangles_are_oriented_outward() {
 
 #[test]
 fn holes_are_closed_with_triangles_of_the_neighbours_size() {
-    let mesh = body(1, Pose::Down, Options { n_faces: 3000, turned: false }).0;
+    let mesh = body(1, Pose::Down, BodyOptions { n_faces: 3000, turned: false }).0;
     let mut torn = mesh.clone();
     // At crown, back and belly.
     let centres = [[0.0, 1.8, 0.0], [0.0, 1.2, -0.12], [0.0, 1.0, 0.12]];
@@ -140,7 +140,7 @@ fn spikes_of_single_vertices_are_removed() {
 #[test]
 fn decimation_keeps_the_body() {
     for pose in [Pose::T, Pose::Walk] {
-        let (coarse, _) = body(2, pose, Options { n_faces: 5000, turned: true });
+        let (coarse, _) = body(2, pose, BodyOptions { n_faces: 5000, turned: true });
         let fine = finer(&finer(&coarse));
         let found = repaired(fine.clone()).unwrap();
         let n = found.mesh.triangles.len();
@@ -168,7 +168,7 @@ fn centimetres_that_may_be_inches_get_a_note() {
         let mut scaled = clean();
         scaled.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= factor);
         let found = repaired(scaled).unwrap();
-        let analysis = Survey::new(&found.mesh, Method::Default).unwrap();
+        let analysis = ScanAnalysis::new(&found.mesh, Method::Default).unwrap();
         (found.unit, found.unit_ambiguity(analysis.body_scale).map(|note| note.code))
     };
     let inches = Unit::Inch.mm() / 1000.0;
@@ -181,7 +181,7 @@ fn centimetres_that_may_be_inches_get_a_note() {
 #[test]
 fn rounded_triangle_soup_is_reconnected() {
     for (seed, pose) in [(1, Pose::Squat), (2, Pose::Sit)] {
-        let mesh = body(seed, pose, Options { n_faces: 40_000, turned: true }).0;
+        let mesh = body(seed, pose, BodyOptions { n_faces: 40_000, turned: true }).0;
         let mut soup = Mesh::default();
         for corners in &mesh.triangles {
             let first = soup.positions.len() as u32;
@@ -197,7 +197,7 @@ fn rounded_triangle_soup_is_reconnected() {
 
 #[test]
 fn repaired_surfaces_are_closed_after_any_damage() {
-    let mesh = body(3, Pose::Down, Options { n_faces: 2000, turned: false }).0;
+    let mesh = body(3, Pose::Down, BodyOptions { n_faces: 2000, turned: false }).0;
     let (mut accepted, mut random) = (0, Random::new(7));
     for round in 0..120 {
         let mut hurt = mesh.clone();

@@ -8,10 +8,10 @@ use std::collections::HashMap;
 use mocapd_body::Mesh;
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::{RepairError, Repaired, repair};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn clean() -> Mesh {
-    body(1, Pose::A, Options { n_faces: 3000, turned: true }).0
+    body(1, Pose::A, BodyOptions { n_faces: 3000, turned: true }).0
 }
 
 fn repaired(mesh: Mesh) -> Result<Repaired, RepairError> {

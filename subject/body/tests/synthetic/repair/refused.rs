@@ -4,7 +4,7 @@ use super::{clean, repaired};
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::{RepairError, repair};
 use mocapd_body::{Mesh, Unit};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 /// The part below a plane.
 fn below(mesh: &Mesh, axis: usize, height: f64) -> Mesh {
@@ -17,7 +17,7 @@ fn below(mesh: &Mesh, axis: usize, height: f64) -> Mesh {
 }
 
 fn upright() -> Mesh {
-    body(1, Pose::Down, Options { n_faces: 3000, turned: false }).0
+    body(1, Pose::Down, BodyOptions { n_faces: 3000, turned: false }).0
 }
 
 #[test]

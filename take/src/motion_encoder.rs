@@ -14,7 +14,8 @@ use crate::{
     motion::{Marker, Motion, MotionEvent, is_gap},
     record::{Channel, Event, Header, Ledger},
     stretch::{
-        CHANNELS_MAX, FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block,
+        CHANNELS_MAX, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, StretchHeaderWriter,
+        put_block,
     },
     timeline::Timeline,
 };
@@ -46,7 +47,7 @@ pub fn channels(markers: &[Marker]) -> Vec<Channel> {
 
 /// One group of channels over one stretch: the unit that is encoded independently.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Part {
+pub struct EncodePart {
     /// First row.
     pub first_row: usize,
     /// Number of rows.
@@ -59,7 +60,7 @@ pub struct Part {
 
 /// An encoded block, and what the encoder reports of each of its channels.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Coded {
+pub struct EncodedPart {
     block: Vec<u8>,
     /// One report per marker.
     pub reports: Vec<BlockReport>,
@@ -67,14 +68,14 @@ pub struct Coded {
 
 /// The settings and shared bytes that all parts of one motion are encoded with.
 #[derive(Debug)]
-pub struct Plan<'a> {
+pub struct EncodePlan<'a> {
     motion: &'a Motion,
     codec: Settings,
     stretch_rows: usize,
     shared: Vec<u8>,
 }
 
-impl<'a> Plan<'a> {
+impl<'a> EncodePlan<'a> {
     /// Plans the encoding of `motion` with the settings in `header`.
     ///
     /// # Errors
@@ -100,13 +101,13 @@ impl<'a> Plan<'a> {
         Ok(Self { motion, codec, stretch_rows, shared })
     }
 
-    /// The parts, in the order in which [`WholeWriter::push`] expects them.
-    pub fn parts(&self) -> impl Iterator<Item = Part> + use<> {
+    /// The parts, in the order in which [`MotionWriter::push`] expects them.
+    pub fn parts(&self) -> impl Iterator<Item = EncodePart> + use<> {
         let (n_rows, n_markers) = (self.motion.n_frames(), self.motion.info.markers.len());
         let stretch_rows = self.stretch_rows;
         (0..n_rows).step_by(stretch_rows).flat_map(move |first_row| {
             // A take without markers still has its stretches.
-            (0..n_markers.max(1)).step_by(GROUP_CHANNELS).map(move |first_marker| Part {
+            (0..n_markers.max(1)).step_by(GROUP_CHANNELS).map(move |first_marker| EncodePart {
                 first_row,
                 n_rows: stretch_rows.min(n_rows - first_row),
                 first_marker,
@@ -125,7 +126,7 @@ impl<'a> Plan<'a> {
 /// Encodes parts, in any order.
 #[derive(Debug)]
 pub struct PartEncoder<'a> {
-    plan: &'a Plan<'a>,
+    plan: &'a EncodePlan<'a>,
     encoder: Box<dyn BlockEncoder>,
     columns: ColumnBuffer,
 }
@@ -135,13 +136,13 @@ impl PartEncoder<'_> {
     ///
     /// # Errors
     /// `Codec`.
-    pub fn encode(&mut self, part: Part) -> Result<Coded, TakeError> {
+    pub fn encode(&mut self, part: EncodePart) -> Result<EncodedPart, TakeError> {
         self.columns.fill(self.plan.motion, part);
-        let mut coded = Coded::default();
+        let mut coded = EncodedPart::default();
         if part.n_markers > 0 {
             coded.reports.resize(part.n_markers, BlockReport::default());
             let channels = self.columns.rows()?;
-            let Coded { block, reports } = &mut coded;
+            let EncodedPart { block, reports } = &mut coded;
             self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
         }
         Ok(coded)
@@ -150,20 +151,20 @@ impl PartEncoder<'_> {
 
 /// Writes the encoded parts of a plan as a take.
 #[derive(Debug)]
-pub struct WholeWriter<'a, W> {
-    plan: &'a Plan<'a>,
+pub struct MotionWriter<'a, W> {
+    plan: &'a EncodePlan<'a>,
     take: TakeWriter<W>,
-    front: FrontWriter,
+    front: StretchHeaderWriter,
     payload: Vec<u8>,
     n_samples: u64,
 }
 
-impl<'a, W: Write> WholeWriter<'a, W> {
+impl<'a, W: Write> MotionWriter<'a, W> {
     /// Writes the header, the subject, the foreign parts and the events.
     ///
     /// # Errors
     /// Those of [`TakeWriter::new`], [`TakeWriter::subject`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
-    pub fn new(plan: &'a Plan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
+    pub fn new(plan: &'a EncodePlan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
         let info = &plan.motion.info;
         info.subject.iter().try_for_each(|subject| take.subject(subject))?;
@@ -172,15 +173,15 @@ impl<'a, W: Write> WholeWriter<'a, W> {
             let (row, kind, text) = (*frame, *kind, text.clone());
             take.event(&Event { kind, row, device_ticks: 0, host_ns: 0, input: 0, text })?;
         }
-        let front = FrontWriter::new(header.stretch_rows);
+        let front = StretchHeaderWriter::new(header.stretch_rows);
         Ok(Self { plan, take, front, payload: Vec::new(), n_samples: 0 })
     }
 
-    /// Writes the next part, in the order of [`Plan::parts`].
+    /// Writes the next part, in the order of [`EncodePlan::parts`].
     ///
     /// # Errors
     /// Those of [`TakeWriter::stretch`].
-    pub fn push(&mut self, part: Part, coded: &Coded) -> Result<(), TakeError> {
+    pub fn push(&mut self, part: EncodePart, coded: &EncodedPart) -> Result<(), TakeError> {
         let n_markers = self.plan.motion.info.markers.len();
         let alone = n_markers <= GROUP_CHANNELS;
         let number = (part.first_row / self.plan.stretch_rows % usize::from(NUMBERS)) as u8;
@@ -229,7 +230,7 @@ struct ColumnBuffer {
 
 impl ColumnBuffer {
     /// Copies the samples of `part` out of `motion`.
-    fn fill(&mut self, motion: &Motion, part: Part) {
+    fn fill(&mut self, motion: &Motion, part: EncodePart) {
         self.positions.resize_with(part.n_markers, Vec::new);
         self.present.resize_with(part.n_markers, Vec::new);
         for (positions, present) in self.positions.iter_mut().zip(&mut self.present) {
@@ -264,7 +265,7 @@ fn shared(motion: &Motion, codec: &Settings) -> Result<Vec<u8>, CodecError> {
     let mut columns = ColumnBuffer::default();
     let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
     if n_markers > 0 {
-        columns.fill(motion, Part { first_row: 0, n_rows, first_marker: 0, n_markers });
+        columns.fill(motion, EncodePart { first_row: 0, n_rows, first_marker: 0, n_markers });
     }
     codec.plan(&columns.rows()?)
 }

@@ -1,6 +1,6 @@
 use mocapd_drivers::device::{DeviceEvent, Hello, LinkBudget, Pong, Protocol, Status};
 use mocapd_drivers::link::{DeviceLink, HostLink};
-use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record, records};
+use mocapd_drivers::raw_log::{Entry, Record, put_header, put_record, records};
 
 use super::*;
 
@@ -20,9 +20,9 @@ fn command(command: Command) -> Vec<u8> {
 
 fn hello() -> Vec<u8> {
     let hello = Hello {
-        rate_mhz: 60_000,
-        rate_min_mhz: 1,
-        rate_max_mhz: 60_000,
+        rate_millihertz: 60_000,
+        rate_min_millihertz: 1,
+        rate_max_millihertz: 60_000,
         tick_hz: 1,
         ..Hello::default()
     };
@@ -31,7 +31,7 @@ fn hello() -> Vec<u8> {
 
 const START: Command = Command::Start { line_bytes_per_s: 0 };
 const BUDGET: LinkBudget =
-    LinkBudget { needed_bytes_per_s: 1, available_bytes_per_s: 2, rate_fits_mhz: 60_000 };
+    LinkBudget { needed_bytes_per_s: 1, available_bytes_per_s: 2, rate_fits_millihertz: 60_000 };
 
 /// A log of two seconds, in which a Ping with the time 5 is answered after 100 ms.
 fn log() -> Vec<u8> {
@@ -48,7 +48,7 @@ fn log() -> Vec<u8> {
         (2000, false, from_device(|link, out| link.end_of_stream(Status::default(), out))),
     ];
     let mut log = Vec::new();
-    put_head(&mut log);
+    put_header(&mut log);
     put_record(&Record { time_ns: 0, entry: Entry::Opened("dvmc a line") }, &mut log);
     for (at_ms, to_device, bytes) in &entries {
         let entry = if *to_device { Entry::ToDevice(bytes) } else { Entry::FromDevice(bytes) };
@@ -140,7 +140,7 @@ fn a_pong_is_never_older_than_its_ping() {
 fn a_host_that_needs_fewer_tries_than_the_logged_one_gets_its_frames() {
     // The logged host asked twice.
     let mut twice = Vec::new();
-    put_head(&mut twice);
+    put_header(&mut twice);
     let mut asked = false;
     for record in records(&log()).unwrap() {
         let record = record.unwrap();
@@ -168,7 +168,7 @@ fn unusable_logs_are_refused() {
     let error = |log: &[u8]| LogDevice::new(log, 1.0).unwrap_err();
     assert!(matches!(error(b"time,x\n"), Log(RawLogError::NotALog)));
     let mut empty = Vec::new();
-    put_head(&mut empty);
+    put_header(&mut empty);
     let cut = error(&empty);
     assert!(matches!(cut, Unreadable(RawLogError::CutOff { offset: 9 })), "{cut:?}");
     let cut = error(&empty[..8]);
@@ -187,7 +187,7 @@ fn unusable_logs_are_refused() {
 fn a_log_without_an_end_of_stream_is_played_once() {
     let whole = log();
     let mut again = Vec::new();
-    put_head(&mut again);
+    put_header(&mut again);
     let put = |record: Result<Record<'_>, _>| {
         put_record(&record.unwrap(), &mut again);
         again.len()
@@ -277,7 +277,7 @@ fn any_log_and_any_host_reach_an_end() {
         let mut rng = crate::generator::Rng::new(seed);
         let mut below = |n: u64| rng.next_u64() % n;
         let mut log = Vec::new();
-        put_head(&mut log);
+        put_header(&mut log);
         let commands = [
             Command::Identify,
             START,

@@ -3,7 +3,7 @@
 //! A reader calls [`Transport::read`] and passes the bytes to a [`Protocol`](crate::device::Protocol);
 //! it writes only the commands of the user. A polled device needs more: a request after every reply, at the
 //! right time, and on a serial line a break or another baud rate now and then. Its protocol sends these as
-//! [`Order`]s through a [`Desk`], and the [`PolledTransport`] around the line
+//! [`LineCommand`]s through a [`LineCommandSender`], and the [`PolledTransport`] around the line
 //! executes them at the start of the next read, which follows immediately. The transport also publishes the
 //! time, so that the protocol needs no clock.
 //!
@@ -62,12 +62,12 @@ impl Request {
 
 /// A command of a protocol to its line.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Order {
+pub enum LineCommand {
     /// Write a request at a given time or later.
     Write {
         /// The request.
         request: Request,
-        /// Earliest time, on the clock of [`Desk::now_ns`].
+        /// Earliest time, on the clock of [`LineCommandSender::now_ns`].
         not_before_ns: u64,
     },
     /// Send a break, if the line has one.
@@ -76,19 +76,19 @@ pub enum Order {
     Baud(u32),
     /// Requests to write when the line is closed, so that the next host finds the device as this one did.
     /// Replaces the earlier ones.
-    Farewell(Vec<Request>),
+    Goodbye(Vec<Request>),
     /// End the session: the next read fails with this message.
     Fail(String),
 }
 
 /// The sender of line commands, held by the protocol.
 #[derive(Debug)]
-pub struct Desk {
-    commands: SyncSender<Order>,
+pub struct LineCommandSender {
+    commands: SyncSender<LineCommand>,
     now_ns: Arc<AtomicU64>,
 }
 
-impl Desk {
+impl LineCommandSender {
     /// Time of the last read, in nanoseconds since the line was opened.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
@@ -96,21 +96,21 @@ impl Desk {
     }
 
     /// Sends a command; `false` when the queue is full or the line gone.
-    pub fn order(&self, command: Order) -> bool {
+    pub fn send(&self, command: LineCommand) -> bool {
         self.commands.try_send(command).is_ok()
     }
 }
 
 /// The receiver of line commands, held by the transport.
 #[derive(Debug)]
-pub struct Orders {
-    commands: Receiver<Order>,
+pub struct LineCommandReceiver {
+    commands: Receiver<LineCommand>,
     now_ns: Arc<AtomicU64>,
 }
 
-impl Orders {
+impl LineCommandReceiver {
     /// Takes the next command, if there is one.
-    pub fn next_order(&self) -> Option<Order> {
+    pub fn try_recv(&self) -> Option<LineCommand> {
         self.commands.try_recv().ok()
     }
 
@@ -122,27 +122,30 @@ impl Orders {
 
 /// Makes a channel for line commands.
 #[must_use]
-pub fn desk() -> (Desk, Orders) {
+pub fn line_command_channel() -> (LineCommandSender, LineCommandReceiver) {
     let (sender, receiver) = sync_channel(LINE_COMMANDS_MAX);
     let now_ns = Arc::new(AtomicU64::new(0));
-    (Desk { commands: sender, now_ns: Arc::clone(&now_ns) }, Orders { commands: receiver, now_ns })
+    (
+        LineCommandSender { commands: sender, now_ns: Arc::clone(&now_ns) },
+        LineCommandReceiver { commands: receiver, now_ns },
+    )
 }
 
 /// A transport that executes line commands before it reads.
 #[derive(Debug)]
 pub struct PolledTransport {
     line: Box<dyn Transport>,
-    queue: Orders,
+    queue: LineCommandReceiver,
     opened_at: Instant,
     /// A write whose time has not come.
-    next: Option<Order>,
+    next: Option<LineCommand>,
     goodbye: Vec<Request>,
 }
 
 impl PolledTransport {
     /// Wraps `line`.
     #[must_use]
-    pub fn new(line: Box<dyn Transport>, queue: Orders) -> Self {
+    pub fn new(line: Box<dyn Transport>, queue: LineCommandReceiver) -> Self {
         Self { line, queue, opened_at: Instant::now(), next: None, goodbye: Vec::new() }
     }
 
@@ -156,9 +159,9 @@ impl PolledTransport {
     fn execute(&mut self) -> Result<bool, TransportError> {
         // The queue holds no more, and the protocol cannot add any in between.
         for _ in 0..=LINE_COMMANDS_MAX {
-            let Some(command) = self.next.take().or_else(|| self.queue.next_order()) else { break };
+            let Some(command) = self.next.take().or_else(|| self.queue.try_recv()) else { break };
             match command {
-                Order::Write { request, not_before_ns } => {
+                LineCommand::Write { request, not_before_ns } => {
                     let early_ns = not_before_ns.saturating_sub(self.publish_time());
                     let timeout_ns = READ_TIMEOUT.as_nanos() as u64;
                     thread::sleep(Duration::from_nanos(early_ns.min(timeout_ns)));
@@ -168,14 +171,14 @@ impl PolledTransport {
                     }
                     self.line.write_all(request.as_bytes())?;
                 }
-                Order::Break => drop(self.line.send_break()?),
-                Order::Baud(baud) => match self.line.set_baud(baud) {
+                LineCommand::Break => drop(self.line.send_break()?),
+                LineCommand::Baud(baud) => match self.line.set_baud(baud) {
                     // The device does not reply at the old rate, and the search continues.
                     Ok(()) | Err(TransportError::Refused(_)) => {}
                     Err(error) => return Err(error),
                 },
-                Order::Farewell(goodbye) => self.goodbye = goodbye,
-                Order::Fail(message) => return Err(TransportError::Refused(message)),
+                LineCommand::Goodbye(goodbye) => self.goodbye = goodbye,
+                LineCommand::Fail(message) => return Err(TransportError::Refused(message)),
             }
         }
         Ok(true)
