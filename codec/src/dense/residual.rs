@@ -82,13 +82,13 @@ pub(super) struct Residual<'a, C> {
 
 /// A coded residual: its lattice steps, and the magnitudes with signs by which they were coded.
 #[derive(Debug)]
-pub(super) struct Coded {
+pub(super) struct CodedSteps {
     pub(super) steps: Point,
     pub(super) magnitudes: Point,
 }
 
 impl<C: BinaryCoder> Kernel for Residual<'_, C> {
-    type Output = Result<Coded>;
+    type Output = Result<CodedSteps>;
 
     #[inline(always)]
     fn run(mut self) -> Self::Output {
@@ -103,7 +103,7 @@ impl<C: BinaryCoder> Kernel for Residual<'_, C> {
             *magnitude = self.axis(Axis { axis, form, some, certain }, *magnitude)?;
             some |= *magnitude != 0;
         }
-        Ok(Coded { steps: form.steps(magnitudes), magnitudes })
+        Ok(CodedSteps { steps: form.steps(magnitudes), magnitudes })
     }
 }
 
