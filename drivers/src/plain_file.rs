@@ -1,7 +1,6 @@
 //! Opens regular files only, so that reading to the end of input cannot block.
 
 use std::{
-    fmt,
     fs::{self, File, FileType},
     io,
     os::unix::fs::FileTypeExt,
@@ -11,15 +10,19 @@ use std::{
 use rustix::fs::{Mode, OFlags};
 
 /// Kinds of file that are not regular files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotAFile {
     /// A directory.
+    #[error("a folder, not a file")]
     Folder,
     /// A FIFO: opening it blocks until there is a writer, and it may never end.
+    #[error("a pipe, not a file: write its content to a file first")]
     Pipe,
     /// A socket.
+    #[error("a socket, not a file")]
     Socket,
     /// A character or block device: it may never end, and opening it can have side effects.
+    #[error("a device, not a file")]
     Device,
 }
 
@@ -40,19 +43,6 @@ impl NotAFile {
         error.get_ref().and_then(|source| source.downcast_ref()).copied()
     }
 }
-
-impl fmt::Display for NotAFile {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Folder => "a folder, not a file",
-            Self::Pipe => "a pipe, not a file: write its content to a file first",
-            Self::Socket => "a socket, not a file",
-            Self::Device => "a device, not a file",
-        })
-    }
-}
-
-impl std::error::Error for NotAFile {}
 
 /// Opens a regular file, or a link to one, for reading. Never blocks.
 ///

@@ -22,14 +22,9 @@ pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY];
 /// Returns the family with the highest claim on a device; of two equal claims, the first in [`FAMILIES`].
 #[must_use]
 pub fn family_of(candidate: &Candidate) -> Option<(&'static Family, Claim)> {
-    let mut surest: Option<(&'static Family, Claim)> = None;
-    for family in FAMILIES {
-        let claim = (family.claims)(candidate);
-        if claim > surest.map_or(Claim::No, |(_, claim)| claim) {
-            surest = Some((family, claim));
-        }
-    }
-    surest
+    let claims = FAMILIES.iter().map(|family| (family, (family.claims)(candidate)));
+    // Reversed, as `max_by_key` returns the last of equal claims.
+    claims.filter(|(_, claim)| *claim > Claim::No).rev().max_by_key(|(_, claim)| *claim)
 }
 
 /// An attached device.
@@ -79,22 +74,20 @@ fn serial_candidates() -> Result<Vec<Candidate>, TransportError> {
         source: error.into(),
     })?;
     ports.sort_by(|a, b| a.port_name.cmp(&b.port_name));
-    Ok(ports
-        .into_iter()
-        .map(|port| {
-            let location = Location::Serial { path: port.port_name.into(), baud: None };
-            match port.port_type {
-                SerialPortType::UsbPort(usb) => Candidate {
-                    location,
-                    usb_ids: Some((usb.vid, usb.pid)),
-                    serial: usb.serial_number,
-                    manufacturer: usb.manufacturer,
-                    product: usb.product,
-                },
-                _ => Candidate::at(location),
-            }
-        })
-        .collect())
+    let candidates = ports.into_iter().map(|port| {
+        let location = Location::Serial { path: port.port_name.into(), baud: None };
+        match port.port_type {
+            SerialPortType::UsbPort(usb) => Candidate {
+                location,
+                usb_ids: Some((usb.vid, usb.pid)),
+                serial: usb.serial_number,
+                manufacturer: usb.manufacturer,
+                product: usb.product,
+            },
+            _ => Candidate::at(location),
+        }
+    });
+    Ok(candidates.collect())
 }
 
 fn usb_candidate(device: &UsbDevice) -> Candidate {
@@ -200,18 +193,16 @@ pub fn current_uri(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
 
 /// The current location of a device. USB devices are found by serial number, among any others of that kind.
 fn current_location(location: &Location, identity: &Candidate) -> Location {
-    match location {
-        Location::Usb { vid, pid, serial } => {
+    match *location {
+        Location::Usb { vid, pid, ref serial } => {
             let serial = identity.serial.clone().or_else(|| serial.clone());
-            Location::Usb { vid: *vid, pid: *pid, serial }
+            Location::Usb { vid, pid, serial }
         }
-        Location::Serial { path, baud } if identity.serial.is_some() && !path.exists() => {
+        Location::Serial { ref path, baud } if identity.serial.is_some() && !path.exists() => {
             let ports = serial_candidates().unwrap_or_default().into_iter();
             let mut same = ports.filter(|port| is_same(port, identity));
             match (same.next().map(|port| port.location), same.next()) {
-                (Some(Location::Serial { path, .. }), None) => {
-                    Location::Serial { path, baud: *baud }
-                }
+                (Some(Location::Serial { path, .. }), None) => Location::Serial { path, baud },
                 _ => location.clone(),
             }
         }
@@ -254,9 +245,7 @@ fn candidate_at(location: &Location) -> Candidate {
             return same.as_ref().map_or_else(unknown, usb_candidate);
         }
     };
-    let Ok(real_path) = path.canonicalize() else {
-        return unknown();
-    };
+    let Ok(real_path) = path.canonicalize() else { return unknown() };
     let ports = serial_candidates().unwrap_or_default();
     let is_at_path = |port: &&Candidate| matches!(&port.location, Location::Serial { path, .. } if *path == real_path);
     let Some(mut found) = ports.iter().find(is_at_path).cloned() else { return unknown() };

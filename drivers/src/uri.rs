@@ -54,17 +54,13 @@ fn parse(text: &str) -> Result<DeviceUri, String> {
     let (base, query) = text.split_once('?').map_or((text, None), |(base, q)| (base, Some(q)));
     let driver = query.map(parse_query).transpose()?;
     let location = match base.split_once(':') {
-        Some(("serial", rest)) => parse_serial(rest)?,
-        Some(("usb", rest)) => parse_usb(rest)?,
-        _ if base.starts_with('/') => {
-            return Err(format!("a path needs a scheme: serial:{base}"));
-        }
-        Some((scheme, _)) => {
-            return Err(format!("unknown scheme '{scheme}', expected serial or usb"));
-        }
-        None => return Err("the scheme is missing".to_owned()),
+        Some(("serial", rest)) => parse_serial(rest),
+        Some(("usb", rest)) => parse_usb(rest),
+        _ if base.starts_with('/') => Err(format!("a path needs a scheme: serial:{base}")),
+        Some((scheme, _)) => Err(format!("unknown scheme '{scheme}', expected serial or usb")),
+        None => Err("the scheme is missing".to_owned()),
     };
-    Ok(DeviceUri { location, driver })
+    Ok(DeviceUri { location: location?, driver })
 }
 
 fn parse_query(query: &str) -> Result<String, String> {

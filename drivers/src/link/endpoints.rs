@@ -5,7 +5,7 @@ use super::{
     MARKERS_MESSAGE_BYTES_MAX, WIRE_BYTES_MAX,
     envelope::{DecodeOutcome, Deframer, Framer},
     frame::{get_frame, put_frame},
-    messages::{self, kind},
+    messages::{self, get_hello, get_markers, kind},
 };
 use crate::{
     bytes::WireValue,
@@ -38,11 +38,7 @@ impl DeviceLink {
     /// Decodes received bytes, split at arbitrary points, and calls `on_command` for every command they complete.
     pub fn push(&mut self, bytes: &[u8], on_command: &mut dyn FnMut(Command)) {
         self.deframer.push(bytes, |kind, payload| match messages::get_command(kind, payload) {
-            Some(Some(command)) => {
-                on_command(command);
-                DecodeOutcome::Decoded
-            }
-            Some(None) => DecodeOutcome::Damaged,
+            Some(command) => command.map(&mut *on_command).into(),
             None => DecodeOutcome::Unknown,
         });
     }
@@ -210,9 +206,7 @@ impl Protocol for HostLink {
                 out.push(0);
                 framer.write(kind::IDENTIFY, (), out);
             }
-            Command::Start { line_bytes_per_s } => {
-                framer.write(kind::START, line_bytes_per_s, out);
-            }
+            Command::Start { line_bytes_per_s: n } => framer.write(kind::START, n, out),
             Command::Stop => framer.write(kind::STOP, (), out),
             Command::SetRate(rate_millihertz) => framer.write(kind::SET_RATE, rate_millihertz, out),
             Command::Ping { host_ns } => framer.write(kind::PING, host_ns, out),
@@ -232,16 +226,13 @@ impl Scratch {
         payload: &[u8],
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) -> DecodeOutcome {
+        let Self { samples, markers, hello, samples_not_finite } = self;
         let event = match kind {
             kind::FRAME_FLOAT | kind::FRAME_MICROMETRES | kind::FRAME_COMPACT => {
-                get_frame(kind, payload, &mut self.samples, &mut self.samples_not_finite)
-                    .map(DeviceEvent::Frame)
+                get_frame(kind, payload, samples, samples_not_finite).map(DeviceEvent::Frame)
             }
-            kind::HELLO => messages::get_hello(payload, &mut self.hello)
-                .map(|()| DeviceEvent::Hello(&self.hello)),
-            kind::MARKERS => {
-                messages::get_markers(payload, &mut self.markers).map(DeviceEvent::Markers)
-            }
+            kind::HELLO => get_hello(payload, hello).map(|()| DeviceEvent::Hello(hello)),
+            kind::MARKERS => get_markers(payload, markers).map(DeviceEvent::Markers),
             kind::TRIGGER => WireValue::decode(payload).map(DeviceEvent::Trigger),
             kind::STATUS => WireValue::decode(payload).map(DeviceEvent::Status),
             kind::END_OF_STREAM => WireValue::decode(payload).map(DeviceEvent::EndOfStream),
@@ -251,12 +242,6 @@ impl Scratch {
             kind::RATE_SET => WireValue::decode(payload).map(DeviceEvent::RateSet),
             _ => return DecodeOutcome::Unknown,
         };
-        match event {
-            Some(event) => {
-                on_event(event);
-                DecodeOutcome::Decoded
-            }
-            None => DecodeOutcome::Damaged,
-        }
+        event.map(on_event).into()
     }
 }

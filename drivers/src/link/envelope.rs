@@ -14,6 +14,12 @@ pub(super) enum DecodeOutcome {
     Unknown,
 }
 
+impl From<Option<()>> for DecodeOutcome {
+    fn from(decoded: Option<()>) -> Self {
+        if decoded.is_some() { Self::Decoded } else { Self::Damaged }
+    }
+}
+
 /// Encodes messages into envelopes. Reuses its memory from message to message.
 #[derive(Debug, Default)]
 pub(super) struct Framer {

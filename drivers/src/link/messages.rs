@@ -37,13 +37,12 @@ wire_struct!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_m
 
 /// The reason why a Hello is invalid; sender and receiver apply the same rule.
 fn hello_error(hello: &Hello) -> Option<&'static str> {
+    let rates_millihertz = hello.rate_min_millihertz..=hello.rate_max_millihertz;
     if hello.tick_hz == 0 {
         Some("tick_hz is 0; give the ticks per second of the device clock")
     } else if hello.rate_millihertz == 0 {
         Some("rate_millihertz is 0; give the frame rate of the next Start")
-    } else if !(hello.rate_min_millihertz..=hello.rate_max_millihertz)
-        .contains(&hello.rate_millihertz)
-    {
+    } else if !rates_millihertz.contains(&hello.rate_millihertz) {
         Some("rate_millihertz is not within rate_min_millihertz..=rate_max_millihertz")
     } else if hello.up_axis > 3 {
         Some("up_axis is not one of 0 (unknown), 1 (x), 2 (y), 3 (z)")
@@ -74,11 +73,9 @@ pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeEr
     if let Some(error) = hello_error(hello) {
         return Err(EncodeError::Hello(error));
     }
-    for rate_millihertz in
-        [hello.rate_millihertz, hello.rate_min_millihertz, hello.rate_max_millihertz]
-    {
-        rate_millihertz.put(out);
-    }
+    hello.rate_millihertz.put(out);
+    hello.rate_min_millihertz.put(out);
+    hello.rate_max_millihertz.put(out);
     hello.tick_hz.put(out);
     hello.up_axis.put(out);
     hello.markers_max.put(out);
@@ -91,11 +88,9 @@ pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeEr
 /// Decodes a Hello into `hello`, reusing its memory. After `None` its contents are unspecified.
 pub(super) fn get_hello(payload: &[u8], hello: &mut Hello) -> Option<()> {
     let mut cursor = Cursor::new(payload);
-    for rate_millihertz in
-        [&mut hello.rate_millihertz, &mut hello.rate_min_millihertz, &mut hello.rate_max_millihertz]
-    {
-        *rate_millihertz = cursor.get()?;
-    }
+    hello.rate_millihertz = cursor.get()?;
+    hello.rate_min_millihertz = cursor.get()?;
+    hello.rate_max_millihertz = cursor.get()?;
     hello.tick_hz = cursor.get()?;
     hello.up_axis = cursor.get()?;
     hello.markers_max = cursor.get()?;

@@ -131,12 +131,9 @@ impl NdiHost {
             }
             (Task::Comm(index), Outcome::Refused(_)) => self.set_speed(index.saturating_sub(1)),
             // The checksum was correct, so any text will do.
-            (Task::Verify | Task::Version, Outcome::Text(text)) => {
+            (Task::Verify | Task::Version, Outcome::Text(_) | Outcome::Refused(_)) => {
+                let text = if let Outcome::Text(text) = outcome { text } else { "NDI system" };
                 self.hello = parse_version(text);
-                self.send_text(Task::ApiRevision, "APIREV:");
-            }
-            (Task::Verify | Task::Version, Outcome::Refused(_)) => {
-                self.hello = parse_version("NDI system");
                 self.send_text(Task::ApiRevision, "APIREV:");
             }
             (Task::Comm(_) | Task::Verify, _) => {
@@ -202,8 +199,7 @@ impl NdiHost {
             PortStep::Initialize => {
                 self.rounds += 1;
                 if handles.is_empty() || self.rounds > ROUNDS_MAX {
-                    self.list_ports(PortStep::Enable);
-                    return;
+                    return self.list_ports(PortStep::Enable);
                 }
             }
             PortStep::Enable => {}
@@ -259,11 +255,9 @@ impl NdiHost {
 
     /// Sets the requests to send on closing, so that the next host finds the device at 9600 baud and stopped.
     pub(super) fn set_goodbye(&mut self, tracking: bool) {
-        let is_faster = self.baud != BAUD_AT_RESET;
-        let mut goodbye = Vec::new();
-        goodbye.extend(tracking.then(|| with_crc("TSTOP:")));
-        goodbye.extend(is_faster.then(|| with_crc("COMM:00000")));
-        self.line.send(LineCommand::Goodbye(goodbye));
+        let stop = tracking.then(|| with_crc("TSTOP:"));
+        let reset_baud = (self.baud != BAUD_AT_RESET).then(|| with_crc("COMM:00000"));
+        self.line.send(LineCommand::Goodbye(stop.into_iter().chain(reset_baud).collect()));
     }
 }
 
@@ -303,10 +297,8 @@ fn has_bx2(revision: &str) -> bool {
 
 /// Extracts the value of `Name=value`.
 fn parse_value<'a>(outcome: Outcome<'a>) -> Option<&'a str> {
-    match outcome {
-        Outcome::Text(text) => text.split_once('=').map(|(_, value)| value.trim()),
-        Outcome::Refused(_) | Outcome::Timeout => None,
-    }
+    let Outcome::Text(text) = outcome else { return None };
+    text.split_once('=').map(|(_, value)| value.trim())
 }
 
 /// Parses the reply to `PHSR`: a count, then handle and status of each; `None` when invalid.

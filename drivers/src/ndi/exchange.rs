@@ -136,13 +136,9 @@ impl NdiHost {
 
     /// Handles a device that keeps sending unrequested bytes: at the wrong baud rate, or of another kind.
     fn drain_timed_out(&mut self, on_event: OnEvent<'_>) {
-        match self.pending.take() {
-            Some(Pending {
-                task: task @ (Task::Probe(_) | Task::Break(_) | Task::Verify), ..
-            }) => {
-                self.dispatch(task, Outcome::Timeout, on_event);
-            }
-            _ => self.restart_search(),
+        match self.pending.filter(|_| self.is_searching()) {
+            Some(pending) => self.dispatch(pending.task, Outcome::Timeout, on_event),
+            None => self.restart_search(),
         }
     }
 
@@ -169,10 +165,7 @@ impl NdiHost {
                 self.counters.messages += 1;
                 match message::error_code(&text) {
                     Some(code) => self.on_refusal(task, code, on_event),
-                    None => {
-                        self.pending = None;
-                        self.dispatch(task, Outcome::Text(&text), on_event);
-                    }
+                    None => self.dispatch(task, Outcome::Text(&text), on_event),
                 }
             }
         }
@@ -184,7 +177,6 @@ impl NdiHost {
         if !for_good && self.pending.is_some_and(|pending| pending.attempts < ATTEMPTS) {
             self.transmit(0);
         } else {
-            self.pending = None;
             self.dispatch(task, Outcome::Refused(code), on_event);
         }
     }
@@ -218,12 +210,13 @@ impl NdiHost {
         } else if attempts < ATTEMPTS && !matches!(task, Task::Probe(_) | Task::Break(_)) {
             self.transmit(0);
         } else {
-            self.pending = None;
             self.dispatch(task, Outcome::Timeout, on_event);
         }
     }
 
+    /// Ends the pending request, and handles its outcome.
     fn dispatch(&mut self, task: Task, outcome: Outcome<'_>, on_event: OnEvent<'_>) {
+        self.pending = None;
         match task {
             Task::Start | Task::Poll | Task::Stop => self.track_reply(task, outcome, on_event),
             _ => self.bring_up_reply(task, outcome),

@@ -207,14 +207,12 @@ impl NdiHost {
                 self.start();
             }
         }
-        let now_ns = self.line.now_ns();
         let Some(Ping { host_ns, received_ns, messages }) = self.todo.ping else { return };
-        let waited =
-            now_ns.saturating_sub(received_ns) > PING_WAIT_NS && self.counters.messages > messages;
+        let waited_ns = self.line.now_ns().saturating_sub(received_ns);
+        let waited = waited_ns > PING_WAIT_NS && self.counters.messages > messages;
         if self.state == HostState::Ready || (self.state == HostState::BringUp && waited) {
             self.todo.ping = None;
-            let device_ticks = self.run.ticks;
-            on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks }));
+            on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.ticks }));
         }
     }
 

@@ -35,10 +35,7 @@ pub(crate) const FAMILY: Family = Family {
         }
     },
     protocol: |location| {
-        let baud = match location {
-            Location::Serial { baud, .. } => *baud,
-            Location::Usb { .. } => None,
-        };
+        let baud = if let Location::Serial { baud, .. } = location { *baud } else { None };
         // A sender without a receiver, until `attach` connects the protocol to a line.
         let (sender, _) = line_command_channel();
         Box::new(NdiHost::new(sender, baud.unwrap_or(BAUD_MAX_DEFAULT)))

@@ -106,12 +106,9 @@ impl StrayTracker {
                 None => push_unnumbered(*stray, out),
             }
         }
-        for (slot, taken) in self.slots.iter_mut().zip(taken) {
-            if !taken {
-                // Its motion is unknown: search at its last position.
-                *slot =
-                    Slot { held: slot.held.saturating_sub(elapsed), step_mm: [0.0; 3], ..*slot };
-            }
+        for (slot, _) in self.slots.iter_mut().zip(taken).filter(|(_, taken)| !taken) {
+            // Its motion is unknown: search at its last position.
+            *slot = Slot { held: slot.held.saturating_sub(elapsed), step_mm: [0.0; 3], ..*slot };
         }
         for _ in 0..frame.strays_excess {
             push_unnumbered([0.0; 3], out);

@@ -7,7 +7,7 @@ use super::{
     run::FrameStep,
 };
 use crate::{
-    device::{DeviceEvent, Frame, LinkBudget},
+    device::{DeviceEvent, Frame, Hello, LinkBudget},
     link::link_budget,
 };
 
@@ -145,19 +145,14 @@ const REPLY_OVERHEAD_BYTES: usize = 6 + 2;
 impl NdiHost {
     /// The link budget for the tools, before any stray is seen.
     fn budget(&self) -> LinkBudget {
-        let bytes = self.reply_bytes(0);
-        link_budget(
-            bytes,
-            self.hello.rate_millihertz,
-            self.hello.rate_max_millihertz,
-            line_bytes_per_s(self.baud),
-        )
+        let Hello { rate_millihertz, rate_max_millihertz, .. } = self.hello;
+        let line_bytes_per_s = line_bytes_per_s(self.baud);
+        link_budget(self.reply_bytes(0), rate_millihertz, rate_max_millihertz, line_bytes_per_s)
     }
 
     fn reply_bytes(&self, strays: usize) -> usize {
-        let tools = self.table.len();
-        REPLY_OVERHEAD_BYTES
-            + if self.bx2 { bx2_block_bytes(tools, strays) } else { bx_block_bytes(tools, strays) }
+        let block_bytes = if self.bx2 { bx2_block_bytes } else { bx_block_bytes };
+        REPLY_OVERHEAD_BYTES + block_bytes(self.table.len(), strays)
     }
 
     /// Bytes per frame in both directions: poll and reply alternate on the line, so both count.
@@ -206,9 +201,8 @@ impl NdiHost {
             }
             None => "no baud rate suffices; show fewer markers, or lower its frame rate".to_owned(),
         };
-        let load = [(tools, "tool"), (strays, "stray marker")];
-        let load: Vec<_> =
-            load.iter().filter(|(n, _)| *n > 0).map(|(n, what)| plural(*n, what)).collect();
+        let load = [(tools, "tool"), (strays, "stray marker")].into_iter().filter(|(n, _)| *n > 0);
+        let load: Vec<_> = load.map(|(n, what)| plural(n, what)).collect();
         let load = if load.is_empty() { "a frame".to_owned() } else { load.join(" and ") };
         format!(
             "{} baud carry {load} at most {most_hz:.1} times per second, but the system runs at {rate_hz} Hz; {advice}",

@@ -72,9 +72,7 @@ pub(super) fn set_low_latency(fd: BorrowedFd<'_>) -> bool {
     // SAFETY: TIOCGSERIAL writes one `struct serial_struct`, and that is what `Serial` is.
     let get = unsafe { Getter::<TIOCGSERIAL, Serial>::new() };
     // SAFETY: `get` pairs the request with its type; the kernel writes nothing else.
-    let Ok(mut serial) = (unsafe { ioctl(fd, get) }) else {
-        return false;
-    };
+    let Ok(mut serial) = (unsafe { ioctl(fd, get) }) else { return false };
     if serial.flags & ASYNC_LOW_LATENCY != 0 {
         return true;
     }

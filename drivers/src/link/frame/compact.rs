@@ -16,9 +16,7 @@ const ESCAPE: [u8; 3] = [0x00, 0x00, 0x80];
 
 /// Splits `markers` (ids ascending) into runs of consecutive ids.
 fn runs(markers: &[MarkerSample]) -> impl Iterator<Item = &[MarkerSample]> {
-    markers
-        .chunk_by(|a, b| b.id - a.id == 1)
-        .flat_map(|consecutive| consecutive.chunks(RUN_MARKERS_MAX))
+    markers.chunk_by(|a, b| b.id - a.id == 1).flat_map(|run| run.chunks(RUN_MARKERS_MAX))
 }
 
 /// Returns the difference from `from_um` to `to_um` when every axis fits, and moves `from_um` there.
@@ -52,11 +50,8 @@ pub(super) fn put(markers: &[MarkerSample], residuals: bool, message: &mut Vec<u
         first_id.put(message);
         message.push(run.len() as u8);
         for octet in run.chunks(8) {
-            let bits = octet
-                .iter()
-                .rev()
-                .fold(0, |bits, marker| bits << 1 | u8::from(has_position(marker)));
-            message.push(bits);
+            let present = octet.iter().rev().map(|marker| u8::from(has_position(marker)));
+            message.push(present.fold(0, |bits, bit| bits << 1 | bit));
         }
         for marker in run.iter().filter(|marker| has_position(marker)) {
             if residuals {
@@ -115,11 +110,8 @@ fn get_run(
     }
     let present = bitmap.iter().flat_map(|&bits| (0..8).map(move |bit| bits >> bit & 1 == 1));
     for (index, present) in present.take(len).enumerate() {
-        let mut marker = MarkerSample {
-            id: first_id + index as u16,
-            occluded: !present,
-            ..MarkerSample::default()
-        };
+        let id = first_id + index as u16;
+        let mut marker = MarkerSample { id, occluded: !present, ..MarkerSample::default() };
         if present {
             if residuals {
                 marker.residual_10um = cursor.get()?;

@@ -76,10 +76,10 @@ pub(super) fn put_frame(
     frame: &Frame<'_>,
     out: &mut Vec<u8>,
 ) -> Result<(), EncodeError> {
-    let n = checked_marker_count(frame.markers)?;
-    let residuals =
-        frame.markers.iter().any(|marker| has_position(marker) && marker.residual_10um > 0);
-    let form = choose_form(preferred, frame.markers, residuals);
+    let markers = frame.markers;
+    let n = checked_marker_count(markers)?;
+    let residuals = markers.iter().any(|marker| has_position(marker) && marker.residual_10um > 0);
+    let form = choose_form(preferred, markers, residuals);
     let message = framer.open(form.kind());
     frame.seq.put(message);
     frame.device_ticks.put(message);
@@ -90,14 +90,12 @@ pub(super) fn put_frame(
         message.extend_from_slice(&timecode);
     }
     match form {
-        FrameForm::Float => put_plain(frame.markers, residuals, message, |position_mm| {
-            position_mm.map(f32::to_le_bytes)
-        }),
-        FrameForm::Micrometres => put_plain(frame.markers, residuals, message, |position_mm| {
+        FrameForm::Float => put_plain(markers, residuals, message, |mm| mm.map(f32::to_le_bytes)),
+        FrameForm::Micrometres => put_plain(markers, residuals, message, |position_mm| {
             // `choose_form` has checked that every position fits.
             micrometres(position_mm).unwrap_or_default().map(i32::to_le_bytes)
         }),
-        FrameForm::Compact => compact::put(frame.markers, residuals, message),
+        FrameForm::Compact => compact::put(markers, residuals, message),
     }
     framer.close(out);
     Ok(())
@@ -112,10 +110,8 @@ fn checked_marker_count(markers: &[MarkerSample]) -> Result<u16, EncodeError> {
     if markers.len() > MARKERS_MAX {
         return Err(EncodeError::TooManyMarkers { found: markers.len(), max: MARKERS_MAX });
     }
-    for pair in markers.windows(2) {
-        if let [previous, next] = pair
-            && previous.id >= next.id
-        {
+    for [previous, next] in markers.array_windows() {
+        if previous.id >= next.id {
             return Err(EncodeError::IdsNotAscending { previous: previous.id, id: next.id });
         }
     }
@@ -126,10 +122,8 @@ fn choose_form(preferred: FrameForm, markers: &[MarkerSample], residuals: bool) 
     if preferred == FrameForm::Float {
         return FrameForm::Float;
     }
-    let all_fit = markers
-        .iter()
-        .all(|marker| !has_position(marker) || micrometres(marker.position_mm).is_some());
-    if !all_fit {
+    let mut present = markers.iter().filter(|marker| has_position(marker));
+    if !present.all(|marker| micrometres(marker.position_mm).is_some()) {
         FrameForm::Float
     } else if preferred == FrameForm::Compact
         && compact::markers_bytes(markers, residuals) <= plain_bytes(markers, residuals)
@@ -231,8 +225,7 @@ fn get_plain(
             return None;
         }
         previous = Some(id);
-        let mut marker =
-            MarkerSample { id, occluded: flags & OCCLUDED != 0, ..MarkerSample::default() };
+        let mut marker = MarkerSample { id, occluded: flags & OCCLUDED != 0, ..Default::default() };
         if !marker.occluded {
             if residuals {
                 marker.residual_10um = cursor.get()?;

@@ -19,6 +19,7 @@ use super::{
     queue::{CANCEL_TIMEOUT, RETRY_PAUSE, ReadQueue, TRANSFER_BYTES, TRANSFERS},
 };
 use crate::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
+use TransferError::{Cancelled, Disconnected, Fault, Stall};
 
 /// `ENOMEM`: the kernel's memory limit for transfers is exhausted.
 const ENOMEM: u32 = 12;
@@ -61,10 +62,8 @@ impl Attached {
 
     fn transfer_error(&self, action: &'static str, error: TransferError) -> TransportError {
         match error {
-            TransferError::Unknown(ENOMEM) => {
-                TransportError::Unsupported(out_of_memory(&self.name, limit_mib()))
-            }
-            TransferError::Disconnected => self.gone(),
+            TransferError::Unknown(ENOMEM) => out_of_memory(&self.name, limit_mib()),
+            Disconnected => self.gone(),
             _ => TransportError::Io { device: self.name.clone(), action, source: error.into() },
         }
     }
@@ -97,16 +96,10 @@ impl UsbTransport {
         let interface = handle.detach_and_claim_interface(pair.interface).wait().map_err(failed)?;
         let rx = interface.endpoint(pair.device_to_host).map_err(failed)?;
         let tx = interface.endpoint(pair.host_to_device).map_err(failed)?;
-        let received = ReadQueue::start(rx)
-            .ok_or_else(|| TransportError::Unsupported(out_of_memory(&name, limit_mib())))?;
+        let received = ReadQueue::start(rx).ok_or_else(|| out_of_memory(&name, limit_mib()))?;
+        let stalls = VecDeque::with_capacity(STALLS_MAX);
         let device = Attached { name, sysfs: device.sysfs, address };
-        Ok(Self {
-            received,
-            tx,
-            device,
-            stalls_cleared: 0,
-            stalls: VecDeque::with_capacity(STALLS_MAX),
-        })
+        Ok(Self { received, tx, device, stalls_cleared: 0, stalls })
     }
 
     /// Counts a stall; returns `true` when stalls are too frequent to go on.
@@ -120,23 +113,17 @@ impl UsbTransport {
     fn recover(&mut self, error: TransferError) -> Result<(), TransportError> {
         let retry = self.received.may_retry();
         match error {
-            TransferError::Stall if retry && !self.record_stall() => {
+            Stall if retry && !self.record_stall() => {
                 // A device whose halt cannot be cleared is being disconnected.
                 if !self.received.clear_halt() {
                     return Err(self.device.gone());
                 }
                 self.stalls_cleared += 1;
             }
-            TransferError::Stall => return Err(self.device.stall_error()),
+            Stall => return Err(self.device.stall_error()),
             // An unplugged device causes any of these three errors; whether it is attached decides.
-            TransferError::Fault | TransferError::Cancelled
-                if retry && self.device.is_attached() =>
-            {
-                thread::sleep(RETRY_PAUSE);
-            }
-            TransferError::Fault | TransferError::Cancelled | TransferError::Disconnected => {
-                return Err(self.device.gone());
-            }
+            Fault | Cancelled if retry && self.device.is_attached() => thread::sleep(RETRY_PAUSE),
+            Fault | Cancelled | Disconnected => return Err(self.device.gone()),
             _ => return Err(self.device.transfer_error("reading", error)),
         }
         if self.received.refill() { Ok(()) } else { Err(self.device.gone()) }
@@ -208,16 +195,12 @@ fn send_transfer(
         };
         match done.status {
             Ok(()) => return Ok(()),
-            Err(TransferError::Stall) if attempts_left > 0 => {
-                tx.clear_halt().wait().map_err(|_| device.gone())?;
-            }
-            Err(TransferError::Stall) => return Err(device.stall_error()),
-            Err(TransferError::Fault | TransferError::Cancelled)
-                if attempts_left > 0 && device.is_attached() =>
-            {
+            Err(Stall) if attempts_left > 0 => tx.clear_halt().wait().map_err(|_| device.gone())?,
+            Err(Stall) => return Err(device.stall_error()),
+            Err(Fault | Cancelled) if attempts_left > 0 && device.is_attached() => {
                 thread::sleep(RETRY_PAUSE);
             }
-            Err(TransferError::Fault | TransferError::Cancelled) => return Err(device.gone()),
+            Err(Fault | Cancelled) => return Err(device.gone()),
             Err(error) => return Err(device.transfer_error("writing", error)),
         }
     }
@@ -248,16 +231,16 @@ fn parse_limit(text: &str) -> Option<u64> {
     text.trim().parse().ok().filter(|mib| *mib > 0)
 }
 
-/// The message for exhausted transfer memory, with the command that raises the limit.
-fn out_of_memory(device: &str, limit_mib: Option<u64>) -> String {
+/// The error for exhausted transfer memory, with the command that raises the limit.
+fn out_of_memory(device: &str, limit_mib: Option<u64>) -> TransportError {
     let limit = limit_mib.map_or_else(String::new, |mib| format!(", {mib} MiB for all programs,"));
     let raised = limit_mib.unwrap_or(16).saturating_mul(4).max(64);
-    format!(
+    TransportError::Unsupported(format!(
         "no memory for USB transfers with {device}: the kernel's limit{limit} is exhausted, and {TRANSFERS} \
          transfers of {} KiB are needed; close other programs that use USB, or type \
          `echo {raised} | sudo tee {PARAMETER}`",
         TRANSFER_BYTES >> 10
-    )
+    ))
 }
 
 #[cfg(test)]
@@ -273,9 +256,9 @@ mod tests {
 
     #[test]
     fn the_message_names_the_command_that_raises_the_limit() {
-        let message = out_of_memory("usb:1209:0001:A", Some(16));
+        let message = out_of_memory("usb:1209:0001:A", Some(16)).to_string();
         assert!(message.contains("usb:1209:0001:A") && message.contains("16 MiB"), "{message}");
         assert!(message.contains(&format!("`echo 64 | sudo tee {PARAMETER}`")), "{message}");
-        assert!(out_of_memory("x", Some(u64::MAX)).contains("echo 1844"));
+        assert!(out_of_memory("x", Some(u64::MAX)).to_string().contains("echo 1844"));
     }
 }

@@ -92,22 +92,19 @@ pub(super) fn find(vid: u16, pid: u16, serial: Option<&str>) -> Result<DeviceInf
 fn select(name: String, serial: Option<&str>, list: &[UsbDevice]) -> Result<usize, TransportError> {
     let is_match = |device: &UsbDevice| serial.is_none_or(|s| device.serial.as_deref() == Some(s));
     let mut matching = list.iter().enumerate().filter(|(_, device)| is_match(device));
-    let names = || {
-        let names: Vec<_> = list.iter().map(|device| device.location().to_string()).collect();
-        names.join(", ")
-    };
+    let names: Vec<_> = list.iter().map(|device| device.location().to_string()).collect();
+    let names = names.join(", ");
     match (matching.next(), matching.next()) {
         (Some((index, _)), None) => Ok(index),
         (None, _) if list.is_empty() => Err(TransportError::NotFound { device: name }),
         (None, _) => Err(TransportError::NotFound {
-            device: format!("{name} (attached with these ids: {})", names()),
+            device: format!("{name} (attached with these ids: {names})"),
         }),
         (Some(_), Some(_)) if serial.is_some() => Err(TransportError::Unsupported(format!(
             "more than one device is {name}; unplug all but one"
         ))),
         (Some(_), Some(_)) => Err(TransportError::Unsupported(format!(
-            "more than one device is {name}; add a serial number: {}",
-            names()
+            "more than one device is {name}; add a serial number: {names}"
         ))),
     }
 }
