@@ -103,9 +103,8 @@ impl FromStr for Generated {
         if name != "jump" {
             return Err(format!("unknown motion '{name}', expected jump or jump:SEED"));
         }
-        let seed =
-            seed.parse().map_err(|_| format!("bad seed '{seed}': expected 0 to {}", u64::MAX))?;
-        Ok(Self { seed })
+        let bad = |_| format!("bad seed '{seed}': expected 0 to {}", u64::MAX);
+        Ok(Self { seed: seed.parse().map_err(bad)? })
     }
 }
 

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, Result};
 use clap::Args;
 use mocapd_simulator::generator::{JumpSet, JumpSpec, SetJump};
 use mocapd_take::interchange::Format;
@@ -58,10 +58,7 @@ pub(super) fn run(args: &GenerateArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn write(
-    path: &Path,
-    content: impl FnOnce(&mut dyn Write) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
+fn write(path: &Path, content: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
     let writing = || format!("cannot write {}", path.display());
     let mut out = BufWriter::new(File::create_new(path).with_context(writing)?);
     content(&mut out).with_context(writing)?;

@@ -1,7 +1,7 @@
 //! The command line.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -31,10 +31,17 @@ enum Command {
     Generate(generate::GenerateArgs),
     /// Print the completion script for a shell
     #[command(hide = true)]
-    Completions(Completions),
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
     /// Write the manual pages, replacing existing ones
     #[command(hide = true)]
-    Man(Pages),
+    Man {
+        /// An existing folder for the pages
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
 }
 
 /// The error that ended the program, and its exit code.
@@ -61,34 +68,20 @@ pub(crate) fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Generate(args) => generate::run(args),
-        Command::Completions(args) => completions(args),
-        Command::Man(args) => pages(args),
+        Command::Completions { shell } => completions(*shell),
+        Command::Man { out } => pages(out),
     }
 }
 
-#[derive(Debug, clap::Args)]
-pub(crate) struct Completions {
-    /// The shell
-    shell: Shell,
-}
-
-#[derive(Debug, clap::Args)]
-pub(crate) struct Pages {
-    /// An existing folder for the pages
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-}
-
-fn completions(args: &Completions) -> Result<(), Failure> {
+fn completions(shell: Shell) -> Result<(), Failure> {
     let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "mocapd-sim", &mut text);
+    clap_complete::generate(shell, &mut Cli::command(), "mocapd-sim", &mut text);
     Ok(std::io::stdout().write_all(&text)?)
 }
 
-fn pages(args: &Pages) -> Result<(), Failure> {
-    clap_mangen::generate_to(Cli::command(), &args.out)
-        .with_context(|| format!("cannot write pages to {}", args.out.display()))?;
-    Ok(())
+fn pages(out: &Path) -> Result<(), Failure> {
+    let written = clap_mangen::generate_to(Cli::command(), out);
+    Ok(written.with_context(|| format!("cannot write pages to {}", out.display()))?)
 }
 
 /// Parses a length in millimetres: `0.05mm`, `50um`, `1cm`; a bare number is millimetres.
@@ -122,7 +115,7 @@ mod tests {
     #[test]
     fn every_subcommand_has_a_page() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(pages(&Pages { out: folder.path().to_owned() }).is_ok());
+        assert!(pages(folder.path()).is_ok());
         let visible = Cli::command();
         let visible = visible.get_subcommands().filter(|sub| !sub.is_hide_set());
         let mut names: Vec<_> =

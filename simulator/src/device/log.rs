@@ -245,11 +245,7 @@ impl FaultCounts {
                 (false, _) => format!("{name} in {n} frames"),
             }
         });
-        let effects: Vec<String> = effects.collect();
-        if effects.is_empty() {
-            String::new()
-        } else {
-            format!("; effects: {}", effects.join(", "))
-        }
+        let texts: Vec<String> = effects.collect();
+        if texts.is_empty() { String::new() } else { format!("; effects: {}", texts.join(", ")) }
     }
 }

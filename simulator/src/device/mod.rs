@@ -337,20 +337,16 @@ impl LineDevice for Device {
 /// Unlabelled markers get a temporary id and an empty label.
 fn marker_table(markers: &[Marker]) -> (Vec<MarkerInfo>, Vec<String>) {
     let mut warnings = Vec::new();
-    let table = (0u16..)
-        .zip(markers)
-        .map(|(id, marker)| {
-            let label = if marker.labelled { marker.label.as_str() } else { "" };
-            let sent = link_label(label);
-            if sent != label {
-                warnings.push(format!(
-                    "the link cannot carry the label '{}': sent as '{sent}'",
-                    label.escape_debug()
-                ));
-            }
-            MarkerInfo { id, label: sent, labelled: marker.labelled }
-        })
-        .collect();
+    let mut table = Vec::with_capacity(markers.len());
+    for (id, marker) in (0u16..).zip(markers) {
+        let label = if marker.labelled { marker.label.as_str() } else { "" };
+        let sent = link_label(label);
+        if sent != label {
+            let label = label.escape_debug();
+            warnings.push(format!("the link cannot carry the label '{label}': sent as '{sent}'"));
+        }
+        table.push(MarkerInfo { id, label: sent, labelled: marker.labelled });
+    }
     (table, warnings)
 }
 

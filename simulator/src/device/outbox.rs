@@ -28,16 +28,11 @@ pub(crate) struct Outbox {
 }
 
 impl Outbox {
-    /// Sets the capacity to `requested` bytes, or to one second of frames, between 64 KiB and 4 MiB.
-    pub(crate) fn resize(
-        &mut self,
-        frame_bytes: usize,
-        rate_millihertz: u32,
-        requested: Option<usize>,
-    ) {
+    /// Sets the capacity to `size` bytes, or to one second of frames, between 64 KiB and 4 MiB.
+    pub(crate) fn resize(&mut self, frame_bytes: usize, rate_millihertz: u32, size: Option<usize>) {
         let second = frame_bytes as u64 * u64::from(rate_millihertz) / 1000;
         let second = usize::try_from(second).unwrap_or(CAPACITY_MAX);
-        let capacity = requested.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
+        let capacity = size.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
         self.capacity = capacity.max(FRAMES_MIN * frame_bytes);
     }
 
@@ -63,8 +58,7 @@ impl Outbox {
     pub(crate) fn sent(&mut self, n: usize) {
         self.head = (self.head + n).min(self.bytes.len());
         let sent = self.bytes_sent();
-        while self.frame_ends.front().is_some_and(|end| *end <= sent) {
-            self.frame_ends.pop_front();
+        while self.frame_ends.pop_front_if(|end| *end <= sent).is_some() {
             self.frames_sent += 1;
         }
         if self.head == self.bytes.len() {

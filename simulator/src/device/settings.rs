@@ -132,11 +132,7 @@ pub(crate) struct Rates {
 }
 
 impl Rates {
-    pub(crate) fn new(
-        motion: &Motion,
-        wanted_hz: Option<f64>,
-        speed: f64,
-    ) -> Result<Self, DeviceError> {
+    pub(crate) fn new(motion: &Motion, hz: Option<f64>, speed: f64) -> Result<Self, DeviceError> {
         let found_hz = motion.info.rate_hz;
         let recorded_millihertz =
             to_millihertz(found_hz).ok_or(DeviceError::MotionRate { found_hz })?;
@@ -149,7 +145,7 @@ impl Rates {
             let rate_hz = f64::from(rate_millihertz) / 1000.0;
             to_millihertz(product_hz).ok_or(DeviceError::Product { rate_hz, speed, product_hz })
         };
-        let (native_millihertz, rate_millihertz) = match wanted_hz {
+        let (native_millihertz, rate_millihertz) = match hz {
             None => faster(recorded_millihertz).map(|native| (Some(native), native))?,
             Some(found_hz) => {
                 let asked = to_millihertz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
@@ -179,7 +175,6 @@ fn to_millihertz(rate_hz: f64) -> Option<u32> {
 
 /// Time from the first frame to frame `number`, nanoseconds of the device's clock.
 pub(crate) fn frame_after_ns(number: u64, rate_millihertz: u32) -> u64 {
-    let after =
-        u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_millihertz.max(1));
-    u64::try_from(after).unwrap_or(u64::MAX)
+    let ns = u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_millihertz.max(1));
+    u64::try_from(ns).unwrap_or(u64::MAX)
 }

@@ -45,19 +45,17 @@ impl ConnectionFaults {
     pub(super) fn new(script: &Script) -> Self {
         let mut outages = Vec::new();
         let mut bursts = Vec::new();
-        for scheduled in &script.faults {
-            let kind = scheduled.fault.kind();
-            match scheduled.fault {
+        for &ScheduledFault { ref fault, from_ns, to_ns } in &script.faults {
+            let kind = fault.kind();
+            match *fault {
                 Fault::Stall { at_s, for_s }
                 | Fault::Unplug { at_s, for_s }
                 | Fault::PowerLoss { at_s, for_s, .. } => {
                     let (from_ns, to_ns) = (nanoseconds(at_s), nanoseconds(at_s + for_s));
-                    let keeps_port =
-                        matches!(scheduled.fault, Fault::PowerLoss { keeps_port: true, .. });
+                    let keeps_port = matches!(fault, Fault::PowerLoss { keeps_port: true, .. });
                     outages.push(Outage { kind, from_ns, to_ns, keeps_port });
                 }
                 Fault::Bursts { period_ms } => {
-                    let ScheduledFault { from_ns, to_ns, .. } = *scheduled;
                     bursts.push(Burst { from_ns, to_ns, period_ns: period_ms * 1_000_000 });
                 }
                 _ => {}

@@ -104,9 +104,7 @@ impl FateTracker {
     /// The device discarded its next `n` queued frames.
     pub(super) fn discarded(&mut self, n: u64) {
         for _ in 0..n {
-            if let Some((number, _)) = self.handed_over(&[])
-                && let Some(entry) = self.entry(number)
-            {
+            if let Some(entry) = self.handed_over(&[]).and_then(|(number, _)| self.entry(number)) {
                 (entry.fate, entry.open_until) = (Some(Fate::Discarded), 0);
             }
         }
@@ -218,9 +216,8 @@ impl FateTracker {
     }
 
     fn close_decided(&mut self) {
-        while let Some(entry) = self.entries.front().filter(|e| e.open_until <= self.decided_bytes)
-        {
-            let Entry { number, frames, frame, fate, again, faults, .. } = *entry;
+        while let Some(entry) = self.entries.pop_front_if(|e| e.open_until <= self.decided_bytes) {
+            let Entry { number, frames, frame, fate, again, faults, .. } = entry;
             let fate = fate.unwrap_or(Fate::Damaged);
             let fate = FrameFate { frame, frames, fate, again, faults };
             self.next = self.next.max(number + frames);
@@ -228,7 +225,6 @@ impl FateTracker {
             if self.keeps_frames {
                 self.closed.push(fate);
             }
-            self.entries.pop_front();
         }
     }
 }

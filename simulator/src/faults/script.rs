@@ -1,7 +1,5 @@
 //! Parses fault scripts: TOML, checked key by key. Errors name the line and say what to write there.
 
-use std::borrow::Cow;
-
 use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -109,12 +107,14 @@ impl Script {
     /// Whether the script pulls the cable, which needs a line that can come back under the same name.
     #[must_use]
     pub fn unplugs(&self) -> bool {
-        self.faults.iter().any(|scheduled| {
-            matches!(
-                scheduled.fault,
-                Fault::Unplug { .. } | Fault::PowerLoss { keeps_port: false, .. }
-            )
+        self.faults.iter().any(|ScheduledFault { fault, .. }| {
+            matches!(fault, Fault::Unplug { .. } | Fault::PowerLoss { keeps_port: false, .. })
         })
+    }
+
+    /// The faults that are on, with their indices.
+    pub(super) fn active(&self, since_ns: u64) -> impl Iterator<Item = (usize, &ScheduledFault)> {
+        self.faults.iter().enumerate().filter(move |(_, scheduled)| scheduled.is_on(since_ns))
     }
 
     /// The most ghost markers that can be visible at once.
@@ -178,15 +178,11 @@ fn check(text: &str) -> Result<(), CheckError> {
         .map_err(|error| (error.span().map_or(0, |span| span.start), error.message().to_owned()))?;
     let table = document.get_ref();
     check_keys(table, TOP, "a script")?;
-    match table.get("seed") {
-        None => {
-            return Err((
-                0,
-                "missing seed: add `seed = 1` at the top, so that runs are repeatable".to_owned(),
-            ));
-        }
-        Some(seed) => check_whole("seed", seed, i64::MAX)?,
-    }
+    let Some(seed) = table.get("seed") else {
+        let message = "missing seed: add `seed = 1` at the top, so that runs are repeatable";
+        return Err((0, message.to_owned()));
+    };
+    check_whole("seed", seed, i64::MAX)?;
     if let Some(value) = table.get("expect") {
         check_expect(value)?;
     }
@@ -202,36 +198,33 @@ fn check(text: &str) -> Result<(), CheckError> {
 }
 
 fn check_keys(table: &DeTable<'_>, known: &[&str], where_: &str) -> Result<(), CheckError> {
-    for key in table.keys() {
-        if !known.contains(&key.get_ref().as_ref()) {
-            return Err(unknown_key(key, known, where_));
-        }
-    }
-    Ok(())
+    let Some(key) = table.keys().find(|key| !known.contains(&key.get_ref().as_ref())) else {
+        return Ok(());
+    };
+    let word = key.get_ref();
+    let hint = hint(word, known);
+    Err((key.span().start, format!("unknown key '{}' in {where_}: {hint}", word.escape_debug())))
 }
 
-fn unknown_key(key: &Spanned<Cow<'_, str>>, known: &[&str], where_: &str) -> CheckError {
-    let word = key.get_ref();
-    let hint = match nearest(word, known.iter().copied()) {
+/// The nearest known word, or all of them.
+fn hint(word: &str, known: &[&str]) -> String {
+    match nearest(word, known.iter().copied()) {
         Some(name) => format!("did you mean '{name}'?"),
         None => format!("expected one of {}", known.join(", ")),
-    };
-    (key.span().start, format!("unknown key '{}' in {where_}: {hint}", word.escape_debug()))
+    }
 }
 
 fn check_expect(value: &Spanned<DeValue<'_>>) -> Result<(), CheckError> {
+    let at = value.span().start;
     let Some(table) = value.get_ref().as_table() else {
-        return Err((value.span().start, "expected [expect], in brackets".to_owned()));
+        return Err((at, "expected [expect], in brackets".to_owned()));
     };
     check_keys(table, EXPECT, "[expect]")?;
     for (key, max) in [("exit", i64::from(u8::MAX)), ("at_least", i64::MAX)] {
         match table.get(key) {
             Some(value) => check_whole(key, value, max)?,
             None if key == "exit" => {
-                return Err((
-                    value.span().start,
-                    "[expect] needs 'exit' (an exit code)".to_owned(),
-                ));
+                return Err((at, "[expect] needs 'exit' (an exit code)".to_owned()));
             }
             None => {}
         }
@@ -252,12 +245,7 @@ fn check_expect(value: &Spanned<DeValue<'_>>) -> Result<(), CheckError> {
 }
 
 fn check_whole(name: &str, value: &Spanned<DeValue<'_>>, max: i64) -> Result<(), CheckError> {
-    let fits = match value.get_ref() {
-        DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix())
-            .is_ok_and(|n| (0..=max).contains(&n)),
-        _ => false,
-    };
-    if fits {
+    if integer(value.get_ref()).is_some_and(|n| (0..=max).contains(&n)) {
         return Ok(());
     }
     let wrong = wrong_type(value, name, "a number").unwrap_or(format!("{name} is out of range"));
@@ -282,8 +270,8 @@ fn check_fault(value: &Spanned<DeValue<'_>>) -> Result<(), CheckError> {
     let Some(table) = value.get_ref().as_table() else {
         return Err((at, "expected [[fault]], in double brackets".to_owned()));
     };
-    let kinds = || KINDS.iter().map(|keys| keys.name);
-    let all = || kinds().collect::<Vec<_>>().join(", ");
+    let kinds: Vec<_> = KINDS.iter().map(|keys| keys.name).collect();
+    let all = || kinds.join(", ");
     let Some(written) = table.get("kind") else {
         return Err((at, format!("missing key 'kind': expected one of {}", all())));
     };
@@ -292,10 +280,7 @@ fn check_fault(value: &Spanned<DeValue<'_>>) -> Result<(), CheckError> {
     }
     let word = written.get_ref().as_str().unwrap_or("");
     let Some(keys) = KINDS.iter().find(|keys| keys.name == word) else {
-        let hint = match nearest(word, kinds()) {
-            Some(name) => format!("did you mean '{name}'?"),
-            None => format!("expected one of {}", all()),
-        };
+        let hint = hint(word, &kinds);
         let message = format!("unknown kind of fault '{}': {hint}", word.escape_debug());
         return Err((written.span().start, message));
     };
@@ -306,16 +291,13 @@ fn check_fault_keys(table: &DeTable<'_>, kind: &KindSpec, at: usize) -> Result<(
     let window: &[KeySpec] = if kind.windowed { WINDOW } else { &[] };
     let keys = || kind.keys.iter().chain(window);
     let known: Vec<&str> = std::iter::once("kind").chain(keys().map(|key| key.name)).collect();
-    check_keys(table, &known, &format!("a fault of kind '{}'", kind.name))?;
+    let what = format!("a fault of kind '{}'", kind.name);
+    check_keys(table, &known, &what)?;
     for key in keys() {
         match table.get(key.name) {
             Some(value) => check_range(value, key)?,
             None if key.optional => {}
-            None => {
-                let message =
-                    format!("a fault of kind '{}' needs '{}' ({})", kind.name, key.name, key.unit);
-                return Err((at, message));
-            }
+            None => return Err((at, format!("{what} needs '{}' ({})", key.name, key.unit))),
         }
     }
     let time = |name| table.get(name).and_then(|value| number(value.get_ref()));
@@ -327,13 +309,15 @@ fn check_fault_keys(table: &DeTable<'_>, kind: &KindSpec, at: usize) -> Result<(
     }
 }
 
+fn integer(value: &DeValue<'_>) -> Option<i64> {
+    let integer = value.as_integer()?;
+    i64::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
 fn number(value: &DeValue<'_>) -> Option<f64> {
     match value {
-        DeValue::Integer(integer) => {
-            i64::from_str_radix(integer.as_str(), integer.radix()).ok().map(|n| n as f64)
-        }
         DeValue::Float(float) => float.as_str().parse().ok(),
-        _ => None,
+        other => integer(other).map(|n| n as f64),
     }
 }
 
@@ -355,8 +339,7 @@ fn check_range(value: &Spanned<DeValue<'_>>, key: &KeySpec) -> Result<(), CheckE
         _ => format!("{min} to {max} ({unit})"),
     };
     let type_wanted = if is_bool { "a boolean" } else { "a number" };
-    let wrong =
-        wrong_type(value, name, type_wanted).unwrap_or_else(|| format!("{name} is out of range"));
+    let wrong = wrong_type(value, name, type_wanted).unwrap_or(format!("{name} is out of range"));
     Err((value.span().start, format!("{wrong}: expected {wanted}")))
 }
 

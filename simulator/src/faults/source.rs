@@ -29,10 +29,8 @@ pub(crate) struct SourceFaults {
     n_markers: usize,
     /// The counter on the wire less the true one, modulo 2^32.
     counter_offset: u32,
-    /// Counter jumps that have happened, as indices into the script.
-    counter_jumps_done: Vec<usize>,
-    /// Clock jumps before the last frame, as indices into the script.
-    clock_jumps_done: Vec<usize>,
+    /// Counter jumps that have happened, and clock jumps before the last frame, as indices into the script.
+    jumps_done: Vec<usize>,
     ghosts_announced: bool,
     /// What each kind has done so far.
     pub(crate) counts: FaultCounts,
@@ -44,8 +42,7 @@ impl SourceFaults {
             script,
             n_markers,
             counter_offset: 0,
-            counter_jumps_done: Vec::new(),
-            clock_jumps_done: Vec::new(),
+            jumps_done: Vec::new(),
             ghosts_announced: false,
             counts: FaultCounts::default(),
         }
@@ -59,9 +56,9 @@ impl SourceFaults {
                     self.counts.add(Kind::ClockDrift, 1);
                 }
                 Fault::ClockJump { at_s, .. }
-                    if nanoseconds(at_s) <= since_ns && !self.clock_jumps_done.contains(&index) =>
+                    if nanoseconds(at_s) <= since_ns && !self.jumps_done.contains(&index) =>
                 {
-                    self.clock_jumps_done.push(index);
+                    self.jumps_done.push(index);
                     self.counts.add(Kind::ClockJump, 1);
                 }
                 _ => {}
@@ -88,10 +85,9 @@ impl SourceFaults {
         for (index, scheduled) in self.script.faults.iter().enumerate() {
             match scheduled.fault {
                 Fault::CounterJump { at_s, by }
-                    if nanoseconds(at_s) <= since_ns
-                        && !self.counter_jumps_done.contains(&index) =>
+                    if nanoseconds(at_s) <= since_ns && !self.jumps_done.contains(&index) =>
                 {
-                    self.counter_jumps_done.push(index);
+                    self.jumps_done.push(index);
                     self.counts.add(Kind::CounterJump, 1);
                     self.counter_offset = self.counter_offset.wrapping_add_signed(by);
                 }
@@ -109,10 +105,7 @@ impl SourceFaults {
 
     /// Applies swaps and occlusions to the positions of a frame.
     pub(crate) fn positions(&mut self, since_ns: u64, row: &mut [Position]) {
-        for (index, scheduled) in self.script.faults.iter().enumerate() {
-            if !scheduled.is_on(since_ns) {
-                continue;
-            }
+        for (index, scheduled) in self.script.active(since_ns) {
             match scheduled.fault {
                 Fault::Swaps { every_s, for_s } => {
                     let (time_ns, every_ns) = (since_ns - scheduled.from_ns, nanoseconds(every_s));

@@ -140,10 +140,7 @@ impl WireFaults {
         let script = Arc::clone(&self.script);
         let mut copies = 1;
         let mut late = None;
-        for (index, scheduled) in script.faults.iter().enumerate() {
-            if !scheduled.is_on(since_ns) {
-                continue;
-            }
+        for (index, scheduled) in script.active(since_ns) {
             let hits = |number, rate| stream(&script, index, number).unit() < rate;
             match scheduled.fault {
                 Fault::LostFrames { rate, run }
@@ -215,8 +212,7 @@ impl WireFaults {
         now.extend_from_slice(bytes);
         // Windowed faults hit nothing before the first frame.
         let since_ns = self.since_ns.unwrap_or(u64::MAX);
-        let faults = script.faults.iter().enumerate().filter(|(_, w)| w.is_on(since_ns));
-        for (index, scheduled) in faults {
+        for (index, scheduled) in script.active(since_ns) {
             let (rate, damage): (f64, Damage) = match scheduled.fault {
                 Fault::BitFlips { rate } => (rate, |byte, bit, out| out.push(byte ^ 1 << bit)),
                 Fault::DroppedBytes { rate } => (rate, |_, _, _| {}),

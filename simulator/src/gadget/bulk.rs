@@ -140,11 +140,7 @@ impl Bulk {
 /// go in a short packet.
 fn transfer_bytes(pending: usize) -> usize {
     let bytes = pending.min(TRANSFER_BYTES);
-    if bytes == pending && bytes > 1 && bytes.is_multiple_of(PACKET_BYTES) {
-        bytes - 1
-    } else {
-        bytes
-    }
+    bytes - usize::from(bytes == pending && bytes > 1 && bytes.is_multiple_of(PACKET_BYTES))
 }
 
 impl Line for Bulk {

@@ -165,6 +165,7 @@ pub enum GadgetError {
 impl GadgetError {
     /// The error for a failure of configfs or `FunctionFS`, with its remedy if known.
     pub(super) fn from_io(source: io::Error) -> Self {
+        let nodev = source.raw_os_error() == Some(rustix::io::Errno::NODEV.raw_os_error());
         let mentions = |part: &str| source.to_string().contains(part);
         let remedy = match source.kind() {
             ErrorKind::PermissionDenied => return Self::NotRoot,
@@ -173,10 +174,7 @@ impl GadgetError {
             }
             ErrorKind::NotFound if mentions("usb_gadget") => "sudo modprobe libcomposite",
             // The module of a function or of a file system is missing.
-            ErrorKind::NotFound => "sudo modprobe -a usb_f_fs usb_f_acm",
-            _ if source.raw_os_error() == Some(rustix::io::Errno::NODEV.raw_os_error()) => {
-                "sudo modprobe -a usb_f_fs usb_f_acm"
-            }
+            kind if kind == ErrorKind::NotFound || nodev => "sudo modprobe -a usb_f_fs usb_f_acm",
             _ => return Self::Make(source),
         };
         Self::NoSupport { remedy, source }

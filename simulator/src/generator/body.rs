@@ -184,38 +184,22 @@ impl Body {
     }
 }
 
-/// A body segment that carries markers.
-struct Segment {
-    name: &'static str,
-    /// Its ends, as indices into the sites.
-    ends: (usize, usize),
-    /// Whether its rotation about its axis follows the shoulder line rather than the hip line.
-    follows_chest: bool,
-    /// Distance of the markers from the axis, metres.
-    radius_m: f64,
-}
-
-const fn segment(
-    name: &'static str,
-    ends: (usize, usize),
-    follows_chest: bool,
-    radius_m: f64,
-) -> Segment {
-    Segment { name, ends, follows_chest, radius_m }
-}
+/// A body segment that carries markers: its name; its ends, as indices into the sites; whether its rotation about its
+/// axis follows the shoulder line rather than the hip line; the distance of the markers from the axis, metres.
+type Segment = (&'static str, (usize, usize), bool, f64);
 
 /// Radii of an adult's limbs to the nearest half centimetre; they only place markers.
 const SEGMENTS: [Segment; 10] = [
-    segment("trunk", (2, 1), true, 0.130),
-    segment("l_thigh", (9, 10), false, 0.075),
-    segment("r_thigh", (12, 13), false, 0.075),
-    segment("l_shank", (10, 11), false, 0.055),
-    segment("r_shank", (13, 14), false, 0.055),
-    segment("l_upper_arm", (3, 4), true, 0.045),
-    segment("r_upper_arm", (6, 7), true, 0.045),
-    segment("l_forearm", (4, 5), true, 0.035),
-    segment("r_forearm", (7, 8), true, 0.035),
-    segment("head", (1, 0), true, 0.090),
+    ("trunk", (2, 1), true, 0.130),
+    ("l_thigh", (9, 10), false, 0.075),
+    ("r_thigh", (12, 13), false, 0.075),
+    ("l_shank", (10, 11), false, 0.055),
+    ("r_shank", (13, 14), false, 0.055),
+    ("l_upper_arm", (3, 4), true, 0.045),
+    ("r_upper_arm", (6, 7), true, 0.045),
+    ("l_forearm", (4, 5), true, 0.035),
+    ("r_forearm", (7, 8), true, 0.035),
+    ("head", (1, 0), true, 0.090),
 ];
 
 /// A marker attached to a segment.
@@ -234,14 +218,14 @@ pub(super) struct SegmentMarker {
 pub(super) fn segment_markers(n: usize, seed: u64) -> Vec<SegmentMarker> {
     (0..n)
         .map(|i| {
-            let segment = &SEGMENTS[i % SEGMENTS.len()];
+            let (name, ends, follows_chest, radius_m) = SEGMENTS[i % SEGMENTS.len()];
             let mut rng = Rng::stream(seed, 0x1_0000 + i as u64);
             let (sin, cos) = sin_cos(rng.between(-std::f64::consts::PI, std::f64::consts::PI));
-            let radius = segment.radius_m * rng.between(0.85, 1.1);
+            let radius = radius_m * rng.between(0.85, 1.1);
             SegmentMarker {
-                label: format!("{}_{}", segment.name, i / SEGMENTS.len() + 1),
-                ends: segment.ends,
-                follows_chest: segment.follows_chest,
+                label: format!("{name}_{}", i / SEGMENTS.len() + 1),
+                ends,
+                follows_chest,
                 at: [0.0, radius * sin, radius * cos],
                 along: rng.between(0.12, 0.88),
             }

@@ -35,10 +35,8 @@ pub(super) fn unit(a: V3) -> V3 {
 
 /// `at` plus weighted axes.
 pub(super) fn offset(at: V3, axes: [V3; 3], weights: V3) -> V3 {
-    add(
-        add(add(at, scale(axes[0], weights[0])), scale(axes[1], weights[1])),
-        scale(axes[2], weights[2]),
-    )
+    let [x, y, z] = std::array::from_fn(|i| scale(axes[i], weights[i]));
+    add(add(add(at, x), y), z)
 }
 
 /// Sine and cosine of an angle in radians, within 1e-15 for angles below 1000.

@@ -59,9 +59,8 @@ impl Style {
     /// Varies the style from trial to trial by a few per cent.
     pub(super) fn vary(mut self, rng: &mut Rng) -> Self {
         self.jump_m *= rng.between(0.98, 1.02);
-        for time in
-            [&mut self.stand_s, &mut self.half_swing_s, &mut self.pause_s, &mut self.settle_s]
-        {
+        let Self { stand_s, half_swing_s, pause_s, settle_s, .. } = &mut self;
+        for time in [stand_s, half_swing_s, pause_s, settle_s] {
             *time *= rng.between(0.94, 1.06);
         }
         self.arm_amplitude *= rng.between(0.96, 1.04);
@@ -142,23 +141,17 @@ fn ankle_below(pelvis: &PointState, [(r, dr), (angle, da)]: Leg) -> PointState {
 }
 
 impl JointCurves {
-    /// Builds the curves. `stand_m` and `walk_m` are the pelvis heights of standing and walking, `walk_end_s` is the
-    /// end of the walk.
-    pub(super) fn new(
-        body: &Body,
-        style: &Style,
-        stand_m: f64,
-        walk_m: f64,
-        walk_end_s: f64,
-    ) -> Self {
+    /// Builds the curves. `stand_m` and `walk_m` are the pelvis heights of standing and walking, `end_s` is the end
+    /// of the walk.
+    pub(super) fn new(body: &Body, style: &Style, stand_m: f64, walk_m: f64, end_s: f64) -> Self {
         let mut curves = Self::default();
         let times = style.times();
         curves.upper_body(style, &times);
         curves.legs(body, style, &times, stand_m);
         curves.pelvis_z.rest(times.walk, stand_m);
         curves.pelvis_z.rest(times.walk + 0.45, walk_m);
-        curves.pelvis_z.rest(walk_end_s - 0.45, walk_m);
-        curves.pelvis_z.rest(walk_end_s, stand_m);
+        curves.pelvis_z.rest(end_s - 0.45, walk_m);
+        curves.pelvis_z.rest(end_s, stand_m);
         curves
     }
 
@@ -187,10 +180,8 @@ impl JointCurves {
             *elbow = Curve::resting(t.swings, HANGING.1);
             for (i, (time_s, in_front)) in style.extremes().enumerate() {
                 let grow = 0.8 + 0.08 * i as f64;
-                swing.rest(
-                    time_s + late_s,
-                    style.arm_amplitude * grow * if in_front { 1.35 } else { -0.62 } + more,
-                );
+                let angle = style.arm_amplitude * grow * if in_front { 1.35 } else { -0.62 };
+                swing.rest(time_s + late_s, angle + more);
                 elbow.rest(time_s + 1.5 * late_s, if in_front { 0.55 } else { 0.25 });
             }
             for (time_s, angle, bend) in [
@@ -220,7 +211,7 @@ impl JointCurves {
         let hang = (below([0.0; 2], at_take_off), below([0.0; 2], at_touch_down));
         let from = [0.15 * size - hang.0[0], ankle_m + 0.15 * size - hang.0[1]];
         let to = [style.jump_m - 0.07 - hang.1[0], ankle_m + 0.055 - hang.1[1]];
-        let f = style.flight_s;
+        let (f, push_s) = (style.flight_s, style.push_s);
         let velocity = [(to[0] - from[0]) / f, (to[1] - from[1]) / f + 0.5 * GRAVITY_M_S2 * f];
         let acceleration = [0.0, -GRAVITY_M_S2];
         let leaving = PointState { at: from, velocity, acceleration };
@@ -228,10 +219,7 @@ impl JointCurves {
         let landing = PointState { at: to, velocity: falling, acceleration };
 
         // Half the final speed times the push time: from there the body accelerates throughout.
-        let low = [
-            from[0] - 0.50 * velocity[0] * style.push_s,
-            from[1] - 0.56 * velocity[1] * style.push_s,
-        ];
+        let low = [from[0] - 0.50 * velocity[0] * push_s, from[1] - 0.56 * velocity[1] * push_s];
         let absorb_s = 0.2;
         let bottom =
             [style.jump_m - 0.12, (to[1] + 0.5 * falling[1] * absorb_s).max(ankle_m + 0.36 * leg)];
@@ -249,19 +237,14 @@ impl JointCurves {
             curve.pass(leaving.keyframe(axis, t.flight));
             curve.pass(landing.keyframe(axis, t.touch_down));
         }
+        let moving =
+            |time_s, (value, velocity)| Keyframe { time_s, value, velocity, acceleration: 0.0 };
         let bottom_s = t.touch_down + absorb_s;
-        self.pelvis_x.pass(Keyframe {
-            time_s: bottom_s,
-            value: bottom[0],
-            velocity: 0.3,
-            acceleration: 0.0,
-        });
+        self.pelvis_x.pass(moving(bottom_s, (bottom[0], 0.3)));
         self.pelvis_z.rest(bottom_s, bottom[1]);
         self.pelvis_x.rest(t.walk - 0.1, style.jump_m);
         self.pelvis_z.rest(t.walk - 0.02, stand_m);
 
-        let moving =
-            |time_s, (value, velocity)| Keyframe { time_s, value, velocity, acceleration: 0.0 };
         let tuck_s = t.flight + 0.5 * f;
         self.leg_length.pass(moving(t.flight, at_take_off[0]));
         self.leg_length.rest(tuck_s, 0.64 * leg);
@@ -276,9 +259,8 @@ impl JointCurves {
             let lift = ankle_below(&leaving, at_take_off);
             let touch = ankle_below(&landing, landing_leg);
             let plant = [touch.at[0] + 0.5 * touch.velocity[0] * 0.08, ankle_m];
-            for (curve, axis, ground) in
-                [(&mut self.ankle_x[side], 0, 0.0), (&mut self.ankle_z[side], 1, ankle_m)]
-            {
+            let ankle = [(&mut self.ankle_x[side], 0, 0.0), (&mut self.ankle_z[side], 1, ankle_m)];
+            for (curve, axis, ground) in ankle {
                 *curve = Curve::resting(t.flight - 0.2, ground);
                 curve.pass(lift.keyframe(axis, t.flight));
                 curve.pass(touch.keyframe(axis, t.touch_down));

@@ -124,7 +124,7 @@ impl JumpSpec {
         }
         if let Some(occlusion) = &self.occlusion {
             for marker in 0..self.n_markers {
-                occlude(&mut positions_mm, self.n_markers, marker, self, occlusion);
+                occlude(&mut positions_mm, marker, self, occlusion);
             }
         }
         let phases = subject.phases(self.rate_hz, n_frames);
@@ -149,10 +149,6 @@ impl JumpSpec {
     }
 
     fn check(&self) -> Result<(), GenerateError> {
-        let range = |what, value: f64, low: f64, high: f64| {
-            let inside = (low..=high).contains(&value);
-            if inside { Ok(()) } else { Err(GenerateError::OutOfRange { what, value, low, high }) }
-        };
         range("rate_hz", self.rate_hz, *RATE_HZ.start(), *RATE_HZ.end())?;
         range("markers", self.n_markers as f64, 1.0, MARKERS_MAX as f64)?;
         range("first trial", f64::from(self.first_trial), 0.0, f64::from(TRIALS_MAX))?;
@@ -167,6 +163,11 @@ impl JumpSpec {
         }
         Ok(())
     }
+}
+
+fn range(what: &'static str, value: f64, low: f64, high: f64) -> Result<(), GenerateError> {
+    let inside = (low..=high).contains(&value);
+    if inside { Ok(()) } else { Err(GenerateError::OutOfRange { what, value, low, high }) }
 }
 
 fn to_position(mm: V3) -> Position {
@@ -266,14 +267,8 @@ pub(super) fn noise(noise_mm: f64, rng: &mut Rng) -> V3 {
 /// Removes exactly the requested fraction of one marker's samples, in gaps of random length.
 ///
 /// Gap lengths are skewed: many are short, few reach three times the mean.
-pub(super) fn occlude(
-    positions: &mut [Position],
-    n_markers: usize,
-    marker: usize,
-    spec: &JumpSpec,
-    occlusion: &Occlusion,
-) {
-    let n_frames = positions.len() / n_markers.max(1);
+fn occlude(positions: &mut [Position], marker: usize, spec: &JumpSpec, occlusion: &Occlusion) {
+    let n_frames = positions.len() / spec.n_markers.max(1);
     let mut rng = Rng::stream(spec.seed, 0x3_0000 + marker as u64);
     let wanted = (occlusion.fraction * n_frames as f64).round() as usize;
     let mut gaps = Vec::new();
@@ -292,7 +287,7 @@ pub(super) fn occlude(
     let mut taken = 0;
     for (cut, gap) in cuts.iter().zip(&gaps) {
         for frame in cut + taken..cut + taken + gap {
-            if let Some(position) = positions.get_mut(frame * n_markers + marker) {
+            if let Some(position) = positions.get_mut(frame * spec.n_markers + marker) {
                 *position = GAP;
             }
         }
@@ -331,14 +326,8 @@ impl JumpSet {
     /// # Errors
     /// When a number is out of range.
     pub fn new(spec: JumpSpec, n_subjects: u32, n_jumps: u32) -> Result<Self, GenerateError> {
-        for (what, value, high) in
-            [("subjects", n_subjects, SUBJECTS_MAX), ("jumps", n_jumps, TRIALS_MAX)]
-        {
-            let (value, high) = (f64::from(value), f64::from(high));
-            if !(1.0..=high).contains(&value) {
-                return Err(GenerateError::OutOfRange { what, value, low: 1.0, high });
-            }
-        }
+        range("subjects", f64::from(n_subjects), 1.0, f64::from(SUBJECTS_MAX))?;
+        range("jumps", f64::from(n_jumps), 1.0, f64::from(TRIALS_MAX))?;
         Ok(Self { spec, n_subjects, n_jumps })
     }
 

@@ -1,5 +1,7 @@
 //! One subject over time: trials of jumping and walking back, with slow postural drift.
 
+use std::f64::consts::TAU;
+
 use super::Phase;
 use super::body::{Body, SITES};
 use super::geometry::{V3, sin_cos};
@@ -37,18 +39,16 @@ struct Drift {
 impl Drift {
     fn new(size: f64, rng: &mut Rng) -> Self {
         let waves = [(0.6, 0.12), (0.3, 0.31), (0.15, 0.57)].map(|(part, frequency_hz)| {
-            let turn = 2.0 * std::f64::consts::PI;
-            [size * part, frequency_hz * rng.between(0.8, 1.2), rng.between(0.0, turn)]
+            [size * part, frequency_hz * rng.between(0.8, 1.2), rng.between(0.0, TAU)]
         });
         Self { waves }
     }
 
     fn at(&self, time_s: f64) -> f64 {
-        let turn = 2.0 * std::f64::consts::PI;
         // Whole turns are subtracted first: the sine is accurate for moderate angles only.
         let wave = |[size, hz, phase]: [f64; 3]| {
             let turns = hz * time_s;
-            size * sin_cos(turn * (turns - turns.floor()) + phase).0
+            size * sin_cos(TAU * (turns - turns.floor()) + phase).0
         };
         self.waves.into_iter().map(wave).sum()
     }

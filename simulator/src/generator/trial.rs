@@ -121,16 +121,12 @@ impl Trial {
     fn stride(&self, walk_s: f64, pose: &mut Pose) {
         let (at, facing) = self.walk.body(walk_s);
         let (steps, whole) = self.walk.stride(walk_s);
-        let (swing, _) = sin_cos(std::f64::consts::PI * steps);
         let (_, bob) = sin_cos(2.0 * std::f64::consts::PI * steps);
         // The weight is on the right foot while the left one swings, at even step counts.
-        let (_, weight) = sin_cos(std::f64::consts::PI * steps);
+        let (swing, weight) = sin_cos(std::f64::consts::PI * steps);
         let sway = -0.02 * whole * weight;
-        pose.pelvis = [
-            at[0] - sway * facing[1],
-            at[1] + sway * facing[0],
-            pose.pelvis[2] + whole * self.bob_m * bob,
-        ];
+        let z = pose.pelvis[2] + whole * self.bob_m * bob;
+        pose.pelvis = [at[0] - sway * facing[1], at[1] + sway * facing[0], z];
         pose.facing = facing;
         pose.twist = -0.10 * whole * swing;
         pose.lean += 0.03 * whole;
@@ -268,18 +264,12 @@ impl Walk {
         let mut swings = Vec::new();
         for place in (1..=n + 1).filter(|k| (k % 2 == 1) == (side == 0)) {
             let middle = f64::from(place) - 1.0;
-            let leaves = (middle - SWING_HALF).max(0.02);
-            let lands = (middle + SWING_HALF).min(f64::from(n) - 0.02);
+            let leaves_s = self.time_of((middle - SWING_HALF).max(0.02));
+            let lands_s = self.time_of((middle + SWING_HALF).min(f64::from(n) - 0.02));
             let (at, facing) = self.path(f64::from(place.min(n)) * self.step_m());
             let aside = sign * self.half_stance_m;
             let to = [at[0] - aside * facing[1], at[1] + aside * facing[0], self.ankle_height_m];
-            swings.push(Swing {
-                leaves_s: self.time_of(leaves),
-                lands_s: self.time_of(lands),
-                from,
-                to,
-                lift_m: self.lift_m,
-            });
+            swings.push(Swing { leaves_s, lands_s, from, to, lift_m: self.lift_m });
             from = to;
         }
         swings

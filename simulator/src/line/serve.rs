@@ -121,6 +121,7 @@ impl Server<'_> {
     }
 
     fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), LineError> {
+        let until = |at_ns: u64| Duration::from_nanos(at_ns.saturating_sub(host_ns()));
         while !stop.load(Ordering::Relaxed) {
             let now_ns = host_ns();
             self.tick(now_ns);
@@ -128,9 +129,7 @@ impl Server<'_> {
             self.update_cable()?;
             let (sleep, is_full) = match self.write()? {
                 Progress::All => (SLEEP_MAX, false),
-                Progress::Until(at_ns) => {
-                    (Duration::from_nanos(at_ns.saturating_sub(host_ns())), false)
-                }
+                Progress::Until(at_ns) => (until(at_ns), false),
                 Progress::Full => (RETRY_INTERVAL, true),
             };
             self.log_frames()?;
@@ -140,8 +139,7 @@ impl Server<'_> {
             if is_over && self.device.pending().is_empty() {
                 return Ok(());
             }
-            let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));
-            let idle = sleep.min(until_wake).min(SLEEP_MAX);
+            let idle = sleep.min(until(wake_ns)).min(SLEEP_MAX);
             let ready = if is_full { self.line.wait_for_room(idle) } else { self.line.wait(idle) };
             if ready.map_err(self.failed("waiting"))? {
                 self.read()?;
@@ -200,12 +198,11 @@ impl Server<'_> {
                 }
                 allowed = allowed.min(timer.released);
             }
-            let Some(bytes) = pending.get(..allowed.min(pending.len())).filter(|b| !b.is_empty())
-            else {
-                return Ok(Progress::Until(
-                    self.pace.as_ref().map_or(now_ns, BaudLimiter::next_ns),
-                ));
-            };
+            let bytes = pending.get(..allowed.min(pending.len())).unwrap_or_default();
+            if bytes.is_empty() {
+                let at_ns = self.pace.as_ref().map_or(now_ns, BaudLimiter::next_ns);
+                return Ok(Progress::Until(at_ns));
+            }
             let n = self.line.write(bytes).map_err(self.failed("writing"))?;
             if n == 0 {
                 return Ok(Progress::Full);

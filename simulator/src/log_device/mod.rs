@@ -186,9 +186,8 @@ impl LogDevice {
     fn skip_to_received(&mut self) -> bool {
         let Some(barrier) = self.received.pop_front() else { return false };
         let rest = self.steps.steps.get(self.next..).unwrap_or_default();
-        let until_pulled = rest.iter().take_while(|step| step.action != Action::Unplug);
-        let Some(ahead) = until_pulled.into_iter().position(|s| s.action == Action::Await(barrier))
-        else {
+        let mut until_pulled = rest.iter().take_while(|step| step.action != Action::Unplug);
+        let Some(ahead) = until_pulled.position(|s| s.action == Action::Await(barrier)) else {
             return false;
         };
         self.received.push_front(barrier);

@@ -81,10 +81,8 @@ impl PongRewriter {
                 self.flush(out);
                 continue;
             };
-            let is_old = |ping: &Ping| now_ns.saturating_sub(ping.came_ns) > PING_NS_MAX;
-            while !waits && self.pings.front().is_some_and(is_old) {
-                self.pings.pop_front();
-            }
+            let is_old = |ping: &mut Ping| now_ns.saturating_sub(ping.came_ns) > PING_NS_MAX;
+            while !waits && self.pings.pop_front_if(is_old).is_some() {}
             let by_ns = if waits { Some(u64::MAX) } else { asked_ns(pong.host_ns) };
             let ping = self.pings.front().copied();
             match ping.filter(|ping| by_ns.is_some_and(|by_ns| ping.came_ns <= by_ns)) {

@@ -3,7 +3,7 @@
 use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
-use super::NdiDevice;
+use super::{Answer, NdiDevice};
 use super::report::{Bx2Options, FrameReport, bx2};
 use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
@@ -154,12 +154,7 @@ impl NdiDevice {
     }
 
     /// Answers a command about frames; the answer is empty when it is queued already. `None` for other commands.
-    pub(super) fn frame_command(
-        &mut self,
-        name: &str,
-        args: &str,
-        now_ns: u64,
-    ) -> Option<Result<String, u8>> {
+    pub(super) fn frame_command(&mut self, name: &str, args: &str, now_ns: u64) -> Option<Answer> {
         if !matches!(name, "TSTART" | "TSTOP" | "TX" | "BX" | "BX2") || !self.initialized {
             return None;
         }
@@ -193,13 +188,11 @@ impl NdiDevice {
             "BX2" if !self.settings.bx2 => Err(code::INVALID_COMMAND),
             _ => Bx2Options::of(args).ok_or(code::PARAMETERS).map(|options| self.bx2(options)),
         };
-        if answer.is_err() {
-            self.log.refused += u64::from(name == "TSTART");
-        }
+        self.log.refused += u64::from(answer.is_err() && name == "TSTART");
         Some(answer)
     }
 
-    fn start(&mut self, args: &str) -> Result<String, u8> {
+    fn start(&mut self, args: &str) -> Answer {
         match args {
             "" => {}
             RESET_COUNTER => self.tracking.counted_from = self.log.total.frames_produced,
@@ -243,10 +236,9 @@ impl NdiDevice {
 }
 
 /// Parses reply options, four hexadecimal digits; the default is transforms and status.
-fn mode(args: &str) -> Result<u16, u8> {
-    if args.is_empty() {
-        Ok(1)
-    } else {
-        u16::from_str_radix(args, 16).map_err(|_| code::PARAMETERS)
+pub(super) fn mode(args: &str) -> Result<u16, u8> {
+    match args {
+        "" => Ok(1),
+        digits => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS),
     }
 }

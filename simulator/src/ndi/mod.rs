@@ -28,6 +28,9 @@ const LABELS_NAMED: usize = 8;
 /// Length of a part number.
 const PART_NUMBER_BYTES: usize = 20;
 
+/// The text of an answer, or the code of an error.
+type Answer = Result<String, u8>;
+
 /// A simulated NDI system.
 #[derive(Debug)]
 pub struct NdiDevice {

@@ -2,7 +2,8 @@
 
 use mocapd_drivers::ndi::{BAUD_AT_RESET, BAUDS, code};
 
-use super::NdiDevice;
+use super::frames::mode;
+use super::{Answer, NdiDevice};
 
 /// The answer without data.
 const OKAY: &str = "OKAY";
@@ -16,7 +17,7 @@ const SETUP_ONLY: [&str; 9] =
 
 impl NdiDevice {
     /// Executes a command; returns the answer without its checksum, or the error code.
-    pub(super) fn execute(&mut self, name: &str, args: &str) -> Result<String, u8> {
+    pub(super) fn execute(&mut self, name: &str, args: &str) -> Answer {
         if !self.initialized && !ALWAYS.contains(&name) {
             return Err(code::NOT_INITIALIZED);
         }
@@ -35,10 +36,8 @@ impl NdiDevice {
                 Ok("RESET".to_owned())
             }
             "ECHO" => Ok(args.to_owned()),
-            "BEEP" => match args.parse() {
-                Ok(1..=9) => Ok("1".to_owned()),
-                _ => Err(code::OUT_OF_RANGE),
-            },
+            "BEEP" if matches!(args.parse(), Ok(1..=9)) => Ok("1".to_owned()),
+            "BEEP" => Err(code::OUT_OF_RANGE),
             "VER" => self.version(args),
             "APIREV" => Ok(if self.settings.bx2 { "G.003.005" } else { "D.001.007" }.to_owned()),
             "GETINFO" => self.parameter(args).map(|(value, rest)| format!("{args}={value};{rest}")),
@@ -46,11 +45,7 @@ impl NdiDevice {
             "SET" => self.set(args),
             "COMM" => self.comm(args),
             "PHSR" => self.list(args),
-            "PHRQ" => self
-                .ports
-                .request()
-                .map(|handle| format!("{handle:02X}"))
-                .ok_or(code::ALL_PORTS_TAKEN),
+            "PHRQ" => Ok(format!("{:02X}", self.ports.request().ok_or(code::ALL_PORTS_TAKEN)?)),
             "PHF" => {
                 self.ports.free(handle(args)?).then(|| OKAY.to_owned()).ok_or(code::NO_SUCH_HANDLE)
             }
@@ -66,7 +61,7 @@ impl NdiDevice {
         }
     }
 
-    fn version(&self, args: &str) -> Result<String, u8> {
+    fn version(&self, args: &str) -> Answer {
         let firmware = env!("CARGO_PKG_VERSION");
         match args {
             "0" | "1" | "2" | "3" | "4" | "5" | "7" | "8" => Ok(format!(
@@ -100,14 +95,14 @@ impl NdiDevice {
     }
 
     /// Accepts the current value only; every other value is out of range.
-    fn set(&self, args: &str) -> Result<String, u8> {
+    fn set(&self, args: &str) -> Answer {
         let (name, value) = args.split_once('=').ok_or(code::PARAMETERS)?;
         let (known, _) = self.parameter(name)?;
         if known == value { Ok(OKAY.to_owned()) } else { Err(code::OUT_OF_RANGE) }
     }
 
     /// `bdddh`: speed, data bits with parity and stop bits, handshake.
-    fn comm(&mut self, args: &str) -> Result<String, u8> {
+    fn comm(&mut self, args: &str) -> Answer {
         let digit = args.chars().next().ok_or(code::PARAMETERS)?;
         let (baud, _) = BAUDS.into_iter().find(|(_, d)| *d == digit).ok_or(code::COMM_FAILED)?;
         match args.get(1..) {
@@ -121,7 +116,7 @@ impl NdiDevice {
     }
 
     /// Lists handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
-    fn list(&self, args: &str) -> Result<String, u8> {
+    fn list(&self, args: &str) -> Answer {
         let wanted = |port: &&Port| match args {
             "00" | "" => true,
             "02" => !port.initialized,
@@ -141,7 +136,7 @@ impl NdiDevice {
     }
 
     /// Writes a page of a tool definition: `hhaaaa` and 64 bytes in hexadecimal.
-    fn write_rom(&mut self, args: &str) -> Result<String, u8> {
+    fn write_rom(&mut self, args: &str) -> Answer {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         let address = args.get(2..6).and_then(|a| usize::from_str_radix(a, 16).ok());
         let digits = args.get(6..).filter(|digits| digits.len() == 2 * PAGE_BYTES);
@@ -154,7 +149,7 @@ impl NdiDevice {
         if port.write(address, &page) { Ok(OKAY.to_owned()) } else { Err(code::OUT_OF_RANGE) }
     }
 
-    fn initialize(&mut self, handle: u8) -> Result<String, u8> {
+    fn initialize(&mut self, handle: u8) -> Answer {
         let port = self.ports.get(handle).ok_or(code::INVALID_PORT)?;
         if !port.written {
             return Err(code::NO_TOOL);
@@ -164,7 +159,7 @@ impl NdiDevice {
     }
 
     /// Enables a tool: `hhm`, where the priority is static, dynamic or button box.
-    fn enable(&mut self, args: &str) -> Result<String, u8> {
+    fn enable(&mut self, args: &str) -> Answer {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         match args.get(2..) {
             Some("S" | "D" | "B") if port.initialized => {
@@ -176,12 +171,9 @@ impl NdiDevice {
         }
     }
 
-    fn info(&mut self, args: &str) -> Result<String, u8> {
+    fn info(&mut self, args: &str) -> Answer {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
-        let mode = match args.get(2..) {
-            Some("") | None => 1,
-            Some(digits) => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS)?,
-        };
+        let mode = mode(args.get(2..).unwrap_or_default())?;
         let (handle, status, part) = (port.handle, port.status(), &port.part_number);
         let mut text = String::new();
         for (bit, field) in [
@@ -219,7 +211,7 @@ const PART_NUMBER: std::ops::Range<usize> = 592..612;
 const LOADED_MAX: usize = 32;
 
 /// A port handle and its tool.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Port {
     pub(super) handle: u8,
     /// The tool's column in the motion; `None` when it is never visible.
@@ -267,10 +259,8 @@ impl Ports {
             handle,
             column: Some(column),
             part_number,
-            initialized: false,
-            enabled: false,
-            rom: None,
             written: true,
+            ..Port::default()
         };
         Self { ports: (1..).zip(tools).map(port).collect(), n_columns }
     }
@@ -304,15 +294,8 @@ impl Ports {
         let handle = (0x0A..=0xFE).find(|handle| self.ports.iter().all(|p| p.handle != *handle))?;
         let column = (0..self.n_columns)
             .find(|column| self.ports.iter().all(|port| port.column != Some(*column)));
-        self.ports.push(Port {
-            handle,
-            column,
-            part_number: String::new(),
-            initialized: false,
-            enabled: false,
-            rom: Some(Box::new([0; ROM_BYTES])),
-            written: false,
-        });
+        let rom = Some(Box::new([0; ROM_BYTES]));
+        self.ports.push(Port { handle, column, rom, ..Port::default() });
         self.ports.sort_by_key(|port| port.handle);
         Some(handle)
     }

@@ -19,7 +19,7 @@ pub(super) fn device(
 ) -> Result<(Box<dyn LineDevice>, String), Failure> {
     let usage = |message: &str| Err(Failure::usage(anyhow::anyhow!("{message}")));
     let n_markers = motion.info.markers.len();
-    let device: (Box<dyn LineDevice>, u32) = match args.protocol {
+    let (device, rate_millihertz): (Box<dyn LineDevice>, u32) = match args.protocol {
         DeviceProtocol::Dvmc if !args.tool.is_empty() || args.no_bx2 => {
             return usage("--tool and --no-bx2 need an NDI system: add --protocol ndi");
         }
@@ -51,7 +51,6 @@ pub(super) fn device(
             (Box::new(device), rate_millihertz)
         }
     };
-    let (device, rate_millihertz) = device;
     let hz = f64::from(rate_millihertz) / 1000.0;
     Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C to stop")))
 }

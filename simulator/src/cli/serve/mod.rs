@@ -119,21 +119,18 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     };
     let (mut line, name) = args.line.open(&args.serial)?;
     // Created last, so that a failed start leaves no log behind.
-    let frames: Option<Box<dyn Write + Send>> = match &args.log {
-        Some(path) => {
-            // Recordings are checked against a log: never overwrite one.
-            let file = File::create_new(path).with_context(|| {
-                format!("cannot write {}: choose the name of a new file", path.display())
-            })?;
-            Some(Box::new(BufWriter::new(file)))
-        }
-        None => None,
-    };
+    let mut frames: Option<Box<dyn Write + Send>> = None;
+    if let Some(path) = &args.log {
+        // Recordings are checked against a log: never overwrite one.
+        let file = File::create_new(path).with_context(|| {
+            format!("cannot write {}: choose the name of a new file", path.display())
+        })?;
+        frames = Some(Box::new(BufWriter::new(file)));
+    }
     log_line(&description);
     let mut stdout = io::stdout();
-    writeln!(stdout, "{name}")
-        .and_then(|()| stdout.flush())
-        .context("cannot print the line's name")?;
+    let printed = writeln!(stdout, "{name}").and_then(|()| stdout.flush());
+    printed.context("cannot print the line's name")?;
     let batch = Some(args.batch_ms).filter(|ms| *ms > 0).map(Duration::from_millis);
     let options = ServeOptions { baud: args.baud, batch, once: args.once, log: frames };
     let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
