@@ -199,6 +199,7 @@ fn first_column_bytes(column: &[i64], mut history: History, order: usize) -> usi
 }
 
 fn write_column(column: &[i64], history: &mut History, order: usize, out: &mut Vec<u8>) {
+    let known = (history.known + column.len() - MAX_ORDER).min(MAX_ORDER);
     let n_first = history.first_values(order, column.len() - MAX_ORDER);
     for &value in &column[MAX_ORDER..MAX_ORDER + n_first] {
         write_varint(history.code(value, order.min(history.known)), out);
@@ -213,7 +214,6 @@ fn write_column(column: &[i64], history: &mut History, order: usize, out: &mut V
         pack(&codes[..group.len() - MAX_ORDER], width_of(union), out);
     }
     if let [.., before, last] = *column {
-        let known = (history.known + column.len() - MAX_ORDER).min(MAX_ORDER);
         *history = History { last, before, known };
     }
 }
@@ -331,6 +331,26 @@ mod tests {
                 let mut back = vec![0; len];
                 unpack(&mut input, &mut back).unwrap();
                 assert_eq!(back, values, "width {width}");
+                assert!(input.is_empty());
+            }
+        }
+    }
+
+    #[test]
+    fn columns_of_few_values_continue_each_other() {
+        let mut random = Random::new(2);
+        for order in 0..=MAX_ORDER {
+            let (mut writer, mut reader) = (History::default(), History::default());
+            for len in [1, 1, 1, 2, 0, 1, 33] {
+                let mut column = vec![writer.before, writer.last];
+                column.extend((0..len).map(|_| i64::from(random.next_u64() as i32)));
+                let mut out = Vec::new();
+                let bytes = first_column_bytes(&column, writer, order);
+                write_column(&column, &mut writer, order, &mut out);
+                assert_eq!(out.len(), bytes);
+                let (mut input, mut back) = (Bytes::new(&out), Vec::new());
+                read_column(&mut input, len, &mut reader, order, &mut back).unwrap();
+                assert_eq!(back, column[MAX_ORDER..], "order {order}, {len} values");
                 assert!(input.is_empty());
             }
         }
