@@ -155,7 +155,7 @@ fn incompatible_options_are_refused() {
     for (args, facts) in [
         (&["-o", "a.c3d", "--layout", "long"][..], ["--layout long", "csv"]),
         (&["-o", "a.c3d", "--subject", "1"], ["--subject", "--format bids"]),
-        (&["-o", "a", "--format", "bids", "--task", "a b"], ["a b", "bids"]),
+        (&["-o", "a", "--format", "bids", "--task", "a b"], ["a b", "BIDS"]),
         (&["-o", "a"], [".c3d", "--format"]),
         (&["-o", "a.c3d", "--format", "hdf5"], ["hdf5", "--format"]),
     ] {

@@ -378,10 +378,8 @@ fn comment(out: &mut String, text: &str) {
 /// The table of one section in docs/config.md.
 #[must_use]
 pub fn table(section: &str) -> String {
-    let mut out = "| key | value | default | purpose | a reload applies it |
-        |---|---|---|---|---|
-        "
-    .to_owned();
+    let mut out =
+        "| key | value | default | purpose | a reload applies it |\n|---|---|---|---|---|\n".to_owned();
     for key in KEYS.iter().filter(|key| key.section() == section) {
         // A bar would end the column.
         let [takes, default] =
