@@ -130,10 +130,8 @@ impl Key {
             DefaultValue::Text(text) => format!("\"{text}\""),
             DefaultValue::Flag(flag) => flag.to_string(),
             DefaultValue::Integer(number) => number.to_string(),
-            DefaultValue::EmptyList(_) => "[]".to_owned(),
-            DefaultValue::Absent(example) | DefaultValue::Dynamic { example, .. } => {
-                example.to_owned()
-            }
+            DefaultValue::EmptyList(_) => "[]".into(),
+            DefaultValue::Absent(example) | DefaultValue::Dynamic { example, .. } => example.into(),
         }
     }
 
@@ -169,16 +167,14 @@ impl ValueType {
     pub fn description(&self) -> String {
         match self {
             Self::Flag => "true or false".to_owned(),
-            Self::Time(range) => format!(
-                "a duration with a unit, in quotes (ms, s, min, h), {} to {}",
-                duration_text(*range.start()),
-                duration_text(*range.end())
-            ),
-            Self::Size(range) => format!(
-                "a size with a unit, in quotes (kB, MB, GB, KiB, MiB, GiB), {} to {}",
-                size_text(*range.start()),
-                size_text(*range.end())
-            ),
+            Self::Time(range) => {
+                let [min, max] = [range.start(), range.end()].map(|time| duration_text(*time));
+                format!("a duration with a unit, in quotes (ms, s, min, h), {min} to {max}")
+            }
+            Self::Size(range) => {
+                let [min, max] = [range.start(), range.end()].map(|bytes| size_text(*bytes));
+                format!("a size with a unit, in quotes (kB, MB, GB, KiB, MiB, GiB), {min} to {max}")
+            }
             Self::Rate => "a frame rate in Hz, 1 to 10000".to_owned(),
             Self::Distance => {
                 "a distance with a unit, in quotes (um, mm, cm, m), 0.0001mm to 1000m".to_owned()
@@ -228,6 +224,9 @@ pub(super) use field;
 /// A parsed value, or why it was refused; the reason is `None` if the value merely has the wrong type or range.
 pub(super) type Read<T> = Result<T, Option<String>>;
 
+/// A value of the document, or its problems.
+type FieldResult<T> = Result<T, Vec<ConfigProblem>>;
+
 /// The value of a key from the document, the command line or the default.
 #[derive(Debug)]
 pub(super) struct Given<'a> {
@@ -243,10 +242,7 @@ impl<'a> Given<'a> {
         ConfigProblem { place, key: Some(self.key.path), message }
     }
 
-    fn read<T>(
-        &self,
-        read: impl FnOnce(&'a DeValue<'a>) -> Read<T>,
-    ) -> Result<T, Vec<ConfigProblem>> {
+    fn read<T>(&self, read: impl FnOnce(&'a DeValue<'a>) -> Read<T>) -> FieldResult<T> {
         read(self.value).map_err(|why| {
             let why = why.map(|why| format!("{}; ", line(&why))).unwrap_or_default();
             let (path, found, advice) = (self.key.path, found(self.value), self.key.advice());
@@ -255,18 +251,12 @@ impl<'a> Given<'a> {
     }
 
     /// A text, parsed by `read`.
-    pub(super) fn text<T>(
-        &self,
-        read: impl FnOnce(&str) -> Read<T>,
-    ) -> Result<T, Vec<ConfigProblem>> {
+    pub(super) fn text<T>(&self, read: impl FnOnce(&str) -> Read<T>) -> FieldResult<T> {
         self.read(|value| read(value.as_str().ok_or(None)?))
     }
 
     /// A number with a unit. The unit is required because a reader of the file cannot guess it.
-    pub(super) fn quantity<T>(
-        &self,
-        read: impl FnOnce(&str) -> Read<T>,
-    ) -> Result<T, Vec<ConfigProblem>> {
+    pub(super) fn quantity<T>(&self, read: impl FnOnce(&str) -> Read<T>) -> FieldResult<T> {
         self.text(|text| match text.trim().parse::<f64>() {
             Ok(number) if number != 0.0 => Err(Some("the unit is missing".to_owned())),
             _ => read(text),
@@ -360,9 +350,8 @@ impl ConfigValue for usize {
                 return Err(Some("a whole number needs no decimal point or exponent".to_owned()));
             }
             let number = whole(value).and_then(|number| u64::try_from(number).ok()).ok_or(None)?;
-            let in_range =
-                matches!(&given.key.values, ValueType::Integer(range) if range.contains(&number));
-            Self::try_from(number).ok().filter(|_| in_range).ok_or(None)
+            let ValueType::Integer(range) = &given.key.values else { return Err(None) };
+            Self::try_from(number).ok().filter(|_| range.contains(&number)).ok_or(None)
         })
     }
 }
@@ -388,9 +377,8 @@ impl ConfigValue for Duration {
     fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.quantity(|text| {
             let time = units::duration(text).map_err(Some)?;
-            let in_range =
-                matches!(&given.key.values, ValueType::Time(range) if range.contains(&time));
-            if in_range { Ok(time) } else { Err(None) }
+            let ValueType::Time(range) = &given.key.values else { return Err(None) };
+            if range.contains(&time) { Ok(time) } else { Err(None) }
         })
     }
 
@@ -404,9 +392,8 @@ impl ConfigValue for u64 {
     fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
         given.quantity(|text| {
             let bytes = units::size_bytes(text).map_err(Some)?;
-            let in_range =
-                matches!(&given.key.values, ValueType::Size(range) if range.contains(&bytes));
-            if in_range { Ok(bytes) } else { Err(None) }
+            let ValueType::Size(range) = &given.key.values else { return Err(None) };
+            if range.contains(&bytes) { Ok(bytes) } else { Err(None) }
         })
     }
 

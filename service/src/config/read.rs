@@ -141,16 +141,14 @@ impl Config {
     fn blank() -> Result<Self, ConfigProblem> {
         let bug = |message| ConfigProblem { place: SourceLocation::Nowhere, key: None, message };
         let tolerance = Tolerance::from_mm(Tolerance::MIN_MM);
+        let tolerance = tolerance.map_err(|error| bug(error.to_string()))?;
         Ok(Self {
             rig_name: String::new(),
             device: DeviceConfig::default(),
             take: TakeConfig {
                 directory: PathBuf::new(),
                 name: NameTemplate::parse("{date}").map_err(bug)?,
-                codec: Settings {
-                    kind: ResamplerKind::default(),
-                    tolerance: tolerance.map_err(|error| bug(error.to_string()))?,
-                },
+                codec: Settings { kind: ResamplerKind::default(), tolerance },
                 stretch: Duration::ZERO,
                 sync: Duration::ZERO,
                 keep_free_bytes: 0,
@@ -190,10 +188,8 @@ impl<'a> ConfigReader<'a> {
         };
         let Some(table) = value.get_ref().as_table() else {
             let found = found(value.get_ref());
-            return self.refuse_name(
-                name,
-                format!("{section} is {found}: write [{section}] above its keys"),
-            );
+            let message = format!("{section} is {found}: write [{section}] above its keys");
+            return self.refuse_name(name, message);
         };
         for (name, value) in table {
             let word = name.get_ref().as_ref();
@@ -205,11 +201,10 @@ impl<'a> ConfigReader<'a> {
             }
             let message = match section_of(word) {
                 Some(other) => format!("'{word}' belongs in [{other}], not in [{section}]"),
-                None => format!(
-                    "unknown key '{}' in [{section}]: {}",
-                    excerpt(word),
-                    suggestion_or_list(word, here.map(Key::name))
-                ),
+                None => {
+                    let hint = suggestion_or_list(word, here.map(Key::name));
+                    format!("unknown key '{}' in [{section}]: {hint}", excerpt(word))
+                }
             };
             self.refuse_name(name, message);
         }
@@ -375,12 +370,8 @@ fn refused(name: &str, mut problems: Vec<ConfigProblem>) -> ConfigError {
 
 fn syntax_problem(text: &str, error: &toml::de::Error) -> ConfigProblem {
     let at = error.span().map_or(0, |span| span.start);
-    let message = error.message().lines().collect::<Vec<_>>().join(", ");
-    ConfigProblem {
-        place: SourceLocation::of_byte(text, at),
-        key: None,
-        message: message + hint(text, at),
-    }
+    let message = error.message().lines().collect::<Vec<_>>().join(", ") + hint(text, at);
+    ConfigProblem { place: SourceLocation::of_byte(text, at), key: None, message }
 }
 
 /// Explains the most frequent error: `pre_roll = 10s`, a value with a unit but without quotes.

@@ -75,9 +75,8 @@ impl Auth {
         }
         if let Some(sent) = headers.get(header::AUTHORIZATION) {
             let sent = sent.as_bytes();
-            let scheme =
-                sent.get(..7).is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer "));
-            return scheme && self.is_token(sent[7..].trim_ascii());
+            let is_bearer = sent.get(..7).is_some_and(|s| s.eq_ignore_ascii_case(b"bearer "));
+            return is_bearer && self.is_token(sent[7..].trim_ascii());
         }
         session_id(headers).is_some_and(|id| self.is_session(id))
     }

@@ -1,9 +1,9 @@
 //! Bodies of requests: JSON, small, and received within a time limit.
 
 use axum::{
-    body::{Body, to_bytes},
+    body::{Body, Bytes, to_bytes},
     extract::{FromRequest, Request},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderName, HeaderValue, header},
 };
 use serde::de::DeserializeOwned;
 
@@ -49,11 +49,8 @@ impl<T: Identified> FromRequest<Shared> for JsonBody<T> {
         let (parts, body) = request.into_parts();
         // HTML forms of other sites cannot send this type.
         if !is_type(&parts.headers, "application/json") {
-            return Err(Problem::new(
-                StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                ProblemKind::UnsupportedMediaType,
-                "send `content-type: application/json`, with or without a body",
-            ));
+            let message = "send `content-type: application/json`, with or without a body";
+            return Err(Problem::of(ProblemKind::UnsupportedMediaType, message));
         }
         let bytes = read(body, &parts.headers, app).await?;
         // serde would accept a list in place of an object.
@@ -108,14 +105,10 @@ pub(super) fn is_type(headers: &HeaderMap, media_type: &str) -> bool {
 }
 
 /// Reads the whole body, within its size and time limits.
-pub(super) async fn read(
-    body: Body,
-    headers: &HeaderMap,
-    app: &Shared,
-) -> Result<axum::body::Bytes, Problem> {
+pub(super) async fn read(body: Body, headers: &HeaderMap, app: &Shared) -> Result<Bytes, Problem> {
     let too_large = || {
         let message = format!("the body is larger than {BODY_BYTES_MAX} bytes");
-        Problem::new(StatusCode::PAYLOAD_TOO_LARGE, ProblemKind::TooLarge, message)
+        Problem::of(ProblemKind::TooLarge, message)
     };
     let value =
         headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
@@ -126,8 +119,7 @@ pub(super) async fn read(
         Ok(Ok(bytes)) => Ok(bytes),
         Ok(Err(error)) if is_over_limit(&error) => Err(too_large()),
         Ok(Err(_)) => Err(Problem::invalid("the body ended early or is badly chunked")),
-        Err(_) => Err(Problem::new(
-            StatusCode::REQUEST_TIMEOUT,
+        Err(_) => Err(Problem::of(
             ProblemKind::Timeout,
             format!("the body did not arrive within {} s", app.limits.body.as_secs_f64()),
         )),

@@ -86,21 +86,15 @@ async fn execute<T: Send + 'static>(
 /// Does nothing if armed already.
 #[utoipa::path(post, path = "/v1/arm", tag = "commands", request_body = Request,
     responses((status = 200, body = Status)))]
-pub(super) async fn arm(
-    State(app): State<Shared>,
-    JsonBody(request): JsonBody<Request>,
-) -> Answer<Status> {
-    execute(&app, move |control| control.arm(&request)).await
+pub(super) async fn arm(app: State<Shared>, request: JsonBody<Request>) -> Answer<Status> {
+    execute(&app, move |control| control.arm(&request.0)).await
 }
 
 /// Stop the device and discard the pre-roll
 #[utoipa::path(post, path = "/v1/disarm", tag = "commands", request_body = Request,
     responses((status = 200, body = Status)))]
-pub(super) async fn disarm(
-    State(app): State<Shared>,
-    JsonBody(request): JsonBody<Request>,
-) -> Answer<Status> {
-    execute(&app, move |control| control.disarm(&request)).await
+pub(super) async fn disarm(app: State<Shared>, request: JsonBody<Request>) -> Answer<Status> {
+    execute(&app, move |control| control.disarm(&request.0)).await
 }
 
 /// Start a take
@@ -108,11 +102,8 @@ pub(super) async fn disarm(
 /// Replies when the first frame would survive a power cut. An idle service is armed first.
 #[utoipa::path(post, path = "/v1/start", tag = "commands", request_body = Start,
     responses((status = 200, body = Started)))]
-pub(super) async fn start(
-    State(app): State<Shared>,
-    JsonBody(request): JsonBody<Start>,
-) -> Answer<Started> {
-    execute(&app, move |control| control.start(&request)).await
+pub(super) async fn start(app: State<Shared>, request: JsonBody<Start>) -> Answer<Started> {
+    execute(&app, move |control| control.start(&request.0)).await
 }
 
 /// Stop the take
@@ -120,29 +111,20 @@ pub(super) async fn start(
 /// Replies when the ledger would survive a power cut.
 #[utoipa::path(post, path = "/v1/stop", tag = "commands", request_body = Request,
     responses((status = 200, body = Stopped)))]
-pub(super) async fn stop(
-    State(app): State<Shared>,
-    JsonBody(request): JsonBody<Request>,
-) -> Answer<Stopped> {
-    execute(&app, move |control| control.stop(&request)).await
+pub(super) async fn stop(app: State<Shared>, request: JsonBody<Request>) -> Answer<Stopped> {
+    execute(&app, move |control| control.stop(&request.0)).await
 }
 
 /// Put a mark into the take at the next frame
 #[utoipa::path(post, path = "/v1/mark", tag = "commands", request_body = Mark,
     responses((status = 200, body = Marked)))]
-pub(super) async fn mark(
-    State(app): State<Shared>,
-    JsonBody(request): JsonBody<Mark>,
-) -> Answer<Marked> {
-    execute(&app, move |control| control.mark(&request)).await
+pub(super) async fn mark(app: State<Shared>, request: JsonBody<Mark>) -> Answer<Marked> {
+    execute(&app, move |control| control.mark(&request.0)).await
 }
 
 /// Write the pre-roll as a take, and continue
 #[utoipa::path(post, path = "/v1/save-last", tag = "commands", request_body = SaveLast,
     responses((status = 200, body = Stopped)))]
-pub(super) async fn save_last(
-    State(app): State<Shared>,
-    JsonBody(request): JsonBody<SaveLast>,
-) -> Answer<Stopped> {
-    execute(&app, move |control| control.save_last(&request)).await
+pub(super) async fn save_last(app: State<Shared>, request: JsonBody<SaveLast>) -> Answer<Stopped> {
+    execute(&app, move |control| control.save_last(&request.0)).await
 }

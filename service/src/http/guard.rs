@@ -83,7 +83,7 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
         return Err(Box::new(Redirect::to(LOGIN_PATH).into_response()));
     }
     let message = "a token is required: send `Authorization: Bearer …`, or log in at /login";
-    refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, message))
+    refuse(Problem::of(ProblemKind::Unauthorized, message))
 }
 
 /// Paths that need no token: the login page with its files, and the health check.
@@ -113,25 +113,20 @@ fn host(uri: &Uri, headers: &HeaderMap) -> Option<Authority> {
 /// Whether this is a host name of the service. Ports are ignored, because `ssh -L` changes them.
 fn is_known_host(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
     let name = host.host().trim_start_matches('[').trim_end_matches(']');
-    if name.eq_ignore_ascii_case("localhost")
-        || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(name))
-    {
+    let is_name = |known: &str| known.eq_ignore_ascii_case(name);
+    if is_name("localhost") || allowed.iter().any(|allowed| is_name(allowed)) {
         return true;
     }
     let Ok(address) = name.parse::<IpAddr>() else { return false };
-    let local = match via {
-        Some(Via::Tcp(local)) => Some(local.ip().to_canonical()),
-        _ => None,
-    };
-    address.to_canonical() == IpAddr::from([127, 0, 0, 1])
+    let address = address.to_canonical();
+    address == IpAddr::from([127, 0, 0, 1])
         || address == IpAddr::from(Ipv6Addr::LOCALHOST)
-        || Some(address.to_canonical()) == local
+        || matches!(via, Some(Via::Tcp(local)) if local.ip().to_canonical() == address)
 }
 
 /// Refuses a changing request unless it comes from our own pages or from no page at all.
 fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Problem> {
-    let forbidden =
-        |message: String| Problem::new(StatusCode::FORBIDDEN, ProblemKind::Forbidden, message);
+    let forbidden = |message: String| Problem::of(ProblemKind::Forbidden, message);
     let mut origins = headers.get_all(header::ORIGIN).iter();
     if let Some(origin) = origins.next() {
         let value = origin.to_str().unwrap_or_default();
@@ -139,10 +134,8 @@ fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Proble
         let same = from
             .is_some_and(|from| host.is_some_and(|host| host.as_str().eq_ignore_ascii_case(from)));
         if !same || origins.next().is_some() {
-            return Err(forbidden(format!(
-                "pages of '{}' may not change anything here",
-                value.escape_default()
-            )));
+            let origin = value.escape_default();
+            return Err(forbidden(format!("pages of '{origin}' may not change anything here")));
         }
     }
     match headers.get(SEC_FETCH_SITE).map(HeaderValue::as_bytes) {
@@ -182,10 +175,8 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
     // Not `no-referrer`: with that, browsers send the form of /login with `Origin: null`, which would be refused.
     headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("same-origin"));
     headers.insert(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY);
-    headers.insert(
-        HeaderName::from_static("cross-origin-resource-policy"),
-        HeaderValue::from_static("same-origin"),
-    );
+    let resource_policy = HeaderName::from_static("cross-origin-resource-policy");
+    headers.insert(resource_policy, HeaderValue::from_static("same-origin"));
     if is_api {
         headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     }

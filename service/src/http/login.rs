@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use axum::{
     extract::{Request, State},
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, header},
     response::{Html, IntoResponse, Redirect, Response},
 };
 
@@ -43,24 +43,17 @@ pub(super) struct Login {
     responses((status = 303, description = "Logged in: to the dashboard"),
         (status = 401, description = "Not the token", body = Problem,
             content_type = "application/problem+json")))]
-pub(super) async fn login(
-    State(app): State<Shared>,
-    request: Request,
-) -> Result<Response, Problem> {
+pub(super) async fn login(app: State<Shared>, request: Request) -> Result<Response, Problem> {
     let (parts, body) = request.into_parts();
     if !body::is_type(&parts.headers, "application/x-www-form-urlencoded") {
-        return Err(Problem::new(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            ProblemKind::UnsupportedMediaType,
-            "send the form of /login",
-        ));
+        return Err(Problem::of(ProblemKind::UnsupportedMediaType, "send the form of /login"));
     }
     let form = body::read(body, &parts.headers, &app).await?;
     let token = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
     if !app.auth.is_token(token.as_bytes()) {
         tokio::time::sleep(WRONG_TOKEN_WAIT).await;
         let message = "wrong token: the service's configuration names the file that contains it";
-        return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, message));
+        return Err(Problem::of(ProblemKind::Unauthorized, message));
     }
     let mut response = Redirect::to("/").into_response();
     if app.auth.is_on() {
@@ -74,10 +67,7 @@ pub(super) async fn login(
 /// Log out a browser
 #[utoipa::path(post, path = "/logout", tag = "login",
     responses((status = 303, description = "Logged out: to the login page")))]
-pub(super) async fn logout(
-    State(app): State<Shared>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
+pub(super) async fn logout(app: State<Shared>, headers: HeaderMap) -> Result<Response, Problem> {
     app.auth.close_session(&headers);
     let mut response = Redirect::to("/login").into_response();
     set_cookie(&mut response, "", Duration::ZERO)?;

@@ -1,7 +1,7 @@
 //! The figures of the status as Prometheus metrics.
 
 use std::{
-    fmt::Error,
+    fmt,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -82,7 +82,7 @@ struct StatusMetrics {
 }
 
 impl Collector for StatusMetrics {
-    fn encode(&self, encoder: DescriptorEncoder<'_>) -> Result<(), Error> {
+    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let mut out = MetricWriter(encoder);
         self.service(&mut out)?;
         self.device(&mut out)?;
@@ -104,30 +104,18 @@ struct MetricWriter<'a>(DescriptorEncoder<'a>);
 
 impl MetricWriter<'_> {
     /// A gauge; its name ends with the unit, if there is one.
-    fn gauge(
-        &mut self,
-        name: &str,
-        help: &str,
-        unit: Option<&Unit>,
-        value: f64,
-    ) -> Result<(), Error> {
+    fn gauge(&mut self, name: &str, help: &str, unit: Option<&Unit>, value: f64) -> fmt::Result {
         let metric = self.0.encode_descriptor(name, help, unit, MetricType::Gauge)?;
         ConstGauge::new(value).encode(metric)
     }
 
-    fn counter(&mut self, name: &str, help: &str, value: u64) -> Result<(), Error> {
+    fn counter(&mut self, name: &str, help: &str, value: u64) -> fmt::Result {
         let metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
         ConstCounter::new(value).encode(metric)
     }
 
     /// A gauge with several values, distinguished by a label.
-    fn by(
-        &mut self,
-        name: &str,
-        help: &str,
-        label: &str,
-        values: &[(&str, u64)],
-    ) -> Result<(), Error> {
+    fn by(&mut self, name: &str, help: &str, label: &str, values: &[(&str, u64)]) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
         for &(which, value) in values {
             ConstGauge::new(value as f64).encode(metric.encode_family(&[(label, which)])?)?;
@@ -136,7 +124,7 @@ impl MetricWriter<'_> {
     }
 
     /// A gauge with one value per state: 1 for the current state, 0 for the others.
-    fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> Result<(), Error> {
+    fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> fmt::Result {
         let values: Vec<_> = names.iter().map(|&which| (which, u64::from(which == is))).collect();
         let label = name.rsplit('_').next().unwrap_or(name);
         self.by(name, help, label, &values)
@@ -170,7 +158,7 @@ macro_rules! figures {
 }
 
 impl StatusMetrics {
-    fn service(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+    fn service(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let status = &self.status;
         let mut build =
             out.0.encode_descriptor("build_info", "Program and rig", None, MetricType::Gauge)?;
@@ -190,7 +178,7 @@ impl StatusMetrics {
         out.one_of("state", "State of the service: 1 for the current state", &names, state)
     }
 
-    fn device(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+    fn device(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let device = &self.status.device;
         let names = ["absent", "present", "streaming", "silent"];
         let help = "Presence of the device: 1 for the current one";
@@ -219,7 +207,7 @@ impl StatusMetrics {
         Ok(())
     }
 
-    fn input(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+    fn input(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let input = &self.status.input;
         figures! { out:
             /// Frames received since the device was armed
@@ -242,7 +230,7 @@ impl StatusMetrics {
         Ok(())
     }
 
-    fn pre_roll_and_disk(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+    fn pre_roll_and_disk(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let (pre_roll, disk) = (&self.status.pre_roll, &self.status.disk);
         figures! { out:
             /// Configured length of the pre-roll
@@ -273,7 +261,7 @@ impl StatusMetrics {
         Ok(())
     }
 
-    fn http(&self, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+    fn http(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let counts = &self.counts;
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         figures! { out:
@@ -296,7 +284,7 @@ impl StatusMetrics {
     }
 }
 
-fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
         /// Time of the take's start request, since 1970
         gauge take_started_timestamp in Seconds = take.started_unix_ms as f64 / 1e3;
@@ -316,7 +304,7 @@ fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> Result<(), Error> {
     Ok(())
 }
 
-fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
         /// Frames that the device sent for the take, if known
         gauge take_frames_sent = ledger.frames_sent as f64;
@@ -364,7 +352,7 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> Result<(), 
     out.by("take_link_messages", "Messages received during the take", "fate", &messages)
 }
 
-fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> Result<(), Error> {
+fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
         /// Size of the previous take's file
         gauge last_take_size in Bytes = take.bytes as f64;

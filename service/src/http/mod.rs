@@ -88,11 +88,8 @@ impl App {
     /// # Errors
     /// 503 if there are too many.
     fn stream_permit(&self) -> Result<StreamPermit, Problem> {
-        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
-            Problem::unavailable(
-                "too many streams and downloads: close one, or try again in a second",
-            )
-        })
+        let message = "too many streams and downloads: close one, or try again in a second";
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| Problem::unavailable(message))
     }
 }
 

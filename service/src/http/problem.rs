@@ -29,20 +29,25 @@ impl Problem {
         Self { status: status.as_u16(), kind, message: message.into() }
     }
 
+    /// A problem with the usual status of its kind.
+    pub(super) fn of(kind: ProblemKind, message: impl Into<String>) -> Self {
+        Refusal::new(kind, message).into()
+    }
+
     pub(super) fn invalid(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, ProblemKind::Invalid, message)
+        Self::of(ProblemKind::Invalid, message)
     }
 
     pub(super) fn not_found(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::NOT_FOUND, ProblemKind::NotFound, message)
+        Self::of(ProblemKind::NotFound, message)
     }
 
     pub(super) fn unavailable(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, ProblemKind::Unavailable, message)
+        Self::of(ProblemKind::Unavailable, message)
     }
 
     pub(super) fn internal(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::INTERNAL_SERVER_ERROR, ProblemKind::Internal, message)
+        Self::of(ProblemKind::Internal, message)
     }
 
     /// For a response of axum or hyper, which has a status but hardly a message.

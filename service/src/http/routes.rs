@@ -112,9 +112,7 @@ impl Modify for Security {
 /// This description
 #[utoipa::path(get, path = "/openapi.json", tag = "status",
     responses((status = 200, description = "`OpenAPI` 3.1", body = Object)))]
-pub(super) async fn document(
-    State(app): State<Shared>,
-) -> ([(HeaderName, &'static str); 1], Bytes) {
+pub(super) async fn document(app: State<Shared>) -> ([(HeaderName, &'static str); 1], Bytes) {
     ([(header::CONTENT_TYPE, "application/json")], app.document.clone())
 }
 

@@ -89,15 +89,14 @@ impl ConnectionSlots {
             let at = evictable(&open)?;
             open.swap_remove(at).evicted.notify_one();
         }
-        let state = SlotState {
+        let state = Mutex::new(SlotState {
             is_authorized: false,
             is_busy: false,
             is_flushing: false,
             has_answered: false,
             since: Instant::now(),
-        };
-        let slot =
-            Arc::new(ConnectionSlot { peer, state: Mutex::new(state), evicted: Notify::new() });
+        });
+        let slot = Arc::new(ConnectionSlot { peer, state, evicted: Notify::new() });
         open.push(Arc::clone(&slot));
         Some(SlotGuard { slots: Arc::clone(self), slot })
     }
@@ -111,14 +110,9 @@ impl ConnectionSlots {
 /// for longest.
 fn evictable(open: &[Arc<ConnectionSlot>]) -> Option<usize> {
     let states: Vec<SlotState> = open.iter().map(|slot| *slot.lock()).collect();
-    let is_unauthorized = |state: &SlotState| !state.is_authorized;
-    let only_unauthorized = states.iter().any(is_unauthorized);
-    let candidates: Vec<usize> = (0..open.len())
-        .filter(|&at| match only_unauthorized {
-            true => is_unauthorized(&states[at]),
-            false => !states[at].is_busy,
-        })
-        .collect();
+    let only_unauthorized = states.iter().any(|state| !state.is_authorized);
+    let is_kept = |s: &SlotState| if only_unauthorized { s.is_authorized } else { s.is_busy };
+    let candidates: Vec<usize> = (0..open.len()).filter(|&at| !is_kept(&states[at])).collect();
     let mut held: HashMap<Peer, usize> = HashMap::new();
     for &at in &candidates {
         *held.entry(open[at].peer).or_default() += 1;

@@ -5,9 +5,9 @@ use std::convert::Infallible;
 use axum::{
     body::Body,
     extract::{Query, State, rejection::QueryRejection},
-    http::{HeaderMap, HeaderName, HeaderValue, header},
+    http::{HeaderMap, HeaderName, header},
     response::{
-        Response,
+        IntoResponse, Response,
         sse::{Event, KeepAlive, Sse},
     },
 };
@@ -151,10 +151,8 @@ pub(super) async fn live(State(app): State<Shared>) -> Result<Response, Problem>
         let bytes = until(&mut stopping, subscription.next()).await??;
         Some((Ok::<_, Infallible>(bytes), (stopping, subscription, permit)))
     });
-    let mut response = Response::new(Body::from_stream(messages));
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
-    Ok(response)
+    let content_type = [(header::CONTENT_TYPE, "application/octet-stream")];
+    Ok((content_type, Body::from_stream(messages)).into_response())
 }
 
 #[cfg(test)]

@@ -111,12 +111,8 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Prob
     }
     // Queried after the metadata: if the take ends in between, all of these bytes are on disk.
     let growing = control.live_take(FileId::of(&found));
-    let tag = format!(
-        "\"{:x}-{:x}-{:x}\"",
-        found.len(),
-        found.mtime_nsec() + found.mtime() * 1_000_000_000,
-        found.ino()
-    );
+    let modified_ns = found.mtime_nsec() + found.mtime() * 1_000_000_000;
+    let tag = format!("\"{:x}-{modified_ns:x}-{:x}\"", found.len(), found.ino());
     Ok(OpenedTake {
         file,
         len: growing.as_ref().map_or(found.len(), |take| take.durable_bytes.min(found.len())),
@@ -126,8 +122,7 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Prob
 }
 
 pub(super) fn unreadable(error: &io::Error) -> Problem {
-    let message = format!("cannot read the take: {error}");
-    Problem::new(StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk, message)
+    Problem::of(ProblemKind::Disk, format!("cannot read the take: {error}"))
 }
 
 /// Whether the name is a plain file name. The service checks it as well, but a path must not get that far.
@@ -212,7 +207,7 @@ fn answer(
 
 fn unsatisfiable(len: u64) -> Result<Response, Problem> {
     let message = format!("the range is outside of the file, which has {len} bytes");
-    let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, ProblemKind::Range, message);
+    let problem = Problem::of(ProblemKind::Range, message);
     let mut response = problem.into_response();
     response.headers_mut().insert(header::CONTENT_RANGE, value(&format!("bytes */{len}"))?);
     Ok(response)
@@ -224,10 +219,8 @@ fn value(text: &str) -> Result<HeaderValue, Problem> {
 
 /// The file name for browsers: in ASCII for old ones, and in UTF-8 (RFC 6266).
 fn disposition(name: &str) -> String {
-    let plain: String = name
-        .chars()
-        .map(|c| if c.is_ascii_graphic() && !"\"\\%;".contains(c) || c == ' ' { c } else { '_' })
-        .collect();
+    let is_plain = |c: char| c.is_ascii_graphic() && !"\"\\%;".contains(c) || c == ' ';
+    let plain: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
     let mut exact = String::with_capacity(name.len());
     for byte in name.bytes() {
         if byte.is_ascii_alphanumeric() || b"-._".contains(&byte) {
@@ -355,7 +348,7 @@ pub(super) async fn verify(
         let take = open(control.as_ref(), &name)?;
         if take.is_growing {
             let message = format!("{name} is being recorded: stop it first");
-            return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, message));
+            return Err(Problem::of(ProblemKind::Conflict, message));
         }
         let input = CancellableReader { input: SparseFile::of(take.file), client_alive, stopping };
         check(name, take.len, Summary::read(BufReader::new(input)))

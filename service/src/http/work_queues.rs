@@ -46,13 +46,10 @@ pub(super) struct WorkQueues {
 
 impl WorkQueues {
     pub(super) fn new(work_max: Duration) -> Self {
+        let work_max = Some(work_max);
         Self {
-            commands: WorkQueue::new(
-                "too many requests are being executed",
-                COMMANDS,
-                Some(work_max),
-            ),
-            files: WorkQueue::new("too many files are being read", FILES, Some(work_max)),
+            commands: WorkQueue::new("too many requests are being executed", COMMANDS, work_max),
+            files: WorkQueue::new("too many files are being read", FILES, work_max),
             checks: WorkQueue::new("another take is being checked", CHECKS, None),
         }
     }
