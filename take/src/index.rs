@@ -245,7 +245,7 @@ impl Chunk {
                     return Ok(Some(Self { payload: payload.to_vec(), len: len as u64 }));
                 }
                 ChunkParse::Short(more) if is_wanted && more <= max && more > needed => {
-                    needed = more
+                    needed = more;
                 }
                 _ => return Ok(None),
             }

@@ -15,7 +15,7 @@ use super::{Face, score};
 /// Size of the pictures: 0.25 megapixels.
 const SIZE_PX: (u32, u32) = (480, 520);
 
-/// Seeded pseudo-random numbers by SplitMix64 (Steele, Lea and Flood 2014).
+/// Seeded pseudo-random numbers by `SplitMix64` (Steele, Lea and Flood 2014).
 struct PictureRng(u64);
 
 impl PictureRng {
