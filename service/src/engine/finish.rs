@@ -23,8 +23,7 @@ impl Inner {
     pub(super) fn finish_take(&self, end: TakeResult) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = core.take.take() else {
-            let message = "the take has already been stopped: check the status";
-            return Err(Refusal::new(RefusalKind::Conflict, message));
+            return Err(Refusal::conflict("the take has already been stopped: check the status"));
         };
         let _closing = self.closing(&mut core);
         // While this take is being closed, clients must not mistake the previous one for it.
@@ -52,8 +51,7 @@ impl Inner {
         if let Some(take) = self.core().take.take() {
             take.named.discard();
         }
-        let message = "the device disconnected before the take began: try again";
-        Err(Refusal::new(RefusalKind::Device, message))
+        Err(Refusal::device("the device disconnected before the take began: try again"))
     }
 
     /// Handles the end of a take: written completely, or failed.
@@ -103,14 +101,13 @@ impl Inner {
     fn discard_empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
         take.discard();
         if ending == EndingKind::Saved {
-            let message = "no frames are held for that time: ask for more seconds";
-            return Refusal::new(RefusalKind::Conflict, message);
+            return Refusal::conflict("no frames are held for that time: ask for more seconds");
         }
         let name = &take.name;
         let message =
             format!("no frame arrived, so there is no take {name}: is the device capturing?");
         self.publish(ServiceEventKind::Warning, &message, Some(name));
-        Refusal::new(RefusalKind::Device, message)
+        Refusal::device(message)
     }
 
     /// Stores the take as the last one in the status.
@@ -216,7 +213,7 @@ impl Inner {
     /// What remains of a take that could not be completed, and where.
     fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` closes it";
-        let Some(mut file) = output else { return format!("{recover}") };
+        let Some(mut file) = output else { return recover.to_owned() };
         let settled = file.settle();
         match (settled.message(), &settled.path) {
             (None, _) => format!("its content can be read, and {recover}"),

@@ -29,8 +29,8 @@ pub struct EngineOptions {
 impl EngineOptions {
     /// Takes the options from a configuration, and reads the subject's files.
     ///
-    /// A file of the subject is missing or invalid.
-    /// What is wrong with these files.
+    /// # Errors
+    /// If a file of the subject is missing or invalid.
     pub fn load(config: &Config) -> anyhow::Result<Self> {
         Ok(Self {
             rig: config.rig_name.clone(),
