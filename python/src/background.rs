@@ -18,7 +18,7 @@ use pyo3::{PyResult, Python};
 use crate::errors::Failure;
 
 /// Interval between checks for signals. Ctrl-C must raise within 0.3 s; most of that is the stretch being decoded.
-const SIGNAL_POLL_INTERVAL: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// A flag that asks running work to stop.
 #[derive(Debug, Clone, Default)]
@@ -48,16 +48,12 @@ pub(crate) fn run_detached<T: Send>(
         thread::Builder::new()
             .spawn_scoped(scope, move || done.send(catch_panic(|| work(&cancelled))).ok())
             .map_err(Failure::from)?;
-        let (outcome, interrupted) = wait(py, outcome, &cancel);
-        let outcome = match interrupted {
+        let (outcome, found) = wait(py, outcome, &cancel);
+        if found.is_err() {
             // The work must stop before the borrows end.
-            Err(interrupt) => {
-                py.detach(move || outcome.map(|outcome| outcome.recv().ok()));
-                return Err(interrupt);
-            }
-            Ok(found) => found,
-        };
-        outcome.map_err(|failure| failure.into_py_err(py, path))
+            py.detach(move || outcome.map(|outcome| outcome.recv().ok()));
+        }
+        found?.map_err(|failure| failure.into_py_err(py, path))
     })
 }
 
@@ -89,8 +85,7 @@ fn wait<T: Send>(
     cancel: &Cancel,
 ) -> (Option<Outcome<T>>, PyResult<Result<T, Failure>>) {
     loop {
-        let (found, back) =
-            py.detach(move || (outcome.recv_timeout(SIGNAL_POLL_INTERVAL), outcome));
+        let (found, back) = py.detach(move || (outcome.recv_timeout(POLL_INTERVAL), outcome));
         outcome = back;
         match found {
             Ok(found) => return (None, Ok(found)),

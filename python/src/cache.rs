@@ -48,28 +48,24 @@ impl DecodeCache {
             return read(request, rows, out);
         }
         // Another thread reads: neither waits for the other.
-        let Ok(mut kept) = self.0.try_lock() else {
-            return read(request, rows, out);
-        };
-        if !kept.as_ref().is_some_and(|cached| cached.contains(rows, columns)) {
-            // Reuses the memory of the old rows.
-            let mut values = kept.take().map_or_else(Vec::new, |cached| cached.values);
-            values.clear();
-            values.resize((bytes / 4) as usize, f32::NAN);
-            let request = DecodeRequest { columns: &group_columns, ..request };
-            let problems = read(request, rows, &mut values)?;
-            let cached = CachedRows { rows: rows.clone(), columns: group_columns, values };
+        let Ok(mut kept) = self.0.try_lock() else { return read(request, rows, out) };
+        if let Some(cached) = kept.as_ref().filter(|cached| cached.contains(rows, columns)) {
             cached.copy(rows, columns, out);
-            // Damaged rows are not cached, so that the next read reports its problems again.
-            if problems.is_empty() {
-                *kept = Some(cached);
-            }
-            return Ok(problems);
+            return Ok(Vec::new());
         }
-        if let Some(cached) = &*kept {
-            cached.copy(rows, columns, out);
+        // Reuses the memory of the old rows.
+        let mut values = kept.take().map_or_else(Vec::new, |cached| cached.values);
+        values.clear();
+        values.resize((bytes / 4) as usize, f32::NAN);
+        let request = DecodeRequest { columns: &group_columns, ..request };
+        let problems = read(request, rows, &mut values)?;
+        let cached = CachedRows { rows: rows.clone(), columns: group_columns, values };
+        cached.copy(rows, columns, out);
+        // Damaged rows are not cached, so that the next read reports its problems again.
+        if problems.is_empty() {
+            *kept = Some(cached);
         }
-        Ok(Vec::new())
+        Ok(problems)
     }
 }
 

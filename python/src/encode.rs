@@ -5,7 +5,7 @@ use std::thread;
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_take::{
     motion::{Marker, Motion, MotionInfo, Position, UpAxis},
-    motion_encoder::{self, EncodePart, EncodePlan, EncodedPart, MotionWriter},
+    motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter, channels, stretch_rows},
     record::{CODEC_VERSION, Header, ImportSource},
 };
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
@@ -13,7 +13,7 @@ use pyo3::{prelude::*, types::PyBytes};
 
 use crate::{
     background::{Cancel, run_abandonable, run_detached},
-    errors::Failure,
+    errors::{Failure, Result},
 };
 
 /// The writer's name in a take's header.
@@ -69,10 +69,9 @@ pub(crate) fn encode<'py>(
     let motion = run_detached(py, None, |cancel| motion(values, n_rows, labels, rate_hz, cancel))?;
     let take = run_abandonable(py, move |cancel| {
         let mut header = header(&settings, rate_hz, UpAxis::from_code(up_axis));
-        header.channels = motion_encoder::channels(&motion.info.markers);
+        header.channels = channels(&motion.info.markers);
         let codec = header.codec()?;
-        header.stretch_rows =
-            motion_encoder::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
+        header.stretch_rows = stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
         header.check()?;
         let values = motion.positions_mm.as_flattened().iter();
         let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
@@ -108,7 +107,7 @@ fn motion(
     labels: Vec<(String, bool)>,
     rate_hz: f64,
     cancel: &Cancel,
-) -> Result<Motion, Failure> {
+) -> Result<Motion> {
     let (positions, _) = values.as_chunks::<3>();
     let is_invalid = |position: &Position| {
         let missing = position.iter().filter(|value| value.is_nan()).count();
@@ -140,12 +139,7 @@ fn motion(
 }
 
 /// Encodes as many parts at a time as there are threads. The bytes do not depend on the number of threads.
-fn write(
-    motion: &Motion,
-    header: &Header,
-    threads: usize,
-    cancel: &Cancel,
-) -> Result<Vec<u8>, Failure> {
+fn write(motion: &Motion, header: &Header, threads: usize, cancel: &Cancel) -> Result<Vec<u8>> {
     let plan = EncodePlan::new(motion, header)?;
     let mut take = MotionWriter::new(&plan, header, Vec::new())?;
     let mut encoders: Vec<_> = (0..threads.max(1)).map(|_| plan.encoder()).collect();
@@ -160,8 +154,7 @@ fn write(
                 })
                 .collect::<Result<_, _>>()?;
             let done = threads.into_iter().map(|thread| thread.join());
-            done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??))
-                .collect::<Result<_, Failure>>()
+            done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??)).collect::<Result<_>>()
         })?;
         for (part, coded) in parts.iter().zip(&coded) {
             take.push(*part, coded)?;

@@ -16,6 +16,9 @@ pyo3::create_exception!(
     "A file that cannot be read as a take: not a take, a take of another version, or one with a damaged header."
 );
 
+/// The result of work that has not been converted to Python yet.
+pub(crate) type Result<T, E = Failure> = std::result::Result<T, E>;
+
 /// An error, before its conversion to an exception.
 #[derive(Debug)]
 pub(crate) enum Failure {
@@ -55,9 +58,9 @@ impl Failure {
     /// The exception for the take at `path`, which begins the message; bytes in memory have no path.
     pub(crate) fn into_py_err(self, py: Python<'_>, path: Option<&Path>) -> PyErr {
         use mocapd_take::TakeError::{Codec, InvalidArgument, Io};
-        let named = |message: String| match path {
+        let named = |message: &str| match path {
             Some(path) => format!("{}: {message}", path.display()),
-            None => message,
+            None => message.to_owned(),
         };
         match self {
             Self::Value(message)
@@ -73,10 +76,9 @@ impl Failure {
                 }
                 None => error.into(),
             },
-            Self::Take(error) => TakeError::new_err(named(error.to_string())),
+            Self::Take(error) => TakeError::new_err(named(&error.to_string())),
             Self::Internal => TakeError::new_err(named(
-                "internal error, see standard error for details: please report it with the take"
-                    .to_owned(),
+                "internal error, see standard error for details: please report it with the take",
             )),
         }
     }

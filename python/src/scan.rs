@@ -88,12 +88,9 @@ pub(crate) fn scan(
         }
         Ok(found)
     })?;
-    let mut whole: Option<Vec<MarkerScan>> = None;
-    for piece in pieces {
-        match &mut whole {
-            None => whole = Some(piece),
-            Some(whole) => whole.iter_mut().zip(piece).for_each(|(one, next)| one.append(next)),
-        }
-    }
+    let whole = pieces.into_iter().reduce(|mut whole, piece| {
+        whole.iter_mut().zip(piece).for_each(|(one, next)| one.append(next));
+        whole
+    });
     Ok((whole.unwrap_or_else(|| vec![MarkerScan::default(); columns.len()]), problems))
 }

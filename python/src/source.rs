@@ -1,5 +1,7 @@
 //! The bytes of a take in a file or in memory, which several threads read at independent positions.
 
+#[cfg(unix)]
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::{
     fs::{File, FileType, OpenOptions},
     io::{self, Read, Seek, SeekFrom},
@@ -40,10 +42,7 @@ impl Source {
         let mut options = OpenOptions::new();
         options.read(true);
         #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::custom_flags(
-            &mut options,
-            libc::O_NONBLOCK | libc::O_NOCTTY,
-        );
+        options.custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
         let file = options.open(path)?;
         check(file.metadata()?.file_type())?;
         Ok(Self { bytes: Bytes::File(Arc::new(file)), cancel: Cancel::default() })
@@ -76,33 +75,22 @@ impl Source {
     }
 }
 
-fn check(kind: FileType) -> Result<(), Failure> {
-    match not_a_file(kind) {
-        Some((code, what)) => Err(Failure::NotAFile(code, what)),
-        None => Ok(()),
-    }
-}
-
-/// The error number and a description of a file that is not a plain one; `None` for a plain file.
+/// Fails with the error number and a description of a file that is not a plain one.
 #[cfg(unix)]
-fn not_a_file(kind: FileType) -> Option<(i32, &'static str)> {
-    use std::os::unix::fs::FileTypeExt;
-    match kind {
-        _ if kind.is_dir() => Some((EISDIR, "a folder, not a file")),
-        _ if kind.is_fifo() => {
-            Some((EINVAL, "a pipe, not a file: write its content to a file first"))
-        }
-        _ if kind.is_socket() => Some((EINVAL, "a socket, not a file")),
-        _ if kind.is_char_device() || kind.is_block_device() => {
-            Some((EINVAL, "a device, not a file"))
-        }
-        _ => None,
-    }
+fn check(kind: FileType) -> Result<(), Failure> {
+    let (code, what) = match kind {
+        _ if kind.is_dir() => (EISDIR, "a folder, not a file"),
+        _ if kind.is_fifo() => (EINVAL, "a pipe, not a file: write its content to a file first"),
+        _ if kind.is_socket() => (EINVAL, "a socket, not a file"),
+        _ if kind.is_char_device() || kind.is_block_device() => (EINVAL, "a device, not a file"),
+        _ => return Ok(()),
+    };
+    Err(Failure::NotAFile(code, what))
 }
 
 #[cfg(not(unix))]
-fn not_a_file(kind: FileType) -> Option<(i32, &'static str)> {
-    kind.is_dir().then_some((EISDIR, "a folder, not a file"))
+fn check(kind: FileType) -> Result<(), Failure> {
+    if kind.is_dir() { Err(Failure::NotAFile(EISDIR, "a folder, not a file")) } else { Ok(()) }
 }
 
 /// A position in a [`Source`].

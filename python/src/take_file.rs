@@ -16,7 +16,7 @@ use crate::{
     errors::Failure,
     scan::scan,
     source::Source,
-    times::{lost, times},
+    times::{Times, lost, times},
 };
 
 /// An open take, addressed by rows and columns.
@@ -235,12 +235,9 @@ impl TakeFile {
     /// The times of the rows from `first` to before `stop`, as [`TimesOut`]; the arrays are empty for an import.
     fn times<'py>(&self, py: Python<'py>, first: u64, stop: u64) -> PyResult<TimesOut<'py>> {
         let rows = self.rows(first, stop)?;
-        let found = self.run(py, |source| times(source, &self.map, &rows))?;
-        Ok((
-            found.device_ticks.into_pyarray(py),
-            found.arrival_ns.into_pyarray(py),
-            found.recorded.into_pyarray(py),
-        ))
+        let Times { device_ticks, arrival_ns, recorded } =
+            self.run(py, |source| times(source, &self.map, &rows))?;
+        Ok((device_ticks.into_pyarray(py), arrival_ns.into_pyarray(py), recorded.into_pyarray(py)))
     }
 
     /// Runs of lost rows, each as first row, number of rows and causes.

@@ -43,8 +43,7 @@ pub(crate) fn times(source: &Source, map: &TakeMap, rows: &Range<u64>) -> Result
     while let Some(span) = stretches.next_stretch()? {
         source.check()?;
         for (row, time) in stretches.timeline().iter().flat_map(|timeline| timeline.recorded()) {
-            let place = row.checked_sub(rows.start).map(|i| i as usize).filter(|&i| i < n);
-            if let Some(i) = place {
+            if let Some(i) = row.checked_sub(rows.start).map(|i| i as usize).filter(|&i| i < n) {
                 found.device_ticks[i] = time.device_ticks;
                 found.arrival_ns[i] = time.arrival_10us.saturating_mul(ARRIVAL_NS);
                 found.recorded[i] = true;
