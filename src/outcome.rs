@@ -1,6 +1,6 @@
 //! How a command ended, and its exit code.
 
-use std::{fmt, process::ExitCode};
+use std::process::ExitCode;
 
 /// The result of a command that ran to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,16 +26,9 @@ impl Outcome {
 }
 
 /// An invalid argument: exit code 2 instead of 1.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
 pub struct UsageError(pub String);
-
-impl fmt::Display for UsageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for UsageError {}
 
 /// The command was carried out, but data was lost: exit code 3 instead of 1.
 #[derive(Debug, thiserror::Error)]

@@ -24,8 +24,7 @@ use serde::Serialize;
 
 use super::{
     original::{header_of, read_motion_and_bytes},
-    output::Progress,
-    output::{notify, plain, plain_path, print, print_json},
+    output::{Progress, notify, plain, plain_path, print, print_json},
     paths,
     subject::SubjectArgs,
     values::{CodecArgs, SizeReport, count, thousands, tolerance_mm},
@@ -121,12 +120,11 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
         ),
         _ => return Ok(()),
     };
-    Err(UsageError(format!(
+    anyhow::bail!(UsageError(format!(
         "{}: {why}; as millimetres, a tolerance of {tolerance_mm} mm would destroy the motion: give --unit (mm, cm, m, \
          in...), or --lossless to keep every bit as it is read",
         file.display()
-    ))
-    .into())
+    )))
 }
 
 fn write(

@@ -44,15 +44,15 @@ pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settin
     Ok((read_motion(path)?, None))
 }
 
+/// The motion of an original, and its settings if it is itself a take.
+pub(super) type Original = (Motion, Option<Settings>);
+
 /// The motion of a take's original: either another take, with its settings, or a motion file, read with the options
 /// with which the take was imported.
 ///
 /// # Errors
 /// If the original or the take cannot be read.
-pub(super) fn read_original(
-    take: &Path,
-    original: &Path,
-) -> anyhow::Result<(Motion, Option<Settings>)> {
+pub(super) fn read_original(take: &Path, original: &Path) -> anyhow::Result<Original> {
     if paths::is_take(original) {
         return read_samples(original);
     }

@@ -25,15 +25,13 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
 /// # Errors
 /// A usage error that lists the extensions.
 pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
-    Format::from_extension(path).ok_or_else(|| {
-        unknown_ending(
-            path,
-            ".c3d, .trc, .tsv, .csv, .npz, .xdf, .parquet or .mcap, or give --format (bids is a folder)",
-        )
-    })
+    let endings =
+        ".c3d, .trc, .tsv, .csv, .npz, .xdf, .parquet or .mcap, or give --format (bids is a folder)";
+    Format::from_extension(path).ok_or_else(|| unknown_ending(path, endings))
 }
 
-fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
+/// The usage error for a file whose extension is not one of `endings`.
+pub(super) fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
     let message = format!("{}: unknown file extension: use {endings}", path.display());
     UsageError(message).into()
 }
@@ -54,11 +52,10 @@ pub(super) fn is_take(path: &Path) -> bool {
 /// A usage error if it has the extension of another format; the errors of [`check_output`].
 pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
     if Format::from_extension(path).is_some() {
-        return Err(UsageError(format!(
+        anyhow::bail!(UsageError(format!(
             "{}: the output is a take: use .take; `mocapd export` converts takes to other formats",
             path.display()
-        ))
-        .into());
+        )));
     }
     check_output(path)
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use anyhow::bail;
 use clap::Args;
 use mocapd::outcome::UsageError;
 use mocapd_acquire::{
@@ -122,8 +123,7 @@ impl CodecArgs {
     pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
         let kind = if self.lossless { ResamplerKind::Lossless } else { self.resampler };
         if kind.is_lossless() && self.tolerance.is_some() {
-            let message = "a lossless take has no tolerance: omit --tolerance";
-            return Err(UsageError(message.to_owned()).into());
+            bail!(UsageError("a lossless take has no tolerance: omit --tolerance".to_owned()));
         }
         let tolerance = self.tolerance.map_or(Tolerance::from_mm(DEFAULT_TOLERANCE_MM), Ok)?;
         Ok(Settings { kind, tolerance })
@@ -138,11 +138,10 @@ impl CodecArgs {
         if settings.kind.is_live() {
             return Ok(settings);
         }
-        Err(UsageError(format!(
+        bail!(UsageError(format!(
             "{0} needs the whole take: record with dense, fast or lossless, then export the take and import it with {0}",
             settings.kind
-        ))
-        .into())
+        )))
     }
 }
 

@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use anyhow::ensure;
+use anyhow::{bail, ensure};
 use mocapd::outcome::UsageError;
 use mocapd_take::{
     TakeMap,
@@ -45,18 +45,16 @@ pub(super) fn range(
     let end = to.map_or(info.n_frames, |time| frame_at(time, info.rate_hz)).min(info.n_frames);
     if first >= end {
         let length_s = info.n_frames as f64 / info.rate_hz;
-        return Err(UsageError(format!(
+        bail!(UsageError(format!(
             "no frames between --from and --to: the take is {length_s:.3} s long"
-        ))
-        .into());
+        )));
     }
     let lost = info.n_frames.saturating_sub(n_sampled_rows);
     if to.is_none() && lost > LOST_UNASKED_MAX.max(n_sampled_rows) {
-        return Err(UsageError(format!(
+        bail!(UsageError(format!(
             "{lost} of the {} frames are empty, and each would be a row of gaps: give --to to limit the export",
             info.n_frames
-        ))
-        .into());
+        )));
     }
     Ok(first..end)
 }

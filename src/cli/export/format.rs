@@ -12,13 +12,13 @@ pub(super) struct FormatArgs {
     /// Format of the output [default: by its extension]
     #[arg(long, value_name = "FORMAT")]
     format: Option<FormatName>,
-    /// CsvLayout of a CSV file: `wide`, one row per frame; `long`, one row per sample present
+    /// Layout of a CSV file: `wide`, one row per frame; `long`, one row per sample present
     #[arg(long, value_name = "LAYOUT", default_value = "wide")]
     layout: CsvLayout,
     /// For csv: put an apostrophe before labels that a spreadsheet would take for a formula (starting with =, +, - or
     /// @)
     #[arg(long)]
-    for_spreadsheet: bool,
+    pub(super) for_spreadsheet: bool,
     /// For parquet: one row per frame, with three columns per marker, instead of one row per sample
     #[arg(long)]
     wide: bool,
@@ -85,11 +85,6 @@ impl FormatArgs {
             (_, CsvLayout::Long) => usage("--layout long is for csv: omit it"),
             (format, CsvLayout::Wide) => Ok(format),
         }
-    }
-
-    /// Whether labels are escaped for a spreadsheet.
-    pub(super) fn is_for_spreadsheet(&self) -> bool {
-        self.for_spreadsheet
     }
 
     /// The labels in the file names of a BIDS dataset.

@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use mocapd::{
     outcome::{Outcome, UsageError},
     parallel_frames::ParallelFrames,
@@ -59,29 +59,23 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.format.of(&args.output)?;
     format.check_built()?;
     paths::check_output(&args.output)?;
-    let reading = || format!("cannot read {}", args.take.display());
+    let name = args.take.display();
+    let reading = || format!("cannot read {name}");
     let file = SparseFile::open(&args.take)?;
     let wanted = |kind: &str| format.restores(kind);
     let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
         .with_context(reading)?;
-    let range = crop::range(
-        frames.info(),
-        frames.map().n_sampled_rows.unwrap_or_default(),
-        args.from,
-        args.to,
-    )
-    .with_context(|| args.take.display().to_string())?;
+    let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
+    let range = crop::range(frames.info(), n_sampled_rows, args.from, args.to)
+        .with_context(|| name.to_string())?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
-        return Err(UsageError(format!(
-            "{} states no up axis, so --up cannot rotate it: import its file again with --up",
-            args.take.display()
-        ))
-        .into());
+        bail!(UsageError(format!(
+            "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
+        )));
     }
     let mut parallel =
         ParallelFrames::start(&args.take, &frames, range.start, threads::default_workers())?;
-    let mut left_out = Vec::new();
-    let mut not_rotated = Vec::new();
+    let (mut left_out, mut not_rotated) = (Vec::new(), Vec::new());
     let mut export = |source: &mut dyn FrameSource| {
         let counter = Arc::new(AtomicU64::new(0));
         let mut cropped = CroppedFrames::new(source, &range, Arc::clone(&counter));
@@ -99,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         };
         if format == Format::Bids {
             write_folder(frames, &args.format.names(&args.take)?, &args.output)
-        } else if args.format.is_for_spreadsheet() {
+        } else if args.format.for_spreadsheet {
             write(&mut EscapedLabels::new(frames), format, &args.output)
         } else {
             write(frames, format, &args.output)
@@ -111,10 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             // The take turned out to be damaged: the sequential reader accounts for what is missing. The failed attempt
             // left no file.
             Err(_) if parallel.is_damaged() => false,
-            tried => {
-                tried?;
-                true
-            }
+            tried => tried.map(|()| true)?,
         },
     };
     if !done {
@@ -130,11 +121,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         notify(&format!("{}: not rotated: {}", args.output.display(), not_rotated.join(", ")));
     }
     report_losses(args, frames.map());
-    let problems = frames.problems();
-    for problem in problems {
-        notify(&format!("{}: {problem}", args.take.display()));
+    for problem in frames.problems() {
+        notify(&format!("{name}: {problem}"));
     }
-    Ok(Outcome::of(!problems.is_empty()))
+    Ok(Outcome::of(!frames.problems().is_empty()))
 }
 
 /// Reports how many frames the take lost while it was recorded.

@@ -7,16 +7,14 @@ mod trajectory;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use mocapd::outcome::{Outcome, UsageError};
-use mocapd_codec::Settings;
+use mocapd::outcome::Outcome;
 use mocapd_report::{
     decoded::DecodedTake,
     plot::{QualityPlot, png, quality},
 };
-use mocapd_take::motion::Motion;
 
 use crate::cli::{
-    motion_files::{file_name, read_original, read_take, write_new},
+    motion_files::{Original, file_name, read_original, read_take, write_new},
     output::notify,
     paths::{self, ends_in},
 };
@@ -48,11 +46,7 @@ pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
 /// A usage error for an extension other than .svg and .png; the errors of [`paths::check_output`].
 pub(crate) fn check_output(path: &Path) -> anyhow::Result<()> {
     if !ends_in(path, "svg") && !ends_in(path, "png") {
-        return Err(UsageError(format!(
-            "{}: unknown file extension: use .svg or .png",
-            path.display()
-        ))
-        .into());
+        return Err(paths::unknown_ending(path, ".svg or .png"));
     }
     paths::check_output(path)
 }
@@ -65,25 +59,20 @@ pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
     if ends_in(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
 }
 
-/// The motion of an original, and its settings if it is itself a take.
-type Original = (Motion, Option<Settings>);
-
 /// Reads the original of a take; warns if the two do not match.
 ///
 /// # Errors
 /// If it cannot be read.
 fn original(take: &Path, decoded: &DecodedTake, path: &Path) -> anyhow::Result<Original> {
     let (motion, settings) = read_original(take, path)?;
+    let (name, take) = (path.display(), take.display());
     if motion.info.labels() != decoded.motion.info.labels() {
-        notify(&format!("{}: its labels differ from those of {}", path.display(), take.display()));
+        notify(&format!("{name}: its labels differ from those of {take}"));
     }
-    if motion.n_frames() != decoded.motion.n_frames() {
+    let (n, n_decoded) = (motion.n_frames(), decoded.motion.n_frames());
+    if n != n_decoded {
         notify(&format!(
-            "{} has {} frames, {} has {}: plotted from the first frame of each",
-            path.display(),
-            motion.n_frames(),
-            take.display(),
-            decoded.motion.n_frames()
+            "{name} has {n} frames, {take} has {n_decoded}: plotted from the first frame of each"
         ));
     }
     Ok((motion, settings))

@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_report::{
@@ -20,8 +20,7 @@ use mocapd_take::{
 };
 
 use super::Pictured;
-use crate::cli::plot;
-use crate::cli::{limbs, motion_files::file_name, output::notify};
+use crate::cli::{limbs, motion_files::file_name, output::notify, plot};
 
 /// Number of stick figures without `--at`.
 const MOMENTS: usize = 8;
@@ -50,12 +49,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     for &at in &args.at {
         let row = usize::try_from(frame_at(at, motion.info.rate_hz)).unwrap_or(usize::MAX);
         if row >= n_frames {
-            return Err(UsageError(format!(
+            bail!(UsageError(format!(
                 "the take is {:.3} s long, but --at is {:.3} s: choose an earlier time",
                 n_frames as f64 / motion.info.rate_hz,
                 at.as_secs_f64()
-            ))
-            .into());
+            )));
         }
         rows.push(row);
     }

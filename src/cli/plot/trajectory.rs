@@ -12,8 +12,7 @@ use mocapd_service::units;
 use mocapd_take::{interchange::column_labels, motion::frame_at};
 
 use super::{Pictured, pose::up};
-use crate::cli::motion_files::file_name;
-use crate::cli::plot;
+use crate::cli::{motion_files::file_name, plot};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -34,16 +33,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let (decoded, original) = args.pictured.read()?;
     let original = original.map(|(motion, _)| motion);
     let motion = &decoded.motion;
-    let row =
-        |time: Duration| usize::try_from(frame_at(time, motion.info.rate_hz)).unwrap_or(usize::MAX);
-    let rows = (args.from.map_or(0, row), args.to.map_or(motion.n_frames(), row));
-    if rows.0 >= rows.1.min(motion.n_frames()) {
-        return Err(UsageError(format!(
-            "no frames between --from and --to: the take has {} frames, {:.3} s",
-            motion.n_frames(),
-            motion.n_frames() as f64 / motion.info.rate_hz
-        ))
-        .into());
+    let (n_frames, rate_hz) = (motion.n_frames(), motion.info.rate_hz);
+    let row = |time: Duration| usize::try_from(frame_at(time, rate_hz)).unwrap_or(usize::MAX);
+    let rows = (args.from.map_or(0, row), args.to.map_or(n_frames, row));
+    if rows.0 >= rows.1.min(n_frames) {
+        let length_s = n_frames as f64 / rate_hz;
+        anyhow::bail!(UsageError(format!(
+            "no frames between --from and --to: the take has {n_frames} frames, {length_s:.3} s"
+        )));
     }
     let marker = marker(&decoded, args.marker.as_deref())?;
     let spec = TrajectoryPlot {
@@ -70,8 +67,7 @@ fn marker(decoded: &DecodedTake, label: Option<&str>) -> anyhow::Result<usize> {
             let nearest = names.iter().max_by(|a, b| {
                 strsim::jaro_winkler(a, label).total_cmp(&strsim::jaro_winkler(b, label))
             });
-            let hint =
-                nearest.map_or_else(String::new, |label| format!("; did you mean '{label}'?"));
+            let hint = nearest.map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
             UsageError(format!("no marker has the label '{label}'{hint}")).into()
         });
     }

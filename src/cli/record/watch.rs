@@ -19,8 +19,7 @@ use mocapd_service::subject::unused_part_notes;
 use mocapd_take::record::Subject;
 
 use crate::cli::{
-    output::Progress,
-    output::notify,
+    output::{Progress, notify},
     values::{bytes, thousands},
 };
 
@@ -69,9 +68,7 @@ pub(crate) fn record_and_watch(
     let labels: Vec<String> = channels.into_iter().map(|channel| channel.label).collect();
     // Without labels there is nothing to compare yet: the device may announce its markers later.
     if !labels.is_empty() {
-        unused_part_notes(limits.subject.as_ref(), &labels)
-            .iter()
-            .for_each(|warning| notify(warning));
+        unused_part_notes(limits.subject.as_ref(), &labels).iter().for_each(|note| notify(note));
     }
     let mut options = RecordOptions {
         take,

@@ -21,8 +21,7 @@ use mocapd_take::recovery::{RecoveryScan, repair_start};
 
 use self::report::RecoverReport;
 use super::{
-    output::Progress,
-    output::{notify, print, print_json},
+    output::{Progress, notify, print, print_json},
     paths,
 };
 
@@ -64,7 +63,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         print_json(&report)?;
     } else {
         print(&report.text())?;
-        for problem in report.problems() {
+        for problem in &report.problems {
             notify(&format!("{name}: {problem}"));
         }
     }

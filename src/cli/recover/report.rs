@@ -21,7 +21,7 @@ pub(super) struct RecoverReport {
     output: PathBuf,
     lost: bool,
     finished: bool,
-    problems: Vec<String>,
+    pub(super) problems: Vec<String>,
     chunks: Vec<ChunkReport>,
     frames: u64,
     frames_recovered: u64,
@@ -63,7 +63,12 @@ impl RecoverReport {
             discarded: count.discarded,
         };
         let there = |count: &&ChunkKindCount| count.recovered + count.discarded > 0;
-        let markers = scan.channels.iter().zip(&scan.per_channel);
+        let channels = scan.channels.iter().zip(&scan.per_channel);
+        let markers = channels.map(|(channel, found)| RecoveredMarkerReport {
+            label: channel.label.clone(),
+            samples: found.samples,
+            frames_damaged: found.rows_damaged,
+        });
         Self {
             take: args.take.clone(),
             output: args.output.clone(),
@@ -76,22 +81,12 @@ impl RecoverReport {
             frames_damaged: scan.rows_damaged(),
             samples: scan.per_channel.iter().map(|channel| channel.samples).sum(),
             damage: DamageReport::all(&scan.damage),
-            markers: markers
-                .map(|(channel, found)| RecoveredMarkerReport {
-                    label: channel.label.clone(),
-                    samples: found.samples,
-                    frames_damaged: found.rows_damaged,
-                })
-                .collect(),
+            markers: markers.collect(),
             take_bytes,
             discarded_bytes: scan.discarded_bytes,
             output_bytes,
             ledger: LedgerDocument::from(&scan.ledger),
         }
-    }
-
-    pub(super) fn problems(&self) -> &[String] {
-        &self.problems
     }
 
     pub(super) fn text(&self) -> String {

@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files, pipeline::offline, threads};
 use mocapd_codec::{Settings, Tolerance};
@@ -22,14 +22,9 @@ use mocapd_take::{escape::to_cell, motion::Motion};
 
 use self::report::StudyReport;
 use super::{
-    motion_files::write_new,
+    motion_files::{file_name, read_samples, write_new},
     original::header_of,
-    output::Progress,
-    output::{print, print_json},
-};
-use crate::cli::{
-    motion_files::{file_name, read_samples},
-    output::notify,
+    output::{Progress, notify, print, print_json},
     values,
 };
 
@@ -71,10 +66,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let trials = trials(&args.files, args.phases.as_deref())?;
     let samples: usize = trials.iter().map(|trial| trial.motion.positions_mm.len()).sum();
     if samples > SAMPLES_MAX {
-        return Err(UsageError(format!(
+        bail!(UsageError(format!(
             "{samples} samples do not fit into memory (at most {SAMPLES_MAX}): give fewer takes at a time"
-        ))
-        .into());
+        )));
     }
     let options = options(args);
     let findings = study(&trials, &options, args)?;
@@ -172,10 +166,9 @@ pub(super) fn trials(paths: &[PathBuf], given: Option<&Path>) -> anyhow::Result<
     let given = given.map(read_phases).transpose()?.unwrap_or_default();
     let names: Vec<String> = paths.iter().map(|path| file_name(path)).collect();
     if let Some(unknown) = given.keys().find(|file| !names.contains(file)) {
-        return Err(UsageError(format!(
+        bail!(UsageError(format!(
             "--phases lists {unknown}, which is not among the files: add it, or remove its lines"
-        ))
-        .into());
+        )));
     }
     paths.iter().zip(names).map(|(path, name)| trial(path, name, &given)).collect()
 }

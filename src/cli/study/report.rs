@@ -78,18 +78,12 @@ struct DerivativeReport {
 
 impl StudyReport {
     pub(super) fn new(trials: &[Trial], findings: &Findings) -> Self {
+        let of = |tables::Verdict { claim, holds, figures }| ClaimReport { claim, holds, figures };
         Self {
             cutoff_hz: findings.cutoff_hz,
             takes: trials.iter().map(TakeReport::new).collect(),
             cells: cells(findings),
-            claims: tables::verdicts(findings)
-                .into_iter()
-                .map(|verdict| ClaimReport {
-                    claim: verdict.claim,
-                    holds: verdict.holds,
-                    figures: verdict.figures,
-                })
-                .collect(),
+            claims: tables::verdicts(findings).into_iter().map(of).collect(),
             derivatives: derivatives(findings),
         }
     }
@@ -241,8 +235,5 @@ pub(super) fn figures(
 fn wrist(labels: &[String]) -> usize {
     let plain = |label: &String| label.to_lowercase().replace(['_', '-', ' '], "");
     let find = |name: &str| labels.iter().position(|label| plain(label).ends_with(name));
-    ["rwrist", "rightwrist", "wrist", "rwra", "rwri"]
-        .iter()
-        .find_map(|name| find(name))
-        .unwrap_or(0)
+    ["rwrist", "rightwrist", "wrist", "rwra", "rwri"].into_iter().find_map(find).unwrap_or(0)
 }

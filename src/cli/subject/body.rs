@@ -21,8 +21,7 @@ use mocapd_body::{
 use super::MethodArg;
 use crate::cli::{
     motion_files::{file_name, write_new},
-    output::Progress,
-    output::{eprint, notify, print, print_json_text},
+    output::{Progress, eprint, notify, print, print_json_text},
     paths, plot,
 };
 
@@ -55,12 +54,9 @@ const CONFIDENCE_MIN: f64 = 0.5;
 const SCANS_MAX: usize = 64;
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    if args.scans.len() > SCANS_MAX {
-        return Err(UsageError(format!(
-            "{} scans are too many: give at most {SCANS_MAX}",
-            args.scans.len()
-        ))
-        .into());
+    let n_scans = args.scans.len();
+    if n_scans > SCANS_MAX {
+        bail!(UsageError(format!("{n_scans} scans are too many: give at most {SCANS_MAX}")));
     }
     let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
     let output = args.output.as_deref().filter(|_| !to_stdout);
@@ -77,8 +73,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         MethodArg::Paper => Method::Paper,
     };
     let counter = Arc::new(AtomicU64::new(0));
-    let progress = Progress::follow("finding joints", &counter, args.scans.len() as u64);
-    let mut scans = Vec::with_capacity(args.scans.len());
+    let progress = Progress::follow("finding joints", &counter, n_scans as u64);
+    let mut scans = Vec::with_capacity(n_scans);
     let mut first = None;
     for path in &args.scans {
         let (repaired, scan, analysis) = analyse(path, args.unit, method)?;
@@ -167,12 +163,8 @@ fn table(skeleton: &Skeleton) -> String {
     let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be exchanged)" };
     out += &format!("\nbone                 length mm   +- mm{sides}\n");
     for bone in &skeleton.bones {
-        out += &format!(
-            "{:<20} {:>9.1} {:>7.1}",
-            bone.name,
-            bone.length_mm,
-            bone.uncertainty_mm.unwrap_or_default()
-        );
+        let sigma_mm = bone.uncertainty_mm.unwrap_or_default();
+        out += &format!("{:<20} {:>9.1} {sigma_mm:>7.1}", bone.name, bone.length_mm);
         if let Some(spread_mm) = bone.spread_mm {
             out += &format!("   spread {spread_mm:.1} mm over {} scans", bone.scans);
         }
@@ -181,11 +173,8 @@ fn table(skeleton: &Skeleton) -> String {
     out += "\njoint                   x mm      y mm      z mm   +- mm\n";
     for joint in &skeleton.joints {
         let [x, y, z] = joint.position_mm.unwrap_or_default();
-        out += &format!(
-            "{:<18} {x:>9.1} {y:>9.1} {z:>9.1} {:>7.1}\n",
-            joint.name,
-            joint.uncertainty_mm.unwrap_or_default()
-        );
+        let (name, sigma_mm) = (&joint.name, joint.uncertainty_mm.unwrap_or_default());
+        out += &format!("{name:<18} {x:>9.1} {y:>9.1} {z:>9.1} {sigma_mm:>7.1}\n");
     }
     out
 }
@@ -195,19 +184,14 @@ fn unit(text: &str) -> Result<Unit, String> {
 }
 
 /// The picture, as SVG; with level curves if `analysis` has those of a body.
-fn picture(
-    name: &str,
-    repaired: &Repaired,
-    analysis: &ScanAnalysis,
-    skeleton: &Skeleton,
-) -> String {
+fn picture(name: &str, scan: &Repaired, analysis: &ScanAnalysis, skeleton: &Skeleton) -> String {
     let is_paper = skeleton.method == Method::Paper.name();
     let method = if is_paper { "as Yu et al. 2008" } else { "default method" };
     let title = format!("{name}, {method}");
     let mut drawing = Drawing {
         title: &title,
-        mesh: Some(&repaired.mesh),
-        unit: Some(repaired.unit),
+        mesh: Some(&scan.mesh),
+        unit: Some(scan.unit),
         joints: analysis.joints.clone(),
         skeleton: Some(skeleton),
         ..Drawing::default()

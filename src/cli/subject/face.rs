@@ -60,8 +60,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(path) = &args.overlay
         && !paths::ends_in(path, "png")
     {
-        let message = format!("{}: the overlay is a PNG: use .png", path.display());
-        return Err(UsageError(message).into());
+        bail!(UsageError(format!("{}: the overlay is a PNG: use .png", path.display())));
     }
     for (path, ending, instead) in [
         (args.output.as_ref(), "obj", "the face is JSON: use .json, or --obj for the wireframe"),
@@ -127,8 +126,7 @@ fn check_distinct_outputs(args: &Args) -> anyhow::Result<()> {
     let outputs: Vec<&PathBuf> = outputs.into_iter().flatten().collect();
     for (i, one) in outputs.iter().enumerate() {
         if outputs[..i].iter().any(|other| paths::are_one(one, other)) {
-            let message = format!("{}: two options name the same file", one.display());
-            return Err(UsageError(message).into());
+            bail!(UsageError(format!("{}: two options name the same file", one.display())));
         }
     }
     Ok(())

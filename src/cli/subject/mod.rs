@@ -56,8 +56,7 @@ impl SubjectArgs {
     pub(crate) fn load(&self) -> anyhow::Result<Option<record::Subject>> {
         let Self { subject, skeleton, face, face_markers } = self.clone();
         if subject.as_ref().is_some_and(|name: &String| name.len() > NAME_BYTES_MAX) {
-            let message = format!("--subject is longer than {NAME_BYTES_MAX} bytes");
-            return Err(UsageError(message).into());
+            anyhow::bail!(UsageError(format!("--subject is longer than {NAME_BYTES_MAX} bytes")));
         }
         SubjectFiles { name: subject, skeleton, face, face_markers }.load()
     }
