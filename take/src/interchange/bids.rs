@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use super::{
     InterchangeError, Result, check_frame_count, put_position,
     text::{column_labels, without_tabs},
-    write_frames,
+    unsupported, write_frames,
 };
 use crate::motion::{FrameSource, MotionInfo};
 
@@ -97,9 +97,7 @@ pub fn write(
 ) -> Result<()> {
     let info = frames.info().clone();
     if info.markers.is_empty() {
-        return Err(InterchangeError::Unsupported(
-            "BIDS needs at least one channel, but the take has no markers".to_owned(),
-        ));
+        return unsupported("BIDS needs at least one channel, but the take has no markers");
     }
     let mut put = |path: &str, content: &[u8]| {
         let mut file = folder.file(path)?;
@@ -173,11 +171,8 @@ fn number(value: f64) -> Value {
 }
 
 fn dataset_json(names: &BidsLabels) -> io::Result<Vec<u8>> {
-    let generator = json!({
-        "Name": "mocapd",
-        "Version": env!("CARGO_PKG_VERSION"),
-        "Description": "mocapd export",
-    });
+    let version = env!("CARGO_PKG_VERSION");
+    let generator = json!({ "Name": "mocapd", "Version": version, "Description": "mocapd export" });
     json([
         ("Name", format!("Optical motion capture: {}", names.task()).into()),
         ("BIDSVersion", BIDS_VERSION.into()),
@@ -240,13 +235,10 @@ fn channels_json(info: &MotionInfo) -> io::Result<Vec<u8>> {
         Some(axis) => format!("{axis} points up"),
         None => "the axis that points up is not known".to_owned(),
     };
-    let global = json!({
-        "RotationRule": "right-hand",
-        "Description": format!("The axes of the tracking system, right-handed; {up}"),
-    });
+    let axes = format!("The axes of the tracking system, right-handed; {up}");
     let frame = json!({
         "Description": "The coordinate system of the positions",
-        "Levels": { "global": global },
+        "Levels": { "global": { "RotationRule": "right-hand", "Description": axes } },
     });
     json([("reference_frame", frame)])
 }

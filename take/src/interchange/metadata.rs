@@ -26,10 +26,8 @@ pub(super) fn metadata(frames: &dyn FrameSource) -> Vec<(String, String)> {
         let problems: Vec<String> = take.problems.iter().map(ToString::to_string).collect();
         all.push(("problems", json!(problems).to_string()));
         if let Some(device) = &header.device {
-            all.push((
-                "device",
-                json!({ "model": device.model, "serial": device.serial }).to_string(),
-            ));
+            let device = json!({ "model": device.model, "serial": device.serial });
+            all.push(("device", device.to_string()));
         }
         if let Some(found) = &take.ledger {
             all.push(("ledger", ledger(found).to_string()));

@@ -106,13 +106,13 @@ pub enum InterchangeError {
 }
 
 impl InterchangeError {
-    fn malformed(
-        format: &'static str,
-        place: impl Into<String>,
-        message: impl Into<String>,
-    ) -> Self {
-        Self::Malformed { format, place: place.into(), message: message.into() }
+    fn malformed(format: &'static str, place: &str, message: impl Into<String>) -> Self {
+        Self::Malformed { format, place: place.to_owned(), message: message.into() }
     }
+}
+
+fn unsupported<T>(message: &str) -> Result<T> {
+    Err(InterchangeError::Unsupported(message.to_owned()))
 }
 
 impl Format {
@@ -142,10 +142,9 @@ impl Format {
         if !is_heavy || cfg!(feature = "full") {
             return Ok(());
         }
-        Err(InterchangeError::Unsupported(
-            "this build writes neither Parquet nor MCAP: use the Debian package, build with `cargo build --release --features full`, or export to c3d, trc, csv or npz"
-                .to_owned(),
-        ))
+        unsupported(
+            "this build writes neither Parquet nor MCAP: use the Debian package, build with `cargo build --release --features full`, or export to c3d, trc, csv or npz",
+        )
     }
 
     /// Whether files of this format can be imported.
@@ -173,9 +172,7 @@ impl Format {
             Self::Tsv => tsv::read(bytes, options),
             Self::Csv | Self::CsvLong => csv::read(bytes, options),
             Self::Npz | Self::Xdf | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
-                Err(InterchangeError::Unsupported(
-                    "this format is export only: import c3d, trc, tsv or csv".to_owned(),
-                ))
+                unsupported("this format is export only: import c3d, trc, tsv or csv")
             }
         }
     }
@@ -240,12 +237,8 @@ impl Format {
             #[cfg(not(feature = "full"))]
             Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
             Self::Xdf => xdf::write(frames, out),
-            Self::Npz => Err(InterchangeError::Unsupported(
-                "npz needs an output that can seek: use npz::write".to_owned(),
-            )),
-            Self::Bids => Err(InterchangeError::Unsupported(
-                "bids is a folder, not a file: use bids::write".to_owned(),
-            )),
+            Self::Npz => unsupported("npz needs an output that can seek: use npz::write"),
+            Self::Bids => unsupported("bids is a folder, not a file: use bids::write"),
         }
     }
 }
@@ -276,9 +269,7 @@ impl ReadOptions {
     /// The options that a take was imported with, from the settings in its header.
     #[must_use]
     pub fn from_settings(settings: &[(String, String)]) -> Self {
-        let value = |name: &str| {
-            settings.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
-        };
+        let value = |name: &str| Some(&settings.iter().find(|(key, _)| key == name)?.1);
         Self {
             unit: value(UNIT).and_then(|unit| unit.parse().ok()),
             up: value(UP).and_then(|up| up.parse().ok()),
@@ -297,9 +288,8 @@ impl ReadOptions {
     fn up(&self, of_file: UpAxis, notes: &mut Notes) -> UpAxis {
         let Some(up) = self.up else { return of_file };
         if let Some(name) = of_file.name().filter(|_| of_file != up.axis() || up.is_negative()) {
-            notes
-                .warnings
-                .push(format!("The file states that {name} is up; {up} was used, as requested."));
+            let text = format!("The file states that {name} is up; {up} was used, as requested.");
+            notes.warnings.push(text);
         }
         if up.is_negative() {
             notes.warnings.push(format!(
@@ -354,14 +344,9 @@ fn write_frames(
 
 /// Appends the three cells of a position; each is `missing` for a gap. Numbers have no exponent and the fewest digits
 /// that restore the f32 exactly.
-fn put_position(
-    out: &mut Vec<u8>,
-    position: Position,
-    separator: u8,
-    missing: &str,
-) -> io::Result<()> {
-    let is_missing = is_gap(position);
-    for (axis, value) in position.into_iter().enumerate() {
+fn put_position(out: &mut Vec<u8>, at: Position, separator: u8, missing: &str) -> io::Result<()> {
+    let is_missing = is_gap(at);
+    for (axis, value) in at.into_iter().enumerate() {
         out.extend((axis > 0).then_some(separator));
         if is_missing {
             out.extend(missing.bytes());

@@ -55,16 +55,13 @@ pub fn write(frames: &mut dyn FrameSource, out: &mut (impl Write + Seek)) -> Res
         })?;
         check_frame_count(info.n_frames, n_written)
     })?;
-    archive.finish()?;
-    Ok(())
+    Ok(archive.finish()?)
 }
 
 /// The size of a `.npy` file with this header, in bytes; its data has as many bytes as the product of `factors`.
 fn array_bytes(header: &[u8], factors: &[u64]) -> u64 {
-    factors
-        .iter()
-        .fold(1, |product: u64, &n| product.saturating_mul(n))
-        .saturating_add(header.len() as u64)
+    let n_bytes = factors.iter().fold(1, |product: u64, &n| product.saturating_mul(n));
+    n_bytes.saturating_add(header.len() as u64)
 }
 
 /// Writes the arrays of the markers and the scalars.
@@ -78,8 +75,7 @@ fn write_metadata(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek
     archive.put("rate_hz.npy", &one(F64, info.rate_hz.to_le_bytes()))?;
     archive.put("first_frame.npy", &one(I64, info.source.first_frame.to_le_bytes()))?;
     archive.put("unit.npy", &text_scalar("mm"))?;
-    archive.put("up.npy", &text_scalar(info.up.name().unwrap_or_default()))?;
-    Ok(())
+    Ok(archive.put("up.npy", &text_scalar(info.up.name().unwrap_or_default()))?)
 }
 
 fn write_events(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek>) -> Result<()> {
@@ -95,8 +91,7 @@ fn write_events(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek>)
     let kinds: Vec<&str> = events.iter().map(|event| event.kind.name()).collect();
     archive.put("event_kind.npy", &text_array(&kinds)?)?;
     let labels: Vec<&str> = events.iter().map(MotionEvent::label).collect();
-    archive.put("event_label.npy", &text_array(&labels)?)?;
-    Ok(())
+    Ok(archive.put("event_label.npy", &text_array(&labels)?)?)
 }
 
 // Element types in NumPy's notation. Texts are UTF-32 of a fixed number of characters: `<U8`.
@@ -109,18 +104,15 @@ const F64: &str = "<f8";
 fn npy_header(kind: &str, shape: &[u64]) -> Vec<u8> {
     let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
     // A tuple of one needs its trailing comma, and longer tuples may have one.
-    let description = format!(
-        "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
-        kind,
-        shape.trim_end()
-    );
+    let shape = shape.trim_end();
+    let dictionary = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({shape}), }}");
     let mut header = b"\x93NUMPY\x01\x00\0\0".to_vec();
-    let padded = (header.len() + description.len() + 1).next_multiple_of(ALIGNMENT);
+    let padded = (header.len() + dictionary.len() + 1).next_multiple_of(ALIGNMENT);
     let description_bytes = (padded - header.len()) as u16;
     if let Some(place) = header.get_mut(8..10) {
         place.copy_from_slice(&description_bytes.to_le_bytes());
     }
-    header.extend(description.bytes());
+    header.extend(dictionary.bytes());
     header.resize(padded - 1, b' ');
     header.push(b'\n');
     header

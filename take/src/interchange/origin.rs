@@ -20,8 +20,7 @@ pub(super) fn missing(positions: &[Position], n_markers: usize) -> Vec<bool> {
     if !positions.contains(&ORIGIN) {
         return missing;
     }
-    let moves: Vec<bool> =
-        (0..n_markers).map(|marker| is_moving(positions, n_markers, marker)).collect();
+    let moves: Vec<bool> = (0..n_markers).map(|i| is_moving(positions, n_markers, i)).collect();
     let n_moving = moves.iter().filter(|&&moves| moves).count();
     for (marker, &moves) in moves.iter().enumerate() {
         let others_move = n_moving > usize::from(moves);
@@ -78,21 +77,17 @@ fn samples(
 
 /// Whether a marker has two different positions other than the origin.
 fn is_moving(positions: &[Position], n_markers: usize, marker: usize) -> bool {
-    let mut elsewhere =
-        samples(positions, n_markers, marker).map(|(_, at)| at).filter(|&at| at != ORIGIN);
-    let first = elsewhere.next();
-    elsewhere.any(|at| Some(at) != first)
+    let mut elsewhere = samples(positions, n_markers, marker).filter(|(_, at)| *at != ORIGIN);
+    let first = elsewhere.next().map(|(_, at)| at);
+    elsewhere.any(|(_, at)| Some(at) != first)
 }
 
 /// Marks the samples of one marker that are missing: its runs at the origin, except single frames on its path.
 fn mark_missing(positions: &[Position], n_markers: usize, marker: usize, missing: &mut [bool]) {
     let all: Vec<(usize, Position)> = samples(positions, n_markers, marker).collect();
-    let mut steps: Vec<f64> = all
-        .windows(2)
-        .filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN))
-        .filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)))
-        .collect();
-    let usual = median(&mut steps).unwrap_or(0.0);
+    let pairs = all.windows(2).filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN));
+    let steps = pairs.filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)));
+    let usual = median(&mut steps.collect::<Vec<f64>>()).unwrap_or(0.0);
     let is_near = |at: Option<&(usize, Position)>| {
         at.is_some_and(|&(_, at)| distance(at, ORIGIN) <= STEPS * usual)
     };

@@ -5,7 +5,7 @@ use std::{io::Write, sync::Arc};
 use parquet::{
     basic::{Compression, ConvertedType, Encoding, LogicalType, Repetition, Type as Physical},
     data_type::{ByteArray, ByteArrayType, DataType, DoubleType, FloatType, Int64Type},
-    errors::ParquetError,
+    errors::{ParquetError, Result as ParquetResult},
     file::{
         metadata::KeyValue,
         properties::WriterProperties,
@@ -201,15 +201,10 @@ impl<'a> ParquetFile<'a> {
     }
 
     /// Writes a row group; `fill` writes all of its columns in order.
-    fn group(
-        &mut self,
-        fill: impl FnOnce(&mut RowGroup<'_>) -> Result<(), ParquetError>,
-    ) -> Result<()> {
-        {
-            let mut group = RowGroup(self.file.next_row_group().map_err(parquet_error)?);
-            fill(&mut group).map_err(parquet_error)?;
-            group.0.close().map_err(parquet_error)?;
-        }
+    fn group(&mut self, fill: impl FnOnce(&mut RowGroup<'_>) -> ParquetResult<()>) -> Result<()> {
+        let mut group = RowGroup(self.file.next_row_group().map_err(parquet_error)?);
+        fill(&mut group).map_err(parquet_error)?;
+        group.0.close().map_err(parquet_error)?;
         self.file.flush()?;
         self.drain()
     }
@@ -240,7 +235,7 @@ impl RowGroup<'_> {
         &mut self,
         values: &[T::T],
         present: Option<&[i16]>,
-    ) -> Result<(), ParquetError> {
+    ) -> ParquetResult<()> {
         let Some(mut column) = self.0.next_column()? else {
             return Err(ParquetError::General("more columns than the schema has".to_owned()));
         };
@@ -249,7 +244,7 @@ impl RowGroup<'_> {
     }
 }
 
-fn field(name: &str, kind: ColumnType) -> Result<Type, ParquetError> {
+fn field(name: &str, kind: ColumnType) -> ParquetResult<Type> {
     let (physical, nullable) = match kind {
         ColumnType::Int64 => (Physical::INT64, false),
         ColumnType::Double => (Physical::DOUBLE, false),

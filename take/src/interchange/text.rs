@@ -12,11 +12,8 @@ use crate::{
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
-    bytes
-        .split(|&b| b == b'\n')
-        .map(|line| line.strip_suffix(b"\r").unwrap_or(line))
-        .enumerate()
-        .map(|(index, line)| (index + 1, line))
+    let lines = bytes.split(|&b| b == b'\n').map(|line| line.strip_suffix(b"\r").unwrap_or(line));
+    (1_usize..).zip(lines)
 }
 
 /// Decodes text of unknown encoding: as UTF-8 if it is valid, otherwise as Latin-1, so that every label survives.
@@ -36,8 +33,7 @@ pub(super) fn number(cell: &[u8]) -> Option<f64> {
 /// Parses a cell as a whole number from 0 to 2^53; `12.0` counts as one.
 pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
     let value = number(cell)?;
-    (value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(&value))
-        .then_some(value as u64)
+    (value.fract() == 0.0 && (0.0..=2f64.powi(53)).contains(&value)).then_some(value as u64)
 }
 
 /// Parses a cell as a rate: a finite number above 0.

@@ -55,10 +55,8 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
         labels.clear();
     }
     let width = width.max(labels.len());
-    if let Some(announced) = header.n_markers.filter(|&n| n > 0 && n != width as u64) {
-        warnings.push(format!(
-            "NumMarkers is {announced}, but the file has columns for {width} markers."
-        ));
+    if let Some(n) = header.n_markers.filter(|&n| n > 0 && n != width as u64) {
+        warnings.push(format!("NumMarkers is {n}, but the file has columns for {width} markers."));
     }
     let first_frame = table.first_frame().unwrap_or(1);
     let n_frames = table.n_frames();
@@ -130,8 +128,7 @@ impl TrcHeader {
             kept.extend_from_slice(line);
             kept.push(b'\n');
         };
-        let value =
-            |name: &str| values.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
+        let value = |name: &str| Some(values.iter().find(|(n, _)| n == name)?.1.as_str());
         let rate = |name: &str| text::rate(value(name)?.as_bytes());
         let Some(rate_hz) = rate("datarate").or_else(|| rate("camerarate")) else {
             return Err(malformed(
@@ -175,9 +172,8 @@ fn labels_of(
     if separator == Separator::Spaces {
         return cells;
     }
-    let between =
-        cells.iter().enumerate().filter(|(index, cell)| index % 3 != 0 && !cell.is_empty()).count();
-    if between == 0 {
+    let is_between = |(index, cell): (usize, &String)| index % 3 != 0 && !cell.is_empty();
+    if !cells.iter().enumerate().any(is_between) {
         return cells.into_iter().step_by(3).collect();
     }
     if n_markers == Some(cells.len() as u64) {
@@ -288,9 +284,7 @@ fn exact_width(bytes: &[u8], header: &TrcHeader) -> Result<Option<usize>> {
     let rows = text::lines(bytes).skip(header.labels_line).map(|(_, line)| line);
     let rows = rows.filter(|line| frame_number(line, Separator::Spaces).is_some());
     let widths: Vec<Option<usize>> = rows.map(width_of).collect();
-    let agreeing = |stated: Option<usize>| {
-        widths.iter().filter(|&&width| width.is_some() && width == stated).count()
-    };
+    let agreeing = |n: Option<usize>| widths.iter().filter(|w| w.is_some() && **w == n).count();
     let (by_number, by_labels) = (agreeing(announced), agreeing(labelled));
     let preferred = if by_labels > by_number { labelled } else { announced.or(labelled) };
     let Some(width) = preferred else { return Ok(None) };
@@ -314,9 +308,7 @@ fn width_of(line: &[u8]) -> Option<usize> {
 /// Whether the cells of a row can be assigned to markers.
 fn is_aligned(line: &[u8], separator: Separator, exact_width: Option<usize>) -> bool {
     match separator {
-        Separator::Spaces => {
-            width_of(line).is_some_and(|width| exact_width.is_none_or(|exact| width == exact))
-        }
+        Separator::Spaces => width_of(line).is_some_and(|n| exact_width.unwrap_or(n) == n),
         // A row of a frame number alone has no separator: it is a frame without positions.
         Separator::Byte(_) => separator.is_in(line) || text::whole_number(line).is_some(),
     }
@@ -356,9 +348,8 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
 fn write_header(line: &mut Vec<u8>, info: &MotionInfo, first_frame: u64) -> Result<()> {
     let n_markers = info.markers.len();
     let kept = &text::kept_header(info, HEADER)?[..];
-    let name =
-        text::lines(kept).map(|(_, line)| line).find(|line| line.starts_with(b"PathFileType"));
-    line.extend(name.unwrap_or(b"PathFileType\t4\t(X/Y/Z)\tmocapd.trc"));
+    let path = text::lines(kept).find(|(_, line)| line.starts_with(b"PathFileType"));
+    line.extend(path.map_or(&b"PathFileType\t4\t(X/Y/Z)\tmocapd.trc"[..], |(_, path)| path));
     let original = |name: &str| original_value(kept, name);
     let camera_rate = original("CameraRate").unwrap_or_else(|| info.rate_hz.to_string());
     let original_rate = original("OrigDataRate").unwrap_or_else(|| info.rate_hz.to_string());

@@ -26,6 +26,9 @@ use crate::{
 /// Kind of the foreign part with the header: all lines above the data, each followed by LF.
 const HEADER: &str = "tsv/header";
 
+/// Names that only QTM's header has.
+const QTM_NAMES: [&[u8]; 4] = [b"NO_OF_FRAMES", b"NO_OF_MARKERS", b"FREQUENCY", b"MARKER_NAMES"];
+
 /// Reads a whole file.
 pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
@@ -102,10 +105,8 @@ impl TsvHeader {
         for (number, line) in text::lines(bytes) {
             let mut cells = Separator::TAB.cells(line);
             let first = cells.next().unwrap_or(&[]).trim_ascii();
-            if !line.trim_ascii().is_empty()
-                && (first.is_empty() || text::number(first).is_some())
-                && is_qtm
-            {
+            let is_data = first.is_empty() || text::number(first).is_some();
+            if is_qtm && is_data && !line.trim_ascii().is_empty() {
                 break;
             }
             let value = cells.next().unwrap_or(&[]);
@@ -123,10 +124,7 @@ impl TsvHeader {
                 _ if is_column_line(line) => header.read_columns(line),
                 _ => {}
             }
-            is_qtm |= matches!(
-                first,
-                b"NO_OF_FRAMES" | b"NO_OF_MARKERS" | b"FREQUENCY" | b"MARKER_NAMES"
-            );
+            is_qtm |= QTM_NAMES.contains(&first);
             if !is_qtm && number >= 16 {
                 break;
             }
@@ -180,9 +178,8 @@ impl TsvHeader {
         self.lead_columns = names.iter().take_while(|name| is_lead_column(name)).count();
         self.frame_column = names.iter().position(|name| name.eq_ignore_ascii_case(b"Frame"));
         if self.labels.is_empty() {
-            let coordinates = names.iter().skip(self.lead_columns).step_by(3);
-            self.labels =
-                coordinates.filter_map(|name| Some(text::decode(without_axis(name)?))).collect();
+            let columns = names.iter().skip(self.lead_columns).step_by(3);
+            self.labels = columns.filter_map(|name| without_axis(name)).map(text::decode).collect();
         }
     }
 }
@@ -203,16 +200,14 @@ fn is_column_line(line: &[u8]) -> bool {
 
 /// A column name without its ending ` X`, `_X`, ` Y`...; `None` if it has none.
 fn without_axis(name: &[u8]) -> Option<&[u8]> {
-    let (start, [b' ' | b'_', b'X' | b'Y' | b'Z' | b'x' | b'y' | b'z']) =
-        name.split_last_chunk::<2>()?
-    else {
-        return None;
-    };
-    Some(start.trim_ascii())
+    match name.split_last_chunk::<2>()? {
+        (start, [b' ' | b'_', b'X' | b'Y' | b'Z' | b'x' | b'y' | b'z']) => Some(start.trim_ascii()),
+        _ => None,
+    }
 }
 
 fn malformed(line: usize, message: &str) -> InterchangeError {
-    InterchangeError::malformed("tsv", format!("line {line}"), message)
+    InterchangeError::malformed("tsv", &format!("line {line}"), message)
 }
 
 /// Writes a whole file: millimetres, LF line ends, missing samples as zeros, numbers with the digits that restore the
@@ -241,8 +236,7 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
 
 fn write_header(line: &mut Vec<u8>, info: &MotionInfo, numbered: bool) -> Result<()> {
     let kept = &kept_header(info, HEADER)?[..];
-    let original =
-        |name: &str, else_: &str| value_of(kept, name).unwrap_or_else(|| else_.to_owned());
+    let original = |name: &str, or: &str| value_of(kept, name).unwrap_or_else(|| or.to_owned());
     writeln!(line, "NO_OF_FRAMES\t{}", info.n_frames)?;
     writeln!(line, "NO_OF_CAMERAS\t{}", original("NO_OF_CAMERAS", "0"))?;
     writeln!(line, "NO_OF_MARKERS\t{}", info.markers.len())?;

@@ -27,29 +27,16 @@ pub enum LengthUnit {
     Foot,
 }
 
-/// Full names of units without accents. A name cut off after two letters or more is recognised by its beginning if all
+/// Units with their full names, without accents. A name cut off after two letters or more is recognised by its beginning if all
 /// names with that beginning are of one unit.
-const NAMES: [(&str, LengthUnit); 20] = [
-    ("micrometers", LengthUnit::Micrometre),
-    ("micrometres", LengthUnit::Micrometre),
-    ("microns", LengthUnit::Micrometre),
-    ("millimeters", LengthUnit::Millimetre),
-    ("millimetres", LengthUnit::Millimetre),
-    ("milimeters", LengthUnit::Millimetre),
-    ("milimetres", LengthUnit::Millimetre),
-    ("milimetros", LengthUnit::Millimetre),
-    ("millimetri", LengthUnit::Millimetre),
-    ("centimeters", LengthUnit::Centimetre),
-    ("centimetres", LengthUnit::Centimetre),
-    ("centimetros", LengthUnit::Centimetre),
-    ("decimeters", LengthUnit::Decimetre),
-    ("decimetres", LengthUnit::Decimetre),
-    ("meters", LengthUnit::Metre),
-    ("metres", LengthUnit::Metre),
-    ("metros", LengthUnit::Metre),
-    ("inches", LengthUnit::Inch),
-    ("feet", LengthUnit::Foot),
-    ("foot", LengthUnit::Foot),
+const NAMES: [(LengthUnit, &str); 7] = [
+    (LengthUnit::Micrometre, "micrometers micrometres microns"),
+    (LengthUnit::Millimetre, "millimeters millimetres milimeters milimetres milimetros millimetri"),
+    (LengthUnit::Centimetre, "centimeters centimetres centimetros"),
+    (LengthUnit::Decimetre, "decimeters decimetres"),
+    (LengthUnit::Metre, "meters metres metros"),
+    (LengthUnit::Inch, "inches"),
+    (LengthUnit::Foot, "feet foot"),
 ];
 
 impl LengthUnit {
@@ -99,10 +86,10 @@ impl LengthUnit {
             "mil" | "mils" => return None,
             _ if text.chars().count() < 2 => return None,
             _ => {
-                let mut units =
-                    NAMES.iter().filter(|(name, _)| name.starts_with(text)).map(|(_, unit)| *unit);
-                let unit = units.next()?;
-                return units.all(|other| other == unit).then_some(unit);
+                let begins = |names: &str| names.split(' ').any(|name| name.starts_with(text));
+                let mut found = NAMES.iter().filter(|(_, names)| begins(names));
+                let &(unit, _) = found.next()?;
+                return found.next().is_none().then_some(unit);
             }
         })
     }
@@ -142,9 +129,7 @@ impl FileUnit {
     /// Resolves the unit of a file. A given unit takes precedence over the stated one, with a warning if they differ.
     pub(super) fn resolve(stated: &str, given: Option<LengthUnit>, notes: &mut Notes) -> Self {
         let of_file = LengthUnit::from_file(stated);
-        if let (Some(given), Some(of_file)) = (given, of_file)
-            && given != of_file
-        {
+        if let Some((given, _)) = given.zip(of_file).filter(|(given, of_file)| given != of_file) {
             notes.warnings.push(format!(
                 "The file states `{stated}` as its unit of length; {given} was used, as requested."
             ));
@@ -171,21 +156,19 @@ impl FileUnit {
         if self.is_given {
             return;
         }
+        let stated = self.stated.clone();
         if self.is_known {
             if positions.len() < STATED_CHECKED_FRAMES_MIN * n_markers {
                 return;
             }
-            let unit = Ambiguity::StatedUnit {
-                stated: self.stated.clone(),
-                span_mm: span(positions, n_markers).max(farthest(positions, n_markers)),
-            };
+            let span_mm = span(positions, n_markers).max(farthest(positions, n_markers));
+            let unit = Ambiguity::StatedUnit { stated, span_mm };
             if unit.is_in_doubt() {
                 notes.ambiguous(unit);
             }
             return;
         }
-        let unit =
-            Ambiguity::Unit { stated: self.stated.clone(), span: span(positions, n_markers) };
+        let unit = Ambiguity::Unit { stated, span: span(positions, n_markers) };
         if !self.defaults_to_mm || unit.is_in_doubt() {
             notes.ambiguous(unit);
         }

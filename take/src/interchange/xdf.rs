@@ -40,17 +40,14 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
             values.extend_from_slice(position.map(f32::to_le_bytes).as_flattened());
         }
         n_written += 1;
-        if samples.len() >= CHUNK_BYTES {
-            samples.flush(out)?;
-        }
+        samples.flush_if_full(out)?;
     }
     check_frame_count(info.n_frames, n_written)?;
     samples.flush(out)?;
     let last = n_written.saturating_sub(1) as f64 / info.rate_hz;
     let footer = footer(0.0, last, n_written, Some(info.rate_hz));
     put_chunk(out, STREAM_FOOTER, &[&MOTION.to_le_bytes(), footer.as_bytes()])?;
-    out.flush()?;
-    Ok(())
+    Ok(out.flush()?)
 }
 
 fn write_events(info: &MotionInfo, out: &mut dyn Write) -> io::Result<()> {
@@ -62,9 +59,7 @@ fn write_events(info: &MotionInfo, out: &mut dyn Write) -> io::Result<()> {
         let values = samples.push(time_s(event.frame));
         put_length(values, event.label().len() as u64);
         values.extend(event.label().bytes());
-        if samples.len() >= CHUNK_BYTES {
-            samples.flush(out)?;
-        }
+        samples.flush_if_full(out)?;
     }
     samples.flush(out)?;
     let ends = info.events.first().zip(info.events.last());
@@ -122,9 +117,9 @@ impl SampleChunk {
         &mut self.bytes
     }
 
-    /// Bytes in the chunk.
-    fn len(&self) -> usize {
-        self.bytes.len()
+    /// Writes the chunk if it is full, and begins the next one.
+    fn flush_if_full(&mut self, out: &mut dyn Write) -> io::Result<()> {
+        if self.bytes.len() >= CHUNK_BYTES { self.flush(out) } else { Ok(()) }
     }
 
     /// Writes the chunk, if it has samples, and begins the next one.

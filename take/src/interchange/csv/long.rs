@@ -13,11 +13,8 @@ use crate::{
     interchange::{
         ReadOptions, Result, counted, put_position,
         row_timing::{Rounding, rate_of},
-        table::{
-            CUT_OFF, MAX_POSITIONS_PER_BYTE, SampleCells, parse_sample, rate_of_one_frame,
-            report_damaged,
-        },
-        text::{self, Separator, column_labels},
+        table::{self, CUT_OFF, MAX_POSITIONS_PER_BYTE, SampleCells, parse_sample},
+        text::{self, Separator, column_labels, ends_mid_number},
         units::{FileUnit, ToMillimetres},
         write_frames,
     },
@@ -43,7 +40,7 @@ pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> R
     if data.is_cut_off {
         notes.warnings.push(CUT_OFF.to_owned());
     }
-    report_damaged(data.damaged, &mut notes.warnings);
+    table::report_damaged(data.damaged, &mut notes.warnings);
     if data.duplicates > 0 {
         notes.warnings.push(format!(
             "Repeated for the same marker and frame: {}; the last one was used.",
@@ -66,7 +63,7 @@ pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> R
         return Err(malformed(header_line, &message));
     };
     let rate_hz = match data.rate_hz() {
-        _ if first == last => rate_of_one_frame(&mut notes.warnings),
+        _ if first == last => table::rate_of_one_frame(&mut notes.warnings),
         rate_hz => rate_hz.ok_or_else(|| malformed(header_line, "no rate: times must increase"))?,
     };
     let mut positions_mm = vec![GAP; total];
@@ -148,8 +145,7 @@ impl Data {
             }
         }
         let is_short = !bytes.ends_with(b"\n") && n_cells < COLUMNS.len();
-        data.is_cut_off =
-            is_short || text::ends_mid_number(bytes, header_line + 1, Separator::COMMA);
+        data.is_cut_off = is_short || ends_mid_number(bytes, header_line + 1, Separator::COMMA);
         if data.is_cut_off && last_has_sample {
             data.samples.pop();
         }

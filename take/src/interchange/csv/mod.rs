@@ -25,5 +25,5 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
 }
 
 fn malformed(line: usize, message: &str) -> InterchangeError {
-    InterchangeError::malformed("csv", format!("line {line}"), message)
+    InterchangeError::malformed("csv", &format!("line {line}"), message)
 }

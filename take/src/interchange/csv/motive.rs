@@ -138,15 +138,14 @@ impl MotiveHeader {
 
     /// A value of the first line.
     fn value(&self, name: &str) -> Option<&str> {
-        let pairs = self.values.chunks_exact(2);
-        let mut found =
-            pairs.filter(|pair| matches!(pair, [key, _] if key.eq_ignore_ascii_case(name)));
+        let (pairs, _) = self.values.as_chunks::<2>();
+        let found = pairs.iter().find(|[key, _]| key.eq_ignore_ascii_case(name));
         // An unquoted comma in a value shifts all later cells by one.
         let shifted = || {
             let at = self.values.iter().position(|cell| cell.eq_ignore_ascii_case(name))?;
             self.values.get(at + 1)
         };
-        found.next().and_then(|pair| pair.get(1)).or_else(shifted).map(String::as_str)
+        found.map(|[_, value]| value).or_else(shifted).map(String::as_str)
     }
 
     /// The columns with positions. Warns of columns that are left out.
@@ -185,18 +184,13 @@ impl MotiveHeader {
                 continue;
             }
             let name = cell(names, at);
-            let is_labelled =
-                !name.is_empty() && !name.to_ascii_lowercase().starts_with("unlabeled");
             let mut marker = text::marker(&name, columns.len());
-            marker.labelled &= is_labelled;
+            marker.labelled &= !name.to_ascii_lowercase().starts_with("unlabeled");
             columns.push(Column { marker, owner, cells: [at, at + 1, at + 2] });
             at += 3;
         }
-        let measured: HashSet<String> = columns
-            .iter()
-            .filter(|column| column.owner == Owner::Marker)
-            .map(|column| column.marker.label.clone())
-            .collect();
+        let measured = columns.iter().filter(|column| column.owner == Owner::Marker);
+        let measured: HashSet<String> = measured.map(|column| column.marker.label.clone()).collect();
         let n_all = columns.len();
         columns.retain(|column| {
             column.owner != Owner::SolvedMarker || !measured.contains(&column.marker.label)
@@ -253,9 +247,8 @@ fn read_rows(
     }
     let is_short = !bytes.ends_with(b"\n") && n_cells < header.axes.len();
     if is_short || text::ends_mid_number(bytes, header.n_lines + 1, Separator::COMMA) {
-        let cut = n_cells
-            .checked_sub(1)
-            .and_then(|last| columns.iter().position(|column| column.cells.contains(&last)));
+        let is_cut = |column: &Column| column.cells.iter().any(|&at| at + 1 == n_cells);
+        let cut = columns.iter().position(is_cut);
         cut.into_iter().for_each(|column| table.drop_truncated(column));
         warnings.push(CUT_OFF.to_owned());
     }

@@ -71,11 +71,14 @@ fn timestamp(time_ns: u64) -> Message {
     Message::default().int(1, time_ns / 1_000_000_000).int(2, time_ns % 1_000_000_000)
 }
 
+/// The start of a message with a time and a frame of reference in its first two fields.
+fn stamped(time_ns: u64, frame: &str) -> Message {
+    Message::default().message(1, &timestamp(time_ns)).text(2, frame)
+}
+
 /// A message of doubles in fields 1, 2, 3...: a vector, a quaternion or a colour.
 fn doubles<const N: usize>(values: [f64; N]) -> Message {
-    (1..)
-        .zip(values)
-        .fold(Message::default(), |message, (field, value)| message.double(field, value))
+    (1..).zip(values).fold(Message::default(), |out, (field, value)| out.double(field, value))
 }
 
 fn pose(at: [f64; 3]) -> Message {
@@ -96,11 +99,7 @@ pub(super) fn cloud(row: &[Position], time_ns: u64) -> Message {
         data.extend((column as u16).to_le_bytes());
         data.extend([0; 2]);
     }
-    let header = Message::default()
-        .message(1, &timestamp(time_ns))
-        .text(2, FRAME)
-        .message(3, &pose([0.0; 3]))
-        .fixed32(4, STRIDE as u32);
+    let header = stamped(time_ns, FRAME).message(3, &pose([0.0; 3])).fixed32(4, STRIDE as u32);
     [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("marker", 12, UINT16)]
         .map(|(name, offset, kind)| {
             Message::default().text(1, name).fixed32(2, offset).int(3, kind)
@@ -112,8 +111,7 @@ pub(super) fn cloud(row: &[Position], time_ns: u64) -> Message {
 
 /// The `foxglove.SceneUpdate` with the labels of the visible markers.
 pub(super) fn label_scene(row: &[Position], labels: &[String], time_ns: u64) -> Message {
-    let mut entity =
-        Message::default().message(1, &timestamp(time_ns)).text(2, FRAME).text(3, "names");
+    let mut entity = stamped(time_ns, FRAME).text(3, "names");
     for (position, label) in row.iter().zip(labels).filter(|(position, _)| !is_gap(**position)) {
         let text = Message::default()
             .message(1, &pose(metres(*position)))
@@ -135,12 +133,8 @@ pub(super) fn up_transform(up: UpAxis, time_ns: u64) -> Message {
         UpAxis::Y => [HALF, 0.0, 0.0, HALF],
         UpAxis::X => [0.0, -HALF, 0.0, HALF],
     };
-    Message::default()
-        .message(1, &timestamp(time_ns))
-        .text(2, ROOT)
-        .text(3, FRAME)
-        .message(4, &doubles([0.0; 3]))
-        .message(5, &doubles(rotation))
+    let frames = stamped(time_ns, ROOT).text(3, FRAME);
+    frames.message(4, &doubles([0.0; 3])).message(5, &doubles(rotation))
 }
 
 #[cfg(test)]

@@ -32,8 +32,7 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     let start_unix_ms = header.map_or(0, |header| header.created_unix_ms);
     let start_unix_ns = u64::try_from(start_unix_ms).unwrap_or(0).saturating_mul(1_000_000);
     // A part of a take keeps its times.
-    let first_of_take =
-        header.and_then(|header| header.source.as_ref()).map_or(1, |s| s.first_frame);
+    let first_of_take = header.and_then(|h| h.source.as_ref()).map_or(1, |s| s.first_frame);
     let frames_before = header.map_or(0, |_| info.source.first_frame.saturating_sub(first_of_take));
     let time_of = |index: u64| {
         let elapsed_s = frames_before.saturating_add(index) as f64 / info.rate_hz;
