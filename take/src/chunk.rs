@@ -7,7 +7,7 @@ mod search;
 pub(crate) use self::prefix_crcs::HASHED_BYTES;
 pub(crate) use self::{
     prefix_crcs::PrefixCrcs,
-    search::{LongChunkScan, LongChunks, ResyncOutcome, indexed_parse, resync},
+    search::{LongChunkScan, LongChunks, ResyncOutcome, parse_at, resync},
 };
 use crate::{TakeError, varint};
 
@@ -70,8 +70,7 @@ pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError>
     }
     let start = out.len();
     out.push(kind);
-    varint::put(out, payload.len() as u64);
-    out.extend_from_slice(payload);
+    varint::put_prefixed(out, payload);
     let crc = crc32fast::hash(&out[start..]);
     out.extend_from_slice(&crc.to_le_bytes());
     Ok(())
@@ -105,9 +104,8 @@ pub fn parse(bytes: &[u8]) -> ChunkParse<'_> {
 }
 
 fn crc_matches(chunk: &[u8]) -> bool {
-    chunk
-        .split_last_chunk::<4>()
-        .is_some_and(|(body, crc)| prefix_crcs::extend_crc(0, body).to_le_bytes() == *crc)
+    let Some((body, crc)) = chunk.split_last_chunk::<CRC_BYTES>() else { return false };
+    prefix_crcs::extend_crc(0, body).to_le_bytes() == *crc
 }
 
 /// Parses the chunk at the front of `bytes` without checking its CRC.
@@ -117,12 +115,9 @@ pub(crate) fn split(bytes: &[u8]) -> ChunkParse<'_> {
         ChunkHead::Invalid => ChunkParse::Damaged,
         ChunkHead::Valid { kind, len, head_bytes } => {
             let chunk = usize::try_from(len).ok().and_then(|len| bytes.get(..len));
-            match chunk.and_then(|chunk| chunk.get(head_bytes..chunk.len() - CRC_BYTES)) {
-                Some(payload) => {
-                    ChunkParse::Whole { kind, payload, len: head_bytes + payload.len() + CRC_BYTES }
-                }
-                None => ChunkParse::Short(len),
-            }
+            let Some(chunk) = chunk else { return ChunkParse::Short(len) };
+            let payload = &chunk[head_bytes..chunk.len() - CRC_BYTES];
+            ChunkParse::Whole { kind, payload, len: chunk.len() }
         }
     }
 }

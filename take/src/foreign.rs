@@ -3,7 +3,7 @@
 pub mod content;
 
 use std::{
-    io::{self, BufReader, Read, Seek, SeekFrom},
+    io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},
     sync::Arc,
 };
 
@@ -40,8 +40,7 @@ pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
         )));
     }
     let mut out = Vec::new();
-    varint::put(&mut out, foreign.kind.len() as u64);
-    out.extend_from_slice(foreign.kind.as_bytes());
+    varint::put_prefixed(&mut out, foreign.kind.as_bytes());
     varint::put(&mut out, foreign.data.len());
     let mut deflate = DeflateEncoder::new(out, Compression::best());
     io::copy(&mut foreign.data.reader(), &mut deflate)?;
@@ -69,8 +68,7 @@ impl ForeignPart {
         offset: u64,
     ) -> Result<Self, TakeError> {
         let mut cursor = varint::Cursor::new(front);
-        let (kind, data_bytes) =
-            parse_front(&mut cursor).map_err(|message| corrupt(offset, message))?;
+        let (kind, data_bytes) = parse_front(&mut cursor).map_err(|error| corrupt(offset, error))?;
         let in_front = (front.len() - cursor.rest().len()) as u64;
         Ok(Self {
             kind: kind.to_owned(),
@@ -98,15 +96,13 @@ impl ForeignPart {
         input.seek(SeekFrom::Start(self.deflated_at))?;
         let deflated = BufReader::new(input.by_ref().take(self.deflated_bytes));
         let mut inflated = DeflateDecoder::new(deflated);
-        let data =
-            spool.put(&mut inflated, self.data_bytes).map_err(|error| match error.kind() {
-                io::ErrorKind::InvalidInput
-                | io::ErrorKind::InvalidData
-                | io::ErrorKind::UnexpectedEof => {
-                    corrupt(self.offset, &format!("invalid DEFLATE data: {error}"))
-                }
-                _ => error.into(),
-            })?;
+        let data = spool.put(&mut inflated, self.data_bytes);
+        let data = data.map_err(|error| match error.kind() {
+            ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::UnexpectedEof => {
+                corrupt(self.offset, &format!("invalid DEFLATE data: {error}"))
+            }
+            _ => error.into(),
+        })?;
         if data.len() != self.data_bytes {
             return Err(corrupt(self.offset, WRONG_LENGTH));
         }
@@ -132,17 +128,14 @@ pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
 
 /// Parses the kind and the length of the content.
 fn parse_front<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
-    let kind = cursor
-        .varint()
-        .and_then(|n| cursor.take(n))
-        .and_then(|bytes| std::str::from_utf8(bytes).ok())
-        .ok_or("its kind is missing or not UTF-8")?;
+    let kind = cursor.prefixed().and_then(|kind| std::str::from_utf8(kind).ok());
+    let kind = kind.ok_or("its kind is missing or not UTF-8")?;
     let len = cursor.varint().ok_or("its length is missing")?;
     if len > DATA_BYTES_MAX { Err("longer than a take can hold") } else { Ok((kind, len)) }
 }
 
 fn corrupt(offset: u64, message: &str) -> TakeError {
-    TakeError::Corrupt { what: "foreign part", offset, message: message.to_owned() }
+    TakeError::corrupt("foreign part", offset, message)
 }
 
 /// Size of the buffer for inflated bytes.
@@ -189,10 +182,8 @@ impl InflateCheck {
         match self.message {
             Some(message) => Err(corrupt(offset, &message)),
             None if !self.is_ended => Err(corrupt(offset, "invalid DEFLATE data: truncated")),
-            None if self.inflater.total_out() != self.stated_bytes => {
-                Err(corrupt(offset, WRONG_LENGTH))
-            }
-            None => Ok(()),
+            None if self.inflater.total_out() == self.stated_bytes => Ok(()),
+            None => Err(corrupt(offset, WRONG_LENGTH)),
         }
     }
 }

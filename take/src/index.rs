@@ -42,27 +42,18 @@ pub fn index_payload(entries: &[IndexEntry]) -> Vec<u8> {
 /// # Errors
 /// `Corrupt`.
 pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeError> {
-    let corrupt = || TakeError::Corrupt {
-        what: "index",
-        offset,
-        message: "its entries are invalid or do not fill the payload".into(),
-    };
+    let message = "its entries are invalid or do not fill the payload";
+    let corrupt = || TakeError::corrupt("index", offset, message);
     let mut cursor = varint::Cursor::new(payload);
     let count = cursor.varint().ok_or_else(corrupt)?;
     let mut entries = Vec::new();
     let mut before = IndexEntry { offset: 0, first_row: 0 };
     for _ in 0..count {
-        let (Some(by), Some(rows)) = (cursor.varint(), cursor.varint()) else {
-            return Err(corrupt());
-        };
         // This bounds the memory of an index by twice the size of the stretches it lists.
-        if by < STRETCH_BYTES_MIN {
-            return Err(corrupt());
-        }
-        before = IndexEntry {
-            offset: before.offset.wrapping_add(by),
-            first_row: before.first_row.wrapping_add(rows),
-        };
+        let by = cursor.varint().filter(|&by| by >= STRETCH_BYTES_MIN).ok_or_else(corrupt)?;
+        let rows = cursor.varint().ok_or_else(corrupt)?;
+        before.offset = before.offset.wrapping_add(by);
+        before.first_row = before.first_row.wrapping_add(rows);
         entries.push(before);
     }
     if cursor.is_empty() { Ok(entries) } else { Err(corrupt()) }
@@ -86,22 +77,17 @@ impl Footer {
     /// Its payload.
     #[must_use]
     pub fn to_payload(self) -> Vec<u8> {
-        [self.index_offset, self.ledger_offset, self.n_rows]
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect()
+        [self.index_offset, self.ledger_offset, self.n_rows].map(u64::to_le_bytes).concat()
     }
 
     /// Parses the last bytes of a file. `None` unless they are a footer with a matching CRC, which shows that the take
     /// was closed.
     #[must_use]
     pub fn from_chunk(chunk: &[u8; Self::CHUNK_BYTES]) -> Option<Self> {
-        match chunk::parse(chunk) {
-            ChunkParse::Whole { kind: types::FOOTER, payload, .. } => {
-                Self::from_payload(payload, 0).ok()
-            }
-            _ => None,
-        }
+        let ChunkParse::Whole { kind: types::FOOTER, payload, .. } = chunk::parse(chunk) else {
+            return None;
+        };
+        Self::from_payload(payload, 0).ok()
     }
 
     /// Parses the payload.
@@ -109,17 +95,13 @@ impl Footer {
     /// # Errors
     /// `Corrupt` unless it has 24 bytes.
     pub fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let word = |i: usize| payload[i * 8..].first_chunk().map(|b| u64::from_le_bytes(*b));
-        match payload.len() {
-            24 => word(0).zip(word(1)).zip(word(2)),
-            _ => None,
+        if let (&[index, ledger, rows], []) = payload.as_chunks::<8>() {
+            let [index_offset, ledger_offset, n_rows] =
+                [index, ledger, rows].map(u64::from_le_bytes);
+            return Ok(Self { index_offset, ledger_offset, n_rows });
         }
-        .map(|((index_offset, ledger_offset), n_rows)| Self { index_offset, ledger_offset, n_rows })
-        .ok_or_else(|| TakeError::Corrupt {
-            what: "footer",
-            offset,
-            message: format!("expected 24 bytes, found {}", payload.len()),
-        })
+        let message = format!("expected 24 bytes, found {}", payload.len());
+        Err(TakeError::corrupt("footer", offset, message))
     }
 
     /// Rejects a footer that claims more than `rows_max` rows.
@@ -131,7 +113,7 @@ impl Footer {
             return Ok(self);
         }
         let message = format!("it states {} frames, more than any loss can explain", self.n_rows);
-        Err(TakeError::Corrupt { what: "footer", offset, message })
+        Err(TakeError::corrupt("footer", offset, message))
     }
 }
 
@@ -211,9 +193,8 @@ impl TakeEnd {
         if summary_at < footer.index_offset {
             let limit = SUMMARY_CHUNK_BYTES_MAX;
             let chunk = Chunk::read(input, summary_at, types::SUMMARY, limit)?;
-            let summary =
-                chunk.and_then(|c| SummaryRecord::from_payload(&c.payload, summary_at).ok());
-            end.ending = summary.and_then(|summary| summary.ending);
+            let summary = |c: Chunk| SummaryRecord::from_payload(&c.payload, summary_at).ok();
+            end.ending = chunk.and_then(summary).and_then(|summary| summary.ending);
         }
         Ok(Some(end))
     }

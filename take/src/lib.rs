@@ -102,3 +102,10 @@ pub enum TakeError {
     #[error(transparent)]
     Io(#[from] std::io::Error),
 }
+
+impl TakeError {
+    /// [`Corrupt`](Self::Corrupt) bytes of the chunk at `offset`.
+    pub(crate) fn corrupt(what: &'static str, offset: u64, message: impl Into<String>) -> Self {
+        Self::Corrupt { what, offset, message: message.into() }
+    }
+}

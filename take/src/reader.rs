@@ -10,10 +10,7 @@ use serde::Serialize;
 
 pub(crate) use self::{chunks::record, damage::repair_head};
 
-use self::{
-    chunks::{LongChunk, Step},
-    damage::Damage,
-};
+use self::{chunks::LongChunk, damage::Damage};
 use crate::{
     NotATake, TakeError,
     chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
@@ -211,26 +208,18 @@ impl TakeReader {
 
     /// The next event with the file offset of its end.
     pub(crate) fn next_located(&mut self) -> Result<Option<(u64, TakeEvent<'_>)>, TakeError> {
-        if !self.seen_magic && !self.check_magic()? {
+        if self.ended || !self.seen_magic && !self.check_magic()? {
             return Ok(None);
         }
-        if self.ended {
-            return Ok(None);
-        }
-        loop {
-            if self.seek_request.is_some() {
-                return Ok(None);
-            }
+        while self.seek_request.is_none() {
             if self.scan.is_some() {
-                if !self.scan_ahead() {
+                self.scan_ahead();
+                return Ok(None);
+            } else if self.long_chunk.is_some() {
+                if !self.read_long_chunk() {
                     return Ok(None);
                 }
-            } else if self.long_chunk.is_some() {
-                return if self.read_long_chunk() {
-                    self.finish_long_chunk().map(|event| self.located(event))
-                } else {
-                    Ok(None)
-                };
+                return self.finish_long_chunk().map(|event| self.located(event));
             } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.wanted {
                 return Ok(None);
             } else if self.damage.is_some() {
@@ -238,21 +227,16 @@ impl TakeReader {
                     return Ok(self.located(event));
                 }
             } else if self.used == self.buffer.len() {
-                return if self.complete {
-                    self.end().map(|event| self.located(event))
-                } else {
-                    Ok(None)
-                };
-            } else {
-                match self.next_chunk() {
-                    Step::Chunk { kind, start, len } => {
-                        let end = self.offset();
-                        return self.interpret(kind, start, len).map(|event| Some((end, event)));
-                    }
-                    Step::Retry => {}
+                if !self.complete {
+                    return Ok(None);
                 }
+                return self.end().map(|event| self.located(event));
+            } else if let Some(len) = self.next_chunk() {
+                let end = self.offset();
+                return self.interpret(len).map(|event| Some((end, event)));
             }
         }
+        Ok(None)
     }
 
     fn located(&self, event: TakeEvent<'static>) -> Option<(u64, TakeEvent<'static>)> {
@@ -262,18 +246,13 @@ impl TakeReader {
     fn check_magic(&mut self) -> Result<bool, TakeError> {
         let have = self.buffer.len().min(chunk::MAGIC.len());
         if self.buffer[..have] != chunk::MAGIC[..have] {
-            return Err(TakeError::NotATake(if self.buffer.starts_with(b"\x89TAK\n\x1a\n") {
-                NotATake::SentAsText
-            } else {
-                NotATake::OtherMagic
-            }));
+            let as_text = self.buffer.starts_with(b"\x89TAK\n\x1a\n");
+            let why = if as_text { NotATake::SentAsText } else { NotATake::OtherMagic };
+            return Err(TakeError::NotATake(why));
         }
         if have < chunk::MAGIC.len() {
-            return if self.complete {
-                Err(TakeError::NotATake(NotATake::Short))
-            } else {
-                Ok(false)
-            };
+            let short = Err(TakeError::NotATake(NotATake::Short));
+            return if self.complete { short } else { Ok(false) };
         }
         self.used = have;
         self.header_cut_until = have as u64;
@@ -285,11 +264,9 @@ impl TakeReader {
     fn end(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         self.ended = true;
         if self.chain.is_none() {
-            return Err(TakeError::NotATake(if self.offset() > self.header_cut_until {
-                NotATake::HeaderDamaged
-            } else {
-                NotATake::HeaderCut
-            }));
+            let is_damaged = self.offset() > self.header_cut_until;
+            let why = if is_damaged { NotATake::HeaderDamaged } else { NotATake::HeaderCut };
+            return Err(TakeError::NotATake(why));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
     }
@@ -452,16 +429,15 @@ pub fn read_events(
 ) -> Result<(), TakeError> {
     let mut input = input.input();
     let mut reader = TakeReader::new();
-    loop {
+    let mut ended = false;
+    while !ended {
         match reader.next_event()? {
             Some(event) => {
-                let end = matches!(event, TakeEvent::End { .. });
+                ended = matches!(event, TakeEvent::End { .. });
                 on_event(event)?;
-                if end {
-                    return Ok(());
-                }
             }
             None => feed(&mut input, &mut reader)?,
         }
     }
+    Ok(())
 }

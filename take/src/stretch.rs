@@ -6,9 +6,8 @@ mod header;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use self::chain::{Placement, StretchChain};
-use self::header::StretchHeader;
 pub use self::header::{StretchHeaderWriter, put_renumbered};
+pub(crate) use self::{chain::StretchChain, header::may_begin_with};
 
 use std::iter;
 
@@ -131,22 +130,15 @@ impl Stretch<'_> {
     /// number of channels of the take.
     #[must_use]
     pub fn stated_channels(&self) -> usize {
-        let stated = |(group, block): (usize, &&[u8])| {
-            Some(group * GROUP_CHANNELS + stated_channels(block)?)
-        };
-        self.blocks.iter().enumerate().filter_map(stated).max().unwrap_or(0)
+        let stated = |(first, block): (usize, &&[u8])| Some(first + stated_channels(block)?);
+        (0..).step_by(GROUP_CHANNELS).zip(&self.blocks).filter_map(stated).max().unwrap_or(0)
     }
 }
 
-/// Whether these bytes are a plausible start of a long stretch's payload.
-pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
-    StretchHeader::may_begin_with(payload)
-}
 
 /// Whether all runs are of rows that were damaged before a recovery.
 fn all_damaged(runs: &[RowRun]) -> bool {
-    let damaged =
-        |run: &RowRun| run.lost.is_some_and(|causes| causes.contains(LossCauses::DAMAGED));
+    let damaged = |run: &RowRun| run.lost.is_some_and(|lost| lost.contains(LossCauses::DAMAGED));
     !runs.is_empty() && runs.iter().all(damaged)
 }
 
@@ -174,8 +166,7 @@ fn take_blocks<'a>(
         if blocks.len() == GROUPS_MAX {
             return Err("it has more channels than marker ids");
         }
-        let block = cursor.varint().and_then(|n| cursor.take(n));
-        blocks.push(block.ok_or("its blocks do not fill the payload")?);
+        blocks.push(cursor.prefixed().ok_or("its blocks do not fill the payload")?);
     }
     let with_samples = blocks.iter().filter(|block| !block.is_empty()).count() as u64;
     if u64::from(n_rows) * with_samples > SAMPLES_MAX {
@@ -260,9 +251,7 @@ impl StretchDecoder {
         let blocks = stretch.blocks.iter().enumerate().map(wanted).chain(iter::repeat(&[][..]));
         let mut n_channels = 0;
         for (group, block) in self.groups.iter_mut().zip(blocks.clone()) {
-            if let Some(group) = group
-                && key
-            {
+            if key && let Some(group) = group {
                 group.n_channels = 0;
             }
             if !block.is_empty() {

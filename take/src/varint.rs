@@ -1,5 +1,11 @@
 //! LEB128 integers, and a bounds-checked cursor over bytes.
 
+/// Appends `bytes` after their number.
+pub(crate) fn put_prefixed(out: &mut Vec<u8>, bytes: &[u8]) {
+    put(out, bytes.len() as u64);
+    out.extend_from_slice(bytes);
+}
+
 /// Appends `value`, seven bits per byte, lowest first.
 pub(crate) fn put(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
@@ -32,6 +38,12 @@ impl<'a> Cursor<'a> {
         let (&first, rest) = self.rest.split_first()?;
         self.rest = rest;
         Some(first)
+    }
+
+    /// Reads bytes after their number.
+    pub(crate) fn prefixed(&mut self) -> Option<&'a [u8]> {
+        let n = self.varint()?;
+        self.take(n)
     }
 
     pub(crate) fn take(&mut self, n: u64) -> Option<&'a [u8]> {

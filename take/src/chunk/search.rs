@@ -54,18 +54,18 @@ pub(crate) fn resync(
             continue;
         }
         if types::ALL.contains(&kind) {
-            match classify(bytes, at, prefixes) {
-                ChunkCandidate::Whole => return ResyncOutcome::Found(at),
-                ChunkCandidate::Invalid => {}
-                ChunkCandidate::Incomplete if complete => {}
-                ChunkCandidate::Incomplete => return ResyncOutcome::NotBefore(at),
-                ChunkCandidate::Long if complete => {}
-                ChunkCandidate::Long => match is_long_whole(at) {
+            match parse_at(bytes, at, prefixes) {
+                ChunkParse::Whole { .. } => return ResyncOutcome::Found(at),
+                ChunkParse::Short(len) if !complete && len <= CHUNK_HELD_MAX => {
+                    return ResyncOutcome::NotBefore(at);
+                }
+                // The chunk is longer than the buffer.
+                ChunkParse::Short(_) if !complete => match is_long_whole(at) {
                     Some(true) => return ResyncOutcome::Found(at),
-                    Some(false) => {}
                     None if may_be_long(&bytes[at..]) => return ResyncOutcome::NeedsScan(at),
-                    None => {}
+                    _ => {}
                 },
+                _ => {}
             }
         }
         at += 1;
@@ -73,42 +73,12 @@ pub(crate) fn resync(
     ResyncOutcome::NotBefore(bytes.len())
 }
 
-/// What may begin at a position.
-enum ChunkCandidate {
-    Whole,
-    Invalid,
-    /// The chunk ends after the buffered bytes.
-    Incomplete,
-    /// The chunk is longer than the buffer.
-    Long,
-}
 
-fn classify(bytes: &[u8], at: usize, prefixes: &mut PrefixCrcs) -> ChunkCandidate {
-    let len = match head(&bytes[at..]) {
-        ChunkHead::Invalid => return ChunkCandidate::Invalid,
-        ChunkHead::Short(_) => return ChunkCandidate::Incomplete,
-        ChunkHead::Valid { len, .. } => len,
-    };
-    let end = usize::try_from(len).ok().and_then(|len| at.checked_add(len));
-    let Some(end) = end.filter(|&end| end <= bytes.len()) else {
-        let is_long = len > CHUNK_HELD_MAX;
-        return if is_long { ChunkCandidate::Long } else { ChunkCandidate::Incomplete };
-    };
-    if is_whole(bytes, at, end, prefixes) { ChunkCandidate::Whole } else { ChunkCandidate::Invalid }
-}
-
-/// Parses the chunk at `bytes[at..]` like [`front`](super::front), with the help of the prefix CRCs of `bytes`.
-pub(crate) fn indexed_parse<'a>(
-    bytes: &'a [u8],
-    at: usize,
-    crcs: &mut PrefixCrcs,
-) -> ChunkParse<'a> {
-    match split(&bytes[at..]) {
-        ChunkParse::Whole { len, .. } if !is_whole(bytes, at, at + len, crcs) => {
-            ChunkParse::Damaged
-        }
-        front => front,
-    }
+/// Parses the chunk at `bytes[at..]` like [`parse`](super::parse), with the help of the prefix CRCs of `bytes`.
+pub(crate) fn parse_at<'a>(bytes: &'a [u8], at: usize, crcs: &mut PrefixCrcs) -> ChunkParse<'a> {
+    let parsed = split(&bytes[at..]);
+    let ChunkParse::Whole { len, .. } = parsed else { return parsed };
+    if is_whole(bytes, at, at + len, crcs) { parsed } else { ChunkParse::Damaged }
 }
 
 /// Whether the CRC of the chunk `bytes[at..end]` matches.

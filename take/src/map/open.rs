@@ -120,13 +120,13 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
         return map.is_some();
     };
     match record(kind, payload, offset) {
-        Some(Ok(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
-        Some(Ok(event)) => map.add_content(event),
+        Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
+        Ok(Some(event)) => map.add_content(event),
         // A newer version that a reader may skip.
-        Some(Err(TakeError::Unsupported { .. })) if kind & MAY_SKIP != 0 => {}
-        Some(Err(_)) => return false,
+        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => {}
+        Err(_) => return false,
         // MODEL, which this version does not read.
-        None => return kind & MAY_SKIP != 0,
+        Ok(None) => return kind & MAY_SKIP != 0,
     }
     true
 }

@@ -10,16 +10,9 @@ use crate::{
     foreign::{self, ForeignPart, InflateCheck},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
-    stretch::{self, CHANNELS_MAX, Placement, StretchChain},
+    stretch::{self, CHANNELS_MAX, StretchChain},
 };
 
-/// The next step of the reader.
-pub(super) enum Step {
-    /// A complete chunk is in the buffer.
-    Chunk { kind: u8, start: usize, len: usize },
-    /// The state changed; try again.
-    Retry,
-}
 
 /// The file ends inside a chunk.
 const CUT: &str = "the file ends inside a chunk";
@@ -28,8 +21,9 @@ const CUT: &str = "the file ends inside a chunk";
 const BAD_CRC: &str = "checksum does not match";
 
 impl TakeReader {
-    /// Parses the chunk at the front of the unprocessed bytes, which follow the magic or a valid chunk.
-    pub(super) fn next_chunk(&mut self) -> Step {
+    /// Parses the chunk at the front of the unprocessed bytes, which follow the magic or a valid chunk. Returns its size
+    /// if it is complete; otherwise the state changed, and the caller tries again.
+    pub(super) fn next_chunk(&mut self) -> Option<usize> {
         let waiting = &self.buffer[self.used..];
         let held_max = CHUNK_HELD_MAX.max(waiting.len() as u64);
         let offset = self.offset();
@@ -49,31 +43,29 @@ impl TakeReader {
                     }
                     Some(true) => self.long_chunk = Some(LongChunk::new(kind, offset, len)),
                 }
-                return Step::Retry;
+                return None;
             }
             _ => {}
         }
-        match chunk::indexed_parse(&self.buffer, self.used, &mut self.prefixes) {
-            ChunkParse::Whole { kind, len, .. } => {
-                let start = self.used;
+        match chunk::parse_at(&self.buffer, self.used, &mut self.prefixes) {
+            ChunkParse::Whole { len, .. } => {
                 self.used += len;
                 self.wanted = 1;
-                return Step::Chunk { kind, start, len };
+                return Some(len);
             }
             ChunkParse::Short(wanted) if !self.complete => self.wanted = wanted,
             ChunkParse::Short(_) => self.damage = begin_damage(CUT),
             ChunkParse::Damaged => self.damage = begin_damage(BAD_CRC),
         }
-        Step::Retry
+        None
     }
 
-    /// Scans the file ahead for long chunks. Returns whether the scan is complete; the reader then goes back to where
-    /// it began.
-    pub(super) fn scan_ahead(&mut self) -> bool {
-        let Some(scan) = &mut self.scan else { return true };
+    /// Scans the file ahead for long chunks. After the scan, the reader requests to go back to where it began.
+    pub(super) fn scan_ahead(&mut self) {
+        let Some(scan) = &mut self.scan else { return };
         self.used += scan.push(&self.buffer[self.used..], self.complete);
         if !scan.is_done() && !self.complete {
-            return false;
+            return;
         }
         let from = scan.from();
         self.long_chunks = self.scan.take().map_or_else(LongChunks::default, LongChunkScan::finish);
@@ -81,23 +73,18 @@ impl TakeReader {
         self.prefixes = PrefixCrcs::default();
         (self.base, self.used, self.wanted) = (from, 0, 1);
         self.seek_request = Some(from);
-        true
     }
 }
 
 impl TakeReader {
-    /// Decodes the chunk at `start` of the buffer, whose CRC matches.
-    pub(super) fn interpret(
-        &mut self,
-        kind: u8,
-        start: usize,
-        len: usize,
-    ) -> Result<TakeEvent<'_>, TakeError> {
-        let offset = self.base + start as u64;
-        let ChunkParse::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len])
-        else {
+    /// Decodes the chunk in the last `len` processed bytes, whose CRC matches.
+    pub(super) fn interpret(&mut self, len: usize) -> Result<TakeEvent<'_>, TakeError> {
+        let offset = self.offset() - len as u64;
+        let bytes = &self.buffer[self.used - len..self.used];
+        let ChunkParse::Whole { kind, payload, .. } = chunk::split(bytes) else {
             return Err(TakeError::NotATake(NotATake::Changed));
         };
+        let corrupt = |what, message: &str| TakeError::corrupt(what, offset, message);
         let Some(chain) = &mut self.chain else {
             if kind == types::HEADER {
                 let header = Header::from_payload(payload, offset)?;
@@ -122,27 +109,25 @@ impl TakeReader {
                     inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
                 })
             }
-            types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
-                TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
-            }),
+            types::STRETCH => chain.place(payload).map_err(|error| corrupt("stretch", error)),
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.plausible_rows_max(), offset))
                 .inspect(|_| self.seen_footer = true)
                 .map(TakeEvent::Footer),
             _ => match record(kind, payload, offset) {
-                Some(Ok(TakeEvent::Channels(more))) => {
+                Ok(Some(TakeEvent::Channels(more))) => {
                     let n_channels = self.n_channels + more.len();
                     if n_channels <= CHANNELS_MAX {
                         self.n_channels = n_channels;
                         Ok(TakeEvent::Channels(more))
                     } else {
-                        let message = "more channels than marker ids".to_owned();
-                        Err(TakeError::Corrupt { what: "channel table", offset, message })
+                        Err(corrupt("channel table", "more channels than marker ids"))
                     }
                 }
-                Some(event) => event,
-                None if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
-                None => {
+                Ok(Some(event)) => Ok(event),
+                Err(error) => Err(error),
+                Ok(None) if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
+                Ok(None) => {
                     let message = match kind {
                         types::HEADER => "a second header".to_owned(),
                         _ => format!("unknown chunk type {kind:02x}: use a newer mocapd"),
@@ -165,21 +150,17 @@ pub(crate) fn record(
     kind: u8,
     payload: &[u8],
     offset: u64,
-) -> Option<Result<TakeEvent<'static>, TakeError>> {
-    Some(match kind {
-        types::CHANNELS => MoreChannels::from_payload(payload, offset)
-            .map(|MoreChannels(more)| TakeEvent::Channels(more)),
-        types::SUBJECT => Subject::from_payload(payload, offset)
-            .map(|subject| TakeEvent::Subject(Box::new(subject))),
-        types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
-        types::LEDGER => {
-            Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
-        }
-        types::CLOCK => Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c))),
-        types::SUMMARY => SummaryRecord::from_payload(payload, offset).map(TakeEvent::Summary),
-        types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
-        _ => return None,
-    })
+) -> Result<Option<TakeEvent<'static>>, TakeError> {
+    Ok(Some(match kind {
+        types::CHANNELS => TakeEvent::Channels(MoreChannels::from_payload(payload, offset)?.0),
+        types::SUBJECT => TakeEvent::Subject(Box::new(Subject::from_payload(payload, offset)?)),
+        types::EVENT => TakeEvent::Event(Event::from_payload(payload, offset)?),
+        types::LEDGER => TakeEvent::Ledger(Box::new(Ledger::from_payload(payload, offset)?)),
+        types::CLOCK => TakeEvent::Clock(Box::new(Clock::from_payload(payload, offset)?)),
+        types::SUMMARY => TakeEvent::Summary(SummaryRecord::from_payload(payload, offset)?),
+        types::INDEX => TakeEvent::Index(parse_index(payload, offset)?),
+        _ => return Ok(None),
+    }))
 }
 
 /// A chunk with invalid content.
@@ -188,16 +169,6 @@ fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'stati
     TakeEvent::Damaged { offset, len, kind, message }
 }
 
-impl<'a> From<Placement<'a>> for TakeEvent<'a> {
-    fn from(placed: Placement<'a>) -> Self {
-        match placed {
-            Placement::Stretch(stretch) => Self::Stretch(stretch),
-            Placement::Unplaced { missing_before, n_rows, rows_min } => {
-                Self::Unplaced { missing_before, n_rows, rows_min }
-            }
-        }
-    }
-}
 
 /// Whether a chunk of this type may be too long to hold and is skipped: an unknown type, or an index, which only
 /// repeats what the stretches state. No other record can be so long.
@@ -289,8 +260,7 @@ impl TakeReader {
                 if kind == types::STRETCH {
                     chain.break_off();
                 }
-                let message = "longer than a take can hold".to_owned();
-                Err(TakeError::Corrupt { what: "chunk", offset, message })
+                Err(TakeError::corrupt("chunk", offset, "longer than a take can hold"))
             }
         };
         let event = event.unwrap_or_else(|error| damaged(offset, len, kind, error.to_string()));

@@ -22,19 +22,14 @@ pub(super) struct Damage {
     /// The region is so long that its beginning is no longer held.
     pub(super) start_dropped: bool,
     /// The region is a header that the file ends inside.
-    is_cut_header: bool,
+    header_cut: bool,
 }
 
 impl Damage {
     /// The region that begins with `bytes` at file offset `offset`.
-    pub(super) fn new(
-        offset: u64,
-        bytes: &[u8],
-        message: &'static str,
-        is_cut_header: bool,
-    ) -> Self {
+    pub(super) fn new(offset: u64, bytes: &[u8], message: &'static str, header_cut: bool) -> Self {
         let head = bytes[..bytes.len().min(HEAD_BYTES_MAX)].to_vec();
-        Self { offset, head, message, start_dropped: false, is_cut_header }
+        Self { offset, head, message, start_dropped: false, header_cut }
     }
 
     /// The chunk type in its first byte, if it is a valid one.
@@ -45,11 +40,8 @@ impl Damage {
     /// Whether the region is exactly one chunk by its own head, and not a stretch: then no stretch was lost in it.
     /// Where bytes are missing, the region consists of pieces of two chunks, and no head fits its length.
     fn is_one_other_chunk(&self, damaged_bytes: u64) -> bool {
-        matches!(
-            chunk::head(&self.head),
-            ChunkHead::Valid { kind, len, .. }
-                if len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)
-        )
+        let ChunkHead::Valid { kind, len, .. } = chunk::head(&self.head) else { return false };
+        len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)
     }
 }
 
@@ -99,12 +91,11 @@ impl TakeReader {
             }
         }
         self.bytes.other += len;
-        if damage.is_cut_header {
+        if damage.header_cut {
             self.header_cut_until = self.offset();
         }
-        if !damage.is_one_other_chunk(len)
-            && let Some(chain) = &mut self.chain
-        {
+        let may_be_stretch = !damage.is_one_other_chunk(len);
+        if may_be_stretch && let Some(chain) = &mut self.chain {
             chain.break_off();
         }
         let (kind, message) = (damage.kind(), damage.message.to_owned());

@@ -3,12 +3,7 @@
 
 use std::fmt;
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
 use super::Record;
 use crate::{
@@ -78,11 +73,7 @@ impl EndingKind {
     pub fn code(self) -> u16 {
         match self {
             Self::Other(code) => code,
-            named => Self::ALL
-                .iter()
-                .zip(1..)
-                .find(|(kind, _)| **kind == named)
-                .map_or(0, |(_, code)| code),
+            named => Self::ALL.iter().position(|kind| *kind == named).map_or(0, |i| i as u16 + 1),
         }
     }
 
@@ -209,11 +200,7 @@ impl SummaryRecord {
     /// `Unsupported` for a newer version; `Corrupt` when the sections do not fill the payload, a known section occurs
     /// twice, or its content is invalid.
     pub fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let corrupt = |message: &str| TakeError::Corrupt {
-            what: "summary",
-            offset,
-            message: message.to_owned(),
-        };
+        let corrupt = |message: &str| TakeError::corrupt("summary", offset, message);
         if payload.len() > SUMMARY_BYTES_MAX {
             return Err(corrupt("larger than a take can hold"));
         }
@@ -226,8 +213,9 @@ impl SummaryRecord {
         let mut summary = Self::default();
         let mut cursor = Cursor::new(sections);
         while !cursor.is_empty() {
-            let (tag, section) =
-                next_section(&mut cursor).ok_or_else(|| corrupt("its sections do not fit it"))?;
+            let (Some(tag), Some(section)) = (cursor.varint(), cursor.prefixed()) else {
+                return Err(corrupt("its sections do not fit it"));
+            };
             if tag != ENDING_TAG {
                 continue;
             }
@@ -246,15 +234,9 @@ impl SummaryRecord {
 
 fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
     varint::put(out, tag);
-    varint::put(out, section.len() as u64);
-    out.extend_from_slice(section);
+    varint::put_prefixed(out, section);
 }
 
-fn next_section<'a>(cursor: &mut Cursor<'a>) -> Option<(u64, &'a [u8])> {
-    let tag = cursor.varint()?;
-    let len = cursor.varint()?;
-    Some((tag, cursor.take(len)?))
-}
 
 #[cfg(test)]
 mod tests {

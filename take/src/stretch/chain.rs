@@ -4,24 +4,12 @@ use super::{
     NUMBERS, ROWS_PASSED_MAX, Span, Stretch, header::StretchHeader, rows_max, take_blocks,
 };
 use crate::{
-    TakeError,
+    TakeError, TakeEvent,
     record::Header,
     timeline::{Timeline, TimelineDecoder},
     varint,
 };
 
-/// A stretch with known rows, or the remains of one whose rows are unknown.
-#[derive(Debug)]
-pub(crate) enum Placement<'a> {
-    Stretch(Stretch<'a>),
-    /// The stretch continues one that is missing or damaged.
-    Unplaced {
-        missing_before: bool,
-        n_rows: u32,
-        /// The least number of rows that the take has up to the end of this stretch.
-        rows_min: u64,
-    },
-}
 
 /// Follows the stretches of a take.
 ///
@@ -80,15 +68,16 @@ impl StretchChain {
         self.next_row.saturating_add(ROWS_PASSED_MAX)
     }
 
-    /// Parses the payload of the next STRETCH chunk. The error is a message.
-    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placement<'a>, &'static str> {
+    /// Parses the payload of the next STRETCH chunk: a stretch with known rows, or the remains of one whose rows are
+    /// unknown, because it continues one that is missing or damaged. The error is a message.
+    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<TakeEvent<'a>, &'static str> {
         // An error below leaves the stretch as good as missing.
         let was_broken = std::mem::replace(&mut self.broken, true);
         let mut cursor = varint::Cursor::new(payload);
         let header = StretchHeader::take(&mut cursor, self.rows_max, self.stretch_rows)?;
-        let mut sizes = header.sizes;
-        let blocks = take_blocks(&mut cursor, header.alone, header.n_rows, &mut sizes)?;
-        let mut missing_before = self.next_number.is_some_and(|number| number != header.number);
+        let StretchHeader { key, number, n_rows, rows_passed, shared, mut sizes, .. } = header;
+        let blocks = take_blocks(&mut cursor, header.alone, n_rows, &mut sizes)?;
+        let mut missing_before = self.next_number.is_some_and(|next| next != number);
         let from_row = match header.from_row {
             Some(row) => {
                 if row > self.plausible_rows_max() {
@@ -101,34 +90,22 @@ impl StretchChain {
                 row
             }
             None if was_broken || missing_before => {
-                self.next_number = Some((header.number + 1) % NUMBERS);
-                self.next_row = self.next_row.saturating_add(header.rows_passed);
-                let (n_rows, rows_min) = (header.n_rows, self.next_row);
-                return Ok(Placement::Unplaced { missing_before, n_rows, rows_min });
+                self.next_number = Some((number + 1) % NUMBERS);
+                self.next_row = self.next_row.saturating_add(rows_passed);
+                return Ok(TakeEvent::Unplaced { missing_before, n_rows, rows_min: self.next_row });
             }
             None => self.next_row,
         };
-        let end_row = from_row.checked_add(header.rows_passed).ok_or("its row numbers overflow")?;
-        let timeline = match header.runs {
-            Some(runs) => {
-                let mut timeline = Timeline { first_row: from_row, runs, times: Vec::new() };
-                self.times
-                    .decode(&mut timeline, header.key, header.times)
-                    .ok_or("its times are invalid")?;
-                Some(timeline)
-            }
-            None => None,
-        };
+        let end_row = from_row.checked_add(rows_passed).ok_or("its row numbers overflow")?;
+        let timeline = |runs| Timeline { first_row: from_row, runs, times: Vec::new() };
+        let mut timeline = header.runs.map(timeline);
+        if let Some(timeline) = &mut timeline {
+            self.times.decode(timeline, key, header.times).ok_or("its times are invalid")?;
+        }
         self.next_row = end_row;
-        self.next_number = Some((header.number + 1) % NUMBERS);
+        self.next_number = Some((number + 1) % NUMBERS);
         self.broken = false;
-        let span = Span {
-            first_row: end_row - u64::from(header.n_rows),
-            n_rows: header.n_rows,
-            key: header.key,
-            number: header.number,
-        };
-        let shared = header.shared;
-        Ok(Placement::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
+        let span = Span { first_row: end_row - u64::from(n_rows), n_rows, key, number };
+        Ok(TakeEvent::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
     }
 }

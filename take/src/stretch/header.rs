@@ -79,8 +79,7 @@ impl StretchHeaderWriter {
             times.encode(timeline, span.key, out);
         }
         if !shared.is_empty() {
-            varint::put(out, shared.len() as u64);
-            out.extend_from_slice(shared);
+            varint::put_prefixed(out, shared);
         }
     }
 }
@@ -107,19 +106,17 @@ pub(crate) struct StretchHeader<'a> {
     pub(crate) sizes: StretchSizes,
 }
 
-impl StretchHeader<'_> {
-    /// Whether these bytes are a plausible start of a stretch's payload, by the fields that are cheap to check.
-    pub(super) fn may_begin_with(payload: &[u8]) -> bool {
-        let mut cursor = varint::Cursor::new(payload);
-        let Some(head) = cursor.byte() else { return false };
-        let shape = if head & PLAIN != 0 { Some(HAS_TIMES) } else { cursor.byte() };
-        let row = if head & KEY != 0 { cursor.varint() } else { Some(0) };
-        let Some((shape, _)) = shape.zip(row).filter(|(shape, _)| is_known(*shape)) else {
-            return false;
-        };
-        let listed = shape & ROWS_LISTED != 0;
-        !listed || cursor.varint().is_some_and(|n_rows| (1..=ROWS_MAX).contains(&n_rows))
-    }
+/// Whether these bytes are a plausible start of a stretch's payload, by the fields that are cheap to check.
+pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
+    let mut cursor = varint::Cursor::new(payload);
+    let Some(head) = cursor.byte() else { return false };
+    let shape = if head & PLAIN != 0 { Some(HAS_TIMES) } else { cursor.byte() };
+    let row = if head & KEY != 0 { cursor.varint() } else { Some(0) };
+    let Some((shape, _)) = shape.zip(row).filter(|(shape, _)| is_known(*shape)) else {
+        return false;
+    };
+    let listed = shape & ROWS_LISTED != 0;
+    !listed || cursor.varint().is_some_and(|n_rows| (1..=ROWS_MAX).contains(&n_rows))
 }
 
 fn is_known(shape: u8) -> bool {
@@ -174,7 +171,7 @@ impl<'a> StretchHeader<'a> {
         let mut framing = in_head;
         if shape & SHARED != 0 {
             let left = cursor.rest().len();
-            shared = cursor.varint().and_then(|n| cursor.take(n)).ok_or(short)?;
+            shared = cursor.prefixed().ok_or(short)?;
             framing += left - cursor.rest().len() - shared.len();
         }
         Ok(Self {
@@ -195,9 +192,7 @@ impl<'a> StretchHeader<'a> {
             },
         })
     }
-}
 
-impl StretchHeader<'_> {
     /// Whether the stretch has no rows and replaces damaged stretches of a recovered take.
     pub(crate) fn replaces_damaged(&self) -> bool {
         self.n_rows == 0 && super::all_damaged(self.runs.as_deref().unwrap_or_default())
