@@ -83,9 +83,7 @@ impl ScanAnalysis {
             Plausibility::WithoutArms if ends.mode == NamingMode::CutLimb => {
                 return Err(Refusal::Ambiguous { margin });
             }
-            Plausibility::WithoutArms => {
-                notes.push(remove_arms(&mut joints, landmarks.scale));
-            }
+            Plausibility::WithoutArms => notes.push(remove_arms(&mut joints, landmarks.scale)),
             Plausibility::Nothing => return Err(contact),
         }
         let touching = ends.mode >= NamingMode::InContact || landmarks.touching.any();
@@ -113,7 +111,7 @@ impl ScanAnalysis {
         let graph = Graph::along_edges(mesh, &adjacency);
         let start = extremity::start(mesh, &graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
         let paper = paper::joints(mesh, start, None)
-            .map_err(|refusal| Self::explain_refusal(mesh, &adjacency, start, refusal))?;
+            .map_err(|refusal| explain_refusal(mesh, &adjacency, start, refusal))?;
         Ok(Self {
             joints: paper.joints,
             extremities: paper.extremities,
@@ -125,22 +123,6 @@ impl ScanAnalysis {
         })
     }
 
-    /// The cause of a refusal by the published method: the scan, if the default method refuses it too, or the method
-    /// itself.
-    fn explain_refusal(
-        mesh: &Mesh,
-        adjacency: &Adjacency,
-        start: u32,
-        refusal: Refusal,
-    ) -> Refusal {
-        let handles = adjacency.handles();
-        match Self::by_default(mesh) {
-            Err(of_scan) => of_scan,
-            Ok(found) if found.in_contact || handles > 0 => Refusal::Contact { handles },
-            Ok(found) => paper::explain(mesh, adjacency, start, refusal, &found.extremities),
-        }
-    }
-
     /// Adds level sets and Reeb graph for a picture, if there are none. `mesh` is the mesh that was analysed.
     #[must_use]
     pub fn with_levels(mut self, mesh: &Mesh) -> Self {
@@ -148,6 +130,17 @@ impl ScanAnalysis {
             self.levels = Levels::new(mesh, &self.extremities);
         }
         self
+    }
+}
+
+/// The cause of a refusal by the published method: the scan, if the default method refuses it too, or the method
+/// itself.
+fn explain_refusal(mesh: &Mesh, adjacency: &Adjacency, start: u32, refusal: Refusal) -> Refusal {
+    let handles = adjacency.handles();
+    match ScanAnalysis::by_default(mesh) {
+        Err(of_scan) => of_scan,
+        Ok(found) if found.in_contact || handles > 0 => Refusal::Contact { handles },
+        Ok(found) => paper::explain(mesh, adjacency, start, refusal, &found.extremities),
     }
 }
 

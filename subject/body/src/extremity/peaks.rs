@@ -39,7 +39,7 @@ pub(crate) struct Protrusions {
 
 /// Finds the protrusions of the connected component of `start`.
 pub(crate) fn protrusions(graph: &Graph, start: u32, workspace: &mut Workspace) -> Protrusions {
-    let spread = farthest_points(graph, start, SPREAD_COUNT, workspace);
+    let spread = farthest_points(graph, start, workspace);
     let fields = || spread.iter().map(|far| &far.distances);
     let finite = fields().flatten().copied().filter(|far| far.is_finite());
     let longest = finite.fold(0.0, f64::max);
@@ -115,8 +115,7 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
             found.push(Peak { vertex: *top, persistence: height - saddle, saddle });
         }
     }
-    let ends = order.first().zip(order.last());
-    if let Some(((_, top), (_, bottom))) = ends {
+    if let Some(((_, top), (_, bottom))) = order.first().zip(order.last()) {
         let saddle = value(*bottom);
         found.push(Peak { vertex: *top, persistence: value(*top) - saddle, saddle });
     }
@@ -125,16 +124,11 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
     found
 }
 
-/// Up to `count` vertices by farthest-point sampling, the first of them farthest from `start`.
-fn farthest_points(
-    graph: &Graph,
-    start: u32,
-    count: usize,
-    workspace: &mut Workspace,
-) -> Vec<FarPoint> {
+/// Up to [`SPREAD_COUNT`] vertices by farthest-point sampling, the first of them farthest from `start`.
+fn farthest_points(graph: &Graph, start: u32, workspace: &mut Workspace) -> Vec<FarPoint> {
     let mut found = Vec::new();
     let mut nearest = distances(graph, start, workspace);
-    for turn in 0..count {
+    for turn in 0..SPREAD_COUNT {
         let Some(vertex) = farthest(&nearest, |_| true) else { break };
         let field = distances(graph, vertex, workspace);
         if turn == 0 {

@@ -16,12 +16,15 @@ const VISITS_MAX: usize = 4;
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
     // Distances are never negative, and the bits of such numbers are in the order of the numbers.
-    heap: BinaryHeap<Reverse<(u64, u32)>>,
+    heap: Heap,
     /// Every vertex once, in the order in which the first run reached them.
     order: Vec<u32>,
     /// Vertices that came nearer since their links were last followed.
     active: Vec<bool>,
 }
+
+/// Vertices by distance, the nearest first.
+type Heap = BinaryHeap<Reverse<(u64, u32)>>;
 
 /// The length of the shortest path from `source` to every vertex, in the mesh's unit; infinite if there is none.
 #[must_use]
@@ -66,11 +69,7 @@ pub fn distances_from(
 }
 
 /// Dijkstra's method from the vertices in the heap. Returns the vertices in the order in which they were reached.
-fn dijkstra(
-    graph: &Graph,
-    heap: &mut BinaryHeap<Reverse<(u64, u32)>>,
-    found: &mut [f64],
-) -> Vec<u32> {
+fn dijkstra(graph: &Graph, heap: &mut Heap, found: &mut [f64]) -> Vec<u32> {
     let mut reached = Vec::with_capacity(found.len());
     while let Some(Reverse((bits, vertex))) = heap.pop() {
         let here = f64::from_bits(bits);

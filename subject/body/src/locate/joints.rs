@@ -35,9 +35,10 @@ const STUMP_LEAST: f64 = 0.03;
 #[must_use]
 pub fn joints(landmarks: &Landmarks) -> Joints {
     let of = &*JOINTS;
-    let arms =
-        equalise_bones([0, 1].map(|side| arm(landmarks, side)), UPPER_ARM_PRIOR, of.upper_arm);
-    let legs = equalise_bones([0, 1].map(|side| leg(landmarks, side)), THIGH_PRIOR, of.thigh);
+    let arms = limbs(landmarks, 0, [&of.shoulder, &of.elbow, &of.wrist], limb::elbow_sigma);
+    let arms = equalise_bones(arms, UPPER_ARM_PRIOR, of.upper_arm);
+    let legs = limbs(landmarks, 1, [&of.hip, &of.knee, &of.ankle], limb::knee_sigma);
+    let legs = equalise_bones(legs, THIGH_PRIOR, of.thigh);
     let toes = [0, 1].map(|side| landmarks.halves[side].leg.get(TOES).copied().unwrap_or_default());
     let left = left(legs, toes);
     let Touching { arms: arms_touch, legs: legs_touch, scale } = landmarks.touching;
@@ -106,27 +107,13 @@ impl Limb {
     }
 }
 
-fn arm(landmarks: &Landmarks, side: usize) -> Limb {
-    let at = |model: &Model| landmarks.joint(model, side);
-    Limb {
-        root: at(&JOINTS.shoulder),
-        hinge: at(&JOINTS.elbow),
-        end: at(&JOINTS.wrist),
-        hinge_sigma: limb::elbow_sigma(landmarks.halves[side].sharpness[0])
-            .hypot(JOINTS.elbow.sigma),
-        missing: landmarks.missing[0][side],
-    }
-}
-
-fn leg(landmarks: &Landmarks, side: usize) -> Limb {
-    let at = |model: &Model| landmarks.joint(model, side);
-    Limb {
-        root: at(&JOINTS.hip),
-        hinge: at(&JOINTS.knee),
-        end: at(&JOINTS.ankle),
-        hinge_sigma: limb::knee_sigma(landmarks.halves[side].sharpness[1]).hypot(JOINTS.knee.sigma),
-        missing: landmarks.missing[1][side],
-    }
+/// Both arms (`part` 0) or both legs (1), by the models `of` their root, hinge and end.
+fn limbs(landmarks: &Landmarks, part: usize, of: [&Model; 3], sigma: fn(f64) -> f64) -> [Limb; 2] {
+    [0, 1].map(|side| {
+        let [root, hinge, end] = of.map(|model| landmarks.joint(model, side));
+        let hinge_sigma = sigma(landmarks.halves[side].sharpness[part]).hypot(of[1].sigma);
+        Limb { root, hinge, end, hinge_sigma, missing: landmarks.missing[part][side] }
+    })
 }
 
 /// Weight of the average body's bone length against the measured one.

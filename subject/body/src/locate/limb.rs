@@ -183,9 +183,8 @@ pub(super) fn wrist(perimeter: &[f64]) -> Option<f64> {
 fn narrowed(perimeter: &[f64]) -> Option<f64> {
     let by_length = |one: &(usize, f64), other: &(usize, f64)| one.1.total_cmp(&other.1);
     let (thickest, _) = between(perimeter, [0.0, HAND_ENDS]).max_by(by_length)?;
-    let behind = level(thickest) + STEP / 2.0;
-    let (least, shortest) =
-        between(perimeter, [behind, behind + THINNEST_REACH]).min_by(by_length)?;
+    let from = level(thickest) + STEP / 2.0;
+    let (least, shortest) = between(perimeter, [from, from + THINNEST_REACH]).min_by(by_length)?;
     Some(narrows(perimeter, HAND_TO_FOREARM * shortest, least))
 }
 

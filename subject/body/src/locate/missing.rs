@@ -58,9 +58,9 @@ pub(super) fn from_distances(fields: &Fields<'_>) -> [f64; 5] {
     let mut missing = [0.0; 5];
     let Some(scale) = scale(fields) else { return missing };
     for (pair, others, most) in [(HAND, FOOT, ARM_SHORTER), (FOOT, HAND, LEG_SHORTER)] {
-        let Some((short, by)) = shorter(fields, pair, others) else { continue };
+        let Some(by) = shorter(fields, pair, others) else { continue };
         if by.least > most * scale {
-            missing[short] = by.mean;
+            missing[by.end] = by.mean;
         }
     }
     missing
@@ -84,12 +84,12 @@ pub(super) fn from_shape(
         if pair.iter().any(|end| missing[*end] > 0.0) {
             continue;
         }
-        let one = shorter(fields, pair, others).filter(|(end, by)| {
-            let side = usize::from(*end == pair[1]);
+        let one = shorter(fields, pair, others).filter(|by| {
+            let side = usize::from(by.end == pair[1]);
             !whole[side] && by.least > most * scale
         });
-        if let Some((end, by)) = one {
-            missing[end] = by.mean;
+        if let Some(by) = one {
+            missing[by.end] = by.mean;
         }
     }
     // One arm with an open hand, the other without any: a pose may hide part of the difference from one of the two
@@ -116,26 +116,24 @@ pub(super) fn from_shape(
 
 /// Shortening of a limb relative to its twin, in the mesh's unit.
 struct Shortfall {
+    /// The extremity of the shorter limb.
+    end: usize,
     /// The lesser of the two measures: no pose alone affects both.
     least: f64,
     mean: f64,
 }
 
 /// The shorter of two limbs, as seen from the head and from the other pair of extremities; none if these disagree.
-fn shorter(
-    fields: &Fields<'_>,
-    [a, b]: [usize; 2],
-    others: [usize; 2],
-) -> Option<(usize, Shortfall)> {
+fn shorter(fields: &Fields<'_>, [a, b]: [usize; 2], others: [usize; 2]) -> Option<Shortfall> {
     // Negative if the first limb is shorter.
     let [by_head, by_others] = shorter_by(fields, [a, b], others)?.map(|by| -by);
     if by_head * by_others <= 0.0 {
         return None;
     }
-    let short = if by_head < 0.0 { a } else { b };
+    let end = if by_head < 0.0 { a } else { b };
     let (by_head, by_others) = (by_head.abs(), by_others.abs());
-    let by = Shortfall { least: by_head.min(by_others), mean: f64::midpoint(by_head, by_others) };
-    Some((short, by))
+    let (least, mean) = (by_head.min(by_others), f64::midpoint(by_head, by_others));
+    Some(Shortfall { end, least, mean })
 }
 
 /// Shortening of the first limb relative to the second, in the mesh's unit, as seen from the head and from the other

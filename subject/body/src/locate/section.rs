@@ -46,9 +46,13 @@ impl Sections {
     ) -> Option<Self> {
         let mut sums = vec![Sum::default(); LEVELS];
         let end = ((reach / STEP).ceil() as usize).min(LEVELS);
-        let vertices = 0..mesh.positions.len();
-        let corners: Vec<Option<Corner>> =
-            vertices.map(|vertex| corner(mesh, field, weights, vertex, scale)).collect();
+        let corner = |vertex: usize| {
+            let position = Point::from(*mesh.positions.get(vertex)?) / scale;
+            let level = field.get(vertex)? / (scale * STEP);
+            let weight = *weights.get(vertex)?;
+            level.is_finite().then_some(Corner { level, weight, position })
+        };
+        let corners: Vec<Option<Corner>> = (0..mesh.positions.len()).map(corner).collect();
         for triangle in &mesh.triangles {
             let corner = |vertex: u32| corners.get(vertex as usize).copied().flatten();
             let [Some(a), Some(b), Some(c)] = triangle.map(corner) else { continue };
@@ -59,16 +63,14 @@ impl Sections {
         let perimeter: Vec<f64> = sums.iter().map(|sum| sum.perimeter).collect();
         let mut found = sums.iter().filter(|sum| sum.weight > 0.0);
         let mut last = found.next().map(|sum| sum.moment / sum.weight)?;
-        let centre: Vec<Point> = sums
-            .iter()
-            .map(|sum| {
-                // An empty level repeats the one before, so that no centre falls to the origin.
-                if sum.weight > 0.0 {
-                    last = sum.moment / sum.weight;
-                }
-                last
-            })
-            .collect();
+        let centres = sums.iter().map(|sum| {
+            // An empty level repeats the one before, so that no centre falls to the origin.
+            if sum.weight > 0.0 {
+                last = sum.moment / sum.weight;
+            }
+            last
+        });
+        let centre: Vec<Point> = centres.collect();
         Some(Self {
             perimeter: smoothed(&perimeter, &[1.0, 2.0, 3.0, 2.0, 1.0]),
             centre: smoothed(&centre, &[1.0, 2.0, 1.0]),
@@ -98,19 +100,6 @@ pub(super) fn between(
 ) -> impl Iterator<Item = (usize, f64)> {
     let curves = perimeter.iter().copied().enumerate();
     curves.filter(move |(index, _)| (from..to).contains(&level(*index)))
-}
-
-fn corner(
-    mesh: &Mesh,
-    field: &[f64],
-    weights: &[f64],
-    vertex: usize,
-    scale: f64,
-) -> Option<Corner> {
-    let position = Point::from(*mesh.positions.get(vertex)?) / scale;
-    let level = field.get(vertex)? / (scale * STEP);
-    let weight = *weights.get(vertex)?;
-    level.is_finite().then_some(Corner { level, weight, position })
 }
 
 /// Adds the pieces of the curves in one triangle: one for each whole number in `(least, greatest]` of its corners.

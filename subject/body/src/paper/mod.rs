@@ -104,9 +104,8 @@ pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Pap
 /// The five extremities by algorithm 1.
 fn ends(graph: &Graph, start: u32, workspace: &mut Workspace) -> Result<Extremities, Refusal> {
     let points = extremity_points(graph, start, StopRule::Corrected, workspace);
-    let ends: [u32; 5] = points
-        .try_into()
-        .map_err(|points: Vec<u32>| Refusal::TooFewEnds { found: points.len() })?;
+    let few = |points: Vec<u32>| Refusal::TooFewEnds { found: points.len() };
+    let ends: [u32; 5] = points.try_into().map_err(few)?;
     let fields = ends.map(|end| distances(graph, end, workspace));
     Ok(head_by_symmetry(ends, &fields))
 }

@@ -50,11 +50,8 @@ pub(super) fn circularity(
     if !(longest > 0.0 && longest.is_finite()) {
         let style = format!("fill=\"none\" stroke=\"{GRID}\"");
         let (right, bottom) = (left + WIDTH, TOP + HEIGHT);
-        sheet.path(
-            &[vec![[left, TOP], [right, TOP], [right, bottom], [left, bottom]]],
-            true,
-            &style,
-        );
+        let corners = vec![[left, TOP], [right, TOP], [right, bottom], [left, bottom]];
+        sheet.path(&[corners], true, &style);
         sheet.text(left + WIDTH / 2.0, TOP + HEIGHT / 2.0, "no curve", 12.0, DIM, Anchor::Middle);
         return;
     }
@@ -142,14 +139,8 @@ const REEB_BOX: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
 pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
     let [left, top, width, height] = REEB_BOX;
     let mm = drawing.mm();
-    sheet.text(
-        left + width / 2.0,
-        66.0,
-        "Reeb graph of the distance from the head",
-        13.0,
-        DIM,
-        Anchor::Middle,
-    );
+    let title = "Reeb graph of the distance from the head";
+    sheet.text(left + width / 2.0, 66.0, title, 13.0, DIM, Anchor::Middle);
     let deepest = drawing.reeb_nodes.iter().map(|node| node.value * mm).fold(0.0, f64::max);
     if !(deepest > 0.0 && deepest.is_finite()) {
         sheet.text(left + width / 2.0, top + height / 2.0, "none", 12.0, DIM, Anchor::Middle);
@@ -169,10 +160,8 @@ pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
     };
     for &ReebEdge { from, to, part } in &drawing.reeb_edges {
         if let (Some(from), Some(to)) = (place(from), place(to)) {
-            let style = format!(
-                "stroke=\"{}\" stroke-width=\"2.5\" stroke-linecap=\"round\"",
-                colour(part)
-            );
+            let tone = colour(part);
+            let style = format!("stroke=\"{tone}\" stroke-width=\"2.5\" stroke-linecap=\"round\"");
             sheet.line(from, to, &style);
         }
     }
@@ -182,11 +171,8 @@ pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
     // Only ends and forks are drawn; nodes between them are points of a line.
     for index in (0..drawing.reeb_nodes.len()).filter(|&index| degree(index) != 2) {
         if let Some(at) = place(index) {
-            sheet.circle(
-                at,
-                4.0,
-                &format!("fill=\"#ffffff\" stroke=\"{INK}\" stroke-width=\"1.5\""),
-            );
+            let style = format!("fill=\"#ffffff\" stroke=\"{INK}\" stroke-width=\"1.5\"");
+            sheet.circle(at, 4.0, &style);
         }
     }
 }

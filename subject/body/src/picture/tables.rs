@@ -39,11 +39,8 @@ pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
     let rows = [("stature", [stature(drawing), None])].into_iter().chain(rows);
     let mut y = TOP + 8.0 + ROW;
     for (label, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
-        sheet.line(
-            [LEFT, y - ROW / 2.0],
-            [LEFT + 325.0, y - ROW / 2.0],
-            &format!("stroke=\"{GRID}\""),
-        );
+        let top = y - ROW / 2.0;
+        sheet.line([LEFT, top], [LEFT + 325.0, top], &format!("stroke=\"{GRID}\""));
         sheet.text(LEFT, y, label, 12.0, INK, Anchor::Left);
         for (x, text) in columns.into_iter().zip(lengths) {
             if let Some(text) = text {

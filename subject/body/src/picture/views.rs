@@ -157,12 +157,9 @@ impl BodyView<'_> {
         let lines =
             |line: &Line| vec![line.points.iter().map(|p| self.at(Point::from(*p))).collect()];
         let round = "fill=\"none\" stroke-linecap=\"round\" stroke-linejoin=\"round\"";
+        let white = format!("{round} stroke=\"#ffffff\" stroke-width=\"4\"");
         for line in &self.drawing.centre_lines {
-            sheet.path(
-                &lines(line),
-                false,
-                &format!("{round} stroke=\"#ffffff\" stroke-width=\"4\""),
-            );
+            sheet.path(&lines(line), false, &white);
         }
         for line in &self.drawing.centre_lines {
             let colour = colour(line.part);

@@ -100,6 +100,10 @@ impl Format {
     fn malformed_line(self, number: usize, reason: impl Into<String>) -> ReadError {
         self.malformed(format!("line {number}"), reason)
     }
+
+    fn unexpected(self, number: usize, expected: &str, found: &[u8]) -> ReadError {
+        self.malformed_line(number, format!("expected {expected}, found {}", text::quote(found)))
+    }
 }
 
 impl fmt::Display for Format {

@@ -32,21 +32,15 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
         };
         let mut tokens = text::tokens(line);
         match tokens.next() {
-            Some(b"v") => surface.vertex(text::position(&mut tokens).ok_or_else(|| {
-                Format::Obj.malformed_line(
-                    number,
-                    format!("expected `v` and three numbers, found {}", text::quote(line)),
-                )
-            })?)?,
+            Some(b"v") => {
+                let wrong = || Format::Obj.unexpected(number, "`v` and three numbers", line);
+                surface.vertex(text::position(&mut tokens).ok_or_else(wrong)?)?;
+            }
             Some(b"f") => {
                 corners.clear();
                 for token in tokens {
-                    let index = index(token, surface.n_vertices()).ok_or_else(|| {
-                        Format::Obj.malformed_line(
-                            number,
-                            format!("expected the index of a vertex, found {}", text::quote(token)),
-                        )
-                    })?;
+                    let wrong = || Format::Obj.unexpected(number, "the index of a vertex", token);
+                    let index = index(token, surface.n_vertices()).ok_or_else(wrong)?;
                     put_corner(&mut corners, index)?;
                 }
                 surface.face(&corners)?;

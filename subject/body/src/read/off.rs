@@ -17,10 +17,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
         return Err(ReadError::Unsupported { format: Format::Off, what });
     }
     if tokens.peek().is_some_and(|token| token.eq_ignore_ascii_case(b"BINARY")) {
-        return Err(ReadError::Unsupported {
-            format: Format::Off,
-            what: "its binary form".to_owned(),
-        });
+        let what = "its binary form".to_owned();
+        return Err(ReadError::Unsupported { format: Format::Off, what });
     }
     // Some writers put the counts on the line of the keyword.
     let counts = if tokens.peek().is_some() {
@@ -32,25 +30,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let (n_vertices, n_faces) = counts?;
     for found in 0..n_vertices {
         let (number, line) = lines.next().ok_or_else(|| cut_off("vertices", n_vertices, found))?;
-        let position = text::position(&mut text::tokens(line)).ok_or_else(|| {
-            Format::Off.malformed_line(
-                number,
-                format!("expected three numbers, found {}", text::quote(line)),
-            )
-        })?;
-        surface.vertex(position)?;
+        let wrong = || Format::Off.unexpected(number, "three numbers", line);
+        surface.vertex(text::position(&mut text::tokens(line)).ok_or_else(wrong)?)?;
     }
     let mut corners = Vec::new();
     for found in 0..n_faces {
         let (number, line) = lines.next().ok_or_else(|| cut_off("faces", n_faces, found))?;
         let mut tokens = text::tokens(line);
-        let wrong = || {
-            let found = text::quote(line);
-            Format::Off.malformed_line(
-                number,
-                format!("expected a count and as many indices, found {found}"),
-            )
-        };
+        let wrong = || Format::Off.unexpected(number, "a count and as many indices", line);
         let count = tokens.next().and_then(text::integer).ok_or_else(wrong)?;
         corners.clear();
         for _ in 0..count {

@@ -4,9 +4,11 @@ use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 use crate::Unit;
 
+type Result<T = ()> = std::result::Result<T, ReadError>;
+
 /// Reads a PLY file: `x`, `y` and `z` of the vertices in any type, `vertex_indices` or `vertex_index` of faces and of
 /// `tristrips`. Everything else is ignored.
-pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
+pub(super) fn read(bytes: &[u8]) -> Result<Surface> {
     let header = Header::parse(bytes)?;
     let mut surface = Surface::new(Format::Ply);
     surface.unit = header.unit;
@@ -32,7 +34,7 @@ enum Role {
 }
 
 impl Role {
-    fn of(element: &Element) -> Result<Self, ReadError> {
+    fn of(element: &Element) -> Result<Self> {
         let find = |name: &str| element.properties.iter().position(|p| p.name == name);
         let list = || find("vertex_indices").or_else(|| find("vertex_index"));
         let is_list = |at: usize| {
@@ -43,13 +45,11 @@ impl Role {
                 [Some(x), Some(y), Some(z)] if ![x, y, z].into_iter().any(is_list) => {
                     Ok(Self::Vertices([x, y, z]))
                 }
-                _ => Err(Format::Ply
-                    .malformed("header", "expected a vertex with the properties x, y and z")),
+                _ => Err(malformed("header", "expected a vertex with the properties x, y and z")),
             },
             "face" | "tristrips" => {
                 let Some(at) = list().filter(|&at| is_list(at)) else {
-                    return Err(Format::Ply
-                        .malformed("header", "expected faces with a list of vertex_indices"));
+                    return Err(malformed("header", "expected faces with a list of vertex_indices"));
                 };
                 Ok(if element.name == "face" { Self::Faces(at) } else { Self::Strips(at) })
             }
@@ -58,11 +58,7 @@ impl Role {
     }
 }
 
-fn elements(
-    header: &Header,
-    source: &mut impl ValueSource,
-    surface: &mut Surface,
-) -> Result<(), ReadError> {
+fn elements(header: &Header, source: &mut impl ValueSource, surface: &mut Surface) -> Result {
     let mut row = Row::default();
     for element in &header.elements {
         let role = Role::of(element)?;
@@ -93,7 +89,7 @@ impl Row {
         role: &Role,
         source: &mut impl ValueSource,
         surface: &mut Surface,
-    ) -> Result<(), ReadError> {
+    ) -> Result {
         self.scalars.clear();
         for (at, property) in element.properties.iter().enumerate() {
             let (count, item) = match property.kind {
@@ -105,9 +101,7 @@ impl Row {
             };
             self.scalars.push(0.0);
             if count < 0.0 || count.fract() != 0.0 {
-                return Err(
-                    Format::Ply.malformed(source.place(), "a list length that is not an integer")
-                );
+                return Err(malformed(source.place(), "a list length that is not an integer"));
             }
             self.corners.clear();
             // The length is not trusted: every item is read, and the bytes end.
@@ -134,12 +128,7 @@ impl Row {
     }
 
     /// Each vertex of a strip makes a triangle with the two before it; every second triangle is flipped.
-    fn strip(
-        &mut self,
-        value: f64,
-        source: &impl ValueSource,
-        surface: &mut Surface,
-    ) -> Result<(), ReadError> {
+    fn strip(&mut self, value: f64, source: &impl ValueSource, surface: &mut Surface) -> Result {
         if value == -1.0 {
             self.corners.clear();
             return Ok(());
@@ -154,12 +143,15 @@ impl Row {
     }
 }
 
-fn index(value: f64, source: &impl ValueSource) -> Result<u32, ReadError> {
+fn index(value: f64, source: &impl ValueSource) -> Result<u32> {
     if value.fract() == 0.0 && (0.0..f64::from(u32::MAX)).contains(&value) {
         return Ok(value as u32);
     }
-    Err(Format::Ply
-        .malformed(source.place(), format!("expected the index of a vertex, found {value}")))
+    Err(malformed(source.place(), format!("expected the index of a vertex, found {value}")))
+}
+
+fn malformed(place: impl Into<String>, reason: impl Into<String>) -> ReadError {
+    Format::Ply.malformed(place, reason)
 }
 
 /// Most elements of a file and properties of an element; scanners write fewer than twenty.
@@ -236,7 +228,7 @@ struct Header {
 }
 
 impl Header {
-    fn parse(bytes: &[u8]) -> Result<Self, ReadError> {
+    fn parse(bytes: &[u8]) -> Result<Self> {
         let (mut encoding, mut elements, mut unit) = (None, Vec::<Element>::new(), None);
         let mut rest = bytes.get(..LEN_MAX).unwrap_or(bytes);
         let whole = rest.len();
@@ -244,20 +236,15 @@ impl Header {
             let Some((line, after)) = split_line(rest) else { break };
             rest = after;
             let mut tokens = text::tokens(line);
-            let wrong = |expected: &str| {
-                let reason = format!("expected {expected}, found {}", text::quote(line));
-                Format::Ply.malformed_line(number, reason)
-            };
+            let wrong = |expected: &str| Format::Ply.unexpected(number, expected, line);
             match tokens.next() {
                 Some(b"format") => {
-                    encoding = match tokens.next() {
-                        Some(b"ascii") => Some(Encoding::Text),
-                        Some(b"binary_little_endian") => {
-                            Some(Encoding::Binary { big_endian: false })
-                        }
-                        Some(b"binary_big_endian") => Some(Encoding::Binary { big_endian: true }),
+                    encoding = Some(match tokens.next() {
+                        Some(b"ascii") => Encoding::Text,
+                        Some(b"binary_little_endian") => Encoding::Binary { big_endian: false },
+                        Some(b"binary_big_endian") => Encoding::Binary { big_endian: true },
                         _ => return Err(wrong("`format` and ascii or binary_..._endian")),
-                    };
+                    });
                 }
                 Some(b"comment" | b"obj_info") => unit = unit.or_else(|| Unit::from_comment(line)),
                 Some(b"element") => {
@@ -288,8 +275,7 @@ impl Header {
                 _ => {}
             }
         }
-        Err(Format::Ply
-            .malformed("end of file", "expected `end_header`: cut off, export the scan again"))
+        Err(malformed("end of file", "expected `end_header`: cut off, export the scan again"))
     }
 }
 
@@ -315,9 +301,9 @@ fn split_line(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 /// A source of values.
 trait ValueSource {
     /// Begins the next vertex, face or other element.
-    fn begin_row(&mut self) -> Result<(), ReadError>;
+    fn begin_row(&mut self) -> Result;
     /// The next value, which takes at least one byte of the file.
-    fn value(&mut self, scalar: Scalar) -> Result<f64, ReadError>;
+    fn value(&mut self, scalar: Scalar) -> Result<f64>;
     /// Position of the last value, for messages.
     fn place(&self) -> String;
 }
@@ -338,10 +324,10 @@ impl<'a> Text<'a> {
 }
 
 impl ValueSource for Text<'_> {
-    fn begin_row(&mut self) -> Result<(), ReadError> {
+    fn begin_row(&mut self) -> Result {
         let mut filled = self.lines.by_ref().filter(|(_, line)| !line.trim_ascii().is_empty());
         let Some((number, line)) = filled.next() else {
-            return Err(Format::Ply.malformed(
+            return Err(malformed(
                 "end of file",
                 "fewer lines than announced: cut off, export the scan again",
             ));
@@ -350,14 +336,13 @@ impl ValueSource for Text<'_> {
         Ok(())
     }
 
-    fn value(&mut self, _: Scalar) -> Result<f64, ReadError> {
+    fn value(&mut self, _: Scalar) -> Result<f64> {
         let line = self.line.trim_ascii_start();
         let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
         let (token, rest) = line.split_at(end);
         self.line = rest;
         text::number(token).ok_or_else(|| {
-            Format::Ply
-                .malformed(self.place(), format!("expected a number, found {}", text::quote(token)))
+            malformed(self.place(), format!("expected a number, found {}", text::quote(token)))
         })
     }
 
@@ -380,9 +365,9 @@ impl<'a> Binary<'a> {
         Self { rest, len: rest.len() + header_len, big_endian }
     }
 
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], ReadError> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
         let Some((&(mut bytes), rest)) = self.rest.split_first_chunk() else {
-            return Err(Format::Ply.malformed(
+            return Err(malformed(
                 self.place(),
                 "fewer values than announced: cut off, export the scan again",
             ));
@@ -396,11 +381,11 @@ impl<'a> Binary<'a> {
 }
 
 impl ValueSource for Binary<'_> {
-    fn begin_row(&mut self) -> Result<(), ReadError> {
+    fn begin_row(&mut self) -> Result {
         Ok(())
     }
 
-    fn value(&mut self, scalar: Scalar) -> Result<f64, ReadError> {
+    fn value(&mut self, scalar: Scalar) -> Result<f64> {
         Ok(match scalar {
             Scalar::I8 => i8::from_le_bytes(self.take()?).into(),
             Scalar::U8 => u8::from_le_bytes(self.take()?).into(),

@@ -61,10 +61,7 @@ fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
     for (number, line) in text::lines(bytes) {
         let mut tokens = text::tokens(line);
         let Some(token) = tokens.next() else { continue };
-        let wrong = |expected: &str| {
-            let found = text::quote(line);
-            Format::Stl.malformed_line(number, format!("expected {expected}, found {found}"))
-        };
+        let wrong = |expected: &str| Format::Stl.unexpected(number, expected, line);
         if token.eq_ignore_ascii_case(b"vertex") {
             if corners.len() == 3 {
                 return Err(wrong("three corners a facet"));

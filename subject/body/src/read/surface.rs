@@ -94,10 +94,8 @@ impl Surface {
         let n = self.positions.len();
         let corners = self.triangles.as_flattened().iter().chain(&self.polygons.corners);
         if let Some(index) = corners.copied().find(|&index| index as usize >= n) {
-            let reason = format!(
-                "uses vertex {} of {n}: cut off or damaged, export the scan again",
-                u64::from(index) + 1
-            );
+            let at = u64::from(index) + 1;
+            let reason = format!("uses vertex {at} of {n}: cut off or damaged, export the scan again");
             return Err(self.format.malformed("a face", reason));
         }
         self.cut_polygons();
@@ -119,11 +117,8 @@ impl Surface {
             rest = after;
         }
         if !sizes.is_empty() {
-            let n = sizes.len();
-            self.notes.push(Note::new(
-                "polygons",
-                format!("triangulated faces with more than three corners: {n}"),
-            ));
+            let text = format!("triangulated faces with more than three corners: {}", sizes.len());
+            self.notes.push(Note::new("polygons", text));
         }
         let large = sizes.iter().filter(|&&size| size as usize > EARS_MAX).count();
         if large > 0 {
@@ -145,15 +140,12 @@ impl Surface {
             return Err(ReadError::NotFinite { found, vertices });
         }
         let mut kept = 0;
-        let moved: Vec<Option<u32>> = self
-            .positions
-            .iter()
-            .map(|p| {
-                let index = usable(p).then_some(kept);
-                kept += u32::from(index.is_some());
-                index
-            })
-            .collect();
+        let moved = self.positions.iter().map(|p| {
+            let index = usable(p).then_some(kept);
+            kept += u32::from(index.is_some());
+            index
+        });
+        let moved: Vec<Option<u32>> = moved.collect();
         let of = |corner: u32| moved.get(corner as usize).copied().flatten();
         let before = self.triangles.len();
         self.triangles =

@@ -56,10 +56,8 @@ impl Reeb {
             // A curve crosses its triangle, so the triangle has a part in both bands.
             sides.push([below.unwrap_or(u32::MAX), above.unwrap_or(u32::MAX)]);
         }
-        let first_triangle =
-            |tip: u32| mesh.triangles.iter().position(|corners| corners.contains(&tip));
         let tips = tips.iter().map(|tip| {
-            let triangle = first_triangle(*tip)? as u32;
+            let triangle = mesh.triangles.iter().position(|corners| corners.contains(tip))? as u32;
             band_of(triangle, cut.spans.rank(*tip)?)
         });
         let tips = tips.collect();
@@ -93,14 +91,9 @@ impl Reeb {
 
     /// All pairs of curves joined by a band: the arcs of the graph, drawn between centroids.
     pub fn arcs(&self) -> impl Iterator<Item = [u32; 2]> {
-        let pairs = |band: &Band| {
-            let above = band.above.clone();
-            band.below
-                .clone()
-                .into_iter()
-                .flat_map(move |low| above.clone().into_iter().map(move |high| [low, high]))
-        };
-        self.bands.iter().flat_map(pairs)
+        self.bands.iter().flat_map(|band| {
+            band.below.iter().flat_map(move |low| band.above.iter().map(move |high| [*low, *high]))
+        })
     }
 }
 
