@@ -81,8 +81,7 @@ impl Triggers {
         let (stopper, stopped) = threads::stop_channel();
         let mut listening = None;
         if let Some(address) = config.listen {
-            let (names, takes, notifier) =
-                (Arc::clone(control), Arc::clone(control), Arc::clone(control));
+            let [names, takes, notifier] = std::array::from_fn(|_| Arc::clone(control));
             let queries = TakeQueries {
                 exists: Box::new(move |name| names.take_path(name).is_ok()),
                 recording: Box::new(move || takes.status().take.map(|take| take.name)),
@@ -92,10 +91,8 @@ impl Triggers {
             let socket = socket::bind(address)?;
             listening = Some(socket::listen(socket, listener, queries, triggers.clone(), report)?);
         }
-        let sender = match config.send_to.is_empty() {
-            true => None,
-            false => Some(TriggerSender::new(config.send_to.clone())?),
-        };
+        let send_to = config.send_to.clone();
+        let sender = (!send_to.is_empty()).then(|| TriggerSender::new(send_to)).transpose()?;
         let worker = Worker {
             control: Arc::clone(control),
             triggers,

@@ -95,8 +95,7 @@ pub fn size_bytes(text: &str) -> Result<u64, String> {
 }
 
 /// Units of rates and frequencies.
-const RATES: [(&str, f64); 5] =
-    [("Hz", 1.0), ("hz", 1.0), ("", 1.0), ("kHz", 1000.0), ("khz", 1000.0)];
+const RATES: [(&str, f64); 5] = [("Hz", 1.0), ("hz", 1.0), ("", 1.0), ("kHz", 1e3), ("khz", 1e3)];
 
 /// Parses `240`, `240Hz` or `1kHz`; 1 to 10 000 Hz.
 ///

@@ -26,11 +26,10 @@ pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
                 let what = device.candidate.location.to_string();
                 report(match device.access {
                     Access::Accessible => Finding::good(&what, "can be opened"),
-                    Access::Refused(error) => Finding::failure(
-                        &what,
-                        error.to_string(),
-                        "follow the instructions in the message",
-                    ),
+                    Access::Refused(error) => {
+                        let remedy = "follow the instructions in the message";
+                        Finding::failure(&what, error.to_string(), remedy)
+                    }
                 });
             }
         }
@@ -56,10 +55,7 @@ fn adapters(folder: &Path) -> Vec<Finding> {
         let seen = format!("holds bytes back for {ms} ms");
         let type_this =
             format!("`echo 1 | sudo tee {}`, or install systemd/60-mocapd.rules", timer.display());
-        found.push(match ms {
-            0 | 1 => Finding::good(&what, seen),
-            _ => Finding::warning(&what, seen, type_this),
-        });
+        found.push(Finding::warning_if(ms > 1, &what, seen, &type_this));
     }
     found.sort_by(|a, b| a.what.cmp(&b.what));
     found

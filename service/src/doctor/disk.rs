@@ -163,23 +163,16 @@ fn tempfile_in(folder: &Path) -> io::Result<File> {
 
 fn speed(bytes_per_s: f64) -> Finding {
     let seen = format!("writes {:.0} MB/s", bytes_per_s / 1e6);
-    if bytes_per_s < LEAST_BYTES_PER_S {
-        Finding::warning("disk speed", seen, "record to a faster disk, or with a tolerance")
-    } else {
-        Finding::good("disk speed", seen)
-    }
+    let remedy = "record to a faster disk, or with a tolerance";
+    Finding::warning_if(bytes_per_s < LEAST_BYTES_PER_S, "disk speed", seen, remedy)
 }
 
 fn sync(syncs: &LatencyHistogram) -> Finding {
     let ms = |ns: u64| ns as f64 * 1e-6;
     let (p50, max) = (syncs.quantile_ns(0.5), syncs.max_ns());
     let seen = format!("median {:.1} ms, maximum {:.1} ms of {}", ms(p50), ms(max), syncs.count());
-    if max > SYNC_NS_MAX {
-        let remedy = "record to another disk: a power cut may cost more than the last second";
-        Finding::warning("disk syncs", seen, remedy)
-    } else {
-        Finding::good("disk syncs", seen)
-    }
+    let remedy = "record to another disk: a power cut may cost more than the last second";
+    Finding::warning_if(max > SYNC_NS_MAX, "disk syncs", seen, remedy)
 }
 
 #[cfg(test)]

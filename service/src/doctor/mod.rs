@@ -56,6 +56,11 @@ impl Finding {
     fn failure(what: &str, seen: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { verdict: Verdict::Failure, ..Self::warning(what, seen, remedy) }
     }
+
+    /// A warning if the value is out of its bounds.
+    fn warning_if(is_bad: bool, what: &str, seen: String, remedy: &str) -> Self {
+        if is_bad { Self::warning(what, seen, remedy) } else { Self::good(what, seen) }
+    }
 }
 
 /// Runs all checks and reports each finding as soon as it is known; takes some seconds. `folder` is the one for takes,
@@ -114,11 +119,8 @@ fn timer_finding(late: &LatencyHistogram) -> Finding {
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
     let seen =
         format!("timer latency {} us (p99), {} us (maximum of {})", us(p99), us(max), late.count());
-    if p99 > LATE_NS_MAX {
-        Finding::warning("wake-ups", seen, "close other programs, or reserve a core for mocapd")
-    } else {
-        Finding::good("wake-ups", seen)
-    }
+    let remedy = "close other programs, or reserve a core for mocapd";
+    Finding::warning_if(p99 > LATE_NS_MAX, "wake-ups", seen, remedy)
 }
 
 /// Whether systemd reports a synchronised clock; `None` without an answer.
@@ -170,11 +172,7 @@ fn memory(text: &str) -> Option<Finding> {
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let mib = line.split_whitespace().next()?.parse::<u64>().ok()? / 1024;
     let seen = format!("{mib} MiB available");
-    Some(if mib < MEMORY_MIB_LEAST {
-        Finding::warning("memory", seen, "close other programs")
-    } else {
-        Finding::good("memory", seen)
-    })
+    Some(Finding::warning_if(mib < MEMORY_MIB_LEAST, "memory", seen, "close other programs"))
 }
 
 #[cfg(test)]

@@ -74,11 +74,11 @@ impl Inner {
             }
             if let Some(obstacle) = &core.device.obstacle {
                 let message = format!("{obstacle}; it is armed as soon as the device is available");
-                return Err(Refusal::new(RefusalKind::Device, message));
+                return Err(Refusal::device(message));
             }
             if Instant::now() >= until {
                 let message = "the device does not start: check the status, and try again";
-                return Err(Refusal::new(RefusalKind::Device, message));
+                return Err(Refusal::device(message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
@@ -96,8 +96,7 @@ impl Inner {
         while let Some(session) = &core.session {
             session.stop.store(true, Ordering::Relaxed);
             if Instant::now() >= until {
-                let message = "the device does not stop: check the status";
-                return Err(Refusal::new(RefusalKind::Device, message));
+                return Err(Refusal::device("the device does not stop: check the status"));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
@@ -122,7 +121,7 @@ impl Inner {
         let away = core.away();
         drop(core);
         if let Some(message) = away {
-            return Err(Refusal::new(RefusalKind::Device, message));
+            return Err(Refusal::device(message));
         }
         let (name, notes) = (start.name.as_deref(), start.notes.as_deref());
         let (named, take) = self.new_take(name, notes, pre_roll, requested_ns)?;
@@ -145,11 +144,8 @@ impl Inner {
         self.publish_with_notes(kind, &format!("recording {name}"), Some(&name), notes);
         let before_request_s = requested_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
         let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
-        let first_frame = FirstFrame {
-            device_ticks: first.device_ticks,
-            arrival_ns: first.arrival_ns,
-            before_request_s,
-        };
+        let FirstRow { device_ticks, arrival_ns, .. } = first;
+        let first_frame = FirstFrame { device_ticks, arrival_ns, before_request_s };
         Ok(Started { take_id: id, name, path, first_frame, remarks })
     }
 
@@ -180,15 +176,12 @@ impl Inner {
         let refused = self.stop_take(command, EndingKind::Stopped);
         match refused {
             // A frame arrived after all, a moment too late.
-            Ok(stopped) => Refusal::new(
-                RefusalKind::Device,
-                format!(
-                    "no frame was on disk within {} s: is the device capturing? The frames that came late are in {}",
-                    FIRST_FRAME_TIMEOUT.as_secs(),
-                    stopped.path.display()
-                ),
-            ),
-            Err(refusal) => away.map_or(refusal, |why| Refusal::new(RefusalKind::Device, why)),
+            Ok(stopped) => Refusal::device(format!(
+                "no frame was on disk within {} s: is the device capturing? The frames that came late are in {}",
+                FIRST_FRAME_TIMEOUT.as_secs(),
+                stopped.path.display()
+            )),
+            Err(refusal) => away.map_or(refusal, Refusal::device),
         }
     }
 
@@ -206,15 +199,14 @@ impl Inner {
             }
             // A take that failed is over: the reply says why.
             if let Some(failure) = &core.failure {
-                let message = format!("no take is being recorded: {failure}");
-                return Err(Refusal::new(RefusalKind::Conflict, message));
+                return Err(Refusal::conflict(format!("no take is being recorded: {failure}")));
             }
             let before = core.last_take.as_ref().and_then(|take| Some((&take.name, take.ending?)));
             let message = before.map_or_else(
                 || "no take is being recorded".to_owned(),
                 |(name, ending)| format!("no take is being recorded: {name} has ended ({ending})"),
             );
-            return Err(Refusal::new(RefusalKind::Conflict, message));
+            return Err(Refusal::conflict(message));
         };
         let is_first = take.ending.is_none();
         take.ending.get_or_insert(ending);
@@ -233,8 +225,7 @@ impl Inner {
         match ended.recv_timeout(CLOSE_TIMEOUT) {
             Ok(end) => self.finish_take(end),
             Err(RecvTimeoutError::Disconnected) => self.finish_unanswered(),
-            Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
-                RefusalKind::Unavailable,
+            Err(RecvTimeoutError::Timeout) => Err(Refusal::unavailable(
                 "the disk is stalled and the take is not closed yet: it will be closed once the disk responds; check the status",
             )),
         }
@@ -244,30 +235,26 @@ impl Inner {
         check_text(text, "a mark")?;
         let core = self.core();
         let (Some(session), Some(take)) = (&core.session, &core.take) else {
-            let message = "no take is being recorded: there is nothing to mark";
-            return Err(Refusal::new(RefusalKind::Conflict, message));
+            return Err(Refusal::conflict("no take is being recorded: there is nothing to mark"));
         };
         if take.ending.is_some() {
             let message = "the take is being stopped: the mark would come after its end";
-            return Err(Refusal::new(RefusalKind::Conflict, message));
+            return Err(Refusal::conflict(message));
         }
         let name = take.named.name.clone();
         let Some(rows_before) = take.first.map(|first| first.row) else {
             let message = "the take has no frame yet: set the mark once it has begun";
-            return Err(Refusal::new(RefusalKind::Conflict, message));
+            return Err(Refusal::conflict(message));
         };
         let row = session.takes.mark(text, monotonic_ns());
         drop(core);
         let row = row.map_err(|error| busy(&error))?;
         let row = row.row.recv_timeout(MARK_TIMEOUT).map_err(|_| {
             let message = "the mark was not placed in time: no device, or a host that is too slow";
-            Refusal::new(RefusalKind::Unavailable, message)
+            Refusal::unavailable(message)
         })?;
-        self.publish(
-            ServiceEventKind::Mark,
-            if text.is_empty() { "a mark" } else { text },
-            Some(&name),
-        );
+        let message = if text.is_empty() { "a mark" } else { text };
+        self.publish(ServiceEventKind::Mark, message, Some(&name));
         Ok(Marked { row: row.saturating_sub(rows_before) })
     }
 
@@ -283,8 +270,7 @@ impl Inner {
             return Err(Refusal::new(RefusalKind::Invalid, message));
         }
         if self.core().session.is_none() {
-            let message = "not armed: the pre-roll is empty";
-            return Err(Refusal::new(RefusalKind::Conflict, message));
+            return Err(Refusal::conflict("not armed: the pre-roll is empty"));
         }
         let (named, take) = self.new_take(save.name.as_deref(), None, last, requested_ns)?;
         let mut core = self.core();
@@ -297,9 +283,7 @@ impl Inner {
         };
         let _closing = self.closing(&mut core);
         drop(core);
-        let late = |_| {
-            Refusal::new(RefusalKind::Unavailable, "the disk is stalled: still writing the take")
-        };
+        let late = |_| Refusal::unavailable("the disk is stalled: still writing the take");
         let end = saved.and_then(|(ended, rate_hz)| {
             Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });
@@ -319,17 +303,15 @@ impl Inner {
             return Err(stopping());
         }
         let options = std::sync::Arc::clone(&self.core().options);
-        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, message_with_keys(error));
+        let refused = |kind| move |error| Refusal::new(kind, message_with_keys(&error));
         let (name, path) = self.free_name(name, &options)?;
-        check_disk_space(&path, options.take.keep_free_bytes)
-            .map_err(|error| refused(RefusalKind::Disk, &error))?;
+        check_disk_space(&path, options.take.keep_free_bytes).map_err(refused(RefusalKind::Disk))?;
         let notes = notes.filter(|notes| !notes.is_empty());
         if let Some(notes) = notes {
             check_text(notes, "notes")?;
         }
-        let header = header::new(&options.take.codec, 1.0)
-            .map_err(|error| refused(RefusalKind::Internal, &error))?;
-        let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
+        let header = header::new(&options.take.codec, 1.0).map_err(refused(RefusalKind::Internal))?;
+        let output = TakeFile::create(&path).map_err(refused(RefusalKind::Disk))?;
         let file = output.id();
         let notes = notes.map(|text| Event::new(EventKind::Mark, requested_ns, text));
         let id = header.take_id_text();
@@ -467,19 +449,18 @@ fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
 }
 
 fn already_recording(take: &OpenTake) -> Refusal {
-    let message = format!("the take {} is being recorded: stop it first", take.named.name);
-    Refusal::new(RefusalKind::Conflict, message)
+    Refusal::conflict(format!("the take {} is being recorded: stop it first", take.named.name))
 }
 
 /// The pipeline has not executed the previous command yet.
 fn busy(error: &anyhow::Error) -> Refusal {
-    Refusal::new(RefusalKind::Unavailable, format!("{error:#}"))
+    Refusal::unavailable(format!("{error:#}"))
 }
 
 fn stopping() -> Refusal {
-    Refusal::new(RefusalKind::Unavailable, "the service is stopping")
+    Refusal::unavailable("the service is stopping")
 }
 
 fn device_gone() -> Refusal {
-    Refusal::new(RefusalKind::Device, "the device has just disconnected: try again")
+    Refusal::device("the device has just disconnected: try again")
 }

@@ -207,9 +207,7 @@ impl Inner {
         self.publish(ServiceEventKind::Failure, &message, Some(name));
         Refusal::new(RefusalKind::Disk, message)
     }
-}
 
-impl Inner {
     /// What remains of a take that could not be completed, and where.
     fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` closes it";

@@ -51,15 +51,14 @@ impl Inner {
             }
             let Reply::Done(answer) = known.reply else {
                 let message = "this request is still being executed: ask again in a moment";
-                return Err(Refusal::new(RefusalKind::Unavailable, message));
+                return Err(Refusal::unavailable(message));
             };
             let answer = answer.downcast_ref::<Result<T, Refusal>>();
             return answer.cloned().unwrap_or_else(|| Err(invalid(other)));
         }
         let answer = execute(self);
         let mut replies = lock(&self.replies);
-        let at = replies.0.iter().rposition(|(known, _)| known == id);
-        if let Some(at) = at {
+        if let Some(at) = replies.0.iter().rposition(|(known, _)| known == id) {
             match &answer {
                 // A request that was not executed may be tried again.
                 Err(refusal) if refusal.kind == RefusalKind::Unavailable => {

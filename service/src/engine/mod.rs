@@ -28,7 +28,7 @@ mod watcher;
 use std::{
     path::PathBuf,
     sync::{
-        Arc, Condvar, Mutex, MutexGuard,
+        Arc, Condvar, Mutex, MutexGuard, TryLockError,
         atomic::{AtomicBool, AtomicU64},
     },
     thread::JoinHandle,
@@ -49,8 +49,7 @@ use self::{
 };
 use super::{
     control::{
-        Control, EventFeed, Mark, Marked, Refusal, RefusalKind, Request, SaveLast, Start, Started,
-        Stopped,
+        Control, EventFeed, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped,
     },
     live::LiveFeed,
     status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
@@ -117,26 +116,23 @@ impl Engine {
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
         let watched = Arc::clone(&inner);
-        let mut threads = Vec::new();
         if !cut_off.is_empty() {
             let inner = Arc::clone(&inner);
             let run = move || recoveries::run(&inner, cut_off);
             // It ends when it is done, or with the service.
             drop(threads::spawn("mocapd-recover", run)?);
         }
-        threads.extend([
+        let threads = vec![
             threads::spawn("mocapd-hub", move || hub.run())?,
             threads::spawn("mocapd-rig", move || supervisor::run(&supervised, &sessions))?,
             threads::spawn("mocapd-watch", move || watcher::run(&watched))?,
-        ]);
+        ];
         Ok(Self { inner, threads: Mutex::new(threads) })
     }
 
     /// Applies other options: with the next take, or when next armed.
     pub fn reload(&self, options: EngineOptions) {
-        let mut core = lock(&self.inner.core);
-        core.options = Arc::new(options);
-        drop(core);
+        self.inner.core().options = Arc::new(options);
         self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
     }
 
@@ -184,15 +180,12 @@ impl Inner {
         loop {
             match self.command.try_lock() {
                 Ok(guard) => return Ok(guard),
-                Err(std::sync::TryLockError::Poisoned(poisoned)) => {
-                    return Ok(poisoned.into_inner());
-                }
-                Err(std::sync::TryLockError::WouldBlock) if Instant::now() < until => {
+                Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
+                Err(TryLockError::WouldBlock) if Instant::now() < until => {
                     std::thread::sleep(Duration::from_millis(2));
                 }
-                Err(std::sync::TryLockError::WouldBlock) => {
-                    return Err(Refusal::new(
-                        RefusalKind::Unavailable,
+                Err(TryLockError::WouldBlock) => {
+                    return Err(Refusal::unavailable(
                         "another command is still being executed: wait, and check the status",
                     ));
                 }

@@ -59,17 +59,14 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let output = recovered_paths(&path).find(|path| path.symlink_metadata().is_err());
         let Some(output) = output else { continue };
-        match recover(&path, &output) {
+        let message = match recover(&path, &output) {
             Ok(losses) => {
                 let to = output.file_stem().unwrap_or_default().to_string_lossy();
-                let message = format!("the take {name} was cut off; recovered as {to}: {losses}");
-                inner.publish(ServiceEventKind::Warning, &message, Some(&name));
+                format!("the take {name} was cut off; recovered as {to}: {losses}")
             }
-            Err(error) => {
-                let message = format!("the take {name} is cut off; recovery failed: {error:#}");
-                inner.publish(ServiceEventKind::Warning, &message, Some(&name));
-            }
-        }
+            Err(error) => format!("the take {name} is cut off; recovery failed: {error:#}"),
+        };
+        inner.publish(ServiceEventKind::Warning, &message, Some(&name));
     }
 }
 

@@ -137,10 +137,9 @@ impl Core {
     /// A message with the remedy, while the device is away.
     pub(super) fn away(&self) -> Option<String> {
         let session = self.session.as_ref()?;
-        session.progress.is_away.load(Ordering::Relaxed).then(|| {
-            "the device is absent: plug it in or switch it on; recording continues by itself"
-                .to_owned()
-        })
+        let message =
+            "the device is absent: plug it in or switch it on; recording continues by itself";
+        session.progress.is_away.load(Ordering::Relaxed).then(|| message.to_owned())
     }
 
     pub(super) fn new(options: EngineOptions) -> Self {

@@ -37,12 +37,10 @@ impl Core {
         }
     }
 
-    fn presence(&self, measured_hz: f64, measured_in: u64) -> Presence {
+    fn presence(&self, rate_hz: f64, measured_in: u64) -> Presence {
         match &self.session {
             Some(session) if session.progress.is_away.load(Ordering::Relaxed) => Presence::Absent,
-            Some(session) if measured_hz == 0.0 && measured_in == session.number => {
-                Presence::Silent
-            }
+            Some(session) if rate_hz == 0.0 && measured_in == session.number => Presence::Silent,
             Some(_) => Presence::Streaming,
             None if self.device.present => Presence::Present,
             None => Presence::Absent,
@@ -75,9 +73,7 @@ impl Inner {
                 rate_hz: f64::from(core.device.hello.rate_millihertz) / 1000.0,
                 markers: core.device.markers,
                 obstacle: core.device.obstacle.clone().or_else(|| core.away()),
-                outages: 0,
-                is_awaited: false,
-                outage: None,
+                ..DeviceStatus::default()
             },
             input: InputStatus {
                 cpu_cores: f64::from_bits(load(&self.rates.cpu_cores)),
@@ -91,7 +87,7 @@ impl Inner {
             last_take: core.last_take.clone(),
             disk: DiskStatus {
                 directory: options.take.directory.display().to_string(),
-                free_bytes: None,
+                free_bytes: load(&self.rates.free_bytes).checked_sub(1),
                 keep_free_bytes: options.take.keep_free_bytes,
                 left_s: None,
             },
@@ -99,10 +95,7 @@ impl Inner {
         status.device.is_awaited = core.arm_requested && status.device.presence == Presence::Absent;
         core.fill_session(&mut status, measured_hz);
         drop(core);
-        status.disk.free_bytes = load(&self.rates.free_bytes).checked_sub(1);
-        if status.disk.left_s.is_none() {
-            status.disk.left_s = estimated_left_s(&status);
-        }
+        status.disk.left_s = status.disk.left_s.or_else(|| estimated_left_s(&status));
         status
     }
 }

@@ -54,8 +54,7 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
         let begun = Instant::now();
         match inner.open() {
             Ok((rig, log)) => {
-                let has_frames = inner.run_session(rig, sessions);
-                if has_frames {
+                if inner.run_session(rig, sessions) {
                     inner.finish_log(log);
                 } else {
                     discard(log);
@@ -120,21 +119,14 @@ impl Inner {
         drop(core);
         let uri = options.find_device()?;
         let log = options.device.raw_log.then(|| begin_log(&options)).transpose()?;
-        let opened = self.open_logged(&uri, identity.filter(|_| uri.to_string() == known), &log);
-        let mut rig = match opened {
+        let identity = identity.filter(|_| uri.to_string() == known);
+        let mut rig = match open_rig(&options, &uri, identity, &log) {
             Ok(rig) => rig,
             Err(error) => {
                 discard(log);
                 return Err(error);
             }
         };
-        if let Some(rate_hz) = options.device.rate_hz
-            && let Err(error) = rig.set_rate(rate_hz)
-        {
-            drop(rig);
-            discard(log);
-            return Err(error);
-        }
         rig.wait_for_replug(options.take.reconnect);
         rig.limit_loss(options.take.stretch, options.take.sync);
         let mut core = self.core();
@@ -151,41 +143,19 @@ impl Inner {
         Ok((rig, log))
     }
 
-    fn open_logged(
-        &self,
-        uri: &DeviceUri,
-        identity: Option<Candidate>,
-        log: &Option<RawLog>,
-    ) -> anyhow::Result<Rig> {
-        let tap = log.as_ref().map(RawLog::tap);
-        match identity {
-            Some(identity) => Rig::reopen(uri, &identity, tap),
-            None => Rig::open_logged(uri, tap),
-        }
-    }
-
     /// Closes the raw log once the device is no longer read.
     fn finish_log(&self, log: Option<RawLog>) {
         let Some(log) = log else { return };
         let name = log.path().display().to_string();
-        match log.finish() {
-            Ok(logged) if logged.is_whole() => {}
-            Ok(logged) => self.publish(
-                ServiceEventKind::Warning,
-                &format!(
-                    "{} received bytes are missing from the raw log {name}",
-                    logged.missing_bytes
-                ),
-                None,
-            ),
-            Err(error) => {
-                self.publish(
-                    ServiceEventKind::Warning,
-                    &format!("the raw log {name}: {error:#}"),
-                    None,
-                );
+        let message = match log.finish() {
+            Ok(logged) if logged.is_whole() => return,
+            Ok(logged) => {
+                let n = logged.missing_bytes;
+                format!("{n} received bytes are missing from the raw log {name}")
             }
-        }
+            Err(error) => format!("the raw log {name}: {error:#}"),
+        };
+        self.publish(ServiceEventKind::Warning, &message, None);
     }
 
     /// Runs a session. Returns whether a frame arrived.
@@ -293,6 +263,24 @@ impl Inner {
         self.changed.notify_all();
         self.publish(ServiceEventKind::Failure, message, None);
     }
+}
+
+/// Opens the device, at the port where it is now, and sets its rate.
+fn open_rig(
+    options: &EngineOptions,
+    uri: &DeviceUri,
+    identity: Option<Candidate>,
+    log: &Option<RawLog>,
+) -> anyhow::Result<Rig> {
+    let tap = log.as_ref().map(RawLog::tap);
+    let mut rig = match identity {
+        Some(identity) => Rig::reopen(uri, &identity, tap)?,
+        None => Rig::open_logged(uri, tap)?,
+    };
+    if let Some(rate_hz) = options.device.rate_hz {
+        rig.set_rate(rate_hz)?;
+    }
+    Ok(rig)
 }
 
 /// Starts a raw log named by the time.

@@ -9,6 +9,7 @@ use crossbeam_channel::TryRecvError;
 use mocapd_acquire::{
     files::FileState,
     heartbeat::{HeartbeatHandle, ThreadRole},
+    pipeline::lock,
 };
 use mocapd_take::record::EndingKind;
 
@@ -38,8 +39,7 @@ pub(super) fn run(inner: &Arc<Inner>) {
         inner.end_finished_takes();
         rates.update(inner, beat.as_ref());
         // Without a session only the free disk space changes.
-        let is_idle = inner.core().session.is_none();
-        if is_idle {
+        if inner.core().session.is_none() {
             inner.wait_while(RATES_INTERVAL, |core| core.session.is_none());
         } else {
             inner.wait_while(POLL_INTERVAL, |_| true);
@@ -74,26 +74,20 @@ impl Inner {
             _ => {}
         }
         if exhausted {
-            self.publish(
-                ServiceEventKind::Warning,
-                "all reserve channels are used by markers that appeared: restarting the pre-roll",
-                None,
-            );
+            let message =
+                "all reserve channels are used by markers that appeared: restarting the pre-roll";
+            self.publish(ServiceEventKind::Warning, message, None);
             if let Some(session) = &self.core().session {
                 session.stop.store(true, Ordering::Relaxed);
             }
         }
     }
-}
 
-impl Inner {
     /// Reports changes to the take's file once; a change that ends the take is reported with its end.
     fn report_file_changes(&self) {
         let mut core = self.core();
-        let Some(progress) = core.session.as_ref().map(|session| Arc::clone(&session.progress))
-        else {
-            return;
-        };
+        let Some(session) = &core.session else { return };
+        let progress = Arc::clone(&session.progress);
         let Some(take) = &mut core.take else { return };
         let changes = progress.file_changes();
         let is_new = std::mem::replace(&mut take.changes_reported, changes) != changes;
@@ -125,12 +119,9 @@ impl Core {
 
     /// Markers that appeared and vanished have used up the channels: without a take, they can be forgotten.
     fn is_exhausted(&self) -> bool {
-        self.take.is_none()
-            && self.session.as_ref().is_some_and(|session| {
-                !session.stop.load(Ordering::Relaxed)
-                    && mocapd_acquire::pipeline::lock(&session.progress.channels).len()
-                        >= session.slots
-            })
+        let (None, Some(session)) = (&self.take, &self.session) else { return false };
+        !session.stop.load(Ordering::Relaxed)
+            && lock(&session.progress.channels).len() >= session.slots
     }
 }
 
@@ -163,11 +154,10 @@ impl RateMeter {
             let is_same = session == number;
             let came = if is_same { frames.saturating_sub(before) } else { frames };
             inner.rates.session.store(if is_same { number } else { 0 }, Ordering::Relaxed);
-            let put = |to: &std::sync::atomic::AtomicU64, rate: f64| {
-                to.store(rate.to_bits(), Ordering::Relaxed);
-            };
-            put(&inner.rates.frames_hz, came as f64 / passed_s);
-            put(&inner.rates.cpu_cores, (cpu_s - cpu_before_s).max(0.0) / passed_s);
+            let frames_hz = came as f64 / passed_s;
+            inner.rates.frames_hz.store(frames_hz.to_bits(), Ordering::Relaxed);
+            let cpu_cores = (cpu_s - cpu_before_s).max(0.0) / passed_s;
+            inner.rates.cpu_cores.store(cpu_cores.to_bits(), Ordering::Relaxed);
         }
         self.last = Some((now, number, frames, cpu_s));
     }

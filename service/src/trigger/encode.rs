@@ -58,11 +58,9 @@ impl Announcer {
     ) -> Vec<u8> {
         let packet_id = self.next_packet_id;
         self.next_packet_id = (packet_id + 1) % PACKET_IDS_END;
-        let result = result
-            .map(|result| format!(" RESULT=\"{}\"", escaped(result.word())))
-            .unwrap_or_default();
-        let notes =
-            notes.map(|notes| format!("<Notes VALUE=\"{}\"/>", escaped(notes))).unwrap_or_default();
+        let result = result.map(|result| format!(" RESULT=\"{}\"", escaped(result.word())));
+        let notes = notes.map(|notes| format!("<Notes VALUE=\"{}\"/>", escaped(notes)));
+        let [result, notes] = [result, notes].map(Option::unwrap_or_default);
         // The path of our takes is not disclosed, and no delay is needed: the take has already begun.
         format!(
             "<?xml version=\"1.0\" encoding=\"UTF-8\" standalone=\"no\"?><{element}{result}>\

@@ -107,10 +107,9 @@ impl FromStr for Network {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (address, prefix) =
-            text.split_once('/').map_or((text, None), |(address, prefix)| (address, Some(prefix)));
+        let (address, prefix) = text.split_once('/').unzip();
         let no_address = |_| "it is neither an address nor a network".to_owned();
-        let address: IpAddr = address.parse().map_err(no_address)?;
+        let address: IpAddr = address.unwrap_or(text).parse().map_err(no_address)?;
         if address != address.to_canonical() {
             return Err(format!("write it as the IPv4 address {}", address.to_canonical()));
         }
@@ -214,11 +213,9 @@ impl RecentTriggers {
         }
         self.senders.retain(|_, heard| !heard.is_empty());
         if self.senders.len() == SENDERS_MAX && !self.senders.contains_key(&from) {
-            let last =
-                |heard: &VecDeque<(Identity, Duration)>| heard.iter().map(|(_, at)| *at).max();
-            let silent =
-                self.senders.iter().min_by_key(|(_, heard)| last(heard)).map(|(ip, _)| *ip);
-            silent.map(|ip| self.senders.remove(&ip));
+            let last = |heard: &VecDeque<(_, Duration)>| heard.iter().map(|(_, at)| *at).max();
+            let silent = self.senders.iter().min_by_key(|(_, heard)| last(heard));
+            silent.map(|(ip, _)| *ip).map(|ip| self.senders.remove(&ip));
         }
     }
 

@@ -110,16 +110,14 @@ fn capture(root: Node<'_, '_>) -> Result<Capture, TriggerError> {
 
 /// Programs write attributes in capitals; lower case is accepted, too.
 fn attribute<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
-    node.attributes()
-        .find(|found| found.name().eq_ignore_ascii_case(name))
-        .map(|found| found.value())
+    let mut attributes = node.attributes();
+    Some(attributes.find(|found| found.name().eq_ignore_ascii_case(name))?.value())
 }
 
 fn take_name(value: &str, about: &mut About) -> Result<TakeName, TriggerError> {
-    let name =
-        TakeName::of(value).ok_or_else(|| TriggerError::Name(cut(&printable(value), SHOWN_MAX)))?;
+    let sent = cut(&printable(value), SHOWN_MAX);
+    let Some(name) = TakeName::of(value) else { return Err(TriggerError::Name(sent)) };
     if name.was_changed() {
-        let sent = cut(&printable(value), SHOWN_MAX);
         about.changed.push(format!("the name \"{sent}\" was changed to {name}"));
     }
     Ok(name)
@@ -128,21 +126,19 @@ fn take_name(value: &str, about: &mut About) -> Result<TakeName, TriggerError> {
 fn packet_id(value: &str) -> Result<u64, TriggerError> {
     let text = value.trim();
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
-    text.parse().ok().filter(|_| is_number).ok_or_else(|| TriggerError::Number {
-        what: "PacketID",
-        found: cut(&printable(value), SHOWN_MAX),
-        wanted: "send a whole number",
-    })
+    let id = text.parse().ok().filter(|_| is_number);
+    id.ok_or_else(|| number_error("PacketID", value, "send a whole number"))
 }
 
 fn milliseconds(value: &str) -> Result<Duration, TriggerError> {
     let found = value.trim().parse::<f64>().ok();
     let delay = found.filter(|ms| (0.0..=DELAY_MAX.as_millis() as f64).contains(ms));
-    delay.map(|ms| Duration::from_secs_f64(ms / 1000.0)).ok_or_else(|| TriggerError::Number {
-        what: "Delay",
-        found: cut(&printable(value), SHOWN_MAX),
-        wanted: "send milliseconds, 0 to 60000",
-    })
+    let delay = delay.map(|ms| Duration::from_secs_f64(ms / 1000.0));
+    delay.ok_or_else(|| number_error("Delay", value, "send milliseconds, 0 to 60000"))
+}
+
+fn number_error(what: &'static str, value: &str, wanted: &'static str) -> TriggerError {
+    TriggerError::Number { what, found: cut(&printable(value), SHOWN_MAX), wanted }
 }
 
 fn keep_field(element: &str, value: &str, about: &mut About) {

@@ -6,11 +6,12 @@
 
 use std::{
     net::{IpAddr, SocketAddr},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use mocapd_acquire::pipeline::lock;
 
 use super::{Trigger, TriggerError};
 
@@ -167,7 +168,7 @@ impl TriggerQueue {
     /// # Errors
     /// Too many triggers are pending.
     pub fn push(&self, received: ReceivedTrigger) -> Result<(), TriggerError> {
-        self.lock().push(received, self.now())?;
+        lock(&self.waiting).push(received, self.now())?;
         // If the channel is full, the receiver will wake up anyway.
         self.wake.try_send(()).ok();
         Ok(())
@@ -176,13 +177,13 @@ impl TriggerQueue {
     /// Takes the next trigger that is due now.
     #[must_use]
     pub fn take_due(&self) -> Option<ReceivedTrigger> {
-        self.lock().take_due(self.now())
+        lock(&self.waiting).take_due(self.now())
     }
 
     /// The time until the next trigger is due; `None` if none is pending.
     #[must_use]
     pub fn due_in(&self) -> Option<Duration> {
-        Some(self.lock().next_due()?.saturating_sub(self.now()))
+        Some(lock(&self.waiting).next_due()?.saturating_sub(self.now()))
     }
 
     /// Receives a message when the next due time may have changed.
@@ -194,11 +195,7 @@ impl TriggerQueue {
     /// Cancels pending starts: see [`PendingTriggers::cancel_starts`].
     #[must_use]
     pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
-        self.lock().cancel_starts(from, name)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, PendingTriggers> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.waiting).cancel_starts(from, name)
     }
 }
 
