@@ -27,12 +27,9 @@ pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
 /// ([`Header::set_import_id`]): the same import gives the same take.
 #[must_use]
 pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
-    let mut header = Header {
-        software: SOFTWARE.to_owned(),
-        codec_version: CODEC_VERSION,
-        rate_hz,
-        ..Header::default()
-    };
+    let software = SOFTWARE.to_owned();
+    let mut header =
+        Header { software, codec_version: CODEC_VERSION, rate_hz, ..Header::default() };
     header.set_codec(codec);
     header
 }

@@ -50,12 +50,8 @@ impl TakeHealth {
     #[must_use]
     pub fn of_closed(ledger: &Ledger, ending: Option<&TakeEnding>) -> Self {
         // Nobody can count what a disconnected device did not send, or what was behind a cut.
-        let is_cut_short = ending.is_some_and(|ending| {
-            matches!(
-                ending.kind,
-                EndingKind::DeviceGone | EndingKind::CutOff | EndingKind::Truncated
-            )
-        });
+        let cut_short = [EndingKind::DeviceGone, EndingKind::CutOff, EndingKind::Truncated];
+        let is_cut_short = ending.is_some_and(|ending| cut_short.contains(&ending.kind));
         let is_whole = ledger.closes() && !ledger.lost_anything() && !is_cut_short;
         if is_whole { Self::Complete } else { Self::Lossy }
     }
@@ -63,12 +59,7 @@ impl TakeHealth {
     /// The health according to the beginning and the end of a take. Damage in between is not seen.
     #[must_use]
     pub fn of_ends(ends: &TakeEnds) -> Self {
-        match &ends.end {
-            None => Self::CutOff,
-            Some(end) => match &end.ledger {
-                Some(ledger) => Self::of_closed(ledger, end.ending.as_ref()),
-                None => Self::Damaged,
-            },
-        }
+        let Some(end) = &ends.end else { return Self::CutOff };
+        end.ledger.as_ref().map_or(Self::Damaged, |l| Self::of_closed(l, end.ending.as_ref()))
     }
 }

@@ -39,9 +39,8 @@ pub enum ThreadRole {
 
 impl ThreadRole {
     fn of(number: u8) -> Option<Self> {
-        [Self::Supervisor, Self::Reader, Self::Worker, Self::Writer]
-            .into_iter()
-            .find(|&role| role as u8 == number)
+        let all = [Self::Supervisor, Self::Reader, Self::Worker, Self::Writer];
+        all.into_iter().find(|&role| role as u8 == number)
     }
 }
 
@@ -190,10 +189,8 @@ impl Watchdog {
                 *seen = (pulse, now);
                 continue;
             }
-            let allowed = match state == Activity::AtDisk as u64 {
-                true => limit.max(DISK_TIMEOUT),
-                false => limit,
-            };
+            let is_at_disk = state == Activity::AtDisk as u64;
+            let allowed = if is_at_disk { limit.max(DISK_TIMEOUT) } else { limit };
             let silent_for = now.saturating_duration_since(seen.1);
             if let Some(role) = role
                 && silent_for > allowed

@@ -100,11 +100,8 @@ impl Summary {
         } else if self.take.damaged || !self.take.problems.is_empty() {
             TakeHealth::Damaged
         } else {
-            let ending = self.take.ending.as_ref();
-            self.take
-                .ledger
-                .as_ref()
-                .map_or(TakeHealth::Damaged, |l| TakeHealth::of_closed(l, ending))
+            let (ledger, ending) = (self.take.ledger.as_ref(), self.take.ending.as_ref());
+            ledger.map_or(TakeHealth::Damaged, |ledger| TakeHealth::of_closed(ledger, ending))
         }
     }
 

@@ -208,16 +208,11 @@ impl RawLogTap {
 
     /// Copies an entry into the block, or counts its bytes as missing. Never waits.
     fn put(&mut self, entry: Entry<'_>) {
-        let n_bytes = match entry {
-            Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => bytes.len(),
-            Entry::Break
-            | Entry::Baud(_)
-            | Entry::Opened(_)
-            | Entry::Missing(_)
-            | Entry::Closed
-            | Entry::End => 0,
+        let (n_bytes, text_bytes) = match entry {
+            Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => (bytes.len(), 0),
+            Entry::Opened(text) => (0, text.len()),
+            _ => (0, 0),
         };
-        let text_bytes = if let Entry::Opened(text) = entry { text.len() } else { 0 };
         let needed = n_bytes + text_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
         self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
         if self.block.bytes.len() + needed > BLOCK_CAPACITY_BYTES {

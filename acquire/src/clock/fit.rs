@@ -247,8 +247,7 @@ pub fn fit(points: &[ClockPoint], bursts: &[Burst], tick_hz: f64) -> Option<(Lin
 fn fit_line(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64) -> Option<Line> {
     let at = *points.last().or(bursts.last().map(|burst| &burst.low))?;
     // The last point always counts: bursts that contradict it belong to another clock.
-    let (last, before) =
-        points.split_last().map_or((None, points), |(last, rest)| (Some(last), rest));
+    let (before, last) = points.split_at(points.len().saturating_sub(1));
     let recent = before.iter().filter(|point| point.host_us >= since_us).chain(last).copied();
     let span_us = match bursts {
         [first, .., last] => last.first_us.saturating_sub(first.first_us),

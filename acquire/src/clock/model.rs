@@ -135,11 +135,7 @@ impl ClockModel {
                 Gating::Accepted => self.count(late_us),
                 // The next frame is compared with the one before this.
                 Gating::Outlier => return event,
-                Gating::Jumped(by_us) => {
-                    self.restart(store);
-                    self.begun_us = Some(host_us);
-                    event = Some(ClockEvent::Jumped(by_us * 1e-6));
-                }
+                Gating::Jumped(by_us) => event = Some(self.jump(by_us, host_us, store)),
             }
             self.wants_probes |= self.gate.is_in_doubt();
         }
@@ -174,11 +170,7 @@ impl ClockModel {
                 Gating::Accepted => {}
                 // Left out of the line, and so of the take: a refit must not find it.
                 Gating::Outlier => return None,
-                Gating::Jumped(by_us) => {
-                    self.restart(store);
-                    self.begun_us = Some(sent_us);
-                    event = Some(ClockEvent::Jumped(by_us * 1e-6));
-                }
+                Gating::Jumped(by_us) => event = Some(self.jump(by_us, sent_us, store)),
             }
         }
         if store(ClockItem::Probe(self.segment, probe)) {
@@ -237,6 +229,13 @@ impl ClockModel {
             residual_us,
             stored: 0,
         }
+    }
+
+    /// Starts a new segment, because the device's clock jumped.
+    fn jump(&mut self, by_us: f64, host_us: u64, store: &mut StoreItem<'_>) -> ClockEvent {
+        self.restart(store);
+        self.begun_us = Some(host_us);
+        ClockEvent::Jumped(by_us * 1e-6)
     }
 
     fn count(&mut self, late_us: f64) {
@@ -316,7 +315,7 @@ const LATE_FOR_US: u64 = 30_000_000;
 
 /// How the gate classifies an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Gating {
+enum Gating {
     Accepted,
     /// An outlier, which is left out; it may be the first observation after a jump.
     Outlier,
@@ -326,7 +325,7 @@ pub(super) enum Gating {
 
 /// Separates outliers from jumps of the device's clock, within one segment.
 #[derive(Debug, Default)]
-pub(super) struct OutlierGate {
+struct OutlierGate {
     mean_late_us: f64,
     n_late: u64,
     early: u32,
@@ -344,13 +343,7 @@ impl OutlierGate {
 
     /// Classifies a frame: its lateness against the line, its arrival, the age of the segment, and the time since the
     /// preceding observation.
-    pub(super) fn frame(
-        &mut self,
-        late_us: f64,
-        host_us: u64,
-        age_us: u64,
-        silent_us: u64,
-    ) -> Gating {
+    fn frame(&mut self, late_us: f64, host_us: u64, age_us: u64, silent_us: u64) -> Gating {
         let slack_us = self.slack_us(age_us, silent_us);
         if late_us < -slack_us {
             self.early += 1;
@@ -374,7 +367,7 @@ impl OutlierGate {
     }
 
     /// Classifies a round trip, given how late its ping and its pong were against the line.
-    pub(super) fn probe(
+    fn probe(
         &mut self,
         line: &Line,
         sent_us: f64,
@@ -401,7 +394,7 @@ impl OutlierGate {
     }
 
     /// Whether a round trip would distinguish late frames from a clock that fell behind.
-    pub(super) fn is_in_doubt(&self) -> bool {
+    fn is_in_doubt(&self) -> bool {
         self.late == RUN_MIN
     }
 }

@@ -63,8 +63,7 @@ impl Bursts {
             && last.n < PROBES_MAX
             && probe.sent_us.abs_diff(last.first_us()) < BURST_US
         {
-            last.add(probe);
-            return;
+            return last.add(probe);
         }
         let expired = |b: &&RoundTrips| b.first_us().saturating_add(WINDOW_US) < probe.sent_us;
         let old = self.bursts[..self.n].iter().take_while(expired).count();
@@ -106,19 +105,15 @@ impl RoundTrips {
             point.host_us.wrapping_sub(than.host_us).cast_signed() as f64
                 - passed_s * (1e6 + drift_ppm)
         };
-        let bounds = self.probes[..self.n].iter().map(|probe| {
+        let mut bounds = self.probes[..self.n].iter().map(|probe| {
             let ClockProbe { sent_us, device_ticks, round_trip_us } = *probe;
             let low = ClockPoint { device_ticks, host_us: sent_us };
             (low, ClockPoint { host_us: sent_us.saturating_add(round_trip_us), ..low })
         });
-        let trip_us = self.probes[0].round_trip_us as f64;
-        let mut best = Burst::default();
-        for (index, (low, high)) in bounds.enumerate() {
-            if index == 0 {
-                let first_us = low.host_us;
-                best = Burst { first_us, low, high, low_next_us: trip_us, high_next_us: trip_us };
-                continue;
-            }
+        let Some((low, high)) = bounds.next() else { return Burst::default() };
+        let (first_us, trip_us) = (low.host_us, self.probes[0].round_trip_us as f64);
+        let mut best = Burst { first_us, low, high, low_next_us: trip_us, high_next_us: trip_us };
+        for (low, high) in bounds {
             let better_us = later_us(low, best.low);
             best.low_next_us = next_us(best.low_next_us, better_us);
             if better_us > 0.0 {
@@ -202,9 +197,8 @@ impl Arrivals {
 
     /// Adds a point to those that the line is fitted to.
     pub(super) fn keep(&mut self, newest: ClockPoint) {
-        let expired =
-            |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < newest.host_us;
-        let old = self.points().iter().take_while(expired).count();
+        let is_old = |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < newest.host_us;
+        let old = self.points().iter().take_while(is_old).count();
         self.drop_oldest(old.max(usize::from(self.n == POINTS_MAX)));
         self.points[self.n] = newest;
         self.n += 1;
@@ -308,9 +302,8 @@ impl LineRefit {
             b.agrees.cmp(&a.agrees).then(nearer)
         });
         // The line has no observations.
-        let nothing =
-            LineDeviation { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
-        Some(nearest.unwrap_or(nothing))
+        let [offset_us, drift_ppm] = [f64::INFINITY; 2];
+        Some(nearest.unwrap_or(LineDeviation { offset_us, drift_ppm, agrees: false }))
     }
 }
 

@@ -39,8 +39,7 @@ impl NewFile {
         if path.symlink_metadata().is_ok() {
             return Err(name_taken(path));
         }
-        let name =
-            path.file_name().with_context(|| format!("{} is not a file name", path.display()))?;
+        let Some(name) = path.file_name() else { bail!("{} is not a file name", path.display()) };
         if let Some(file) = unnamed_file(path)? {
             return Ok(Self::new(file, None, path));
         }

@@ -212,10 +212,9 @@ impl TakeFile {
         let mut names = (1..COPIES_MAX).map(|count| self.path.with_file_name(name(count)));
         let free = names.find(|path| path.symlink_metadata().is_err());
         let path = free.context("every name for a copy is taken")?;
-        let mut input = File::open(proc_link(&self.file)).context("cannot reopen it")?;
+        let mut file = File::open(proc_link(&self.file)).context("cannot reopen it")?;
         let mut copy = NewFile::create(&path)?;
-        io::copy(&mut input, &mut copy)
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        io::copy(&mut file, &mut copy).with_context(|| format!("cannot write {}", path.display()))?;
         copy.keep()?;
         Ok(path)
     }
@@ -295,9 +294,8 @@ impl TakeOutput for TakeFile {
 
     fn settle(&mut self) -> SettledFile {
         let state = self.check_state();
-        let displaced = self.displaced();
-        let mut settled =
-            SettledFile { state, path: self.current_path(), displaced, problem: None };
+        let (displaced, path) = (self.displaced(), self.current_path());
+        let mut settled = SettledFile { state, path, displaced, problem: None };
         if state == FileState::Removed {
             match self.save_copy() {
                 Ok(path) => settled.path = Some(path),

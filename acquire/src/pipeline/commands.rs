@@ -227,12 +227,11 @@ pub struct CommandSender {
 }
 
 pub(super) fn command_channel() -> (CommandSender, CommandReceiver) {
-    let (marks_in, marks) = bounded(MARKS_MAX);
-    let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX);
+    let (marks, marks_out) = bounded(MARKS_MAX);
+    let (commands, commands_out) = bounded(TAKE_COMMANDS_MAX);
     let n_queued = Arc::new(AtomicUsize::new(0));
-    let takes =
-        CommandSender { n_queued: Arc::clone(&n_queued), marks: marks_in, commands: commands_in };
-    (takes, CommandReceiver { n_queued, marks, commands })
+    let takes = CommandSender { n_queued: Arc::clone(&n_queued), marks, commands };
+    (takes, CommandReceiver { n_queued, marks: marks_out, commands: commands_out })
 }
 
 impl CommandSender {

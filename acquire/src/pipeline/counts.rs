@@ -113,8 +113,7 @@ impl Counts {
 
     /// Counts rows missing because the device was disconnected. How many of them its reports include is not known yet.
     pub(super) fn lost_to_outage(&mut self, rows: u64) {
-        self.lost_in_outages += rows;
-        self.outages += u32::from(rows > 0);
+        self.lost_to_silence(rows);
         self.reported_twice = rows;
     }
 
@@ -234,11 +233,9 @@ impl Counts {
             let times = count_text(self.clock_jumps);
             contradictions.push(format!("the device's clock went back {times}"));
         }
-        if self.events_dropped > 0 {
-            contradictions.push(format!(
-                "{} events are missing from the take: the disk stalled",
-                self.events_dropped
-            ));
+        let n = self.events_dropped;
+        if n > 0 {
+            contradictions.push(format!("{n} events are missing from the take: the disk stalled"));
         }
         let dropped_by_device = dropped.min(missing);
         Ledger {

@@ -82,8 +82,7 @@ impl DiskReserve {
         if self.last_poll.is_some_and(|(last, ..)| now.duration_since(last) < POLL_INTERVAL) {
             return;
         }
-        let raw_log_bytes =
-            progress.raw_log_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
+        let raw_log_bytes = progress.raw_log_bytes.get().map_or(0, |n| n.load(Ordering::Relaxed));
         if let Some((last, before, raw_log_before)) = self.last_poll {
             let passed_s = now.duration_since(last).as_secs_f64();
             // Before there is a mean, use the first second's rate.

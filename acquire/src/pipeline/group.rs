@@ -69,19 +69,17 @@ impl Group {
         let rows = plan.stretch_rows as usize;
         let n_slots = plan.slots_of(index).len();
         let mut producers = Vec::with_capacity(n_slots);
-        let slots = (0..n_slots)
-            .map(|_| {
-                let (producer, ring) = ring(plan.ring_rows());
-                producers.push(producer);
-                let (positions, present) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
-                ChannelBuffer { ring, positions, present }
-            })
-            .collect();
+        let slots = (0..n_slots).map(|_| {
+            let (producer, ring) = ring(plan.ring_rows);
+            producers.push(producer);
+            let (positions, present) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+            ChannelBuffer { ring, positions, present }
+        });
         let mut encoder = plan.codec.encoder();
         encoder.prepare(n_slots, rows);
         let coder = GroupCoder::Channels(Box::new(ChannelCoder {
             first_slot: plan.slots_of(index).start,
-            slots,
+            slots: slots.collect(),
             encoder,
             samples: vec![Sample::default(); rows],
             block: Vec::with_capacity(plan.part_bytes_max(index)),

@@ -185,21 +185,15 @@ impl Intake {
         } else if !self.count_frame(frame) {
             return;
         }
-        self.end_silence(frame.device_ticks, arrival_ns, rejoins);
+        let Frame { device_ticks, timecode, .. } = *frame;
+        self.end_silence(device_ticks, arrival_ns, rejoins);
         // No frame is dropped because of its timestamp; but no line fits both sides of a jump.
-        let event = self.clocks.frame(frame.device_ticks, arrival_ns);
-        self.clock_events(event, frame.device_ticks, arrival_ns);
+        let event = self.clocks.frame(device_ticks, arrival_ns);
+        self.clock_events(event, device_ticks, arrival_ns);
         self.fill_row(frame);
-        self.tap.offer(
-            PreviewFrame {
-                row: self.next_row + self.pending.rows(),
-                device_ticks: frame.device_ticks,
-                arrival_ns,
-                n_channels: self.n_channels,
-                is_displayed: false,
-            },
-            &self.row[..self.n_channels],
-        );
+        let (row, n_channels) = (self.next_row + self.pending.rows(), self.n_channels);
+        let head = PreviewFrame { row, device_ticks, arrival_ns, n_channels, is_displayed: false };
+        self.tap.offer(head, &self.row[..n_channels]);
         self.make_room();
         if !self.has_room() {
             self.counts.ring_full += 1;
@@ -210,15 +204,11 @@ impl Intake {
         }
         if self.open_rows == 0 {
             self.open_since_ns = arrival_ns;
-            self.open_first = FrameTimes { device_ticks: frame.device_ticks, arrival_ns };
+            self.open_first = FrameTimes { device_ticks, arrival_ns };
         }
         self.last_arrival_ns = arrival_ns;
         self.progress.last_arrival_ns.store(arrival_ns, Ordering::Relaxed);
-        self.push_row(RowTime {
-            device_ticks: frame.device_ticks,
-            arrival_10us: arrival_ns / 10_000,
-            timecode: frame.timecode,
-        });
+        self.push_row(RowTime { device_ticks, arrival_10us: arrival_ns / 10_000, timecode });
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }

@@ -49,9 +49,7 @@ pub fn write_take<W: Write>(
     })?;
     let (ledger, out, file_bytes) = take.finish().context("cannot close the take")?;
     let PartReport { samples, kept, max_error_mm, .. } = report;
-    let written =
-        TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..TakeAccount::default() };
-    Ok((written, out))
+    Ok((TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..Default::default() }, out))
 }
 
 /// Parts per worker that are handed out before the oldest of them is done: enough to keep workers busy while one part

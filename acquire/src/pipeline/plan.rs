@@ -81,9 +81,7 @@ impl PipelineConfig {
             heartbeat: Heartbeat::default(),
         }
     }
-}
 
-impl PipelineConfig {
     /// Rows of a full stretch.
     #[must_use]
     pub fn stretch_rows(&self) -> u32 {
@@ -143,7 +141,8 @@ pub(super) const CLOCK_ITEMS_MAX: usize = 1024;
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
     encoded_stretches: usize,
-    ring_rows: usize,
+    /// Rows in each channel's ring.
+    pub(super) ring_rows: usize,
     pub(super) codec: Settings,
     pub(super) workers: usize,
     pub(super) n_slots: usize,
@@ -184,17 +183,15 @@ impl Plan {
             pre_roll: config.pre_roll,
             sync_every: config.sync_every,
         };
-        let ring_bytes =
-            plan.ring_rows().saturating_mul(n_slots).saturating_mul(size_of::<Sample>());
+        let ring_bytes = plan.ring_rows.saturating_mul(n_slots).saturating_mul(size_of::<Sample>());
         ensure!(
             ring_bytes <= MEMORY_BYTES
                 && (n_slots as u64).saturating_mul(u64::from(plan.stretch_rows)) <= SAMPLES_MAX,
             "cannot record {n_slots} markers at {} Hz: use a lower rate",
             config.rate_hz
         );
-        let encoded_stretches =
-            (MEMORY_BYTES / plan.stretch_bytes_max()).clamp(2, plan.encoded_stretches);
-        Ok(Self { encoded_stretches, ..plan })
+        let fitting = MEMORY_BYTES / plan.stretch_bytes_max();
+        Ok(Self { encoded_stretches: fitting.clamp(2, plan.encoded_stretches), ..plan })
     }
 
     /// The codec's groups. They do not depend on the number of workers, so that any number gives the same take.
@@ -213,13 +210,8 @@ impl Plan {
         n_channels.div_ceil(GROUP_CHANNELS)
     }
 
-    /// Rows in each channel's ring.
-    pub(super) fn ring_rows(&self) -> usize {
-        self.ring_rows
-    }
-
     pub(super) fn timeline_items(&self) -> usize {
-        TIMELINE_ITEMS_PER_ROW * self.ring_rows() + 4 * RUNS_MAX
+        TIMELINE_ITEMS_PER_ROW * self.ring_rows + 4 * RUNS_MAX
     }
 
     /// Stretches closed and not yet encoded: each has at least one row in every ring of an active group

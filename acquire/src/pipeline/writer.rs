@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{anyhow, bail};
+use anyhow::{bail, ensure};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
@@ -224,13 +224,12 @@ impl Writer {
 
     /// Applies the channels and events that precede stretch `stretch`.
     fn apply_control(&mut self, stretch: u64) {
-        while let Some((at, message)) = self.waiting.take().or_else(|| self.control.try_recv().ok())
-        {
+        while let Some((at, item)) = self.waiting.take().or_else(|| self.control.try_recv().ok()) {
             if at > stretch {
-                self.waiting = Some((at, message));
+                self.waiting = Some((at, item));
                 return;
             }
-            match message {
+            match item {
                 Control::Channel(new) => {
                     let channel = new.into_channel();
                     self.with_take(|take, _| take.channel(&channel));
@@ -317,10 +316,9 @@ impl Writer {
             }
             TakeCommand::Save(take, reply) => {
                 // The open take goes on, and observers keep seeing that one.
-                let (mut clocks, progress) =
-                    (self.clocks.for_saved_take(), PipelineProgress::new(&[]));
-                let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
-                if let Some(saved) = saved {
+                let mut clocks = self.clocks.for_saved_take();
+                let progress = PipelineProgress::new(&[]);
+                if let Some(saved) = self.begin_take(*take, &reply, end, &mut clocks, &progress) {
                     saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
                 }
             }
@@ -391,11 +389,9 @@ impl Writer {
         let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
         let mut events = buffer.events().filter(|(stretch, _)| *stretch >= first).peekable();
         for stretch in buffer.from(from) {
-            if progress.disk_full.load(Ordering::Relaxed) {
-                return Err(anyhow!("the disk is full: free some space"));
-            }
-            while let Some((_, channel)) = channels.next_if(|(since, _)| *since <= stretch.stretch)
-            {
+            let is_full = progress.disk_full.load(Ordering::Relaxed);
+            ensure!(!is_full, "the disk is full: free some space");
+            while let Some((_, channel)) = channels.next_if(|(at, _)| *at <= stretch.stretch) {
                 take.channel(channel)?;
             }
             while let Some((_, event)) = events.next_if(|(at, _)| *at <= stretch.stretch) {

@@ -196,8 +196,7 @@ impl Rig {
             Ok(set) => self.hello.rate_millihertz = set,
             Err(budget) if !budget.fits() => return Err(too_slow(budget, rate_hz, &self.hello)),
             Err(_) => {
-                let why = format!("the device refuses {rate_hz} Hz");
-                return Err(rate_error(&why, &self.hello));
+                return Err(rate_error(&format!("the device refuses {rate_hz} Hz"), &self.hello));
             }
         }
         Ok(())

@@ -127,14 +127,13 @@ impl Rig {
         let length_ns = options.length.map(|length| length.as_nanos() as u64);
         reader.due_until_ns = length_ns.map(|length_ns| started_ns.saturating_add(length_ns));
         let reported = Cell::new(reader.intake.progress().file_changes());
+        let is_past = |due_ns: u64| monotonic_ns() > due_ns.saturating_add(GRACE_NS);
         let is_over = |reader: &Reader<'_>| {
             report_file_change(reader.intake.progress(), options, &reported);
             options.stop.load(Ordering::Relaxed)
                 || take_ending(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
-                || reader
-                    .due_until_ns
-                    .is_some_and(|due_ns| monotonic_ns() > due_ns.saturating_add(GRACE_NS))
+                || reader.due_until_ns.is_some_and(is_past)
         };
         loop {
             let or_end = |ending, intake: &Intake| take_ending(intake, options).unwrap_or(ending);
@@ -323,9 +322,8 @@ impl Silence {
             return;
         }
         let how_to_end = options.how_to_end;
-        (options.notify)(&format!(
-            "no frame for 3 s: is the device capturing? Still waiting{how_to_end}"
-        ));
+        let text = format!("no frame for 3 s: is the device capturing? Still waiting{how_to_end}");
+        (options.notify)(&text);
         self.is_reported = true;
     }
 }
@@ -450,10 +448,8 @@ impl Reader<'_> {
             }
             DeviceEvent::Started(_) => self.started = Some(Ok(())),
             DeviceEvent::Refused(budget) => self.started = Some(Err(budget)),
-            DeviceEvent::Trigger(trigger) => {
-                let kind =
-                    if trigger.kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse };
-                let Trigger { device_ticks, input, .. } = trigger;
+            DeviceEvent::Trigger(Trigger { device_ticks, input, kind }) => {
+                let kind = if kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse };
                 let event = Event::new(kind, arrival_ns, "");
                 self.intake.event(Event { device_ticks, input, ..event });
             }

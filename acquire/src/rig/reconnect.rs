@@ -85,21 +85,16 @@ impl Rig {
                 reader.intake.keep_alive();
                 is_over(reader) || monotonic_ns() > give_up_ns
             };
-            let wait = match self.attempt(reader, options, &cancel) {
+            let (message, wait) = match self.attempt(reader, options, &cancel) {
                 ReconnectAttempt::Back => {
                     // The first frame shows how long it was away.
                     (options.notify)("the device is back");
                     return true;
                 }
-                ReconnectAttempt::Absent(message) => {
-                    obstacle.update(message, options.notify);
-                    POLL_INTERVAL
-                }
-                ReconnectAttempt::Failed(message) => {
-                    obstacle.update(message, options.notify);
-                    RETRY_INTERVAL
-                }
+                ReconnectAttempt::Absent(message) => (message, POLL_INTERVAL),
+                ReconnectAttempt::Failed(message) => (message, RETRY_INTERVAL),
             };
+            obstacle.update(message, options.notify);
             watch.wait(wait);
             // Meanwhile what was recorded goes to disk.
             reader.intake.tick(monotonic_ns());

@@ -81,15 +81,10 @@ impl Intake {
     }
 
     /// Records the events that the last frame or pong revealed.
-    pub(super) fn clock_events(
-        &mut self,
-        event: Option<ClockEvent>,
-        device_ticks: u64,
-        host_ns: u64,
-    ) {
+    pub(super) fn clock_events(&mut self, event: Option<ClockEvent>, ticks: u64, host_ns: u64) {
         if std::mem::take(&mut self.clocks.queue.has_new_overflow) {
             let text = "the disk stalls: some clock observations are missing from the take and from its clock line";
-            self.clock_event(text.to_owned(), device_ticks, host_ns);
+            self.clock_event(text.to_owned(), ticks, host_ns);
         }
         let Some(event) = event else { return };
         self.counts.clock_jumps += u64::from(matches!(event, ClockEvent::WentBack(_)));
@@ -99,7 +94,7 @@ impl Intake {
             ClockEvent::Jumped(by_s) if by_s >= 0.0 => format!("jumped ahead by {by_s:.3} s"),
             ClockEvent::Jumped(by_s) => format!("fell behind by {:.3} s", -by_s),
         };
-        self.clock_event(format!("the device's clock {what}"), device_ticks, host_ns);
+        self.clock_event(format!("the device's clock {what}"), ticks, host_ns);
     }
 
     fn clock_event(&mut self, text: String, device_ticks: u64, host_ns: u64) {

@@ -93,15 +93,12 @@ impl Intake {
     /// Sends the rows lost since the last recorded one as a stretch of their own: they count for the take that ends
     /// here.
     pub(super) fn close_pending(&mut self) {
-        if self.pending.rows() == 0
-            || self.counts.recorded == 0
-            || self.timeline.vacant() <= 3 * RUNS_MAX
-        {
+        let is_empty = self.pending.rows() == 0 || self.counts.recorded == 0;
+        if is_empty || self.timeline.vacant() <= 3 * RUNS_MAX {
             return;
         }
         self.push_pending();
-        let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
-        self.send(self.end_of(span, false));
+        self.end_boundary();
     }
 
     pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
@@ -228,12 +225,8 @@ impl Intake {
             marker_id: id,
             named: named.map(|(label, labelled)| (label.to_owned(), labelled)),
         };
-        if self
-            .to_writer
-            .control
-            .try_send((self.feed.next_stretch(), Control::Channel(channel)))
-            .is_err()
-        {
+        let control = (self.feed.next_stretch(), Control::Channel(channel));
+        if self.to_writer.control.try_send(control).is_err() {
             return;
         }
         self.labels.push(named.map(|(label, _)| label.to_owned()).unwrap_or_default());

@@ -161,8 +161,7 @@ impl ClockWriter {
     ) -> anyhow::Result<Vec<(u32, ClockLine)>> {
         self.write(Some(&mut *take), status, false)?;
         self.record(Some(take))?;
-        let last = status.line.map(|line| (status.segment, line));
-        self.lines.extend(last);
+        self.lines.extend(status.line.map(|line| (status.segment, line)));
         Ok(std::mem::take(&mut self.lines))
     }
 

@@ -86,8 +86,7 @@ impl LiveTake {
             file_state: FileState::InPlace,
             file_path: None,
         };
-        let noted = new.notes.map_or(Ok(()), |event| take.event(&event));
-        noted.context(NothingRecorded)?;
+        new.notes.map_or(Ok(()), |event| take.event(&event)).context(NothingRecorded)?;
         Ok(take)
     }
 
