@@ -102,17 +102,15 @@ fn kind(f_type: u64) -> Finding {
         0xff53_4d42 | 0xfe53_4d42 | 0x517b => {
             Finding::warning(what, "SMB: stops working when the network does", network)
         }
-        0x4d44 => Finding::warning(
-            what,
-            "FAT: files are limited to 4 GB, and a power cut may damage all of them",
-            "record to ext4, XFS or btrfs",
-        ),
+        0x4d44 => {
+            let seen = "FAT: files are limited to 4 GB, and a power cut may damage all of them";
+            Finding::warning(what, seen, "record to ext4, XFS or btrfs")
+        }
         0x6573_5546 => Finding::note(what, "FUSE: its program decides whether a sync is effective"),
-        0x0102_1997 | 0x786f_4256 => Finding::warning(
-            what,
-            "a folder of another machine, shared with a virtual machine",
-            network,
-        ),
+        0x0102_1997 | 0x786f_4256 => {
+            let seen = "a folder of another machine, shared with a virtual machine";
+            Finding::warning(what, seen, network)
+        }
         0x2011_bab0 => Finding::note(what, "exFAT: a power cut may damage all files"),
         other => Finding::note(what, format!("unknown type {other:#x}")),
     }

@@ -94,11 +94,10 @@ fn clocks(report: &mut dyn FnMut(Finding)) {
 fn source(name: &str) -> Finding {
     let what = "clock source";
     match name {
-        "hpet" | "acpi_pm" | "pit" | "jiffies" | "refined-jiffies" => Finding::warning(
-            what,
-            format!("{name}: slow to read, and of low resolution"),
-            "`dmesg | grep -i tsc` shows why the processor's own clock is not used",
-        ),
+        "hpet" | "acpi_pm" | "pit" | "jiffies" | "refined-jiffies" => {
+            let remedy = "`dmesg | grep -i tsc` shows why the processor's own clock is not used";
+            Finding::warning(what, format!("{name}: slow to read, and of low resolution"), remedy)
+        }
         _ => Finding::good(what, name),
     }
 }
@@ -135,11 +134,10 @@ fn synchronised(answer: Option<&str>) -> Finding {
     let what = "time of day";
     match answer {
         Some("yes") => Finding::good(what, "synchronised with a time server"),
-        Some("no") => Finding::warning(
-            what,
-            "not synchronised: the creation time of takes may be wrong",
-            "`sudo timedatectl set-ntp true`",
-        ),
+        Some("no") => {
+            let seen = "not synchronised: the creation time of takes may be wrong";
+            Finding::warning(what, seen, "`sudo timedatectl set-ntp true`")
+        }
         _ => Finding::note(what, "systemd does not report whether it is synchronised"),
     }
 }
@@ -159,11 +157,10 @@ fn processors_and_memory(report: &mut dyn FnMut(Finding)) {
 fn processors(cores: usize) -> Finding {
     let what = "processors";
     match cores {
-        1 => Finding::warning(
-            what,
-            "only one: reading, compressing and writing share it",
-            "record with --resampler fast",
-        ),
+        1 => {
+            let seen = "only one: reading, compressing and writing share it";
+            Finding::warning(what, seen, "record with --resampler fast")
+        }
         n => Finding::good(what, format!("{n}")),
     }
 }

@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use super::{Finding, Verdict};
+use super::Finding;
 
 /// Folders of systemd units.
 const UNITS: [&str; 3] = ["/etc/systemd/system", "/usr/lib/systemd/system", "/lib/systemd/system"];
@@ -165,23 +165,19 @@ fn group(groups: &str, me: &CurrentUser, name: &str, why: &str) -> Option<Findin
         return Some(Finding::good(&what, format!("you may {why}")));
     }
     let is_member = me.name.as_deref().is_some_and(|me| members.any(|member| member == me));
+    if is_member {
+        let seen = "you became a member after logging in";
+        return Some(Finding::warning(&what, seen, "log in again"));
+    }
     let seen = format!("you are not a member: you may not {why}");
-    Some(match is_member {
-        true => Finding::warning(&what, "you became a member after logging in", "log in again"),
-        false => Finding {
-            verdict: Verdict::Note,
-            ..Finding::warning(
-                &what,
-                seen,
-                format!("`sudo usermod -aG {name} $USER`, and log in again"),
-            )
-        },
-    })
+    let remedy = format!("`sudo usermod -aG {name} $USER`, and log in again");
+    Some(with_remedy(Finding::note(&what, seen), remedy))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::doctor::Verdict;
 
     #[test]
     fn whether_it_is_installed_and_has_rigs() {

@@ -86,10 +86,8 @@ impl Acceptor {
                     // Replies are written whole, and events should leave at once. If this fails, they are some ms
                     // later.
                     stream.set_nodelay(true).ok();
-                    match stream.local_addr() {
-                        Ok(local) => {
-                            self.admit(stream, Via::Tcp(local), Peer::of_address(from.ip()));
-                        }
+                    match stream.local_addr().map(Via::Tcp) {
+                        Ok(via) => self.admit(stream, via, Peer::of_address(from.ip())),
                         // The connection was reset before it was accepted.
                         Err(_) => Counts::add(&self.counts.connections_refused, 1),
                     }
@@ -219,10 +217,7 @@ impl<S> StallGuard<S> {
             self.is_waiting = true;
             self.deadline.as_mut().reset(Instant::now() + self.stall_max);
         }
-        match self.deadline.as_mut().poll(cx) {
-            Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
-            Poll::Pending => Poll::Pending,
-        }
+        self.deadline.as_mut().poll(cx).map(|()| Err(io::ErrorKind::TimedOut.into()))
     }
 }
 

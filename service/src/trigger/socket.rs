@@ -117,10 +117,8 @@ pub fn listen(
                             pushed
                         }
                     });
-                    match accepted {
-                        Ok(()) => continue,
-                        Err(refusal) => format!("refused a datagram from {from}: {refusal}"),
-                    }
+                    let Err(refusal) = accepted else { continue };
+                    format!("refused a datagram from {from}: {refusal}")
                 }
                 Err(error) if is_idle(&error) => continue,
                 Err(error) => {
