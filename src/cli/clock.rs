@@ -106,28 +106,22 @@ impl ClockReport {
             Some(us) => format!("within {us} us, by {}", count(self.probes, "round trip")),
             None => "late by the shortest delay of a frame: no round trip was measured".to_owned(),
         };
-        line(
-            "offset",
-            &format!("device tick {device_ticks} is {host_s:.6} s of host time, {known}"),
-        );
+        let offset = format!("device tick {device_ticks} is {host_s:.6} s of host time, {known}");
+        line("offset", &offset);
         let Jitter { p50, p99, max } = self.jitter_us;
         let jitter =
             format!("frames arrived {p50} us after that (p50), {p99} us (p99), {max} us (max)");
         line("jitter", &format!("{jitter}; {} us rms", self.residual_us));
         if self.segments > 1 {
             let segments = count(self.segments, "segment");
-            line(
-                "segments",
-                &format!("{segments}: device disconnected or clock jumped; this is the last"),
-            );
+            let note = format!("{segments}: device disconnected or clock jumped; this is the last");
+            line("segments", &note);
             let earlier =
                 self.lines.iter().filter(|line| u64::from(line.segment) + 1 < self.segments);
-            for one in earlier.clone().take(LINES_SHOWN) {
-                let known = one.bound_us.map_or(String::new(), |us| format!(", within {us} us"));
-                line(
-                    "",
-                    &format!("segment {}: drift {:+.1} ppm{known}", one.segment, one.drift_ppm),
-                );
+            let shown = earlier.clone().take(LINES_SHOWN);
+            for LineReport { segment, drift_ppm, bound_us, .. } in shown {
+                let known = bound_us.map_or(String::new(), |us| format!(", within {us} us"));
+                line("", &format!("segment {segment}: drift {drift_ppm:+.1} ppm{known}"));
             }
             let more = earlier.count().saturating_sub(LINES_SHOWN);
             if more > 0 {

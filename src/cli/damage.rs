@@ -2,12 +2,13 @@
 
 use std::{fmt::Write, path::Path};
 
-use mocapd_acquire::inspect::Summary;
+use mocapd_acquire::{health::TakeHealth, inspect::Summary, ledger::LedgerDocument};
 use mocapd_take::damage::{DamageOrigin, LostRows};
 use serde::Serialize;
 
 use super::{
-    output::plain,
+    ledger,
+    output::{notify, plain},
     values::{count, thousands},
 };
 
@@ -37,44 +38,47 @@ impl DamageReport {
     fn text(&self) -> String {
         let Self { first_frame, frames, cause } = self;
         let last = first_frame.saturating_add(frames.saturating_sub(1));
+        let (first, last) = (thousands(*first_frame), thousands(last));
         match frames {
-            1 => format!("frame {}: {cause}", thousands(*first_frame)),
-            _ => format!(
-                "frames {} to {}, {}: {cause}",
-                thousands(*first_frame),
-                thousands(last),
-                count(*frames, "frame")
-            ),
+            1 => format!("frame {first}: {cause}"),
+            _ => format!("frames {first} to {last}, {}: {cause}", count(*frames, "frame")),
         }
     }
 }
 
-/// Whether `recover` would produce a better take.
-pub(crate) fn is_recoverable(summary: &Summary) -> bool {
-    !summary.take.problems.is_empty()
-}
-
-/// The hint to recover a damaged take.
-pub(crate) fn recoverable(take: &Path) -> String {
+/// Reports what a take lacks: its losses, a ledger that does not close, and, if no losses are known, that the recording
+/// ended before the motion did. With `with_hint` also how to recover a damaged take.
+pub(crate) fn notify_losses(take: &Path, summary: &Summary, with_hint: bool) {
     let name = take.display();
-    format!("{name}: `mocapd recover {name} -o NEW.take` writes a new take from what can be read")
-}
-
-/// The warning that a take without known losses ended before the motion did.
-pub(crate) fn ended_early(take: &Path, ending: &str) -> String {
-    format!("{}: the recording ended early ({ending}): later frames are missing", take.display())
+    let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
+    let losses = document.as_ref().and_then(ledger::losses);
+    if let Some(losses) = &losses {
+        notify(&format!("{name}: not in the take: {losses}"));
+    }
+    if let Some(why) = document.as_ref().and_then(ledger::not_closing) {
+        notify(&format!("{name}: {why}"));
+    }
+    if summary.health() == TakeHealth::Lossy
+        && losses.is_none()
+        && let Some(ending) = &summary.take.ending
+    {
+        let ending = ending.kind.name();
+        notify(&format!("{name}: the recording ended early ({ending}): later frames are missing"));
+    }
+    if with_hint && !summary.take.problems.is_empty() {
+        notify(&format!(
+            "{name}: `mocapd recover {name} -o NEW.take` writes a new take from what can be read"
+        ));
+    }
 }
 
 /// The lost ranges, one line each.
 pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
     let mut lines: Vec<String> = damage.iter().take(SHOWN_MAX).map(DamageReport::text).collect();
     if let Some(more) = damage.get(SHOWN_MAX..).filter(|more| !more.is_empty()) {
-        let frames = more.iter().map(|damage| damage.frames).sum();
-        lines.push(format!(
-            "{} more, {}",
-            count(more.len() as u64, "range"),
-            count(frames, "frame")
-        ));
+        let ranges = count(more.len() as u64, "range");
+        let frames = count(more.iter().map(|damage| damage.frames).sum(), "frame");
+        lines.push(format!("{ranges} more, {frames}"));
     }
     lines
 }

@@ -39,8 +39,7 @@ use super::{
     output::{notify, plain_path, print},
     record::{Limits, RecordReport, record_and_watch},
     stop::stop_on_signal,
-    values,
-    values::{bytes, count, thousands},
+    values::{self, bytes, count, thousands},
     verify::AgainstReport,
 };
 

@@ -28,11 +28,10 @@ impl OutagesReport {
 
     /// One line; `None` if no frame is missing.
     pub(crate) fn text(&self) -> Option<String> {
-        let away = count(u64::from(self.count), "time");
-        let frames = count(self.frames, "frame");
+        let (away, frames) = (count(u64::from(self.count), "time"), count(self.frames, "frame"));
+        let seconds = self.seconds;
         let text = format!(
-            "the device was away or silent {away}, for {:.3} s of the take: {frames} missing",
-            self.seconds
+            "the device was away or silent {away}, for {seconds:.3} s of the take: {frames} missing"
         );
         (self.frames > 0).then_some(text)
     }
@@ -43,11 +42,8 @@ const UNKNOWN: &str = "unknown: the device was away or silent";
 
 /// The ledger of a recording, one line per entry, with its balance.
 pub(crate) fn text(ledger: &LedgerDocument) -> String {
-    let mut out = String::from(if ledger.finished {
-        "ledger\n"
-    } else {
-        "ledger (the last one before the take was cut off)\n"
-    });
+    let cut = if ledger.finished { "" } else { " (the last one before the take was cut off)" };
+    let mut out = format!("ledger{cut}\n");
     let mut line = |n: u64, what: &str| {
         writeln!(out, "  {:>15} {what}", thousands(n)).ok();
     };

@@ -33,8 +33,7 @@ use crate::cli::{
     output::{notify, print, print_json},
     record::{LatencyReport, ProcessReport},
     stop::stop_on_signal,
-    values,
-    values::{CodecArgs, tolerance_mm},
+    values::{self, CodecArgs, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
@@ -82,7 +81,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         in_process.copy_gb_per_s.push(copy_gb_per_s(&wire));
         run_in_process(&motion, &wire, codec, &mut in_process)?;
-        pty.push(over_pty(args, &codec)?);
+        pty.push(over_pty(args, codec)?);
         if stop.load(Ordering::Relaxed) {
             bail!("interrupted after {run} of {} runs: no results", args.runs);
         }
@@ -112,9 +111,8 @@ fn wire(motion: &Motion) -> anyhow::Result<Vec<u8>> {
     let mut out = Vec::new();
     for index in 0..motion.n_frames() {
         let markers: Vec<_> = motion.frame(index).iter().enumerate().map(sample).collect();
-        let ticks = (index as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
-        let frame =
-            Frame { seq: index as u32, device_ticks: ticks, timecode: None, markers: &markers };
+        let device_ticks = (index as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
+        let frame = Frame { seq: index as u32, device_ticks, timecode: None, markers: &markers };
         link.frame(FrameForm::Float, &frame, &mut out)?;
     }
     Ok(out)
@@ -195,7 +193,7 @@ impl Drop for TemporaryTake {
     }
 }
 
-fn over_pty(args: &Args, codec: &Settings) -> anyhow::Result<PtyRun> {
+fn over_pty(args: &Args, codec: Settings) -> anyhow::Result<PtyRun> {
     let own = std::env::current_exe().context("cannot find the mocapd executable")?;
     let (simulator, uri) = simulate(&own, args)?;
     let bare_read = bare_read_cpu_percent(&uri, BARE_READ.min(args.seconds))?;
@@ -239,12 +237,7 @@ fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
     Ok((simulator, DeviceUri { location, driver: None }))
 }
 
-fn record(
-    own: &Path,
-    uri: &DeviceUri,
-    take: &Path,
-    codec: &Settings,
-) -> anyhow::Result<RecordJson> {
+fn record(own: &Path, uri: &DeviceUri, take: &Path, codec: Settings) -> anyhow::Result<RecordJson> {
     let output = Command::new(own)
         .args(["record", "--json", "--device", &uri.to_string(), "--output"])
         .arg(take)
@@ -260,7 +253,7 @@ fn record(
     serde_json::from_slice(&output.stdout).context("cannot parse the report of the recording")
 }
 
-fn codec_args(codec: &Settings) -> Vec<String> {
+fn codec_args(codec: Settings) -> Vec<String> {
     match codec.kind {
         ResamplerKind::Lossless => vec!["--lossless".to_owned()],
         kind => {

@@ -302,11 +302,8 @@ impl Target {
         if authority.host().is_empty() || host.contains('@') {
             return Err(wrong());
         }
-        Ok(Self::Tcp(if authority.port_u16().is_some() {
-            host.to_owned()
-        } else {
-            format!("{host}:80")
-        }))
+        let has_port = authority.port_u16().is_some();
+        Ok(Self::Tcp(if has_port { host.to_owned() } else { format!("{host}:80") }))
     }
 
     /// The only socket in the folder, or the loopback address if there is none.
@@ -314,8 +311,7 @@ impl Target {
     /// # Errors
     /// A list of the sockets if there are several.
     fn default_in(folder: &Path) -> Result<Self, String> {
-        let is_socket =
-            |path: &PathBuf| path.extension().is_some_and(|extension| extension == "sock");
+        let is_socket = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "sock");
         let within = |folder: &Path| -> Vec<PathBuf> {
             let entries = folder.read_dir().into_iter().flatten().flatten();
             entries.map(|entry| entry.path()).collect()
@@ -329,10 +325,8 @@ impl Target {
             [] => Ok(Self::Tcp(LOOPBACK.to_owned())),
             [only] => Ok(Self::Unix(only.clone())),
             several => {
-                let names: Vec<_> = several
-                    .iter()
-                    .map(|path| format!("--connect unix:{}", path.display()))
-                    .collect();
+                let option = |path: &PathBuf| format!("--connect unix:{}", path.display());
+                let names: Vec<_> = several.iter().map(option).collect();
                 Err(format!("several services are running: choose one with {}", names.join(" or ")))
             }
         }

@@ -8,7 +8,7 @@ use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
 
 use anyhow::Context;
 use mocapd::outcome::Outcome;
-use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDevice};
+use mocapd_acquire::{files::FileState, listing::ListedDevice};
 use mocapd_service::{
     control::{Marked, Started, Stopped},
     status::{Status, TakeSummary},
@@ -111,14 +111,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         CtlCommand::Arm => state(&client, "/v1/arm", args.json),
         CtlCommand::Disarm => state(&client, "/v1/disarm", args.json),
         CtlCommand::Start { name, notes, pre_roll } => {
-            let (name, notes) = (name.as_deref(), notes.as_deref());
             let pre_roll_s = pre_roll.map(|pre_roll| pre_roll.as_secs_f64());
-            start(&client, name, notes, pre_roll_s, args.json)
+            let body = json!({"name": name, "notes": notes, "pre_roll_s": pre_roll_s});
+            start(&client, body, args.json)
         }
-        CtlCommand::Stop => stop(&client, args.json),
+        CtlCommand::Stop => stopped(&client.post("/v1/stop", json!({}))?, args.json),
         CtlCommand::Mark { text } => mark(&client, text, args.json),
         CtlCommand::SaveLast { length, name } => {
-            save_last(&client, name.as_deref(), length.as_secs_f64(), args.json)
+            let body = json!({"name": name, "seconds": length.as_secs_f64()});
+            stopped(&client.post("/v1/save-last", body)?, args.json)
         }
         CtlCommand::Takes { limit } => takes(&client, *limit, args.json),
         CtlCommand::Devices => devices(&client, args.json),
@@ -139,7 +140,6 @@ fn read<T: DeserializeOwned>(document: &Value) -> anyhow::Result<T> {
 }
 
 /// Prints an answer, as JSON or as text, and returns it.
-
 fn show<T: DeserializeOwned>(
     document: &Value,
     json: bool,
@@ -165,51 +165,23 @@ fn state(client: &Client, path: &str, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn start(
-    client: &Client,
-    name: Option<&str>,
-    notes: Option<&str>,
-    pre_roll_s: Option<f64>,
-    json: bool,
-) -> anyhow::Result<Outcome> {
-    let body = json!({"name": name, "notes": notes, "pre_roll_s": pre_roll_s});
+fn start(client: &Client, body: Value, json: bool) -> anyhow::Result<Outcome> {
     let started: Started = show(&client.post("/v1/start", body)?, json, text::started)?;
-    for remark in &started.remarks {
-        notify(remark);
-    }
+    started.remarks.iter().for_each(|remark| notify(remark));
     Ok(Outcome::Done)
 }
 
-fn stop(client: &Client, json: bool) -> anyhow::Result<Outcome> {
-    let document = client.post("/v1/stop", json!({}))?;
-    stopped(&document, json)
-}
-
-fn save_last(
-    client: &Client,
-    name: Option<&str>,
-    seconds: f64,
-    json: bool,
-) -> anyhow::Result<Outcome> {
-    let document = client.post("/v1/save-last", json!({"name": name, "seconds": seconds}))?;
-    stopped(&document, json)
-}
-
+/// Prints the result of a command that ended a take.
 fn stopped(document: &Value, json: bool) -> anyhow::Result<Outcome> {
     let stopped: Stopped = show(document, json, text::stopped)?;
-    for remark in &stopped.remarks {
-        notify(remark);
-    }
+    stopped.remarks.iter().for_each(|remark| notify(remark));
     let losses = ledger::losses(&stopped.ledger);
     if let Some(losses) = &losses {
         notify(&format!("{}: not in the take: {losses}", stopped.name));
     }
+    let is_balanced = stopped.ledger.finished && stopped.ledger.closes;
     let is_displaced = stopped.file != FileState::InPlace;
-    Ok(Outcome::of(losses.is_some() || !is_balanced(&stopped.ledger) || is_displaced))
-}
-
-fn is_balanced(ledger: &LedgerDocument) -> bool {
-    ledger.finished && ledger.closes
+    Ok(Outcome::of(losses.is_some() || !is_balanced || is_displaced))
 }
 
 fn mark(client: &Client, text: &str, json: bool) -> anyhow::Result<Outcome> {

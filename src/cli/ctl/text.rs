@@ -42,27 +42,16 @@ pub(super) fn status(status: &Status) -> String {
         writeln!(out, "            {}", plain(obstacle)).ok();
     }
     let (input, pre_roll) = (&status.input, &status.pre_roll);
-    let lost = thousands(input.lost);
-    writeln!(
-        out,
-        "  input     {}, {lost} lost since arming, {:.1} Hz",
-        count(input.frames, "frame"),
-        input.measured_hz
-    )
-    .ok();
+    let (frames, lost) = (count(input.frames, "frame"), thousands(input.lost));
+    let rate_hz = input.measured_hz;
+    writeln!(out, "  input     {frames}, {lost} lost since arming, {rate_hz:.1} Hz").ok();
     let cut = if pre_roll.is_cut { ", limited by arm.memory_max" } else { "" };
     let (held, wanted) = (pre_roll.held_s, pre_roll.wanted_s);
     writeln!(out, "  pre-roll  {held:.1} s of {wanted} s{cut}").ok();
     if let Some(take) = &status.take {
         let size = format!("{}, {:.1}:1", bytes(take.bytes), take.ratio);
-        let error = take.max_error_mm;
-        writeln!(
-            out,
-            "  take      {}: {:.1} s, {size}, max error {error:.4} mm",
-            plain(&take.name),
-            take.seconds
-        )
-        .ok();
+        let (name, seconds, error) = (plain(&take.name), take.seconds, take.max_error_mm);
+        writeln!(out, "  take      {name}: {seconds:.1} s, {size}, max error {error:.4} mm").ok();
         if let Some(notice) = &take.file_notice {
             writeln!(out, "            {}", plain(notice)).ok();
         }
@@ -71,15 +60,9 @@ pub(super) fn status(status: &Status) -> String {
         }
     }
     if let Some(take) = &status.last_take {
-        writeln!(
-            out,
-            "  before    {}: {}, {}, ended: {}",
-            plain(&take.name),
-            bytes(take.bytes),
-            take.health.name(),
-            take.ending.map_or("", EndingKind::name)
-        )
-        .ok();
+        let (name, size, health) = (plain(&take.name), bytes(take.bytes), take.health.name());
+        let ending = take.ending.map_or("", EndingKind::name);
+        writeln!(out, "  before    {name}: {size}, {health}, ended: {ending}").ok();
     }
     writeln!(out, "  disk      {}, in {}", disk(status), plain(&status.disk.directory)).ok();
     out
@@ -143,11 +126,8 @@ fn without_device(status: &Status) -> Option<String> {
     let mut out = format!("{what} for {:.1} s", outage.seconds);
     if status.take.is_some() {
         let ends = outage.ends_in_s.map(|left_s| format!(" within {}", duration(left_s as u64)));
-        let missing = count(outage.frames, "frame");
-        out += &format!(
-            ", {missing} missing, recording resumes when it is back{}",
-            ends.unwrap_or_default()
-        );
+        let (missing, ends) = (count(outage.frames, "frame"), ends.unwrap_or_default());
+        out += &format!(", {missing} missing, recording resumes when it is back{ends}");
     } else {
         out += ", nothing can be recorded until it is back";
     }

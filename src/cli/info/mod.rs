@@ -42,20 +42,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             notify(&format!("{}: {problem}", args.take.display()));
         }
     }
-    if let Some(losses) = report.losses() {
-        notify(&format!("{}: not in the take: {losses}", args.take.display()));
-    }
-    if let Some(why) = report.not_closing() {
-        notify(&format!("{}: {why}", args.take.display()));
-    }
-    if report.health == TakeHealth::Lossy
-        && report.losses().is_none()
-        && let Some(ending) = &report.ending
-    {
-        notify(&damage::ended_early(&args.take, ending));
-    }
-    if !args.json && damage::is_recoverable(&summary) {
-        notify(&damage::recoverable(&args.take));
-    }
+    damage::notify_losses(&args.take, &summary, !args.json);
     Ok(Outcome::of(report.health != TakeHealth::Complete || !report.problems.is_empty()))
 }

@@ -16,11 +16,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use super::subject::SubjectReport;
-use crate::cli::{
-    clock::ClockReport,
-    damage::DamageReport,
-    ledger::{self, OutagesReport},
-};
+use crate::cli::{clock::ClockReport, damage::DamageReport, ledger::OutagesReport};
 
 #[derive(Debug, Serialize)]
 pub(super) struct InfoReport {
@@ -104,8 +100,26 @@ impl InfoReport {
     pub(super) fn new(take: &Path, summary: &Summary, file_bytes: u64) -> Self {
         let header = &summary.take.header;
         let channels = summary.take.channels.iter().zip(&summary.per_channel);
+        let channels = channels.map(|(channel, found)| ChannelReport {
+            label: channel.label.clone(),
+            labelled: channel.labelled,
+            samples: found.samples,
+            gaps: found.gaps,
+            knots: found.knots,
+            max_error_mm: found.max_error_mm,
+            frames_damaged: found.rows_damaged,
+        });
         let bytes = summary.bytes;
-        let events = summary.take.events.iter();
+        let events = summary.take.events.iter().map(|event| EventReport {
+            kind: event.kind.name(),
+            frame: event.row,
+            device_ticks: event.device_ticks,
+            input: event.input,
+            text: event.text.clone(),
+        });
+        let parts = summary.take.foreign.iter();
+        let foreign_parts =
+            parts.map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes });
         let given = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
@@ -129,12 +143,7 @@ impl InfoReport {
                 up_given: given.up.map(|up| up.to_string()),
             }),
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
-            foreign_parts: summary
-                .take
-                .foreign
-                .iter()
-                .map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes })
-                .collect(),
+            foreign_parts: foreign_parts.collect(),
             frames: summary.take.n_rows,
             seconds: summary.take.n_rows as f64 / header.rate_hz,
             markers: summary.take.channels.len(),
@@ -151,42 +160,14 @@ impl InfoReport {
             ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
             clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
-            events: events
-                .map(|event| EventReport {
-                    kind: event.kind.name(),
-                    frame: event.row,
-                    device_ticks: event.device_ticks,
-                    input: event.input,
-                    text: event.text.clone(),
-                })
-                .collect(),
-            channels: channels
-                .map(|(channel, found)| ChannelReport {
-                    label: channel.label.clone(),
-                    labelled: channel.labelled,
-                    samples: found.samples,
-                    gaps: found.gaps,
-                    knots: found.knots,
-                    max_error_mm: found.max_error_mm,
-                    frames_damaged: found.rows_damaged,
-                })
-                .collect(),
+            events: events.collect(),
+            channels: channels.collect(),
         }
     }
 
     /// Recorded frames, by the final ledger; `None` for a take that was cut off, whose last ledger may count too few.
     pub(super) fn frames_recorded(&self) -> Option<u64> {
         self.ledger.as_ref().filter(|_| self.finished).map(|ledger| ledger.recorded)
-    }
-
-    /// Frames and samples lost before they reached the take, in one line.
-    pub(super) fn losses(&self) -> Option<String> {
-        ledger::losses(self.ledger.as_ref()?)
-    }
-
-    /// Why the ledger does not close, in one line.
-    pub(super) fn not_closing(&self) -> Option<String> {
-        ledger::not_closing(self.ledger.as_ref()?)
     }
 }
 

@@ -54,6 +54,10 @@ impl SubjectReport {
         let mut add = |error: anyhow::Error| problems.push(format!("{error:#}"));
         let skeleton = skeleton(Some(subject)).map_err(&mut add).ok().flatten();
         let face = face(Some(subject)).map_err(&mut add).ok().flatten();
+        let documents = subject.documents.iter().map(|document| DocumentReport {
+            kind: document.kind.clone(),
+            bytes: document.data.len(),
+        });
         Self {
             name: Some(subject.name.clone()).filter(|name| !name.is_empty()),
             skeleton: skeleton.map(|found| SkeletonReport {
@@ -76,14 +80,7 @@ impl SubjectReport {
                 vertices: found.vertices_mm.len(),
                 lines: found.lines.len(),
             }),
-            documents: subject
-                .documents
-                .iter()
-                .map(|document| DocumentReport {
-                    kind: document.kind.clone(),
-                    bytes: document.data.len(),
-                })
-                .collect(),
+            documents: documents.collect(),
             problems,
         }
     }
@@ -116,10 +113,7 @@ impl SubjectReport {
 
 impl SkeletonReport {
     fn lines(&self, line: &mut impl FnMut(&str, &str)) {
-        let stature = match self.stature_mm {
-            Some(mm) => format!("stature {mm:.0} mm, "),
-            None => String::new(),
-        };
+        let stature = self.stature_mm.map(|mm| format!("stature {mm:.0} mm, ")).unwrap_or_default();
         let sides = if self.sides_told { "" } else { "; left and right may be exchanged" };
         let (joints, bones) =
             (count(self.joints as u64, "joint"), count(self.bones.len() as u64, "bone"));

@@ -44,19 +44,15 @@ pub(super) fn text(report: &InfoReport) -> String {
         line("event", &what);
     }
     if let Some(document) = &report.ledger {
-        let text = match report.source {
-            Some(_) => ledger::import_text(document),
-            None => ledger::text(document),
-        };
-        out.push_str(&text);
+        let is_import = report.source.is_some();
+        out += &if is_import { ledger::import_text(document) } else { ledger::text(document) };
     }
     if let Some(outages) = report.outages.text() {
         writeln!(out, "{:<10} {outages}", "outages").ok();
     }
     let by_ledger = || report.ledger.as_ref().and_then(ledger::clock_text);
-    out.push_str(
-        &report.clock.as_ref().map(ClockReport::text).or_else(by_ledger).unwrap_or_default(),
-    );
+    let clock = report.clock.as_ref().map(ClockReport::text).or_else(by_ledger);
+    out.push_str(&clock.unwrap_or_default());
     markers(report, &mut out);
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
     out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
@@ -77,17 +73,16 @@ fn health(report: &InfoReport) -> String {
 
 fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     if let Some(device) = &report.device {
-        let firmware = if device.firmware.is_empty() {
-            String::new()
-        } else {
-            format!(", firmware {}", device.firmware)
+        let firmware = match device.firmware.as_str() {
+            "" => String::new(),
+            firmware => format!(", firmware {firmware}"),
         };
-        let device_line =
-            format!("{} {}{firmware}, at {}", device.model, device.serial, device.uri);
-        line("from", &device_line);
+        let from = format!("{} {}{firmware}, at {}", device.model, device.serial, device.uri);
+        line("from", &from);
     }
     if let Some(source) = &report.source {
-        let mut unit = match source.file.unit.as_str() {
+        let file = &source.file;
+        let mut unit = match file.unit.as_str() {
             "" => "no unit stated".to_owned(),
             unit => format!("in {unit}"),
         };
@@ -97,12 +92,10 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         if let Some(given) = &source.up_given {
             unit += &format!(", {given} up (--up)");
         }
-        let file_line = format!(
-            "{} ({}, {unit}, first frame {})",
-            source.file.file, source.file.format, source.file.first_frame
-        );
-        line("from", &file_line);
-        for warning in &source.file.warnings {
+        let (name, format, first_frame) = (&file.file, &file.format, file.first_frame);
+        let from = format!("{name} ({format}, {unit}, first frame {first_frame})");
+        line("from", &from);
+        for warning in &file.warnings {
             line("note", warning);
         }
     }
@@ -116,45 +109,24 @@ fn motion(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let recorded = report.frames_recorded().unwrap_or(report.frames);
     let frames = frames_of(recorded, report.frames);
     let markers = count(report.markers as u64, "marker");
-    line(
-        "motion",
-        &format!("{frames} of {markers} at {} Hz, {:.3} s{up}", report.rate_hz, report.seconds),
-    );
-    let all = report.frames.saturating_mul(report.markers as u64);
-    let gaps: u64 = report.channels.iter().map(|channel| channel.gaps).sum();
-    line(
-        "samples",
-        &format!(
-            "{} of {} present, {}",
-            thousands(report.samples),
-            thousands(all),
-            count(gaps, "gap")
-        ),
-    );
+    let (rate_hz, seconds) = (report.rate_hz, report.seconds);
+    line("motion", &format!("{frames} of {markers} at {rate_hz} Hz, {seconds:.3} s{up}"));
+    let all = thousands(report.frames.saturating_mul(report.markers as u64));
+    let gaps = count(report.channels.iter().map(|channel| channel.gaps).sum(), "gap");
+    line("samples", &format!("{} of {all} present, {gaps}", thousands(report.samples)));
 }
 
 fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
-    let knots: u64 = report.channels.iter().map(|channel| channel.knots).sum();
-    let bound = if report.tolerance_mm > 0.0 {
-        format!(
-            "within {} mm (largest error {:.4} mm), {} kept",
-            report.tolerance_mm,
-            report.max_error_mm,
-            count(knots, "sample")
-        )
+    let knots = count(report.channels.iter().map(|channel| channel.knots).sum(), "sample");
+    let (tolerance_mm, error_mm) = (report.tolerance_mm, report.max_error_mm);
+    let bound = if tolerance_mm > 0.0 {
+        format!("within {tolerance_mm} mm (largest error {error_mm:.4} mm), {knots} kept")
     } else {
         "every bit kept".to_owned()
     };
     line("resampler", &format!("{}, {bound}", report.resampler));
-    line(
-        "size",
-        &format!(
-            "{} as float32, {} on disk, {:.1}:1",
-            bytes(report.raw_bytes),
-            bytes(report.file_bytes),
-            report.ratio
-        ),
-    );
+    let (raw, file) = (bytes(report.raw_bytes), bytes(report.file_bytes));
+    line("size", &format!("{raw} as float32, {file} on disk, {:.1}:1", report.ratio));
     if !report.foreign_parts.is_empty() {
         let blocks = report.bytes.blocks;
         let ratio = report.raw_bytes as f64 / blocks.max(1) as f64;
@@ -172,23 +144,13 @@ fn markers(report: &InfoReport, out: &mut String) {
         format!("{}{note}", plain(&channel.label))
     };
     let labels: Vec<String> = report.channels.iter().map(label).collect();
-    let width = labels
-        .iter()
-        .map(|label| label.chars().count())
-        .max()
-        .unwrap_or(0)
-        .clamp(6, LABEL_COLUMNS_MAX);
+    let widths = labels.iter().map(|label| label.chars().count());
+    let width = widths.max().unwrap_or(0).clamp(6, LABEL_COLUMNS_MAX);
     let (samples, knots, error) = ("samples", "knots", "max error mm");
     writeln!(out, "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13}", "marker", "gaps").ok();
     for (label, channel) in labels.iter().zip(&report.channels) {
-        writeln!(
-            out,
-            "{label:<width$} {:>10} {:>6} {:>10} {:>13.4}",
-            thousands(channel.samples),
-            thousands(channel.gaps),
-            thousands(channel.knots),
-            channel.max_error_mm
-        )
-        .ok();
+        let [samples, gaps, knots] = [channel.samples, channel.gaps, channel.knots].map(thousands);
+        let error_mm = channel.max_error_mm;
+        writeln!(out, "{label:<width$} {samples:>10} {gaps:>6} {knots:>10} {error_mm:>13.4}").ok();
     }
 }

@@ -21,8 +21,7 @@ use super::{
     paths,
     stop::stop_on_signal,
     subject::SubjectArgs,
-    values,
-    values::CodecArgs,
+    values::{self, CodecArgs},
 };
 
 /// Default disk space to keep free: a system with a full disk cannot even log what went wrong.
@@ -80,9 +79,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let stop = stop_on_signal()?;
     let raw = args.raw.as_deref();
     let (recorded, log) = raw::with_log(raw, &args.output, args.sync, |log| {
-        let mut rig = Rig::open_logged(&uri, log.map(RawLog::tap)).map_err(|error| match error
-            .downcast_ref()
-        {
+        let opened = Rig::open_logged(&uri, log.map(RawLog::tap));
+        let mut rig = opened.map_err(|error| match error.downcast_ref() {
             Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),
             _ => error,
         })?;
@@ -117,7 +115,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(notice) = recorded.file.message() {
         notify(&notice);
     }
-    if let Some(outages) = report.outages() {
+    if let Some(outages) = report.outages.text() {
         notify(&outages);
     }
     if let Some(losses) = report.losses() {
@@ -129,12 +127,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let ledger = &recorded.written.ledger;
     let was_away = disconnected || recorded.recording.outages > 0;
     let is_displaced = recorded.file.state != FileState::InPlace;
-    Ok(Outcome::of(
-        ledger.lost_anything()
-            || !ledger.closes()
-            || was_away
-            || is_full
-            || is_displaced
-            || report.log_lost(),
-    ))
+    let lost_anything = ledger.lost_anything() || !ledger.closes() || report.log_lost();
+    Ok(Outcome::of(lost_anything || was_away || is_full || is_displaced))
 }

@@ -36,7 +36,7 @@ pub(crate) struct RecordReport {
     process: ProcessReport,
     disk: DiskReport,
     raw_log: Option<RawLogReport>,
-    outages: OutagesReport,
+    pub(super) outages: OutagesReport,
     clock: Option<ClockReport>,
     ledger: LedgerDocument,
 }
@@ -63,9 +63,10 @@ pub(crate) struct ProcessReport {
 impl RecordReport {
     pub(crate) fn new(take: &Path, recorded: &Recorded, codec: &Settings) -> Self {
         let written = &recorded.written;
-        let latency = &recorded.recording.ring_latency;
+        let (latency, counts) = (&recorded.recording.ring_latency, &recorded.recording.counts);
+        let (ledger, disk, rate_hz) = (&written.ledger, &written.disk, recorded.rate_hz);
         let us = |ns: u64| ns as f64 / 1e3;
-        let usage = process::usage(None).unwrap_or_default();
+        let process::Usage { cpu_s, peak_memory_bytes } = process::usage(None).unwrap_or_default();
         Self {
             take: take.to_owned(),
             ending: match recorded.recording.ending {
@@ -77,33 +78,23 @@ impl RecordReport {
             },
             file_state: recorded.file.state,
             file_path: recorded.file.path.clone(),
-            frames: written.ledger.recorded,
-            seconds: written.ledger.frames_sent as f64 / recorded.rate_hz,
+            frames: ledger.recorded,
+            seconds: ledger.frames_sent as f64 / rate_hz,
             markers: recorded.markers,
-            markers_appeared: recorded.recording.counts.markers_appeared,
-            rate_hz: recorded.rate_hz,
+            markers_appeared: counts.markers_appeared,
+            rate_hz,
             size: SizeReport::new(written, codec),
             ring_latency_us: LatencyReport {
                 p50: us(latency.quantile_ns(0.5)),
                 p99: us(latency.quantile_ns(0.99)),
                 max: us(latency.max_ns()),
             },
-            process: ProcessReport {
-                cpu_s: usage.cpu_s,
-                peak_memory_bytes: usage.peak_memory_bytes,
-            },
-            disk: DiskReport {
-                free_bytes: written.disk.free_bytes,
-                seconds_left: written.disk.left_s,
-            },
+            process: ProcessReport { cpu_s, peak_memory_bytes },
+            disk: DiskReport { free_bytes: disk.free_bytes, seconds_left: disk.left_s },
             raw_log: None,
-            outages: OutagesReport::new(
-                recorded.recording.counts.outages,
-                written.ledger.unknown_after_disconnect,
-                recorded.rate_hz,
-            ),
+            outages: OutagesReport::new(counts.outages, ledger.unknown_after_disconnect, rate_hz),
             clock: ClockReport::new(&written.clock, &written.clock_lines),
-            ledger: LedgerDocument::from(&written.ledger),
+            ledger: LedgerDocument::from(ledger),
         }
     }
 
@@ -133,11 +124,6 @@ impl RecordReport {
         format!(
             "the disk is nearly full ({free} left): the take was closed early and is intact; free some space before the next"
         )
-    }
-
-    /// The outages of the device, in one line.
-    pub(crate) fn outages(&self) -> Option<String> {
-        self.outages.text()
     }
 
     /// The number of markers. Unlabelled markers are not announced: they appear during the recording, and the same one

@@ -56,8 +56,7 @@ pub(super) fn against(
     };
     let take_frames = open(take)?;
     let cut_off = !take_frames.map().finished;
-    let mut ambiguities = Vec::new();
-    let mut notes = Vec::new();
+    let (mut ambiguities, mut notes) = (Vec::new(), Vec::new());
     let (difference, exact) = if paths::is_take(original) {
         let original = open(original)?;
         let exact = original.map().header.tolerance_mm == 0.0;
@@ -112,12 +111,10 @@ impl AgainstReport {
             (true, false) => format!("NOT WITHIN the tolerance of {tolerance_mm} mm"),
             (false, _) => format!("{} not bit-identical", count(found.bits_differing, "sample")),
         };
+        let (samples, frames) = (count(found.samples, "sample"), count(found.frames, "frame"));
+        let (max_mm, rms_mm) = (found.max_error_mm, found.rms_error_mm);
         let mut out = format!(
-            "against the original: {} of {}, max error {:.4} mm, rms {:.4} mm, {verdict}\n",
-            count(found.samples, "sample"),
-            count(found.frames, "frame"),
-            found.max_error_mm,
-            found.rms_error_mm
+            "against the original: {samples} of {frames}, max error {max_mm:.4} mm, rms {rms_mm:.4} mm, {verdict}\n"
         );
         for note in &found.notes {
             out += &format!("  {}\n", plain(note));

@@ -73,17 +73,15 @@ pub(super) fn derivatives(
     })?;
     let mut all = DerivativeError::default();
     found.iter().for_each(|marker| all.add_all(marker));
-    let markers = original.info.markers.iter().zip(&found);
+    let markers = original.info.markers.iter().zip(&found).map(|(marker, found)| MarkerErrors {
+        label: marker.label.clone(),
+        errors: Errors::from(found),
+    });
     Ok(DerivativesReport {
         cutoff_hz,
         samples_left_out: all.samples_left_out,
         all: Errors::from(&all),
-        markers: markers
-            .map(|(marker, found)| MarkerErrors {
-                label: marker.label.clone(),
-                errors: Errors::from(found),
-            })
-            .collect(),
+        markers: markers.collect(),
     })
 }
 

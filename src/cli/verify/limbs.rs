@@ -106,12 +106,8 @@ impl LimbsReport {
         let when = |rows: &std::ops::Range<usize>| {
             let (from, to) = (rows.start, rows.end.saturating_sub(1));
             let seconds = |row: usize| (row as f64 / rate_hz * 1e6).round() * 1e-6;
-            FrameSpan {
-                from_frame: from as u64,
-                to_frame: to as u64,
-                from_s: seconds(from),
-                to_s: seconds(to),
-            }
+            let (from_s, to_s) = (seconds(from), seconds(to));
+            FrameSpan { from_frame: from as u64, to_frame: to as u64, from_s, to_s }
         };
         let bone = |(limb, of): (&Limb, &mocapd_report::limbs::LimbStats)| BoneReport {
             name: limb.bone.name.clone(),
@@ -176,23 +172,19 @@ impl LimbsReport {
             out += &format!("without a marker at both ends: {}\n", plain(&names));
         }
         for SwapReport { markers: [a, b], when, limbs } in &self.swaps {
+            let (a, b, when, limbs) = (plain(a), plain(b), when.text(), limbs.join(", "));
+            let limbs = plain(&limbs);
             out += &format!(
-                "SWAPPED: {} and {}, {}: exchanging the labels corrects {}\n",
-                plain(a),
-                plain(b),
-                when.text(),
-                plain(&limbs.join(", "))
+                "SWAPPED: {a} and {b}, {when}: exchanging the labels corrects {limbs}\n"
             );
         }
         if self.swaps.is_empty() {
             out += "no swapped labels found\n";
         }
-        for outside in self.outside.iter().take(OUTSIDE_SHOWN) {
+        for OutsideReport { bone, when, extreme_mm } in self.outside.iter().take(OUTSIDE_SHOWN) {
+            let (bone, when) = (plain(bone), when.text());
             out += &format!(
-                "out of its band, not by a swap of labels: {}, {}, extreme length {:.0} mm\n",
-                plain(&outside.bone),
-                outside.when.text(),
-                outside.extreme_mm
+                "out of its band, not by a swap of labels: {bone}, {when}, extreme length {extreme_mm:.0} mm\n"
             );
         }
         if let Some(more) = self.outside.len().checked_sub(OUTSIDE_SHOWN).filter(|&more| more > 0) {
@@ -204,9 +196,7 @@ impl LimbsReport {
 
 impl FrameSpan {
     fn text(&self) -> String {
-        format!(
-            "{:.3} s to {:.3} s (frames {} to {})",
-            self.from_s, self.to_s, self.from_frame, self.to_frame
-        )
+        let Self { from_frame, to_frame, from_s, to_s } = self;
+        format!("{from_s:.3} s to {to_s:.3} s (frames {from_frame} to {to_frame})")
     }
 }

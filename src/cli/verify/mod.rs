@@ -16,7 +16,6 @@ use mocapd_acquire::{
     files::SparseFile,
     health::TakeHealth,
     inspect::Summary,
-    ledger::LedgerDocument,
     verdict::{Finding, Verdict},
 };
 use mocapd_service::units;
@@ -31,7 +30,6 @@ use self::{
 };
 use super::{
     damage::{self, DamageReport},
-    ledger,
     output::{notify, plain, plain_path, print, print_json},
     paths,
     values::count,
@@ -115,22 +113,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             notify(&format!("{}: {problem}", args.take.display()));
         }
     }
-    let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
-    if let Some(losses) = document.as_ref().and_then(ledger::losses) {
-        notify(&format!("{}: not in the take: {losses}", args.take.display()));
-    }
-    if let Some(why) = document.as_ref().and_then(ledger::not_closing) {
-        notify(&format!("{}: {why}", args.take.display()));
-    }
-    if report.health == TakeHealth::Lossy
-        && !summary.take.ledger.as_ref().is_some_and(Ledger::lost_anything)
-        && let Some(ending) = report.ending
-    {
-        notify(&damage::ended_early(&args.take, ending));
-    }
-    if !args.json && damage::is_recoverable(&summary) {
-        notify(&damage::recoverable(&args.take));
-    }
+    damage::notify_losses(&args.take, &summary, !args.json);
     if let Some(original) = &args.against
         && !report.against.as_ref().is_some_and(AgainstReport::is_within)
     {
@@ -149,7 +132,11 @@ impl VerifyReport {
         let header = &summary.take.header;
         let problems: Vec<String> = verdict.problems.iter().map(ToString::to_string).collect();
         let Verdict { contradictions, clock, .. } = verdict;
-        let markers = summary.take.channels.iter().zip(&summary.per_channel);
+        let channels = summary.take.channels.iter().zip(&summary.per_channel);
+        let markers = channels.map(|(channel, found)| VerifiedMarkerReport {
+            label: channel.label.clone(),
+            frames_damaged: found.rows_damaged,
+        });
         Self {
             take: take.to_owned(),
             intact: problems.is_empty(),
@@ -160,12 +147,7 @@ impl VerifyReport {
             contradictions,
             frames: summary.take.n_rows,
             damage: DamageReport::all(&summary.take.damage),
-            markers: markers
-                .map(|(channel, found)| VerifiedMarkerReport {
-                    label: channel.label.clone(),
-                    frames_damaged: found.rows_damaged,
-                })
-                .collect(),
+            markers: markers.collect(),
             samples: summary.samples(),
             tolerance_mm: header.tolerance_mm,
             stated_max_error_mm: summary.max_error_mm(),
@@ -202,12 +184,8 @@ impl VerifyReport {
         if let Some(against) = &self.against {
             out += &against.text(self.tolerance_mm);
         }
-        if let Some(derivatives) = &self.derivatives {
-            out += &derivatives.text();
-        }
-        if let Some(limbs) = &self.limbs {
-            out += &limbs.text();
-        }
+        out += &self.derivatives.as_ref().map(DerivativesReport::text).unwrap_or_default();
+        out += &self.limbs.as_ref().map(LimbsReport::text).unwrap_or_default();
         out
     }
 }
