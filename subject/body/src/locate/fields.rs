@@ -159,9 +159,9 @@ fn farthest(fields: &Fields<'_>) -> [u32; 5] {
     let Some(feet) = fields.between(FOOT[0], FOOT[1]) else { return found };
     for (end, vertex) in found.iter_mut().enumerate().filter(|(end, _)| *end != HEAD) {
         let rest = (0..5).filter(|other| *other != end);
-        let others = |at: u32| rest.clone().map(|other| fields.at(other, at as usize)).sum::<f64>();
+        let total = |at: u32| rest.clone().map(|other| fields.at(other, at as usize)).sum::<f64>();
         let near = (0_u32..).zip(fields.distances[end]).filter(|(_, d)| **d < REACH * feet);
-        let ranked = near.map(|(at, _)| (others(at), at)).filter(|(d, _)| d.is_finite());
+        let ranked = near.map(|(at, _)| (total(at), at)).filter(|(d, _)| d.is_finite());
         // Of equals the lowest index, the same on every machine.
         let best = ranked.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
         *vertex = best.map_or(*vertex, |(_, at)| at);

@@ -49,7 +49,8 @@ impl Role {
             },
             "face" | "tristrips" => {
                 let Some(at) = list().filter(|&at| is_list(at)) else {
-                    return Err(malformed("header", "expected faces with a list of vertex_indices"));
+                    let expected = "expected faces with a list of vertex_indices";
+                    return Err(malformed("header", expected));
                 };
                 Ok(if element.name == "face" { Self::Faces(at) } else { Self::Strips(at) })
             }

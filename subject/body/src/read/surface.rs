@@ -94,8 +94,10 @@ impl Surface {
         let n = self.positions.len();
         let corners = self.triangles.as_flattened().iter().chain(&self.polygons.corners);
         if let Some(index) = corners.copied().find(|&index| index as usize >= n) {
-            let at = u64::from(index) + 1;
-            let reason = format!("uses vertex {at} of {n}: cut off or damaged, export the scan again");
+            let reason = format!(
+                "uses vertex {} of {n}: cut off or damaged, export the scan again",
+                u64::from(index) + 1
+            );
             return Err(self.format.malformed("a face", reason));
         }
         self.cut_polygons();

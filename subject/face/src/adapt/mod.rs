@@ -79,13 +79,11 @@ pub fn adapt(
         Width::OuterEyes(d) => d,
     };
     let map = RadialMap::new(d, &flat, &targets)?;
-    let mut vertices_px: Vec<_> = seen
-        .iter()
-        .map(|&[x, y, z]| {
-            let [u, v] = map.at(&[x, y]);
-            [u * interocular_px, v * interocular_px, z]
-        })
-        .collect();
+    let place = |&[x, y, z]: &[f64; 3]| {
+        let [u, v] = map.at(&[x, y]);
+        [u * interocular_px, v * interocular_px, z]
+    };
+    let mut vertices_px: Vec<_> = seen.iter().map(place).collect();
     match depth {
         Depth::Model => {
             let scale_px = interocular_px * spread(&targets) / spread(&flat);

@@ -79,9 +79,7 @@ impl Tree {
         let mut node = 0;
         for _ in 0..3 {
             let split = self.features.get(node).zip(self.thresholds.get(node));
-            let Some((&feature, &threshold)) = split else {
-                return 0;
-            };
+            let Some((&feature, &threshold)) = split else { return 0 };
             let above = features.get(usize::from(feature)).is_some_and(|&byte| byte > threshold);
             node = 2 * node + 1 + usize::from(above);
         }

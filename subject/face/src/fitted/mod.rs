@@ -150,11 +150,10 @@ impl FittedFace {
 
     /// Sets the camera of the photograph.
     pub fn set_camera(&mut self, camera: Camera) {
-        let Camera { scale_px_per_mm, yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll, origin_px } =
-            camera;
+        let Camera { yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll, .. } = camera;
         self.pose_deg = Some(Pose { yaw, pitch, roll });
-        self.scale_px_per_mm = Some(scale_px_per_mm);
-        self.origin_px = Some(origin_px);
+        self.scale_px_per_mm = Some(camera.scale_px_per_mm);
+        self.origin_px = Some(camera.origin_px);
     }
 
     /// Whether the points may be wrong: the confidence is known and low, or there are notes.

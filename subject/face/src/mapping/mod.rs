@@ -139,11 +139,8 @@ impl Mapping {
                 if !at.iter().chain(&vertices_mm[vertex]).all(|v| v.abs() < MAX_COORDINATE_MM) {
                     return Err(AlignError::NotFinite(entry.label.clone()));
                 }
-                pairs.push(Pair {
-                    weight: entry.weight,
-                    from: vertices_mm[vertex].into(),
-                    to: at.into(),
-                });
+                let (from, to) = (vertices_mm[vertex].into(), at.into());
+                pairs.push(Pair { weight: entry.weight, from, to });
             }
         }
         if pairs.len() < MARKERS_MIN {
@@ -171,9 +168,7 @@ fn solve(pairs: &[Pair], scaling: Scaling) -> Result<Alignment, AlignError> {
         spread += pair.weight * (pair.from - from).norm_squared();
     }
     let svd = covariance.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Err(AlignError::Flat);
-    };
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(AlignError::Flat) };
     let mut widths = svd.singular_values;
     let [largest, middle] = [0, 1].map(|i| widths[i]);
     if !(middle > FLAT * largest && spread > 0.0) {

@@ -186,11 +186,9 @@ impl<'a> Solver<'a> {
         self.interocular_px = first.scale * OUTER_EYES_MM;
         let mut best: Option<(f64, State)> = None;
         for yaw_deg in STARTS_DEG {
-            let Some((cost, state)) = similarity(self.model, self.observed, yaw_deg)
-                .and_then(|s| self.descend(s, 0, POSE_STEPS))
-            else {
-                continue;
-            };
+            let start = similarity(self.model, self.observed, yaw_deg);
+            let found = start.and_then(|start| self.descend(start, 0, POSE_STEPS));
+            let Some((cost, state)) = found else { continue };
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 best = Some((cost, state));
             }
@@ -331,14 +329,12 @@ const FLAT: f64 = 1e-6;
 fn similarity(model: &Model, observed: &[Observed], yaw_deg: f64) -> Option<State> {
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), yaw_deg.to_radians()).into_inner();
     let places = model.feature_points(&model.vertices, &turn);
-    let pairs: Vec<_> = observed
-        .iter()
-        .map(|o| {
-            let seen = turn * Vector3::from(places[o.id.index()]);
-            let weight = o.weight / (o.noise * o.noise);
-            (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
-        })
-        .collect();
+    let pair = |o: &Observed| {
+        let seen = turn * Vector3::from(places[o.id.index()]);
+        let weight = o.weight / (o.noise * o.noise);
+        (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
+    };
+    let pairs: Vec<_> = observed.iter().map(pair).collect();
     let total: f64 = pairs.iter().map(|(weight, ..)| weight).sum();
     let from = pairs.iter().map(|(weight, a, _)| a * *weight).sum::<Vector2<f64>>() / total;
     let to = pairs.iter().map(|(weight, _, b)| b * *weight).sum::<Vector2<f64>>() / total;

@@ -190,13 +190,11 @@ impl Camera {
     pub fn project(&self, points_mm: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let rotation = self.rotation() * self.scale_px_per_mm;
         let [x, y] = self.origin_px;
-        points_mm
-            .iter()
-            .map(|&point| {
-                let turned = rotation * Vector3::from(point);
-                [x + turned.x, y - turned.y, turned.z]
-            })
-            .collect()
+        let place = |&point: &[f64; 3]| {
+            let turned = rotation * Vector3::from(point);
+            [x + turned.x, y - turned.y, turned.z]
+        };
+        points_mm.iter().map(place).collect()
     }
 
     /// The inverse of [`project`](Self::project): from pixels and depth in pixels to the model's frame.
@@ -205,10 +203,8 @@ impl Camera {
     pub fn unproject(&self, points_px: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let back = self.rotation().transpose() / self.scale_px_per_mm;
         let [x, y] = self.origin_px;
-        points_px
-            .iter()
-            .map(|&[u, v, depth]| (back * Vector3::new(u - x, y - v, depth)).into())
-            .collect()
+        let place = |&[u, v, depth]: &[f64; 3]| back * Vector3::new(u - x, y - v, depth);
+        points_px.iter().map(|point| place(point).into()).collect()
     }
 
     /// Yaw, pitch and roll of a rotation, in the order that [`rotation`](Self::rotation) applies them.

@@ -99,10 +99,8 @@ fn decode(bytes: &[u8], notes: &mut Vec<Note>) -> Result<DynamicImage, PhotoErro
     // Damaged EXIF is no reason to reject a picture.
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let mut picture = DynamicImage::from_decoder(decoder).map_err(|error| refused(&error))?;
-    if !matches!(
-        picture.color(),
-        ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8
-    ) {
+    let colour = picture.color();
+    if !matches!(colour, ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8) {
         notes.push(Note::Reduced);
     }
     if orientation != Orientation::NoTransforms {

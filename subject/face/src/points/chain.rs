@@ -61,11 +61,8 @@ impl<'a> Attempt<'a> {
         let regressor = LandmarkRegressor::new(photo, rough);
         let predicted = regressor.predict();
         let targets = |sd: f64| {
-            REGRESSED.iter().zip(&predicted).map(move |(landmark, at)| Target {
-                landmark: *landmark,
-                at: *at,
-                sd,
-            })
+            let places = REGRESSED.iter().zip(&predicted);
+            places.map(move |(&landmark, &at)| Target { landmark, at, sd })
         };
         let mut pose = frontal.clone();
         pose.fit(&targets(REGRESSOR_FIRST_SD).collect::<Vec<_>>(), 8);
@@ -89,11 +86,8 @@ fn collect(attempt: Attempt<'_>) -> FacePoints {
     let Attempt { regressor, pose, seen, line, evidence, .. } = attempt;
     let crop = regressor.crop();
     let p = pose.project();
-    let mut points = FacePoints {
-        yaw_deg: Some(pose.yaw_deg()),
-        evidence: Some(evidence),
-        ..FacePoints::default()
-    };
+    let (yaw_deg, evidence) = (Some(pose.yaw_deg()), Some(evidence));
+    let mut points = FacePoints { yaw_deg, evidence, ..FacePoints::default() };
     let features: [&[usize]; 6] = [&EYES[0], &EYES[1], &BROWS[0], &BROWS[1], &NOSE, &MOUTH];
     let at_annotators = |i: usize| {
         let [x, y] = offset_interocular(i);

@@ -82,12 +82,8 @@ impl Crop {
     /// Computes a channel from red, green and blue, pixel by pixel.
     pub(crate) fn plane(&self, value: impl Fn([f32; 3]) -> f32) -> Plane {
         let [r, g, b] = &self.rgb;
-        let values = r
-            .values()
-            .iter()
-            .zip(g.values())
-            .zip(b.values())
-            .map(|((r, g), b)| value([*r, *g, *b]));
+        let pixels = r.values().iter().zip(g.values()).zip(b.values());
+        let values = pixels.map(|((r, g), b)| value([*r, *g, *b]));
         Plane::from_values(WIDTH, HEIGHT, values.collect())
     }
 }

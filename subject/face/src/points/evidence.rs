@@ -111,13 +111,12 @@ pub(super) fn locate_outline(
     let p = pose.project();
     let line = trace(maps, unlike, &p, sd);
     let centre = middle(p[27], p[33]);
-    let targets = (0..17)
-        .filter_map(|landmark| {
-            let at = p.get(landmark)?;
-            let (ray, place) = outline::towards(&line, centre, *at)?;
-            Some(Target { landmark, at: place, sd: OUTLINE_SD / clearness(&ray) })
-        })
-        .collect();
+    let target = |landmark: usize| {
+        let at = p.get(landmark)?;
+        let (ray, place) = outline::towards(&line, centre, *at)?;
+        Some(Target { landmark, at: place, sd: OUTLINE_SD / clearness(&ray) })
+    };
+    let targets = (0..17).filter_map(target).collect();
     (targets, line)
 }
 

@@ -123,26 +123,24 @@ fn best_path(gain: &[f64]) -> Vec<(usize, usize)> {
 /// Radius at which each ray leaves the convex hull of `points`, with the rays of [`trace`].
 pub(crate) fn hull_radii(points: &[Point], centre: Point) -> Vec<f64> {
     let hull = hull(points);
-    directions()
-        .into_iter()
-        .map(|d| {
-            let mut far = 0.0_f64;
-            for (p, q) in hull.iter().zip(hull.iter().cycle().skip(1)) {
-                let (px, py) = (p[0] - centre[0], p[1] - centre[1]);
-                let (ex, ey) = (q[0] - p[0], q[1] - p[1]);
-                let det = d[0] * -ey + d[1] * ex;
-                if det.abs() < 1e-9 {
-                    continue;
-                }
-                let t = (px * -ey + py * ex) / det;
-                let s = (d[0] * py - d[1] * px) / det;
-                if (0.0..=1.0).contains(&s) {
-                    far = far.max(t);
-                }
+    let radius = |d: Point| {
+        let mut far = 0.0_f64;
+        for (p, q) in hull.iter().zip(hull.iter().cycle().skip(1)) {
+            let (px, py) = (p[0] - centre[0], p[1] - centre[1]);
+            let (ex, ey) = (q[0] - p[0], q[1] - p[1]);
+            let det = d[0] * -ey + d[1] * ex;
+            if det.abs() < 1e-9 {
+                continue;
             }
-            far
-        })
-        .collect()
+            let t = (px * -ey + py * ex) / det;
+            let s = (d[0] * py - d[1] * px) / det;
+            if (0.0..=1.0).contains(&s) {
+                far = far.max(t);
+            }
+        }
+        far
+    };
+    directions().into_iter().map(radius).collect()
 }
 
 /// The vertices of the convex hull in order (Andrew 1979).

@@ -189,16 +189,15 @@ pub(super) fn nose(slope: &Gradient, b: Bounds) -> Feature<5> {
     let centre = f64::from(left + right) / 2.0;
     let half = (f64::from(right - left) / 2.0).max(f64::from(width) * 0.3);
     let deep = f64::from(b.bottom - 4 - middle);
-    let mut curve: Vec<(i32, i32)> = (0..NOSE_POINTS)
-        .map(|i| {
-            let a = i as f64 / (NOSE_POINTS - 1) as f64 * std::f64::consts::PI;
-            // A superellipse: a nose is wide down to its wings.
-            let (x, y) = (-a.cos(), a.sin());
-            let x = x.signum() * x.abs().powf(0.6);
-            let px = |v: f64| v.round() as i32;
-            (px(centre + half * x), middle + px(deep * y))
-        })
-        .collect();
+    let place = |i: usize| {
+        let a = i as f64 / (NOSE_POINTS - 1) as f64 * std::f64::consts::PI;
+        // A superellipse: a nose is wide down to its wings.
+        let (x, y) = (-a.cos(), a.sin());
+        let x = x.signum() * x.abs().powf(0.6);
+        let px = |v: f64| v.round() as i32;
+        (px(centre + half * x), middle + px(deep * y))
+    };
+    let mut curve: Vec<(i32, i32)> = (0..NOSE_POINTS).map(place).collect();
     if let Some(end) = curve.first_mut() {
         *end = (left, middle);
     }
@@ -330,17 +329,15 @@ fn flanks(profile: &[f64]) -> (usize, usize) {
 /// Projection onto the columns: their means.
 fn columns(plane: &Plane, b: Bounds) -> Vec<f64> {
     let n = f64::from((b.bottom - b.top).max(1));
-    (b.left..b.right)
-        .map(|x| (b.top..b.bottom).map(|y| value(plane, x, y)).sum::<f64>() / n)
-        .collect()
+    let mean = |x: i32| (b.top..b.bottom).map(|y| value(plane, x, y)).sum::<f64>() / n;
+    (b.left..b.right).map(mean).collect()
 }
 
 /// Projection onto the rows: their means.
 fn rows(plane: &Plane, b: Bounds) -> Vec<f64> {
     let n = f64::from((b.right - b.left).max(1));
-    (b.top..b.bottom)
-        .map(|y| (b.left..b.right).map(|x| value(plane, x, y)).sum::<f64>() / n)
-        .collect()
+    let mean = |y: i32| (b.left..b.right).map(|x| value(plane, x, y)).sum::<f64>() / n;
+    (b.top..b.bottom).map(mean).collect()
 }
 
 /// The pixels of `bounds` that are `like` the seed and connected to it by their sides.
