@@ -145,10 +145,8 @@ impl LedgerTotals {
 impl Problem {
     /// Whether only decoding can reveal the problem.
     pub(crate) fn is_decoding_problem(&self) -> bool {
-        matches!(
-            self,
-            Self::Refused { refusal: Refusal::DependsOnLost | Refusal::Undecodable(_), .. }
-        )
+        let Self::Refused { refusal, .. } = self else { return false };
+        matches!(refusal, Refusal::DependsOnLost | Refusal::Undecodable(_))
     }
 }
 

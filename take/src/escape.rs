@@ -92,16 +92,13 @@ pub fn from_cell(cell: &str) -> Cow<'_, str> {
             let c = u32::from_str_radix(digits, 16).ok().and_then(char::from_u32)?;
             (is_unsafe(c) || c == '\\').then_some((c, behind))
         });
-        rest = match found {
-            Some((c, behind)) => {
-                out.push(c);
-                behind
-            }
-            None => {
-                out.push_str(CELL_ESCAPE);
-                after
-            }
-        };
+        if let Some((c, behind)) = found {
+            out.push(c);
+            rest = behind;
+        } else {
+            out.push_str(CELL_ESCAPE);
+            rest = after;
+        }
     }
     out.push_str(rest);
     Cow::Owned(out)

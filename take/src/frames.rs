@@ -8,10 +8,8 @@ use std::{
 use crate::{
     TakeError,
     damage::{Problem, push_problem},
-    foreign::{
-        Foreign, ForeignPart,
-        content::{Content, ScratchFile, Spool},
-    },
+    foreign::content::{Content, ScratchFile, Spool},
+    foreign::{Foreign, ForeignPart},
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
@@ -80,11 +78,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         describe(&map.header, &mut info);
         info.n_frames = map.n_rows;
         info.markers = map.channels.iter().map(Into::into).collect();
-        let event = |Event { row: frame, kind, text, .. }: &Event| MotionEvent {
-            frame: *frame,
-            kind: *kind,
-            text: text.clone(),
-        };
+        let event = |e: &Event| MotionEvent { frame: e.row, kind: e.kind, text: e.text.clone() };
         info.subject.clone_from(&map.subject);
         info.events = map.events.iter().map(event).collect();
         // An event may be written after the stretch of a later frame.
@@ -158,9 +152,8 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
             self.advance().map_err(io::Error::other)?;
         }
         row.fill(GAP);
-        if let Some(span) =
-            self.current.filter(|span| (span.first_row..span.end_row()).contains(&at))
-        {
+        let span = self.current.filter(|span| (span.first_row..span.end_row()).contains(&at));
+        if let Some(span) = span {
             let i = (at - span.first_row) as usize;
             for (position, rows) in row.iter_mut().zip(self.stretches.rows()) {
                 if let Some(rows) = rows.filter(|rows| rows.present[i]) {

@@ -241,9 +241,8 @@ impl ColumnBuffer {
         }
         for row in part.first_row..part.first_row + part.n_rows {
             let markers = &motion.frame(row)[part.first_marker..][..part.n_markers];
-            for ((positions, present), &position) in
-                self.positions.iter_mut().zip(&mut self.present).zip(markers)
-            {
+            let columns = self.positions.iter_mut().zip(&mut self.present);
+            for ((positions, present), &position) in columns.zip(markers) {
                 positions.push(position);
                 present.push(!is_gap(position));
             }

@@ -135,7 +135,6 @@ impl Stretch<'_> {
     }
 }
 
-
 /// Whether all runs are of rows that were damaged before a recovery.
 fn all_damaged(runs: &[RowRun]) -> bool {
     let damaged = |run: &RowRun| run.lost.is_some_and(|lost| lost.contains(LossCauses::DAMAGED));

@@ -46,24 +46,18 @@ impl ChannelTable {
 
     /// Reports a damaged region, which may have contained entries if it follows the header.
     pub(crate) fn add_damage(&mut self) {
-        if !self.begun {
-            return;
-        }
-        let column = self.channels.len();
-        match &mut self.missing {
-            Some(missing) => missing.several |= missing.column != column,
-            None => self.missing = Some(MissingEntries { column, several: false }),
+        if self.begun {
+            let column = self.channels.len();
+            let missing = self.missing.get_or_insert(MissingEntries { column, several: false });
+            missing.several |= missing.column != column;
         }
     }
 
     /// Reports that a stretch has at least `n_channels` channels. Returns the entries that this reveals as lost.
     pub(crate) fn reconcile(&mut self, n_channels: usize) -> Option<LostEntries> {
         let len = self.channels.len();
-        if n_channels < len {
-            return None;
-        }
+        let inserted = n_channels.checked_sub(len)?;
         let missing = self.missing.take();
-        let inserted = n_channels - len;
         if inserted == 0 {
             return None;
         }

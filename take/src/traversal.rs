@@ -218,11 +218,10 @@ impl Progress {
         if stretch.missing_before {
             self.report_missing(Problem::MissingBefore { row: first_row });
         }
-        let misplaced =
-            self.losses.seek_key.filter(|key| key.offset == offset && key.first_row != first_row);
-        if let Some(IndexEntry { first_row: stated, .. }) = misplaced {
+        let key_here = self.losses.seek_key.filter(|key| key.offset == offset);
+        if let Some(key) = key_here.filter(|key| key.first_row != first_row) {
             // The seek to it may have skipped rows that exist.
-            self.report(Problem::IndexRow { stated, found: first_row });
+            self.report(Problem::IndexRow { stated: key.first_row, found: first_row });
             self.take.damaged = true;
         }
         if let Err(refusal) = self.decode(offset, stretch) {
@@ -240,9 +239,8 @@ impl Progress {
             }
             self.take.longest_stretch = self.take.longest_stretch.max(Some(n_rows.into()));
             // A stretch without samples holds no rows.
-            if let Some(held) = &mut self.take.n_sampled_rows
-                && stretch.blocks.iter().any(|block| !block.is_empty())
-            {
+            let is_sampled = stretch.blocks.iter().any(|block| !block.is_empty());
+            if is_sampled && let Some(held) = &mut self.take.n_sampled_rows {
                 *held += u64::from(n_rows);
             }
         }
@@ -390,9 +388,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
     pub fn seek(&mut self, row: u64) -> Result<(), TakeError> {
         let take = &self.progress.take;
         let behind = take.keys.partition_point(|key| key.first_row <= row);
-        let Some(&key) = behind.checked_sub(1).and_then(|at| take.keys.get(at)) else {
-            return Ok(());
-        };
+        let Some(&key) = take.keys[..behind].last() else { return Ok(()) };
         let is_read = self.at > MAGIC.len() as u64 && key.first_row <= self.progress.end_row();
         if is_read || key.offset <= self.at || self.ended {
             return Ok(());

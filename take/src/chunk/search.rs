@@ -73,7 +73,6 @@ pub(crate) fn resync(
     ResyncOutcome::NotBefore(bytes.len())
 }
 
-
 /// Parses the chunk at `bytes[at..]` like [`parse`](super::parse), with the help of the prefix CRCs of `bytes`.
 pub(crate) fn parse_at<'a>(bytes: &'a [u8], at: usize, crcs: &mut PrefixCrcs) -> ChunkParse<'a> {
     let parsed = split(&bytes[at..]);

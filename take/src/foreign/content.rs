@@ -3,10 +3,7 @@
 use std::{
     fmt::Debug,
     io::{self, BufRead, BufReader, Read},
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::AtomicU64, atomic::Ordering},
 };
 
 /// Most bytes of all foreign parts of a take in memory; further parts go into a scratch file. Parameters and header
@@ -85,8 +82,7 @@ impl Content {
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
         match &self.0 {
             Storage::Memory(held) => {
-                let held = held.get(at as usize..end as usize);
-                bytes.copy_from_slice(held.ok_or(io::ErrorKind::UnexpectedEof)?);
+                bytes.copy_from_slice(&held[at as usize..end as usize]);
                 Ok(())
             }
             Storage::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
@@ -117,8 +113,7 @@ impl Content {
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
         match &mut self.0 {
             Storage::Memory(held) => {
-                let held = held.get_mut(at as usize..end as usize);
-                held.ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(bytes);
+                held[at as usize..end as usize].copy_from_slice(bytes);
                 Ok(())
             }
             Storage::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),

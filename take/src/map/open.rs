@@ -68,23 +68,19 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
     while chunks.at < file_bytes {
         let offset = chunks.at;
         let Some((kind, chunk_bytes)) = chunks.head()? else { return Ok(None) };
-        if kind == types::STRETCH {
-            next_key.next_if(|key| key.offset == offset);
-        }
         let is_known = match kind {
             types::STRETCH => {
+                next_key.next_if(|key| key.offset == offset);
                 chunks.go_to(offset + chunk_bytes)?;
                 true
             }
             // A single wrong bit turns another type into one of these, so check their CRC.
             types::FOREIGN | types::INDEX | types::FOOTER => chunks.is_whole(chunk_bytes)?,
-            _ if !types::ALL.contains(&kind) => {
-                kind & MAY_SKIP != 0 && chunks.is_whole(chunk_bytes)?
-            }
-            _ => {
+            _ if types::ALL.contains(&kind) => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
                 add_record(&mut map, kind, &payload, offset)
             }
+            _ => kind & MAY_SKIP != 0 && chunks.is_whole(chunk_bytes)?,
         };
         if !is_known {
             return Ok(None);
@@ -99,12 +95,8 @@ fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, Tak
         && next_key.peek().is_none()
         && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset)
         && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&footer.n_rows);
-    Ok(map.filter(|_| is_sound).map(|map| TakeMap {
-        n_rows: footer.n_rows,
-        keys,
-        finished: true,
-        ..map
-    }))
+    let Some(map) = map.filter(|_| is_sound) else { return Ok(None) };
+    Ok(Some(TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map }))
 }
 
 /// Adds a chunk other than a stretch. Returns whether it is valid.
@@ -112,12 +104,9 @@ fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) 
     let Some(map) = map else {
         let header = Header::from_payload(payload, offset).ok();
         let header = header.filter(|header| kind == types::HEADER && header.check().is_ok());
-        *map = header.map(|header| TakeMap {
-            channels: header.channels.clone(),
-            header,
-            ..TakeMap::default()
-        });
-        return map.is_some();
+        let Some(header) = header else { return false };
+        *map = Some(TakeMap { channels: header.channels.clone(), header, ..TakeMap::default() });
+        return true;
     };
     match record(kind, payload, offset) {
         Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
@@ -152,7 +141,6 @@ impl<R: Read + Seek> ChunkCursor<R> {
         let footer_bytes = Footer::CHUNK_BYTES as u64;
         let Some(footer_at) = file_bytes.checked_sub(footer_bytes) else { return Ok(None) };
         self.input.seek(SeekFrom::Start(footer_at))?;
-        self.at = footer_at;
         let mut last = [0; Footer::CHUNK_BYTES];
         self.input.read_exact(&mut last)?;
         self.at = file_bytes;

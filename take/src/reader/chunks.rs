@@ -13,7 +13,6 @@ use crate::{
     stretch::{self, CHANNELS_MAX, StretchChain},
 };
 
-
 /// The file ends inside a chunk.
 const CUT: &str = "the file ends inside a chunk";
 
@@ -168,7 +167,6 @@ fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'stati
     let kind = Some(kind).filter(|kind| types::ALL.contains(kind));
     TakeEvent::Damaged { offset, len, kind, message }
 }
-
 
 /// Whether a chunk of this type may be too long to hold and is skipped: an unknown type, or an index, which only
 /// repeats what the stretches state. No other record can be so long.

@@ -2,12 +2,7 @@
 //!
 //! All inputs of the fit are stored in whole microseconds, so a reader can repeat it. docs/clock.md describes the fit.
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
 use super::Record;
 use crate::{
@@ -173,13 +168,12 @@ impl Encode for Clock {
         origin.encode(encoder)?;
         probes.encode(encoder)?;
         points.encode(encoder)?;
-        self.line
-            .map(|line| {
-                let ticks = line.device_ticks.wrapping_sub(last.0).cast_signed();
-                let ns = line.host_ns.wrapping_sub(last.1.wrapping_mul(1000)).cast_signed();
-                (ticks, ns, line.drift_ppb, line.bound)
-            })
-            .encode(encoder)?;
+        let line = self.line.map(|line| {
+            let ticks = line.device_ticks.wrapping_sub(last.0).cast_signed();
+            let ns = line.host_ns.wrapping_sub(last.1.wrapping_mul(1000)).cast_signed();
+            (ticks, ns, line.drift_ppb, line.bound)
+        });
+        line.encode(encoder)?;
         self.jitter.encode(encoder)
     }
 }
@@ -189,21 +183,15 @@ impl Decode<()> for Clock {
         let segment = u32::decode(decoder)?;
         let tick_hz = u64::decode(decoder)?;
         let origin = Times::decode(decoder)?;
+        let mut previous = origin;
         let probes = parse_entries(&Vec::<u8>::decode(decoder)?, |bytes| {
-            let mut previous = origin;
-            let mut next = move |bytes: &mut Cursor<'_>| {
-                let (device_ticks, sent_us) = read_times(bytes, &mut previous, tick_hz)?;
-                Some(ClockProbe { sent_us, device_ticks, round_trip_us: bytes.varint()? })
-            };
-            parse_all(bytes, &mut next)
+            let (device_ticks, sent_us) = read_times(bytes, &mut previous, tick_hz)?;
+            Some(ClockProbe { sent_us, device_ticks, round_trip_us: bytes.varint()? })
         })?;
+        let mut previous = origin;
         let points = parse_entries(&Vec::<u8>::decode(decoder)?, |bytes| {
-            let mut previous = origin;
-            let mut next = move |bytes: &mut Cursor<'_>| {
-                let (device_ticks, host_us) = read_times(bytes, &mut previous, tick_hz)?;
-                Some(ClockPoint { device_ticks, host_us })
-            };
-            parse_all(bytes, &mut next)
+            let (device_ticks, host_us) = read_times(bytes, &mut previous, tick_hz)?;
+            Some(ClockPoint { device_ticks, host_us })
         })?;
         let line = Option::<(i64, i64, i64, Option<ClockBound>)>::decode(decoder)?;
         let jitter = ClockJitter::decode(decoder)?;
@@ -219,28 +207,19 @@ impl Decode<()> for Clock {
     }
 }
 
+/// Parses all entries; an error if the bytes end inside one, or there are too many.
 fn parse_entries<T>(
     bytes: &[u8],
-    read: impl FnOnce(&mut Cursor<'_>) -> Option<Vec<T>>,
+    mut next: impl FnMut(&mut Cursor<'_>) -> Option<T>,
 ) -> Result<Vec<T>, DecodeError> {
-    read(&mut Cursor::new(bytes)).ok_or(DecodeError::Other(
-        "its probes or points are truncated, or more than a record may hold",
-    ))
-}
-
-/// Parses all entries; `None` if the bytes end inside one, or there are too many.
-fn parse_all<T>(
-    bytes: &mut Cursor<'_>,
-    next: &mut impl FnMut(&mut Cursor<'_>) -> Option<T>,
-) -> Option<Vec<T>> {
+    let message = "its probes or points are truncated, or more than a record may hold";
+    let mut bytes = Cursor::new(bytes);
     let mut found = Vec::new();
     while !bytes.is_empty() {
-        if found.len() == CLOCK_ENTRIES_MAX {
-            return None;
-        }
-        found.push(next(bytes)?);
+        let entry = next(&mut bytes).filter(|_| found.len() < CLOCK_ENTRIES_MAX);
+        found.push(entry.ok_or(DecodeError::Other(message))?);
     }
-    Some(found)
+    Ok(found)
 }
 
 #[cfg(test)]

@@ -1,11 +1,6 @@
 //! HEADER and CHANNELS: everything that a reader needs before the first stretch.
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -125,12 +120,9 @@ impl Header {
     /// # Errors
     /// `Codec` for an unknown resampler or a tolerance out of range, `Unsupported` for another block format.
     pub fn codec(&self) -> Result<Settings, TakeError> {
-        if self.codec_version != CODEC_VERSION {
-            return Err(TakeError::Unsupported {
-                what: "block format",
-                found: self.codec_version,
-                supported: CODEC_VERSION,
-            });
+        let (found, supported) = (self.codec_version, CODEC_VERSION);
+        if found != supported {
+            return Err(TakeError::Unsupported { what: "block format", found, supported });
         }
         let kind: ResamplerKind = self.resampler.parse()?;
         let mm = if kind.is_lossless() { Tolerance::MAX_MM } else { self.tolerance_mm };
@@ -207,7 +199,7 @@ impl Decode<()> for Header {
             up_axis: UpAxis::from_code(u8::decode(decoder)?),
             device: Option::<Device>::decode(decoder)?,
             source: Option::<ImportSource>::decode(decoder)?,
-            channels: channels(decoder)?,
+            channels: MoreChannels::decode(decoder)?.0,
             stretch_rows: u32::decode(decoder)?,
             settings: Vec::<(String, String)>::decode(decoder)?,
         })
@@ -222,13 +214,9 @@ impl Encode for MoreChannels {
 
 impl Decode<()> for MoreChannels {
     fn decode<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Self, DecodeError> {
-        channels(decoder).map(Self)
+        let bytes = Vec::<u8>::decode(decoder)?;
+        read_channels(&bytes).map(Self).map_err(DecodeError::Other)
     }
-}
-
-fn channels<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Vec<Channel>, DecodeError> {
-    let bytes = Vec::<u8>::decode(decoder)?;
-    read_channels(&bytes).map_err(DecodeError::Other)
 }
 
 impl Header {
@@ -264,23 +252,11 @@ const UNUSUAL: u8 = 15;
 /// Memory that a reader needs for an entry besides its label.
 const ENTRY_BYTES: usize = 32;
 
-/// The previous entry, from which the next one is predicted.
-#[derive(Default)]
-struct PreviousEntry<'a> {
-    label: &'a [u8],
-    /// `None` before the first entry.
-    marker_id: Option<u16>,
-    unlabelled: bool,
-}
-
-impl<'a> PreviousEntry<'a> {
-    fn next_id(&self) -> u16 {
-        self.marker_id.map_or(0, |id| id.wrapping_add(1))
-    }
-
-    fn set(&mut self, marker_id: u16, label: &'a [u8], labelled: bool) {
-        *self = Self { label, marker_id: Some(marker_id), unlabelled: !labelled };
-    }
+/// What the next entry is predicted from: the label of the previous one, if any, the marker id after its own, and
+/// whether it is labelled.
+fn prediction(previous: Option<&Channel>) -> (&[u8], u16, bool) {
+    let Some(Channel { marker_id, label, labelled }) = previous else { return (&[], 0, true) };
+    (label.as_bytes(), marker_id.wrapping_add(1), *labelled)
 }
 
 fn shared(a: &[u8], b: &[u8]) -> usize {
@@ -290,12 +266,13 @@ fn shared(a: &[u8], b: &[u8]) -> usize {
 /// Encodes a channel table.
 fn write_channels(channels: &[Channel]) -> Vec<u8> {
     let mut out = Vec::new();
-    let mut previous = PreviousEntry::default();
-    for Channel { marker_id, label, labelled } in channels {
-        let label = label.as_bytes();
-        let shared = shared(previous.label, label);
-        let suffix = &label[shared..];
-        let usual = *marker_id == previous.next_id() && *labelled != previous.unlabelled;
+    let mut previous = None;
+    for channel in channels {
+        let Channel { marker_id, label, labelled } = channel;
+        let (previous_label, next_id, was_labelled) = prediction(previous);
+        let shared = shared(previous_label, label.as_bytes());
+        let suffix = &label.as_bytes()[shared..];
+        let usual = *marker_id == next_id && *labelled == was_labelled;
         let short = u8::try_from(suffix.len()).ok().filter(|&n| n < LONG);
         let low = if usual { short.unwrap_or(LONG) } else { UNUSUAL };
         out.push((shared as u8) << 4 | low);
@@ -306,7 +283,7 @@ fn write_channels(channels: &[Channel]) -> Vec<u8> {
             varint::put(&mut out, suffix.len() as u64);
         }
         out.extend_from_slice(suffix);
-        previous.set(*marker_id, label, *labelled);
+        previous = Some(channel);
     }
     out
 }
@@ -322,24 +299,16 @@ fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
         if channels.len() == CHANNELS_MAX {
             return Err("more than 65536 markers");
         }
-        let previous = match channels.last() {
-            Some(last) => PreviousEntry {
-                label: last.label.as_bytes(),
-                marker_id: Some(last.marker_id),
-                unlabelled: !last.labelled,
-            },
-            None => PreviousEntry::default(),
-        };
+        let (previous_label, mut marker_id, mut labelled) = prediction(channels.last());
         let head = bytes.byte().ok_or(CUT)?;
         let shared = usize::from(head >> 4);
-        let (mut marker_id, mut labelled) = (previous.next_id(), !previous.unlabelled);
         if head & 15 == UNUSUAL {
             let both = bytes.varint().ok_or(CUT)?;
             labelled = both & 1 == 1;
             marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id exceeds 65535")?;
         }
         let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
-        let beginning = previous.label.get(..shared).ok_or("a label shares too many bytes")?;
+        let beginning = previous_label.get(..shared).ok_or("a label shares too many bytes")?;
         // Limit the memory of the table like that of other records: a byte here may claim at most as much.
         claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
         if claimed > LIMIT_BYTES as u64 {

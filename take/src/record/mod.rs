@@ -43,27 +43,19 @@ pub trait Record: Encode + Decode<()> {
     /// # Errors
     /// `InvalidArgument` when it is larger than a reader accepts.
     fn to_payload(&self) -> Result<Vec<u8>, TakeError> {
+        let refused = |why: String| TakeError::InvalidArgument(format!("{} {why}", Self::NAME));
         let mut out = Self::VERSION.to_le_bytes().to_vec();
-        let body = bincode::encode_to_vec(self, CONFIG).map_err(|e| {
-            TakeError::InvalidArgument(format!("{} cannot be stored: {e}", Self::NAME))
-        })?;
-        if body.len() > LIMIT_BYTES {
-            return Err(TakeError::InvalidArgument(format!(
-                "{} of {} bytes is larger than a take can hold ({LIMIT_BYTES})",
-                Self::NAME,
-                body.len()
-            )));
+        let body = bincode::encode_to_vec(self, CONFIG)
+            .map_err(|e| refused(format!("cannot be stored: {e}")))?;
+        let n = body.len();
+        if n > LIMIT_BYTES {
+            let why = format!("of {n} bytes is larger than a take can hold ({LIMIT_BYTES})");
+            return Err(refused(why));
         }
         // The limit counts the memory that decoding claims, which exceeds the encoded size, so decode to check it.
-        bincode::decode_from_slice::<Self, _>(&body, CONFIG).map_err(|e| {
-            let why = match e {
-                DecodeError::Other(why) => why.to_owned(),
-                e => e.to_string(),
-            };
-            TakeError::InvalidArgument(format!(
-                "{} is larger than a take can hold: {why}",
-                Self::NAME
-            ))
+        bincode::decode_from_slice::<Self, _>(&body, CONFIG).map_err(|e| match e {
+            DecodeError::Other(why) => refused(format!("is larger than a take can hold: {why}")),
+            e => refused(format!("is larger than a take can hold: {e}")),
         })?;
         out.extend_from_slice(&body);
         Ok(out)
@@ -74,22 +66,17 @@ pub trait Record: Encode + Decode<()> {
     /// # Errors
     /// `Unsupported` for another version, `Corrupt` unless the bytes are exactly one such structure.
     fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let corrupt = |message: String| TakeError::Corrupt { what: Self::NAME, offset, message };
-        let (version, body) = payload
-            .split_first_chunk::<2>()
-            .ok_or_else(|| corrupt("shorter than its version".into()))?;
-        let found = u16::from_le_bytes(*version);
-        if found != Self::VERSION {
-            return Err(TakeError::Unsupported {
-                what: Self::NAME,
-                found,
-                supported: Self::VERSION,
-            });
+        let corrupt = |message: &str| TakeError::corrupt(Self::NAME, offset, message);
+        let (version, body) =
+            payload.split_first_chunk::<2>().ok_or_else(|| corrupt("shorter than its version"))?;
+        let (found, supported) = (u16::from_le_bytes(*version), Self::VERSION);
+        if found != supported {
+            return Err(TakeError::Unsupported { what: Self::NAME, found, supported });
         }
         let (record, used) = bincode::decode_from_slice(body, CONFIG)
-            .map_err(|e| corrupt(format!("cannot be decoded: {e}")))?;
+            .map_err(|e| corrupt(&format!("cannot be decoded: {e}")))?;
         if used != body.len() {
-            return Err(corrupt(format!("{} bytes follow the record", body.len() - used)));
+            return Err(corrupt(&format!("{} bytes follow the record", body.len() - used)));
         }
         Ok(record)
     }

@@ -4,12 +4,7 @@
 
 use std::io::{Read, Write};
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
 use super::Record;
@@ -91,9 +86,8 @@ impl Encode for Subject {
             (data.len() as u64).encode(encoder)?;
             let mut deflate = DeflateEncoder::new(Vec::new(), Compression::best());
             let deflated = deflate.write_all(data).and_then(|()| deflate.finish());
-            let deflated =
-                deflated.map_err(|_| EncodeError::Other("a document could not be compressed"))?;
-            deflated.encode(encoder)?;
+            let failed = |_| EncodeError::Other("a document could not be compressed");
+            deflated.map_err(failed)?.encode(encoder)?;
         }
         Ok(())
     }

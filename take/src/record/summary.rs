@@ -237,7 +237,6 @@ fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
     varint::put_prefixed(out, section);
 }
 
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,7 +10,6 @@ use crate::{
     varint,
 };
 
-
 /// Follows the stretches of a take.
 ///
 /// A key stretch states its row and clocks; any other stretch continues the previous one. After anything that may have

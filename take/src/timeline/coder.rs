@@ -98,19 +98,15 @@ impl TimelineAnchor {
         Some(Self { shift, period: FramePeriod { ticks: period_ticks, rows }, ticks, arrival_10us })
     }
 
-    /// Skips the anchor and the coded times at the front of `cursor`.
-    fn skip(cursor: &mut varint::Cursor<'_>, key: bool) -> Option<()> {
-        if key {
-            Self::take(cursor)?;
-        }
-        cursor.varint().and_then(|n| cursor.take(n)).map(drop)
-    }
 }
 
 /// Splits what [`TimelineEncoder::encode`] wrote off the front of `cursor`.
 pub(crate) fn take_times<'a>(cursor: &mut varint::Cursor<'a>, key: bool) -> Option<&'a [u8]> {
     let all = cursor.rest();
-    TimelineAnchor::skip(cursor, key)?;
+    if key {
+        TimelineAnchor::take(cursor)?;
+    }
+    cursor.prefixed()?;
     all.get(..all.len() - cursor.rest().len())
 }
 
@@ -161,12 +157,9 @@ impl TimelineEncoder {
         }
         let Some((row, time)) = timeline.recorded().next() else { return };
         if key {
-            let anchor = TimelineAnchor {
-                shift: self.shift,
-                period: self.period(timeline),
-                ticks: time.device_ticks,
-                arrival_10us: time.arrival_10us,
-            };
+            let (shift, period) = (self.shift, self.period(timeline));
+            let RowTime { device_ticks: ticks, arrival_10us, .. } = time;
+            let anchor = TimelineAnchor { shift, period, ticks, arrival_10us };
             self.measured = None;
             if let Some(state) = TimelineState::at(&anchor, row, self.tick_hz) {
                 self.state = state;
@@ -178,8 +171,7 @@ impl TimelineEncoder {
         self.state.rows(&mut coder, key, timeline.recorded(), |_| {});
         // The encoder has no limit to exceed.
         let _fits = coder.finish();
-        varint::put(out, self.coded.len() as u64);
-        out.extend_from_slice(&self.coded);
+        varint::put_prefixed(out, &self.coded);
         let first = self.measured.map_or((row, time.device_ticks), |measured| measured.0);
         let last = timeline.recorded().last().map(|(row, time)| (row, time.device_ticks));
         self.measured = last.map(|last| (first, last));
@@ -245,18 +237,15 @@ impl TimelineDecoder {
         timeline.times.resize(usize::try_from(n).ok()?, RowTime::default());
         if key {
             let anchor = TimelineAnchor::take(&mut cursor)?;
-            self.state = TimelineState::at(&anchor, first_row(timeline), self.tick_hz)?;
+            let first_row = timeline.recorded().next().map_or(timeline.first_row, |(row, _)| row);
+            self.state = TimelineState::at(&anchor, first_row, self.tick_hz)?;
             timeline.times[0].device_ticks = anchor.ticks;
             timeline.times[0].arrival_10us = anchor.arrival_10us;
         }
-        let mut coder = RangeDecoder::new(cursor.varint().and_then(|n| cursor.take(n))?);
+        let mut coder = RangeDecoder::new(cursor.prefixed()?);
         let mut decoded = Vec::with_capacity(timeline.times.len());
         self.state.rows(&mut coder, key, timeline.recorded(), |time| decoded.push(time));
         timeline.times = decoded;
         (coder.finish().is_ok() && cursor.is_empty()).then_some(())
     }
-}
-
-fn first_row(timeline: &Timeline) -> u64 {
-    timeline.recorded().next().map_or(timeline.first_row, |(row, _)| row)
 }

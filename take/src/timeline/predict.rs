@@ -103,10 +103,9 @@ impl FramePeriod {
         let mut rest = wanted.fract();
         while (last.0 as f64 / last.1 as f64 - wanted).abs() > 1e-6 && rest > 1e-9 {
             let inverse = rest.recip();
-            let (whole, next) = (inverse.floor() as u64, |a: u64, b: u64, n: u64| {
-                a.saturating_mul(n).saturating_add(b)
-            });
-            let convergent = (next(last.0, before.0, whole), next(last.1, before.1, whole));
+            let whole = inverse.floor() as u64;
+            let next = |last: u64, before: u64| last.saturating_mul(whole).saturating_add(before);
+            let convergent = (next(last.0, before.0), next(last.1, before.1));
             if convergent.1 > ROWS_MAX {
                 break;
             }
@@ -246,10 +245,9 @@ impl ArrivalModel {
         }
         self.n_together = 0;
         let passed = i128::from(distance(ticks, self.from_ticks)) * 100_000;
-        let expected = self
-            .from_arrival_10us
-            .wrapping_add(passed.div_euclid(i128::from(self.tick_hz)) as u64)
-            .wrapping_add_signed(self.offset >> FRACTION);
+        let passed_10us = passed.div_euclid(i128::from(self.tick_hz)) as u64;
+        let expected = self.from_arrival_10us.wrapping_add(passed_10us);
+        let expected = expected.wrapping_add_signed(self.offset >> FRACTION);
         let late = i128::from(distance(arrival_10us, expected));
         let steps = (late + i128::from(half)) >> self.shift;
         let steps = self.steps.code(coder, steps as i64);
