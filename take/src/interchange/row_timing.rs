@@ -105,19 +105,18 @@ impl RowTiming {
             let steps = steps.unwrap_or(self.times.len().saturating_sub(1) as f64);
             rate_of(steps, self.times.last()? - self.times.first()?, self.rounding)
         });
-        let Some(steps) = by_time.or(by_number) else {
-            return RowPlacement { rate_hz, ..RowPlacement::default() };
-        };
+        let without_gaps = RowPlacement { rate_hz, ..RowPlacement::default() };
+        let Some(steps) = by_time.or(by_number) else { return without_gaps };
         let missing: u64 = steps.iter().map(|step| step - 1).fold(0, u64::saturating_add);
         if missing == 0 {
-            return RowPlacement { rate_hz, ..RowPlacement::default() };
+            return without_gaps;
         }
         if missing.saturating_add(self.n_rows as u64) > frames_max as u64 {
             warnings.push(format!(
                 "Frame numbers and times skip {}, too many for a file of this size; they were ignored.",
                 counted(missing, "frame")
             ));
-            return RowPlacement { rate_hz, ..RowPlacement::default() };
+            return without_gaps;
         }
         warnings.push(format!("Without a row, read as gaps: {}.", counted(missing, "frame")));
         let missing_before = std::iter::once(0).chain(steps.iter().map(|step| step - 1)).collect();
@@ -171,19 +170,17 @@ impl RowTiming {
                 "The file states {stated_hz} Hz, but its times give {measured_hz:.3} Hz; {stated_hz} Hz was used."
             ));
         }
-        let by_time: Vec<u64> = intervals
-            .iter()
-            .map(|&interval_s| {
-                let is_gap = interval_s > GAP_PERIODS * typical.mean_s + rounding_s;
-                if is_gap { (interval_s / typical.mean_s).round().max(1.0) as u64 } else { 1 }
-            })
-            .collect();
-        let off_s = |step: u64, interval_s: f64| (interval_s - step as f64 * typical.mean_s).abs();
+        let step = |&interval_s: &f64| {
+            let is_gap = interval_s > GAP_PERIODS * typical.mean_s + rounding_s;
+            if is_gap { (interval_s / typical.mean_s).round().max(1.0) as u64 } else { 1 }
+        };
+        let by_time: Vec<u64> = intervals.iter().map(step).collect();
+        let n_off = |steps: &[u64], slack_s: f64| {
+            let steps = steps.iter().zip(&intervals);
+            steps.filter(|&(&step, &s)| (s - step as f64 * typical.mean_s).abs() > slack_s).count()
+        };
         if let Some(by_number) = by_number {
-            let disagree = by_number.iter().zip(&intervals);
-            let disagree = disagree
-                .filter(|&(&step, &s)| off_s(step, s) > 0.5 * typical.mean_s + rounding_s)
-                .count();
+            let disagree = n_off(by_number, 0.5 * typical.mean_s + rounding_s);
             if disagree == 0 {
                 return Some(by_number.to_vec());
             }
@@ -192,11 +189,7 @@ impl RowTiming {
                 counted(disagree as u64, "place")
             ));
         }
-        let uneven = by_time
-            .iter()
-            .zip(&intervals)
-            .filter(|&(&step, &s)| off_s(step, s) > EVEN_SHARE * typical.mean_s + rounding_s + 2e-6)
-            .count();
+        let uneven = n_off(&by_time, EVEN_SHARE * typical.mean_s + rounding_s + 2e-6);
         if uneven > 0 {
             warnings.push(format!(
                 "{uneven} of {} intervals differ from the typical {:.6} s; frames were read as evenly spaced.",

@@ -77,16 +77,11 @@ impl ColumnRewriter {
         self.zigzags.len() >= Self::SAMPLES
     }
 
-    /// Writes the batch to its place in a column of `n_samples` samples that begins at byte `from`.
-    pub(super) fn write(
-        &mut self,
-        data: &mut Content,
-        from: u64,
-        n_samples: usize,
-    ) -> io::Result<()> {
+    /// Writes the batch to its place in a column of `length` samples that begins at byte `from`.
+    pub(super) fn write(&mut self, data: &mut Content, from: u64, length: usize) -> io::Result<()> {
         for plane in 0..size_of::<u32>() {
             let bytes = self.zigzags.iter().map(|zigzag| zigzag.to_be_bytes()[plane]);
-            let at = from + (plane * n_samples + self.written) as u64;
+            let at = from + (plane * length + self.written) as u64;
             data.write_at(at, &bytes.collect::<Vec<u8>>())?;
         }
         self.written += self.zigzags.len();

@@ -58,8 +58,7 @@ impl EventEntry {
 
 /// The entries of the group in file order.
 fn entries(parameters: &Parameters) -> Vec<EventEntry> {
-    let numbers =
-        |name: &str| parameters.get(EVENT, name).map(Parameter::numbers).unwrap_or_default();
+    let numbers = |name| parameters.get(EVENT, name).map(Parameter::numbers).unwrap_or_default();
     let times: Vec<f32> = parameters.get(EVENT, "TIMES").map(Parameter::floats).unwrap_or_default();
     let texts = |name: &str| parameters.texts(EVENT, name);
     let (contexts, labels) = (texts("CONTEXTS"), texts("LABELS"));
@@ -107,26 +106,24 @@ pub(super) fn fill(parameters: &mut Parameters, info: &MotionInfo, whole: bool) 
     let events = select_events(&info.events);
     let label_bytes = LABEL_BYTES_MAX / events.len().max(1);
     let mut left: Vec<Option<EventEntry>> = kept.into_iter().map(Some).collect();
-    let entries: Vec<EventEntry> = events
-        .into_iter()
-        .map(|event| {
-            let same = |entry: &&mut Option<EventEntry>| {
-                let found = entry.as_ref();
-                let found = found.and_then(|e| e.event(info.rate_hz, first_frame, info.n_frames));
-                found.as_ref() == Some(event)
-            };
-            let kept = left.iter_mut().find(same).and_then(Option::take);
-            kept.unwrap_or_else(|| EventEntry {
-                context: GENERAL.to_owned(),
-                label: cut(event.label(), label_bytes.min(255)).to_owned(),
-                description: event.kind.name().to_owned(),
-                subject: subject.clone(),
-                time: time(first_frame - 1 + event.frame, info.rate_hz),
-                icon: 0,
-                flag: 0,
-            })
+    let entry = |event: &MotionEvent| {
+        let same = |entry: &&mut Option<EventEntry>| {
+            let found = entry.as_ref();
+            let found = found.and_then(|e| e.event(info.rate_hz, first_frame, info.n_frames));
+            found.as_ref() == Some(event)
+        };
+        let kept = left.iter_mut().find(same).and_then(Option::take);
+        kept.unwrap_or_else(|| EventEntry {
+            context: GENERAL.to_owned(),
+            label: cut(event.label(), label_bytes.min(255)).to_owned(),
+            description: event.kind.name().to_owned(),
+            subject: subject.clone(),
+            time: time(first_frame - 1 + event.frame, info.rate_hz),
+            icon: 0,
+            flag: 0,
         })
-        .collect();
+    };
+    let entries: Vec<EventEntry> = events.into_iter().map(entry).collect();
     set(parameters, &entries);
 }
 
@@ -160,8 +157,7 @@ fn set(parameters: &mut Parameters, entries: &[EventEntry]) {
 /// At most [`EVENTS_MAX`] events in order of time; marks, triggers and sync pulses take precedence over the events of
 /// device and host.
 fn select_events(events: &[MotionEvent]) -> Vec<&MotionEvent> {
-    let is_preferred =
-        |event: &&MotionEvent| !matches!(event.kind, EventKind::Device | EventKind::Host);
+    let is_preferred = |e: &&MotionEvent| !matches!(e.kind, EventKind::Device | EventKind::Host);
     let mut chosen: Vec<_> = events.iter().filter(is_preferred).take(EVENTS_MAX).collect();
     let n_free = EVENTS_MAX - chosen.len();
     chosen.extend(events.iter().filter(|event| !is_preferred(event)).take(n_free));

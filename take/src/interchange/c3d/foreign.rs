@@ -43,20 +43,16 @@ pub(super) fn keep(
     points: &Points,
     positions: &[Position],
 ) -> Vec<Foreign> {
-    let mut kept = Vec::new();
-    let mut push =
-        |kind: &str, data: Vec<u8>| kept.push(Foreign { kind: kind.to_owned(), data: data.into() });
-    push(PARAMETERS, parameters_data(header, parameters));
-    if frames.layout.stride.analog_per_frame > 0 {
-        push(ANALOG, analog_data(frames));
-    }
-    if let Some(data) = residual_data(frames, points, positions) {
-        push(RESIDUALS, data);
-    }
-    if !points.outputs.is_empty() {
-        push(MODEL_OUTPUTS, output_data(frames, points));
-    }
-    kept
+    let parts = [
+        (PARAMETERS, Some(parameters_data(header, parameters))),
+        (ANALOG, (frames.layout.stride.analog_per_frame > 0).then(|| analog_data(frames))),
+        (RESIDUALS, residual_data(frames, points, positions)),
+        (MODEL_OUTPUTS, (!points.outputs.is_empty()).then(|| output_data(frames, points))),
+    ];
+    let kept = parts.into_iter().filter_map(|(kind, data)| {
+        Some(Foreign { kind: kind.to_owned(), data: data?.into() })
+    });
+    kept.collect()
 }
 
 /// The header of a block of columns over all frames of a file: version, width, number of signals, samples of a column
@@ -86,10 +82,9 @@ pub(in crate::interchange) fn rotate(
     });
     let gap_coordinates = gap_coordinates::rotated(foreign, n_markers, rotation)?;
     for new in parameters.into_iter().chain(gap_coordinates) {
-        foreign
-            .iter_mut()
-            .filter(|part| part.kind == new.kind)
-            .for_each(|part| *part = new.clone());
+        for part in foreign.iter_mut().filter(|part| part.kind == new.kind) {
+            *part = new.clone();
+        }
     }
     Ok(())
 }
@@ -130,11 +125,10 @@ fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -
     let present = |frame: usize, marker: usize| {
         positions.get(frame * n_markers + marker).is_some_and(|&p| !is_gap(p))
     };
+    let fourth = |frame: usize, point: usize| frames.column_word(frame, 4 * point + 3);
     let zero = if layout.stride.float { ordered(0) } else { 0 };
     let is_zero = points.markers.iter().enumerate().all(|(marker, &(point, _))| {
-        (0..layout.n_frames).all(|frame| {
-            !present(frame, marker) || frames.column_word(frame, 4 * point + 3) == zero
-        })
+        (0..layout.n_frames).all(|frame| !present(frame, marker) || fourth(frame, point) == zero)
     });
     if is_zero {
         return None;
@@ -145,7 +139,7 @@ fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -
         let mut before = zero;
         let words = (0..layout.n_frames).map(|frame| {
             if present(frame, marker) {
-                before = frames.column_word(frame, 4 * point + 3);
+                before = fourth(frame, point);
             }
             before
         });
@@ -262,10 +256,7 @@ impl<'a> KeptSamples<'a> {
     }
 
     /// The model outputs from a frame on.
-    pub(super) fn model_outputs(
-        foreign: &'a [Foreign],
-        first_frame: u64,
-    ) -> io::Result<Option<Self>> {
+    pub(super) fn outputs(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, MODEL_OUTPUTS, 4, true, first_frame)?;
         Ok(kept.filter(|kept| kept.header.ratio == 1 && kept.header.width == 4))
     }
@@ -304,8 +295,7 @@ fn parse_parameters(data: &[u8]) -> Option<(C3dHeader, Parameters)> {
     let mut header =
         C3dHeader { max_gap: u16::from_le_bytes([gap_low, gap_high]), ..C3dHeader::default() };
     for _ in 0..n_events {
-        let (event, after) = rest.split_first_chunk::<9>()?;
-        let &[t0, t1, t2, t3, flag, l0, l1, l2, l3] = event;
+        let (&[t0, t1, t2, t3, flag, l0, l1, l2, l3], after) = rest.split_first_chunk::<9>()?;
         let time_s = f32::from_le_bytes([t0, t1, t2, t3]);
         header.events.push(HeaderEvent { time_s, flag, label: [l0, l1, l2, l3] });
         rest = after;

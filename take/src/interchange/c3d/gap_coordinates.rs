@@ -18,7 +18,8 @@ use crate::{
     motion::{Foreign, Position},
 };
 
-const GAP_COORDINATES: &str = "c3d/gap-coordinates";
+/// Kind of the part.
+const KIND: &str = "c3d/gap-coordinates";
 /// Bytes of the part's header: version, number of the first frame, number of markers.
 const HEADER_BYTES: usize = 13;
 /// Bytes before a marker's runs: its index and the number of runs.
@@ -71,7 +72,7 @@ impl GapCoordinates {
             ));
             return None;
         }
-        Some(Foreign { kind: GAP_COORDINATES.to_owned(), data: self.encode(first_frame).into() })
+        Some(Foreign { kind: KIND.to_owned(), data: self.encode(first_frame).into() })
     }
 
     /// Size of the part in bytes. The samples must be sorted.
@@ -147,9 +148,7 @@ impl<'a> KeptCoordinates<'a> {
         n_markers: usize,
         from: u64,
     ) -> io::Result<Option<Self>> {
-        let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
-            return Ok(None);
-        };
+        let Some(part) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
         let data = part.data.as_slice();
         let Some(([VERSION], rest)) = data.split_array()? else { return Ok(None) };
         let Some((first_frame, rest)) = rest.split_array()? else { return Ok(None) };
@@ -160,12 +159,11 @@ impl<'a> KeptCoordinates<'a> {
             return Ok(None);
         }
         let buffer_bytes = BLOCK_BYTES / n_kept.max(1);
-        let mut markers = Vec::new();
+        let mut markers: Vec<KeptMarker<'_>> = Vec::new();
         for _ in 0..n_kept {
             let parsed = KeptMarker::parse(rest, buffer_bytes)?;
             let Some((marker, after)) = parsed else { return Ok(None) };
-            let is_next =
-                markers.last().is_none_or(|last: &KeptMarker<'_>| last.index < marker.index);
+            let is_next = markers.last().is_none_or(|last| last.index < marker.index);
             if !is_next || marker.index >= n_markers {
                 return Ok(None);
             }
@@ -229,13 +227,10 @@ impl<'a> KeptMarker<'a> {
     /// The words of a frame, counted from the first of the source. Calls must be in order of frames.
     fn at(&mut self, frame: u64) -> io::Result<Option<PointWords>> {
         loop {
-            let run = match self.run {
-                Some(run) => run,
-                None => match self.runs.next()? {
-                    Some(run) => *self.run.insert(run),
-                    None => return Ok(None),
-                },
-            };
+            if self.run.is_none() {
+                self.run = self.runs.next()?;
+            }
+            let Some(run) = self.run else { return Ok(None) };
             if frame < run.first {
                 return Ok(None);
             }
@@ -317,9 +312,7 @@ pub(super) fn rotated(
     rotation: Rotation,
 ) -> io::Result<Option<Foreign>> {
     let Some(kept) = KeptCoordinates::parse(foreign, n_markers, 0)? else { return Ok(None) };
-    let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
-        return Ok(None);
-    };
+    let Some(part) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
     let mut data = part.data.copy()?;
     for mut marker in kept.markers {
         let mut columns = [const { ColumnRewriter::new() }; WORDS];
@@ -338,7 +331,7 @@ pub(super) fn rotated(
             }
         }
     }
-    Ok(Some(Foreign { kind: GAP_COORDINATES.to_owned(), data }))
+    Ok(Some(Foreign { kind: KIND.to_owned(), data }))
 }
 
 #[cfg(test)]

@@ -99,15 +99,14 @@ fn events(bytes: &[u8], order: ByteOrder) -> Option<Vec<HeaderEvent>> {
         return None;
     }
     let n_events = usize::from(order.word_at(bytes, 300)?).min(MAX_EVENTS);
-    (0..n_events)
-        .map(|index| {
-            Some(HeaderEvent {
-                time_s: order.float_at(bytes, 304 + 4 * index)?,
-                flag: *bytes.get(376 + index)?,
-                label: bytes.get(396 + 4 * index..400 + 4 * index)?.try_into().ok()?,
-            })
+    let event = |index: usize| {
+        Some(HeaderEvent {
+            time_s: order.float_at(bytes, 304 + 4 * index)?,
+            flag: *bytes.get(376 + index)?,
+            label: bytes.get(396 + 4 * index..400 + 4 * index)?.try_into().ok()?,
         })
-        .collect()
+    };
+    (0..n_events).map(event).collect()
 }
 
 /// The processor type of a file, which defines its byte order and float format.

@@ -7,9 +7,7 @@ use super::{
     header::{BLOCK, ByteOrder, C3dHeader},
     malformed,
     parameters::Parameters,
-    stride::{
-        CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate, by_size, choose, combine,
-    },
+    stride::{self, CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate},
 };
 use crate::{
     ambiguity::{Ambiguity, FrameLayout, Notes},
@@ -140,8 +138,7 @@ impl<'a> StatedLayout<'a> {
         let mut all = vec![u64::from(self.header.analog_per_frame)];
         if let Some(used) = self.channels_used {
             let ratios = [Some(u64::from(self.header.analog_ratio)), self.rate_ratio];
-            let ratios = ratios.into_iter().flatten();
-            let ratios: Vec<u64> = ratios.filter(|&ratio| ratio > 0).collect();
+            let ratios: Vec<u64> = ratios.into_iter().flatten().filter(|&n| n > 0).collect();
             // These also count if the header has another number: some software writes the number of channels there.
             all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
             if ratios.is_empty() {
@@ -173,7 +170,7 @@ impl<'a> StatedLayout<'a> {
     ) -> Result<(Stride, usize)> {
         let points: Vec<u64> =
             self.points_used.into_iter().chain([self.header.n_points.into()]).collect();
-        let strides = combine(&points, &self.analog(), &self.floats(), starts);
+        let strides = stride::combine(&points, &self.analog(), &self.floats(), starts);
         let candidate = |stride: Stride, n_frames: u64, is_stated: bool| {
             StrideCandidate::new(file, stride, n_frames, is_stated)
         };
@@ -182,10 +179,7 @@ impl<'a> StatedLayout<'a> {
             .map(|&stride| candidate(stride, counts.for_stride(file, &stride).n_frames, true))
             .collect();
         let n_stated = candidates.len();
-        let only = match candidates.as_slice() {
-            &[only] => Some(only),
-            _ => None,
-        };
+        let only = candidates.first().copied().filter(|_| n_stated == 1);
         if let Some(only) = only.filter(StrideCandidate::is_acceptable) {
             return Ok((only.stride, 1));
         }
@@ -194,7 +188,7 @@ impl<'a> StatedLayout<'a> {
             let mut more: Vec<(Stride, u64)> = Vec::new();
             for n_frames in counts.all() {
                 for &stride in &strides {
-                    let sizes = by_size(file, stride, n_frames, self.channels_used);
+                    let sizes = stride::by_size(file, stride, n_frames, self.channels_used);
                     more.extend(sizes.map(|stride| (stride, n_frames)));
                     more.dedup();
                     more.truncate(CANDIDATES_MAX);
@@ -211,10 +205,8 @@ impl<'a> StatedLayout<'a> {
                 }));
             }
         }
-        let chosen = choose(&candidates).filter(|chosen| {
-            cut_off.is_none_or(|stated| {
-                chosen.is_much_smoother(&stated) && chosen.begins_smoothly(file)
-            })
+        let chosen = stride::choose(&candidates).filter(|best| {
+            cut_off.is_none_or(|only| best.is_much_smoother(&only) && best.begins_smoothly(file))
         });
         match (chosen, strides.first()) {
             (Some(chosen), _) => {
@@ -242,12 +234,9 @@ impl<'a> StatedLayout<'a> {
             return usize::try_from(header_ratio).unwrap_or(0);
         }
         let used = self.channels_used;
-        let agrees = |ratio: u64| {
-            ratio > 0 && used.is_none_or(|used| used.checked_mul(ratio) == Some(per_frame))
-        };
+        let agrees = |ratio: u64| used.is_none_or(|n| n.checked_mul(ratio) == Some(per_frame));
         let divides = |n: u64| n > 0 && per_frame.is_multiple_of(n);
-        let stated = [Some(header_ratio), self.rate_ratio];
-        let mut stated = stated.into_iter().flatten();
+        let mut stated = [Some(header_ratio), self.rate_ratio].into_iter().flatten();
         let ratio = stated
             .find(|&ratio| agrees(ratio) && divides(ratio))
             .or_else(|| Some(header_ratio).filter(|&ratio| divides(ratio)))
@@ -282,8 +271,7 @@ impl<'a> StatedLayout<'a> {
             text += &format!("; scale: POINT:SCALE {}, header {}", self.scale, self.header.scale);
         }
         if starts.len() > 1 {
-            let blocks: Vec<String> =
-                starts.iter().map(|start| (start / BLOCK + 1).to_string()).collect();
+            let blocks: Vec<_> = starts.iter().map(|at| (at / BLOCK + 1).to_string()).collect();
             text += &format!("; first block of the data: {}", blocks.join(" or "));
         }
         text
@@ -333,12 +321,11 @@ fn data_starts(header: &C3dHeader, parameters: &Parameters, n_bytes: usize) -> R
     let offset = |block: u64| {
         usize::try_from(block.saturating_sub(1)).unwrap_or(usize::MAX).saturating_mul(BLOCK)
     };
-    let possible =
-        |block: &u64| *block > u64::from(header.parameter_block) && offset(*block) <= n_bytes;
+    let fits = |&block: &u64| block > u64::from(header.parameter_block) && offset(block) <= n_bytes;
     let stated = u64::from(header.data_block);
     let parameter = parameters.number("POINT", "DATA_START").and_then(as_count);
     let mut starts: Vec<usize> =
-        [Some(stated), parameter].into_iter().flatten().filter(possible).map(offset).collect();
+        [Some(stated), parameter].into_iter().flatten().filter(fits).map(offset).collect();
     starts.dedup();
     if starts.is_empty() {
         return Err(malformed(
@@ -401,9 +388,8 @@ impl<'a> FrameCounts<'a> {
             [low, high, ..] => Some(u64::from(low) | u64::from(high) << 16),
             [] => None,
         };
-        let trial_start = field("ACTUAL_START_FIELD");
-        let trial =
-            trial_start.zip(field("ACTUAL_END_FIELD")).and_then(|(s, e)| (e + 1).checked_sub(s));
+        let start = field("ACTUAL_START_FIELD");
+        let trial = start.zip(field("ACTUAL_END_FIELD")).and_then(|(s, e)| (e + 1).checked_sub(s));
         let count = |name: &str| parameters.number("POINT", name).and_then(as_count);
         let (first, last) = (u64::from(header.first_frame), u64::from(header.last_frame));
         let stated = [
@@ -417,7 +403,7 @@ impl<'a> FrameCounts<'a> {
         Self {
             header,
             stated: stated.filter_map(|(of, n)| Some((of, n.filter(|&n| n > 0)?))).collect(),
-            trial_start,
+            trial_start: start,
             is_narrow: !has("POINT", "LONG_FRAMES") && !has("TRIAL", "ACTUAL_END_FIELD"),
         }
     }
@@ -437,18 +423,15 @@ impl<'a> FrameCounts<'a> {
         let is_saturated = self.is_narrow && self.header.last_frame == u16::MAX;
         if found.is_none() && is_saturated {
             // Frames that fit in the padding of the last block are not counted.
-            let n_frames =
-                file.present(stride).saturating_sub((BLOCK - 1) / stride.frame_bytes().max(1))
-                    as u64;
+            let padding = (BLOCK - 1) / stride.frame_bytes().max(1);
+            let n_frames = file.present(stride).saturating_sub(padding) as u64;
             if self.stated.iter().all(|&(_, n)| n < n_frames) {
                 return FrameCount { n_frames, source: Some(CountSource::Size) };
             }
         }
         let found = found.or_else(|| fits(&|fit| fit != SizeFit::Short)).or(self.stated.first());
-        found.map_or(FrameCount { n_frames: 0, source: None }, |&(source, n_frames)| FrameCount {
-            n_frames,
-            source: Some(source),
-        })
+        let (source, n_frames) = found.map_or((None, 0), |&(source, n)| (Some(source), n));
+        FrameCount { n_frames, source }
     }
 
     /// The number of the first frame: from the TRIAL group if its count was used, otherwise from the header.

@@ -52,6 +52,11 @@ pub(super) struct Parameters {
 }
 
 impl Parameter {
+    /// Whether the parameter has this group and name, ignoring case.
+    fn is(&self, group: u8, name: &str) -> bool {
+        self.group == group && self.name.eq_ignore_ascii_case(name.as_bytes())
+    }
+
     /// The values as numbers, integers unsigned. Empty for characters.
     pub(super) fn numbers(&self) -> Vec<f64> {
         match self.kind {
@@ -88,31 +93,25 @@ impl Parameter {
             let n_strings = self.dimensions.iter().skip(1).map(|&d| usize::from(d)).product();
             return vec![String::new(); usize::from(u16::MAX).min(n_strings)];
         }
-        self.data
-            .chunks(length)
-            .map(|text| {
-                let end =
-                    text.iter().rposition(|b| !matches!(b, b' ' | 0)).map_or(0, |last| last + 1);
-                decode(text.get(..end).unwrap_or(text))
-            })
-            .collect()
+        let text = |text: &[u8]| {
+            let end = text.iter().rposition(|b| !matches!(b, b' ' | 0)).map_or(0, |last| last + 1);
+            decode(text.get(..end).unwrap_or(text))
+        };
+        self.data.chunks(length).map(text).collect()
     }
 }
 
 impl Parameters {
     /// The id of a group by its name, ignoring case.
     pub(super) fn group_id(&self, name: &str) -> Option<u8> {
-        let found =
-            self.groups.iter().find(|group| group.name.eq_ignore_ascii_case(name.as_bytes()))?;
+        let found = self.groups.iter().find(|g| g.name.eq_ignore_ascii_case(name.as_bytes()))?;
         Some(found.id)
     }
 
     /// A parameter by group and name, ignoring case.
     pub(super) fn get(&self, group: &str, name: &str) -> Option<&Parameter> {
         let id = self.group_id(group)?;
-        self.parameters
-            .iter()
-            .find(|p| p.group == id && p.name.eq_ignore_ascii_case(name.as_bytes()))
+        self.parameters.iter().find(|p| p.is(id, name))
     }
 
     /// The first value of a parameter as a number.
@@ -233,14 +232,11 @@ impl<'a> ParameterRecord<'a> {
             4 => 4,
             other => return Err(format!("expected type -1, 1, 2 or 4, found {other}")),
         };
-        let (n_dimensions, rest) =
-            rest.split_first().ok_or("the number of dimensions is missing")?;
-        let (dimensions, rest) = rest
-            .split_at_checked(usize::from(*n_dimensions))
-            .ok_or("the dimensions are cut off")?;
+        let (&n, rest) = rest.split_first().ok_or("the number of dimensions is missing")?;
+        let dimensions = rest.split_at_checked(usize::from(n));
+        let (dimensions, rest) = dimensions.ok_or("the dimensions are cut off")?;
         let mut dimensions = dimensions.to_vec();
-        let announced =
-            dimensions.iter().fold(width, |n: usize, &d| n.saturating_mul(usize::from(d)));
+        let announced = dimensions.iter().fold(width, |n: usize, &d| n.saturating_mul(d.into()));
         let (data, after, mut wrong) = match rest.split_at_checked(announced) {
             Some((data, after)) => (data, after, None),
             None => {
@@ -331,21 +327,18 @@ fn encode_group(group: &ParameterGroup, out: &mut Vec<u8>) {
 }
 
 fn encode_parameter(parameter: &Parameter, out: &mut Vec<u8>) {
-    let body = 4
-        + parameter.dimensions.len()
-        + parameter.data.len()
-        + 1
-        + parameter.description.len().min(255);
+    let Parameter { dimensions, data, description, .. } = parameter;
+    let body = 4 + dimensions.len() + data.len() + 1 + description.len().min(255);
     // A record too long for its offset was read from the end of a section, where the offset is 0. It is the last one
     // again.
     let offset = u16::try_from(body).unwrap_or(0);
     encode_name(&parameter.name, parameter.locked, parameter.group as i8, out);
     out.extend(offset.to_le_bytes());
     out.extend(parameter.kind.to_le_bytes());
-    out.push(parameter.dimensions.len().min(255) as u8);
-    out.extend(&parameter.dimensions);
-    out.extend(&parameter.data);
-    encode_description(&parameter.description, out);
+    out.push(dimensions.len().min(255) as u8);
+    out.extend(dimensions);
+    out.extend(data);
+    encode_description(description, out);
 }
 
 impl Parameters {
@@ -354,11 +347,9 @@ impl Parameters {
         if let Some(id) = self.group_id(name) {
             return Some(id);
         }
-        let taken = |id: u8| {
-            self.groups.iter().any(|group| group.id == id)
-                || self.parameters.iter().any(|p| p.group == id)
-        };
-        let id = (1..=127).find(|&id| !taken(id))?;
+        let taken = self.groups.iter().map(|group| group.id);
+        let taken: Vec<u8> = taken.chain(self.parameters.iter().map(|p| p.group)).collect();
+        let id = (1..=127).find(|id| !taken.contains(id))?;
         self.groups.push(ParameterGroup {
             id,
             name: name.as_bytes().to_vec(),
@@ -369,21 +360,10 @@ impl Parameters {
     }
 
     /// Sets a parameter: in place if it exists, otherwise as the last one.
-    pub(super) fn set(
-        &mut self,
-        group: &str,
-        name: &str,
-        kind: i8,
-        dimensions: Vec<u8>,
-        data: Vec<u8>,
-    ) {
+    pub(super) fn set(&mut self, group: &str, name: &str, kind: i8, shape: Vec<u8>, data: Vec<u8>) {
         let Some(id) = self.group_or_new(group) else { return };
-        let found = self
-            .parameters
-            .iter_mut()
-            .find(|p| p.group == id && p.name.eq_ignore_ascii_case(name.as_bytes()));
-        if let Some(parameter) = found {
-            (parameter.kind, parameter.dimensions, parameter.data) = (kind, dimensions, data);
+        if let Some(parameter) = self.parameters.iter_mut().find(|p| p.is(id, name)) {
+            (parameter.kind, parameter.dimensions, parameter.data) = (kind, shape, data);
             return;
         }
         self.parameters.push(Parameter {
@@ -391,7 +371,7 @@ impl Parameters {
             name: name.as_bytes().to_vec(),
             locked: false,
             kind,
-            dimensions,
+            dimensions: shape,
             data,
             description: Vec::new(),
         });

@@ -24,19 +24,15 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
         return Err(malformed("byte 0", "the file is empty or ends within its header"));
     };
     if key != 0x50 {
-        return Err(malformed(
-            "byte 1",
-            format!("expected the C3D signature 50 (hex), found {key:02x}: not a C3D file"),
-        ));
+        let text = format!("expected the C3D signature 50 (hex), found {key:02x}: not a C3D file");
+        return Err(malformed("byte 1", text));
     }
     let mut notes = Notes::default();
     let section_start = usize::from(parameter_block).saturating_sub(1) * BLOCK;
     let order = byte_order(bytes, section_start, &mut notes.warnings);
     let Some(header) = C3dHeader::parse(bytes, order) else {
-        return Err(malformed(
-            "byte 0",
-            format!("expected a header of {BLOCK} bytes, found {}", bytes.len()),
-        ));
+        let message = format!("expected a header of {BLOCK} bytes, found {}", bytes.len());
+        return Err(malformed("byte 0", message));
     };
     let section = section(bytes, section_start, &header);
     let mut parameters = Parameters::parse(section, order, &mut notes.warnings);
@@ -47,17 +43,16 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let frames = Frames::new(bytes, &layout);
     let millimetres = ToMillimetres::new(unit.factor, options.rotation());
     let has_marks = fourth_words_are_marks(&frames, &points, &mut notes);
-    let mut gap_coordinates = GapCoordinates::default();
-    let positions_mm =
-        read_positions(&frames, &points, &millimetres, has_marks, &mut gap_coordinates);
+    let mut under_gaps = GapCoordinates::default();
+    let positions_mm = read_positions(&frames, &points, &millimetres, has_marks, &mut under_gaps);
     millimetres.report(&mut notes.warnings);
-    gap_coordinates.note(&mut notes);
+    under_gaps.note(&mut notes);
     unit.check(&positions_mm, points.markers.len(), &mut notes);
     origin::note_samples_at_origin(&positions_mm, points.markers.len(), &mut notes);
     let up = options.up(parameters.up_axis(), &mut notes);
     parameters.rotate(options.rotation());
     let mut foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
-    foreign.extend(gap_coordinates.into_foreign(layout.first_frame, &mut notes.warnings));
+    foreign.extend(under_gaps.into_foreign(layout.first_frame, &mut notes.warnings));
     if !options.rotation().is_identity() && !points.outputs.is_empty() {
         notes.warnings.push(format!(
             "{} ({}) not rotated: some are vectors in space, others are angles or scalars.",

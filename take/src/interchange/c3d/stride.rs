@@ -115,18 +115,13 @@ pub(super) struct StrideCandidate {
 }
 
 impl StrideCandidate {
-    pub(super) fn new(
-        file: &FileBytes<'_>,
-        stride: Stride,
-        n_frames: u64,
-        is_stated: bool,
-    ) -> Self {
+    pub(super) fn new(file: &FileBytes<'_>, stride: Stride, n_frames: u64, stated: bool) -> Self {
         let n_read = file.present(&stride).min(usize::try_from(n_frames).unwrap_or(usize::MAX));
         Self {
             stride,
             fit: file.fit(&stride, n_frames),
             roughness: roughness(file, &stride, n_read),
-            is_stated,
+            is_stated: stated,
         }
     }
 
@@ -241,9 +236,8 @@ pub(super) fn combine(
 ) -> Vec<Stride> {
     let count = |n: u64| usize::try_from(n.min(1 << 32)).unwrap_or(usize::MAX);
     let mut all: Vec<Stride> = Vec::new();
-    for (&data_start, &float) in
-        starts.iter().flat_map(|start| floats.iter().map(move |float| (start, float)))
-    {
+    let starts = starts.iter().flat_map(|start| floats.iter().map(move |float| (start, float)));
+    for (&data_start, &float) in starts {
         for (&n_points, &analog) in points.iter().flat_map(|n| analog.iter().map(move |m| (n, m))) {
             let (n_points, analog_per_frame) = (count(n_points), count(analog));
             let stride = Stride { n_points, analog_per_frame, float, data_start };
@@ -270,9 +264,7 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
     let n_points = stride.n_points.min(POINTS);
     let window = n_frames.min(WINDOW_FRAMES);
     let n_windows = if n_frames > window { WINDOWS } else { 1 };
-    let is_none = |v: f64| {
-        !v.is_finite() || v.abs() > COORDINATE_MAX || (v != 0.0 && v.abs() < COORDINATE_MIN)
-    };
+    let is_none = |v: f64| v != 0.0 && !(COORDINATE_MIN..=COORDINATE_MAX).contains(&v.abs());
     let mut values = Vec::new();
     let mut changes = Vec::new();
     let (mut fourth_words, mut odd_words, mut odd_changes) = (0usize, 0usize, 0usize);
@@ -319,8 +311,7 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
     if span <= 0.0 && odd_changes == 0 {
         return None;
     }
-    let rough: f64 =
-        changes.iter().map(|change| (change / span.max(f64::MIN_POSITIVE)).min(1.0)).sum();
-    let mean = (rough + odd_changes as f64) / n_changes as f64;
+    let rough = changes.iter().map(|change| (change / span.max(f64::MIN_POSITIVE)).min(1.0));
+    let mean = (rough.sum::<f64>() + odd_changes as f64) / n_changes as f64;
     Some(mean + odd_words as f64 / fourth_words.max(1) as f64)
 }

@@ -26,7 +26,7 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     let (mut header, mut parameters) = kept_parameters(&info.foreign)?.unwrap_or_default();
     let mut body = Body::new(&info, &parameters)?;
     fill_parameters(&mut parameters, &info, &mut body)?;
-    fill_header(&mut header, &parameters, &info, &body);
+    set_header(&mut header, &parameters, &info, &body);
     let leading_blocks = leading_blocks(header, parameters)?;
     // The file is padded to whole blocks, unless a reader counts the frames by its length.
     let mut n_bytes = leading_blocks.len() as u64;
@@ -266,19 +266,15 @@ fn set_rate(parameters: &mut Parameters, ratio: usize, rate_hz: f64) {
 /// offsets that a 16-bit integer cannot hold, 0 for the others; empty if all fit.
 fn set_offsets(parameters: &mut Parameters, n_channels: usize) -> Vec<f64> {
     let is_unsigned = is_unsigned(parameters);
-    let kept = parameters.get(ANALOG, "OFFSET").or(parameters.get(ANALOG, "OFFSETS"));
+    let offset = parameters.get(ANALOG, "OFFSET");
+    let kept = offset.or(parameters.get(ANALOG, "OFFSETS"));
     let as_signed = |word: u16| if is_unsigned { f64::from(word) } else { f64::from(word as i16) };
     let known: Vec<f64> = match kept {
-        Some(parameter) if parameter.kind == 2 => {
-            parameter.integers().into_iter().map(as_signed).collect()
-        }
-        Some(parameter) => parameter.numbers(),
+        Some(p) if p.kind == 2 => p.integers().into_iter().map(as_signed).collect(),
+        Some(p) => p.numbers(),
         None => Vec::new(),
     };
-    let is_complete = parameters
-        .get(ANALOG, "OFFSET")
-        .is_some_and(|p| p.kind == 2 && p.integers().len() >= n_channels.min(255));
-    if is_complete {
+    if offset.is_some_and(|p| p.kind == 2 && p.integers().len() >= n_channels.min(255)) {
         return Vec::new();
     }
     let range = if is_unsigned { 0.0..=65535.0 } else { -32768.0..=32767.0 };
@@ -313,12 +309,7 @@ fn residual_scale(parameters: &Parameters, factor: f64) -> f32 {
     if scale.is_finite() && scale > 0.0 { scale } else { 1.0 }
 }
 
-fn fill_header(
-    header: &mut C3dHeader,
-    parameters: &Parameters,
-    info: &MotionInfo,
-    body: &Body<'_>,
-) {
+fn set_header(header: &mut C3dHeader, parameters: &Parameters, info: &MotionInfo, body: &Body<'_>) {
     let word = |value: u32| u16::try_from(value).unwrap_or(u16::MAX);
     let (ratio, n_channels) = body.analog_shape();
     header.parameter_block = 2;
@@ -337,11 +328,7 @@ fn fill_header(
 fn analog_ratio_without_channels(parameters: &Parameters) -> u16 {
     let analog = parameters.number("ANALOG", "RATE").unwrap_or(0.0);
     let ratio = analog / parameters.number("POINT", "RATE").unwrap_or(0.0);
-    if ratio.is_finite() && ratio.fract() == 0.0 && (0.0..65536.0).contains(&ratio) {
-        ratio as u16
-    } else {
-        0
-    }
+    if ratio.fract() == 0.0 && (0.0..65536.0).contains(&ratio) { ratio as u16 } else { 0 }
 }
 
 /// Encodes header and parameter section. Drops POINT:DESCRIPTIONS if the section would exceed 255 blocks.
@@ -379,8 +366,8 @@ fn section_blocks(records: &[u8]) -> usize {
     (records.len() + 4).div_ceil(BLOCK)
 }
 
-/// The fourth word of a missing sample.
-const MISSING: f32 = -1.0;
+/// The words of a missing sample.
+const MISSING: [f32; 4] = [0.0, 0.0, 0.0, -1.0];
 
 /// A point of the written file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -408,7 +395,7 @@ impl<'a> Body<'a> {
     /// Those of reading the foreign parts.
     fn new(info: &'a MotionInfo, parameters: &Parameters) -> io::Result<Self> {
         let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
-        let outputs = KeptSamples::model_outputs(foreign, first_frame)?;
+        let outputs = KeptSamples::outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
         Ok(Self {
             gap_coordinates: KeptCoordinates::parse(foreign, n_markers, first_frame)?,
@@ -454,9 +441,7 @@ impl<'a> Body<'a> {
                 }
                 Point::ModelOutput(index) => outputs
                     .and_then(|words| words.as_chunks::<4>().0.get(index))
-                    .map_or([0.0, 0.0, 0.0, MISSING], |words| {
-                        words.map(|word| columns::value(4, word, false))
-                    }),
+                    .map_or(MISSING, |words| words.map(|word| columns::value(4, word, false))),
             };
             words.iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         }
@@ -484,7 +469,7 @@ impl<'a> Body<'a> {
 /// sample gets back its kept words.
 fn marker_words(position: Position, fourth: Option<f32>, gap_words: Option<[f32; 4]>) -> [f32; 4] {
     if is_gap(position) {
-        return gap_words.unwrap_or([0.0, 0.0, 0.0, MISSING]);
+        return gap_words.unwrap_or(MISSING);
     }
     let [x, y, z] = position;
     [x, y, z, fourth.filter(|&word| !is_missing(word)).unwrap_or(0.0)]

@@ -190,7 +190,7 @@ impl MotiveHeader {
             at += 3;
         }
         let measured = columns.iter().filter(|column| column.owner == Owner::Marker);
-        let measured: HashSet<String> = measured.map(|column| column.marker.label.clone()).collect();
+        let measured: HashSet<_> = measured.map(|column| column.marker.label.clone()).collect();
         let n_all = columns.len();
         columns.retain(|column| {
             column.owner != Owner::SolvedMarker || !measured.contains(&column.marker.label)

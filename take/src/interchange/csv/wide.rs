@@ -26,9 +26,8 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let header = WideHeader::parse(bytes)?;
     // Our own export states no unit: it is always millimetres.
     let default = if header.is_native { "mm" } else { "" };
-    let unit =
-        FileUnit::resolve(header.value("units").unwrap_or(default), options.unit, &mut notes)
-            .or_default_millimetres();
+    let stated = header.value("units").unwrap_or(default);
+    let unit = FileUnit::resolve(stated, options.unit, &mut notes).or_default_millimetres();
     let mut table = Table::new("csv", bytes, ToMillimetres::new(unit.factor, options.rotation()));
     read_rows(&mut table, &header, &mut notes.warnings);
     let up = header.value("up").and_then(UpAxis::from_name).unwrap_or_default();

@@ -133,8 +133,8 @@ pub(super) fn up_transform(up: UpAxis, time_ns: u64) -> Message {
         UpAxis::Y => [HALF, 0.0, 0.0, HALF],
         UpAxis::X => [0.0, -HALF, 0.0, HALF],
     };
-    let frames = stamped(time_ns, ROOT).text(3, FRAME);
-    frames.message(4, &doubles([0.0; 3])).message(5, &doubles(rotation))
+    let transform = stamped(time_ns, ROOT).text(3, FRAME);
+    transform.message(4, &doubles([0.0; 3])).message(5, &doubles(rotation))
 }
 
 #[cfg(test)]
