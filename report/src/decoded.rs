@@ -10,7 +10,7 @@ use mocapd_take::{
     traversal::{Decode, Progress},
 };
 
-use crate::{ReportError, measures::Counts};
+use crate::{ReportError, column, measures::Counts};
 
 /// Largest take that is decoded into memory, rows times markers: 100 million, 1.3 GB.
 pub const SAMPLES_MAX: u64 = 100_000_000;
@@ -99,7 +99,7 @@ impl DecodedTake {
     #[must_use]
     pub fn counts(&self) -> Counts {
         let present: Vec<Vec<bool>> = (0..self.kept.len())
-            .map(|marker| crate::column::Column::of(&self.motion, marker).0)
+            .map(|marker| column::Column::of(&self.motion, marker).0)
             .map(|column| column.iter().map(Option::is_some).collect())
             .collect();
         let channels: Vec<(&[bool], &[bool])> =
@@ -112,9 +112,7 @@ impl DecodedTake {
     pub fn max_error_mm(&self, original: &Motion) -> f64 {
         let pairs = self.motion.positions_mm.iter().zip(&original.positions_mm);
         pairs
-            .filter_map(|(&a, &b)| {
-                Some(crate::column::distance(crate::column::sample(a)?, crate::column::sample(b)?))
-            })
+            .filter_map(|(&a, &b)| Some(column::distance(column::sample(a)?, column::sample(b)?)))
             .fold(0.0, f64::max)
     }
 

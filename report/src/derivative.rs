@@ -97,20 +97,14 @@ pub fn by_marker(
     let rate_hz = original.info.rate_hz;
     let filter = Butterworth::new(cutoff_hz, rate_hz)?;
     let n_markers = original.info.markers.len().min(take.info.markers.len());
-    Ok((0..n_markers)
-        .map(|marker| {
-            let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
-            of_marker(&ours, &theirs, &filter, rate_hz)
-        })
-        .collect())
+    let of_marker = |marker| {
+        let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
+        errors(&ours, &theirs, &filter, rate_hz)
+    };
+    Ok((0..n_markers).map(of_marker).collect())
 }
 
-fn of_marker(
-    ours: &Column,
-    theirs: &Column,
-    filter: &Butterworth,
-    rate_hz: f64,
-) -> DerivativeError {
+fn errors(ours: &Column, theirs: &Column, filter: &Butterworth, rate_hz: f64) -> DerivativeError {
     let mut found = DerivativeError::default();
     let both: Vec<Option<(Vector, Vector)>> =
         ours.0.iter().zip(&theirs.0).map(|(a, b)| (*a).zip(*b)).collect();
@@ -123,8 +117,8 @@ fn of_marker(
         let error = |(a, b): &(Vector, Vector)| std::array::from_fn(|axis| a[axis] - b[axis]);
         let differences: Vec<Vector> = pairs.iter().map(error).collect();
         let originals: Vec<Vector> = pairs.iter().map(|(_, b)| *b).collect();
-        let difference = filtered(filter, &differences);
-        let original = filtered(filter, &originals);
+        let filtered = |run: &[Vector]| by_axis(run, |values| filter.filter(values));
+        let (difference, original) = (filtered(&differences), filtered(&originals));
         difference.iter().for_each(|&error| found.position_mm.add(norm(error)));
         derivatives(&difference, rate_hz, |velocity, acceleration| {
             found.velocity_mm_s.add(velocity);
@@ -138,11 +132,11 @@ fn of_marker(
     found
 }
 
-/// A run with each of its three axes filtered.
-pub(crate) fn filtered(filter: &Butterworth, run: &[Vector]) -> Vec<Vector> {
+/// A run with `change` applied to the values on each of its three axes.
+pub(crate) fn by_axis(run: &[Vector], change: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vector> {
     let axes: [Vec<f64>; 3] = std::array::from_fn(|axis| {
         let values: Vec<f64> = run.iter().map(|at| at[axis]).collect();
-        filter.filter(&values)
+        change(&values)
     });
     (0..run.len()).map(|row| std::array::from_fn(|axis| axes[axis][row])).collect()
 }

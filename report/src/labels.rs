@@ -227,14 +227,9 @@ impl SubjectMarkers<'_> {
     /// them.
     #[must_use]
     pub fn joints(&self) -> HashMap<String, usize> {
-        let mut best = HashMap::new();
-        for set in SETS {
-            let found = self.by(set);
-            if found.len() > best.len() {
-                best = found;
-            }
-        }
-        best
+        // Of equally large ones `max_by_key` takes the last: reversed, the earlier one.
+        let found = SETS.into_iter().rev().map(|set| self.by(set));
+        found.max_by_key(HashMap::len).unwrap_or_default()
     }
 
     fn by(&self, set: &Names) -> HashMap<String, usize> {
@@ -256,14 +251,9 @@ impl SubjectMarkers<'_> {
 
     /// The lines of the set with most matches.
     fn lines(&self) -> Vec<[u16; 2]> {
-        let mut best = Vec::new();
-        for set in LINE_SETS {
-            let lines = self.lines_of(set);
-            if lines.len() > best.len() {
-                best = lines;
-            }
-        }
-        best
+        // As in `joints`, the earlier one of equally large ones.
+        let found = LINE_SETS.into_iter().rev().map(|set| self.lines_of(set));
+        found.max_by_key(Vec::len).unwrap_or_default()
     }
 
     fn lines_of(&self, set: &Lines) -> Vec<[u16; 2]> {

@@ -43,9 +43,8 @@ impl Sites {
             .or_else(|| AROUND_PELVIS.iter().find_map(all))
             .ok_or("no marker is labelled pelvis, hips, sacrum or l_hip and r_hip")?;
         let foot = |names: &[&str], side: &str| {
-            subject
-                .first(names)
-                .ok_or(format!("no marker is labelled {side}_ankle, {side}_foot or {side}_heel"))
+            let missing = format!("no marker is labelled {side}_ankle, {side}_foot or {side}_heel");
+            subject.first(names).ok_or(missing)
         };
         Ok(Self { pelvis, feet: [foot(LEFT_FOOT, "l")?, foot(RIGHT_FOOT, "r")?] })
     }

@@ -69,11 +69,8 @@ pub(super) fn of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
     let scan_mm = body.limbs.get(limb).map_or(median_mm, |limb| limb.bone.length_mm);
     let is_like_scan = |length: &&f64| (**length - scan_mm).abs() <= LIKE_SCAN_PART * scan_mm;
     let mut like_scan: Vec<f64> = all.iter().filter(is_like_scan).copied().collect();
-    let of_band = if like_scan.len() as f64 >= LIKE_SCAN_FRAMES * all.len() as f64 {
-        &mut like_scan
-    } else {
-        &mut all
-    };
+    let is_enough = like_scan.len() as f64 >= LIKE_SCAN_FRAMES * all.len() as f64;
+    let of_band = if is_enough { &mut like_scan } else { &mut all };
     let band_middle_mm = median(of_band).unwrap_or(median_mm);
     let band_half_mm = (BAND_PART * band_middle_mm)
         .max(BAND_MIN_MM)
@@ -92,9 +89,10 @@ pub(super) fn of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
 /// The ranges in which limbs are outside their bands, in the order of the frames.
 pub(super) fn outside(body: &SubjectMotion<'_>) -> Vec<Excursion> {
     let mut found: Vec<Excursion> = Vec::new();
+    let near = body.rows_in(NEAR_S);
     for limb in 0..body.limbs.len() {
         let excess = |row: usize| body.excess_mm(row, limb, None).unwrap_or_default();
-        for rows in merge_near(runs((0..body.n_rows()).map(|row| excess(row) > 0.0)), body) {
+        for rows in merge_near(runs((0..body.n_rows()).map(|row| excess(row) > 0.0)), near) {
             let worst = rows.clone().max_by(|&a, &b| excess(a).total_cmp(&excess(b)));
             let extreme_mm = worst.and_then(|row| body.length_mm(row, limb)).unwrap_or_default();
             found.push(Excursion { limb, rows, extreme_mm });
@@ -104,12 +102,8 @@ pub(super) fn outside(body: &SubjectMotion<'_>) -> Vec<Excursion> {
     found
 }
 
-/// Merges runs that are less than [`NEAR_S`] apart.
-fn merge_near(
-    runs: impl Iterator<Item = Range<usize>>,
-    body: &SubjectMotion<'_>,
-) -> Vec<Range<usize>> {
-    let near = body.rows_in(NEAR_S);
+/// Merges runs that are at most `near` rows apart.
+fn merge_near(runs: impl Iterator<Item = Range<usize>>, near: usize) -> Vec<Range<usize>> {
     let mut all: Vec<Range<usize>> = Vec::new();
     for run in runs {
         match all.last_mut() {

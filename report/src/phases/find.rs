@@ -7,8 +7,8 @@ use mocapd_take::motion::{Motion, UpAxis};
 
 use super::Phase;
 use crate::{
-    column::{Column, Vector},
-    derivative::Butterworth,
+    column::{Column, Vector, norm},
+    derivative::{Butterworth, by_axis},
     sites::Sites,
 };
 
@@ -111,8 +111,7 @@ impl Signals {
         let rate_hz = motion.info.rate_hz;
         let filter = Butterworth::new(CUTOFF_HZ, rate_hz).map_err(|_| NoJump::TooSlow(rate_hz))?;
         let smooth = |column: &Column| -> Option<Vec<Vector>> {
-            let bridged = column.bridged()?;
-            Some(crate::derivative::filtered(&filter, &bridged))
+            Some(by_axis(&column.bridged()?, |values| filter.filter(values)))
         };
         let pelvis = smooth(&sites.pelvis(motion)).ok_or(NoJump::NeverSeen("the pelvis"))?;
         let [left, right] = sites.feet.map(|foot| smooth(&Column::of(motion, foot)));
@@ -261,21 +260,14 @@ fn above_ground(mut heights: Vec<f64>) -> Vec<f64> {
 /// The derivative per second by central differences; one-sided at the ends.
 fn derivative(values: &[f64], rate_hz: f64) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
-    (0..values.len())
-        .map(|row| {
-            let (from, to) = (row.saturating_sub(1), (row + 1).min(last));
-            (values[to] - values[from]) * rate_hz / (to - from).max(1) as f64
-        })
-        .collect()
+    let slope = |row: usize| {
+        let (from, to) = (row.saturating_sub(1), (row + 1).min(last));
+        (values[to] - values[from]) * rate_hz / (to - from).max(1) as f64
+    };
+    (0..values.len()).map(slope).collect()
 }
 
 /// The speed of a position, per second.
 fn speed(of: &[Vector], rate_hz: f64) -> Vec<f64> {
-    let axes: [Vec<f64>; 3] = std::array::from_fn(|axis| {
-        let values: Vec<f64> = of.iter().map(|at| at[axis]).collect();
-        derivative(&values, rate_hz)
-    });
-    (0..of.len())
-        .map(|row| crate::column::norm(std::array::from_fn(|axis| axes[axis][row])))
-        .collect()
+    by_axis(of, |values| derivative(values, rate_hz)).into_iter().map(norm).collect()
 }

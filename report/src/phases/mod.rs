@@ -26,15 +26,10 @@ pub struct PhaseSpan {
 #[must_use]
 pub fn parts(starts: &[(Phase, usize)], n_frames: usize) -> Vec<PhaseSpan> {
     let ends = starts.iter().skip(1).map(|start| start.1).chain([n_frames]);
-    starts
-        .iter()
-        .zip(ends)
-        .map(|(&(phase, from), to)| PhaseSpan {
-            phase,
-            frames: from.min(n_frames)..to.min(n_frames),
-        })
-        .filter(|part| !part.frames.is_empty())
-        .collect()
+    let frames = |from: usize, to: usize| from.min(n_frames)..to.min(n_frames);
+    let parts = starts.iter().zip(ends);
+    let parts = parts.map(|(&(phase, from), to)| PhaseSpan { phase, frames: frames(from, to) });
+    parts.filter(|part| !part.frames.is_empty()).collect()
 }
 
 /// The first line of a file of phases.
@@ -63,10 +58,8 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, Report
         let mut cells = line.rsplitn(3, ',').map(str::trim);
         let (frame, phase, file) = (cells.next(), cells.next(), cells.next());
         let (Some(frame), Some(phase), Some(file)) = (frame, phase, file) else {
-            return Err(bad(
-                number,
-                format!("expected a file, a phase and a frame, found '{line}'"),
-            ));
+            let what = format!("expected a file, a phase and a frame, found '{line}'");
+            return Err(bad(number, what));
         };
         let names = || Phase::ALL.map(Phase::name).join(", ");
         let phase = Phase::from_name(phase)
@@ -76,10 +69,8 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, Report
             .map_err(|_| bad(number, format!("expected a frame number from 0, found '{frame}'")))?;
         let phases = found.entry(from_cell(file).into_owned()).or_default();
         if phases.last().is_some_and(|&(_, before)| before >= frame) {
-            return Err(bad(
-                number,
-                format!("the phases of {file} are not in ascending order of frames"),
-            ));
+            let what = format!("the phases of {file} are not in ascending order of frames");
+            return Err(bad(number, what));
         }
         phases.push((phase, frame));
     }

@@ -134,8 +134,7 @@ pub(super) fn panel<'a, 'b>(
         .x_label_area_size(if has_x { 42 } else { 6 })
         .y_label_area_size(66)
         .build_cartesian_2d(axes.x.clone(), axes.y.clone())?;
-    let (height, width) =
-        (chart.plotting_area().dim_in_pixel().1, chart.plotting_area().dim_in_pixel().0);
+    let (width, height) = chart.plotting_area().dim_in_pixel();
     let (x_span, y_span) = (axes.x.end - axes.x.start, axes.y.end - axes.y.start);
     chart
         .configure_mesh()

@@ -114,10 +114,8 @@ fn draw_strip(
 ) -> DrawResult {
     let Strip { name, motion, colour } = strip;
     let floor = top + ROW - 24;
-    area.draw(&PathElement::new(
-        vec![(24, floor), (WIDTH as i32 - 24, floor)],
-        GRID.stroke_width(2),
-    ))?;
+    let line = vec![(24, floor), (WIDTH as i32 - 24, floor)];
+    area.draw(&PathElement::new(line, GRID.stroke_width(2)))?;
     text(area, name, (24, top + 20), left_aligned(BODY, INK))?;
     for (i, &row) in plot.rows.iter().enumerate() {
         // Both strips are centred on the reconstruction, so that they can be compared by eye.
@@ -278,7 +276,6 @@ impl Direction {
 impl View {
     fn of(plot: &PosePlot<'_>) -> Option<Self> {
         let motion = &plot.take.motion;
-        let axis = |axis: usize| Direction { axis, sign: 1.0 };
         let up = plot.up;
         let face = |moment: usize| plot.faces.get(moment).into_iter().flatten().flatten().copied();
         let of_moment = |(moment, &row): (usize, &usize)| {
@@ -295,21 +292,19 @@ impl View {
         };
         let across = match plot.front {
             Some([left, _]) => Direction::nearest(left, Some(up.axis))?,
-            None => axis(
-                (0..3)
-                    .filter(|&axis| axis != up.axis)
-                    .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?,
-            ),
+            None => {
+                let axes = (0..3).filter(|&axis| axis != up.axis);
+                let axis = axes.max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?;
+                Direction { axis, sign: 1.0 }
+            }
         };
         let floor_mm = moments.iter().flatten().map(|&at| up.height(at)).reduce(f64::min)?;
         let high_mm = moments.iter().flatten().map(|&at| up.height(at)).reduce(f64::max)?;
-        let wide_mm = moments
-            .iter()
-            .filter_map(|points| {
-                let middle = middle(points, across)?;
-                points.iter().map(|&at| 2.0 * (across.of(at) - middle).abs()).reduce(f64::max)
-            })
-            .fold(1.0, f64::max);
+        let width_mm = |points: &Vec<Vector>| {
+            let middle = middle(points, across)?;
+            points.iter().map(|&at| 2.0 * (across.of(at) - middle).abs()).reduce(f64::max)
+        };
+        let wide_mm = moments.iter().filter_map(width_mm).fold(1.0, f64::max);
         let cell = f64::from(WIDTH - 120) / plot.rows.len() as f64;
         let scale =
             ((f64::from(ROW) - 60.0) / (high_mm - floor_mm).max(1.0)).min(0.94 * cell / wide_mm);

@@ -10,7 +10,7 @@ use super::canvas::{
 };
 use crate::{
     ReportError,
-    column::{Column, distance},
+    column::{Column, distance, runs},
     decoded::DecodedTake,
     noise::noise_mm,
 };
@@ -69,27 +69,25 @@ impl MarkerQuality {
     #[must_use]
     pub fn all(plot: &QualityPlot<'_>) -> Vec<Self> {
         let motion = &plot.take.motion;
-        (0..motion.info.markers.len())
-            .map(|marker| {
-                let ours = Column::of(motion, marker);
-                let theirs = plot.original.map(|original| Column::of(original, marker));
-                let apart = theirs.as_ref().and_then(|theirs| {
-                    let pairs = ours.0.iter().zip(&theirs.0);
-                    pairs.filter_map(|(a, b)| Some(distance((*a)?, (*b)?))).reduce(f64::max)
-                });
-                let gaps: Vec<usize> = crate::column::runs(ours.0.iter().map(Option::is_none))
-                    .map(|gap| gap.len())
-                    .collect();
-                Self {
-                    label: motion.info.markers[marker].label.clone(),
-                    samples: ours.n_samples(),
-                    gaps: gaps.len(),
-                    longest_gap: gaps.iter().copied().max().unwrap_or(0),
-                    noise_mm: noise_of(plot, theirs.as_ref().unwrap_or(&ours)),
-                    max_error_mm: apart,
-                }
-            })
-            .collect()
+        let of_marker = |marker: usize| {
+            let ours = Column::of(motion, marker);
+            let theirs = plot.original.map(|original| Column::of(original, marker));
+            let apart = theirs.as_ref().and_then(|theirs| {
+                let pairs = ours.0.iter().zip(&theirs.0);
+                pairs.filter_map(|(a, b)| Some(distance((*a)?, (*b)?))).reduce(f64::max)
+            });
+            let gaps = runs(ours.0.iter().map(Option::is_none));
+            let gaps: Vec<usize> = gaps.map(|gap| gap.len()).collect();
+            Self {
+                label: motion.info.markers[marker].label.clone(),
+                samples: ours.n_samples(),
+                gaps: gaps.len(),
+                longest_gap: gaps.iter().copied().max().unwrap_or(0),
+                noise_mm: noise_of(plot, theirs.as_ref().unwrap_or(&ours)),
+                max_error_mm: apart,
+            }
+        };
+        (0..motion.info.markers.len()).map(of_marker).collect()
     }
 }
 
@@ -132,12 +130,9 @@ pub fn quality(plot: &QualityPlot<'_>) -> Result<String, ReportError> {
         let title = format!("Quality of {}", shortened(plot.name, 80));
         text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
         text(area, &caption(plot, &all, shown.len()), (24, 52), left_aligned(BODY, DIM))?;
-        text(
-            area,
-            "visible (blue), gaps (orange)",
-            (GAPS.left, HEAD - 18),
-            left_aligned(BODY, INK),
-        )?;
+        let head_y = HEAD - 18;
+        let title = "visible (blue), gaps (orange)";
+        text(area, title, (GAPS.left, head_y), left_aligned(BODY, INK))?;
         for (i, &marker) in shown.iter().enumerate() {
             let y = HEAD + LINE * i as i32 + LINE / 2;
             let label = shortened(&all[marker].label, 20);
@@ -156,7 +151,7 @@ pub fn quality(plot: &QualityPlot<'_>) -> Result<String, ReportError> {
             [("noise, each axis (mm)", noise, BLUE), ("largest error (mm)", errors, VERMILION)];
         let known = columns.into_iter().filter(|(_, values, _)| values.iter().any(Option::is_some));
         for (place, (head, values, colour)) in BARS.into_iter().zip(known) {
-            text(area, head, (place.left, HEAD - 18), left_aligned(BODY, INK))?;
+            text(area, head, (place.left, head_y), left_aligned(BODY, INK))?;
             bars(area, place, base, values.into_iter(), colour, "mm")?;
         }
         Ok(())
@@ -188,7 +183,7 @@ fn presence(area: &Area<'_>, column: &Column, y: i32) -> DrawResult {
     area.draw(&bar(GAPS.left, GAPS.right, 5, BLUE))?;
     // A gap is at least one pixel wide; those that share a pixel are merged.
     let mut drawn_to = i32::MIN;
-    for gap in crate::column::runs(column.0.iter().map(Option::is_none)) {
+    for gap in runs(column.0.iter().map(Option::is_none)) {
         let (from, to) = (x(gap.start), x(gap.end).max(x(gap.start) + 1));
         if to > drawn_to {
             area.draw(&bar(from, to, 7, ORANGE))?;
@@ -216,10 +211,8 @@ fn bars(
             continue;
         };
         let to = place.left + (value / most * width).round() as i32;
-        area.draw(&Rectangle::new(
-            [(place.left, y - 5), (to.max(place.left + 1), y + 5)],
-            colour.filled(),
-        ))?;
+        let corners = [(place.left, y - 5), (to.max(place.left + 1), y + 5)];
+        area.draw(&Rectangle::new(corners, colour.filled()))?;
     }
     scale(area, place, base, most, unit)
 }

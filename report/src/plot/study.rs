@@ -40,11 +40,8 @@ pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
         let caption = "Ratio of stored items (positions and times), original to asynchronous resampling (Shi et al. 2012, eq. 8)";
         text(area, caption, (24, 52), left_aligned(BODY, DIM))?;
         let (_, body) = area.split_vertically(66);
-        for (area, (title, lines)) in body
-            .split_evenly((1, 2))
-            .iter()
-            .zip([("these takes", &found), ("the paper", &published)])
-        {
+        let halves = [("these takes", &found), ("the paper", &published)];
+        for (area, (title, lines)) in body.split_evenly((1, 2)).iter().zip(halves) {
             draw(area, title, lines, widest, most)?;
         }
         Ok(())

@@ -250,12 +250,8 @@ fn against_time(area: &Area<'_>, path: &Path, plot: &TrajectoryPlot<'_>) -> Draw
         margins: [10, 24, 4, 4],
     };
     for (axis, name) in ["x (mm)", "y (mm)", "z (mm)"].into_iter().enumerate() {
-        let values = path
-            .rebuilt
-            .0
-            .iter()
-            .flatten()
-            .chain(path.original.iter().flat_map(|c| c.0.iter().flatten()));
+        let originals = path.original.iter().flat_map(|column| column.0.iter().flatten());
+        let values = path.rebuilt.0.iter().flatten().chain(originals);
         let y = range(values.map(|at| at[axis]));
         let mut chart = panel(&areas[axis], &axes(axis, y, name))?;
         let point = |(row, at): (usize, Vector)| (path.time_s(row), at[axis]);
@@ -274,9 +270,8 @@ fn against_time(area: &Area<'_>, path: &Path, plot: &TrajectoryPlot<'_>) -> Draw
         plot.take.settings.filter(|s| !s.kind.is_lossless()).map(|s| s.tolerance.mm());
     let worst = errors.iter().map(|e| e.1).chain(tolerance_mm).fold(1e-3, f64::max);
     let mut chart = panel(&areas[3], &axes(3, 0.0..1.2 * worst, "error (mm)"))?;
-    for run in
-        runs((0..path.rows.len()).map(|row| errors.binary_search_by_key(&row, |e| e.0).is_ok()))
-    {
+    let is_known = |row: usize| errors.binary_search_by_key(&row, |e| e.0).is_ok();
+    for run in runs((0..path.rows.len()).map(is_known)) {
         let part = errors.iter().filter(|(row, _)| run.contains(row));
         let points = part.map(|&(row, mm)| (path.time_s(row), mm));
         chart.draw_series(LineSeries::new(points, INK.stroke_width(1)))?;

@@ -52,7 +52,9 @@ pub fn measure(
                 let bytes = coder.take(&motion, &settings).map_err(ReportError::Coder)?;
                 let decoded = DecodedTake::read(&bytes[..])?;
                 check(&decoded, &motion, tolerance_mm)?;
-                results.add(cell(piece, method, tolerance_mm, &decoded, &motion, bytes.len()));
+                let (counts, file_bytes) = (decoded.counts(), bytes.len() as u64);
+                let max_error_mm = decoded.max_error_mm(&motion);
+                results.add(Cell { piece, method, tolerance_mm, counts, file_bytes, max_error_mm });
                 if piece == Piece::Whole {
                     whole(trial, method, tolerance_mm, &decoded, options, &mut results)?;
                 }
@@ -81,12 +83,8 @@ fn tasks(trial: &Trial, options: &Options, with_exhaustive: bool) -> Vec<Task> {
     tasks.push((Piece::Whole, 0..n_frames, methods(n_frames), tolerances.clone()));
     for &length in options.prefixes.iter().filter(|&&length| length <= n_frames) {
         let methods = vec![Method::WorstSample, Method::Dense];
-        tasks.push((
-            Piece::First(length),
-            0..length,
-            methods,
-            options.prefix_tolerances_mm.clone(),
-        ));
+        let tolerances = options.prefix_tolerances_mm.clone();
+        tasks.push((Piece::First(length), 0..length, methods, tolerances));
     }
     tasks
 }
@@ -120,25 +118,6 @@ fn check(decoded: &DecodedTake, motion: &Motion, tolerance_mm: f64) -> Result<()
     Ok(())
 }
 
-fn cell(
-    piece: Piece,
-    method: Method,
-    tolerance_mm: f64,
-    decoded: &DecodedTake,
-    motion: &Motion,
-    file_bytes: usize,
-) -> Cell {
-    let counts = decoded.counts();
-    Cell {
-        piece,
-        method,
-        tolerance_mm,
-        counts,
-        file_bytes: file_bytes as u64,
-        max_error_mm: decoded.max_error_mm(motion),
-    }
-}
-
 /// Adds the results that only whole trials have: samples kept by phase, and derivatives.
 fn whole(
     trial: &Trial,
@@ -167,13 +146,10 @@ fn whole(
 
 /// The counts of a range of frames of a decoded take.
 fn counts_within(decoded: &DecodedTake, frames: Range<usize>) -> Counts {
+    let cut = |kept: &Vec<bool>| kept.get(frames.clone()).unwrap_or_default().to_vec();
     let part = DecodedTake {
         motion: part(&decoded.motion, frames.clone()),
-        kept: decoded
-            .kept
-            .iter()
-            .map(|kept| kept.get(frames.clone()).unwrap_or_default().to_vec())
-            .collect(),
+        kept: decoded.kept.iter().map(cut).collect(),
         settings: decoded.settings,
         problems: Vec::new(),
     };

@@ -23,21 +23,15 @@ pub fn markdown(findings: &Findings) -> String {
             They differ from ratios on disk, which are given as well: raw float32 bytes to the bytes of the whole take.\n\
             Items and bytes are summed over all takes that have the phase, and then divided.\n\n";
     section(&mut out, "The takes", &takes(findings));
-    section(
-        &mut out,
-        "Table 1: SR2 by phase, each phase resampled on its own (here / paper)",
-        &table_1(findings),
-    );
+    let title = "Table 1: SR2 by phase, each phase resampled on its own (here / paper)";
+    section(&mut out, title, &table_1(findings));
     section(&mut out, "SR2 by phase, within the resampling of the whole take", &within(findings));
     section(&mut out, "Claims of the paper", &claims(findings));
     section(&mut out, "Synchronous against asynchronous, whole takes", &rivals(findings));
     section(&mut out, "Both readings of step 2", &readings(findings));
     section(&mut out, "Ratios on disk: raw float32 to take", &on_disk(findings));
-    section(
-        &mut out,
-        "Table 2: SR2 of the first frames, by their number (here / paper)",
-        &table_2(findings),
-    );
+    let title = "Table 2: SR2 of the first frames, by their number (here / paper)";
+    section(&mut out, title, &table_2(findings));
     section(&mut out, "Velocity and acceleration, whole takes", &derivatives(findings));
     out
 }
@@ -62,31 +56,22 @@ fn takes(findings: &Findings) -> String {
                 }
                 Err(why) => format!("none: {why}"),
             };
-            let Cells { frames, rate, markers } = cells(trial);
-            table.row([visible(&trial.name).into_owned(), frames, rate, markers, phases]);
+            let [frames, markers] = [trial.frames, trial.markers].map(|n| n.to_string());
+            let rate_hz = ((trial.rate_hz * 1000.0).round() / 1000.0).to_string();
+            table.row([visible(&trial.name).into_owned(), frames, rate_hz, markers, phases]);
         }
         out += &table.markdown();
         out.push('\n');
     }
     let mut table = Table::new(["phase", "takes", "frames", "shortest", "longest"]);
     for phase in Phase::ALL {
-        let lengths: Vec<usize> = findings
-            .trials
-            .iter()
-            .filter_map(|trial| trial.phases.as_ref().ok())
-            .flatten()
-            .filter(|(found, _)| *found == phase)
-            .map(|(_, frames)| *frames)
-            .collect();
-        if let (Some(min), Some(max)) = (lengths.iter().min(), lengths.iter().max()) {
+        let all = findings.trials.iter().flat_map(|trial| trial.phases.iter().flatten());
+        let these = all.filter(|(found, _)| *found == phase);
+        let lengths: Vec<usize> = these.map(|(_, frames)| *frames).collect();
+        if let (Some(&min), Some(&max)) = (lengths.iter().min(), lengths.iter().max()) {
             let frames: usize = lengths.iter().sum();
-            table.row([
-                phase.name().to_owned(),
-                lengths.len().to_string(),
-                frames.to_string(),
-                min.to_string(),
-                max.to_string(),
-            ]);
+            let [n, frames, min, max] = [lengths.len(), frames, min, max].map(|n| n.to_string());
+            table.row([phase.name().to_owned(), n, frames, min, max]);
         }
     }
     let frames: u64 = findings.trials.iter().map(|trial| trial.frames).sum();
@@ -96,20 +81,6 @@ fn takes(findings: &Findings) -> String {
         out += &table.markdown();
     }
     out
-}
-
-struct Cells {
-    frames: String,
-    rate: String,
-    markers: String,
-}
-
-fn cells(trial: &crate::study::Results) -> Cells {
-    Cells {
-        frames: trial.frames.to_string(),
-        rate: format!("{}", (trial.rate_hz * 1000.0).round() / 1000.0),
-        markers: trial.markers.to_string(),
-    }
 }
 
 fn tolerance(mm: f64) -> String {
@@ -154,13 +125,11 @@ fn caps(findings: &Findings, columns: &[Piece]) -> String {
 }
 
 fn within(findings: &Findings) -> String {
-    let phases: Vec<Phase> = Phase::ALL
-        .into_iter()
-        .filter(|&phase| {
-            let mm = findings.tolerances_mm.first().copied().unwrap_or(0.0);
-            findings.sum(Piece::Within(phase), Method::WorstSample, mm).is_some()
-        })
-        .collect();
+    let is_there = |&phase: &Phase| {
+        let mm = findings.tolerances_mm.first().copied().unwrap_or(0.0);
+        findings.sum(Piece::Within(phase), Method::WorstSample, mm).is_some()
+    };
+    let phases: Vec<Phase> = Phase::ALL.into_iter().filter(is_there).collect();
     if phases.is_empty() {
         return String::new();
     }
@@ -249,11 +218,9 @@ fn readings(findings: &Findings) -> String {
         return String::new();
     }
     let mut out = table.markdown();
-    write!(
-        out,
+    out += &format!(
         "\nMeasured on at most {n} takes, and on pieces of up to {EXHAUSTIVE_FRAMES_MAX} frames: the exhaustive search is slow.\n"
-    )
-    .ok();
+    );
     out
 }
 
@@ -294,16 +261,13 @@ fn table_2(findings: &Findings) -> String {
     };
     for &mm in &findings.prefix_tolerances_mm {
         let sum = |length, method| findings.sum(Piece::First(length), method, mm);
+        let bytes = |length, method| ratio(sum(length, method).as_ref());
         add(format!("SR2, {mm} mm"), &|length| {
             let here = sum(length, Method::WorstSample).and_then(|sum| sum.counts.sr2());
             format!("{} / {}", figure(here), figure(paper::sr2(Piece::First(length), mm)))
         });
-        add(format!("bytes, `spline`, {mm} mm"), &|length| {
-            ratio(sum(length, Method::WorstSample).as_ref())
-        });
-        add(format!("bytes, `dense`, {mm} mm"), &|length| {
-            ratio(sum(length, Method::Dense).as_ref())
-        });
+        add(format!("bytes, `spline`, {mm} mm"), &|length| bytes(length, Method::WorstSample));
+        add(format!("bytes, `dense`, {mm} mm"), &|length| bytes(length, Method::Dense));
         add(format!("takes, {mm} mm"), &|length| {
             sum(length, Method::WorstSample).map_or(0, |sum| sum.n).to_string()
         });

@@ -2,7 +2,7 @@
 
 mod markdown;
 
-use std::{collections::BTreeSet, fmt::Write};
+use std::collections::BTreeSet;
 
 use mocapd_take::escape::to_cell;
 
@@ -58,7 +58,6 @@ fn ratio(sum: Option<&Sum>) -> String {
 
 /// The columns of table 1 that have results, preceded by standing.
 fn columns(findings: &Findings) -> Vec<Piece> {
-    use crate::phases::Phase;
     let standing = Piece::Phase(Phase::Standing);
     let is_there = |piece: &Piece| {
         let mut tolerances = findings.tolerances_mm.iter();
@@ -69,12 +68,7 @@ fn columns(findings: &Findings) -> Vec<Piece> {
 
 /// A CSV cell: six decimals, or empty.
 fn number(value: Option<f64>) -> String {
-    let mut out = String::new();
-    if let Some(value) = value {
-        // Writing to a String does not fail.
-        write!(out, "{value:.6}").ok();
-    }
-    out
+    value.map(|value| format!("{value:.6}")).unwrap_or_default()
 }
 
 const COUNTS: &str = "rows,samples,kept,key_rows,sr1,sr2";
@@ -232,15 +226,11 @@ fn rising(findings: &Findings) -> Verdict {
     for piece in phases.into_iter().chain([Piece::Whole]) {
         for pair in findings.tolerances_mm.windows(2) {
             let sr2 = |mm| findings.sum(piece, Method::WorstSample, mm)?.counts.sr2();
-            if let (Some(a), Some(b)) = (sr2(pair[0]), sr2(pair[1])) {
+            let (from_mm, to_mm, name) = (pair[0], pair[1], piece.name());
+            if let (Some(a), Some(b)) = (sr2(from_mm), sr2(to_mm)) {
                 compared = true;
                 if b < a {
-                    falls.push(format!(
-                        "{}: {a:.2} at {} mm, {b:.2} at {} mm",
-                        piece.name(),
-                        pair[0],
-                        pair[1]
-                    ));
+                    falls.push(format!("{name}: {a:.2} at {from_mm} mm, {b:.2} at {to_mm} mm"));
                 }
             }
         }
