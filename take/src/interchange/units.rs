@@ -27,8 +27,8 @@ pub enum LengthUnit {
     Foot,
 }
 
-/// Units with their full names, without accents. A name cut off after two letters or more is recognised by its beginning if all
-/// names with that beginning are of one unit.
+/// Units with their full names, without accents. A name cut off after two letters or more is recognised by its
+/// beginning if all names with that beginning are of one unit.
 const NAMES: [(LengthUnit, &str); 7] = [
     (LengthUnit::Micrometre, "micrometers micrometres microns"),
     (LengthUnit::Millimetre, "millimeters millimetres milimeters milimetres milimetros millimetri"),
