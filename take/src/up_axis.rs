@@ -1,6 +1,6 @@
 //! The vertical axis.
 
-/// The vertical axis, if the source states it.
+/// The vertical axis, if the source states it. The variants are in the order of their codes in HEADER.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum UpAxis {
     /// The source does not state it.
@@ -32,28 +32,18 @@ impl UpAxis {
     /// 0, 1 or 2, if known.
     #[must_use]
     pub fn index(self) -> Option<usize> {
-        match self {
-            Self::Unknown => None,
-            Self::X => Some(0),
-            Self::Y => Some(1),
-            Self::Z => Some(2),
-        }
+        (self as usize).checked_sub(1)
     }
 
     /// The code in HEADER.
     #[must_use]
     pub fn code(self) -> u8 {
-        self.index().map_or(0, |index| index as u8 + 1)
+        self as u8
     }
 
     /// Decodes the code in HEADER; other values mean unknown.
     #[must_use]
     pub fn from_code(code: u8) -> Self {
-        match code {
-            1 => Self::X,
-            2 => Self::Y,
-            3 => Self::Z,
-            _ => Self::Unknown,
-        }
+        [Self::X, Self::Y, Self::Z].into_iter().find(|axis| axis.code() == code).unwrap_or_default()
     }
 }

@@ -191,11 +191,6 @@ impl<W: Write> TakeWriter<W> {
         &mut self.out
     }
 
-    /// Copies a chunk of another take that is not a stretch.
-    pub(crate) fn copy(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
-        self.chunk(kind, payload)
-    }
-
     /// Copies a chunk of another take, of any length `len`, and returns whether its CRC matches. A stretch needs its
     /// `span`.
     pub(crate) fn copy_long(
@@ -228,7 +223,8 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(R::KIND, &record.to_payload()?)
     }
 
-    fn chunk(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
+    /// Writes a chunk that is not a stretch, or one whose span was added.
+    pub(crate) fn chunk(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
         self.scratch.clear();
         chunk::put(&mut self.scratch, kind, payload)?;
         self.flush_scratch()
@@ -237,9 +233,8 @@ impl<W: Write> TakeWriter<W> {
     /// One `write` per chunk, so that a kill leaves at most one incomplete chunk.
     fn flush_scratch(&mut self) -> Result<(), TakeError> {
         if self.failed {
-            return Err(TakeError::InvalidArgument(
-                "an earlier write failed; nothing more is written to this take".into(),
-            ));
+            let message = "an earlier write failed; nothing more is written to this take".into();
+            return Err(TakeError::InvalidArgument(message));
         }
         self.failed = true;
         self.out.write_all(&self.scratch)?;

@@ -99,8 +99,8 @@ fn without_recovery_advice(error: TakeError) -> TakeError {
 /// What happens to a chunk.
 #[derive(Debug, Clone, Copy)]
 enum ChunkAction {
-    /// Copy it.
-    Copy,
+    /// Copy it; a stretch with its span.
+    Copy(Option<Span>),
     /// Write a new one in its place.
     Rewrite,
     /// Discard it.
@@ -108,9 +108,11 @@ enum ChunkAction {
 }
 
 /// The state of the first pass.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct RecoveryScanner {
-    kinds: [ChunkKindCount; KINDS.len()],
+    /// Counts of chunks by kind.
+    recovered: [u64; KINDS.len()],
+    discarded: [u64; KINDS.len()],
     output: Vec<OutputChunk>,
     tally: LedgerTally,
     samples: Vec<u64>,
@@ -125,52 +127,29 @@ struct RecoveryScanner {
     contradiction: Option<Problem>,
 }
 
-impl Default for RecoveryScanner {
-    fn default() -> Self {
-        Self {
-            kinds: KINDS.map(|(kind, ..)| ChunkKindCount { kind, recovered: 0, discarded: 0 }),
-            output: Vec::new(),
-            tally: LedgerTally::default(),
-            samples: Vec::new(),
-            missing_at: None,
-            end_row: 0,
-            next_number: 0,
-            discarded_bytes: 0,
-            names_lost: false,
-            closed: false,
-            contradiction: None,
-        }
-    }
-}
-
 impl RecoveryScanner {
     fn visit(&mut self, found: &LocatedEvent<'_>, progress: &Progress) -> Result<(), TakeError> {
         if let Some(lost_entries) = found.lost_entries {
             self.name_channels(lost_entries, progress.channels());
         }
-        if let TakeEvent::Stretch(stretch) = &found.event
-            && !found.is_refused
-            && stretch.stated_channels() >= progress.channels().len()
-        {
-            // No channel table entry is missing.
-            self.missing_at = None;
-        }
         self.samples.resize(progress.channels().len(), 0);
-        let mut span = None;
         let (kind, action) = match &found.event {
             TakeEvent::Header(_) => (types::HEADER, ChunkAction::Rewrite),
-            TakeEvent::Channels(_) => (types::CHANNELS, ChunkAction::Copy),
+            TakeEvent::Channels(_) => (types::CHANNELS, ChunkAction::Copy(None)),
             TakeEvent::Stretch(_) if found.is_refused => (types::STRETCH, ChunkAction::Discard),
             TakeEvent::Stretch(stretch) => {
+                if stretch.stated_channels() >= progress.channels().len() {
+                    // No channel table entry is missing.
+                    self.missing_at = None;
+                }
                 self.add_stretch(stretch, progress);
-                span = Some(stretch.span);
-                (types::STRETCH, ChunkAction::Copy)
+                (types::STRETCH, ChunkAction::Copy(Some(stretch.span)))
             }
             TakeEvent::Unplaced { .. } => (types::STRETCH, ChunkAction::Discard),
-            TakeEvent::Event(_) => (types::EVENT, ChunkAction::Copy),
-            TakeEvent::Clock(_) => (types::CLOCK, ChunkAction::Copy),
-            TakeEvent::Subject(_) => (types::SUBJECT, ChunkAction::Copy),
-            TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy),
+            TakeEvent::Event(_) => (types::EVENT, ChunkAction::Copy(None)),
+            TakeEvent::Clock(_) => (types::CLOCK, ChunkAction::Copy(None)),
+            TakeEvent::Subject(_) => (types::SUBJECT, ChunkAction::Copy(None)),
+            TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy(None)),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
                 self.tally.mark_ledger();
@@ -182,7 +161,8 @@ impl RecoveryScanner {
                 }
                 // A ledger after damage counts more than is kept; its counts go into the new last ledger.
                 let is_stale = ledger.finished || progress.take.damaged || stated != found;
-                (types::LEDGER, if is_stale { ChunkAction::Rewrite } else { ChunkAction::Copy })
+                let action = if is_stale { ChunkAction::Rewrite } else { ChunkAction::Copy(None) };
+                (types::LEDGER, action)
             }
             TakeEvent::Summary(_) => (types::SUMMARY, ChunkAction::Rewrite),
             // An index that is too long to hold has the old offsets, too.
@@ -193,9 +173,9 @@ impl RecoveryScanner {
                 self.closed = true;
                 (types::FOOTER, ChunkAction::Rewrite)
             }
-            TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy),
+            TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy(None)),
             TakeEvent::Damaged { kind, .. } => {
-                if self.kinds[ChunkKind::Header as usize].recovered > 0 {
+                if self.recovered[ChunkKind::Header as usize] > 0 {
                     self.missing_at.get_or_insert(self.output.len());
                 }
                 // Only summary, index and footer follow the last ledger.
@@ -205,37 +185,30 @@ impl RecoveryScanner {
             }
             TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
         };
-        self.add_chunk(found, kind, span, action)?;
-        self.end_row = progress.end_row();
-        Ok(())
-    }
-
-    fn add_chunk(
-        &mut self,
-        found: &LocatedEvent<'_>,
-        kind: u8,
-        span: Option<Span>,
-        action: ChunkAction,
-    ) -> Result<(), TakeError> {
-        let (offset, len) = (found.offset, found.len);
-        let count = &mut self.kinds[ChunkKind::of(Some(kind)) as usize];
-        match action {
-            ChunkAction::Discard => {
-                count.discarded += 1;
-                self.discarded_bytes += len;
-            }
-            ChunkAction::Rewrite => count.recovered += 1,
-            ChunkAction::Copy => {
-                count.recovered += 1;
-                self.output.push(OutputChunk::Copied { offset, len, kind, span });
-            }
-        }
+        self.add_chunk(found, kind, action);
         if self.output.len() > CHUNKS_MAX {
             return Err(TakeError::InvalidArgument(format!(
                 "the file has more than {CHUNKS_MAX} chunks, the most that a recovery can hold"
             )));
         }
+        self.end_row = progress.end_row();
         Ok(())
+    }
+
+    fn add_chunk(&mut self, found: &LocatedEvent<'_>, kind: u8, action: ChunkAction) {
+        let (offset, len) = (found.offset, found.len);
+        let index = ChunkKind::of(Some(kind)) as usize;
+        match action {
+            ChunkAction::Discard => {
+                self.discarded[index] += 1;
+                self.discarded_bytes += len;
+            }
+            ChunkAction::Rewrite => self.recovered[index] += 1,
+            ChunkAction::Copy(span) => {
+                self.recovered[index] += 1;
+                self.output.push(OutputChunk::Copied { offset, len, kind, span });
+            }
+        }
     }
 
     /// Counts a stretch that is kept.
@@ -295,18 +268,18 @@ impl RecoveryScanner {
         if self.closed {
             problems.pop_if(|last| *last == Problem::CutOff);
         }
-        let here: Vec<_> = take
-            .damage
-            .iter()
-            .filter(|lost| lost.origin == DamageOrigin::Damaged)
-            .copied()
-            .collect();
+        let here = take.damage.iter().filter(|lost| lost.origin == DamageOrigin::Damaged);
+        let here: Vec<_> = here.copied().collect();
+        let count = |(kind, ..): (ChunkKind, Option<u8>, &str)| {
+            let i = kind as usize;
+            ChunkKindCount { kind, recovered: self.recovered[i], discarded: self.discarded[i] }
+        };
         let channel_count = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
         let mut scan = RecoveryScan {
             header: take.header,
             ledger: self.tally.close(take.ledger.as_ref(), &here),
             ending,
-            kinds: self.kinds,
+            kinds: KINDS.map(count),
             channels: take.channels,
             per_channel: self.samples.into_iter().zip(rows_damaged).map(channel_count).collect(),
             problems,
@@ -321,11 +294,9 @@ impl RecoveryScanner {
         };
         scan.problems.extend(self.contradiction);
         // Without loss, the original ledger stands.
-        if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
-            && !scan.lost_anything()
-        {
-            let (stated, found) =
-                (LedgerTotals::from_ledger(&ledger), LedgerTotals::from_ledger(&scan.ledger));
+        let is_complete = !scan.lost_anything();
+        if is_complete && let Some(ledger) = take.ledger.filter(|ledger| ledger.finished) {
+            let [stated, found] = [&ledger, &scan.ledger].map(LedgerTotals::from_ledger);
             if stated == found {
                 scan.ledger = ledger;
             } else {

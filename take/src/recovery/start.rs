@@ -90,18 +90,15 @@ fn wrong_byte(difference: u32, len: usize) -> Option<(usize, u8)> {
             return None;
         }
         // Undo the effect of one correct byte.
-        let (index, entry) =
-            table.iter().enumerate().find(|(_, entry)| **entry >> 24 == state >> 24)?;
-        state = (state ^ entry) << 8 | index as u32;
+        let index = table.iter().position(|&entry| entry >> 24 == state >> 24)?;
+        state = (state ^ table[index]) << 8 | index as u32;
     }
     found
 }
 
 fn table() -> [u32; 256] {
-    std::array::from_fn(|byte| {
-        (0..8)
-            .fold(byte as u32, |crc, _| if crc & 1 == 1 { crc >> 1 ^ POLYNOMIAL } else { crc >> 1 })
-    })
+    let shift = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ POLYNOMIAL } else { crc >> 1 };
+    std::array::from_fn(|byte| (0..8).fold(byte as u32, shift))
 }
 
 impl<R: Read> Read for RepairedStart<R> {

@@ -7,7 +7,7 @@ use crate::{
     TakeError,
     chunk::{self, CHUNK_HELD_MAX, ChunkParse},
     reader::repair_head,
-    record::{Event, EventKind, Header, SummaryRecord},
+    record::{Event, EventKind, SummaryRecord},
     stretch::{NUMBERS, ROWS_PASSED_MAX, Span, StretchHeaderWriter},
     timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
@@ -55,7 +55,9 @@ impl RecoveryScan {
         let note = format!("by {software}: {}", self.loss_summary());
         header.settings.push((RECOVERED.to_owned(), note.clone()));
         let mut take = TakeWriter::new(output, &header)?;
-        let mut headers = header_writer(&header);
+        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+        let times = TimelineEncoder::new(tick_hz, header.rate_hz);
+        let mut headers = StretchHeaderWriter::with_times(header.stretch_rows, times);
         let mut bytes = Vec::new();
         for chunk in &self.output {
             match chunk {
@@ -66,11 +68,14 @@ impl RecoveryScan {
                     }
                 }
                 OutputChunk::Copied { offset, len, kind, span } => {
-                    read_chunk(&mut input, *offset, *len, &mut bytes)?;
+                    input.seek(SeekFrom::Start(*offset))?;
+                    bytes.clear();
+                    // Memory grows with what the file holds; the length was validated in the first pass.
+                    input.by_ref().take(*len).read_to_end(&mut bytes)?;
                     let payload = payload(&mut bytes, *kind, *offset)?;
                     match span {
                         Some(span) => take.stretch(*span, payload)?,
-                        None => take.copy(*kind, payload)?,
+                        None => take.chunk(*kind, payload)?,
                     }
                 }
                 OutputChunk::Channels(channels) => take.channels(channels)?,
@@ -87,14 +92,6 @@ impl RecoveryScan {
         output.flush()?;
         Ok(written)
     }
-}
-
-fn header_writer(header: &Header) -> StretchHeaderWriter {
-    let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
-    StretchHeaderWriter::with_times(
-        header.stretch_rows,
-        TimelineEncoder::new(tick_hz, header.rate_hz),
-    )
 }
 
 /// Writes stretches without rows in place of lost rows, and an event that reports the loss.
@@ -136,19 +133,6 @@ fn host_event(row: u64, text: String) -> Event {
     Event { kind: EventKind::Host, row, device_ticks: 0, host_ns: 0, input: 0, text }
 }
 
-fn read_chunk(
-    input: &mut (impl Read + Seek),
-    offset: u64,
-    len: u64,
-    bytes: &mut Vec<u8>,
-) -> Result<(), TakeError> {
-    input.seek(SeekFrom::Start(offset))?;
-    bytes.clear();
-    // Memory grows with what the file holds; the length was validated in the first pass.
-    input.by_ref().take(len).read_to_end(bytes)?;
-    Ok(())
-}
-
 /// The payload of a chunk that is valid, or whose head can be repaired.
 fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
     if !matches!(chunk::parse(bytes), ChunkParse::Whole { .. }) {
@@ -163,6 +147,5 @@ fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> 
 }
 
 fn changed(offset: u64) -> TakeError {
-    let message = "the file changed while it was read".to_owned();
-    TakeError::Corrupt { what: "chunk", offset, message }
+    TakeError::corrupt("chunk", offset, "the file changed while it was read")
 }
