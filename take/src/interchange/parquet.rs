@@ -202,10 +202,11 @@ impl<'a> ParquetFile<'a> {
 
     /// Writes a row group; `fill` writes all of its columns in order.
     fn group(&mut self, fill: impl FnOnce(&mut RowGroup<'_>) -> ParquetResult<()>) -> Result<()> {
-        let mut group = RowGroup(self.file.next_row_group().map_err(parquet_error)?);
-        let filled = fill(&mut group);
-        let RowGroup(group) = group;
-        filled.and_then(|()| group.close()).map_err(parquet_error)?;
+        {
+            let mut group = RowGroup(self.file.next_row_group().map_err(parquet_error)?);
+            fill(&mut group).map_err(parquet_error)?;
+            group.0.close().map_err(parquet_error)?;
+        }
         self.file.flush()?;
         self.drain()
     }

@@ -97,7 +97,6 @@ impl TimelineAnchor {
         let (ticks, arrival_10us) = (cursor.varint()?, cursor.varint()?);
         Some(Self { shift, period: FramePeriod { ticks: period_ticks, rows }, ticks, arrival_10us })
     }
-
 }
 
 /// Splits what [`TimelineEncoder::encode`] wrote off the front of `cursor`.
