@@ -68,7 +68,8 @@ impl ForeignPart {
         offset: u64,
     ) -> Result<Self, TakeError> {
         let mut cursor = varint::Cursor::new(front);
-        let (kind, data_bytes) = parse_front(&mut cursor).map_err(|error| corrupt(offset, error))?;
+        let (kind, data_bytes) =
+            parse_front(&mut cursor).map_err(|error| corrupt(offset, error))?;
         let in_front = (front.len() - cursor.rest().len()) as u64;
         Ok(Self {
             kind: kind.to_owned(),

@@ -214,7 +214,8 @@ impl TakeFile {
         let path = free.context("every name for a copy is taken")?;
         let mut file = File::open(proc_link(&self.file)).context("cannot reopen it")?;
         let mut copy = NewFile::create(&path)?;
-        io::copy(&mut file, &mut copy).with_context(|| format!("cannot write {}", path.display()))?;
+        io::copy(&mut file, &mut copy)
+            .with_context(|| format!("cannot write {}", path.display()))?;
         copy.keep()?;
         Ok(path)
     }

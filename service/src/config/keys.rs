@@ -379,7 +379,8 @@ fn comment(out: &mut String, text: &str) {
 #[must_use]
 pub fn table(section: &str) -> String {
     let mut out =
-        "| key | value | default | purpose | a reload applies it |\n|---|---|---|---|---|\n".to_owned();
+        "| key | value | default | purpose | a reload applies it |\n|---|---|---|---|---|\n"
+            .to_owned();
     for key in KEYS.iter().filter(|key| key.section() == section) {
         // A bar would end the column.
         let [takes, default] =

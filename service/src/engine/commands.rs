@@ -305,12 +305,14 @@ impl Inner {
         let options = std::sync::Arc::clone(&self.core().options);
         let refused = |kind| move |error| Refusal::new(kind, message_with_keys(&error));
         let (name, path) = self.free_name(name, &options)?;
-        check_disk_space(&path, options.take.keep_free_bytes).map_err(refused(RefusalKind::Disk))?;
+        check_disk_space(&path, options.take.keep_free_bytes)
+            .map_err(refused(RefusalKind::Disk))?;
         let notes = notes.filter(|notes| !notes.is_empty());
         if let Some(notes) = notes {
             check_text(notes, "notes")?;
         }
-        let header = header::new(&options.take.codec, 1.0).map_err(refused(RefusalKind::Internal))?;
+        let header =
+            header::new(&options.take.codec, 1.0).map_err(refused(RefusalKind::Internal))?;
         let output = TakeFile::create(&path).map_err(refused(RefusalKind::Disk))?;
         let file = output.id();
         let notes = notes.map(|text| Event::new(EventKind::Mark, requested_ns, text));

@@ -3,8 +3,8 @@
 use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
-use super::{Answer, NdiDevice};
 use super::report::{Bx2Options, FrameReport, bx2};
+use super::{Answer, NdiDevice};
 use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;

@@ -174,9 +174,8 @@ impl LimbsReport {
         for SwapReport { markers: [a, b], when, limbs } in &self.swaps {
             let (a, b, when, limbs) = (plain(a), plain(b), when.text(), limbs.join(", "));
             let limbs = plain(&limbs);
-            out += &format!(
-                "SWAPPED: {a} and {b}, {when}: exchanging the labels corrects {limbs}\n"
-            );
+            out +=
+                &format!("SWAPPED: {a} and {b}, {when}: exchanging the labels corrects {limbs}\n");
         }
         if self.swaps.is_empty() {
             out += "no swapped labels found\n";

@@ -132,7 +132,7 @@ fn events_arrive_at_once_and_after_a_reconnection() {
 fn a_client_that_returns_too_late_gets_the_number_of_missed_events() {
     let served = serve_with_short_limits();
     let mark = |n: u64| {
-        served.fake.feeds.publish(ServiceEventKind::Mark, n.to_string(), State::Idle, None)
+        served.fake.feeds.publish(ServiceEventKind::Mark, n.to_string(), State::Idle, None);
     };
     let mut seen = Stream::open(served.at, "/v1/events", &[]);
     mark(1);

@@ -49,9 +49,9 @@ pub(super) fn keep(
         (RESIDUALS, residual_data(frames, points, positions)),
         (MODEL_OUTPUTS, (!points.outputs.is_empty()).then(|| output_data(frames, points))),
     ];
-    let kept = parts.into_iter().filter_map(|(kind, data)| {
-        Some(Foreign { kind: kind.to_owned(), data: data?.into() })
-    });
+    let kept = parts
+        .into_iter()
+        .filter_map(|(kind, data)| Some(Foreign { kind: kind.to_owned(), data: data?.into() }));
     kept.collect()
 }
 

@@ -29,10 +29,7 @@ pub(crate) fn recorded() -> Measurement {
     ledger.closes()?;
     let sent = simulator.stop()?;
     ensure!(ledger.ending == "end of stream", "it ended: {}, {}", ledger.ending, ran.stderr);
-    ensure!(
-        ledger.frames_sent == sent.produced && ledger.damaged == 0,
-        "{ledger:?} of {sent:?}"
-    );
+    ensure!(ledger.frames_sent == sent.produced && ledger.damaged == 0, "{ledger:?} of {sent:?}");
     // The host discards an answer that comes too late, so it cannot know the frame in it.
     let was_late = ledger.recorded + sent.dropped < sent.produced;
     ensure!(ledger.recorded + sent.dropped <= sent.produced, "{ledger:?} of {sent:?}");
