@@ -7,7 +7,10 @@ mod header;
 mod tests;
 
 pub use self::header::{StretchHeaderWriter, put_renumbered};
-pub(crate) use self::{chain::StretchChain, header::may_begin_with};
+pub(crate) use self::{
+    chain::{Placement, StretchChain},
+    header::may_begin_with,
+};
 
 use std::iter;
 

@@ -4,6 +4,7 @@ use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
 use super::report::{Bx2Options, FrameReport, bx2};
+use super::setup::mode;
 use super::{Answer, NdiDevice};
 use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
@@ -232,13 +233,5 @@ impl NdiDevice {
     fn put_binary(&mut self, is_frame: bool, block: &[u8]) -> String {
         self.outbox.put(is_frame, |out| put_binary(block, out));
         String::new()
-    }
-}
-
-/// Parses reply options, four hexadecimal digits; the default is transforms and status.
-pub(super) fn mode(args: &str) -> Result<u16, u8> {
-    match args {
-        "" => Ok(1),
-        digits => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS),
     }
 }

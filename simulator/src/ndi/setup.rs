@@ -2,7 +2,6 @@
 
 use mocapd_drivers::ndi::{BAUD_AT_RESET, BAUDS, code};
 
-use super::frames::mode;
 use super::{Answer, NdiDevice};
 
 /// The answer without data.
@@ -311,5 +310,13 @@ impl Ports {
     /// Whether the marker in this column is reported as a tool.
     pub(super) fn is_tool(&self, column: usize) -> bool {
         self.enabled().any(|port| port.column == Some(column))
+    }
+}
+
+/// Parses reply options, four hexadecimal digits; the default is transforms and status.
+pub(super) fn mode(args: &str) -> Result<u16, u8> {
+    match args {
+        "" => Ok(1),
+        digits => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS),
     }
 }

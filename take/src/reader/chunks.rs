@@ -10,7 +10,7 @@ use crate::{
     foreign::{self, ForeignPart, InflateCheck},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
-    stretch::{self, CHANNELS_MAX, StretchChain},
+    stretch::{self, CHANNELS_MAX, Placement, StretchChain},
 };
 
 /// The file ends inside a chunk.
@@ -108,7 +108,13 @@ impl TakeReader {
                     inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
                 })
             }
-            types::STRETCH => chain.place(payload).map_err(|error| corrupt("stretch", error)),
+            types::STRETCH => match chain.place(payload) {
+                Ok(Placement::Stretch(stretch)) => Ok(TakeEvent::Stretch(stretch)),
+                Ok(Placement::Unplaced { missing_before, n_rows, rows_min }) => {
+                    Ok(TakeEvent::Unplaced { missing_before, n_rows, rows_min })
+                }
+                Err(error) => Err(corrupt("stretch", error)),
+            },
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.plausible_rows_max(), offset))
                 .inspect(|_| self.seen_footer = true)

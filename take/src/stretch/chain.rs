@@ -4,11 +4,24 @@ use super::{
     NUMBERS, ROWS_PASSED_MAX, Span, Stretch, header::StretchHeader, rows_max, take_blocks,
 };
 use crate::{
-    TakeError, TakeEvent,
+    TakeError,
     record::Header,
     timeline::{Timeline, TimelineDecoder},
     varint,
 };
+
+/// A stretch with known rows, or the remains of one whose rows are unknown.
+#[derive(Debug)]
+pub(crate) enum Placement<'a> {
+    Stretch(Stretch<'a>),
+    /// The stretch continues one that is missing or damaged.
+    Unplaced {
+        missing_before: bool,
+        n_rows: u32,
+        /// The least number of rows that the take has up to the end of this stretch.
+        rows_min: u64,
+    },
+}
 
 /// Follows the stretches of a take.
 ///
@@ -67,9 +80,8 @@ impl StretchChain {
         self.next_row.saturating_add(ROWS_PASSED_MAX)
     }
 
-    /// Parses the payload of the next STRETCH chunk: a stretch with known rows, or the remains of one whose rows are
-    /// unknown, because it continues one that is missing or damaged. The error is a message.
-    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<TakeEvent<'a>, &'static str> {
+    /// Parses the payload of the next STRETCH chunk. The error is a message.
+    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placement<'a>, &'static str> {
         // An error below leaves the stretch as good as missing.
         let was_broken = std::mem::replace(&mut self.broken, true);
         let mut cursor = varint::Cursor::new(payload);
@@ -91,7 +103,7 @@ impl StretchChain {
             None if was_broken || missing_before => {
                 self.next_number = Some((number + 1) % NUMBERS);
                 self.next_row = self.next_row.saturating_add(rows_passed);
-                return Ok(TakeEvent::Unplaced { missing_before, n_rows, rows_min: self.next_row });
+                return Ok(Placement::Unplaced { missing_before, n_rows, rows_min: self.next_row });
             }
             None => self.next_row,
         };
@@ -105,6 +117,6 @@ impl StretchChain {
         self.next_number = Some((number + 1) % NUMBERS);
         self.broken = false;
         let span = Span { first_row: end_row - u64::from(n_rows), n_rows, key, number };
-        Ok(TakeEvent::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
+        Ok(Placement::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
     }
 }

@@ -3,11 +3,10 @@
 use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 
 use super::{
-    LIVE_ROWS_MAX, NUMBERS, Span, Stretch, StretchChain, StretchDecoder, StretchHeaderWriter,
-    StretchSizes, put_block, put_renumbered, take_blocks,
+    LIVE_ROWS_MAX, NUMBERS, Placement, Span, Stretch, StretchChain, StretchDecoder,
+    StretchHeaderWriter, StretchSizes, put_block, put_renumbered, take_blocks,
 };
 use crate::{
-    TakeEvent,
     timeline::{LossCauses, RowRun, RowTime, Timeline, TimelineEncoder},
     varint,
 };
@@ -56,7 +55,7 @@ fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
 
 fn placed<'a>(chain: &mut StretchChain, payload: &'a [u8]) -> Option<Stretch<'a>> {
     match chain.place(payload).unwrap() {
-        TakeEvent::Stretch(stretch) => Some(stretch),
+        Placement::Stretch(stretch) => Some(stretch),
         _ => None,
     }
 }
