@@ -56,7 +56,7 @@ fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
 fn placed<'a>(chain: &mut StretchChain, payload: &'a [u8]) -> Option<Stretch<'a>> {
     match chain.place(payload).unwrap() {
         Placement::Stretch(stretch) => Some(stretch),
-        _ => None,
+        Placement::Unplaced { .. } => None,
     }
 }
 
