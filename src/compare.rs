@@ -1,30 +1,30 @@
-//! Every sample of one source of frames against another.
+//! Compares two motions sample by sample, as `verify --against` does for a take and its original.
 
 use std::{fmt, io};
 
 use mocapd_take::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
 use serde::Serialize;
 
-/// What differs.
+/// How a take differs from its original.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Difference {
     /// Frames compared.
     pub frames: u64,
     /// Frames that only one of the two has.
     pub frames_missing: u64,
-    /// Frames of the original that the take lost to damage, or with its end: they were not compared.
+    /// Frames of the original that the take lost to damage or truncation; these are not compared.
     pub frames_lost: u64,
-    /// Markers whose label or place differs, or that only one of the two has.
+    /// Markers whose label or column differs, or that only one of the two has.
     pub labels_differing: Vec<String>,
-    /// What had to be decided to compare at all, one sentence each.
+    /// Assumptions made to compare the two, such as frame alignment; one sentence each.
     pub notes: Vec<String>,
     /// Samples that both have.
     pub samples: u64,
     /// Samples that only one of the two has.
     pub gaps_differing: u64,
-    /// Samples that are not the same to the bit.
+    /// Samples that are not bit-identical.
     pub bits_differing: u64,
-    /// Samples farther away than the block that they are in states; `None` of an original that is itself rounded.
+    /// Samples whose error exceeds the bound stated by their block; `None` if the original is itself a lossy take.
     pub beyond_stated: Option<u64>,
     /// The largest Euclidean distance, in millimetres.
     pub max_error_mm: f64,
@@ -34,7 +34,7 @@ pub struct Difference {
     pub worst_frame: Option<u64>,
     /// The marker of the largest distance, by column.
     pub worst_marker: Option<usize>,
-    /// The largest distance by marker, in millimetres.
+    /// The largest distance of each marker, in millimetres.
     pub max_error_by_marker_mm: Vec<f64>,
 }
 
@@ -42,7 +42,7 @@ pub struct Difference {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CompareError {
-    /// There is no frame that both have.
+    /// The two have no frame number in common.
     #[error(
         "nothing to compare: no frame in common (the take has {take}, the original has {original})"
     )]
@@ -52,17 +52,17 @@ pub enum CompareError {
         /// The original's frames.
         original: FrameNumbers,
     },
-    /// Reading one of them failed.
+    /// Reading one of the two failed.
     #[error(transparent)]
     Io(#[from] io::Error),
 }
 
-/// Frames by their numbers.
+/// A range of frame numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameNumbers {
-    /// Number of the first.
+    /// Number of the first frame.
     pub first: u64,
-    /// How many.
+    /// Number of frames.
     pub n: u64,
 }
 
@@ -81,10 +81,12 @@ impl fmt::Display for FrameNumbers {
     }
 }
 
-/// Reads both to their ends.
+/// Reads both motions to their ends and compares them frame by frame.
+///
+/// If their lengths and first frame numbers differ, frames are matched by number, else by position.
 ///
 /// # Errors
-/// `NoFrameInCommon`; `Io` for whatever reading meets.
+/// `NoFrameInCommon` if no frame can be compared; `Io` if reading fails.
 pub fn compare(
     mut take: impl FrameSource,
     mut original: impl FrameSource,
@@ -103,16 +105,16 @@ pub fn compare(
     };
     let (our_hz, their_hz) = (ours.rate_hz, theirs.rate_hz);
     if (our_hz - their_hz).abs() > 1e-6 * their_hz.abs() {
-        let note = "frame by frame, not by time";
+        let note = "compared frame by frame, not by time";
         difference.notes.push(format!("the rates differ, {our_hz} and {their_hz} Hz: {note}"));
     }
     let mut row = vec![GAP; ours.markers.len()];
     let mut original_row = vec![GAP; theirs.markers.len()];
-    // A part of a file keeps its frame numbers; a whole recording of it begins with 1.
+    // An excerpt keeps the frame numbers of its file; a recording of the whole begins with 1.
     let (first, their_first) = (ours.source.first_frame, theirs.source.first_frame);
     if ours.n_frames != theirs.n_frames && first != their_first {
         difference.notes.push(format!(
-            "one begins with frame {first}, the other with {their_first}: compared by number"
+            "the first frames differ, {first} and {their_first}: compared by frame number"
         ));
         for _ in first..their_first.min(first.saturating_add(ours.n_frames)) {
             take.next_frame(&mut row)?;
@@ -172,7 +174,8 @@ fn distance_mm(a: Position, b: Position) -> f64 {
 }
 
 impl Difference {
-    /// Whether everything is the same but for distances within `tolerance_mm` (0: to the bit), and within what is stated.
+    /// Whether frames, gaps and labels agree and every sample is within `tolerance_mm` (bit-identical if that is 0) and
+    /// within the bound stated by its block.
     #[must_use]
     pub fn is_within(&self, tolerance_mm: f64) -> bool {
         let close = if tolerance_mm > 0.0 {

@@ -1,6 +1,6 @@
-//! mocapd: records optical motion capture. The daemon's library: the `mocapd` binary, the tests and the
-//! benchmarks are built on it.
+//! What the `mocapd` program shares with the tests: parallel decoding of a take ([`parallel_frames`]), sample-by-sample
+//! comparison of two motions ([`compare`]), and exit codes ([`outcome`]).
 
-pub mod ahead;
 pub mod compare;
 pub mod outcome;
+pub mod parallel_frames;

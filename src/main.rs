@@ -1,4 +1,4 @@
-//! `mocapd`: parse, run, turn the outcome into an exit code.
+//! The `mocapd` program: parses the command line, runs the command and turns its outcome into an exit code.
 
 mod cli;
 
@@ -7,7 +7,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let result = cli::parse().and_then(cli::run);
     if let Err(error) = &result {
-        cli::say(&format!("{error:#}"));
+        cli::notify(&format!("{error:#}"));
     }
     mocapd::outcome::exit_code(&result)
 }

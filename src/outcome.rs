@@ -1,18 +1,18 @@
-//! How a command ended, and the one place where that becomes an exit code.
+//! How a command ended, and its exit code.
 
-use std::{fmt, process::ExitCode};
+use std::process::ExitCode;
 
-/// A command that did what it was asked.
+/// The result of a command that ran to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// Nothing was lost.
     Done,
-    /// Done, but data was lost; what was lost has been said.
+    /// Done, but data was lost; the command has already reported which.
     DataLost,
 }
 
 impl Outcome {
-    /// `DataLost` when `lost`.
+    /// `DataLost` if `lost`, else `Done`.
     #[must_use]
     pub fn of(lost: bool) -> Self {
         if lost { Self::DataLost } else { Self::Done }
@@ -25,19 +25,12 @@ impl Outcome {
     }
 }
 
-/// An argument that cannot be meant: exit code 2 instead of 1.
-#[derive(Debug)]
+/// An invalid argument: exit code 2 instead of 1.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
 pub struct UsageError(pub String);
 
-impl fmt::Display for UsageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for UsageError {}
-
-/// What was asked for was done, and data was lost: exit code 3 instead of 1.
+/// The command was carried out, but data was lost: exit code 3 instead of 1.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct DataLostError(pub String);

@@ -1,7 +1,7 @@
-//! `mocapd record` killed with SIGKILL at any instant: the take can be read, nothing older than a stretch and a sync
-//! is lost, and every frame in it is the one that was sent. The truth is the simulator's log.
+//! Kills `mocapd record` with SIGKILL at any instant: the take can be read, nothing older than a stretch and a sync
+//! is lost, and every frame in it is the one that was sent. The reference is the simulator's log.
 //!
-//! Each `cargo test` kills a few; five hundred are killed by
+//! Each `cargo test` runs a few kills; this command runs five hundred:
 //!
 //! ```text
 //! cargo test --release --test integration -- --ignored --nocapture kills::five_hundred
@@ -32,7 +32,7 @@ use mocapd_take::{
     damage::Problem,
     motion::{FrameSource, GAP, Motion, is_gap},
     reader::read_events,
-    recovery::Survey,
+    recovery::RecoveryScan,
 };
 
 use crate::support::distance_mm;
@@ -41,20 +41,20 @@ const RATE_HZ: f64 = 1000.0;
 const MARKERS: usize = 64;
 const TOLERANCE_MM: f64 = 0.5;
 
-/// From the first byte of the take, a kill comes within this.
+/// Longest time from the first byte of the take to the kill.
 const KILLED_WITHIN: Duration = Duration::from_millis(2500);
 
-/// What a recorder is told beside device and take, and what it may lose then: stretch and sync, in milliseconds.
-const WAYS: [(&[&str], u64); 4] = [
+/// Options of the recorder besides device and take, and the permitted loss: stretch plus sync, in milliseconds.
+const MODES: [(&[&str], u64); 4] = [
     (&[], 1000),
     (&["--lossless"], 1000),
     (&["--stretch", "100ms", "--sync", "200ms"], 300),
     (&["--resampler", "fast"], 1000),
 ];
 
-/// What a machine that does other things beside this may add: it runs the recorder's threads late. Beyond that,
-/// how late frames came by their arrival times and how long the disk took for a sync, nothing is allowed.
-const LATE: Duration = Duration::from_millis(500);
+/// Delay by a machine that does other things at the same time: it schedules the recorder's threads late. Beyond that,
+/// only late arrivals of frames and the duration of a sync are allowed for.
+const SCHEDULING_DELAY_MAX: Duration = Duration::from_millis(500);
 
 fn motion() -> Motion {
     let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
@@ -78,7 +78,7 @@ impl Write for Log {
     }
 }
 
-/// A frame as it was sent: its place in the order, and when.
+/// A frame as it was sent: its sequence number, and when.
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     seq: usize,
@@ -87,7 +87,7 @@ struct Sent {
 }
 
 impl Log {
-    /// By device time.
+    /// The frames sent, by device time.
     fn frames(&self) -> HashMap<u64, Sent> {
         let bytes = self.0.lock().unwrap();
         let frame = |line: &str| {
@@ -99,26 +99,26 @@ impl Log {
     }
 }
 
-/// What one kill cost.
+/// The cost of one kill.
 #[derive(Debug, Default, Clone, Copy)]
 struct Cost {
-    /// Age of the oldest frame that is lost, when the recorder was killed; 0 when none is.
+    /// Age of the oldest lost frame when the recorder was killed; 0 when none was lost.
     lost_ms: f64,
-    /// How late the last second of frames came into the recorder, at most: what the machine added, not the recorder.
+    /// The largest delay of a frame on its way to the recorder in the last second: caused by the machine.
     late_ms: f64,
-    /// How long a thread that sleeps for 1 ms at a time was not run, in the last second before the kill, at most.
+    /// The longest time that a thread which sleeps for 1 ms at a time was not run, in the last second before the kill.
     stall_ms: f64,
-    /// How long the disk took for a sync of another file beside the take, at most: no stretch is written meanwhile.
+    /// The longest sync of another file beside the take: no stretch is written meanwhile.
     sync_ms: f64,
     frames: usize,
     samples: usize,
     max_error_mm: f64,
 }
 
-/// Records, kills at the seed's instant, and holds what is left against what was sent.
+/// Records, kills the recorder at the seed's instant, and compares the take with what was sent.
 fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
     let mut rng = Rng::new(seed);
-    let (options, may_lose_ms) = WAYS[seed as usize % WAYS.len()];
+    let (options, allowed_ms) = MODES[seed as usize % MODES.len()];
     let take = folder.join(format!("{seed}.take"));
     let log = Log::default();
     let (stall_ms, sync_ms);
@@ -137,8 +137,8 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
             .spawn(move || {
                 let log: Option<Box<dyn Write + Send>> = Some(Box::new(logged));
                 let options = ServeOptions { log, ..ServeOptions::default() };
-                let told = |path: &Path| path_in.send(path.to_owned()).unwrap();
-                serve_pty(&mut device, None, options, &stopped, told).unwrap();
+                let on_ready = |path: &Path| path_in.send(path.to_owned()).unwrap();
+                serve_pty(&mut device, None, options, &stopped, on_ready).unwrap();
             })
             .unwrap();
         let uri = format!("serial:{}", path.recv().unwrap().display());
@@ -146,11 +146,11 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
         recorder.wait_for(&take);
         let until = Instant::now() + KILLED_WITHIN.mul_f64(rng.unit());
         (stall_ms, sync_ms) = thread::scope(|scope| {
-            let syncs = scope.spawn(|| sync_and_watch(folder, until));
-            (sleep_and_watch(until), syncs.join().unwrap())
+            let syncs = scope.spawn(|| sync_until(folder, until));
+            (sleep_until(until), syncs.join().unwrap())
         });
         let killed_ns = recorder.kill();
-        // Frames on their way are in the log, too.
+        // Include the frames on their way in the log.
         sleep(Duration::from_millis(20));
         stop.store(true, Ordering::Relaxed);
         served.join().unwrap();
@@ -162,14 +162,14 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
         ..check(motion, &std::fs::read(&take).unwrap(), &log.frames(), killed_ns, seed)
     };
     let machine_ms = cost.late_ms.max(cost.stall_ms) + cost.sync_ms;
-    let most_ms = may_lose_ms as f64 + machine_ms + LATE.as_secs_f64() * 1e3;
+    let most_ms = allowed_ms as f64 + machine_ms + SCHEDULING_DELAY_MAX.as_secs_f64() * 1e3;
     assert!(cost.lost_ms <= most_ms, "seed {seed}: {cost:?}");
     std::fs::remove_file(&take).ok();
     cost
 }
 
-/// Sleeps so long; says how long it was not run in the last second, in milliseconds.
-fn sleep_and_watch(until: Instant) -> f64 {
+/// Sleeps until then, and returns the longest time it was not run in the last second, in milliseconds.
+fn sleep_until(until: Instant) -> f64 {
     let mut stall_ms: f64 = 0.0;
     while let Some(left) = until.checked_duration_since(Instant::now()).filter(|t| !t.is_zero()) {
         let before = Instant::now();
@@ -181,8 +181,8 @@ fn sleep_and_watch(until: Instant) -> f64 {
     stall_ms
 }
 
-/// Syncs a file of its own until then, ten times a second; says how long it took at most, in milliseconds.
-fn sync_and_watch(folder: &Path, until: Instant) -> f64 {
+/// Syncs a file of its own ten times a second until then, and returns the longest sync in milliseconds.
+fn sync_until(folder: &Path, until: Instant) -> f64 {
     let mut file = tempfile::tempfile_in(folder).unwrap();
     let mut sync_ms: f64 = 0.0;
     while Instant::now() < until {
@@ -238,14 +238,14 @@ fn check(
             let late_ns = (arrival_10us * 10_000).saturating_sub(*host_ns);
             cost.late_ms = cost.late_ms.max(late_ns as f64 / 1e6);
         }
-        // A row is a tick of the device's counter.
+        // Rows follow the device's counter.
         let first = last.get_or_insert((index, *seq));
         assert_eq!(index - first.0, (seq - first.1) as u64, "seed {seed}: row {index}");
         let original = motion.frame(seq % motion.n_frames());
-        for (&got, &wanted) in rows[index as usize].iter().zip(original) {
-            assert_eq!(is_gap(got), is_gap(wanted), "seed {seed}: row {index}");
+        for (&got, &expected) in rows[index as usize].iter().zip(original) {
+            assert_eq!(is_gap(got), is_gap(expected), "seed {seed}: row {index}");
             if !is_gap(got) {
-                cost.max_error_mm = cost.max_error_mm.max(distance_mm(got, wanted));
+                cost.max_error_mm = cost.max_error_mm.max(distance_mm(got, expected));
                 cost.samples += 1;
             }
         }
@@ -253,14 +253,14 @@ fn check(
     assert!(cost.max_error_mm <= TOLERANCE_MM, "seed {seed}: {} mm", cost.max_error_mm);
     assert_eq!(summary.samples(), cost.samples as u64, "seed {seed}");
 
-    // The oldest frame that was sent behind the last one in the take, or the first of all.
+    // The oldest frame sent after the last one in the take, or the first of all.
     let next_seq = recorded.last().map_or(0, |(_, ticks, _)| sent[ticks].seq + 1);
     let next = sent.values().find(|frame| frame.seq == next_seq);
     cost.lost_ms = next.map_or(0.0, |next| killed_ns.saturating_sub(next.host_ns) as f64 / 1e6);
 
-    let survey = Survey::read(take).unwrap();
+    let scan = RecoveryScan::read(take).unwrap();
     let mut new = Vec::new();
-    survey.write(Cursor::new(take), &mut new, "tests").unwrap();
+    scan.write(Cursor::new(take), &mut new, "tests").unwrap();
     let new = Summary::read(&new[..]).unwrap();
     assert_eq!(new.take.problems, [], "seed {seed}");
     assert_eq!(new.contradictions(), [""; 0], "seed {seed}");
@@ -270,7 +270,7 @@ fn check(
     cost
 }
 
-/// `mocapd record`, killed when it is dropped.
+/// A running `mocapd record`, killed on drop.
 struct Recorder(Child);
 
 impl Recorder {
@@ -283,15 +283,15 @@ impl Recorder {
 
     /// Waits for the first byte.
     fn wait_for(&mut self, take: &Path) {
-        let begun = Instant::now();
+        let since = Instant::now();
         while std::fs::metadata(take).map_or(0, |meta| meta.len()) == 0 {
             assert_eq!(self.0.try_wait().unwrap(), None, "it ended before the first byte");
-            assert!(begun.elapsed() < Duration::from_secs(60), "no byte is written");
+            assert!(since.elapsed() < Duration::from_secs(60), "no byte is written");
             sleep(Duration::from_millis(1));
         }
     }
 
-    /// The host's monotonic time just before.
+    /// Kills the recorder, and returns the host's monotonic time just before.
     fn kill(&mut self) -> u64 {
         let killed_ns = monotonic_ns();
         self.0.kill().unwrap();
@@ -307,11 +307,11 @@ impl Drop for Recorder {
     }
 }
 
-/// Kills of these seeds, so many at a time, and what they cost in words.
+/// Runs the kills of these seeds, `at_once` at a time, and reports their cost.
 fn kills(seeds: std::ops::Range<u64>, at_once: usize) -> String {
     let motion = motion();
     let folder = tempfile::tempdir().unwrap();
-    let begun = Instant::now();
+    let since = Instant::now();
     let next = AtomicU64::new(seeds.start);
     let costs = Mutex::new(Vec::new());
     thread::scope(|scope| {
@@ -330,37 +330,37 @@ fn kills(seeds: std::ops::Range<u64>, at_once: usize) -> String {
     });
     let costs = costs.into_inner().unwrap();
     assert_eq!(costs.len() as u64, seeds.end - seeds.start);
-    let mut words = String::new();
-    for (way, (options, may_lose_ms)) in WAYS.iter().enumerate() {
-        let of_way = |cost: &&(u64, Cost)| cost.0 as usize % WAYS.len() == way;
-        let mut lost: Vec<f64> = costs.iter().filter(of_way).map(|cost| cost.1.lost_ms).collect();
+    let mut report = String::new();
+    for (mode, (options, allowed_ms)) in MODES.iter().enumerate() {
+        let of_mode = |cost: &&(u64, Cost)| cost.0 as usize % MODES.len() == mode;
+        let mut lost: Vec<f64> = costs.iter().filter(of_mode).map(|cost| cost.1.lost_ms).collect();
         lost.sort_by(f64::total_cmp);
-        let over = lost.iter().filter(|lost_ms| **lost_ms > *may_lose_ms as f64).count();
+        let over = lost.iter().filter(|lost_ms| **lost_ms > *allowed_ms as f64).count();
         writeln!(
-            words,
-            "{options:?}: {} kills, lost {:.0} ms (median) to {:.0} ms (most); {over} more than {may_lose_ms} ms",
+            report,
+            "{options:?}: {} kills, lost {:.0} ms (median) to {:.0} ms (most); {over} more than {allowed_ms} ms",
             lost.len(),
             lost.get(lost.len() / 2).unwrap_or(&0.0),
             lost.last().unwrap_or(&0.0)
         )
         .unwrap();
         for (seed, cost) in
-            costs.iter().filter(of_way).filter(|c| c.1.lost_ms > *may_lose_ms as f64)
+            costs.iter().filter(of_mode).filter(|c| c.1.lost_ms > *allowed_ms as f64)
         {
-            writeln!(words, "  seed {seed}: {cost:?}").unwrap();
+            writeln!(report, "  seed {seed}: {cost:?}").unwrap();
         }
     }
     let frames: usize = costs.iter().map(|(_, cost)| cost.frames).sum();
     let samples: usize = costs.iter().map(|(_, cost)| cost.samples).sum();
     let max_error_mm = costs.iter().map(|(_, cost)| cost.max_error_mm).fold(0.0, f64::max);
     writeln!(
-        words,
+        report,
         "{} takes, all readable; {frames} frames, {samples} samples, none wrong (max error {max_error_mm:.4} mm), {:.0} s",
         costs.len(),
-        begun.elapsed().as_secs_f64()
+        since.elapsed().as_secs_f64()
     )
     .unwrap();
-    words
+    report
 }
 
 #[test]

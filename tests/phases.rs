@@ -4,7 +4,7 @@ use mocapd_report::phases::{NoJump, Phase, find, parts};
 use mocapd_simulator::generator::{JumpSpec, Phase as Truth};
 use mocapd_take::motion::{GAP, UpAxis};
 
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 /// How far a phase may begin from the truth, seconds. The first swing begins slower than anything can be seen; a
 /// walk is found by its first step, and begins before it.
@@ -18,7 +18,7 @@ fn slack_s(phase: Phase) -> (f64, f64) {
 }
 
 fn truth(phase: Truth) -> Phase {
-    Phase::of_name(phase.name()).unwrap()
+    Phase::from_name(phase.name()).unwrap()
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn what_is_no_jump_has_no_phases() {
     walk.motion.info.markers.iter_mut().for_each(|marker| marker.label.push('x'));
     let nameless = find(&walk.motion).unwrap_err();
     assert!(matches!(nameless, NoJump::NoMarker(_)));
-    assert_tells(&nameless.to_string(), &["pelvis"]);
+    assert_mentions(&nameless.to_string(), &["pelvis"]);
     walk.motion.positions_mm.clear();
     assert!(find(&walk.motion).is_err());
 }

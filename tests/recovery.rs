@@ -1,4 +1,4 @@
-//! `recover`: what can be read of a damaged take is in the new one, unchanged, and the rest is on its account.
+//! `recover`: everything readable of a damaged take is in the new one, unchanged, and the ledger has the rest.
 
 use std::io::Cursor;
 
@@ -11,16 +11,16 @@ use mocapd_take::{
     motion::Position,
     reader::read_events,
     record::EndingKind,
-    recovery::{Kind, Survey, mend_start},
+    recovery::{ChunkKind, RecoveryScan, repair_start},
 };
 use mocapd_testkit::random::Random;
 
 use crate::support::{
-    config, dense, fast, feed_samples, jump, lossless, places, rows, samples, start, tells,
+    config, dense, fast, feed_samples, jump, lossless, mentions, places, rows, samples, start,
 };
 
 /// A recording with loss, and with two markers that appear later; stretches of a quarter of a second and
-/// keys each second, so that a short take has many.
+/// keys every second, so that a short take has many.
 fn recording(codec: mocapd_codec::Settings) -> Vec<u8> {
     let motion = jump(3, 60.0, 8.0);
     let mut config = config(&motion, codec);
@@ -32,9 +32,9 @@ fn recording(codec: mocapd_codec::Settings) -> Vec<u8> {
         while intake.is_full() {
             std::thread::yield_now();
         }
-        let shown = if seq < 120 { 13 } else { 15 };
+        let n_visible = if seq < 120 { 13 } else { 15 };
         let all: Vec<MarkerSample> = samples(motion.frame(seq));
-        feed_samples(&mut intake, 60.0, seq, &all[..shown]);
+        feed_samples(&mut intake, 60.0, seq, &all[..n_visible]);
     }
     intake.finish();
     pipeline.finish().unwrap().1
@@ -54,12 +54,12 @@ fn import(seconds: f64) -> Vec<u8> {
     written.1
 }
 
-fn recover(take: &[u8]) -> (Survey, Vec<u8>) {
-    let survey = Survey::read(take).unwrap();
+fn recover(take: &[u8]) -> (RecoveryScan, Vec<u8>) {
+    let scan = RecoveryScan::read(take).unwrap();
     let mut new = Vec::new();
-    let n = survey.write(Cursor::new(take), &mut new, "tests").unwrap();
+    let n = scan.write(Cursor::new(take), &mut new, "tests").unwrap();
     assert_eq!(n, new.len() as u64);
-    (survey, new)
+    (scan, new)
 }
 
 fn stretches(take: &[u8]) -> Vec<&[u8]> {
@@ -67,27 +67,27 @@ fn stretches(take: &[u8]) -> Vec<&[u8]> {
     places.map(|place| &take[place.1]).collect()
 }
 
-/// Recovers a damaged take, and holds the new one against what the damaged one still gives.
-fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summary) {
-    let (survey, new) = recover(damaged);
+/// Recovers a damaged take, and compares the new one with what can be read of the damaged one.
+fn check(damaged: &[u8], original: &[u8], what: &str) -> (RecoveryScan, Vec<u8>, Summary) {
+    let (scan, new) = recover(damaged);
     let summary = Summary::read(&new[..]).unwrap();
-    assert_eq!(summary.take.problems, [], "{what}: {:?}", survey.problems);
+    assert_eq!(summary.take.problems, [], "{what}: {:?}", scan.problems);
     assert!(summary.take.finished, "{what}");
     let ledger = summary.take.ledger.as_ref().unwrap();
     assert!(ledger.closes() && ledger.finished, "{what}: {ledger:?}");
     assert_eq!(ledger.samples_present, summary.samples(), "{what}");
-    assert_eq!(summary.take.n_rows, survey.rows, "{what}");
-    assert_eq!(survey.per_channel.len(), summary.take.channels.len(), "{what}");
-    assert_eq!(survey.channels, summary.take.channels, "{what}");
-    for (ours, theirs) in survey.per_channel.iter().zip(&summary.per_channel) {
+    assert_eq!(summary.take.n_rows, scan.rows, "{what}");
+    assert_eq!(scan.per_channel.len(), summary.take.channels.len(), "{what}");
+    assert_eq!(scan.channels, summary.take.channels, "{what}");
+    for (ours, theirs) in scan.per_channel.iter().zip(&summary.per_channel) {
         assert_eq!(
             (ours.samples, ours.rows_damaged),
             (theirs.samples, theirs.rows_damaged),
             "{what}"
         );
     }
-    // Every sample that the damaged take gives, at its row, and no other. Behind the last one both may have
-    // rows without any.
+    // Every sample of the damaged take at its row, and no other. After the last one, both may have
+    // rows without samples.
     let (old_rows, _) = rows(damaged);
     let (new_rows, _) = rows(&new);
     let bits = |rows: &[Vec<Position>]| {
@@ -100,45 +100,45 @@ fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summa
         rows
     };
     assert_eq!(bits(&old_rows), bits(&new_rows), "{what}");
-    // Copied, not coded again.
+    // Copied, not encoded again.
     let old = stretches(original);
     let is_old = |stretch: &&&[u8]| old.contains(*stretch);
-    let lost = survey.damage.len();
+    let lost = scan.damage.len();
     assert!(
         stretches(&new).iter().filter(|stretch| !is_old(stretch)).count() <= lost,
         "{what}: a stretch is new"
     );
-    (survey, new, summary)
+    (scan, new, summary)
 }
 
 #[test]
-fn of_an_intact_take_everything_is_kept() {
+fn everything_of_an_intact_take_is_kept() {
     for take in [recording(dense(0.5)), recording(lossless()), import(25.0)] {
-        let (survey, new, summary) = check(&take, &take, "intact");
-        assert!(!survey.lost_anything() && survey.finished);
+        let (scan, new, summary) = check(&take, &take, "intact");
+        assert!(!scan.lost_anything() && scan.finished);
         assert_eq!(stretches(&new), stretches(&take));
         let before = Summary::read(&take[..]).unwrap();
         assert_eq!(summary.take.ledger, before.take.ledger);
         assert_eq!(summary.take.events, before.take.events);
-        assert_eq!(survey.discarded_bytes, 0);
+        assert_eq!(scan.discarded_bytes, 0);
         let header = summary.take.header;
         assert_eq!(header.take_id, before.take.header.take_id);
         assert_eq!(
             header.settings.last().unwrap(),
-            &("recovered".to_owned(), format!("by tests: {}", survey.losses_in_words()))
+            &("recovered".to_owned(), format!("by tests: {}", scan.loss_summary()))
         );
     }
 }
 
 #[test]
-fn what_is_counted_again_is_what_the_recorder_counted() {
-    // Without its last ledger, a take's account is made of its stretches: and is the same.
+fn a_rebuilt_ledger_equals_that_of_the_recorder() {
+    // Without its last ledger, the take's account is rebuilt from its stretches, and is the same.
     for codec in [dense(0.5), fast(0.5)] {
         let take = recording(codec);
         let ledger = Summary::read(&take[..]).unwrap().take.ledger.unwrap();
         let last = places(&take).into_iter().rfind(|place| place.0 == types::LEDGER).unwrap();
-        let (survey, _, summary) = check(&take[..last.1.start], &take, "without its ledger");
-        assert!(survey.lost_anything(), "nobody knows whether more came");
+        let (scan, _, summary) = check(&take[..last.1.start], &take, "without its ledger");
+        assert!(scan.lost_anything(), "nobody knows whether more came");
         let again = summary.take.ledger.unwrap();
         let frames = |ledger: &mocapd_take::record::Ledger| {
             (
@@ -161,11 +161,11 @@ fn a_take_cut_at_any_byte_is_recovered() {
     for cut in (first..take.len())
         .filter(|cut| *cut < first + 200 || *cut + 200 > take.len() || cut % 61 == 0)
     {
-        let (survey, _, summary) = check(&take[..cut], &take, &format!("cut at {cut}"));
-        let finished = survey.finished;
-        // A summary that is torn told how the take ended.
+        let (scan, _, summary) = check(&take[..cut], &take, &format!("cut at {cut}"));
+        let finished = scan.finished;
+        // The lost summary stated how the take ended.
         let is_torn = (summary_chunk.start + 1..summary_chunk.end).contains(&cut);
-        assert_eq!(survey.lost_anything(), !finished || is_torn, "cut at {cut}");
+        assert_eq!(scan.lost_anything(), !finished || is_torn, "cut at {cut}");
         let known = cut >= summary_chunk.end;
         let ending = summary.take.ending.as_ref().map(|ending| ending.kind);
         assert_eq!(ending == Some(EndingKind::Stopped), known, "cut at {cut}: {ending:?}");
@@ -184,22 +184,22 @@ fn a_damaged_chunk_costs_what_depends_on_it_and_its_rows_stay() {
             let mut damaged = take.clone();
             damaged[place.start + (place.len() / 2).max(2)] ^= 0x10;
             let what = format!("type {kind:02x} at {}", place.start);
-            let (survey, _, summary) = check(&damaged, &take, &what);
-            let anew = Kind::of(Some(kind)).is_made_anew();
-            assert_eq!(survey.lost_anything(), !anew, "{what}");
+            let (scan, _, summary) = check(&damaged, &take, &what);
+            let is_rebuilt = ChunkKind::of(Some(kind)).is_rebuilt();
+            assert_eq!(scan.lost_anything(), !is_rebuilt, "{what}");
             assert_eq!(summary.take.n_rows, whole.take.n_rows, "{what}");
-            let counts = survey.kinds.iter().find(|count| count.kind == Kind::of(Some(kind)));
+            let counts = scan.kinds.iter().find(|count| count.kind == ChunkKind::of(Some(kind)));
             assert!(counts.unwrap().discarded >= 1, "{what}");
             let (before, after) =
                 (whole.take.ledger.as_ref().unwrap(), summary.take.ledger.as_ref().unwrap());
             if kind == types::STRETCH {
-                let lost = survey.rows_damaged();
-                assert!(lost > 0 && survey.damage.len() == 1, "{what}");
+                let lost = scan.rows_damaged();
+                assert!(lost > 0 && scan.damage.len() == 1, "{what}");
                 assert_eq!(after.frames_sent, before.frames_sent, "{what}");
                 assert_eq!(after.recorded + after.lost_other, before.recorded, "{what}");
                 assert!(after.lost_other > 0 && after.lost_other <= lost, "{what}");
-                let first_row = survey.damage[0].first_row.to_string();
-                assert!(summary.take.events.iter().any(|event| tells(&event.text, &first_row)));
+                let first_row = scan.damage[0].first_row.to_string();
+                assert!(summary.take.events.iter().any(|event| mentions(&event.text, &first_row)));
             } else {
                 assert_eq!(summary.samples(), whole.samples(), "{what}");
                 assert_eq!(after.recorded, before.recorded, "{what}");
@@ -217,9 +217,9 @@ fn a_damaged_head_costs_nothing() {
         for at in place.start..=place.start + len_bytes {
             let mut damaged = take.clone();
             damaged[at] ^= 0x05;
-            let (survey, new) = recover(&damaged);
-            assert!(!survey.lost_anything(), "type {kind:02x}, byte {at}");
-            assert_eq!(survey.problems, [Problem::Mended { offset: place.start as u64 }]);
+            let (scan, new) = recover(&damaged);
+            assert!(!scan.lost_anything(), "type {kind:02x}, byte {at}");
+            assert_eq!(scan.problems, [Problem::Repaired { offset: place.start as u64 }]);
             assert_eq!(format!("{:?}", rows(&new).0), format!("{whole:?}"));
             assert_eq!(format!("{:?}", rows(&damaged).0), format!("{whole:?}"));
         }
@@ -227,7 +227,7 @@ fn a_damaged_head_costs_nothing() {
 }
 
 #[test]
-fn zeros_and_noise_anywhere_are_recovered() {
+fn takes_with_zeros_and_noise_anywhere_are_recovered() {
     let mut random = Random::new(7);
     let takes = [recording(dense(0.5)), recording(lossless()), import(25.0)];
     for round in 0..120 {
@@ -248,13 +248,13 @@ fn zeros_and_noise_anywhere_are_recovered() {
                 break;
             }
         }
-        let (survey, new, _) = check(&damaged, take, &format!("round {round}"));
-        // What is recovered once has nothing more to lose.
+        let (scan, new, _) = check(&damaged, take, &format!("round {round}"));
+        // A recovered take has nothing more to lose.
         let (again, newer, _) = check(&new, &new, &format!("round {round}, again"));
         assert!(!again.lost_anything(), "round {round}: {:?}", again.problems);
-        assert_eq!(again.ledger, survey.ledger, "round {round}");
+        assert_eq!(again.ledger, scan.ledger, "round {round}");
         assert_eq!(stretches(&newer), stretches(&new));
-        assert_eq!(again.damage.len(), survey.damage.len());
+        assert_eq!(again.damage.len(), scan.damage.len());
     }
 }
 
@@ -272,8 +272,8 @@ fn a_lost_name_is_not_given_to_another() {
     for (i, (_, place)) in tables.iter().enumerate() {
         let mut damaged = take.clone();
         damaged[place.end - 1] ^= 1;
-        let (survey, new, _) = check(&damaged, &take, "a lost name");
-        assert!(survey.lost_anything());
+        let (scan, new, _) = check(&damaged, &take, "a lost name");
+        assert!(scan.lost_anything());
         let mut expected = whole.clone();
         expected[13 + i] = format!("u0{}", 14 + i);
         assert_eq!(labels(&damaged), expected);
@@ -285,51 +285,51 @@ fn a_lost_name_is_not_given_to_another() {
 }
 
 #[test]
-fn one_wrong_byte_of_the_header_is_put_right() {
+fn one_wrong_byte_of_the_header_is_repaired() {
     let take = import(0.5);
     let header = places(&take)[0].1.clone();
     for at in 0..header.end {
         for by in [0x01, 0x80, 0xff] {
             let mut damaged = take.clone();
             damaged[at] ^= by;
-            let (mut input, mended) = mend_start(Cursor::new(&damaged)).unwrap();
-            let survey = Survey::read(&mut input).unwrap();
-            assert!(!survey.lost_anything(), "byte {at}");
+            let (mut input, repaired) = repair_start(Cursor::new(&damaged)).unwrap();
+            let scan = RecoveryScan::read(&mut input).unwrap();
+            assert!(!scan.lost_anything(), "byte {at}");
             let in_head = (8..11).contains(&at);
             let expected = match at {
                 0..8 => vec![Problem::Magic],
                 _ if in_head => vec![],
-                // Any byte of the CRC is told as its first.
+                // A wrong byte of the CRC is reported as its first byte.
                 _ => vec![Problem::HeaderByte(at.min(header.end - 4) as u64)],
             };
-            assert_eq!(mended, expected, "byte {at}");
-            assert_eq!(survey.problems.len(), usize::from(in_head), "byte {at}");
+            assert_eq!(repaired, expected, "byte {at}");
+            assert_eq!(scan.problems.len(), usize::from(in_head), "byte {at}");
             let mut new = Vec::new();
-            survey.write(&mut input, &mut new, "tests").unwrap();
+            scan.write(&mut input, &mut new, "tests").unwrap();
             assert_eq!(format!("{:?}", rows(&new)), format!("{:?}", rows(&take)), "byte {at}");
         }
     }
-    // Two of them are not.
+    // Two wrong bytes are not repaired.
     let mut damaged = take.clone();
     damaged[header.start + 20] ^= 1;
     damaged[header.start + 30] ^= 1;
-    let (input, mended) = mend_start(Cursor::new(&damaged)).unwrap();
-    assert_eq!(mended, []);
-    assert!(Survey::read(input).is_err());
+    let (input, repaired) = repair_start(Cursor::new(&damaged)).unwrap();
+    assert_eq!(repaired, []);
+    assert!(RecoveryScan::read(input).is_err());
 }
 
 #[test]
 fn the_file_may_not_change_meanwhile() {
     let take = import(25.0);
-    let survey = Survey::read(&take[..]).unwrap();
+    let scan = RecoveryScan::read(&take[..]).unwrap();
     for changed in [&take[..take.len() / 2], &[&take[..400], &[9], &take[401..]].concat()] {
-        let error = survey.write(Cursor::new(changed), Vec::new(), "tests").unwrap_err();
+        let error = scan.write(Cursor::new(changed), Vec::new(), "tests").unwrap_err();
         assert!(matches!(error, TakeError::Corrupt { .. }), "{error}");
     }
 }
 
 #[test]
-fn the_reader_says_which_rows_are_lost() {
+fn the_reader_reports_the_lost_rows() {
     let take = recording(dense(0.5));
     let places = places(&take);
     let middle = places.iter().filter(|p| p.0 == types::STRETCH).nth(6).unwrap();

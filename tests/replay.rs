@@ -73,7 +73,7 @@ impl Simulated {
             length,
             stop: &AtomicBool::new(false),
             // A machine under load may be told that a frame is late.
-            say: &|_| {},
+            notify: &|_| {},
             how_to_end: "",
             how_to_set: |_| String::new(),
             started: &mut |_| {},

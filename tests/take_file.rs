@@ -9,7 +9,7 @@ use mocapd_take::{
 };
 use mocapd_testkit::random::Random;
 
-use crate::support::{assert_tells, config, dense, distance_mm, jump, places, record, rows};
+use crate::support::{assert_mentions, config, dense, distance_mm, jump, places, record, rows};
 
 const TOLERANCE_MM: f64 = 0.5;
 
@@ -165,7 +165,7 @@ fn bytes_may_come_in_any_pieces() {
 #[test]
 fn newer_parts_are_skipped_or_refused_as_their_type_says() {
     let (_, take) = take();
-    let chunk::Front::Whole { len, .. } = chunk::front(&take[8..]) else { panic!() };
+    let chunk::ChunkParse::Whole { len, .. } = chunk::parse(&take[8..]) else { panic!() };
     let with = |kind: u8| {
         let mut changed = take[..8 + len].to_vec();
         chunk::put(&mut changed, kind, b"from the future").unwrap();
@@ -176,7 +176,7 @@ fn newer_parts_are_skipped_or_refused_as_their_type_says() {
     let (_, problems) = rows(&with(0x60));
     let Problem::Damaged { offset, message, .. } = &problems[0] else { panic!("{problems:?}") };
     assert_eq!(*offset, 8 + len as u64);
-    assert_tells(message, &["60"]);
+    assert_mentions(message, &["60"]);
 }
 
 #[test]
@@ -208,7 +208,7 @@ fn what_is_no_take_is_said_to_be_none() {
         let error = TakeFrames::open(std::io::Cursor::new(bytes)).unwrap_err();
         assert!(matches!(error, TakeError::NotATake(found) if found == why), "{why:?}: {error}");
     }
-    assert_tells(&NotATake::HeaderDamaged.to_string(), &["mocapd recover"]);
+    assert_mentions(&NotATake::HeaderDamaged.to_string(), &["mocapd recover"]);
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn hostile_sizes_cost_no_memory() {
     let Problem::Refused { refusal: Refusal::Undecodable(why), .. } = &problems[0] else {
         panic!("{problems:?}")
     };
-    assert_tells(why, &["more samples"]);
+    assert_mentions(why, &["more samples"]);
     let mut long = front;
     long.extend_from_slice(&[chunk::types::STRETCH, 0xff, 0xff, 0xff, 0xff, 0x03, 1, 2, 3]);
     let is_last = |problem: &Problem| matches!(problem, Problem::Damaged { offset, len, .. } if offset + len == long.len() as u64);

@@ -7,9 +7,9 @@
     reason = "a test stops where it fails"
 )]
 
-mod ahead;
 mod cli;
 mod kills;
+mod parallel_frames;
 mod phases;
 mod pipeline;
 mod recovery;

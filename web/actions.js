@@ -1,10 +1,10 @@
-// What can be done, and what came of it, in words. An order shows that it is under way until the service answers.
+// The buttons and their results. A button shows that its command is pending until the service answers.
 
-import { Refused, order } from "./api.js";
+import { ServiceError, sendCommand } from "./api.js";
 import { byId, setAttribute, setText } from "./dom.js";
-import { count, nextName, plural, running, short } from "./format.js";
+import { count, elapsed, nextName, plural, rounded } from "./format.js";
 
-const WAITING = {
+const PROGRESS = {
   arm: "Arming",
   disarm: "Disarming",
   start: "Starting: waiting until the first frame is on disk",
@@ -13,14 +13,14 @@ const WAITING = {
   "save-last": "Saving",
 };
 
-/** What an answer says, in words. Pure. */
-export function answerWords(what, answer, tookMs, rateHz) {
-  const took = `${short(tookMs / 1000)} s`;
+/** The message that describes the response to a command. Pure. */
+export function responseMessage(what, answer, tookMs, rateHz) {
+  const took = `${rounded(tookMs / 1000)} s`;
   const remarks = (answer.remarks ?? []).map((remark) => ` Note: ${remark}.`).join("");
   if (what === "start") {
     const before = answer.first_frame.before_request_s;
-    const roll = before > 0.05 ? `, from ${short(before)} s before you asked` : "";
-    return `Recording ${answer.name}${roll}. Its first frame is on disk (${took}).${remarks}`;
+    const start = before > 0.05 ? `, starting ${rounded(before)} s before the request` : "";
+    return `Recording ${answer.name}${start}. Its first frame is on disk (${took}).${remarks}`;
   }
   if (what === "stop" || what === "save-last") {
     const { ledger, rows, seconds } = answer;
@@ -28,13 +28,13 @@ export function answerWords(what, answer, tookMs, rateHz) {
     const losses = lost > 0 ? `${plural(lost, "frame")} lost` : "no frame lost";
     const closes = ledger.closes ? "the ledger closes" : "the ledger does not close: verify the take";
     const ending = ["stopped", "saved"].includes(answer.ending) ? "" : ` It ended by itself: ${answer.ending}.`;
-    return `${answer.name} is on disk: ${running(seconds)}, ${count(rows)} rows, ${losses}, ${closes}.${ending}${remarks}`;
+    return `${answer.name} is on disk: ${elapsed(seconds)}, ${count(rows)} rows, ${losses}, ${closes}.${ending}${remarks}`;
   }
   if (what === "mark") {
-    const at = rateHz > 0 ? ` (${running(answer.row / rateHz)})` : "";
+    const at = rateHz > 0 ? ` (${elapsed(answer.row / rateHz)})` : "";
     return `Marked at row ${count(answer.row)}${at}.`;
   }
-  return what === "arm" ? `Armed (${took}).` : "Idle: the device is stopped, the pre-roll is forgotten.";
+  return what === "arm" ? `Armed (${took}).` : "Idle: the device is stopped and the pre-roll discarded.";
 }
 
 export class Actions {
@@ -59,10 +59,10 @@ export class Actions {
   show(status, isLost) {
     this.#status = status ?? this.#status;
     this.#isLost = isLost;
-    this.#paint();
+    this.#render();
   }
 
-  /** By key or button; what cannot be done now does nothing. */
+  /** Starts a take; does nothing while that is not possible. */
   start() {
     if (!byId("record").disabled && this.#status?.state !== "recording") this.#record();
   }
@@ -74,17 +74,17 @@ export class Actions {
   async mark() {
     if (byId("mark").disabled) return;
     const text = byId("mark-text").value.trim();
-    if (await this.#give("mark", byId("mark"), { text })) byId("mark-text").value = "";
+    if (await this.#send("mark", byId("mark"), { text })) byId("mark-text").value = "";
   }
 
   async #arm() {
     const isOn = this.#status.state === "armed";
-    await this.#give(isOn ? "disarm" : "arm", byId("arm"));
+    await this.#send(isOn ? "disarm" : "arm", byId("arm"));
   }
 
   async #record() {
     if (this.#status.state === "recording") {
-      const done = await this.#give("stop", byId("record"));
+      const done = await this.#send("stop", byId("record"));
       const name = byId("name");
       if (done && name.value.trim() === done.name) name.value = nextName(done.name);
       return;
@@ -93,40 +93,40 @@ export class Actions {
     const [name, notes] = [byId("name").value.trim(), byId("notes").value.trim()];
     if (name) body.name = name;
     if (notes) body.notes = notes;
-    if (await this.#give("start", byId("record"), body)) byId("notes").value = "";
+    if (await this.#send("start", byId("record"), body)) byId("notes").value = "";
   }
 
   async #saveLast() {
     const seconds = Number(byId("save-seconds").value);
-    await this.#give("save-last", byId("save"), { seconds });
+    await this.#send("save-last", byId("save"), { seconds });
   }
 
-  /** What the service answered, or null where it refused or cannot be reached. */
-  async #give(what, button, body = {}) {
+  /** The response of the service, or null if it refused or cannot be reached. */
+  async #send(what, button, body = {}) {
     if (this.#pending.has(what)) return null;
     this.#pending.add(what);
-    this.#paint();
+    this.#render();
     setAttribute(button, "aria-busy", "true");
-    say("waiting", `${WAITING[what]} …`);
+    showResponse("waiting", `${PROGRESS[what]} …`);
     const began = performance.now();
     try {
-      const onRetry = () => say("waiting", `${WAITING[what]}: no answer, asking again under the same id …`);
-      const answer = await order(`/v1/${what}`, body, { onRetry });
-      say("done", answerWords(what, answer, performance.now() - began, this.#status?.device.rate_hz ?? 0));
+      const onRetry = () => showResponse("waiting", `${PROGRESS[what]}: no answer, retrying with the same request id …`);
+      const answer = await sendCommand(`/v1/${what}`, body, { onRetry });
+      showResponse("done", responseMessage(what, answer, performance.now() - began, this.#status?.device.rate_hz ?? 0));
       return answer;
     } catch (error) {
-      if (error instanceof Refused) say("refused", error.message);
-      else say("unknown", `${error.message}: whether it was done is not known. Look at the state, then decide`);
+      if (error instanceof ServiceError) showResponse("refused", error.message);
+      else showResponse("unknown", `${error.message}: it is not known whether the command was executed. Check the state before you repeat it`);
       return null;
     } finally {
       setAttribute(button, "aria-busy", null);
       this.#pending.delete(what);
-      this.#paint();
+      this.#render();
       this.onDone();
     }
   }
 
-  #paint() {
+  #render() {
     const state = this.#isLost ? "lost" : this.#status.state;
     const isRecording = state === "recording";
     const isBusy = (...whats) => whats.some((what) => this.#pending.has(what));
@@ -143,9 +143,9 @@ export class Actions {
   }
 }
 
-const ANSWERS = { waiting: "…", done: "Done:", refused: "Refused:", unknown: "No answer:" };
+const PREFIXES = { waiting: "…", done: "Done:", refused: "Refused:", unknown: "No answer:" };
 
-function say(kind, words) {
+function showResponse(kind, text) {
   setAttribute(byId("answer"), "data-kind", kind);
-  setText(byId("answer"), kind === "waiting" ? words : `${ANSWERS[kind]} ${words}`);
+  setText(byId("answer"), kind === "waiting" ? text : `${PREFIXES[kind]} ${text}`);
 }

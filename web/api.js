@@ -1,8 +1,8 @@
-// Questions and orders to the service. Every order carries an id, so that one whose answer was lost can be given again
-// without being carried out twice.
+// Requests to the service. Every command carries a request id: a command whose response was lost is sent again and is
+// executed only once.
 
-/** The service said no, and why. */
-export class Refused extends Error {
+/** The service answered with an error: HTTP status, kind and message. */
+export class ServiceError extends Error {
   constructor(status, problem) {
     super(problem.message ?? `the service answered ${status}`);
     this.status = status;
@@ -10,62 +10,62 @@ export class Refused extends Error {
   }
 }
 
-/** Nothing came back: nobody knows whether it was done. */
-export class Unreachable extends Error {}
+/** No complete response: it is unknown whether the request was executed. */
+export class ConnectionError extends Error {}
 
-/** Told when a token is needed: a function that resolves when there is one. */
-let logIn = () => Promise.reject(new Unreachable("a token is needed"));
+/** Called when the service requires a token; resolves after the login. */
+let logIn = () => Promise.reject(new ConnectionError("a token is needed"));
 
 export function onUnauthorized(handler) {
   logIn = handler;
 }
 
-const ANSWER_MS = 2500;
-/** The service itself gives up after 60 s and says so. */
-const ORDER_MS = 65_000;
-const ORDER_TRIES = 6;
+const RESPONSE_TIMEOUT_MS = 2500;
+/** The service itself gives up after 60 s and reports it. */
+const COMMAND_TIMEOUT_MS = 65_000;
+const COMMAND_TRIES = 6;
 
-async function send(path, options, limitMs) {
-  const limit = AbortSignal.timeout(limitMs);
+async function send(path, options, timeoutMs) {
+  const timeout = AbortSignal.timeout(timeoutMs);
   let response;
   try {
-    response = await fetch(path, { ...options, signal: limit, cache: "no-store" });
+    response = await fetch(path, { ...options, signal: timeout, cache: "no-store" });
   } catch {
-    throw new Unreachable(limit.aborted ? `no answer within ${limitMs / 1000} s` : "the service cannot be reached");
+    throw new ConnectionError(timeout.aborted ? `no answer within ${timeoutMs / 1000} s` : "the service cannot be reached");
   }
-  return checked(response);
+  return checkStatus(response);
 }
 
-async function checked(response) {
+async function checkStatus(response) {
   if (response.ok) return response;
   let problem = {};
   try {
     problem = await response.json();
   } catch {
-    // No problem in JSON: the status has to do.
+    // The body is not a JSON problem: the HTTP status must do.
   }
-  throw new Refused(response.status, problem);
+  throw new ServiceError(response.status, problem);
 }
 
-/** What stands at a path, as JSON. */
+/** The JSON document at a path. */
 export async function get(path) {
   for (;;) {
     try {
-      const response = await send(path, {}, ANSWER_MS);
+      const response = await send(path, {}, RESPONSE_TIMEOUT_MS);
       return await response.json();
     } catch (error) {
       if (error.status === 401) await logIn();
-      else if (error instanceof Refused || error instanceof Unreachable) throw error;
-      else throw new Unreachable("the answer was cut off");
+      else if (error instanceof ServiceError || error instanceof ConnectionError) throw error;
+      else throw new ConnectionError("the answer is incomplete");
     }
   }
 }
 
-/** A response that does not end. */
-export async function open(path, signal, headers = {}) {
+/** Opens a response that does not end. */
+export async function openStream(path, signal, headers = {}) {
   for (;;) {
     try {
-      return await checked(await fetch(path, { signal, headers, cache: "no-store" }));
+      return await checkStatus(await fetch(path, { signal, headers, cache: "no-store" }));
     } catch (error) {
       if (error.status !== 401) throw error;
       await logIn();
@@ -73,46 +73,46 @@ export async function open(path, signal, headers = {}) {
   }
 }
 
-/** Gives an order and waits for what came of it. `onRetry` hears that it is given again, with the same id. */
-export async function order(path, body = {}, { onRetry = () => {}, tries = ORDER_TRIES, limitMs = ORDER_MS } = {}) {
+/** Sends a command and waits for its result. `onRetry` is called before it is sent again with the same request id. */
+export async function sendCommand(path, body = {}, { onRetry = () => {}, tries = COMMAND_TRIES, timeoutMs = COMMAND_TIMEOUT_MS } = {}) {
   const options = {
     method: "POST",
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify({ ...body, request_id: requestId() }),
   };
-  for (let tried = 1; ; tried += 1) {
+  for (let attempt = 1; ; attempt += 1) {
     try {
-      const response = await send(path, options, limitMs);
+      const response = await send(path, options, timeoutMs);
       const text = await response.text();
       return text ? JSON.parse(text) : {};
     } catch (error) {
       if (error.status === 401) {
         await logIn();
-      } else if ((error instanceof Refused && error.kind !== "unavailable") || tried >= tries) {
+      } else if ((error instanceof ServiceError && error.kind !== "unavailable") || attempt >= tries) {
         throw error;
       } else {
-        // Not reached, too busy, or still at it with the first try.
+        // Not reachable, too busy, or still executing the first attempt.
         onRetry();
-        await new Promise((resolve) => setTimeout(resolve, 500 * tried));
+        await new Promise((resolve) => setTimeout(resolve, 500 * attempt));
       }
     }
   }
 }
 
-/** Random, 32 hexadecimal digits. `crypto.randomUUID` is not there on plain HTTP from another machine. */
+/** Random, 32 hexadecimal digits: `crypto.randomUUID` does not exist on plain HTTP from another machine. */
 function requestId() {
   return Array.from(crypto.getRandomValues(new Uint8Array(16)), (b) => b.toString(16).padStart(2, "0")).join("");
 }
 
-/** Gives the token to the service, which answers with a cookie. */
+/** Sends the token to the service, which answers with a session cookie. */
 export async function login(token) {
   const options = { method: "POST", body: new URLSearchParams({ token }), redirect: "manual" };
   let response;
   try {
     response = await fetch("/login", options);
   } catch {
-    throw new Unreachable("the service cannot be reached");
+    throw new ConnectionError("the service cannot be reached");
   }
-  // Logged in, it sends the browser to the page that we are.
-  if (response.type !== "opaqueredirect") await checked(response);
+  // After a login the service redirects to this page.
+  if (response.type !== "opaqueredirect") await checkStatus(response);
 }

@@ -1,10 +1,10 @@
-// Puts the page together: asks how things stand, and hands the answers on.
+// Builds the page, polls the service and passes the responses to the parts of the page.
 
 import { Actions } from "./actions.js";
 import { get } from "./api.js";
 import { byId, setHidden, setText } from "./dom.js";
 import { Events } from "./events.js";
-import { span, zone } from "./format.js";
+import { duration, timeZone } from "./format.js";
 import { History } from "./history.js";
 import { installKeys, installTheme } from "./keys.js";
 import { Live } from "./live.js";
@@ -17,17 +17,17 @@ import { Tiles } from "./tiles.js";
 import { View } from "./view.js";
 
 const STATUS_MS = 500;
-/** What was heard longer ago is not shown as if it were now. */
-const SILENT_MS = 2500;
+/** A status older than this is not shown as current. */
+const STALE_MS = 2500;
 const QUALITY_MS = 2000;
 const TAKES_MS = 15_000;
 const TAKES_SHOWN = 20;
-/** Frames come some thirty a second: without one for this long the picture is old. */
+/** Some thirty frames arrive per second: without one for this long the view is out of date. */
 const FROZEN_MS = 1500;
 
 installTheme();
 installLogin();
-setText(byId("zone"), zone(-new Date().getTimezoneOffset(), Intl.DateTimeFormat().resolvedOptions().timeZone));
+setText(byId("zone"), timeZone(-new Date().getTimezoneOffset(), Intl.DateTimeFormat().resolvedOptions().timeZone));
 
 const motion = new Motion();
 const view = new View(motion);
@@ -36,48 +36,48 @@ const tiles = new Tiles();
 const history = new History();
 const markers = new Markers(({ hovered, pinned }) => {
   const slot = (label) => (label === null ? -1 : motion.labels.indexOf(label));
-  if (hovered !== undefined) view.choose({ hovered: slot(hovered) });
-  if (pinned !== undefined) view.choose({ pinned: slot(pinned) === view.pinned ? -1 : slot(pinned) });
+  if (hovered !== undefined) view.select({ hovered: slot(hovered) });
+  if (pinned !== undefined) view.select({ pinned: slot(pinned) === view.pinned ? -1 : slot(pinned) });
 });
-view.onChosen = (slot) => markers.point(motion.labels[slot] ?? null);
+view.onSelected = (slot) => markers.highlight(motion.labels[slot] ?? null);
 const takes = new Takes(() => showTakes());
-const actions = new Actions(() => look());
+const actions = new Actions(() => refresh());
 installKeys(actions, view);
 
 let status = null;
-let heardMs = performance.now();
-let lost = null;
+let respondedMs = performance.now();
+let connectionError = null;
 let failures = 0;
 
-/** How things stand. One question at a time; `look()` in between asks again at once. */
-let asking = null;
-function look() {
-  asking ??= ask().finally(() => {
-    asking = null;
+/** Requests the status. At most one request is pending: calls in between wait for it. */
+let pending = null;
+function refresh() {
+  pending ??= fetchStatus().finally(() => {
+    pending = null;
   });
-  return asking;
+  return pending;
 }
 
-async function ask() {
+async function fetchStatus() {
   try {
     const answer = await get("/v1/status");
     status = answer;
-    heardMs = performance.now();
-    const wasLost = lost !== null;
-    [lost, failures] = [null, 0];
+    respondedMs = performance.now();
+    const wasDisconnected = connectionError !== null;
+    [connectionError, failures] = [null, 0];
     hero.show(status);
     tiles.show(status);
     actions.show(status, false);
-    if (wasLost) showTakes();
+    if (wasDisconnected) showTakes();
   } catch (error) {
     failures += 1;
-    // One answer may be late; two are a connection that is lost, and so is a silence.
-    if (failures < 2 && performance.now() - heardMs < SILENT_MS) return;
-    lost = error;
-    hero.lose(error.message, heardMs);
-    tiles.lose();
-    markers.lose();
-    takes.lose();
+    // One response may be late; two failures, or none for STALE_MS, mean that the connection is lost.
+    if (failures < 2 && performance.now() - respondedMs < STALE_MS) return;
+    connectionError = error;
+    hero.showDisconnected(error.message, respondedMs);
+    tiles.showDisconnected();
+    markers.showDisconnected();
+    takes.showDisconnected();
     actions.show(null, true);
   }
 }
@@ -86,22 +86,22 @@ async function showTakes() {
   try {
     takes.show(await get(`/v1/takes?limit=${TAKES_SHOWN}`));
   } catch {
-    // The status tells of the connection.
+    // The status poll reports a lost connection.
   }
 }
 
 async function showQuality() {
-  if (document.hidden || lost) return;
+  if (document.hidden || connectionError) return;
   try {
     markers.show(await get("/v1/quality"), document.body.dataset.frames === "none");
   } catch {
-    // As above.
+    // The status poll reports a lost connection.
   }
 }
 
-/** What stands over the view when no frames come: the picture is then not of now. */
+/** The message over the view while no frames arrive, or null. */
 function viewMessage() {
-  if (lost) return "No connection";
+  if (connectionError) return "No connection";
   if (!status) return "Connecting";
   if (status.state === "idle") return status.device.presence === "absent" ? "No device" : "Idle: arm to see the markers";
   const { age_ms: ageMs, is_open: isOpen } = live.stats;
@@ -109,7 +109,7 @@ function viewMessage() {
   if (status.device.presence === "absent") return "No device";
   if (status.state === "failed" && !Number.isFinite(ageMs)) return "Failed";
   if (!Number.isFinite(ageMs)) return isOpen ? "No frame yet" : "Connecting to the live view";
-  return `No frame for ${span(ageMs / 1000).join(" ")}`;
+  return `No frame for ${duration(ageMs / 1000).join(" ")}`;
 }
 
 function showLive() {
@@ -117,35 +117,35 @@ function showLive() {
   const message = viewMessage();
   setHidden(byId("view-message"), message === null);
   setText(byId("view-message"), message ?? "");
-  byId("view").classList.toggle("old", message !== null);
-  const late = live.clocksDiffer() ? "this clock is not the service's" : `${Math.round(stats.latency_p95_ms)} ms late (p95)`;
+  byId("view").classList.toggle("stale", message !== null);
+  const late = live.clocksDiffer() ? "latency unknown: clocks differ" : `latency ${Math.round(stats.latency_p95_ms)} ms (p95)`;
   setText(byId("view-stats"), message === null
     ? `${stats.seen} of ${stats.markers} seen · ${stats.drawn_hz.toFixed(0)} frames/s · ${late}` : "");
 }
 
-const live = new Live(motion, { onTable: () => view.retable(), onFrame: () => view.touch() });
+const live = new Live(motion, { onTable: () => view.updateMarkers(), onFrame: () => view.invalidate() });
 view.onDrawn = (nowMs) => live.drawn(nowMs);
-// For whoever looks at them in the browser's console.
+// For the browser's console and the tests.
 window.mocapdStats = live.stats;
 window.mocapdMotion = motion;
 
 new Events(({ kind }) => {
-  look();
+  refresh();
   if (kind.startsWith("take-")) showTakes();
 });
 
-/** Again and again, one after the other: a slow answer must not pile up questions. */
-async function every(ms, work) {
+/** Repeats `work` with a pause of `ms`, never two at a time: slow responses must not pile up requests. */
+async function repeat(ms, work) {
   for (;;) {
     await work();
     await new Promise((resolve) => setTimeout(resolve, ms));
   }
 }
 
-every(STATUS_MS, async () => {
-  await look();
-  history.add(lost ? null : status);
+repeat(STATUS_MS, async () => {
+  await refresh();
+  history.add(connectionError ? null : status);
 });
-every(QUALITY_MS, showQuality);
-every(TAKES_MS, showTakes);
+repeat(QUALITY_MS, showQuality);
+repeat(TAKES_MS, showTakes);
 setInterval(showLive, 250);

@@ -1,4 +1,4 @@
-// Elements, and changing of them only what changed.
+// Creates elements and updates them; the page is changed only where a value changed.
 
 export const byId = (id) => document.getElementById(id);
 
@@ -27,7 +27,7 @@ export function setHidden(element, isHidden) {
   if (element.hidden !== isHidden) element.hidden = isHidden;
 }
 
-/** The page's colours as a canvas understands them: by the names of the custom properties. */
+/** The page's colours for a canvas, by the names of their custom properties. */
 export function colours(names) {
   const probe = h("span", { hidden: true });
   document.body.append(probe);
@@ -41,10 +41,10 @@ export function colours(names) {
   return found;
 }
 
-/** Calls back when the theme changes, by the button or by the system. */
+/** Calls `callback` when the theme changes, by the button or by the system. */
 export function onTheme(callback) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", callback);
   new MutationObserver(callback).observe(document.documentElement, { attributeFilter: ["data-theme"] });
 }
 
-export const prefersCalm = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
+export const prefersReducedMotion = () => matchMedia("(prefers-reduced-motion: reduce)").matches;

@@ -1,16 +1,16 @@
-// What happened: the last fifty, newest first, read as they come and taken up again where the connection was cut.
+// The list of the last fifty events, newest first. After a lost connection the stream resumes at the last event.
 
-import { open } from "./api.js";
+import { openStream } from "./api.js";
 import { byId, h, setText } from "./dom.js";
-import { clock, plural } from "./format.js";
+import { plural, timeOfDay } from "./format.js";
 import { EventParser } from "./stream.js";
 
 const SHOWN = 50;
-const AGAIN_MS = 1000;
-/** Longer than the service is ever silent: it gives a sign of life every 15 s. */
-const SILENT_MS = 40_000;
+const RETRY_MS = 1000;
+/** The service sends a comment at least every 15 s: longer silence means a lost connection. */
+const TIMEOUT_MS = 40_000;
 
-const SHAPES = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "●", "take-stopped": "■", "take-saved": "■", trigger: "»",
+const SYMBOLS = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "●", "take-stopped": "■", "take-saved": "■", trigger: "»",
   device: "◇", state: "·" };
 
 export class Events {
@@ -20,12 +20,12 @@ export class Events {
 
   constructor(onEvent) {
     this.onEvent = onEvent;
-    document.addEventListener("visibilitychange", () => this.#look());
-    this.#look();
+    document.addEventListener("visibilitychange", () => this.#updateVisibility());
+    this.#updateVisibility();
   }
 
-  /** A page that nobody sees listens later: a browser has few connections for all of its pages, and nothing is lost. */
-  #look() {
+  /** A hidden page closes its stream, since a browser has few connections for all pages; it resumes without loss. */
+  #updateVisibility() {
     if (document.hidden) {
       this.#page?.abort();
       this.#page = null;
@@ -37,53 +37,53 @@ export class Events {
 
   async #run(page) {
     while (!page.aborted) {
-      const silent = new AbortController();
-      let timer = setTimeout(() => silent.abort(), SILENT_MS);
-      const stop = () => silent.abort();
+      const connection = new AbortController();
+      let timer = setTimeout(() => connection.abort(), TIMEOUT_MS);
+      const stop = () => connection.abort();
       page.addEventListener("abort", stop);
       try {
         const headers = { Accept: "text/event-stream" };
         if (this.#lastId !== null) headers["Last-Event-ID"] = this.#lastId;
-        const response = await open("/v1/events?after=0", silent.signal, headers);
+        const response = await openStream("/v1/events?after=0", connection.signal, headers);
         const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
         const parser = new EventParser();
         for (;;) {
           const { done, value } = await reader.read();
           if (done) break;
           clearTimeout(timer);
-          timer = setTimeout(stop, SILENT_MS);
-          parser.push(value).forEach((event) => this.#take(event));
+          timer = setTimeout(stop, TIMEOUT_MS);
+          parser.push(value).forEach((event) => this.#handle(event));
         }
       } catch (error) {
-        if (!silent.signal.aborted) console.info("events:", error.message);
+        if (!connection.signal.aborted) console.info("events:", error.message);
       }
       page.removeEventListener("abort", stop);
       clearTimeout(timer);
-      await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
     }
   }
 
-  #take({ id, data, type }) {
+  #handle({ id, data, type }) {
     if (id !== null) this.#lastId = id;
     const event = JSON.parse(data);
     if (type === "missed") return this.#missed(event.missed);
-    this.#put(SHAPES[event.kind] ?? "·", event.unix_ms, event.kind, event.message);
+    this.#prepend(SYMBOLS[event.kind] ?? "·", event.unix_ms, event.kind, event.message);
     this.onEvent(event);
   }
 
-  /** What is missing is said, but not to a page that has only just come. */
+  /** Reports missed events, except on a page that has just been opened. */
   #missed(n) {
     if (this.#n === 0) return;
-    const words = n === null ? "the service was started anew: its events begin again"
-      : `${plural(n, "event")} came while this page was away, and are no longer kept`;
-    this.#put("▲", Date.now(), "warning", words);
+    const text = n === null ? "the service was restarted: its earlier events are gone"
+      : `${plural(n, "event")} missed while this page was not connected: no longer stored`;
+    this.#prepend("▲", Date.now(), "warning", text);
   }
 
-  #put(shape, unixMs, kind, message) {
+  #prepend(symbol, unixMs, kind, message) {
     const list = byId("events");
     list.prepend(h("li", { "data-kind": kind },
-      h("time", { datetime: new Date(unixMs).toISOString() }, clock(unixMs)),
-      h("span", { class: "glyph", "aria-hidden": "true" }, shape),
+      h("time", { datetime: new Date(unixMs).toISOString() }, timeOfDay(unixMs)),
+      h("span", { class: "glyph", "aria-hidden": "true" }, symbol),
       h("span", { class: "kind" }, kind.replace("-", " ")),
       h("span", { class: "message" }, message)));
     while (list.children.length > SHOWN) list.lastChild.remove();

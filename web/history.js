@@ -1,35 +1,35 @@
-// Two minutes of frame rate and losses.
+// The chart of the last two minutes: frame rate and lost frames.
 
 import { byId, colours, onTheme, setAttribute } from "./dom.js";
-import { lostSoFar } from "./figures.js";
+import { lostSoFar } from "./metrics.js";
 import { count } from "./format.js";
 
 export const SPAN_S = 120;
 
-/** Samples of the last two minutes: {t, hz, lost}; `hz` null where nothing was known. Pure. */
-export class Past {
+/** Samples of the last two minutes: {t, hz, lost}; `hz` is null where the rate is unknown. Pure. */
+export class RateHistory {
   samples = [];
   nominalHz = 0;
-  #lostBefore = null;
+  #previousLost = null;
 
-  /** At a time in seconds. What was lost is what came since the look before; a counter that fell began anew. */
+  /** Adds a status at a time in seconds. `lost` counts frames since the previous status; a counter that fell was reset. */
   add(t, status) {
-    const runs = status !== null && (status.state === "armed" || status.state === "recording");
+    const isRunning = status !== null && (status.state === "armed" || status.state === "recording");
     const hz = status?.input.measured_hz ?? 0;
-    const lost = runs ? lostSoFar(status) : 0;
-    const before = this.#lostBefore;
-    // In the first seconds the rate is counted up, and is none yet.
-    const isKnown = runs && status.input.frames >= 3 * (status.device.rate_hz || 0);
-    const sample = { t, hz: isKnown ? hz : null, lost: runs && before !== null ? Math.max(0, lost - before) : 0 };
+    const lost = isRunning ? lostSoFar(status) : 0;
+    const before = this.#previousLost;
+    // In the first three seconds the average is not a rate yet.
+    const isKnown = isRunning && status.input.frames >= 3 * (status.device.rate_hz || 0);
+    const sample = { t, hz: isKnown ? hz : null, lost: isRunning && before !== null ? Math.max(0, lost - before) : 0 };
     if (status !== null) {
-      this.#lostBefore = runs ? lost : null;
+      this.#previousLost = isRunning ? lost : null;
       this.nominalHz = status.device.rate_hz || this.nominalHz;
     }
     this.samples.push(sample);
     while (this.samples[0].t < t - SPAN_S) this.samples.shift();
   }
 
-  /** Lost frames by second before `now`: [newest, …, oldest]. */
+  /** Lost frames per second before `now`: [newest, …, oldest]. */
   lostBySecond(now) {
     const bins = new Array(SPAN_S).fill(0);
     for (const { t, lost } of this.samples) {
@@ -39,33 +39,33 @@ export class Past {
     return bins;
   }
 
-  /** What the axis of rates reaches from and to: the nominal rate in it, and never so narrow that noise looks big. */
+  /** Limits of the rate axis: they include the nominal rate ± 2 %, so that noise does not fill the chart. */
   range() {
     const rates = this.samples.flatMap(({ hz }) => (hz === null ? [] : [hz]));
     if (this.nominalHz > 0) rates.push(this.nominalHz * 0.98, this.nominalHz * 1.02);
     if (rates.length === 0) return [0, 1];
     const [low, high] = [Math.min(...rates), Math.max(...rates)];
-    const room = Math.max((high - low) * 0.08, 0.1);
-    return [Math.max(0, low - room), high + room];
+    const padding = Math.max((high - low) * 0.08, 0.1);
+    return [Math.max(0, low - padding), high + padding];
   }
 }
 
 export class History {
-  past = new Past();
+  rates = new RateHistory();
   #canvas = byId("history");
 
   constructor() {
-    const read = () => {
+    const readColours = () => {
       this.colours = colours(["muted", "line", "accent", "bad", "text"]);
       this.draw();
     };
-    onTheme(read);
+    onTheme(readColours);
     new ResizeObserver(() => this.draw()).observe(this.#canvas);
-    read();
+    readColours();
   }
 
   add(status) {
-    this.past.add(performance.now() / 1000, status);
+    this.rates.add(performance.now() / 1000, status);
     this.draw();
   }
 
@@ -80,8 +80,8 @@ export class History {
     const now = performance.now() / 1000;
     const plot = { left: 58, right: width - 8, split: height * 0.56, bottom: height - 18 };
     const x = (t) => plot.right - ((now - t) / SPAN_S) * (plot.right - plot.left);
-    this.#rates(ctx, plot, x);
-    this.#losses(ctx, plot, now);
+    this.#drawRates(ctx, plot, x);
+    this.#drawLosses(ctx, plot, now);
     ctx.fillStyle = this.colours.muted;
     ctx.textBaseline = "alphabetic";
     for (const [text, at, align] of [["2 min ago", plot.left, "left"], ["1 min", (plot.left + plot.right) / 2, "center"],
@@ -91,9 +91,9 @@ export class History {
     }
   }
 
-  #rates(ctx, { left, right, split }, x) {
-    const { samples, nominalHz } = this.past;
-    const [low, high] = this.past.range();
+  #drawRates(ctx, { left, right, split }, x) {
+    const { samples, nominalHz } = this.rates;
+    const [low, high] = this.rates.range();
     const y = (hz) => split - 6 - ((hz - low) / (high - low)) * (split - 26);
     ctx.fillStyle = this.colours.muted;
     ctx.textAlign = "right";
@@ -108,34 +108,34 @@ export class History {
     ctx.strokeStyle = this.colours.accent;
     ctx.lineWidth = 2;
     ctx.beginPath();
-    let isDown = false;
+    let isPenDown = false;
     for (const { t, hz } of samples) {
       if (hz !== null && x(t) >= left) {
-        if (isDown) ctx.lineTo(x(t), y(hz));
+        if (isPenDown) ctx.lineTo(x(t), y(hz));
         else ctx.moveTo(x(t), y(hz));
       }
-      isDown = hz !== null && x(t) >= left;
+      isPenDown = hz !== null && x(t) >= left;
     }
     ctx.stroke();
     ctx.lineWidth = 1;
   }
 
-  #losses(ctx, { left, right, split, bottom }, now) {
-    const bins = this.past.lostBySecond(now);
-    const most = Math.max(...bins);
+  #drawLosses(ctx, { left, right, split, bottom }, now) {
+    const bins = this.rates.lostBySecond(now);
+    const maximum = Math.max(...bins);
     const width = (right - left) / SPAN_S;
     ctx.strokeStyle = this.colours.line;
     line(ctx, left, bottom + 0.5, right, bottom + 0.5);
     ctx.fillStyle = this.colours.bad;
     bins.forEach((lost, second) => {
       if (lost === 0) return;
-      const tall = Math.max(2, (lost / Math.max(most, 5)) * (bottom - split - 12));
-      ctx.fillRect(right - (second + 1) * width, bottom - tall, Math.max(1.5, width - 0.5), tall);
+      const barHeight = Math.max(2, (lost / Math.max(maximum, 5)) * (bottom - split - 12));
+      ctx.fillRect(right - (second + 1) * width, bottom - barHeight, Math.max(1.5, width - 0.5), barHeight);
     });
     ctx.fillStyle = this.colours.muted;
     ctx.textAlign = "left";
     ctx.textBaseline = "top";
-    ctx.fillText(most === 0 ? "no frame lost" : `lost a second, ${count(most)} at most`, left, split + 2);
+    ctx.fillText(maximum === 0 ? "no frame lost" : `lost frames per second, maximum ${count(maximum)}`, left, split + 2);
     const sum = bins.reduce((a, b) => a + b, 0);
     setAttribute(this.#canvas, "aria-label",
       `Frame rate and lost frames of the last two minutes: ${count(sum)} frames lost`);

@@ -1,8 +1,8 @@
-// Keys that work wherever the focus is, except where somebody writes.
+// Keyboard shortcuts of the page, and the theme button. Shortcuts are off while an input field has the focus.
 
 import { byId } from "./dom.js";
 
-/** Whether a key belongs to what has the focus. */
+/** Whether the focused element or an open dialog handles the key itself. */
 function isTaken(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return true;
   if (document.querySelector("dialog[open]")) return true;
@@ -12,7 +12,7 @@ function isTaken(event) {
 }
 
 export function installKeys(actions, view) {
-  const does = {
+  const shortcuts = {
     r: () => actions.start(),
     s: () => actions.stop(),
     " ": () => actions.stop(),
@@ -25,8 +25,8 @@ export function installKeys(actions, view) {
   };
   addEventListener("keydown", (event) => {
     if (event.key === "Escape" && event.target.matches("input")) return event.target.blur();
-    const act = does[event.key.toLowerCase()];
-    // Held down it is one press: a take must not begin and end by a book on the keyboard.
+    const act = shortcuts[event.key.toLowerCase()];
+    // Key repeats are ignored: a book on the keyboard must not start and stop takes.
     if (!act || event.repeat || isTaken(event)) return;
     event.preventDefault();
     act();
@@ -50,7 +50,7 @@ export function installTheme() {
   try {
     theme = localStorage.getItem("theme") ?? "system";
   } catch {
-    // A browser that keeps nothing: the system's theme it is.
+    // The browser stores nothing: use the system's theme.
   }
   if (!(theme in THEMES)) theme = "system";
   show(theme);
@@ -60,7 +60,7 @@ export function installTheme() {
     try {
       localStorage.setItem("theme", theme);
     } catch {
-      // It holds until the page is closed.
+      // The theme lasts until the page is closed.
     }
   });
 }

@@ -1,17 +1,17 @@
-// Reads GET /v1/live for as long as somebody looks, and measures how late the frames are.
+// Reads GET /v1/live while the page is visible, and measures the latency of the frames.
 
-import { open } from "./api.js";
+import { openStream } from "./api.js";
 import { percentile } from "./format.js";
 import { LiveParser } from "./stream.js";
 
-const AGAIN_MS = 1000;
-/** Frames of which the latency is told: ten seconds of some thirty. */
-const LATENCIES = 300;
-/** Beyond this the browser's clock and the service's are not the same. */
+const RETRY_MS = 1000;
+/** Frames over which the latency is computed: ten seconds at some thirty frames per second. */
+const LATENCY_SAMPLES = 300;
+/** A larger latency means that the clocks of the browser and the service differ. */
 const CLOCKS_DIFFER_MS = 10_000;
 
 export class Live {
-  /** Since the page was opened; the tests read them too. */
+  /** Statistics since the page was opened; read by the tests, too. */
   stats = { frames: 0, tables: 0, drawn: 0, received_hz: 0, drawn_hz: 0, latency_p50_ms: NaN,
     latency_p95_ms: NaN, drawn_p95_ms: NaN, worst_ms: NaN, markers: 0, seen: 0, is_open: false };
   lastFrameMs = -Infinity;
@@ -26,12 +26,12 @@ export class Live {
     this.motion = motion;
     this.onTable = onTable;
     this.onFrame = onFrame;
-    document.addEventListener("visibilitychange", () => this.#look());
-    this.#look();
+    document.addEventListener("visibilitychange", () => this.#updateVisibility());
+    this.#updateVisibility();
   }
 
-  /** A page that nobody sees asks for no frames. */
-  #look() {
+  /** A hidden page requests no frames. */
+  #updateVisibility() {
     if (document.hidden) {
       this.#abort?.abort();
       this.#abort = null;
@@ -44,24 +44,24 @@ export class Live {
   async #run(signal) {
     while (!signal.aborted) {
       try {
-        const response = await open("/v1/live", signal);
+        const response = await openStream("/v1/live", signal);
         const reader = response.body.getReader();
         const parser = new LiveParser();
         this.stats.is_open = true;
         for (;;) {
           const { done, value } = await reader.read();
           if (done) break;
-          for (const message of parser.push(value)) this.#take(message);
+          for (const message of parser.push(value)) this.#handle(message);
         }
       } catch (error) {
         if (!signal.aborted) console.info("live stream:", error.message);
       }
       this.stats.is_open = false;
-      await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
     }
   }
 
-  #take(message) {
+  #handle(message) {
     if (message.kind === "table") {
       this.motion.setTable(message.table);
       this.stats.tables += 1;
@@ -78,21 +78,21 @@ export class Live {
     this.stats.frames += 1;
     this.stats.seen = this.motion.nSeen;
     this.#undrawnUs = message.arrivalUnixUs;
-    keep(this.#received, nowMs, 60);
-    keep(this.#latencies, Date.now() - message.arrivalUnixUs / 1000, LATENCIES);
+    pushLimited(this.#received, nowMs, 60);
+    pushLimited(this.#latencies, Date.now() - message.arrivalUnixUs / 1000, LATENCY_SAMPLES);
     this.onFrame();
   }
 
-  /** The newest frame is on the screen. */
+  /** Called when the newest frame has been drawn. */
   drawn(nowMs) {
     if (this.#undrawnUs === 0) return;
-    keep(this.#drawnLatencies, Date.now() - this.#undrawnUs / 1000, LATENCIES);
+    pushLimited(this.#drawnLatencies, Date.now() - this.#undrawnUs / 1000, LATENCY_SAMPLES);
     this.#undrawnUs = 0;
     this.stats.drawn += 1;
-    keep(this.#drawn, nowMs, 60);
+    pushLimited(this.#drawn, nowMs, 60);
   }
 
-  /** Counts up what was measured; called a few times a second. */
+  /** Updates the statistics; called a few times per second. */
   measure() {
     const nowMs = performance.now();
     const { stats } = this;
@@ -106,19 +106,19 @@ export class Live {
     return stats;
   }
 
-  /** Whether the browser's clock and the service's cannot be the same one. */
+  /** Whether the clocks of the browser and the service differ so much that the latency is meaningless. */
   clocksDiffer() {
     const { latency_p95_ms: late } = this.stats;
     return late < -50 || late > CLOCKS_DIFFER_MS;
   }
 }
 
-function keep(list, value, most) {
+function pushLimited(list, value, maximum) {
   list.push(value);
-  if (list.length > most) list.shift();
+  if (list.length > maximum) list.shift();
 }
 
-/** How often things happened a second, over the last two seconds. */
+/** Events per second over the last two seconds, from their times in milliseconds. */
 function rate(times, nowMs) {
   const recent = times.filter((time) => nowMs - time < 2000);
   if (recent.length < 2) return 0;

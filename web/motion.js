@@ -1,10 +1,10 @@
-// The newest places of the markers, where they came from, and since when they are not seen. Pure: time comes in.
+// The latest positions of the markers, their trails and when each was last visible. Pure: times are arguments.
 
-import { upright } from "./camera.js";
+import { toZUp } from "./camera.js";
 
-/** Frames that a trail has: a second of some thirty. */
+/** Frames in a trail: one second at some thirty frames per second. */
 export const TRAIL = 30;
-/** Markers higher above the floor than this many times their own size are looked at from near, without the floor. */
+/** Markers higher above the floor than this many times their extent are shown close up, without the floor. */
 const CLOSE_UP = 2;
 
 export class Motion {
@@ -21,7 +21,7 @@ export class Motion {
   raw = null;
   box = null;
 
-  /** A table of markers: those that were there before, by their names, keep their places and trails. */
+  /** Sets the table of markers; markers whose labels were in the previous table keep their positions and trails. */
   setTable(table) {
     const before = { ...this, slots: new Map(this.labels.map((label, slot) => [label, slot])) };
     this.labels = table.labels.map((label, slot) => label || `u${String(slot + 1).padStart(3, "0")}`);
@@ -32,14 +32,14 @@ export class Motion {
     this.face = table.face ?? null;
     this.facePose = null;
     this.upAxis = table.up_axis;
-    /** Millimetres, z up: where each marker was seen last. */
+    /** The last visible position of each marker, in millimetres, z up. */
     this.last = new Float32Array(3 * this.n).fill(NaN);
     this.lastSeenMs = new Float64Array(this.n).fill(-Infinity);
     this.trail = new Float32Array(3 * this.n * TRAIL).fill(NaN);
     this.raw = null;
     this.nSeen = 0;
-    const isTurned = before.upAxis !== this.upAxis;
-    if (isTurned || !this.labels.some((label) => before.slots.has(label))) {
+    const isAxisChanged = before.upAxis !== this.upAxis;
+    if (isAxisChanged || !this.labels.some((label) => before.slots.has(label))) {
       [this.head, this.box] = [0, null];
       return;
     }
@@ -55,7 +55,7 @@ export class Motion {
     });
   }
 
-  /** A frame at a time in milliseconds of any clock that only goes forward. */
+  /** Adds a frame; `nowMs` is the time of any monotonic clock in milliseconds. */
   push(frame, nowMs) {
     const n = Math.min(this.n, frame.positionsMm.length / 3);
     this.head = (this.head + 1) % TRAIL;
@@ -65,7 +65,7 @@ export class Motion {
     for (let slot = 0; slot < this.n; slot += 1) {
       const into = 3 * (this.head * this.n + slot);
       const [x, y, z] = slot < n ? frame.positionsMm.subarray(3 * slot, 3 * slot + 3) : [NaN, NaN, NaN];
-      upright(this.upAxis, x, y, z, this.trail, into);
+      toZUp(this.upAxis, x, y, z, this.trail, into);
       if (!Number.isFinite(x + y + z)) continue;
       this.nSeen += 1;
       this.lastSeenMs[slot] = nowMs;
@@ -73,8 +73,8 @@ export class Motion {
     }
   }
 
-  /** The limbs, both of whose ends are seen, that are not as long as the subject's scan has them. */
-  limbsOff() {
+  /** Limbs with both ends visible whose length deviates from the subject's scan by more than `off_mm`. */
+  deviatingLimbs() {
     return this.limbs.filter(({ ends: [a, b], length_mm, off_mm }) => {
       if (!this.isSeen(a) || !this.isSeen(b)) return false;
       const [p, q] = [a, b].map((slot) => this.last.subarray(3 * slot, 3 * slot + 3));
@@ -82,14 +82,14 @@ export class Motion {
     });
   }
 
-  /** The vertices of the face, z up, three numbers each; null while nobody knows where it is. */
-  facePlaced() {
+  /** The vertices of the face, z up, three numbers each; null while its pose is unknown. */
+  placedFace() {
     if (!this.face || !this.facePose) return null;
     const placed = new Float32Array(3 * this.face.vertices_mm.length);
     const p = this.facePose;
     this.face.vertices_mm.forEach(([x, y, z], vertex) => {
       const [a, b, c] = [0, 4, 8].map((row) => p[row] * x + p[row + 1] * y + p[row + 2] * z + p[row + 3]);
-      upright(this.upAxis, a, b, c, placed, 3 * vertex);
+      toZUp(this.upAxis, a, b, c, placed, 3 * vertex);
     });
     return placed;
   }
@@ -99,11 +99,11 @@ export class Motion {
   }
 
   /**
-   * A box about the markers that are seen, without those far away from all others: a reflection at the far wall must not
-   * move the eye. The floor beneath is in, but for a face or a hand high above it. It grows at once and shrinks by a part
-   * (0 to 1) a call, so that the view stays calm.
+   * Updates the box around the visible markers, without outliers: a reflection at the far wall must not move the camera.
+   * The box reaches down to the floor, except for a face or a hand high above it. It grows at once and shrinks by a
+   * fraction (0 to 1) per call, so that the view stays steady.
    */
-  follow(shrink) {
+  updateBox(shrink) {
     const now = { low: [0, 0, 0], high: [0, 0, 0] };
     for (let axis = 0; axis < 3; axis += 1) {
       const values = [];
@@ -111,7 +111,7 @@ export class Motion {
         if (this.isSeen(slot)) values.push(this.last[3 * slot + axis]);
       }
       if (values.length === 0) return this.box;
-      [now.low[axis], now.high[axis]] = together(values);
+      [now.low[axis], now.high[axis]] = robustRange(values);
     }
     const size = Math.max(...now.high.map((high, axis) => high - now.low[axis]));
     const height = now.low[2];
@@ -127,8 +127,8 @@ export class Motion {
   }
 }
 
-/** The lowest and the highest of the values, without what lies more than half of the middle nine tenths' width beyond. */
-function together(values) {
+/** Minimum and maximum without outliers: values more than half the 5th to 95th percentile range beyond it. */
+function robustRange(values) {
   values.sort((a, b) => a - b);
   const cut = values.length >= 10 ? Math.ceil(values.length * 0.05) : 0;
   const [low, high] = [values[cut], values[values.length - 1 - cut]];

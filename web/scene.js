@@ -1,17 +1,17 @@
-// Draws the markers, their trails, lines and names. Nothing is kept here between two drawings.
+// Draws the markers with their trails, bones and labels. Stateless between two frames.
 
 import { drawFloor } from "./floor.js";
 import { TRAIL } from "./motion.js";
-import { drawNames } from "./names.js";
+import { drawLabels } from "./labels.js";
 
-/** A marker that is not seen fades from its last place within this time, and is gone after it. */
+/** An occluded marker fades at its last position within this time, then disappears. */
 export const FADE_MS = 4000;
-/** A marker's radius, and its part of what is seen: those of a face are as small as they sit close. */
+/** A marker's radius, limited to a fraction of the scene: markers on a face sit close and are drawn small. */
 const RADIUS_MM = 16;
-const RADIUS_PART = 1 / 80;
+const RADIUS_FRACTION = 1 / 80;
 const BANDS = 5;
 
-/** `view`: {width, height, options: {labels, trails}, chosen: slot or -1, colours, nowMs}. */
+/** `view`: {width, height, options: {labels, trails}, selected: slot or -1, colours, nowMs}. */
 export function draw(ctx, camera, motion, view) {
   const { width, height } = view;
   ctx.clearRect(0, 0, width, height);
@@ -24,15 +24,15 @@ export function draw(ctx, camera, motion, view) {
   drawFace(ctx, motion, project, view);
   drawBones(ctx, motion, points, view);
   drawMarkers(ctx, motion, points, view);
-  drawNames(ctx, motion, points, view);
+  drawLabels(ctx, motion, points, view);
   return { stepMm, points };
 }
 
-/** By slot: x, y, radius in pixels, and how visible (1 seen, below 1 fading, 0 not to be drawn). */
+/** By slot: x, y, radius in pixels, and opacity (1 visible, below 1 fading, 0 not drawn). */
 function projectAll(motion, project, nowMs) {
   const points = new Float32Array(4 * motion.n);
   const at = [0, 0, 0];
-  const radiusMm = Math.min(RADIUS_MM, RADIUS_PART * sizeMm(motion));
+  const radiusMm = Math.min(RADIUS_MM, RADIUS_FRACTION * boxDiagonalMm(motion));
   for (let slot = 0; slot < motion.n; slot += 1) {
     const age = nowMs - motion.lastSeenMs[slot];
     const seen = motion.isSeen(slot) ? 1 : Math.max(0, 0.75 * (1 - age / FADE_MS));
@@ -44,12 +44,12 @@ function projectAll(motion, project, nowMs) {
   return points;
 }
 
-/** The diagonal of the box that is looked at. */
-function sizeMm({ box }) {
+/** The diagonal of the box around the markers. */
+function boxDiagonalMm({ box }) {
   return box ? Math.hypot(...box.high.map((high, axis) => high - box.low[axis])) : Infinity;
 }
 
-/** A dot on the floor below each marker tells how high it is. */
+/** A dot on the floor below each marker shows its height. */
 function drawShadows(ctx, motion, project, points, { colours }) {
   const at = [0, 0, 0];
   ctx.fillStyle = colours.shadow;
@@ -64,7 +64,7 @@ function drawShadows(ctx, motion, project, points, { colours }) {
   ctx.fill();
 }
 
-function drawTrails(ctx, motion, project, { colours, chosen }) {
+function drawTrails(ctx, motion, project, { colours, selected }) {
   const { trail, head, n } = motion;
   const perBand = (TRAIL - 1) / BANDS;
   const [a, b] = [[0, 0, 0], [0, 0, 0]];
@@ -74,39 +74,39 @@ function drawTrails(ctx, motion, project, { colours, chosen }) {
     const first = Math.round(band * perBand);
     const last = Math.round((band + 1) * perBand);
     for (let slot = 0; slot < n; slot += 1) {
-      let isDown = false;
+      let isPenDown = false;
       for (let age = first; age <= last; age += 1) {
         const i = 3 * (((head - age + TRAIL) % TRAIL) * n + slot);
-        const isThere = Number.isFinite(trail[i]) && project(trail[i], trail[i + 1], trail[i + 2], a);
-        if (isThere && isDown) ctx.lineTo(a[0], a[1]);
-        else if (isThere) ctx.moveTo(a[0], a[1]);
-        isDown = isThere;
+        const isVisible = Number.isFinite(trail[i]) && project(trail[i], trail[i + 1], trail[i + 2], a);
+        if (isVisible && isPenDown) ctx.lineTo(a[0], a[1]);
+        else if (isVisible) ctx.moveTo(a[0], a[1]);
+        isPenDown = isVisible;
       }
     }
     ctx.globalAlpha = 0.8 * (1 - band / BANDS) ** 1.4;
     ctx.strokeStyle = colours.trail;
-    // A line of one pixel is drawn several times as quickly as a wider one where no GPU helps.
+    // Without a GPU a line of one pixel is drawn several times faster than a wider one.
     ctx.lineWidth = 1;
     ctx.stroke();
   }
   ctx.globalAlpha = 1;
-  if (chosen < 0) return;
+  if (selected < 0) return;
   ctx.beginPath();
   for (let age = 0; age < TRAIL - 1; age += 1) {
-    const [i, j] = [age, age + 1].map((k) => 3 * (((head - k + TRAIL) % TRAIL) * n + chosen));
+    const [i, j] = [age, age + 1].map((k) => 3 * (((head - k + TRAIL) % TRAIL) * n + selected));
     if (project(trail[i], trail[i + 1], trail[i + 2], a) && project(trail[j], trail[j + 1], trail[j + 2], b)) {
       ctx.moveTo(a[0], a[1]);
       ctx.lineTo(b[0], b[1]);
     }
   }
-  ctx.strokeStyle = colours.chosen;
+  ctx.strokeStyle = colours.selected;
   ctx.lineWidth = 2.5;
   ctx.stroke();
 }
 
-/** The wireframe of the subject's face, where its markers say that it is. */
+/** The wireframe of the subject's face, placed by its markers. */
 function drawFace(ctx, motion, project, { colours }) {
-  const placed = motion.facePlaced();
+  const placed = motion.placedFace();
   if (!placed) return;
   const [a, b] = [[0, 0, 0], [0, 0, 0]];
   ctx.beginPath();
@@ -124,30 +124,30 @@ function drawFace(ctx, motion, project, { colours }) {
   ctx.globalAlpha = 1;
 }
 
-/** Whole where both ends are seen, dashed and faint where one is only remembered. */
+/** Bones: solid if both ends are visible, dashed and thin if one is at its last known position. */
 function drawBones(ctx, motion, points, { colours }) {
   ctx.lineCap = "round";
   ctx.strokeStyle = colours.bone;
-  for (const isWhole of [false, true]) {
+  for (const isSolid of [false, true]) {
     ctx.beginPath();
     for (const [a, b] of motion.bones) {
       const seen = Math.min(points[4 * a + 3], points[4 * b + 3]);
-      if (seen === 0 || (seen === 1) !== isWhole) continue;
+      if (seen === 0 || (seen === 1) !== isSolid) continue;
       ctx.moveTo(points[4 * a], points[4 * a + 1]);
       ctx.lineTo(points[4 * b], points[4 * b + 1]);
     }
-    ctx.lineWidth = isWhole ? 3.5 : 1.5;
-    ctx.setLineDash(isWhole ? [] : [4, 6]);
+    ctx.lineWidth = isSolid ? 3.5 : 1.5;
+    ctx.setLineDash(isSolid ? [] : [4, 6]);
     ctx.stroke();
   }
   ctx.setLineDash([]);
-  drawLimbsOff(ctx, motion, points, colours);
+  drawDeviatingLimbs(ctx, motion, points, colours);
 }
 
-/** Limbs that are not as long as the scan has them: in another colour, and wider, so that shape says it, too. */
-function drawLimbsOff(ctx, motion, points, colours) {
+/** Limbs whose length deviates from the scan: in another colour and wider, so that colour is not alone. */
+function drawDeviatingLimbs(ctx, motion, points, colours) {
   ctx.beginPath();
-  for (const { ends: [a, b] } of motion.limbsOff()) {
+  for (const { ends: [a, b] } of motion.deviatingLimbs()) {
     ctx.moveTo(points[4 * a], points[4 * a + 1]);
     ctx.lineTo(points[4 * b], points[4 * b + 1]);
   }
@@ -156,8 +156,8 @@ function drawLimbsOff(ctx, motion, points, colours) {
   ctx.stroke();
 }
 
-/** A disc: known to the device. A square: not. A ring: not seen, at its last place. */
-function drawMarkers(ctx, motion, points, { colours, chosen }) {
+/** A disc: labelled. A square: unlabelled. A ring: occluded, at its last position. */
+function drawMarkers(ctx, motion, points, { colours, selected }) {
   const known = new Path2D();
   const unknown = new Path2D();
   for (let slot = 0; slot < motion.n; slot += 1) {
@@ -184,9 +184,9 @@ function drawMarkers(ctx, motion, points, { colours, chosen }) {
     ctx.fill(path);
     ctx.stroke(path);
   }
-  if (chosen >= 0 && points[4 * chosen + 3] > 0) {
-    const [x, y, radius] = points.subarray(4 * chosen, 4 * chosen + 3);
-    ctx.strokeStyle = colours.chosen;
+  if (selected >= 0 && points[4 * selected + 3] > 0) {
+    const [x, y, radius] = points.subarray(4 * selected, 4 * selected + 3);
+    ctx.strokeStyle = colours.selected;
     ctx.lineWidth = 3;
     ctx.beginPath();
     ctx.arc(x, y, radius + 6, 0, 2 * Math.PI);
@@ -194,7 +194,7 @@ function drawMarkers(ctx, motion, points, { colours, chosen }) {
   }
 }
 
-/** The marker at a pixel, or -1. */
+/** The nearest marker within `reach` pixels of a point, or -1. */
 export function pick(points, x, y, reach) {
   let best = -1;
   let nearest = reach * reach;

@@ -1,59 +1,59 @@
-// The state, as the loudest thing on the page.
+// The state of the service: the most prominent part of the page.
 
 import { byId, setAttribute, setHidden, setText } from "./dom.js";
-import { plural, running, span } from "./format.js";
+import { duration, elapsed, plural } from "./format.js";
 
-const WORDS = { idle: "Idle", armed: "Armed", recording: "Recording", failed: "Failed", absent: "No device", silent: "No frames" };
+const STATE_TITLES = { idle: "Idle", armed: "Armed", recording: "Recording", failed: "Failed", absent: "No device", silent: "No frames" };
 
 const TITLE_SIGNS = { recording: "● ", absent: "⚠ ", silent: "⚠ " };
 
-/** What the page shows as the state: `absent` and `silent` come before what the service does, since nothing that happens
-    then is recorded. Pure. */
+/** The state that the page shows: `absent` and `silent` of the device take precedence over the service's state, since
+    nothing is recorded then. Pure. */
 export function shownState({ state, device }) {
   const isFrameless = device.presence === "absent" || (device.presence === "silent" && state !== "idle");
   return isFrameless && state !== "failed" ? device.presence : state;
 }
 
-/** What stands below the state's word, as lines. Pure. */
+/** The lines below the state. Pure. */
 export function describe(status) {
   const { state, take, pre_roll: preRoll, last_take: last, device } = status;
   if (shownState(status) !== state) return withoutFrames(status);
   if (state === "recording" && take) return [take.name];
-  if (state === "failed") return [status.failure ?? "no reason is known: see the events"];
+  if (state === "failed") return [status.failure ?? "reason unknown: see the events"];
   if (state === "armed") {
-    const held = `${preRoll.held_s.toFixed(1)} s held`;
-    return [preRoll.wanted_s > 0 ? `ready, ${held} of ${preRoll.wanted_s.toFixed(0)} s` : "ready"];
+    const held = `${preRoll.held_s.toFixed(1)} s`;
+    return [preRoll.wanted_s > 0 ? `ready, pre-roll ${held} of ${preRoll.wanted_s.toFixed(0)} s` : "ready"];
   }
-  return [last ? `last take: ${last.name}` : device.is_awaited ? "the device is being started" : "the device does not run"];
+  return [last ? `last take: ${last.name}` : device.is_awaited ? "starting the device" : "the device is not running"];
 }
 
-/** What the missing device means for the take, what it costs so far, and how it goes on. */
+/** The lines while no frames arrive: the take, the frames missing so far, and when recording resumes. */
 function withoutFrames({ state, take, device, last_take: last }) {
   const { outage, presence } = device;
   const back = presence === "absent" ? "when the device is back" : "when the device sends again";
   if (state === "recording" && take) {
-    const lines = [`Recording waits: ${take.name}`];
+    const lines = [`Recording interrupted: ${take.name}`];
     if (outage) lines.push(`${plural(outage.frames, "frame")} missing so far`);
-    const limit = outage?.ends_in_s != null ? `, or ends in ${running(outage.ends_in_s).split(".")[0]}` : "";
+    const limit = outage?.ends_in_s != null ? `, or ends in ${elapsed(outage.ends_in_s).split(".")[0]}` : "";
     return [...lines, `Recording resumes ${back}${limit}`];
   }
   if (state === "armed") return ["Armed: nothing can be recorded", `Ready again ${back}`];
   const ended = last?.ending === "device gone" ? [`${last.name} has ended: the device did not come back`] : [];
-  return [...ended, device.is_awaited ? "Armed as soon as the device is there" : "Idle"];
+  return [...ended, device.is_awaited ? "Arms as soon as the device is connected" : "Idle"];
 }
 
-/** Why the device keeps people waiting, in the service's words, or null. Pure. */
-export function obstacle({ device: { obstacle: words } }) {
-  return words ? words.charAt(0).toUpperCase() + words.slice(1) : null;
+/** Why the device is not ready, in the service's words, or null. Pure. */
+export function obstacle({ device: { obstacle: text } }) {
+  return text ? text.charAt(0).toUpperCase() + text.slice(1) : null;
 }
 
-/** What others did to the file of the take that is recorded, and what to do, or null. Pure. */
+/** What another program did to the file of the current take, and what to do, or null. Pure. */
 export function fileNotice({ take }) {
-  const words = take?.file_notice;
-  return words ? words.charAt(0).toUpperCase() + words.slice(1) : null;
+  const text = take?.file_notice;
+  return text ? text.charAt(0).toUpperCase() + text.slice(1) : null;
 }
 
-/** One line about the device. Pure. */
+/** The device, as one line. Pure. */
 export function deviceLine({ presence, model, serial, firmware, driver, uri, rate_hz: rateHz, markers }) {
   const parts = [model || "no device", serial, firmware && `firmware ${firmware}`, presence, driver, uri];
   if (rateHz > 0) parts.push(`${markers} markers at ${Number(rateHz.toFixed(2))} Hz`);
@@ -62,8 +62,8 @@ export function deviceLine({ presence, model, serial, firmware, driver, uri, rat
 
 export class Hero {
   #status = null;
-  #atMs = 0;
-  #said = "";
+  #receivedMs = 0;
+  #announced = "";
   #lost = null;
 
   constructor() {
@@ -72,25 +72,25 @@ export class Hero {
 
   show(status) {
     this.#status = status;
-    this.#atMs = performance.now();
+    this.#receivedMs = performance.now();
     this.#lost = null;
     document.body.dataset.link = "live";
     const shown = shownState(status);
     document.body.dataset.frames = shown === "absent" || shown === "silent" ? "none" : "some";
-    this.#state(shown, WORDS[shown] ?? shown, describe(status));
+    this.#showState(shown, STATE_TITLES[shown] ?? shown, describe(status));
     setText(byId("rig"), status.rig);
     setText(byId("device"), deviceLine(status.device));
     const notice = fileNotice(status);
     setHidden(byId("file-notice"), notice === null);
     setText(byId("file-notice"), notice ?? "");
-    const words = obstacle(status);
-    setHidden(byId("obstacle"), words === null);
-    setText(byId("obstacle"), words ?? "");
+    const text = obstacle(status);
+    setHidden(byId("obstacle"), text === null);
+    setText(byId("obstacle"), text ?? "");
     this.#tick();
   }
 
-  /** The service does not answer, for this reason, since a time of `performance.now()`. */
-  lose(why, sinceMs) {
+  /** Shows that the service does not answer: the reason, and the time of its last response by `performance.now()`. */
+  showDisconnected(why, sinceMs) {
     this.#lost = { why, sinceMs };
     document.body.dataset.link = "lost";
     setHidden(byId("obstacle"), true);
@@ -98,39 +98,39 @@ export class Hero {
     this.#tick();
   }
 
-  /** The time runs on between two answers, and stands still without any. Without a device it is the time without data:
-      the take does not grow. */
+  /** Advances the timer between two responses; without a connection it is empty. During an outage it shows the time
+      without data, since the take does not grow. */
   #tick() {
     const { take, state, device } = this.#status ?? {};
     const nowMs = performance.now();
     if (this.#lost) {
-      const ago = span(Math.max(0, (nowMs - this.#lost.sinceMs) / 1000)).join(" ");
+      const ago = duration(Math.max(0, (nowMs - this.#lost.sinceMs) / 1000)).join(" ");
       const known = this.#status
-        ? `last known, ${ago} ago: ${(WORDS[state] ?? state).toLowerCase()}${take ? ` ${take.name}` : ""}`
+        ? `last known, ${ago} ago: ${(STATE_TITLES[state] ?? state).toLowerCase()}${take ? ` ${take.name}` : ""}`
         : `for ${ago}`;
-      this.#state("lost", "No connection", [`${this.#lost.why}; trying again · ${known}`]);
-      return this.#time(null);
+      this.#showState("lost", "No connection", [`${this.#lost.why}; trying again · ${known}`]);
+      return this.#showTimer(null);
     }
-    const sinceS = (nowMs - this.#atMs) / 1000;
-    if (device?.outage) this.#time(device.outage.seconds + sinceS, "without data");
-    else this.#time(state === "recording" && take ? take.seconds + sinceS : null);
+    const sinceS = (nowMs - this.#receivedMs) / 1000;
+    if (device?.outage) this.#showTimer(device.outage.seconds + sinceS, "without data");
+    else this.#showTimer(state === "recording" && take ? take.seconds + sinceS : null);
   }
 
-  #time(seconds, what = null) {
-    setText(byId("timer"), seconds === null ? "" : running(seconds));
-    setHidden(byId("timer-what"), what === null);
-    setText(byId("timer-what"), what ?? "");
+  #showTimer(seconds, what = null) {
+    setText(byId("timer"), seconds === null ? "" : elapsed(seconds));
+    setHidden(byId("timer-label"), what === null);
+    setText(byId("timer-label"), what ?? "");
   }
 
-  #state(state, word, lines) {
+  #showState(state, word, lines) {
     setAttribute(byId("hero"), "data-state", state);
     setText(byId("state"), word);
-    setText(byId("what"), lines.join("\n"));
+    setText(byId("state-detail"), lines.join("\n"));
     const title = `${TITLE_SIGNS[state] ?? ""}${word} · mocapd`;
     if (document.title !== title) document.title = title;
-    // What is said aloud changes with the state only, not with every number.
-    const said = ["armed", "lost"].includes(state) ? word : `${word}. ${lines[0]}`;
-    if (said !== this.#said && state !== "waiting") setText(byId("announce"), said);
-    this.#said = said;
+    // Screen readers announce changes of the state, not of every number.
+    const announced = ["armed", "lost"].includes(state) ? word : `${word}. ${lines[0]}`;
+    if (announced !== this.#announced && state !== "waiting") setText(byId("announce"), announced);
+    this.#announced = announced;
   }
 }

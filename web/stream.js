@@ -1,22 +1,22 @@
-// The bytes of GET /v1/live: u32 length, u8 kind; a table in JSON, or a frame. Pure: bytes in, messages out.
+// Parsers of the streams. GET /v1/live: u32 length, u8 kind, then a table in JSON, a frame or a face pose. Pure.
 
-/** Larger than any table that a rig can have; what claims more is not this stream. */
+/** Larger than any table of markers; a larger length means that this is not the live stream. */
 const MESSAGE_MAX = 8 << 20;
-/** Kind, three bytes of zero, row, ticks, arrival. */
-const FRAME_HEAD = 28;
+/** Kind, three zero bytes, row, ticks, arrival time. */
+const FRAME_HEADER = 28;
 
 export class StreamError extends Error {}
 
 export class LiveParser {
-  #held = new Uint8Array(0);
+  #buffer = new Uint8Array(0);
 
-  /** Takes bytes cut anywhere, and gives the messages that are complete. */
+  /** Accepts bytes split anywhere; returns the messages that are complete. */
   push(bytes) {
     let all = bytes;
-    if (this.#held.length > 0) {
-      all = new Uint8Array(this.#held.length + bytes.length);
-      all.set(this.#held);
-      all.set(bytes, this.#held.length);
+    if (this.#buffer.length > 0) {
+      all = new Uint8Array(this.#buffer.length + bytes.length);
+      all.set(this.#buffer);
+      all.set(bytes, this.#buffer.length);
     }
     const view = new DataView(all.buffer, all.byteOffset, all.byteLength);
     const messages = [];
@@ -31,20 +31,20 @@ export class LiveParser {
       if (message) messages.push(message);
       at += 4 + length;
     }
-    this.#held = all.slice(at);
+    this.#buffer = all.slice(at);
     return messages;
   }
 }
 
-/** A kind that is not known is passed over: a newer service may send it. */
+/** Skips an unknown kind: a newer service may send it. */
 function parseMessage(bytes) {
   if (bytes[0] === 1) {
     return { kind: "table", table: JSON.parse(new TextDecoder().decode(bytes.subarray(1))) };
   }
   if (bytes[0] === 3) return parseFace(bytes);
   if (bytes[0] !== 2) return null;
-  if (bytes.length < FRAME_HEAD || (bytes.length - FRAME_HEAD) % 12 !== 0) {
-    throw new StreamError(`a frame of ${bytes.length} bytes: three floats a marker were expected`);
+  if (bytes.length < FRAME_HEADER || (bytes.length - FRAME_HEADER) % 12 !== 0) {
+    throw new StreamError(`a frame of ${bytes.length} bytes: expected three floats per marker`);
   }
   const view = new DataView(bytes.buffer);
   return {
@@ -52,27 +52,27 @@ function parseMessage(bytes) {
     row: Number(view.getBigUint64(4, true)),
     ticks: view.getBigUint64(12, true),
     arrivalUnixUs: Number(view.getBigUint64(20, true)),
-    positionsMm: new Float32Array(bytes.buffer, FRAME_HEAD),
+    positionsMm: new Float32Array(bytes.buffer, FRAME_HEADER),
   };
 }
 
-/** Where the face is: for each axis three factors of a vertex, and what is added. */
+/** The pose of the face: a 3x4 matrix, row by row. */
 function parseFace(bytes) {
-  if (bytes.length !== 4 + 48) throw new StreamError(`a face's place of ${bytes.length} bytes: twelve floats were expected`);
+  if (bytes.length !== 4 + 48) throw new StreamError(`a face pose of ${bytes.length} bytes: expected twelve floats`);
   return { kind: "face", pose: new Float32Array(bytes.buffer, 4) };
 }
 
-/** Server-sent events: text cut anywhere in, events out. */
+/** Parses server-sent events from text split anywhere. */
 export class EventParser {
-  #held = "";
+  #buffer = "";
 
   push(text) {
-    this.#held += text;
-    // A carriage return at the end may be half of a line's end.
-    const end = this.#held.endsWith("\r") ? this.#held.length - 1 : this.#held.length;
-    const blocks = this.#held.slice(0, end).replace(/\r\n?/g, "\n").split("\n\n");
-    this.#held = blocks.pop() + this.#held.slice(end);
-    if (this.#held.length > MESSAGE_MAX) throw new StreamError("an event without end");
+    this.#buffer += text;
+    // A trailing carriage return may be half of a line ending.
+    const end = this.#buffer.endsWith("\r") ? this.#buffer.length - 1 : this.#buffer.length;
+    const blocks = this.#buffer.slice(0, end).replace(/\r\n?/g, "\n").split("\n\n");
+    this.#buffer = blocks.pop() + this.#buffer.slice(end);
+    if (this.#buffer.length > MESSAGE_MAX) throw new StreamError(`an event of more than ${MESSAGE_MAX} characters`);
     return blocks.map(parseEvent).filter((event) => event.data !== null);
   }
 }

@@ -1,47 +1,47 @@
-// The last takes: what is known of them, the file, and a check of it.
+// The list of the last takes: a summary of each, its download, and its verification.
 
-import { Refused, order } from "./api.js";
+import { ServiceError, sendCommand } from "./api.js";
 import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
-import { bytes, plural, running, when } from "./format.js";
+import { bytes, dateTime, elapsed, plural } from "./format.js";
 import { GLYPHS } from "./tiles.js";
 
-/** A check reads the whole take. */
-const VERIFY_MS = 600_000;
+/** Verification reads the whole take. */
+const VERIFY_TIMEOUT_MS = 600_000;
 
 const HEALTH = {
-  unknown: ["none", "not looked at"],
+  unknown: ["none", "not checked yet"],
   complete: ["ok", "complete"],
   lossy: ["watch", "complete, frames lost"],
   damaged: ["bad", "damaged"],
-  "cut off": ["bad", "cut off: mocapd recover mends it"],
+  "cut off": ["bad", "cut off: repair it with mocapd recover"],
   unreadable: ["bad", "unreadable"],
 };
 
-/** A take's health as [level, words]. Pure. */
+/** A take's health as [level, text]. Pure. */
 export function health(take) {
   return take.is_open ? ["none", "being written"] : HEALTH[take.health] ?? ["watch", take.health];
 }
 
-/** What is known of a take, in words. Pure. */
-export function facts(take, nowMs) {
+/** The known facts about a take, as one line. Pure. */
+export function takeSummary(take, nowMs) {
   const known = [];
-  if (take.seconds > 0) known.push(running(take.seconds));
+  if (take.seconds > 0) known.push(elapsed(take.seconds));
   if (take.markers > 0) known.push(plural(take.markers, "marker"));
-  known.push(bytes(take.bytes).join(" "), when(take.modified_unix_ms, nowMs));
+  known.push(bytes(take.bytes).join(" "), dateTime(take.modified_unix_ms, nowMs));
   if (take.ending) known.push(`ended: ${take.ending}`);
   return known.join(" · ");
 }
 
-/** What a check found, in words. Pure. */
-export function verdict({ health: found, seconds, samples, max_error_mm: error, tolerance_mm: tolerance, problems, contradictions }) {
+/** The result of a verification, as a message. Pure. */
+export function verifyResult({ health: found, seconds, samples, max_error_mm: error, tolerance_mm: tolerance, problems, contradictions }) {
   const wrong = [...problems, ...contradictions];
-  const words = health({ health: found })[1];
+  const text = health({ health: found })[1];
   if (wrong.length > 0) {
     const more = wrong.length > 3 ? `; and ${wrong.length - 3} more` : "";
-    return `${words}. ${wrong.slice(0, 3).join("; ")}${more}`;
+    return `${text}. ${wrong.slice(0, 3).join("; ")}${more}`;
   }
-  const bound = tolerance > 0 ? `within ${error.toFixed(3)} of ${tolerance} mm` : "bit by bit";
-  return `${words}. ${running(seconds)}, ${plural(samples, "sample")} ${bound}`;
+  const bound = tolerance > 0 ? `largest error ${error.toFixed(3)} mm (tolerance ${tolerance} mm)` : "bit-exact";
+  return `${text}. ${elapsed(seconds)}, ${plural(samples, "sample")}, ${bound}`;
 }
 
 export class Takes {
@@ -60,21 +60,21 @@ export class Takes {
       this.#rows.delete(name);
     }
     takes.forEach((take, place) => {
-      const row = this.#rows.get(take.name) ?? this.#make(take.name);
-      this.#fill(row, take);
+      const row = this.#rows.get(take.name) ?? this.#createRow(take.name);
+      this.#update(row, take);
       if (list.children[place] !== row.element) list.insertBefore(row.element, list.children[place] ?? null);
     });
     setText(byId("takes-count"), takes.length === 0 ? "none yet" : `the last ${takes.length}`);
   }
 
-  lose() {
-    setText(byId("takes-count"), "old: no connection");
+  showDisconnected() {
+    setText(byId("takes-count"), "outdated: no connection");
   }
 
-  #make(name) {
+  #createRow(name) {
     const path = `/v1/takes/${encodeURIComponent(name)}/download`;
     const parts = {
-      facts: h("p", { class: "note" }),
+      summary: h("p", { class: "note" }),
       glyph: h("span", { class: "glyph", "aria-hidden": "true" }),
       word: h("span"),
       download: h("a", { class: "button", href: path, download: `${name}.take`, "aria-label": `Download ${name}` }, "Download"),
@@ -83,19 +83,19 @@ export class Takes {
     };
     parts.verify.addEventListener("click", () => this.#verify(name, parts));
     parts.element = h("li", { "data-take": name },
-      h("div", { class: "take-words" }, h("strong", {}, name), parts.facts,
+      h("div", { class: "take-text" }, h("strong", {}, name), parts.summary,
         h("p", { class: "level" }, parts.glyph, " ", parts.word), parts.answer),
       h("div", { class: "take-buttons" }, parts.download, parts.verify));
     this.#rows.set(name, parts);
     return parts;
   }
 
-  #fill({ element, facts: line, glyph, word, download, verify }, take) {
-    const [level, words] = health(take);
-    setText(line, facts(take, Date.now()));
+  #update({ element, summary, glyph, word, download, verify }, take) {
+    const [level, text] = health(take);
+    setText(summary, takeSummary(take, Date.now()));
     setAttribute(element, "data-level", level);
     setText(glyph, GLYPHS[level]);
-    setText(word, words);
+    setText(word, text);
     setHidden(download, take.is_open);
     setHidden(verify, take.is_open);
   }
@@ -103,12 +103,12 @@ export class Takes {
   async #verify(name, { verify, answer }) {
     verify.disabled = true;
     setAttribute(verify, "aria-busy", "true");
-    setText(answer, "Reading it all …");
+    setText(answer, "Reading the whole take …");
     const path = `/v1/takes/${encodeURIComponent(name)}/verify`;
     try {
-      setText(answer, `Verified: ${verdict(await order(path, {}, { tries: 1, limitMs: VERIFY_MS }))}.`);
+      setText(answer, `Verified: ${verifyResult(await sendCommand(path, {}, { tries: 1, timeoutMs: VERIFY_TIMEOUT_MS }))}.`);
     } catch (error) {
-      setText(answer, error instanceof Refused ? `Refused: ${error.message}` : `No answer: ${error.message}`);
+      setText(answer, error instanceof ServiceError ? `Refused: ${error.message}` : `No answer: ${error.message}`);
     }
     setAttribute(verify, "aria-busy", null);
     verify.disabled = false;

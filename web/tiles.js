@@ -1,31 +1,31 @@
-// The figures on the page: made once, changed where they change.
+// The tiles of the metrics: created once, then updated.
 
 import { byId, h, setAttribute, setHidden, setText } from "./dom.js";
-import { figures } from "./figures.js";
+import { metrics } from "./metrics.js";
 
-/** A shape beside every word: colour alone says nothing. */
+/** A symbol beside every word: colour alone must not carry the meaning. */
 export const GLYPHS = { none: "", ok: "✓", watch: "▲", bad: "✕" };
 
 export class Tiles {
-  #made = new Map();
+  #tiles = new Map();
 
   show(status) {
-    for (const figure of figures(status)) {
-      const parts = this.#made.get(figure.id) ?? this.#make(figure);
-      setAttribute(parts.tile, "data-level", figure.level);
-      setText(parts.value, figure.value);
-      setText(parts.unit, figure.unit);
-      setText(parts.note, figure.note);
-      setText(parts.glyph, GLYPHS[figure.level]);
-      setText(parts.word, figure.word);
-      setHidden(parts.meter, figure.fill === undefined);
-      if (figure.fill !== undefined) parts.meter.value = figure.fill;
+    for (const metric of metrics(status)) {
+      const parts = this.#tiles.get(metric.id) ?? this.#create(metric);
+      setAttribute(parts.tile, "data-level", metric.level);
+      setText(parts.value, metric.value);
+      setText(parts.unit, metric.unit);
+      setText(parts.note, metric.note);
+      setText(parts.glyph, GLYPHS[metric.level]);
+      setText(parts.word, metric.word);
+      setHidden(parts.meter, metric.fill === undefined);
+      if (metric.fill !== undefined) parts.meter.value = metric.fill;
     }
   }
 
-  /** No figure that may be old is shown as if it were new. */
-  lose() {
-    for (const { tile, value, unit, note, glyph, word, meter } of this.#made.values()) {
+  /** Replaces every value by a dash: outdated values are not shown as current. */
+  showDisconnected() {
+    for (const { tile, value, unit, note, glyph, word, meter } of this.#tiles.values()) {
       setAttribute(tile, "data-level", "none");
       setText(value, "–");
       for (const part of [unit, note, glyph, word]) setText(part, "");
@@ -33,7 +33,7 @@ export class Tiles {
     }
   }
 
-  #make({ id, title, isMain }) {
+  #create({ id, title, isMain }) {
     const parts = {
       value: h("span", { class: "value" }),
       unit: h("span", { class: "unit" }),
@@ -49,7 +49,7 @@ export class Tiles {
       h("p", { class: "level" }, parts.glyph, " ", parts.word),
       parts.note);
     byId("tiles").append(parts.tile);
-    this.#made.set(id, parts);
+    this.#tiles.set(id, parts);
     return parts;
   }
 }

@@ -1,4 +1,5 @@
-//! Files that are never overwritten: live takes under their own name, everything else beside it first.
+//! Files that never overwrite others: a live take has its own name from the start, other files get theirs when
+//! complete.
 
 mod file_state;
 mod new_file;
@@ -23,7 +24,7 @@ use rustix::{
 use serde::{Serialize, Serializer};
 
 pub use self::{
-    file_state::{Displaced, FileState, Settled},
+    file_state::{DisplacedFile, FileState, SettledFile},
     new_file::{NewFile, NewFolder},
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
@@ -32,27 +33,27 @@ pub use self::{
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
-    /// Nothing is there.
+    /// The file does not exist.
     #[error("{} does not exist", .0.display())]
     NotFound(PathBuf),
-    /// What is there is no plain file.
+    /// It is not a regular file.
     #[error("{} is {}", .0.display(), .1)]
     NotAFile(PathBuf, NotAFile),
-    /// The user may not read it.
-    #[error("no permission to read {}: try ls -l on it", .0.display())]
+    /// The user has no permission to read it.
+    #[error("no permission to read {}: check it with ls -l", .0.display())]
     NotReadable(PathBuf),
-    /// The folder that it would be in is not there.
+    /// Its folder does not exist.
     #[error("the folder {} does not exist: create it first", .0.display())]
     NoFolder(PathBuf),
-    /// The user may not create it.
+    /// The user has no permission to create it.
     #[error("no permission to create {}: choose a folder that you may write to", .0.display())]
     NotWritable(PathBuf),
 }
 
-/// Opens a file to read.
+/// Opens a file for reading.
 ///
 /// # Errors
-/// That it is not there, is a folder, a pipe or a device, or may not be read: each a [`FileError`].
+/// A [`FileError`] when it does not exist, is a folder, a pipe or a device, or may not be read.
 pub fn open(path: &Path) -> anyhow::Result<File> {
     plain_file::open(path).map_err(|error| match (NotAFile::why(&error), error.kind()) {
         (Some(what), _) => FileError::NotAFile(path.to_owned(), what).into(),
@@ -62,17 +63,17 @@ pub fn open(path: &Path) -> anyhow::Result<File> {
     })
 }
 
-/// The bytes of a file that has no more of them than `len_max`.
+/// Reads a file of at most `len_max` bytes.
 ///
 /// # Errors
-/// That it has more, or cannot be read.
+/// When it is longer or cannot be read.
 pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut file = open(path)?.take(len_max as u64 + 1);
     file.read_to_end(&mut bytes).with_context(|| format!("cannot read {}", path.display()))?;
     ensure!(
         bytes.len() <= len_max,
-        "{} has more than {len_max} bytes, the most that is read of such a file: is it another one?",
+        "{} has more than {len_max} bytes, the limit for such a file: is it the right one?",
         path.display()
     );
     Ok(bytes)
@@ -81,21 +82,21 @@ pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
 /// Creates a file that must not exist yet.
 ///
 /// # Errors
-/// That it exists, or why it cannot be created.
+/// [`NameTaken`] when it exists; otherwise why it cannot be created.
 pub fn create_new(path: &Path) -> anyhow::Result<File> {
     let created = OpenOptions::new().write(true).create_new(true).open(path);
     created.map_err(|error| cannot_create(path, &error))
 }
 
-/// Makes the name of a new file survive a power cut, as a sync makes its content. Where a file system has no such
-/// sync of folders, it keeps names in its own way.
+/// Makes the name of a new file survive a power cut, as a sync does for its content. A file system that cannot sync
+/// folders keeps names by its own means.
 pub fn sync_name(path: &Path) {
     if let Ok(folder) = File::open(folder_of(path)) {
         folder.sync_all().ok();
     }
 }
 
-/// The folder that a file at `path` is in, or would be.
+/// The folder that contains `path`.
 #[must_use]
 pub fn folder_of(path: &Path) -> &Path {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -104,31 +105,31 @@ pub fn folder_of(path: &Path) -> &Path {
 
 fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
     match error.kind() {
-        io::ErrorKind::AlreadyExists => exists(path),
+        io::ErrorKind::AlreadyExists => name_taken(path),
         io::ErrorKind::NotFound => FileError::NoFolder(folder_of(path).to_owned()).into(),
         io::ErrorKind::PermissionDenied => FileError::NotWritable(path.to_owned()).into(),
         _ => anyhow!("cannot create {}: {error}", path.display()),
     }
 }
 
-/// Something has the name already.
+/// A file or folder of this name exists already.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{} exists and is not overwritten: choose another name or move it", path.display())]
+#[error("{} exists already: choose another name or move it", path.display())]
 pub struct NameTaken {
     /// The name.
     pub path: PathBuf,
 }
 
-fn exists(path: &Path) -> anyhow::Error {
+fn name_taken(path: &Path) -> anyhow::Error {
     NameTaken { path: path.to_owned() }.into()
 }
 
-/// Where the kernel shows an open file as a link.
-fn own_link(file: &File) -> PathBuf {
+/// The link in `/proc` to an open file.
+fn proc_link(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
 }
 
-/// For `serialize_with`.
+/// Serialises a path as text, for `serialize_with`.
 ///
 /// # Errors
 /// The serializer's.
@@ -136,7 +137,7 @@ pub fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, 
     serializer.serialize_str(&path.to_string_lossy())
 }
 
-/// The same of one that may be missing.
+/// Serialises an optional path as text or null, for `serialize_with`.
 ///
 /// # Errors
 /// The serializer's.
@@ -159,33 +160,33 @@ impl ScratchFile for Scratch {
     }
 
     fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
-        self.file.write_all_at(bytes, at).map_err(|error| failed(&self.dir, &error))
+        self.file.write_all_at(bytes, at).map_err(|error| scratch_error(&self.dir, &error))
     }
 }
 
-/// A file without a name, which is gone with the process. In `$TMPDIR`, or in `/var/tmp`, which is on a disk where `/tmp` is
-/// often memory.
+/// A file without a name, which disappears with the process. It is created in `$TMPDIR`, else in `/var/tmp`, which is
+/// on a disk where `/tmp` is often memory.
 ///
 /// # Errors
-/// That there can be none, and what to do.
+/// When it cannot be created. The message says what to do.
 pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
     let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
     let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
     let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
-    let file = tempfile::tempfile_in(&dir).map_err(|error| failed(&dir, &error))?;
+    let file = tempfile::tempfile_in(&dir).map_err(|error| scratch_error(&dir, &error))?;
     Ok(Arc::new(Scratch { file, dir }))
 }
 
-fn failed(dir: &Path, error: &io::Error) -> io::Error {
+fn scratch_error(dir: &Path, error: &io::Error) -> io::Error {
     let message = format!(
-        "no room for a temporary file in {} with what the take keeps of its source ({error}): set TMPDIR to another folder",
+        "no space in {} for a temporary file with the original data of the take ({error}): set TMPDIR to another folder",
         dir.display()
     );
     io::Error::new(error.kind(), message)
 }
 
-/// A file to read whose holes are zeros without a read: a file system fills memory with them, for as long as a file
-/// claims to be, in ten times the time.
+/// Reads a sparse file and returns the zeros of its holes without reading them: a file system would fill memory with
+/// them, over the whole length that the file claims, in ten times the time.
 #[derive(Debug)]
 pub struct SparseFile {
     file: File,
@@ -198,18 +199,18 @@ impl SparseFile {
     /// Opens a file.
     ///
     /// # Errors
-    /// As [`open`].
+    /// A [`FileError`] when it cannot be opened.
     pub fn open(path: &Path) -> anyhow::Result<Self> {
         open(path).map(Self::of)
     }
 
-    /// A file that is open, from its beginning.
+    /// Wraps an open file, and reads it from its beginning.
     #[must_use]
     pub fn of(file: File) -> Self {
         Self { file, at: 0, hole: 0..0, data: 0..0 }
     }
 
-    /// How long it is, holes included.
+    /// Length in bytes, including holes.
     ///
     /// # Errors
     /// The system's.
@@ -217,8 +218,8 @@ impl SparseFile {
         Ok(self.file.metadata()?.len())
     }
 
-    /// What there is here: data or a hole, and up to where.
-    fn look(&mut self) -> io::Result<()> {
+    /// Finds the extent at the current position: data or a hole, and its end.
+    fn locate_extent(&mut self) -> io::Result<()> {
         let at = self.at;
         (self.hole, self.data) = match seek(&self.file, fs::SeekFrom::Data(at)) {
             Ok(data) if data > at => (at..data, 0..0),
@@ -226,9 +227,9 @@ impl SparseFile {
                 let end = seek(&self.file, fs::SeekFrom::Hole(at)).unwrap_or(u64::MAX);
                 (0..0, at..end)
             }
-            // Nothing but a hole up to the end, or the end.
+            // A hole up to the end of the file, or the end itself.
             Err(Errno::NXIO) => (at..self.len_bytes()?, 0..0),
-            // A file system that knows of no holes.
+            // A file system without holes.
             Err(_) => (0..0, at..u64::MAX),
         };
         Ok(())
@@ -238,7 +239,7 @@ impl SparseFile {
 impl Read for SparseFile {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         if !self.hole.contains(&self.at) && !self.data.contains(&self.at) {
-            self.look()?;
+            self.locate_extent()?;
         }
         let up_to = |end: u64| {
             let left = usize::try_from(end - self.at).unwrap_or(usize::MAX);
@@ -286,22 +287,22 @@ mod tests {
         file.seek(SeekFrom::Start(300_000)).unwrap();
         file.write_all(b"second").unwrap();
         file.set_len(700_000).unwrap();
-        let mut wanted = Vec::new();
-        File::open(&path).unwrap().read_to_end(&mut wanted).unwrap();
+        let mut expected = Vec::new();
+        File::open(&path).unwrap().read_to_end(&mut expected).unwrap();
         let mut holes = SparseFile::open(&path).unwrap();
         assert_eq!(holes.len_bytes().unwrap(), 700_000);
         for from in [0, 3, 299_999, 300_003, 699_999, 700_000, 800_000] {
             assert_eq!(holes.seek(SeekFrom::Start(from as u64)).unwrap(), from as u64);
             let mut read = Vec::new();
             holes.read_to_end(&mut read).unwrap();
-            assert!(read == wanted.get(from..).unwrap_or_default(), "from byte {from}");
+            assert!(read == expected.get(from..).unwrap_or_default(), "from byte {from}");
         }
         assert_eq!(holes.seek(SeekFrom::End(-400_000)).unwrap(), 300_000);
         assert_eq!(holes.seek(SeekFrom::Current(2)).unwrap(), 300_002);
         let mut read = [0; 4];
         holes.read_exact(&mut read).unwrap();
         assert_eq!(&read, b"cond");
-        // What is appended meanwhile is found.
+        // Data appended meanwhile is found.
         file.seek(SeekFrom::End(0)).unwrap();
         holes.seek(SeekFrom::End(0)).unwrap();
         assert_eq!(holes.read(&mut read).unwrap(), 0);

@@ -4,17 +4,17 @@ use std::time::SystemTime;
 
 use anyhow::Context;
 use mocapd_codec::Settings;
+pub use mocapd_take::motion_encoder::channels;
 use mocapd_take::record::{CODEC_VERSION, Header};
-pub use mocapd_take::whole::channels;
 use rustix::rand::{GetRandomFlags, getrandom};
 
-/// What a take says wrote it.
+/// The software version stored in takes.
 pub const SOFTWARE: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
 
-/// The header of a recording that begins now, with everything but channels and device.
+/// The header of a recording that starts now, without channels and device.
 ///
 /// # Errors
-/// When the system gives no random bytes.
+/// When the system provides no random bytes.
 pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
     let mut take_id = [0; 16];
     getrandom(&mut take_id, GetRandomFlags::empty()).context("cannot get random bytes")?;
@@ -23,16 +23,13 @@ pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
     Ok(Header { take_id, created_unix_ms, ..of_import(codec, rate_hz) })
 }
 
-/// The header of an import with everything but channels, source and id: it has no time of its own, and
-/// its id comes last ([`Header::set_import_id`]), so that the same import is the same take.
+/// The header of an import, without channels, source and id. It has no time of its own, and its id is set last
+/// ([`Header::set_import_id`]): the same import gives the same take.
 #[must_use]
 pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
-    let mut header = Header {
-        software: SOFTWARE.to_owned(),
-        codec_version: CODEC_VERSION,
-        rate_hz,
-        ..Header::default()
-    };
+    let software = SOFTWARE.to_owned();
+    let mut header =
+        Header { software, codec_version: CODEC_VERSION, rate_hz, ..Header::default() };
     header.set_codec(codec);
     header
 }

@@ -1,4 +1,4 @@
-//! How a take is, in one word: the same in `info`, the service's list, its checks and the dashboard.
+//! The health of a take as a single word, shown by `info`, the service's list, its checks and the dashboard.
 
 use mocapd_take::{
     TakeEnds,
@@ -7,35 +7,35 @@ use mocapd_take::{
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What is known of a take's content.
+/// The state of a take's content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TakeHealth {
-    /// Nothing is missing from it.
+    /// The file is intact and no frame is missing.
     Complete,
-    /// The file is whole, and frames are missing: its last ledger says so, or the device went away.
+    /// The file is intact, but frames are missing: its last ledger says so, or the device was disconnected.
     Lossy,
-    /// Bytes of it are wrong, or it contradicts itself.
+    /// Some bytes are wrong, or the take contradicts itself.
     Damaged,
-    /// Its end is missing: `mocapd recover` makes a whole take of it.
+    /// The end is missing: `mocapd recover` makes a whole take of it.
     #[serde(rename = "cut off")]
     CutOff,
     /// It cannot be read.
     Unreadable,
-    /// Not looked at.
+    /// Not checked.
     #[default]
     #[serde(other)]
     Unknown,
 }
 
 impl TakeHealth {
-    /// All of them.
+    /// All states.
     pub const ALL: [Self; 6] =
         [Self::Unknown, Self::Complete, Self::Lossy, Self::Damaged, Self::CutOff, Self::Unreadable];
 
-    /// As it is written in documents.
+    /// The name of the state in documents.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Complete => "complete",
             Self::Lossy => "lossy",
@@ -46,29 +46,20 @@ impl TakeHealth {
         }
     }
 
-    /// Of a take that was closed and is not damaged.
+    /// The health of a take that was closed and is not damaged.
     #[must_use]
     pub fn of_closed(ledger: &Ledger, ending: Option<&TakeEnding>) -> Self {
-        // What a device that is gone did not send any more, and what stood behind a cut, nobody can count.
-        let is_cut_short = ending.is_some_and(|ending| {
-            matches!(
-                ending.kind,
-                EndingKind::DeviceGone | EndingKind::CutOff | EndingKind::Truncated
-            )
-        });
+        // Nobody can count what a disconnected device did not send, or what was behind a cut.
+        let cut_short = [EndingKind::DeviceGone, EndingKind::CutOff, EndingKind::Truncated];
+        let is_cut_short = ending.is_some_and(|ending| cut_short.contains(&ending.kind));
         let is_whole = ledger.closes() && !ledger.lost_anything() && !is_cut_short;
         if is_whole { Self::Complete } else { Self::Lossy }
     }
 
-    /// As far as the two ends of a take tell: what is damaged between them they do not.
+    /// The health according to the beginning and the end of a take. Damage in between is not seen.
     #[must_use]
     pub fn of_ends(ends: &TakeEnds) -> Self {
-        match &ends.end {
-            None => Self::CutOff,
-            Some(end) => match &end.ledger {
-                Some(ledger) => Self::of_closed(ledger, end.ending.as_ref()),
-                None => Self::Damaged,
-            },
-        }
+        let Some(end) = &ends.end else { return Self::CutOff };
+        end.ledger.as_ref().map_or(Self::Damaged, |l| Self::of_closed(l, end.ending.as_ref()))
     }
 }

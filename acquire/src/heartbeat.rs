@@ -1,6 +1,7 @@
-//! Signs of life: every thread of the data plane says that it moved, and one that says nothing for too long has hung.
+//! Heartbeats of the data-plane threads, and a watchdog that finds the thread that hangs.
 //!
-//! A thread's sign is a store of one atomic number: no lock, no clock, no allocation. Who looks reads the clock.
+//! A heartbeat is one relaxed store of an atomic number: no lock, no clock, no allocation. Only the watchdog reads a
+//! clock.
 
 use std::{
     fmt,
@@ -13,19 +14,20 @@ use std::{
 
 use anyhow::bail;
 
-/// A recording has a reader, a writer and at most eight workers; a second one that ends meanwhile, and the service's
-/// own threads, fit beside it.
-const BEATS_MAX: usize = 64;
+/// Threads that can register. A recording has a reader, a writer and at most eight workers; there is room for a second
+/// recording that is just ending, and for the service's own threads.
+const THREADS_MAX: usize = 64;
 
-/// Coded stretches wait in memory while a disk stalls for 32 s, and what a longer stall costs stands on the ledger: a
-/// restart mends no disk. After twice that the writer counts as hung all the same.
-const DISK_PATIENCE: Duration = Duration::from_secs(64);
+/// How long the writer may stay at the disk. Coded stretches wait in memory while a disk stalls for 32 s; beyond that
+/// the ledger counts the loss, and a restart would not repair the disk. After twice that time the writer counts as
+/// hung.
+const DISK_TIMEOUT: Duration = Duration::from_secs(64);
 
-/// Whose sign it is.
+/// What a registered thread does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Who {
-    /// The thread that decides what the service does.
+pub enum ThreadRole {
+    /// Decides what the service does.
     Supervisor = 1,
     /// Reads the device.
     Reader = 2,
@@ -35,15 +37,14 @@ pub enum Who {
     Writer = 4,
 }
 
-impl Who {
+impl ThreadRole {
     fn of(number: u8) -> Option<Self> {
-        [Self::Supervisor, Self::Reader, Self::Worker, Self::Writer]
-            .into_iter()
-            .find(|&who| who as u8 == number)
+        let all = [Self::Supervisor, Self::Reader, Self::Worker, Self::Writer];
+        all.into_iter().find(|&role| role as u8 == number)
     }
 }
 
-impl fmt::Display for Who {
+impl fmt::Display for ThreadRole {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Supervisor => "supervisor",
@@ -54,150 +55,148 @@ impl fmt::Display for Who {
     }
 }
 
-/// What a thread is at: how long it may say nothing.
+/// What a thread is busy with, which decides how long it may stay silent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum Activity {
     Working = 0,
     Idle = 1,
     AtDisk = 2,
 }
 
-/// Room for one sign.
+/// The heartbeat of one thread.
 #[derive(Debug, Default)]
-struct Slot {
-    /// 0: free.
+struct HeartbeatSlot {
+    /// The thread's role as a number; 0: the slot is free.
     owner: AtomicU8,
-    /// How often it moved, times four, and its state. Goes on where a slot changes hands.
+    /// Number of heartbeats times four, plus the activity. Continues when another thread takes the slot.
     pulse: AtomicU64,
 }
 
-/// Where threads register. Clones are the same place.
+/// The registry of heartbeats. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Heartbeat {
-    slots: Arc<[Slot]>,
+    slots: Arc<[HeartbeatSlot]>,
 }
 
 impl Default for Heartbeat {
     fn default() -> Self {
-        Self { slots: (0..BEATS_MAX).map(|_| Slot::default()).collect() }
+        Self { slots: (0..THREADS_MAX).map(|_| HeartbeatSlot::default()).collect() }
     }
 }
 
 impl Heartbeat {
-    /// A sign for the thread that will hold it. It counts as working from now on, and is forgotten when dropped.
+    /// Registers a thread of this role. It counts as working from now on; dropping the handle removes it.
     ///
     /// # Errors
-    /// When there are more threads than anybody starts.
-    pub fn beat(&self, who: Who) -> anyhow::Result<Beat> {
+    /// When more threads register than there are slots.
+    pub fn register(&self, role: ThreadRole) -> anyhow::Result<HeartbeatHandle> {
         for (index, slot) in self.slots.iter().enumerate() {
             let claim =
-                slot.owner.compare_exchange(0, who as u8, Ordering::AcqRel, Ordering::Relaxed);
+                slot.owner.compare_exchange(0, role as u8, Ordering::AcqRel, Ordering::Relaxed);
             if claim.is_ok() {
-                let beat = Beat { slots: Arc::clone(&self.slots), index };
-                beat.say(State::Working);
+                let beat = HeartbeatHandle { slots: Arc::clone(&self.slots), index };
+                beat.set(Activity::Working);
                 return Ok(beat);
             }
         }
-        bail!("more than {BEATS_MAX} threads are to be watched: start fewer workers");
+        bail!("cannot watch more than {THREADS_MAX} threads: use fewer workers");
     }
 
-    /// Whoever looks whether all of them move.
+    /// A watchdog over all registered threads.
     #[must_use]
-    pub fn watch(&self, now: Instant) -> Watch {
-        Watch { slots: Arc::clone(&self.slots), seen: vec![(0, now); BEATS_MAX] }
+    pub fn watchdog(&self, now: Instant) -> Watchdog {
+        Watchdog { slots: Arc::clone(&self.slots), seen: vec![(0, now); THREADS_MAX] }
     }
 }
 
-/// A thread's sign of life.
+/// One thread's handle on its heartbeat.
 #[derive(Debug)]
-pub struct Beat {
-    slots: Arc<[Slot]>,
+pub struct HeartbeatHandle {
+    slots: Arc<[HeartbeatSlot]>,
     index: usize,
 }
 
-impl Beat {
-    /// It works, and will say so again soon.
-    pub fn moved(&self) {
-        self.say(State::Working);
+impl HeartbeatHandle {
+    /// The thread is working and will report again soon.
+    pub fn beat(&self) {
+        self.set(Activity::Working);
         #[cfg(feature = "fault-hooks")]
-        fault_hooks::hang_if_told(self.who());
+        fault_hooks::hang_if_requested(self.role());
     }
 
-    /// It waits for work, for as long as there is none.
+    /// The thread waits for work, and may do so for any time.
     pub fn idle(&self) {
-        self.say(State::Idle);
+        self.set(Activity::Idle);
     }
 
-    /// It writes or syncs, which may take as long as a disk stalls.
+    /// The thread writes or syncs, which can take as long as a disk stalls.
     pub fn at_disk(&self) {
-        self.say(State::AtDisk);
+        self.set(Activity::AtDisk);
     }
 
-    fn say(&self, state: State) {
-        // Only the holder stores here.
+    fn set(&self, activity: Activity) {
+        // This thread alone stores here.
         let pulse = &self.slots[self.index].pulse;
         let count = (pulse.load(Ordering::Relaxed) >> 2).wrapping_add(1);
-        pulse.store(count << 2 | state as u64, Ordering::Relaxed);
+        pulse.store(count << 2 | activity as u64, Ordering::Relaxed);
     }
 
     #[cfg(feature = "fault-hooks")]
-    fn who(&self) -> Option<Who> {
-        Who::of(self.slots[self.index].owner.load(Ordering::Relaxed))
+    fn role(&self) -> Option<ThreadRole> {
+        ThreadRole::of(self.slots[self.index].owner.load(Ordering::Relaxed))
     }
 }
 
-impl Drop for Beat {
+impl Drop for HeartbeatHandle {
     fn drop(&mut self) {
         self.slots[self.index].owner.store(0, Ordering::Release);
     }
 }
 
-/// A thread that said nothing for too long.
+/// A thread that has been silent for too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Overdue {
-    /// Whose thread.
-    pub who: Who,
-    /// Since when nobody has heard of it.
+pub struct HungThread {
+    /// The thread's role.
+    pub role: ThreadRole,
+    /// Time since its last heartbeat.
     pub silent_for: Duration,
 }
 
-impl fmt::Display for Overdue {
+impl fmt::Display for HungThread {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the {} has not moved for {:.1} s", self.who, self.silent_for.as_secs_f64())
+        write!(f, "the {} has not moved for {:.1} s", self.role, self.silent_for.as_secs_f64())
     }
 }
 
-/// Looks at the signs. Only changes between two looks are seen: look more often than the limit.
+/// Finds silent threads. It sees only changes between two calls, so it must be called more often than the limit.
 #[derive(Debug)]
-pub struct Watch {
-    slots: Arc<[Slot]>,
-    /// Each slot's pulse as it was last, and when it was seen to change.
+pub struct Watchdog {
+    slots: Arc<[HeartbeatSlot]>,
+    /// For each slot, the last heartbeat and the time at which it changed.
     seen: Vec<(u64, Instant)>,
 }
 
-impl Watch {
-    /// The thread that is silent for longest among those that are so for longer than they may be: `limit`, and more
-    /// where they are at the disk.
-    pub fn overdue(&mut self, now: Instant, limit: Duration) -> Option<Overdue> {
-        let mut worst: Option<Overdue> = None;
+impl Watchdog {
+    /// The thread that has been silent longest, of those that exceed their limit: `limit`, or more for a thread at the
+    /// disk.
+    pub fn overdue(&mut self, now: Instant, limit: Duration) -> Option<HungThread> {
+        let mut worst: Option<HungThread> = None;
         for (slot, seen) in self.slots.iter().zip(&mut self.seen) {
             let pulse = slot.pulse.load(Ordering::Relaxed);
-            let who = Who::of(slot.owner.load(Ordering::Acquire));
+            let role = ThreadRole::of(slot.owner.load(Ordering::Acquire));
             let state = pulse & 3;
-            if who.is_none() || state == State::Idle as u64 || pulse != seen.0 {
+            if role.is_none() || state == Activity::Idle as u64 || pulse != seen.0 {
                 *seen = (pulse, now);
                 continue;
             }
-            let patience = match state == State::AtDisk as u64 {
-                true => limit.max(DISK_PATIENCE),
-                false => limit,
-            };
+            let is_at_disk = state == Activity::AtDisk as u64;
+            let allowed = if is_at_disk { limit.max(DISK_TIMEOUT) } else { limit };
             let silent_for = now.saturating_duration_since(seen.1);
-            if let Some(who) = who
-                && silent_for > patience
+            if let Some(role) = role
+                && silent_for > allowed
                 && worst.is_none_or(|worst| worst.silent_for < silent_for)
             {
-                worst = Some(Overdue { who, silent_for });
+                worst = Some(HungThread { role, silent_for });
             }
         }
         worst
@@ -206,10 +205,10 @@ impl Watch {
 
 #[cfg(feature = "fault-hooks")]
 pub mod fault_hooks {
-    //! Threads that hang on command: for tests of the watchdog and of stalls, in builds with the feature `fault-hooks` alone.
+    //! Threads that hang on command, to test the watchdog and stalls. Only in builds with the feature `fault-hooks`.
     //!
-    //! SIGUSR2 hangs the thread that `MOCAPD_HANG` names (`reader`, `worker` or `writer`), and every one of these when it
-    //! names none. SIGUSR1 lets them go on.
+    //! SIGUSR2 hangs the thread named in `MOCAPD_HANG` (`reader`, `worker` or `writer`), or all of them when that is
+    //! not set. SIGUSR1 resumes them.
 
     use std::{
         sync::{
@@ -225,35 +224,35 @@ pub mod fault_hooks {
         flag::register_usize,
     };
 
-    use super::Who;
+    use super::ThreadRole;
 
-    /// How soon a thread goes on after SIGUSR1.
-    const LOOK_EVERY: Duration = Duration::from_millis(20);
+    /// How often a hung thread checks for SIGUSR1.
+    const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
     static HANGS: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
-    static WHOM: OnceLock<String> = OnceLock::new();
+    static TARGET: OnceLock<String> = OnceLock::new();
 
-    /// Listens for both signals from now on.
+    /// Installs the handlers of both signals.
     ///
     /// # Errors
-    /// When the system lets nobody listen.
+    /// When the system refuses a signal handler.
     pub fn install() -> anyhow::Result<()> {
-        WHOM.get_or_init(|| std::env::var("MOCAPD_HANG").unwrap_or_default());
+        TARGET.get_or_init(|| std::env::var("MOCAPD_HANG").unwrap_or_default());
         for (signal, hangs) in [(SIGUSR2, 1), (SIGUSR1, 0)] {
             let flag = Arc::clone(HANGS.get_or_init(Arc::default));
-            register_usize(signal, flag, hangs).context("cannot listen for signals")?;
+            register_usize(signal, flag, hangs).context("cannot install a signal handler")?;
         }
         Ok(())
     }
 
-    pub(crate) fn hang_if_told(who: Option<Who>) {
+    pub(crate) fn hang_if_requested(role: Option<ThreadRole>) {
         let hangs = || HANGS.get().is_some_and(|hangs| hangs.load(Ordering::Relaxed) != 0);
-        let is_meant = |who: Who| {
-            let whom = WHOM.get().map_or("", String::as_str);
-            who != Who::Supervisor && (whom.is_empty() || whom == who.to_string())
+        let is_targeted = |role: ThreadRole| {
+            let target = TARGET.get().map_or("", String::as_str);
+            role != ThreadRole::Supervisor && (target.is_empty() || target == role.to_string())
         };
-        while hangs() && who.is_some_and(is_meant) {
-            std::thread::sleep(LOOK_EVERY);
+        while hangs() && role.is_some_and(is_targeted) {
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 }
@@ -269,61 +268,69 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_stops_moving_is_named_and_forgiven_when_it_moves() {
+    fn a_silent_thread_is_overdue_until_it_moves_again() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
-        let mut watch = heartbeat.watch(start);
-        let reader = heartbeat.beat(Who::Reader).unwrap();
-        let worker = heartbeat.beat(Who::Worker).unwrap();
+        let mut watch = heartbeat.watchdog(start);
+        let reader = heartbeat.register(ThreadRole::Reader).unwrap();
+        let worker = heartbeat.register(ThreadRole::Worker).unwrap();
         for s in 1..8 {
-            worker.moved();
-            reader.moved();
+            worker.beat();
+            reader.beat();
             assert_eq!(watch.overdue(after(start, s), LIMIT), None);
         }
         for s in 8..18 {
-            worker.moved();
+            worker.beat();
             assert_eq!(watch.overdue(after(start, s), LIMIT), None, "{s}");
         }
-        worker.moved();
+        worker.beat();
         let overdue = watch.overdue(after(start, 18), LIMIT).unwrap();
-        assert_eq!(overdue, Overdue { who: Who::Reader, silent_for: Duration::from_secs(11) });
-        let said = overdue.to_string();
-        assert!(said.contains(&Who::Reader.to_string()) && said.contains("11.0 s"), "{said}");
-        reader.moved();
+        assert_eq!(
+            overdue,
+            HungThread { role: ThreadRole::Reader, silent_for: Duration::from_secs(11) }
+        );
+        let text = overdue.to_string();
+        assert!(
+            text.contains(&ThreadRole::Reader.to_string()) && text.contains("11.0 s"),
+            "{text}"
+        );
+        reader.beat();
         assert_eq!(watch.overdue(after(start, 19), LIMIT), None);
     }
 
     #[test]
-    fn who_waits_for_work_may_be_silent_and_who_is_at_the_disk_for_a_while() {
+    fn a_thread_may_be_silent_while_idle_and_for_a_while_at_the_disk() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
-        let mut watch = heartbeat.watch(start);
-        let worker = heartbeat.beat(Who::Worker).unwrap();
-        let writer = heartbeat.beat(Who::Writer).unwrap();
+        let mut watch = heartbeat.watchdog(start);
+        let worker = heartbeat.register(ThreadRole::Worker).unwrap();
+        let writer = heartbeat.register(ThreadRole::Writer).unwrap();
         worker.idle();
         writer.at_disk();
         assert_eq!(watch.overdue(start, LIMIT), None);
         assert_eq!(watch.overdue(after(start, 64), LIMIT), None);
         let hung = watch.overdue(after(start, 65), LIMIT).unwrap();
-        assert_eq!(hung.who, Who::Writer);
-        // Work that comes is looked at from then on.
-        writer.moved();
-        worker.moved();
+        assert_eq!(hung.role, ThreadRole::Writer);
+        // A thread that works again is watched from then on.
+        writer.beat();
+        worker.beat();
         assert_eq!(watch.overdue(after(start, 70), LIMIT), None);
         assert!(watch.overdue(after(start, 81), LIMIT).is_some());
     }
 
     #[test]
-    fn a_thread_that_ends_is_forgotten_and_its_place_is_used_again() {
+    fn the_slot_of_an_ended_thread_is_reused() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
-        let mut watch = heartbeat.watch(start);
+        let mut watch = heartbeat.watchdog(start);
         for take in 0..1000 {
-            let beats: Vec<_> = (0..10).map(|_| heartbeat.beat(Who::Worker).unwrap()).collect();
+            let beats: Vec<_> =
+                (0..10).map(|_| heartbeat.register(ThreadRole::Worker).unwrap()).collect();
             assert_eq!(watch.overdue(after(start, 60 * take), LIMIT), None);
             drop(beats);
         }
         assert_eq!(watch.overdue(after(start, 100_000), LIMIT), None);
-        let all: Vec<_> = (0..BEATS_MAX).map(|_| heartbeat.beat(Who::Worker)).collect();
+        let all: Vec<_> =
+            (0..THREADS_MAX).map(|_| heartbeat.register(ThreadRole::Worker)).collect();
         assert!(all.iter().all(Result::is_ok));
-        let full = heartbeat.beat(Who::Reader).unwrap_err().to_string();
-        assert!(full.contains(&BEATS_MAX.to_string()), "{full}");
+        let full = heartbeat.register(ThreadRole::Reader).unwrap_err().to_string();
+        assert!(full.contains(&THREADS_MAX.to_string()), "{full}");
     }
 }

@@ -1,8 +1,8 @@
-//! The clock that arrivals are stamped with.
+//! The clock that stamps arrivals.
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// The host's monotonic clock, in nanoseconds: the one a simulator on the same machine reads, too.
+/// The host's monotonic clock, in nanoseconds. A simulator on the same machine reads this clock too.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);

@@ -1,4 +1,4 @@
-//! Reads a whole take and tells what is in it: the numbers behind `info` and `verify`.
+//! Reads a whole take and summarises it: the numbers of `info` and `verify`.
 
 use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal,
@@ -6,47 +6,47 @@ use mocapd_take::{
     reader::{TakeBytes, TakeInput},
     record::Ledger,
     stretch::Stretch,
-    timeline::{Causes, Timeline},
-    traversal::{Decode, Found, Progress},
+    timeline::{LossCauses, Timeline},
+    traversal::{Decode, LocatedEvent, Progress},
 };
 
 use crate::{
-    clock::{Apart, ClockStatus, LineAgain},
+    clock::{ClockStatus, LineDeviation, LineRefit},
     health::TakeHealth,
 };
 
-/// One channel, over the whole take.
+/// Summary of one channel over the whole take.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ChannelSummary {
     /// Samples present.
     pub samples: u64,
-    /// Runs of rows without a sample, at the ends too.
+    /// Runs of rows without a sample, including those at the ends.
     pub gaps: u64,
-    /// Samples kept.
+    /// Samples kept as knots.
     pub knots: u64,
-    /// The largest error that the blocks with samples of it state for all their channels, in
+    /// The largest error stated by any block that has samples of the channel, over all channels of that block, in
     /// millimetres.
     pub max_error_mm: f64,
-    /// Rows that are lost because the take is damaged, or was when it was recovered: it was announced, and
-    /// nobody knows whether it was seen.
+    /// Rows lost because the take is damaged, or was when it was recovered: the marker was announced, and nobody knows
+    /// whether it was seen.
     pub rows_damaged: u64,
     in_gap: bool,
 }
 
-/// A whole take.
+/// Summary of a whole take.
 #[derive(Debug, Default)]
 pub struct Summary {
-    /// All but its samples.
+    /// The take without its samples.
     pub take: TakeMap,
     /// By channel.
     pub per_channel: Vec<ChannelSummary>,
-    /// How the clocks ran in the end, as far as the take tells.
+    /// The final state of the clocks, as stored in the take.
     pub clock: ClockStatus,
-    /// Times that the device was away, and the rows missing for it.
+    /// Disconnections of the device, and the rows missing for them.
     pub outages: (u32, u64),
-    /// Stretches that were decoded.
+    /// Stretches decoded.
     pub stretches: u64,
-    /// What the bytes are for.
+    /// Bytes by purpose.
     pub bytes: TakeBytes,
     /// Rows with at least one sample: T of (Shi et al. 2012).
     pub rows_with_samples: u64,
@@ -55,15 +55,15 @@ pub struct Summary {
     /// Samples present in those rows: the sum of |K in `P_i`|.
     pub samples_in_key_rows: u64,
     in_outage: bool,
-    line_again: LineAgain,
-    claims: Claims,
-    /// Rows up to what was found last, lost ones included, and up to the last stretch with rows.
+    line_refit: LineRefit,
+    claims: ClaimChecker,
+    /// Rows up to the last event, including lost ones, and up to the last stretch with rows.
     rows: u64,
     end_of_stretches: u64,
 }
 
 impl Summary {
-    /// Reads and decodes everything.
+    /// Reads and decodes the whole take.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
@@ -71,7 +71,7 @@ impl Summary {
         let mut summary = Self::default();
         let Progress { take, rows_damaged, .. } =
             TakeTraversal::new(input, Decode::All).run(|found, progress| {
-                summary.found(found, progress);
+                summary.on_event(found, progress);
                 Ok(())
             })?;
         summary.skip_rows_to(take.n_rows);
@@ -82,40 +82,37 @@ impl Summary {
         Ok(summary)
     }
 
-    /// What the take says of itself and what is not so, though nothing is damaged: one sentence each.
+    /// Statements of the take about itself that its own data contradicts, one sentence each, in bytes that are intact.
     #[must_use]
     pub fn contradictions(&self) -> &[String] {
-        &self.claims.broken
+        &self.claims.contradictions
     }
 
-    /// How it is, in one word.
+    /// The health of the take.
     #[must_use]
     pub fn health(&self) -> TakeHealth {
-        let clock_is_off = self.clock_apart().is_some_and(|apart| !apart.agrees);
+        let clock_is_off = self.clock_deviation().is_some_and(|apart| !apart.agrees);
         if !self.contradictions().is_empty() || clock_is_off {
             TakeHealth::Damaged
         } else if !self.take.finished && self.take.damage.is_empty() {
-            // All that is missing is its end, and perhaps half a chunk before that.
+            // Only the end is missing, and perhaps half a chunk before it.
             TakeHealth::CutOff
         } else if self.take.damaged || !self.take.problems.is_empty() {
             TakeHealth::Damaged
         } else {
-            let ending = self.take.ending.as_ref();
-            self.take
-                .ledger
-                .as_ref()
-                .map_or(TakeHealth::Damaged, |l| TakeHealth::of_closed(l, ending))
+            let (ledger, ending) = (self.take.ledger.as_ref(), self.take.ending.as_ref());
+            ledger.map_or(TakeHealth::Damaged, |ledger| TakeHealth::of_closed(ledger, ending))
         }
     }
 
-    /// How far the clocks' line lies from what the stored observations give; `None` where there is no line, or not
-    /// all of them are there.
+    /// How far the clock line is from the line fitted to the stored observations; `None` if there is no line, or
+    /// observations are missing.
     #[must_use]
-    pub fn clock_apart(&self) -> Option<Apart> {
-        // A take that was recovered need not have all that the line was laid through.
+    pub fn clock_deviation(&self) -> Option<LineDeviation> {
+        // A recovered take may lack some observations.
         let recovered = |(name, _): &(String, String)| name == mocapd_take::recovery::RECOVERED;
         let lacks_some = self.take.damaged || self.take.header.settings.iter().any(recovered);
-        if lacks_some { None } else { self.line_again.apart() }
+        if lacks_some { None } else { self.line_refit.deviation() }
     }
 
     /// Samples present.
@@ -124,7 +121,7 @@ impl Summary {
         self.per_channel.iter().map(|channel| channel.samples).sum()
     }
 
-    /// Samples kept.
+    /// Samples kept as knots.
     #[must_use]
     pub fn knots(&self) -> u64 {
         self.per_channel.iter().map(|channel| channel.knots).sum()
@@ -154,17 +151,17 @@ impl Summary {
         ratio(self.samples() + self.rows_with_samples, 2 * self.knots())
     }
 
-    fn found(&mut self, found: &Found<'_>, progress: &Progress) {
+    fn on_event(&mut self, found: &LocatedEvent<'_>, progress: &Progress) {
         let is_damaged = progress.take.damaged;
-        // A marker that appears later has had a gap until then.
+        // A marker that appears later had a gap until then.
         let in_gap = self.rows > 0;
-        let late = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
-        if let Some(renamed) = found.renamed {
-            let at = renamed.first.min(self.per_channel.len());
-            let new = std::iter::repeat_n(late.clone(), renamed.inserted);
+        let unseen = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
+        if let Some(lost_entries) = found.lost_entries {
+            let at = lost_entries.first.min(self.per_channel.len());
+            let new = std::iter::repeat_n(unseen.clone(), lost_entries.inserted);
             self.per_channel.splice(at..at, new);
         }
-        self.per_channel.resize(progress.channels().len(), late);
+        self.per_channel.resize(progress.channels().len(), unseen);
         match &found.event {
             TakeEvent::Header(header) => self.claims.tolerance_mm = header.tolerance_mm,
             TakeEvent::Stretch(stretch) => {
@@ -184,7 +181,7 @@ impl Summary {
             TakeEvent::Clock(clock) => {
                 let probes = self.clock.probes + clock.probes.len() as u64;
                 let points = self.clock.points + clock.points.len() as u64;
-                self.line_again.add(clock);
+                self.line_refit.add(clock);
                 self.clock = ClockStatus {
                     segment: clock.segment,
                     tick_hz: clock.tick_hz,
@@ -209,7 +206,7 @@ impl Summary {
         self.rows = progress.n_rows();
     }
 
-    /// Rows up to `row` that no stretch holds: gaps in every channel.
+    /// Counts rows up to `row` that no stretch contains: gaps in every channel.
     fn skip_rows_to(&mut self, row: u64) {
         if row > self.end_of_stretches {
             self.add_empty_stretch();
@@ -217,7 +214,7 @@ impl Summary {
         }
     }
 
-    /// A stretch in which no marker was seen.
+    /// Counts a stretch in which no marker was seen.
     fn add_empty_stretch(&mut self) {
         for channel in &mut self.per_channel {
             channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
@@ -264,7 +261,7 @@ impl Summary {
 
     fn add_outages(&mut self, timeline: &Timeline) {
         for run in &timeline.runs {
-            let away = run.lost.is_some_and(|causes| causes.contains(Causes::DISCONNECTED));
+            let away = run.lost.is_some_and(|causes| causes.contains(LossCauses::DISCONNECTED));
             self.outages.0 += u32::from(away && !self.in_outage);
             self.outages.1 += if away { run.rows } else { 0 };
             self.in_outage = away;
@@ -276,84 +273,84 @@ fn ratio(over: u64, under: u64) -> Option<f64> {
     (under > 0).then(|| over as f64 / under as f64)
 }
 
-/// Raw float32 bytes of so many samples to bytes on disk.
+/// Ratio of the samples' float32 bytes to bytes on disk.
 #[must_use]
 pub fn size_ratio(samples: u64, file_bytes: u64) -> f64 {
     ratio(12 * samples, file_bytes).unwrap_or(0.0)
 }
 
-/// Sentences that are kept; one is enough to distrust a take.
-const TOLD_MAX: usize = 20;
+/// Most contradictions to keep; one is enough to distrust a take.
+const CONTRADICTIONS_MAX: usize = 20;
 
-/// What a take says of itself, held against what is in it: counts what ledgers count, and compares.
+/// Compares a take's statements about itself with its content, counting what ledgers count.
 #[derive(Debug, Default)]
-struct Claims {
+struct ClaimChecker {
     tolerance_mm: f64,
     recorded: u64,
     announced: u64,
     lost: u64,
     index_offset: u64,
     ledger_offset: u64,
-    broken: Vec<String>,
+    contradictions: Vec<String>,
 }
 
-impl Claims {
-    /// A stretch that was decoded, of a take with so many channels by now.
+impl ClaimChecker {
+    /// Counts a decoded stretch; `n_channels` is the number of channels so far.
     fn stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize) {
         let rows = u64::from(stretch.span.n_rows);
         let recorded = stretch.timeline.as_ref().map_or(rows, Timeline::n_recorded);
         self.recorded += recorded;
         let runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
-        // What a recovery found damaged is in ledgers from then on.
-        let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes != Causes::DAMAGED));
+        // Ledgers written after a recovery include the rows it found damaged.
+        let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes != LossCauses::DAMAGED));
         self.lost += lost.map(|run| run.rows).sum::<u64>();
         self.announced += recorded * n_channels as u64;
     }
 
     fn index(&mut self, entries: &[IndexEntry], keys: &[IndexEntry]) {
         if entries != keys {
-            self.tell("the index does not tell where the key stretches are".to_owned());
+            self.report("the index does not match the key stretches".to_owned());
         }
     }
 
     fn footer(&mut self, footer: &Footer) {
         if [footer.index_offset, footer.ledger_offset] != [self.index_offset, self.ledger_offset] {
-            self.tell("the footer does not tell where index and ledger are".to_owned());
+            self.report("the footer does not match the index and the ledger".to_owned());
         }
     }
 
-    /// The error that a block with samples states.
+    /// Checks the error stated by a block with samples.
     fn block(&mut self, first_row: u64, max_error_mm: f64) {
         if max_error_mm > self.tolerance_mm {
-            self.tell(format!(
-                "a block of the stretch from frame {first_row} on states an error of {max_error_mm} mm, the tolerance is {} mm",
+            self.report(format!(
+                "a block of the stretch from frame {first_row} states an error of {max_error_mm} mm, above the tolerance of {} mm",
                 self.tolerance_mm
             ));
         }
     }
 
-    /// A ledger, when so many samples were found before it. It is true for what stands before it, all of which must have
-    /// been read.
+    /// Checks a ledger against the `samples` found before it. A ledger is true for what precedes it, all of which must
+    /// have been read.
     fn ledger(&mut self, ledger: &Ledger, samples: u64) {
-        for (what, told, found) in [
+        for (what, stated, found) in [
             ("recorded frames", ledger.recorded, self.recorded),
             ("samples", ledger.samples_present, samples),
             ("announced samples", ledger.samples_announced, self.announced),
         ] {
-            if told != found {
-                self.tell(format!("a ledger tells of {told} {what}, before it are {found}"));
+            if stated != found {
+                self.report(format!("a ledger states {stated} {what}, but {found} precede it"));
             }
         }
-        // Those behind the last stretch are in no time line yet.
-        let (told, found) = (ledger.frames_lost(), self.lost);
-        if told < found {
-            self.tell(format!("a ledger tells of {told} lost frames, before it are {found}"));
+        // Frames lost after the last stretch are in no timeline yet.
+        let (stated, found) = (ledger.frames_lost(), self.lost);
+        if stated < found {
+            self.report(format!("a ledger states {stated} lost frames, but {found} precede it"));
         }
     }
 
-    fn tell(&mut self, sentence: String) {
-        if self.broken.len() < TOLD_MAX {
-            self.broken.push(sentence);
+    fn report(&mut self, sentence: String) {
+        if self.contradictions.len() < CONTRADICTIONS_MAX {
+            self.contradictions.push(sentence);
         }
     }
 }

@@ -1,44 +1,44 @@
-//! A histogram of short times that never allocates: eight buckets an octave.
+//! A histogram of durations that never allocates: eight buckets per octave.
 
-/// Buckets an octave: a quantile is right to 9 %.
+/// Buckets per octave: a quantile is accurate to 9 %.
 const PER_OCTAVE: u32 = 8;
 const N_BUCKETS: usize = 64 * PER_OCTAVE as usize;
 
-/// Times in nanoseconds.
+/// A histogram of durations in nanoseconds.
 #[derive(Debug, Clone)]
-pub struct Latency {
+pub struct LatencyHistogram {
     buckets: Box<[u64; N_BUCKETS]>,
     n: u64,
     max_ns: u64,
 }
 
-impl Default for Latency {
+impl Default for LatencyHistogram {
     fn default() -> Self {
         Self { buckets: Box::new([0; N_BUCKETS]), n: 0, max_ns: 0 }
     }
 }
 
-impl Latency {
-    /// Counts one time.
+impl LatencyHistogram {
+    /// Adds one duration.
     pub fn add(&mut self, ns: u64) {
         self.buckets[bucket(ns)] += 1;
         self.n += 1;
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// How many there were.
+    /// The number of durations added.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.n
     }
 
-    /// The longest.
+    /// The longest duration.
     #[must_use]
     pub fn max_ns(&self) -> u64 {
         self.max_ns
     }
 
-    /// The time that the fraction `q` (0 to 1) stays within, rounded up to its bucket's end.
+    /// The `q`-quantile (`q` from 0 to 1), rounded up to the end of its bucket.
     #[must_use]
     pub fn quantile_ns(&self, q: f64) -> u64 {
         let wanted = (q * self.n as f64).ceil() as u64;
@@ -53,7 +53,7 @@ impl Latency {
     }
 }
 
-/// Eight equal parts of the octave that `ns` lies in.
+/// Divides the octave that contains `ns` into eight equal parts.
 fn bucket(ns: u64) -> usize {
     let octave = ns.max(1).ilog2();
     let part = if octave >= 3 { (ns >> (octave - 3)) & 7 } else { (ns << (3 - octave)) & 7 };
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn quantiles_are_right_to_a_bucket() {
-        let mut latency = Latency::default();
+        let mut latency = LatencyHistogram::default();
         for ns in 1..=10_000 {
             latency.add(ns);
         }
@@ -79,7 +79,7 @@ mod tests {
             let got = latency.quantile_ns(q) as f64;
             assert!(got >= expected && got < expected * 1.13, "{q}: {got}");
         }
-        assert_eq!(Latency::default().quantile_ns(0.99), 0);
+        assert_eq!(LatencyHistogram::default().quantile_ns(0.99), 0);
         latency.add(u64::MAX);
         assert_eq!(latency.quantile_ns(1.0), u64::MAX);
     }

@@ -1,10 +1,10 @@
-//! A ledger as a document: the same in the API and in what commands print with `--json`.
+//! The ledger as a JSON document, in the API and in the output of commands with `--json`.
 
 use mocapd_take::record::Ledger;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// A ledger in numbers; docs/json.md gives each one's meaning.
+/// A ledger in numbers; docs/json.md explains each.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[expect(missing_docs, reason = "docs/json.md, The ledger")]
 pub struct LedgerDocument {
@@ -42,7 +42,7 @@ pub struct LedgerDocument {
     pub clock: Option<ClockDocument>,
 }
 
-/// The device's clock against the host's.
+/// The device's clock relative to the host's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 #[expect(missing_docs, reason = "docs/json.md, The ledger")]
 pub struct ClockDocument {
@@ -51,7 +51,7 @@ pub struct ClockDocument {
 }
 
 impl LedgerDocument {
-    /// Frames that the device produced and the take does not have, by cause.
+    /// Frames that the device produced and the take lacks, by cause.
     #[must_use]
     pub fn frames_lost_by_cause(&self) -> [u64; 5] {
         [
@@ -63,7 +63,7 @@ impl LedgerDocument {
         ]
     }
 
-    /// The same in all, as far as is known.
+    /// All frames that the device produced and the take lacks, as far as they are known.
     #[must_use]
     pub fn frames_lost(&self) -> u64 {
         self.frames_lost_by_cause().iter().fold(0, |sum, &n| sum.saturating_add(n))

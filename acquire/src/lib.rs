@@ -1,7 +1,8 @@
-//! From a device to a take: what reads a rig, resamples its markers and writes them.
+//! Acquisition: from a device to a take file.
 //!
-//! [`rig`] opens a device, reads it and finds it again when it was away. [`pipeline`] takes its frames through
-//! lock-free rings and a pool of resamplers to a writer. [`record`] is both together for one take.
+//! [`rig`] opens a device, reads it and reconnects to it. [`pipeline`] carries its frames through lock-free rings and a
+//! pool of resampler threads to a writer. [`record`] combines both for a single take. [`clock`] relates the device's
+//! clock to the host's, [`ledger`] accounts for every frame, and [`inspect`] and [`verdict`] read a take back.
 
 pub mod clock;
 pub mod files;

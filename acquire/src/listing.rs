@@ -1,33 +1,33 @@
-//! What is attached, as `devices --json` and the API tell it.
+//! Attached devices, for `devices --json` and the API.
 
 use mocapd_drivers::{
-    registry::{self, Claim, Listed},
+    registry::{self, AttachedDevice, Claim},
     transport::{Access, TransportError},
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// A device that is attached.
+/// An attached device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct ListedDevice {
-    /// What `record --device` takes.
+    /// The value for `record --device`.
     pub device: String,
-    /// Who made it, as it says.
+    /// Its manufacturer, as the device states it.
     pub manufacturer: Option<String>,
-    /// What it calls itself.
+    /// Its product name, as the device states it.
     pub product: Option<String>,
     /// Its serial number.
     pub serial: Option<String>,
-    /// The driver that claims it; none when none does.
+    /// The driver for it; null when there is none.
     pub driver: Option<String>,
-    /// The device itself says what it is; false for a bare serial port, behind which anything may be.
+    /// Whether the device identified itself; false for a bare serial port, which may have anything behind it.
     pub certain: bool,
     /// Why it cannot be opened, and what to do.
     pub problem: Option<String>,
 }
 
-impl From<Listed> for ListedDevice {
-    fn from(listed: Listed) -> Self {
+impl From<AttachedDevice> for ListedDevice {
+    fn from(listed: AttachedDevice) -> Self {
         Self {
             device: listed.candidate.location.to_string(),
             manufacturer: listed.candidate.manufacturer,
@@ -43,10 +43,10 @@ impl From<Listed> for ListedDevice {
     }
 }
 
-/// What is attached. No device is opened for it.
+/// Lists the attached devices. It opens none of them.
 ///
 /// # Errors
-/// Of the system's listing.
+/// When the system cannot list its devices.
 pub fn devices() -> Result<Vec<ListedDevice>, TransportError> {
     Ok(registry::devices()?.into_iter().map(ListedDevice::from).collect())
 }

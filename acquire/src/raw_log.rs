@@ -1,7 +1,7 @@
-//! A raw log: every byte on the device's line goes into a log, too, without the reader waiting for a disk.
+//! The raw log: copies every byte on the device's line to a file, without making the reader wait for the disk.
 //!
-//! A [`Tap`] sits around the transport and copies what passes into blocks; a thread writes them. When no block is free
-//! the log says how many bytes are missing, and the recording goes on.
+//! A [`RawLogTap`] wraps the transport and copies its bytes into blocks, which a thread writes. When no block is free,
+//! the log records how many bytes are missing, and the recording goes on.
 
 #[cfg(test)]
 mod tests;
@@ -20,7 +20,7 @@ use std::{
 use anyhow::Context;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use mocapd_drivers::{
-    raw_log::{Entry, RECORD_OVERHEAD_BYTES, Record, put_head, put_record},
+    raw_log::{Entry, RECORD_OVERHEAD_BYTES, Record, put_header, put_record},
     transport::{Transport, TransportError},
 };
 
@@ -30,47 +30,47 @@ use crate::{
     threads,
 };
 
-/// A block is handed over when it holds so much: the writes of a disk.
+/// Size at which a block is handed over for writing.
 const BLOCK_BYTES: usize = 64 << 10;
 
-/// A block has room for one read more.
+/// Capacity of a block: one more read fits.
 const BLOCK_CAPACITY_BYTES: usize = 2 * BLOCK_BYTES;
 
-/// Blocks in all: 8 MiB of a log, in 16 MiB of memory. The fastest line (200 markers at 1000 Hz, 3.1 MB/s) fills them in
-/// 2.7 s.
+/// Number of blocks: 8 MiB of log in 16 MiB of memory. The fastest line (200 markers at 1000 Hz, 3.1 MB/s) fills them
+/// in 2.7 s.
 const BLOCKS: usize = 128;
 
-/// A raw log under way.
+/// A raw log that is being written.
 #[derive(Debug)]
 pub struct RawLog {
     path: PathBuf,
     file_bytes: Arc<AtomicU64>,
-    tap: Tap,
-    thread: JoinHandle<Written>,
+    tap: RawLogTap,
+    thread: JoinHandle<WriterOutcome>,
 }
 
-/// What a raw log came to.
+/// The account of a finished raw log.
 #[derive(Debug)]
 pub struct RawLogged {
     /// Bytes of the file.
     pub file_bytes: u64,
-    /// Bytes of the line that are in it.
+    /// Bytes of the line in the log.
     pub line_bytes: u64,
-    /// Bytes of the line that are not, because the disk did not take them, or not in time.
+    /// Bytes of the line that the disk did not accept, or not in time.
     pub missing_bytes: u64,
-    /// Why it ends early: what is in it can be read.
+    /// Why the log ends early: what was written before can be read.
     pub error: Option<io::Error>,
 }
 
 impl RawLogged {
-    /// Whether every byte of the line is in it, and its end.
+    /// Whether the log contains every byte of the line, and its end.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         self.missing_bytes == 0 && self.error.is_none()
     }
 }
 
-/// Some of a log, on its way to the disk.
+/// A piece of the log in memory.
 #[derive(Debug, Default)]
 struct Block {
     bytes: Vec<u8>,
@@ -89,71 +89,71 @@ impl Block {
     }
 }
 
-/// What taps and the log have in common.
+/// Counters shared by all taps of a log.
 #[derive(Debug, Default)]
 struct Totals {
-    /// Bytes that passed.
+    /// Bytes that passed on the line.
     line_bytes: AtomicU64,
-    /// Of these, the ones for which no block was free, and that the log does not tell yet.
-    untold_bytes: AtomicU64,
+    /// Bytes that found no free block, and that the log does not mention yet.
+    unreported_bytes: AtomicU64,
 }
 
 impl RawLog {
-    /// Begins a log in a file that must not exist. What is written is forced onto the disk every `sync_every`.
+    /// Starts a log in a file that must not exist yet, and syncs it every `sync_every`.
     ///
     /// # Errors
-    /// When it does, or cannot be made.
+    /// When the file exists or cannot be created.
     pub fn start(path: &Path, sync_every: Duration) -> anyhow::Result<Self> {
         let mut file = files::create_new(path)?;
         let id = FileId::of(&file.metadata()?);
         files::sync_name(path);
         let mut head = Vec::new();
-        put_head(&mut head);
+        put_header(&mut head);
         let name = path.display().to_string();
         if let Err(error) = file.write_all(&head) {
-            // Half of a head is no log, and takes the name.
+            // Half a head is no log, and occupies the name.
             id.remove(path).ok();
             return Err(error).with_context(|| format!("cannot write {name}"));
         }
         let (full, blocks) = bounded(BLOCKS);
         let (free, emptied) = bounded(BLOCKS);
         for _ in 0..BLOCKS {
-            // Never full: it holds every block there is.
+            // Never full: the queue has a place for every block.
             free.try_send(Block::new()).ok();
         }
         let file_bytes = Arc::new(AtomicU64::new(head.len() as u64));
         let counted = Arc::clone(&file_bytes);
-        let work = move || write(file, &counted, sync_every, &blocks, &free);
+        let work = move || write_blocks(file, &counted, sync_every, &blocks, &free);
         let thread = threads::spawn("mocapd-raw", work)?;
-        let tap = Tap::new(monotonic_ns(), full, emptied, Arc::default());
+        let tap = RawLogTap::new(monotonic_ns(), full, emptied, Arc::default());
         Ok(Self { path: path.to_owned(), file_bytes, tap, thread })
     }
 
-    /// What copies a line's bytes into it.
+    /// A tap, which copies a line's bytes into the log.
     #[must_use]
-    pub fn tap(&self) -> Tap {
+    pub fn tap(&self) -> RawLogTap {
         self.tap.clone()
     }
 
-    /// Where it is written.
+    /// The log's path.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Bytes of the file: they grow as it is written.
+    /// Bytes of the file, updated as it is written.
     #[must_use]
     pub fn file_bytes(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.file_bytes)
     }
 
-    /// Ends the log. Every other tap must be gone.
+    /// Ends the log. All other taps must have been dropped.
     ///
     /// # Errors
     /// When its thread panicked.
     pub fn finish(self) -> anyhow::Result<RawLogged> {
         let passed = self.tap.end();
-        let Written { line_bytes, error } = threads::join(self.thread)?;
+        let WriterOutcome { line_bytes, error } = threads::join(self.thread)?;
         Ok(RawLogged {
             file_bytes: self.file_bytes.load(Ordering::Relaxed),
             line_bytes,
@@ -163,115 +163,110 @@ impl RawLog {
     }
 }
 
-/// Appends a record that is now.
-fn put(entry: Entry<'_>, began_ns: u64, block: &mut Vec<u8>) {
+/// Appends a record with the present time.
+fn put_now(entry: Entry<'_>, began_ns: u64, block: &mut Vec<u8>) {
     let time_ns = monotonic_ns().saturating_sub(began_ns);
     put_record(&Record { time_ns, entry }, block);
 }
 
-/// A block that holds anything is handed over after so long while the disk keeps up: what a killed recorder loses of its log.
-const BLOCK_NS_MAX: u64 = 100_000_000;
+/// Longest time that bytes stay in a block while the disk keeps up: what the log of a killed recorder loses.
+const BLOCK_AGE_MAX_NS: u64 = 100_000_000;
 
-/// Room that is kept for what is missing, a closed line, and the end.
+/// Space kept in a block for the records of missing bytes, a closed line, and the end.
 const SPARE_BYTES: usize = 3 * RECORD_OVERHEAD_BYTES + 8;
 
-/// The way into a raw log. Copies share the log, each with a block of its own: one is in use at a time.
+/// Copies bytes into a raw log. Clones share the log, each with a block of its own; one is in use at a time.
 #[derive(Debug)]
-pub struct Tap {
+pub struct RawLogTap {
     began_ns: u64,
     full: Sender<Block>,
     free: Receiver<Block>,
     totals: Arc<Totals>,
-    /// Without memory of its own between two of them.
+    /// Without memory until the next record.
     block: Block,
     block_since_ns: u64,
 }
 
-impl Clone for Tap {
+impl Clone for RawLogTap {
     fn clone(&self) -> Self {
         Self::new(self.began_ns, self.full.clone(), self.free.clone(), Arc::clone(&self.totals))
     }
 }
 
-impl Tap {
+impl RawLogTap {
     fn new(began_ns: u64, full: Sender<Block>, free: Receiver<Block>, totals: Arc<Totals>) -> Self {
         Self { began_ns, full, free, totals, block: Block::default(), block_since_ns: 0 }
     }
 
-    /// A line whose bytes go through a tap of its own.
+    /// Wraps a line, whose bytes then go through a tap of its own.
     #[must_use]
-    pub fn on(&self, family: &str, line: Box<dyn Transport>) -> Box<dyn Transport> {
+    pub fn wrap(&self, family: &str, line: Box<dyn Transport>) -> Box<dyn Transport> {
         let mut tap = self.clone();
         tap.put(Entry::Opened(&format!("{family} {}", line.describe())));
-        Box::new(Tapped { line, tap, gone: false })
+        Box::new(TappedTransport { line, tap, is_closed: false })
     }
 
-    /// Into the block, or into the count of what is missing: it never waits.
+    /// Copies an entry into the block, or counts its bytes as missing. Never waits.
     fn put(&mut self, entry: Entry<'_>) {
-        let n_bytes = match entry {
-            Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => bytes.len(),
-            Entry::Break
-            | Entry::Baud(_)
-            | Entry::Opened(_)
-            | Entry::Missing(_)
-            | Entry::Closed
-            | Entry::End => 0,
+        let (n_bytes, text_bytes) = match entry {
+            Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => (bytes.len(), 0),
+            Entry::Opened(text) => (0, text.len()),
+            _ => (0, 0),
         };
-        let words_bytes = if let Entry::Opened(words) = entry { words.len() } else { 0 };
-        let needed = n_bytes + words_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
+        let needed = n_bytes + text_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
         self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
         if self.block.bytes.len() + needed > BLOCK_CAPACITY_BYTES {
             self.hand_over();
         }
         if self.block.bytes.capacity() == 0 {
-            let Ok(block) = self.free.try_recv() else { return self.miss(n_bytes) };
+            let Ok(block) = self.free.try_recv() else { return self.count_missing(n_bytes) };
             self.begin(block);
         }
-        // A single read that no block holds: the largest that a host makes has half of one.
+        // A read larger than a block: the largest read of a host fills half of one.
         if self.block.bytes.len() + needed > self.block.bytes.capacity() {
-            return self.miss(n_bytes);
+            return self.count_missing(n_bytes);
         }
-        put(entry, self.began_ns, &mut self.block.bytes);
+        put_now(entry, self.began_ns, &mut self.block.bytes);
         self.block.line_bytes += n_bytes as u64;
         if self.block.bytes.len() >= BLOCK_BYTES {
             self.hand_over();
         }
     }
 
-    /// A new block says first what is missing before it.
+    /// Starts a block, with the number of bytes missing before it.
     fn begin(&mut self, block: Block) {
         self.block = block;
         self.block_since_ns = monotonic_ns();
-        let missing = self.totals.untold_bytes.swap(0, Ordering::Relaxed);
+        let missing = self.totals.unreported_bytes.swap(0, Ordering::Relaxed);
         if missing > 0 {
-            put(Entry::Missing(missing), self.began_ns, &mut self.block.bytes);
+            put_now(Entry::Missing(missing), self.began_ns, &mut self.block.bytes);
         }
     }
 
-    fn miss(&mut self, n_bytes: usize) {
-        self.totals.untold_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
+    fn count_missing(&mut self, n_bytes: usize) {
+        self.totals.unreported_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
     }
 
     fn hand_over(&mut self) {
         if !self.block.bytes.is_empty() {
-            // Never full: it holds every block there is.
+            // Never full: the queue has a place for every block.
             self.full.try_send(std::mem::take(&mut self.block)).ok();
         }
     }
 
-    /// Time passed.
+    /// Hands over a block that is old enough.
     fn tick(&mut self) {
         let age_ns = monotonic_ns().saturating_sub(self.block_since_ns);
-        // With a disk that stalls, blocks of a slow line would be used up nearly empty.
+        // While a disk stalls, a slow line would use up the blocks nearly empty.
         let keeps_up = self.free.len() >= self.free.capacity().unwrap_or(0) / 2;
-        if !self.block.bytes.is_empty() && age_ns > BLOCK_NS_MAX && keeps_up {
+        if !self.block.bytes.is_empty() && age_ns > BLOCK_AGE_MAX_NS && keeps_up {
             self.hand_over();
         }
     }
 
-    /// Nothing comes any more.
+    /// Ends the log.
     fn end(mut self) -> Arc<Totals> {
-        // The recording is over: now there is time to wait for the disk.
+        // The recording is over: waiting for the disk is now harmless.
         if self.block.bytes.capacity() == 0
             && let Ok(block) = self.free.recv()
         {
@@ -283,29 +278,29 @@ impl Tap {
     }
 }
 
-impl Drop for Tap {
+impl Drop for RawLogTap {
     fn drop(&mut self) {
         self.hand_over();
     }
 }
 
-/// A line that is listened to.
+/// A transport with a tap.
 #[derive(Debug)]
-struct Tapped {
+struct TappedTransport {
     line: Box<dyn Transport>,
-    tap: Tap,
-    /// That it is gone was told.
-    gone: bool,
+    tap: RawLogTap,
+    /// The log says that the line is closed.
+    is_closed: bool,
 }
 
-impl Tapped {
+impl TappedTransport {
     fn close(&mut self) {
-        if !std::mem::replace(&mut self.gone, true) {
+        if !std::mem::replace(&mut self.is_closed, true) {
             self.tap.put(Entry::Closed);
         }
     }
 
-    fn look<T>(&mut self, outcome: Result<T, TransportError>) -> Result<T, TransportError> {
+    fn note_closed<T>(&mut self, outcome: Result<T, TransportError>) -> Result<T, TransportError> {
         if let Err(TransportError::Disconnected { .. }) = outcome {
             self.close();
         }
@@ -313,27 +308,27 @@ impl Tapped {
     }
 }
 
-impl Drop for Tapped {
+impl Drop for TappedTransport {
     fn drop(&mut self) {
         self.close();
     }
 }
 
-impl Transport for Tapped {
+impl Transport for TappedTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         let outcome = self.line.read(buf);
         if let Ok(n @ 1..) = outcome {
             self.tap.put(Entry::FromDevice(buf.get(..n).unwrap_or_default()));
         }
         self.tap.tick();
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        // Before it is answered.
+        // Logged first, so that it precedes its answer.
         self.tap.put(Entry::ToDevice(bytes));
         let outcome = self.line.write_all(bytes);
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn send_break(&mut self) -> Result<bool, TransportError> {
@@ -341,7 +336,7 @@ impl Transport for Tapped {
         if let Ok(true) = outcome {
             self.tap.put(Entry::Break);
         }
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
@@ -349,7 +344,7 @@ impl Transport for Tapped {
         if outcome.is_ok() {
             self.tap.put(Entry::Baud(baud));
         }
-        self.look(outcome)
+        self.note_closed(outcome)
     }
 
     fn inner(&self) -> Option<&dyn Transport> {
@@ -357,9 +352,9 @@ impl Transport for Tapped {
     }
 }
 
-/// Where a log goes.
+/// The output of a log.
 trait LogOutput: Write {
-    /// Forces what was written onto the disk.
+    /// Syncs what was written.
     ///
     /// # Errors
     /// The disk's.
@@ -372,25 +367,26 @@ impl LogOutput for std::fs::File {
     }
 }
 
-/// What the thread came to.
+/// The result of the writing thread.
 #[derive(Debug, Default)]
-struct Written {
-    /// Bytes of the line in the blocks that were written whole.
+struct WriterOutcome {
+    /// Bytes of the line in blocks that were written completely.
     line_bytes: u64,
-    /// After one nothing is written any more.
+    /// The first error, after which nothing more is written.
     error: Option<io::Error>,
 }
 
-/// Blocks to the file, and back to the taps, until the last tap is gone. After an error it only gives them back.
-fn write(
+/// Writes blocks to the file and returns them to the taps, until the last tap is dropped. After an error it only
+/// returns them.
+fn write_blocks(
     mut file: impl LogOutput,
     file_bytes: &AtomicU64,
     sync_every: Duration,
     blocks: &Receiver<Block>,
     free: &Sender<Block>,
-) -> Written {
-    let mut written = Written::default();
-    // Since when something is not forced onto the disk: at first what a log begins with.
+) -> WriterOutcome {
+    let mut written = WriterOutcome::default();
+    // When the oldest unsynced data was written: at first, the head of the log.
     let mut unsynced = Some(Instant::now());
     loop {
         let due = unsynced.map(|since| since + sync_every);

@@ -1,4 +1,4 @@
-//! One recording: a rig, a pipeline, a take.
+//! Records one take: opens a pipeline for a rig and reads the rig into it.
 
 use std::{
     path::Path,
@@ -14,60 +14,61 @@ use mocapd_take::{
 };
 
 use crate::{
-    files::{FileState, Settled, TakeFile},
+    files::{FileState, SettledFile, TakeFile},
     pipeline::{
-        NewTake, NothingRecorded, Pipeline, Progress, TakeFailed, TakeOutput, Written, check_room,
+        NewTake, NothingRecorded, Pipeline, PipelineProgress, TakeAccount, TakeFailed, TakeOutput,
+        check_disk_space,
     },
-    rig::{ReadOptions, Recording, Rig},
+    rig::{ReadOptions, ReaderOutcome, Rig},
     setting::Setting,
 };
 
-/// What to record, and how to tell people.
+/// What to record, and how to report progress.
 #[expect(missing_debug_implementations, reason = "closures have none")]
 pub struct RecordOptions<'a> {
-    /// The take to write. It has its final name from the first byte.
+    /// Path of the take. The file has its final name from the first byte.
     pub take: &'a Path,
     /// Resampler and tolerance.
     pub codec: Settings,
-    /// Who is captured.
+    /// The person who is captured.
     pub subject: Option<&'a Subject>,
-    /// Stop after so long; `None` for a replay's end or `stop`.
+    /// Length of the take; `None` records until the replay ends or `stop` is set.
     pub length: Option<Duration>,
-    /// Bytes of the disk that stay free: a take that comes there is closed.
+    /// Bytes of the disk to leave free: the take is closed when it would need them.
     pub keep_free_bytes: u64,
-    /// Set to end it.
+    /// Set to stop recording.
     pub stop: &'a AtomicBool,
-    /// Told, in words, what people should know while it runs.
-    pub say: &'a dyn Fn(&str),
-    /// How people end it, in words behind those that say that it waits; may be empty.
+    /// Receives messages for the user while the recording runs.
+    pub notify: &'a dyn Fn(&str),
+    /// How the user can stop, appended to messages that say that the recording waits; may be empty.
     pub how_to_end: &'a str,
-    /// What to do with a setting that a refusal names, in words.
+    /// Formats advice on the setting that an error names.
     pub how_to_set: fn(Setting) -> String,
-    /// Told once the pipeline runs: counters to watch.
-    pub started: &'a mut dyn FnMut(&Arc<Progress>),
+    /// Called once the pipeline runs, with its live counters.
+    pub started: &'a mut dyn FnMut(&Arc<PipelineProgress>),
 }
 
-/// What came of it.
+/// A finished recording.
 #[derive(Debug)]
 pub struct Recorded {
     /// What is on disk.
-    pub written: Written,
-    /// What the reader saw.
-    pub recording: Recording,
-    /// Where the take is now.
-    pub file: Settled,
-    /// Rows a second.
+    pub written: TakeAccount,
+    /// What the reader counted.
+    pub recording: ReaderOutcome,
+    /// Where the take file is now.
+    pub file: SettledFile,
+    /// Rows per second.
     pub rate_hz: f64,
     /// Markers announced at the start.
     pub markers: usize,
 }
 
-/// Records until the device ends, the time is up, or `stop`.
+/// Records until the device ends, the length is reached, or `stop` is set.
 ///
 /// # Errors
-/// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
+/// When nothing was recorded (the empty take file is removed then), or the take could not be written to its end.
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
-    check_room(options.take, options.keep_free_bytes)?;
+    check_disk_space(options.take, options.keep_free_bytes)?;
     let config = rig.pipeline_config(options.codec);
     let header = rig.take_header(&config)?;
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
@@ -79,16 +80,16 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         keep_free_bytes: options.keep_free_bytes,
         ..NewTake::new(file, header)
     };
-    let begun = Pipeline::start(&config, take);
-    let outcome = begun.map(|(intake, pipeline)| {
+    let opened = Pipeline::start(&config, take);
+    let outcome = opened.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| frame_at(length, rate_hz));
         let read = ReadOptions {
             stop: options.stop,
             rows_max,
             length: options.length,
-            for_one_take: true,
-            say: options.say,
+            single_take: true,
+            notify: options.notify,
             how_to_end: options.how_to_end,
             how_to_set: options.how_to_set,
         };
@@ -96,31 +97,31 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         (recording, pipeline.finish())
     });
     let name = options.take.display();
-    // Without a frame a take helps nobody.
+    // A take without a frame is useless: remove it.
     let nothing_recorded = |error: anyhow::Error| match id.remove(options.take) {
         Ok(()) => error,
-        Err(e) => error.context(format!("{name} holds nothing and cannot be removed ({e})")),
+        Err(e) => error.context(format!("{name} is empty and cannot be removed ({e})")),
     };
-    let is_nothing = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
+    let is_empty = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
     match outcome {
         Err(error) => Err(nothing_recorded(error)),
         Ok((Err(error), written)) => Err(match written {
             Ok((written, _)) if written.ledger.recorded == 0 => nothing_recorded(error),
-            Ok((_, mut file)) => ends_early(options.take, error, Some(&mut *file)),
-            Err(failed) if is_nothing(&failed) => nothing_recorded(error),
-            Err(mut failed) => ends_early(options.take, error, failed.output.as_deref_mut()),
+            Ok((_, mut file)) => explain_early_end(options.take, error, Some(&mut *file)),
+            Err(failed) if is_empty(&failed) => nothing_recorded(error),
+            Err(mut failed) => explain_early_end(options.take, error, failed.output.as_deref_mut()),
         }),
-        Ok((Ok(_), Err(failed))) if is_nothing(&failed) => Err(nothing_recorded(failed.error)),
+        Ok((Ok(_), Err(failed))) if is_empty(&failed) => Err(nothing_recorded(failed.error)),
         Ok((Ok(_), Err(mut failed))) => {
-            Err(ends_early(options.take, failed.error, failed.output.as_deref_mut()))
+            Err(explain_early_end(options.take, failed.error, failed.output.as_deref_mut()))
         }
         Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
                 let why = match recording.ending {
-                    EndingKind::DeviceGone => "the device went away before its first frame",
-                    EndingKind::DiskFull => "the disk is full: delete something",
+                    EndingKind::DeviceGone => "the device was disconnected before its first frame",
+                    EndingKind::DiskFull => "the disk is full: free some space",
                     EndingKind::Stopped | EndingKind::Length => {
-                        "it was stopped before the first frame came"
+                        "it was stopped before the first frame arrived"
                     }
                     _ => "the device sent no frame: check that it is capturing",
                 };
@@ -131,22 +132,22 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     }
 }
 
-/// Says where a take is that could not be recorded to its end, and saves one that was removed.
-fn ends_early(
+/// Adds to an error where the unfinished take is, and saves a copy if the file was removed.
+fn explain_early_end(
     take: &Path,
     error: anyhow::Error,
     file: Option<&mut (dyn TakeOutput + 'static)>,
 ) -> anyhow::Error {
     let take = take.display();
     let settled = file.map(TakeOutput::settle);
-    let words = match settled.as_ref().and_then(Settled::words) {
-        Some(words) => format!("the take {take} ends early; {words}"),
+    let text = match settled.as_ref().and_then(SettledFile::message) {
+        Some(what) => format!("the take {take} ends early; {what}"),
         None if settled.is_some_and(|file| file.state == FileState::InPlace) => {
-            format!("the take {take} ends early; what is in it can be read")
+            format!("the take {take} ends early; what was recorded can be read")
         }
         None => format!("the take {take} ends early"),
     };
-    error.context(words)
+    error.context(text)
 }
 
 #[cfg(test)]
@@ -162,14 +163,14 @@ mod tests {
         let mut file = TakeFile::create(&path).unwrap();
         file.write_all(b"frames").unwrap();
         let error = || anyhow!("the device fails");
-        let lost = ends_early(&path, error(), None).to_string();
-        let said = ends_early(&path, error(), Some(&mut file)).to_string();
-        assert!(said.contains("a.take") && lost.contains("a.take"), "{said}; {lost}");
-        assert_ne!(said, lost, "what is in its place can be read");
+        let lost = explain_early_end(&path, error(), None).to_string();
+        let message = explain_early_end(&path, error(), Some(&mut file)).to_string();
+        assert!(message.contains("a.take") && lost.contains("a.take"), "{message}; {lost}");
+        assert_ne!(message, lost, "what is in its place can be read");
         std::fs::remove_file(&path).unwrap();
-        let said = ends_early(&path, error(), Some(&mut file)).to_string();
+        let message = explain_early_end(&path, error(), Some(&mut file)).to_string();
         let saved = dir.path().join("a.saved.take");
-        assert!(said.contains("a.saved.take"), "{said}");
+        assert!(message.contains("a.saved.take"), "{message}");
         assert_eq!(std::fs::read(saved).unwrap(), b"frames");
     }
 }

@@ -1,37 +1,37 @@
-//! Refusals that another value of a setting helps against. Whoever shows one names the setting as its users know it:
-//! an option of a command, a key of a configuration.
+//! Errors that another value of a setting avoids. The caller names the setting as its users know it: an option of a
+//! command or a key of a configuration.
 
 use std::fmt;
 
-/// What can be set otherwise.
+/// A setting to change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Setting {
-    /// The frame rate: this one can be had, in Hz; `None`: none but the device's own.
+    /// The frame rate: a rate in Hz that would work; `None`: only the device's own.
     Rate(Option<f64>),
-    /// What stays free of the disk: less.
+    /// The disk space to leave free: less of it.
     KeepFree,
 }
 
-/// Why something is refused, and what helps.
+/// Why something is refused, and which setting avoids it.
 #[derive(Debug)]
 pub struct SettingRefused {
     pub(crate) why: String,
     pub(crate) setting: Setting,
-    /// What helps beside the setting, behind its words; may be empty.
-    pub(crate) or: &'static str,
+    /// Another remedy, appended to the advice on the setting; may be empty.
+    pub(crate) alternative: &'static str,
 }
 
 impl SettingRefused {
-    fn words(&self, how_to_set: impl Fn(Setting) -> String) -> String {
-        format!("{}; {}{}", self.why, how_to_set(self.setting), self.or)
+    fn message_with(&self, how_to_set: impl Fn(Setting) -> String) -> String {
+        format!("{}; {}{}", self.why, how_to_set(self.setting), self.alternative)
     }
 }
 
-/// An error in one line; of a refusal in it `how_to_set` says what to do with the setting.
+/// An error in one line, in which `how_to_set` words the advice on the setting.
 #[must_use]
-pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
+pub fn message(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
     let causes = error.chain().map(|cause| match cause.downcast_ref::<SettingRefused>() {
-        Some(refused) => refused.words(&how_to_set),
+        Some(refused) => refused.message_with(&how_to_set),
         None => cause.to_string(),
     });
     causes.collect::<Vec<_>>().join(": ")
@@ -39,10 +39,10 @@ pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> S
 
 impl fmt::Display for SettingRefused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.words(|setting| match setting {
+        f.write_str(&self.message_with(|setting| match setting {
             Setting::Rate(Some(rate_hz)) => format!("run it at {rate_hz} Hz"),
-            Setting::Rate(None) => "leave its rate as it is".to_owned(),
-            Setting::KeepFree => "let less stay free".to_owned(),
+            Setting::Rate(None) => "keep the rate of the device".to_owned(),
+            Setting::KeepFree => "leave less space free".to_owned(),
         }))
     }
 }
@@ -54,9 +54,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_said_around_a_refusal_stays() {
-        let refused = SettingRefused { why: "no".to_owned(), setting: Setting::KeepFree, or: "!" };
+    fn the_context_of_a_refusal_stays() {
+        let why = "no".to_owned();
+        let refused = SettingRefused { why, setting: Setting::KeepFree, alternative: "!" };
         let error = anyhow::Error::from(refused).context("inner").context("outer");
-        assert_eq!(words(&error, |_| "--keep-free".to_owned()), "outer: inner: no; --keep-free!");
+        assert_eq!(message(&error, |_| "--keep-free".to_owned()), "outer: inner: no; --keep-free!");
     }
 }

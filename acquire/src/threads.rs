@@ -1,4 +1,4 @@
-//! Named threads, and panics that become errors.
+//! Named threads, stop signals, and panics turned into errors.
 
 use std::{
     convert::Infallible,
@@ -8,36 +8,36 @@ use std::{
 use anyhow::{Context, anyhow};
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
 
-/// A resampler thread panicked: this is a bug in mocapd.
+/// A resampler thread panicked: a bug in mocapd.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a resampler thread failed")]
 pub struct ResamplerFailed;
 
-/// Tells threads to end, when it is dropped.
+/// Stops threads when it is dropped.
 #[derive(Debug)]
-pub struct Stopper(
+pub struct StopSender(
     #[expect(dead_code, reason = "that it is gone is the message")] Sender<Infallible>,
 );
 
-/// Whether a [`Stopper`] is gone.
+/// Reports that its [`StopSender`] was dropped.
 #[derive(Debug, Clone)]
-pub struct Stopped(Receiver<Infallible>);
+pub struct StopReceiver(Receiver<Infallible>);
 
-/// A stop that threads can wait for beside other things.
+/// A stop signal that threads can select on together with other channels.
 #[must_use]
-pub fn stop() -> (Stopper, Stopped) {
+pub fn stop_channel() -> (StopSender, StopReceiver) {
     let (stopper, stopped) = bounded(0);
-    (Stopper(stopper), Stopped(stopped))
+    (StopSender(stopper), StopReceiver(stopped))
 }
 
-impl Stopped {
-    /// Whether it is time to end.
+impl StopReceiver {
+    /// Whether to stop.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.0.try_recv() == Err(TryRecvError::Disconnected)
     }
 
-    /// To wait for beside others: nothing ever comes, until it is closed.
+    /// A channel to select on: it carries no message and is closed when it is time to stop.
     #[must_use]
     pub fn channel(&self) -> &Receiver<Infallible> {
         &self.0
@@ -52,15 +52,13 @@ pub fn spawn<T: Send + 'static>(
     name: &str,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> anyhow::Result<JoinHandle<T>> {
-    Builder::new()
-        .name(name.to_owned())
-        .spawn(work)
-        .with_context(|| format!("cannot start the thread {name}"))
+    let thread = Builder::new().name(name.to_owned()).spawn(work);
+    thread.with_context(|| format!("cannot start the thread {name}"))
 }
 
-/// Does some work on a named thread and something else meanwhile; one after the other where the system refuses a thread.
-/// Ends when both are done.
-pub fn beside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: impl FnOnce()) {
+/// Runs `work` on a named thread and `meanwhile` on this one, and returns when both are done. When the system refuses a
+/// thread, they run one after the other.
+pub fn run_alongside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: impl FnOnce()) {
     scope(|scope| {
         if Builder::new().name(name.to_owned()).spawn_scoped(scope, work).is_err() {
             work();
@@ -69,7 +67,7 @@ pub fn beside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: impl FnO
     });
 }
 
-/// Waits for a thread.
+/// Waits for a thread to finish.
 ///
 /// # Errors
 /// When it panicked.
@@ -78,7 +76,7 @@ pub fn join<T>(handle: JoinHandle<T>) -> anyhow::Result<T> {
     handle.join().map_err(|_| anyhow!("the thread {name} panicked: this is a bug in mocapd"))
 }
 
-/// Worker threads when the user does not say: one a core, at most eight, since one core resamples
+/// The default number of worker threads: one per core, at most eight, since one core resamples
 /// more than any bus carries.
 #[must_use]
 pub fn default_workers() -> usize {

@@ -1,13 +1,14 @@
-//! How fast takes become other formats, and in how much memory: a long generated take, and `mocapd export` of it.
+//! Speed and peak memory of `mocapd export`: a long generated take, converted to each format.
 //!
 //! `cargo bench --bench exports -- [--seconds 3600] [--markers 64] [--rate 240] [--tolerance 1mm]
 //!     [--resamplers dense,fast,lossless] [--formats c3d,npz,xdf,csv,tsv,trc,bids]`
 //!
-//! The take is generated from a seed and coded as an import is, without any waiting. Rates count the bytes that come
-//! out, by the clock on the wall, the sync of the file included; memory is the most that the process ever had.
+//! The take is generated from a seed and written at full speed by the encoder of `mocapd import`. MB/s is the size of
+//! the exported file divided by the elapsed time, which includes the sync of the file. Memory is the peak resident set
+//! of the process.
 
 #![expect(clippy::print_stdout, reason = "a tool that prints its result")]
-#![expect(clippy::print_stderr, reason = "a tool that tells how far it is")]
+#![expect(clippy::print_stderr, reason = "a tool that reports its progress")]
 
 use std::{
     fs::{self, File},
@@ -26,8 +27,8 @@ use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::motion::Motion;
 
 const MOCAPD: &str = env!("CARGO_BIN_EXE_mocapd");
-/// Time between two looks at a process.
-const LOOK: Duration = Duration::from_millis(5);
+/// Interval at which the memory and processor time of the export are read.
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 struct Args {
     spec: JumpSpec,
@@ -45,9 +46,9 @@ fn main() -> anyhow::Result<()> {
     let motion = args.spec.generate()?.motion;
     let mut takes = Vec::new();
     for name in &args.resamplers {
-        eprintln!("coding with {name}");
+        eprintln!("encoding with {name}");
         let take = folder.path().join(format!("{name}.take"));
-        let bytes = code(&motion, name, args.tolerance_mm, &take)?;
+        let bytes = encode(&motion, name, args.tolerance_mm, &take)?;
         takes.push((name, take, bytes));
     }
     drop(motion);
@@ -73,7 +74,7 @@ fn parse() -> anyhow::Result<Args> {
     let occlusion = Some(Occlusion { fraction: 0.02, mean_gap_s: 0.1 });
     let spec =
         JumpSpec { n_markers: 64, seconds: Some(3600.0), occlusion, ..JumpSpec::new(1, 240.0) };
-    let list = |words: &str| words.split(',').map(str::to_owned).collect::<Vec<_>>();
+    let list = |names: &str| names.split(',').map(str::to_owned).collect::<Vec<_>>();
     let mut parsed = Args {
         spec,
         tolerance_mm: 1.0,
@@ -100,8 +101,8 @@ fn parse() -> anyhow::Result<Args> {
     Ok(parsed)
 }
 
-/// Writes a take as an import does; how long it is.
-fn code(motion: &Motion, name: &str, tolerance_mm: f64, to: &Path) -> anyhow::Result<u64> {
+/// Writes the motion as an import would and returns the size of the take in bytes.
+fn encode(motion: &Motion, name: &str, tolerance_mm: f64, to: &Path) -> anyhow::Result<u64> {
     let kind: ResamplerKind = name.parse()?;
     let codec = Settings { kind, tolerance: Tolerance::from_mm(tolerance_mm)? };
     let info = &motion.info;
@@ -139,13 +140,13 @@ fn export(take: &Path, format: &str) -> anyhow::Result<Run> {
         if let Some(status) = child.try_wait()? {
             break status;
         }
-        if let Some((memory, busy)) = look(&child) {
+        if let Some((memory, busy)) = usage(&child) {
             (memory_bytes, busy_s) = (memory, busy);
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     };
     let seconds = start.elapsed().as_secs_f64();
-    ensure!(status.success(), "mocapd export to {format} ended with {status}");
+    ensure!(status.success(), "mocapd export to {format} failed: {status}");
     let bytes = size(&output)?;
     if output.is_dir() {
         fs::remove_dir_all(&output)?;
@@ -155,8 +156,8 @@ fn export(take: &Path, format: &str) -> anyhow::Result<Run> {
     Ok(Run { bytes, seconds, busy_s, memory_bytes })
 }
 
-/// The most memory a process had so far, and its processor time in seconds.
-fn look(child: &Child) -> Option<(u64, f64)> {
+/// Peak resident memory of the process so far, in bytes, and its processor time in seconds.
+fn usage(child: &Child) -> Option<(u64, f64)> {
     let process = PathBuf::from(format!("/proc/{}", child.id()));
     let status = fs::read_to_string(process.join("status")).ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -167,7 +168,7 @@ fn look(child: &Child) -> Option<(u64, f64)> {
     Some((memory << 10, (ticks(11)? + ticks(12)?) / rustix::param::clock_ticks_per_second() as f64))
 }
 
-/// Bytes of a file, or of all files in a folder.
+/// Size of a file, or of all files in a folder, in bytes.
 fn size(path: &Path) -> anyhow::Result<u64> {
     let meta = path.metadata()?;
     if !meta.is_dir() {

@@ -1,18 +1,19 @@
-//! The lab of `dense`: what an idea is worth, and where the bits go.
+//! Compression experiments with `dense`: the gain of a change to the codec, and the share of each kind of decision in
+//! the bits.
 //!
 //! `cargo bench --bench lab --features training -- FOLDER_OF_TAKES [--without WORD] [--keep FILE]
 //! [--against FILE] [--prior FILE]`
 //!
-//! Codes every file of the folder at six tolerances in key blocks of ten seconds, and prints the geometric
-//! mean of the ratio and the ideal code length of each kind of decision. To judge an idea: `--keep` the
-//! bytes of the build without it, and hold the build with it `--against` them.
+//! Encodes every file of the folder at six tolerances in key blocks of ten seconds, and prints the geometric mean of
+//! the compression ratio and the ideal code length of each kind of decision. To evaluate a change: `--keep` the bytes
+//! of the build without it, then run the build with it `--against` them.
 //!
-//! `--prior` writes what the odds are before anything has been seen (`codec/src/dense/prior.bin`): the mean
-//! odds and mixing weights of all files. They rest on the table that is compiled in, so that it settles
-//! after two or three rounds. `--without` leaves files out whose names contain the word: how well the odds
-//! of the others serve them is how much of a result is the table's doing.
+//! `--prior` writes the initial probabilities of the model (`codec/src/dense/prior.bin`): the mean probabilities and
+//! mixing weights over all files. They depend on the table that is compiled in, so the result converges after two or
+//! three rounds of writing and rebuilding. `--without` leaves out the files whose names contain WORD. Encoded with the
+//! table of the other files, they show how much of a result is due to the table.
 
-#![expect(clippy::print_stdout, reason = "a tool that prints what it finds")]
+#![expect(clippy::print_stdout, reason = "a tool that prints its result")]
 
 mod prior;
 mod report;
@@ -33,7 +34,7 @@ fn main() -> anyhow::Result<()> {
             "--keep" => keep = Some(PathBuf::from(value()?)),
             "--against" => against = Some(PathBuf::from(value()?)),
             "--prior" => prior = Some(PathBuf::from(value()?)),
-            _ if arg.starts_with("--") => bail!("there is no option {arg}"),
+            _ if arg.starts_with("--") => bail!("unknown option {arg}"),
             _ => folder = Some(PathBuf::from(arg)),
         }
     }
@@ -42,7 +43,7 @@ fn main() -> anyhow::Result<()> {
     println!("{}", report::ratios(&cells, against.as_deref())?);
     println!("{}", report::lengths(&cells)?);
     if let Some(file) = keep {
-        std::fs::write(&file, report::to_keep(&cells))
+        std::fs::write(&file, report::bytes(&cells))
             .with_context(|| format!("cannot write {}", file.display()))?;
     }
     if let Some(file) = prior {

@@ -1,4 +1,4 @@
-//! What is printed: ratios, the change against an earlier build, and where the bits go.
+//! The printed tables: compression ratios, the change against an earlier build, and the shares of the bits.
 
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
@@ -13,7 +13,7 @@ fn geometric_mean(values: impl Iterator<Item = f64>) -> f64 {
     (sum / f64::from(n.max(1))).exp()
 }
 
-/// The geometric mean of a value over all cells, and over those of each tolerance.
+/// The geometric mean of a value over all cells, then over the cells of each tolerance.
 fn means(cells: &[Cell], value: impl Fn(&Cell) -> f64) -> Vec<f64> {
     let of = |mm: f64| cells.iter().filter(move |cell| cell.tolerance_mm == mm);
     let all = geometric_mean(cells.iter().map(&value));
@@ -21,7 +21,11 @@ fn means(cells: &[Cell], value: impl Fn(&Cell) -> f64) -> Vec<f64> {
     std::iter::once(all).chain(by_tolerance).collect()
 }
 
-/// Ratio of float32 to payload bytes, and against the bytes that an earlier build kept.
+/// Compression ratios, float32 bytes over payload bytes; with `before`, also the change against the bytes that an
+/// earlier build wrote to this file.
+///
+/// # Errors
+/// When `before` cannot be read or lacks a cell.
 pub(crate) fn ratios(cells: &[Cell], before: Option<&Path>) -> anyhow::Result<String> {
     let mut text = format!("{:24}     all", "");
     for mm in TOLERANCES_MM {
@@ -58,12 +62,13 @@ fn name(cell: &Cell) -> String {
     format!("{}\t{}", cell.file, cell.tolerance_mm)
 }
 
-/// What [`ratios`] reads again: a line a cell, its bytes last.
-pub(crate) fn to_keep(cells: &[Cell]) -> String {
+/// The payload bytes as text for `--keep`, which [`ratios`] reads again: one line per cell, the bytes last.
+pub(crate) fn bytes(cells: &[Cell]) -> String {
     cells.iter().map(|cell| format!("{}\t{}\n", name(cell), cell.bytes())).collect()
 }
 
-/// Ideal code lengths: the share of each kind of decision in a cell's bytes, mean over the cells.
+/// Ideal code lengths: the percentage of each kind of decision in the bytes of a cell, as the mean over the cells of
+/// each tolerance.
 pub(crate) fn lengths(cells: &[Cell]) -> anyhow::Result<String> {
     let mut shares: BTreeMap<(&str, Option<&str>), [f64; TOLERANCES_MM.len()]> = BTreeMap::new();
     for (column, mm) in TOLERANCES_MM.into_iter().enumerate() {

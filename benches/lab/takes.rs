@@ -1,4 +1,4 @@
-//! The takes of a folder, and what `dense` makes of each at each tolerance.
+//! Encodes the takes of a folder with `dense` at each tolerance.
 
 use std::{
     path::{Path, PathBuf},
@@ -16,10 +16,10 @@ use mocapd_take::{
 };
 
 pub(crate) const TOLERANCES_MM: [f64; 6] = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0];
-/// Key stretches of an import.
+/// Length of a key stretch of an import, in seconds.
 const STRETCH_S: f64 = 10.0;
 
-/// The tallies of the groups of one file at one tolerance.
+/// One file encoded at one tolerance: the tallies of its groups of channels.
 pub(crate) struct Cell {
     pub(crate) file: String,
     pub(crate) tolerance_mm: f64,
@@ -39,7 +39,7 @@ struct Take {
     columns: Vec<(Vec<[f32; 3]>, Vec<bool>)>,
 }
 
-/// Every file of the folder that can be read, but those whose names hold one of the words.
+/// Encodes every take of the folder except those whose names contain a string of `without`.
 pub(crate) fn measure(folder: &Path, without: &[String]) -> anyhow::Result<Vec<Cell>> {
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
         .with_context(|| format!("cannot read {}", folder.display()))?
@@ -52,12 +52,12 @@ pub(crate) fn measure(folder: &Path, without: &[String]) -> anyhow::Result<Vec<C
     });
     ensure!(!files.is_empty(), "{} holds no takes", folder.display());
     let takes = files.iter().map(|file| read(file)).collect::<anyhow::Result<Vec<_>>>()?;
-    // Every cell is a job; as many threads as the machine has.
+    // Each cell is one job; one thread per processor takes the next job.
     let jobs: Vec<_> = takes.iter().flat_map(|take| TOLERANCES_MM.map(|mm| (take, mm))).collect();
     let (next, cells) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let work = || {
         while let Some(&(take, mm)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let cell = code(take, mm);
+            let cell = encode(take, mm);
             if let Ok(mut cells) = cells.lock() {
                 cells.push(cell);
             }
@@ -79,7 +79,7 @@ pub(crate) fn measure(folder: &Path, without: &[String]) -> anyhow::Result<Vec<C
 }
 
 fn read(file: &Path) -> anyhow::Result<Take> {
-    let format = Format::from_extension(file).context("no format")?;
+    let format = Format::from_extension(file).context("unknown file extension")?;
     let motion = format.read(&std::fs::read(file)?)?;
     let n_markers = motion.info.markers.len();
     Ok(Take {
@@ -96,7 +96,7 @@ fn column(motion: &Motion, marker: usize) -> (Vec<[f32; 3]>, Vec<bool>) {
     (positions, present)
 }
 
-fn code(take: &Take, tolerance_mm: f64) -> anyhow::Result<Cell> {
+fn encode(take: &Take, tolerance_mm: f64) -> anyhow::Result<Cell> {
     let stretch_rows = (STRETCH_S * take.rate_hz) as usize;
     let mut tallies = Vec::new();
     for group in take.columns.chunks(GROUP_CHANNELS) {

@@ -1,17 +1,17 @@
-"""The claims that mocapd makes about its codec, computed from the rows of one run."""
+"""The claims of the documentation about mocapd's codec, evaluated on the rows of one run."""
 
 import math
 from dataclasses import asdict, dataclass
 
 DENSE, FAST, SPLINE = "dense", "fast", "spline:worst-sample"
 
-# Takes shorter than this measure the cost of a call, not of a codec: they are left out of the speed bars.
+# Shorter takes measure the overhead of a call, not the codec: the speed claims leave them out.
 SPEED_RAW_BYTES_MIN = 300_000
 
 
 @dataclass
 class Bar:
-    """One claim: the value found, the value it must reach (or stay below), and the cell that is worst for it."""
+    """One claim: the measured value, its limit (a minimum, or a maximum without `at_least`), and the worst cell."""
 
     name: str
     value: float
@@ -34,10 +34,10 @@ def cell(row):
 
 
 def best_peers(rows, key="bytes"):
-    """The smallest peer for each (take, tolerance), whatever codec it is.
+    """The smallest peer of any codec for each (take, tolerance).
 
-    By `bytes`, peers that have a tolerance of their own had it raised for each take until the measured error reached
-    the bound; by `plain_bytes` it is the bound over sqrt(3), which keeps it whatever the data.
+    In `bytes`, the axis tolerance of error-bounded peers was raised for each take until the measured error reached the
+    bound; in `plain_bytes` it is the bound over sqrt(3), which guarantees the bound for any data.
     """
     best = {}
     for row in rows:
@@ -51,12 +51,12 @@ def of(rows, key, name):
 
 
 def factors(ours, theirs, key="bytes"):
-    """Their bytes over ours, for each cell that both have."""
+    """Bytes of the peer over those of mocapd, for each cell that both have."""
     return {at: theirs[at][key] / row["bytes"] for at, row in ours.items() if at in theirs}
 
 
 def headline(values, ours):
-    """Without the takes that were filtered."""
+    """The values of the takes that are not filtered."""
     return {at: value for at, value in values.items() if not ours[at]["filtered"]}
 
 
@@ -112,7 +112,7 @@ def size_bars(ours, peers):
 
 
 def speed_ratio(fast, sz3, key):
-    """Smallest over the tolerances of the geometric mean over the takes, and where it is."""
+    """The geometric mean over the takes at the tolerance where it is smallest, and that tolerance."""
     by_tolerance = {}
     for at, row in fast.items():
         if at in sz3 and not row["filtered"] and row["raw_bytes"] >= SPEED_RAW_BYTES_MIN:
@@ -148,7 +148,7 @@ def speed_bars(ours, speeds):
 
 
 def all_bars(ours, peers, speeds, names=None):
-    """All claims; where only some peers were measured (`names`), those that these are enough for."""
+    """All claims; with a selection of peers (`names`), only the claims for which these suffice."""
     bars = [] if names else size_bars(ours, peers)
     return bars + (speed_bars(ours, speeds) if speeds and "SZ3" in (names or ["SZ3"]) else [])
 
@@ -161,6 +161,6 @@ def as_text(bars):
     lines = []
     for bar in bars:
         sign = ">=" if bar.at_least else "<"
-        verdict = "held" if bar.held else "FAILED"
-        lines.append(f"{verdict:7} {bar.name}: {bar.value:.3g} (must be {sign} {bar.target:g}); worst {bar.worst}")
+        result = "held" if bar.held else "FAILED"
+        lines.append(f"{result:7} {bar.name}: {bar.value:.3g} (must be {sign} {bar.target:g}); worst {bar.worst}")
     return "\n".join(lines)

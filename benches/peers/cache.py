@@ -1,6 +1,6 @@
-"""Keeps verified results between runs: one JSON file for each take and codec, keyed by versions and tolerance.
+"""Caches verified results between runs: one JSON file per take and codec, keyed by codec version and tolerance.
 
-A result depends on nothing else, so a new mocapd is compared without running the peers again.
+A result depends on nothing else, so a new version of mocapd is compared without running the peers again.
 """
 
 import json
@@ -12,14 +12,14 @@ from families.base import Result
 
 
 class Cache:
-    """`folder` None: nothing is kept."""
+    """The results of one take and codec; with `folder` None they are not written to disk."""
 
     def __init__(self, folder, take_sha256, codec_name):
         self.path = Path(folder) / f"{take_sha256[:16]}-{codec_name}.json".replace(" ", "-") if folder else None
         self.entries = json.loads(self.path.read_text()) if self.path and self.path.exists() else {}
 
     def result(self, codec, gaps, tolerance_mm, compute, plain=False):
-        """The kept result, or the one of `compute`, kept from then on; None is a result too (codec refused)."""
+        """The cached result, or that of `compute`, which is then cached; None (the codec refuses) is cached too."""
         key = f"{codec.versions}, {tolerance_mm:g} mm, gaps {gaps}{', plain' * plain}"
         if key not in self.entries:
             result = compute()

@@ -1,5 +1,6 @@
-"""The mask of missing samples, which every lossy codec needs beside its payload: packed bits, then the smallest of
-zstd-19 and LZMA, by frame or by marker, as it is or as changes in time."""
+"""The size of the mask of missing samples, which every lossy codec needs in addition to its payload. The mask is stored
+as packed bits, by frame or by marker, plain or as changes over time, raw or compressed with zstd-19 or LZMA: the
+smallest of these counts."""
 
 import lzma
 
@@ -16,7 +17,7 @@ def candidates(present):
 
 
 def mask_bytes(present):
-    """Bytes charged to every codec; a take without a gap is charged one byte for saying so."""
+    """Bytes added to every codec; one byte for a take without gaps."""
     if present.all():
         return 1
     sizes = [1 + len(candidate) for candidate in candidates(present)]

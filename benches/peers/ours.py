@@ -1,4 +1,4 @@
-"""mocapd's side: runs `mocapd bench codec FILES --json` and turns its answer into rows like those of the peers."""
+"""Runs `mocapd bench codec FILES --json` and converts its output to rows like those of the peers."""
 
 import json
 import subprocess
@@ -8,14 +8,14 @@ from bars import DENSE, FAST, SPLINE, cell
 from sizes import TOLERANCES_MM
 from takes import ROOT
 
-# Below this a take's bytes are mostly its header and marker names, which no peer stores: blocks are compared instead.
+# A smaller take consists mostly of header and marker names, which no peer stores: only its blocks are compared.
 WHOLE_FILE_RAW_BYTES = 1_000_000
 
-BUILD_HINT = "no mocapd found: build it with `cargo build --release`, or name it with --mocapd PATH"
+BUILD_HINT = "mocapd not found: build it with `cargo build --release`, or give its path with --mocapd PATH"
 
 
 def find(path):
-    """The named program, or the one built beside this folder."""
+    """The program at `path`, or the release build of this source tree."""
     program = Path(path) if path else ROOT / "target" / "release" / "mocapd"
     if not program.exists():
         raise FileNotFoundError(BUILD_HINT)
@@ -23,7 +23,7 @@ def find(path):
 
 
 def run(program, path, resamplers=()):
-    """The answer for one take; of all resamplers, or of some."""
+    """The parsed output for one take, with all resamplers or those given."""
     command = [str(program), "bench", "codec", str(path), "--json"]
     for resampler in resamplers:
         command += ["--resampler", resampler]
@@ -34,7 +34,7 @@ def run(program, path, resamplers=()):
 
 
 def rows_of(answer, take):
-    """The only place that knows the keys of mocapd's answer."""
+    """Rows from the output of mocapd; no other function depends on its keys."""
     rows = []
     for file in answer["files"]:
         for result in file["results"]:
@@ -51,7 +51,7 @@ def rows_of(answer, take):
                 "encode_mb_s": result["encode_mb_s"],
                 "decode_mb_s": result["decode_mb_s"],
             }
-            # The lossless resampler has no tolerance and stands beside the others at each.
+            # The lossless resampler has no tolerance: its row is repeated for each.
             tolerances = [float(result["tolerance_mm"])] if result["tolerance_mm"] else TOLERANCES_MM
             rows += [row | {"tolerance_mm": tolerance} for tolerance in tolerances]
     return checked(rows, take)
@@ -62,20 +62,20 @@ def charged(raw_bytes, result):
 
 
 def checked(rows, take):
-    """Refuses figures of another take or sample count, of a claim beyond its bound, and a dense that leaves cells out.
+    """Fails for a different number of samples, an error beyond the bound in a claim, and missing cells of dense.
 
-    A resampler that is in no claim may bound something else (a mean error): where it is beyond the tolerance it is
-    left out, as its size would compare with nothing.
+    A resampler without a claim may bound something else, such as the mean error. A row of it that exceeds the
+    tolerance is left out, because its size is not comparable.
     """
     kept = []
     for row in rows:
         where = f"mocapd, {row['take']}, {row['resampler']}, {row['tolerance_mm']:g} mm"
         if row["samples"] != take.samples:
-            raise AssertionError(f"{where}: {row['samples']} samples, {take.samples} read here")
+            raise AssertionError(f"{where}: {row['samples']} samples, expected {take.samples}")
         if row["max_error_mm"] <= row["tolerance_mm"]:
             kept.append(row)
         elif row["resampler"] in (DENSE, FAST, SPLINE):
-            raise AssertionError(f"{where}: error {row['max_error_mm']} mm")
+            raise AssertionError(f"{where}: the error of {row['max_error_mm']} mm exceeds the tolerance")
     dense = {cell(row) for row in kept if row["resampler"] == DENSE}
     missing = {(take.name, tolerance) for tolerance in TOLERANCES_MM} - dense
     if missing:

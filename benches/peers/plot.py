@@ -1,4 +1,5 @@
-"""Ratio against tolerance, both axes logarithmic: mocapd's resamplers bold, peers thin, each line named at its end."""
+"""Compression ratio against tolerance, both axes logarithmic: bold lines for mocapd, thin ones for its peers, each
+labelled at its end."""
 
 import math
 
@@ -9,18 +10,18 @@ import matplotlib.pyplot as plt  # noqa: E402
 
 from table import median_ratios, tolerances_of  # noqa: E402
 
-# Okabe and Ito's colours, told apart by colour-blind readers; peers differ by the grey and the dashes as well.
+# The colours of Okabe and Ito, distinguishable with colour blindness; peers differ in grey level and dash pattern.
 OWN = {"dense": "#0072B2", "fast": "#009E73", "spline": "#D55E00", "sync": "#E69F00", "lossless": "#CC79A7"}
 OTHER_OWN = "#56B4E9"
 PEERS = ["#000000", "#7a7a7a"]
 DASHES = ["-", "--", ":", "-."]
 
-# Smallest distance between two names, in units of log10(ratio) of the drawn range.
+# Smallest vertical distance between two labels, as a fraction of the logarithmic axis.
 NAME_GAP = 0.034
 
 
 def spread(places, gap):
-    """Moves names apart, keeping their order: each at least `gap` above the one below."""
+    """Moves labels apart without changing their order: neighbours are at least `gap` apart."""
     order = sorted(range(len(places)), key=places.__getitem__)
     groups = []
     for index in order:

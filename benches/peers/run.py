@@ -1,9 +1,9 @@
-"""Measures published codecs beside mocapd's own on recorded takes.
+"""Compares mocapd's codec with published codecs on recorded takes.
 
     pip install -r benches/peers/requirements.txt
     python benches/peers/run.py TAKES_DIR --cache DIR --json OUT.json --markdown OUT.md --plot OUT
 
-The bound is the largest Euclidean error of any sample, measured after decoding to float32; no figure is unverified.
+The tolerance bounds the Euclidean error of every sample. Each payload is decoded to float32 and its error measured.
 With --check the exit code is 1 when a claim does not hold.
 """
 
@@ -23,27 +23,27 @@ import takes as takes_  # noqa: E402
 import timings  # noqa: E402
 from families.registry import all_codecs  # noqa: E402
 
-# Rounds of the speeds of a take, of the resamplers that are in a claim; of the others there is one.
+# Rounds of the speed measurement of a take for the resamplers with a claim; the others are measured once.
 ROUNDS = 3
 
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("takes", type=Path, help="folder of C3D, TRC, TSV and CSV takes")
-    parser.add_argument("--only", metavar="WORD", help="only takes whose name holds WORD")
+    parser.add_argument("--only", metavar="WORD", help="only takes whose name contains WORD")
     parser.add_argument("--mocapd", metavar="PATH", help="default: target/release/mocapd")
     parser.add_argument("--peers-only", action="store_true", help="do not run mocapd")
-    parser.add_argument("--codecs", metavar="NAMES", help="only these peers, commas between; claims on bytes need all")
+    parser.add_argument("--codecs", metavar="NAMES", help="only these peers, separated by commas; size claims need all")
     parser.add_argument("--no-speed", action="store_true", help="sizes only")
-    parser.add_argument("--cache", metavar="DIR", help="keep the peers' sizes here between runs")
+    parser.add_argument("--cache", metavar="DIR", help="cache the sizes of the peers in this folder")
     parser.add_argument("--json", metavar="OUT", type=Path)
     parser.add_argument("--markdown", metavar="OUT", type=Path, help="default: standard output")
-    parser.add_argument("--plot", metavar="OUT", type=Path, help="writes OUT.svg and OUT.png")
+    parser.add_argument("--plot", metavar="OUT", type=Path, help="write OUT.svg and OUT.png")
     parser.add_argument("--check", action="store_true", help="exit code 1 when a claim does not hold")
     return parser.parse_args()
 
 
-def said(text):
+def log(text):
     print(text, file=sys.stderr, flush=True)
 
 
@@ -51,20 +51,20 @@ def main():
     options = arguments()
     paths = [p for p in takes_.find(options.takes) if not options.only or options.only in p.stem]
     if not paths:
-        said(f"no take in {options.takes}")
+        log(f"{options.takes}: no takes in this folder")
         return 2
     program = None if options.peers_only else ours_.find(options.mocapd)
 
     names = options.codecs.split(",") if options.codecs else None
-    peers = sizes.all_rows(paths, options.cache, said=said, names=names)
+    peers = sizes.all_rows(paths, options.cache, log=log, names=names)
     takes = [takes_.load(path) for path in paths]
     speeds, ours = [], []
     for path, take in zip(paths, takes):
-        said(f"mocapd and speeds: {take.name}")
+        log(f"mocapd and speeds: {take.name}")
         timed = not (options.no_speed or take.raw_bytes < bars_.SPEED_RAW_BYTES_MIN or take.filtered)
         theirs, answers = [], []
-        # Last and one at a time, mocapd's right after the peers', take by take and in turn: a machine is slower now and
-        # then, and that must not fall on one of them.
+        # Speeds come last, in one process: for each take, peers and mocapd alternate, so that a slow phase of the
+        # machine does not affect only one of them.
         for n in range(ROUNDS if timed else 1):
             theirs.append(timings.speed_rows(take, peers) if timed else [])
             if program:
@@ -93,5 +93,5 @@ if __name__ == "__main__":
     try:
         sys.exit(main())
     except (FileNotFoundError, RuntimeError, AssertionError) as problem:
-        said(problem)
+        log(problem)
         sys.exit(2)

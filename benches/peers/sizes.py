@@ -1,4 +1,4 @@
-"""Bytes of every peer for every take and tolerance: rows ready for JSON."""
+"""Bytes of every peer for every take and tolerance, as rows for JSON."""
 
 from concurrent.futures import ProcessPoolExecutor
 
@@ -11,7 +11,7 @@ TOLERANCES_MM = (0.1, 0.5, 1.0, 5.0, 10.0, 20.0)
 
 
 def rows_of(path, cache_folder, codec_name, tolerances_mm):
-    """One codec on one take."""
+    """The rows of one codec for one take."""
     take = takes.load(path)
     cache = Cache(cache_folder, take.sha256, codec_name)
     codec = next(c for c in all_codecs() if c.name == codec_name)
@@ -28,10 +28,10 @@ def rows_of(path, cache_folder, codec_name, tolerances_mm):
 
 
 def smallest(take, codec, cache, tolerance_mm, tuned):
-    """The smallest result over the ways to fill gaps, and that way; None where the codec refuses the take."""
+    """The smallest result over the methods of gap filling, and the method; None where the codec refuses the take."""
     found = []
     for filled in take.fills[:1] if codec.lossless else take.fills:
-        # What has no bound has one size.
+        # A lossless codec has one size for all tolerances.
         at = 0.0 if codec.lossless else tolerance_mm
         plain = codec.tuned and not tuned
         compute = lambda: codec.best(filled, tolerance_mm, tuned)  # noqa: E731
@@ -43,7 +43,8 @@ def smallest(take, codec, cache, tolerance_mm, tuned):
 
 def row(take, codec, tolerance_mm, result, mask):
     if not result.max_error_mm <= tolerance_mm:
-        raise AssertionError(f"{codec.name} on {take.name}: {result.max_error_mm} mm for {tolerance_mm} mm")
+        error_mm = result.max_error_mm
+        raise AssertionError(f"{codec.name} on {take.name}: error {error_mm} mm exceeds {tolerance_mm} mm")
     return {
         "take": take.name,
         "samples": take.samples,
@@ -59,10 +60,10 @@ def row(take, codec, tolerance_mm, result, mask):
     }
 
 
-def all_rows(paths, cache_folder, processes=2, said=lambda text: None, found=lambda rows: None, names=None):
-    """Rows of all codecs, or those with these names, on all takes.
+def all_rows(paths, cache_folder, processes=2, log=lambda text: None, found=lambda rows: None, names=None):
+    """Rows of all codecs, or of those in `names`, for all takes.
 
-    As each codec ends a take, `said` gets a line and `found` all rows so far.
+    After each pair of codec and take, `log` is called with a line of progress and `found` with all rows so far.
     """
     jobs = [(path, codec.name) for codec in all_codecs() if not names or codec.name in names for path in paths]
     rows = []
@@ -70,6 +71,6 @@ def all_rows(paths, cache_folder, processes=2, said=lambda text: None, found=lam
         futures = [pool.submit(rows_of, path, cache_folder, name, TOLERANCES_MM) for path, name in jobs]
         for number, ((path, name), future) in enumerate(zip(jobs, futures), 1):
             rows += future.result()
-            said(f"{number}/{len(jobs)} {name}: {path.stem}")
+            log(f"{number}/{len(jobs)} {name}: {path.stem}")
             found(rows)
     return rows

@@ -4,7 +4,7 @@ import statistics
 
 from bars import DENSE, SPEED_RAW_BYTES_MIN, best_peers, cell, of
 
-SPEED_WORDS = (
+SPEED_TEXT = (
     "Speed, MB/s of 12 bytes a sample present, one thread, median over the takes of "
     f"{SPEED_RAW_BYTES_MIN // 1000} kB and more that are not filtered. "
     "Peers are timed in the layout and setting that made them smallest. In the q+delta rows quantising, differences "
@@ -22,7 +22,7 @@ def tolerances_of(rows):
 
 
 def median_ratios(rows, key, tolerances):
-    """Name -> {tolerance: median ratio over the takes that are not filtered}; the smallest take counts like any."""
+    """Name -> {tolerance: median ratio over the takes that are not filtered}; every take has the same weight."""
     ratios = {}
     for row in rows:
         if not row["filtered"] and row["tolerance_mm"] in tolerances:
@@ -32,7 +32,7 @@ def median_ratios(rows, key, tolerances):
 
 
 def by_ratio(ratios):
-    """Names, the densest at 1 mm first."""
+    """Names, in descending order of the ratio at 1 mm."""
     return sorted(ratios, key=lambda name: -ratios[name].get(1.0, 0.0))
 
 
@@ -48,7 +48,7 @@ def ratio_table(peers, ours):
 
 
 def cell_table(peers, ours):
-    """Each take and tolerance: bytes and name of the best peer, ours, the factor."""
+    """For each take and tolerance: bytes and name of the best peer, bytes of mocapd, their quotient."""
     tolerances = tolerances_of(peers)
     best, dense = best_peers(peers), of(ours, "resampler", DENSE)
     takes = {row["take"]: row for row in peers}
@@ -99,6 +99,6 @@ def everything(peers, ours, speeds, versions):
         cell_table(peers, ours),
     ]
     if speeds:
-        parts += [SPEED_WORDS, speed_table(speeds, ours)]
+        parts += [SPEED_TEXT, speed_table(speeds, ours)]
     parts.append("Versions: " + ", ".join(versions) + ".")
     return "\n\n".join(parts) + "\n"

@@ -1,4 +1,4 @@
-"""Reads a take for the bench: positions in millimetres as float32, gaps filled for codecs that know no gaps.
+"""Reads a take for the bench: positions in millimetres as float32, with filled gaps for codecs without gaps.
 
 The readers are those of `tests/oracle`, which share no code with mocapd.
 """
@@ -17,8 +17,8 @@ import readers  # noqa: E402
 
 SUFFIXES = {".c3d", ".trc", ".tsv", ".csv"}
 
-# Filtered until almost no sensor noise is left: such takes compress far better than recorded data,
-# so they are shown but stay out of every headline.
+# Takes that were low-pass filtered until almost no sensor noise was left. They compress far better than recorded data,
+# so they are listed but excluded from every summary.
 FILTERED = ("two_vertical_jumps_51p", "walk_159p")
 
 
@@ -31,11 +31,11 @@ class BenchTake:
     sha256: str
     rate_hz: float
     positions_mm: np.ndarray
-    gaps: str = "linear"  # what `filled` has in gaps: "linear", or "held" (the last position before)
+    gaps: str = "linear"  # how `filled` fills gaps: "linear", or "held" (with the last position before the gap)
 
     @property
     def fills(self):
-        """The take with each way to fill its gaps; itself alone when it has none."""
+        """The take with each method of gap filling; only itself when it has no gaps."""
         return [self] if self.present.all() else [replace(self, gaps=gaps) for gaps in ("linear", "held")]
 
     @property
@@ -53,7 +53,7 @@ class BenchTake:
 
     @property
     def raw_bytes(self):
-        """Three float32 for each sample that is present; a missing one counts nothing."""
+        """Three float32 for each sample that is present; missing samples do not count."""
         return 12 * self.samples
 
     @property
@@ -62,12 +62,14 @@ class BenchTake:
 
     @cached_property
     def filled(self):
-        """Float32 (markers * 3, frames), C order: one channel a row; both ends held, empty markers 0."""
+        """Float32 (markers * 3, frames), C order, one channel per row. Gaps at both ends hold the nearest position;
+        markers without samples are 0."""
         return fill(self.positions_mm, self.present, self.gaps)
 
 
 def fill(positions_mm, present, gaps):
-    """Linear suits the scientific codecs; held makes zero differences, which suits the quantised ones."""
+    """Fills gaps: linear interpolation suits the scientific codecs; a held position has zero differences, which suits
+    the quantising ones."""
     frames = np.arange(len(positions_mm))
     channels = np.ascontiguousarray(positions_mm.transpose(1, 2, 0))
     for marker, here in enumerate(present.T):
@@ -85,9 +87,8 @@ def fill(positions_mm, present, gaps):
 
 
 def max_error_mm(take, channels):
-    """Largest Euclidean distance over the samples present, in float64; `channels` as in `filled`, any dtype.
-
-    What is compared is what a reader gets back: float32.
+    """Largest Euclidean distance over the samples present, computed in float64; `channels` has the layout of `filled`
+    and any dtype. It is rounded to float32 first, the type that a reader receives.
     """
     frames, markers, _ = take.shape
     decoded = channels.astype(np.float32).reshape(markers, 3, frames).transpose(2, 0, 1)

@@ -1,7 +1,7 @@
-"""Speed of the peers: one process, one thread, the layout that was smallest, quantising and packing included.
+"""Speed of the peers: one process, one thread, in the smallest layout, quantisation and packing included.
 
-MB/s are of 12 bytes for each sample present, the same base as mocapd's own figures. Arrays are laid out for SZ3 and
-SPERR before the clock starts.
+MB/s count 12 bytes for each sample present, like the figures of mocapd. The transposition of arrays for SZ3 and SPERR
+is not timed.
 """
 
 import statistics
@@ -9,13 +9,13 @@ import time
 
 from families.registry import all_codecs
 
-# A short take is encoded again until a measurement is long against the clock and the scheduler.
+# A short take is encoded repeatedly, so that a measurement is long compared with clock resolution and scheduling.
 SECONDS_MIN = 0.02
 REPEATS = 3
 
 
 def seconds(work):
-    """Median of 3 measurements, each the mean of enough calls."""
+    """Median of 3 measurements, each the mean of enough calls to last SECONDS_MIN."""
     start = time.perf_counter()
     work()
     calls = max(1, round(SECONDS_MIN / max(time.perf_counter() - start, 1e-6)))
@@ -29,7 +29,7 @@ def seconds(work):
 
 
 def fastest(rounds, names):
-    """The rows of several rounds, each as fast as in its fastest: what else a machine does makes nothing faster."""
+    """For each row, the highest speeds over the rounds: other load of the machine can only slow a measurement down."""
     best = {}
     for row in [row for rows in rounds for row in rows]:
         kept = best.setdefault(tuple(row[name] for name in names), row)
@@ -39,7 +39,7 @@ def fastest(rounds, names):
 
 
 def speed_rows(take, rows):
-    """Encode and decode MB/s of each timed codec at each tolerance of one take; `rows` as from sizes.rows_of."""
+    """Encode and decode MB/s of each timed codec at each tolerance of one take; `rows` come from sizes.rows_of."""
     timed = {codec.name: codec for codec in all_codecs() if codec.timed}
     out = []
     for row in rows:

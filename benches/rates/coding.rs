@@ -1,36 +1,36 @@
-//! Columns of samples to blocks, cut as a recording cuts them, and back again to be sure.
+//! Encodes columns of samples in the stretches of a recording, then decodes the blocks and checks the tolerance.
 
 use anyhow::ensure;
 use mocapd_codec::{BlockReport, GROUP_CHANNELS, Position, Rows, Settings};
 
-/// Length of a stretch, and distance of key stretches, as a recording has them by default.
+/// Length of a stretch and interval of key stretches in seconds, the defaults of a recording.
 const STRETCH_S: f64 = 0.5;
 const KEY_S: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Coded {
-    /// Of all blocks.
+pub(crate) struct EncodedSize {
+    /// The sum over all blocks.
     pub(crate) bytes: usize,
     pub(crate) seconds: f64,
-    /// Largest distance of a sample from what the decoder gives back.
+    /// Largest distance between a sample and its decoded position.
     pub(crate) max_error_mm: f64,
 }
 
-impl Coded {
+impl EncodedSize {
     pub(crate) fn bytes_per_s(&self) -> f64 {
         self.bytes as f64 / self.seconds
     }
 }
 
-/// `columns` are samples at `rate_hz`, as many a marker.
+/// Encodes and decodes `columns`, one per marker, sampled at `rate_hz` and equally long.
 ///
 /// # Errors
-/// When the codec refuses, or the tolerance is not kept.
-pub(crate) fn code(
+/// When the codec refuses the samples, or an error exceeds the tolerance.
+pub(crate) fn encode(
     settings: &Settings,
     columns: &[Vec<Position>],
     rate_hz: f64,
-) -> anyhow::Result<Coded> {
+) -> anyhow::Result<EncodedSize> {
     let n_rows = columns.first().map_or(0, Vec::len);
     let stretch_rows = (STRETCH_S * rate_hz).floor().max(1.0) as usize;
     let key_rows = (KEY_S * rate_hz).floor() as usize;
@@ -52,7 +52,8 @@ pub(crate) fn code(
             encoder.encode(&rows, &[], key, &mut block, &mut reports)?;
             bytes += block.len();
             decoder.decode(&block, &[], n, key, &mut decoded)?;
-            ensure!(decoded.len() == group.len(), "channels are missing");
+            let (n, n_decoded) = (group.len(), decoded.len());
+            ensure!(n_decoded == n, "decoded {n_decoded} channels, expected {n}");
             for (rows, decoded) in rows.iter().zip(&decoded) {
                 for (a, b) in rows.positions().iter().zip(&decoded.positions) {
                     max_error_mm = max_error_mm.max(distance_mm(*a, *b));
@@ -61,8 +62,11 @@ pub(crate) fn code(
         }
     }
     let tolerance_mm = settings.tolerance.mm();
-    ensure!(max_error_mm <= tolerance_mm, "{max_error_mm} mm of error at {tolerance_mm} mm");
-    Ok(Coded { bytes, seconds: n_rows as f64 / rate_hz, max_error_mm })
+    ensure!(
+        max_error_mm <= tolerance_mm,
+        "an error of {max_error_mm} mm exceeds the tolerance of {tolerance_mm} mm"
+    );
+    Ok(EncodedSize { bytes, seconds: n_rows as f64 / rate_hz, max_error_mm })
 }
 
 fn distance_mm(a: Position, b: Position) -> f64 {

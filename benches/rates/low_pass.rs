@@ -1,31 +1,30 @@
 //! A low-pass filter that can be evaluated between samples: smoothing and resampling in one step.
 //!
-//! A sinc under a Kaiser window (Kaiser, "Nonrecursive digital filter design using the I0-sinh window
-//! function", 1974), symmetric and so without a phase.
+//! A sinc with a Kaiser window (Kaiser, "Nonrecursive digital filter design using the I0-sinh window function", 1974).
+//! It is symmetric, so its phase is zero.
 
 use std::f64::consts::PI;
 
 use crate::RATES_HZ;
 
-/// From here up nothing is left: just below half the lowest rate, so that every rate holds all of it.
+/// Stop band edge: just below half the lowest rate, so that every rate represents the filtered motion in full.
 pub(crate) const STOP_HZ: f64 = RATES_HZ[0] / 2.0 - 1.0;
 
-/// From what is kept whole to what is gone. Narrower, the filter would need more of both ends of a
-/// take; wider, it would flatten the motion, which in running reaches to about 20 Hz.
+/// Width of the transition from pass band to stop band. A narrower one would lengthen the filter, which would consume
+/// more of both ends of a take; a wider one would attenuate the motion, which in running extends to about 20 Hz.
 const TRANSITION_HZ: f64 = 10.0;
 
-/// How far down what should be gone is: 100 dB make 10 um of a metre.
+/// Attenuation of the stop band: 100 dB reduce an amplitude of one metre to 10 um.
 const STOP_DB: f64 = 100.0;
 
-/// Where half of the amplitude passes.
+/// The frequency at which the amplitude is halved.
 const CUTOFF_HZ: f64 = STOP_HZ - TRANSITION_HZ / 2.0;
 
-/// How far the filter looks to both sides, in seconds: Kaiser's length, (dB - 7.95) / 14.36 over the
-/// transition, halved.
+/// Half the length of the filter in seconds. Kaiser's formula for the length is (dB - 7.95) / 14.36 / transition.
 pub(crate) const HALF_WIDTH_S: f64 = (STOP_DB - 7.95) / 14.36 / TRANSITION_HZ / 2.0;
 
-/// The weight of a sample so many seconds away. Weights are to be divided by their sum, which leaves
-/// a marker at rest exactly where it is.
+/// The weight of a sample at a distance of `away_s` seconds. The caller divides by the sum of the weights, so that a
+/// marker at rest keeps its position exactly.
 pub(crate) fn weight(away_s: f64) -> f64 {
     let part = away_s / HALF_WIDTH_S;
     if part.abs() >= 1.0 {

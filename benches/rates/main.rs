@@ -1,14 +1,14 @@
-//! What a higher rate costs: one recorded motion, sampled at 60 to 1000 Hz, coded as a recording codes it.
+//! Bytes against sampling rate: one recorded motion, sampled at 60 to 1000 Hz and encoded as in a recording.
 //!
 //! `cargo bench --bench rates -- TAKE... [--plot FILE.svg] [--csv FILE]`
 //!
-//! Each take is smoothed until nothing is left above 29 Hz, so that every rate can carry the same motion.
-//! What the smoothing took away is the sensor's noise: it is measured, and added to every sample anew.
-//! Prints Markdown. The bytes are those of the blocks; what frames a stretch and its time line are left
-//! out, and measured by the bench `recorded`.
+//! A low-pass filter removes everything above 29 Hz from each take, so that every rate can represent the same motion.
+//! The residual is the noise of the sensor: its level is measured, and white noise of this level is added to every
+//! sample again. Prints Markdown. The bytes are those of the blocks; the framing of a stretch and its time line are
+//! left out, because the bench `recorded` measures them.
 
 #![expect(clippy::print_stdout, reason = "a tool that prints its result")]
-#![expect(clippy::print_stderr, reason = "a tool that tells how far it is")]
+#![expect(clippy::print_stderr, reason = "a tool that reports its progress")]
 
 mod coding;
 mod low_pass;
@@ -33,7 +33,7 @@ const RATES_HZ: [f64; 5] = [60.0, 120.0, 240.0, 500.0, 1000.0];
 const TOLERANCES_MM: [f64; 3] = [0.5, 1.0, 5.0];
 const RESAMPLERS: [ResamplerKind; 2] = [ResamplerKind::Dense, ResamplerKind::Fast];
 
-/// The noise is the same in every run.
+/// Seed of the noise, so that every run adds the same.
 const SEED: u64 = 1;
 
 const USAGE: &str = "use TAKE... [--plot FILE.svg] [--csv FILE]";
@@ -45,11 +45,11 @@ fn main() -> anyhow::Result<()> {
         match arg.as_str() {
             "--plot" => plot_to = Some(args.next().context("--plot needs a file")?),
             "--csv" => csv_to = Some(args.next().context("--csv needs a file")?),
-            word if word.starts_with('-') => bail!("unknown option {word}: {USAGE}"),
+            option if option.starts_with('-') => bail!("unknown option {option}: {USAGE}"),
             _ => takes.push(PathBuf::from(arg)),
         }
     }
-    ensure!(!takes.is_empty(), "no .c3d, .trc, .tsv or .csv take is given: {USAGE}");
+    ensure!(!takes.is_empty(), "name at least one .c3d, .trc, .tsv or .csv take: {USAGE}");
     let mut studies = Vec::new();
     for take in &takes {
         eprintln!("{}", take.display());
@@ -69,7 +69,7 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn study(take: &Path) -> anyhow::Result<Study> {
-    let format = Format::from_extension(take).context("no known ending")?;
+    let format = Format::from_extension(take).context("unknown file extension")?;
     let motion = format.read(&std::fs::read(take)?)?;
     let smooth = Smooth::new(&motion)?;
     let noise = Noise::measure(&smooth);
@@ -83,8 +83,8 @@ fn study(take: &Path) -> anyhow::Result<Study> {
             for kind in RESAMPLERS {
                 for tolerance_mm in TOLERANCES_MM {
                     let tolerance = Tolerance::from_mm(tolerance_mm)?;
-                    let coded = coding::code(&Settings { kind, tolerance }, &columns, rate_hz)?;
-                    points.push(Point { kind, tolerance_mm, rate_hz, is_noisy, coded });
+                    let size = coding::encode(&Settings { kind, tolerance }, &columns, rate_hz)?;
+                    points.push(Point { kind, tolerance_mm, rate_hz, is_noisy, size });
                 }
             }
         }

@@ -1,7 +1,7 @@
-//! The sensor's noise: what is left of a take without its motion, where no motion reaches.
+//! The noise of the sensor, measured in the residual of the low-pass filter where there is no motion.
 //!
-//! Feet that strike the ground reach beyond the filter's end, and a marker that was taken for another
-//! reaches everywhere. So noise is what lies in the uppermost band, in the median window of time.
+//! The impact of a foot on the ground has power above the stop band edge of the filter, and two swapped markers have
+//! power at every frequency. The noise is therefore measured in the uppermost band, in the median window of time.
 
 use std::f64::consts::PI;
 
@@ -10,29 +10,29 @@ use mocapd_simulator::generator::Rng;
 
 use crate::{low_pass::STOP_HZ, report::median, smooth::Smooth};
 
-/// Parts of the band between the filter's end and half the take's rate.
+/// Number of equal bands between the stop band edge of the filter and half the rate of the take.
 pub(crate) const BANDS: usize = 3;
 
-/// Long enough for a handful of frequencies in each band, short enough to pass between two strides.
+/// Length of a window: long enough for several frequency bins in each band, short enough to fit between two strides.
 const WINDOW_S: f64 = 0.5;
 
-/// One band: root power densities in millimetres per square root of a Hz, of every marker and axis.
+/// One band: amplitude spectral densities in mm/sqrt(Hz), for every marker and axis.
 #[derive(Debug)]
 pub(crate) struct Band {
     pub(crate) from_hz: f64,
     pub(crate) to_hz: f64,
-    /// In the median window.
+    /// The density in the median window.
     pub(crate) typical: Vec<[f64; 3]>,
-    /// Over all windows.
+    /// The root mean power over all windows, impacts and swapped markers included.
     pub(crate) mean: Vec<[f64; 3]>,
 }
 
 #[derive(Debug)]
 pub(crate) struct Noise {
-    /// From the filter's end upwards.
+    /// In ascending order, from the stop band edge of the filter.
     pub(crate) bands: [Band; BANDS],
-    /// Standard deviation of every marker on each axis, in millimetres: white noise as dense as the
-    /// uppermost band, up to half the take's rate.
+    /// Standard deviation of every marker on each axis, in millimetres: that of white noise with the density of the
+    /// uppermost band up to half the rate of the take.
     pub(crate) sigma_mm: Vec<[f64; 3]>,
 }
 
@@ -50,8 +50,8 @@ impl Noise {
         Self { sigma_mm: sigma_mm.collect(), bands }
     }
 
-    /// Adds white noise, each marker's own on each axis: no two samples share any of it, however close
-    /// they are, which is the hardest case for a codec.
+    /// Adds white noise with the standard deviation of each marker and axis. It is independent from sample to sample at
+    /// every rate, which is the hardest case for a codec.
     pub(crate) fn add_to(&self, columns: &mut [Vec<Position>], seed: u64) {
         for (index, (column, sigma_mm)) in columns.iter_mut().zip(&self.sigma_mm).enumerate() {
             let mut rng = Rng::stream(seed, index as u64);
@@ -76,7 +76,7 @@ impl Band {
     }
 }
 
-/// Recorded less smoothed: by marker and axis, a value an inner frame.
+/// Recorded minus smoothed positions: for each marker and axis, one value per inner frame.
 fn residuals(smooth: &Smooth) -> Vec<[Vec<f64>; 3]> {
     let mut residuals: Vec<[Vec<f64>; 3]> = vec![Default::default(); smooth.n_markers];
     let mut row = Vec::new();
@@ -92,7 +92,7 @@ fn residuals(smooth: &Smooth) -> Vec<[Vec<f64>; 3]> {
     residuals
 }
 
-/// One-sided power density of a band in windows that overlap by half (Welch 1967), each under a Hann
+/// One-sided power spectral density of a band in each of the half-overlapping segments (Welch 1967), with a Hann
 /// window.
 fn powers(values: &[f64], rate_hz: f64, from_hz: f64, to_hz: f64) -> Vec<f64> {
     let n = (WINDOW_S * rate_hz) as usize;
@@ -113,7 +113,7 @@ fn powers(values: &[f64], rate_hz: f64, from_hz: f64, to_hz: f64) -> Vec<f64> {
     values.windows(n).step_by(n / 2).map(of_window).collect()
 }
 
-/// The squared magnitude of the Fourier sum at one angle a sample (Goertzel 1958).
+/// The squared magnitude of the Fourier sum at one angular frequency, in radians per sample (Goertzel 1958).
 fn goertzel(values: &[f64], angle: f64) -> f64 {
     let twice = 2.0 * angle.cos();
     let (mut last, mut before) = (0.0, 0.0);

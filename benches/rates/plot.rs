@@ -1,4 +1,4 @@
-//! Bytes a second against the rate, both axes logarithmic, a panel a take.
+//! Bytes per second against the sampling rate, both axes logarithmic, one panel per take.
 
 use anyhow::{Context, anyhow};
 use mocapd_codec::ResamplerKind;
@@ -11,21 +11,21 @@ use plotters::{
 
 use crate::{RATES_HZ, RESAMPLERS, TOLERANCES_MM, report::Study};
 
-/// Of a panel, in pixels.
+/// Width and height of a panel in pixels.
 const SIZE: (u32, u32) = (600, 600);
-/// Room for the names behind the lines.
+/// Width of the margin for the labels to the right of the lines.
 const NAMES: u32 = 130;
-/// Least distance of two names.
+/// Least vertical distance between two labels.
 const NAME_GAP: i32 = 17;
 const FONT: &str = "Helvetica, Arial, sans-serif";
-/// Heights of letters as the drawing library counts them, 1.24 to a pixel.
-const WORDS: u32 = 17;
+/// Font sizes in the unit of the drawing library, 1.24 per pixel.
+const BODY: u32 = 17;
 const TITLE: u32 = 19;
 
 const INK: RGBColor = RGBColor(51, 51, 51);
 const GRID: RGBColor = RGBColor(225, 225, 225);
-/// A colour a tolerance, which those tell apart who see no red or no green (Okabe and Ito, "Color
-/// universal design", 2008).
+/// One colour per tolerance, distinguishable with red-green colour blindness (Okabe and Ito, "Color universal design",
+/// 2008).
 const COLOURS: [RGBColor; TOLERANCES_MM.len()] =
     [RGBColor(213, 94, 0), RGBColor(0, 114, 178), RGBColor(0, 148, 108)];
 
@@ -38,12 +38,12 @@ struct Line {
 }
 
 /// # Errors
-/// When the drawing library refuses.
+/// When the drawing library fails.
 pub(crate) fn svg(studies: &[Study]) -> anyhow::Result<String> {
     let mut text = String::new();
     let panels: Vec<Vec<Line>> = studies.iter().map(lines).collect();
     let all = || panels.iter().flatten().flat_map(|line| line.points.iter().map(|p| p.1));
-    // One scale for all panels, with a little air above and below.
+    // All panels share one scale, with a margin above and below.
     let low = 0.7 * all().fold(f64::MAX, f64::min);
     let high = 1.4 * all().fold(1.0, f64::max);
     {
@@ -89,7 +89,7 @@ fn panel(
 ) -> Result<(), Box<dyn std::error::Error>> {
     let title =
         format!("{} ({} markers, noise {:.2} mm)", study.name, study.n_markers, study.sigma_mm());
-    area.draw(&Text::new(title, (84, 22), words(TITLE, INK)))?;
+    area.draw(&Text::new(title, (84, 22), text_style(TITLE, INK)))?;
     let ticks = (0..12).flat_map(|i| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(i)));
     let ticks: Vec<f64> = ticks.filter(|tick| bytes.contains(tick)).collect();
     let (first, last) = (RATES_HZ[0], RATES_HZ[RATES_HZ.len() - 1]);
@@ -113,8 +113,8 @@ fn panel(
         .y_desc("bytes per second of motion")
         .x_label_formatter(&|hz| format!("{hz}"))
         .y_label_formatter(&|bytes| with_unit(*bytes))
-        .label_style((FONT, WORDS).into_font().color(&INK))
-        .axis_desc_style((FONT, WORDS).into_font().color(&INK))
+        .label_style((FONT, BODY).into_font().color(&INK))
+        .axis_desc_style((FONT, BODY).into_font().color(&INK))
         .draw()?;
     for line in lines {
         let style = line.colour.stroke_width(if line.is_dashed { 1 } else { 2 });
@@ -133,23 +133,23 @@ fn panel(
         let (x, end_y) = (end.0 - origin.0, end.1 - origin.1);
         let y = y - origin.1;
         area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
-        area.draw(&Text::new(line.name.clone(), (x + 17, y), words(WORDS, line.colour)))?;
+        area.draw(&Text::new(line.name.clone(), (x + 17, y), text_style(BODY, line.colour)))?;
     }
     Ok(())
 }
 
-/// Words that begin at a point, at half their height.
-fn words(size: u32, colour: RGBColor) -> TextStyle<'static> {
+/// Text anchored at its left end, vertically centred.
+fn text_style(size: u32, colour: RGBColor) -> TextStyle<'static> {
     let pos = Pos::new(HPos::Left, VPos::Center);
     TextStyle { font: (FONT, size).into_font(), color: colour.to_backend_color(), pos }
 }
 
-/// Heights of the names: near their lines' ends, never on each other.
+/// Vertical positions of the labels: close to the ends of their lines, without overlap.
 fn spread(ends: &[(i32, i32)]) -> Vec<i32> {
     let mut order: Vec<usize> = (0..ends.len()).collect();
     order.sort_by_key(|&i| ends[i].1);
     let mut heights: Vec<i32> = ends.iter().map(|end| end.1).collect();
-    // Two that are too close move apart by half of what is missing; neighbours follow in the next round.
+    // Two labels that are too close each move by half the missing distance; their neighbours follow in the next round.
     for _ in 0..200 {
         for pair in order.windows(2) {
             let missing = NAME_GAP - (heights[pair[1]] - heights[pair[0]]);

@@ -1,26 +1,26 @@
-//! The figures in words: Markdown for a page, CSV for a table.
+//! The figures as Markdown for the documentation and as CSV.
 
 use mocapd_codec::ResamplerKind;
 use mocapd_take::motion::Motion;
 
 use crate::{
     RATES_HZ, RESAMPLERS, TOLERANCES_MM,
-    coding::Coded,
+    coding::EncodedSize,
     noise::{BANDS, Noise},
     smooth::Smooth,
 };
 
-/// One version of the motion, coded in one way.
+/// One version of the motion, encoded with one resampler at one tolerance.
 #[derive(Debug)]
 pub(crate) struct Point {
     pub(crate) kind: ResamplerKind,
     pub(crate) tolerance_mm: f64,
     pub(crate) rate_hz: f64,
     pub(crate) is_noisy: bool,
-    pub(crate) coded: Coded,
+    pub(crate) size: EncodedSize,
 }
 
-/// One take in all versions.
+/// One take in all its versions.
 #[derive(Debug)]
 pub(crate) struct Study {
     pub(crate) name: String,
@@ -45,12 +45,12 @@ impl Study {
         Self { name, n_markers, markers_in_take, recorded_hz, seconds, noise, points }
     }
 
-    /// Three float32 a sample.
+    /// Bytes per second of the raw samples, three float32 each.
     pub(crate) fn raw_bytes_per_s(&self, rate_hz: f64) -> f64 {
         12.0 * self.n_markers as f64 * rate_hz
     }
 
-    /// Rate and bytes a second, the lowest rate first.
+    /// Pairs of rate in Hz and bytes per second, in ascending order of the rate.
     pub(crate) fn line(
         &self,
         kind: ResamplerKind,
@@ -60,22 +60,22 @@ impl Study {
         let of_line =
             |p: &&Point| p.kind == kind && p.tolerance_mm == tolerance_mm && p.is_noisy == is_noisy;
         let points = self.points.iter().filter(of_line);
-        points.map(|p| (p.rate_hz, p.coded.bytes_per_s())).collect()
+        points.map(|p| (p.rate_hz, p.size.bytes_per_s())).collect()
     }
 
-    /// The median axis of all markers, in millimetres.
+    /// The median standard deviation of the noise over all markers and axes, in millimetres.
     pub(crate) fn sigma_mm(&self) -> f64 {
         median(&mut self.noise.sigma_mm.iter().flatten().copied().collect::<Vec<_>>())
     }
 }
 
-/// The middle value; 0 of none.
+/// The upper median; 0 without values.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
-/// e in bytes ~ rate^e between the ends of a line: 1 is what raw samples do, 0 costs nothing.
+/// The exponent e of bytes ~ rate^e between the ends of a line: 1 for raw samples, 0 when a higher rate costs nothing.
 fn exponent(line: &[(f64, f64)]) -> f64 {
     let (Some(first), Some(last)) = (line.first(), line.last()) else { return f64::NAN };
     (last.1 / first.1).ln() / (last.0 / first.0).ln()
@@ -133,7 +133,7 @@ fn about(study: &Study) -> String {
     )
 }
 
-/// Of all markers, on each axis.
+/// The median over all markers, for each axis.
 fn median_axes(by_marker: &[[f64; 3]]) -> [f64; 3] {
     std::array::from_fn(|axis| {
         median(&mut by_marker.iter().map(|axes| axes[axis]).collect::<Vec<_>>())
@@ -145,12 +145,11 @@ pub(crate) fn csv(studies: &[Study]) -> String {
                     raw_bytes_per_s,max_error_mm\n"
         .to_owned();
     for study in studies {
-        for Point { kind, tolerance_mm, rate_hz, is_noisy, coded } in &study.points {
+        for Point { kind, tolerance_mm, rate_hz, is_noisy, size } in &study.points {
             let raw = study.raw_bytes_per_s(*rate_hz);
             let n_markers = study.n_markers;
-            let Coded { bytes, seconds, max_error_mm } = coded;
-            let (name, noise, bytes_per_s) =
-                (&study.name, u8::from(*is_noisy), coded.bytes_per_s());
+            let EncodedSize { bytes, seconds, max_error_mm } = size;
+            let (name, noise, bytes_per_s) = (&study.name, u8::from(*is_noisy), size.bytes_per_s());
             text += &format!(
                 "{name},{n_markers},{rate_hz},{noise},{kind},{tolerance_mm},{seconds:.4},{bytes},\
                  {bytes_per_s:.1},{raw:.0},{max_error_mm:.6}\n"

@@ -1,16 +1,16 @@
-"""What the confidence of a whole face has learned (`subject/face/data/face-confidence.bin`): how much each piece of evidence counts.
+"""Trains the confidence of a face (`subject/face/data/face-confidence.bin`), a logistic regression on its quality measures.
 
     MOCAPD_FACES=... cargo run --release -p mocapd-face --example faces_points confidence > ROWS
     python3 benches/subject/face_confidence.py ROWS subject/face/data/face-confidence.bin
 
-Needs numpy. ROWS are development photographs and drawn faces, each begun from places more and less beside it and from where
-it is detected; no other photograph is opened. A face is good if its points are off by less than a tenth of the distance of
-the outer eye corners, on the mean. Photographs, the renders among them, count as much as all drawn faces together.
-The chain begins a face again that is not sure, so that rows depend a little on what was learned before: the constants are
-learned from those of the first beginning alone (`SURE` of `points/chain.rs` at 0).
-A logistic regression by Newton's steps, with a normal prior on the weights of the standardised terms; terms whose weight has
-the wrong sign are left out, one after the other. Writes the constant, then weight, least and largest value of each
-term, as doubles; prints them, and what they are worth on faces that were left out (a tenth at a time).
+Needs numpy. ROWS are development photographs and drawn faces, each fitted from start positions at several offsets and from
+its detected position; no other photograph is read. A face is good if the mean error of its points is below a tenth of the
+distance between the outer eye corners. Photographs, including the renders, have the same total weight as all drawn faces.
+The fit restarts when its confidence is low, so the rows depend slightly on the previous constants. Train therefore on the
+results of the first start alone (`SURE` of `points/chain.rs` at 0).
+The regression uses Newton's method with a normal prior on the weights of the standardised terms. Terms whose weight has the
+wrong sign are removed one by one. The script writes the constant, then weight, minimum and maximum of each term, as
+doubles. It prints them, and the results of a tenfold cross-validation.
 """
 
 import sys
@@ -19,14 +19,14 @@ import numpy as np
 
 BAD_PERCENT = 10
 NAMES = ["clear", "eyes", "brows", "nose", "mouth", "outline", "misfit", "strain", "nod", "turn off", "glance off"]
-# Whether more of it speaks for a face.
+# 1 where a larger value indicates a better face, else -1.
 SIGNS = np.array([1, 1, 1, 1, 1, 1, -1, -1, -1, -1, -1])
 RANGES = np.array([(0, 1), (0, 0.6), (0, 0.3), (0, 0.6), (0, 0.6), (0.2, 1), (0, 0.4), (0, 30), (0, 40), (0, 40), (0, 12)])
 PRIOR = 1.0
 
 
 def logistic(x, good, weight):
-    """Constant and weights of the columns of x; a column that would count the wrong way round has none."""
+    """Constant and weights of the columns of x; the weight is 0 for columns that would have the wrong sign."""
     kept = list(range(x.shape[1]))
     while True:
         mean, sd = x[:, kept].mean(0), x[:, kept].std(0) + 1e-9
@@ -48,7 +48,7 @@ def logistic(x, good, weight):
 
 
 def area(sure, good):
-    """Share of pairs of a good and a bad face that are told apart."""
+    """Area under the ROC curve: the share of pairs of a good and a bad face in the correct order."""
     return np.mean(sure[good][:, None] > sure[~good][None, :])
 
 
@@ -68,7 +68,7 @@ def main():
         table += [float(f"{w:.3f}"), low, high]
         print(f"{what}: {w:.3f}, {low:.1f} to {high:.1f}")
     np.array(table, "<f8").tofile(sys.argv[2])
-    # All starts of a face, and all faces of a photograph, are left out together.
+    # All starts of a face, and all faces of a photograph, belong to the same fold.
     tenth = {n: i % 10 for i, n in enumerate(sorted(set(name), key=lambda n: (n.startswith("drawn"), n)))}
     tenths = np.array([tenth[n] for n in name])
     sure = np.zeros(len(x))

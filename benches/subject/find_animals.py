@@ -1,17 +1,16 @@
-"""Pictures of animals and things, for `find_again.py`: they have eyes and noses, and none of them is a face.
+"""Makes pictures of animals and objects for `find_again.py`: negatives that resemble faces.
 
     apt-get download tuxpaint-stamps-default && dpkg -x tuxpaint-stamps-default_*.deb DEBIAN
     python3 benches/subject/find_animals.py STAMPS WORK
 
-Needs numpy, scipy, pillow, and scikit-image and scikit-learn, whose pictures without faces are backgrounds. STAMPS, which
-is DEBIAN/usr/share/tuxpaint/stamps, are those of Tux Paint, version 2022.06.04 as Debian has it (GPL 2, Bill Kendrick and
-others), nearly all of them photographs that were cut out: 128 of animals, 184 of food, plants, tools, instruments, signs and
-vehicles. None of these shows a human face; people, clothes, feasts, coins, space and soldiers, among others, and all
-cartoons are left out. Seeded. A third of the stamps is on a third of the pictures, and those whose names begin with the same
-word, which may be of the same animal or each other's mirror images, are in the same third: so animals are held out with all
-pictures of them.
+Needs numpy, scipy, pillow, and scikit-image and scikit-learn, whose pictures without faces are backgrounds. STAMPS is
+DEBIAN/usr/share/tuxpaint/stamps, the stamps of Tux Paint, version 2022.06.04 of Debian (GPL 2, Bill Kendrick and others).
+Nearly all are cut-out photographs: 128 of animals, 184 of food, plants, tools, instruments, signs and vehicles. None of
+these shows a human face; people, clothes, feasts, coins, space and soldiers, among others, and all cartoons are left out.
+The seed is fixed. Stamps and pictures are divided into three folds. Stamps whose names begin with the same word, which may
+show the same animal or be mirror images, share a fold, so that an animal is held out with all its pictures.
 
-Writes WORK/animals/animalsK_NNNN.png: up to three stamps, each of any size, before what random heads are before, too.
+Writes WORK/animals/animalsK_NNNN.png: up to three stamps of random size on the backgrounds of the random heads.
 """
 
 import re
@@ -39,7 +38,7 @@ def stamps(folder, kinds):
 
 
 def stamped(image, stamp, random):
-    """A stamp of 150 to 1100 pixels somewhere on the picture, mirrored, rolled and lit anyhow."""
+    """Draws a stamp of 150 to 1100 pixels at a random place, with random mirroring, roll and light."""
     scale = np.exp(random.uniform(np.log(150), np.log(1100))) / max(stamp.size)
     scale = min(scale, 5)
     stamp = stamp.resize([max(8, int(side * scale)) for side in stamp.size], Image.BICUBIC)
@@ -48,7 +47,7 @@ def stamped(image, stamp, random):
     pixels = np.asarray(stamp, np.float32) / 255
     light = 1 + np.clip(random.normal(0, 0.4), -0.9, 0.9) * np.linspace(-1, 1, pixels.shape[1])[None, :, None]
     pixels[..., :3] = np.clip(pixels[..., :3], 0, 1) ** np.exp(random.normal(0, 0.3)) * light
-    # Some point of the stamp on some point of the picture.
+    # A random point of the stamp coincides with a random point of the picture.
     x, y = (int(random.uniform(0.1, 0.9) * whole - random.uniform(0.15, 0.85) * part)
             for whole, part in ((WIDE, pixels.shape[1]), (HIGH, pixels.shape[0])))
     left, top, right, bottom = max(0, x), max(0, y), min(WIDE, x + pixels.shape[1]), min(HIGH, y + pixels.shape[0])
@@ -59,7 +58,7 @@ def stamped(image, stamp, random):
 
 def main(folder, work):
     if not folder.is_dir():
-        sys.exit(f"{folder} is no folder of stamps")
+        sys.exit(f"{folder}: not a folder; expected the stamps of Tux Paint")
     animals, things, behind = stamps(folder, ANIMALS), stamps(folder, THINGS), backgrounds()
     work.mkdir(parents=True, exist_ok=True)
     for number in range(PICTURES):

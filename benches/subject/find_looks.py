@@ -1,4 +1,5 @@
-"""The trees of `face/find` that tell a face from what only fits the template: `subject/face/data/face-first-trees.bin`.
+"""Trains the first-stage face classifier of `face/find`, which rejects false matches of the template:
+`subject/face/data/face-first-trees.bin`.
 
     DATA=subject/face/data BUILD="cargo build --release --locked -p mocapd-face --example faces_found"
     $BUILD && python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK              # pictures with known faces
@@ -6,14 +7,15 @@
     python3 benches/subject/find_align.py WORK first > $DATA/face-align-first.bin && $BUILD
     python3 benches/subject/find_align.py WORK second > $DATA/face-align-second.bin && $BUILD
     python3 benches/subject/find_looks.py WORK > $DATA/face-first-trees.bin && $BUILD
-    python3 benches/subject/find_looks.py WORK held                                    # what is found when held out
+    python3 benches/subject/find_looks.py WORK held                                    # detections on held-out pictures
 
-Needs what those need; `faces_found` gives the looks of what the search proposes on every picture. Seeded: the same twice.
-Learned on: the pictures of `find_pictures.py`; random heads; the pictures without faces six times turned, scaled, lit and
-inverted; heads upside down. A look is a face if both eyes are within 0.2 of the
-outer eye corners' distance and the mouth within 0.3; it is left out below 0.45, on faces turned by more than 50 degrees,
-and where hair hides an eye. Each face counts once. Of what is none, the surest eight of a picture and eight others
-are learned from; then, once, the fifteen that the trees themselves are surest of.
+Needs the packages of these scripts. The example `faces_found` prints the features of all candidates of a picture. The result
+is deterministic, because all seeds are fixed. Training data: the pictures of `find_pictures.py`; random heads; six variants
+of each picture without faces, rotated, scaled, with other light and inverted; heads upside down. A candidate is a face if
+both eyes are within 0.2 of the distance between the outer eye corners and the mouth within 0.3. Other candidates with the
+eyes within 0.45 are left out, as are those on faces with a yaw of more than 50 degrees or with an eye hidden by hair. Each
+face has the weight 1. Negatives are the eight best candidates of a picture and eight random others; after half of the rounds,
+the fifteen with the highest scores of the trees are added once.
 """
 
 import json
@@ -34,13 +36,13 @@ SCORES, LOOK, WIDE = 8, 1000, 10
 MIRRORED = np.arange(LOOK).reshape(WIDE, WIDE, 10)[:, ::-1][..., [4, 3, 2, 1, 0, 7, 6, 5, 8, 9]].ravel()
 COUNTS = {"head": 1.0, "lfw": 1.0, "drawn": 0.3}
 ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 300, 0.1, 5.0, 60, 0.15
-# What is taken off the sum: held out, one in a hundred pictures without faces has a place with more.
+# Subtracted from the score: one in a hundred held-out pictures without faces has a candidate above it.
 ZERO, HELD = 0.3, 3
 UPSIDE_DOWN = 160
 
 
 def without_faces(work):
-    """Six more of each picture without faces, and heads upside down."""
+    """Writes six variants of each picture without faces, and heads upside down."""
     random, folder = np.random.default_rng(5), work / "neg"
     if folder.exists():
         return
@@ -66,26 +68,26 @@ def without_faces(work):
 
 
 def looks(paths, which="looks", length=LOOK):
-    """Of each picture: where its hypotheses are, and how they look."""
+    """Yields the positions and the features of the candidates of each picture."""
     finder = Path(os.environ.get("CARGO_TARGET_DIR", "target")) / "release/examples/faces_found"
 
-    def told(part):
+    def output_of(part):
         return subprocess.run([finder, which, *map(str, part)], capture_output=True, check=True).stdout
 
     parts = [paths[first : first + 50] for first in range(0, len(paths), 50)]
     with ThreadPoolExecutor(2) as two:
-        for part, bytes_told in zip(parts, two.map(told, parts)):
+        for part, output in zip(parts, two.map(output_of, parts)):
             at = 0
             for _ in part:
-                count = int(np.frombuffer(bytes_told, "<f4", 1, at)[0])
+                count = int(np.frombuffer(output, "<f4", 1, at)[0])
                 row = 4 * SCORES + length
-                rows = np.frombuffer(bytes_told, np.uint8, count * row, at + 4).reshape(count, row)
+                rows = np.frombuffer(output, np.uint8, count * row, at + 4).reshape(count, row)
                 at += 4 + count * row
                 yield np.ascontiguousarray(rows[:, : 4 * SCORES]).view("<f4"), rows[:, 4 * SCORES :]
 
 
 def label(places, faces):
-    """1 a face, 0 none, -1 neither; and which."""
+    """Labels of the candidates (1 a face, 0 no face, -1 to be ignored), and the index of the face."""
     kind, which = np.zeros(len(places), int), np.full(len(places), -1)
     for i, face in enumerate(faces):
         far = np.hypot(*np.moveaxis(places[:, :6].reshape(-1, 3, 2) - np.array(face["points"]), 2, 0)) / face["io"]
@@ -98,7 +100,7 @@ def label(places, faces):
 
 
 class Rows:
-    """Every hypothesis: its look, whether it is a face, what it counts, and which picture it is of."""
+    """All candidates: features, label, weight, and index of the picture."""
 
     def __init__(self, work):
         paths, self.faces = pictures(work)
@@ -128,7 +130,7 @@ class Rows:
         return np.unique(np.concatenate(kept))
 
     def learn(self, part):
-        """Hypotheses come in the order of the template's fit: the surest of it are the first."""
+        """Trains the trees. The candidates of a picture are in descending order of the template score."""
         random = np.random.default_rng(1)
         kept = self.chosen(part, -np.arange(len(self.kind)), 8, 8, random)
         for rounds in (ROUNDS // 2, ROUNDS):
@@ -147,15 +149,15 @@ class Rows:
 
 
 def pictures(work):
-    """Those that may have faces, and the faces."""
+    """Paths of the pictures with known faces or none, and the faces on each."""
     truth = json.loads((work / "truth.json").read_text())
     heads = sorted((work / "heads").glob("head_*.png"))
     known = [json.loads(path.with_suffix(".json").read_text())["faces"] for path in heads]
     return [work / f"{name}.png" for name in truth] + heads, list(truth.values()) + known
 
 
-def tell(rows, sums):
-    """What is found of the faces that count, and what is false, at some sums, on pictures that were held out."""
+def print_results(rows, sums):
+    """Prints detected faces and false detections on held-out pictures for several limits of the score."""
     best, false = {}, {}
     for i, faces in enumerate(rows.faces):
         here = np.flatnonzero(rows.picture == i)
@@ -181,7 +183,7 @@ def main(work, held):
         sums = np.zeros(len(everything))
         for k in range(HELD):
             sums[rows.fold == k] = rows.sums(rows.learn(np.flatnonzero(rows.fold != k)), np.flatnonzero(rows.fold == k))
-        return tell(rows, sums)
+        return print_results(rows, sums)
     bias, trees = rows.learn(everything)
     sys.stdout.buffer.write(boost.table(bias - ZERO, trees))
 

@@ -1,14 +1,14 @@
-"""Whole photographs of animals, landscapes and buildings, for `find_again.py`: none of them shows a face.
+"""Makes pictures from photographs of animals, landscapes and buildings without faces, as negatives for `find_again.py`.
 
     apt-get download gcompris-qt-data && dpkg -x gcompris-qt-data_*.deb DEBIAN
     python3 benches/subject/find_photographs.py RESOURCES WORK
 
-Needs numpy and pillow. RESOURCES, which is DEBIAN/usr/share/gcompris-qt/rcc, are those of GCompris, version 3.1 as Debian has
-it (GPL 3 and free licences of its photographers): each file holds pictures in WebP, which are taken in their order. Statues
-are left out, and what shows people; apes are animals. Seeded.
+Needs numpy and pillow. RESOURCES is DEBIAN/usr/share/gcompris-qt/rcc, the resources of GCompris, version 3.1 of Debian
+(GPL 3 and free licences of its photographers). Each file contains WebP pictures, numbered in their order. Pictures of statues
+and people are left out; apes count as animals. The seeds are fixed.
 
-Writes WORK/gcompris/NAME_NNN_K.png: each of them in several sizes, turns, and lights. Those of a photograph are held out
-together.
+Writes WORK/gcompris/NAME_NNN_K.png: several variants of each photograph with random size, rotation and light. The variants
+of a photograph belong to one fold.
 """
 
 import io
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-# The files, which of their pictures are left out, and how often each other is written.
+# For each file: the pictures that are left out, and the number of variants of the others.
 FILES = {
     "erase": ((), 8),
     "explore_farm_animals": ((), 8),

@@ -1,16 +1,15 @@
-"""The pictures that the templates, regressions and trees of `face/find` learn from, and where faces are on them.
+"""Makes the training pictures for the templates, regressions and trees of `face/find`, with the positions of their faces.
 
     python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK
 
 Needs numpy, scipy, pillow, scikit-image and scikit-learn (whose own sample pictures are used), and
-`cargo build --release -p mocapd-face --example faces_found`. WORK is a folder for pictures that are made; where faces
-are on them is in WORK/truth.json. `find_template.py`, `find_align.py`, `find_looks.py` and `find_again.py` learn from
-these.
+`cargo build --release -p mocapd-face --example faces_found`. WORK is the folder for the pictures; WORK/truth.json has the
+positions of their faces. `find_template.py`, `find_align.py`, `find_looks.py` and `find_again.py` train on these.
 
-Pictures: the development photographs as they are and seven times turned, mirrored, made smaller (those of many small faces
-larger) and lit, blurred or noised otherwise; drawn faces; the 100 faces and 100 other pieces of scikit-image's subset of
-LFW, three times as large, their eyes where a face of sixteen strokes fits best around the usual place; and, without any
-face, the sample pictures of scikit-image and scikit-learn. No other photograph of MOCAPD_FACES is opened.
+Pictures: the development photographs and seven variants of each, rotated, mirrored, reduced (enlarged where the faces are
+small), with other light, blur or noise; drawn faces; the 100 faces and 100 other patches of scikit-image's subset of LFW,
+enlarged three times, with the eyes where a drawing of sixteen strokes fits best near the usual position; and the sample
+pictures of scikit-image and scikit-learn without faces. No other photograph of MOCAPD_FACES is read.
 """
 
 import itertools
@@ -37,20 +36,20 @@ WITHOUT_FACES = [
     "grass.png", "gravel.png", "horse.png", "hubble_deep_field.jpg", "ihc.png", "microaneurysms.png",
     "moon.png", "motorcycle_left.png", "page.png", "retina.jpg", "rocket.jpg", "text.png",
 ]
-# scale, turn in degrees, mirrored, gamma, light from one side (share), blur and noise in pixels and grey levels
+# Scale, rotation in degrees, mirrored, gamma, gradient of light from one side, blur in pixels, noise in grey levels.
 CHANGES = [
     (1, 12, True, 1, 0, 0, 0), (0.75, -10, False, 1.4, 0, 0, 4), (0.87, 20, False, 0.75, 0.6, 0, 0),
     (0.6, 0, True, 1, -0.6, 0.8, 3), (0.66, -25, True, 1.2, 0.3, 0, 0), (0.9, -4, True, 1, 0.7, 1.2, 2),
     (0.5, 5, False, 0.8, -0.4, 0, 5),
 ]
-# Faces of 17 to 28 pixels, on the photographs of many, are made this much larger.
+# Magnification of photographs with many faces of 17 to 28 pixels.
 LARGER = 2.4
-# Pictures of the seeded renderer.
+# Range of seeds of the renderer.
 DRAWN = (100000, 100240)
-# Where the eyes and the mouth are in LFW's pieces of 75 pixels, on most.
+# Usual positions of the eyes and the mouth in the enlarged LFW patches of 75 pixels.
 LFW = [np.array([17.4, 25.4]), np.array([43.2, 24.2]), np.array([32.6, 55.5])]
-# Ellipses with soft borders, on both sides unless at 0, in distances of the eyes: side, down, half axes, turn. How dark
-# they are is fitted to the faces.
+# Ellipses with soft borders, mirrored unless at 0, in units of the eye distance: x, y, half axes, rotation in radians.
+# Their darkness is fitted to the faces.
 STROKES = [
     (0.46, -0.04, 0.36, 0.24, 0), (0.5, 0, 0.2, 0.1, 0), (0.5, -0.27, 0.36, 0.09, 0.1), (0, -0.5, 0.6, 0.12, 0),
     (0, 0.05, 0.1, 0.25, 0), (0, 0.45, 0.1, 0.22, 0), (0.27, 0.58, 0.08, 0.12, 0), (0, 0.72, 0.26, 0.07, 0),
@@ -62,7 +61,7 @@ GX, GY = np.meshgrid(np.arange(17) / 8 - 1, np.arange(17) / 8 - 0.5)
 
 
 def known(picture):
-    """The faces of a development photograph: eyes, mouth, outer eye corners' distance, yaw."""
+    """The faces of a development photograph: eyes, mouth, distance between the outer eye corners, yaw."""
     truth = picture.with_suffix(".json")
     faces = json.loads((truth if truth.exists() else picture.with_suffix(".proxy.json")).read_text())
     for face in faces["faces"] if isinstance(faces, dict) else faces:
@@ -75,7 +74,7 @@ def known(picture):
 
 
 def changed(image, faces, scale, degrees, mirrored, gamma, aside, blur, noise):
-    """A picture, made smaller, mirrored and turned around its middle, and its faces with it."""
+    """A variant of a picture, scaled, mirrored and rotated about its centre, with its faces transformed likewise."""
     small = image.resize((int(image.width * scale), int(image.height * scale)), Image.LANCZOS)
     middle = (np.array(small.size) - 1) / 2
     turn = np.radians(degrees)
@@ -100,7 +99,7 @@ def changed(image, faces, scale, degrees, mirrored, gamma, aside, blur, noise):
 
 
 def pictures(folder, work):
-    """Writes the pictures, and gives their names with the faces on each."""
+    """Writes the pictures and returns the faces by the name of the picture."""
     truth = {}
 
     def save(name, image, faces):
@@ -168,7 +167,7 @@ def basis():
 
 
 def strokes(truth, work):
-    """The strokes' darkness by ridge regression on the mean face, and LFW's eyes where the drawing fits best."""
+    """Fits the darkness of the strokes to the mean face by ridge regression, and the eyes of LFW to the drawing."""
     patches, lfw = {"photo": [], "synth": []}, []
     for name, faces in truth.items():
         for face in faces:

@@ -1,13 +1,13 @@
-"""The template of `face/find`: what slopes at each place of a face speak for it: `subject/face/data/face-template.bin`.
+"""Trains the gradient templates of `face/find`: `subject/face/data/face-template.bin`.
 
-    python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK  # pictures, and where faces are on them
+    python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK  # pictures with known faces
     python3 benches/subject/find_template.py WORK > subject/face/data/face-template.bin
 
-Needs what `find_pictures.py` needs, whose pictures it learns from: the development photographs as they are, the 100 faces and
-100 other pieces of scikit-image's subset of LFW, drawn faces, and pictures without faces. Two logistic functions, frontal
-(symmetric) and turned, of four slopes in each of ten by ten cells. Each face is shifted, scaled and rolled a little, as
-far as the steps of the search are apart, and mirrored; of what is no face, the places that the template itself takes for
-one are added, twice.
+Needs the packages and pictures of `find_pictures.py`: the original development photographs, the 100 faces and 100 other
+patches of scikit-image's subset of LFW, drawn faces, and pictures without faces. The templates are two logistic regressions,
+frontal (symmetric) and turned, on four gradient components in each of ten by ten cells. Each face is mirrored, and shifted,
+scaled and rolled within the step size of the search. The false detections of the template are added to the negatives in two
+further rounds.
 """
 
 import json
@@ -24,11 +24,11 @@ EYES_PX, SIDE, LEFT, TOP = 8.0, 10, -1.25, -0.75
 SIZE = SIDE * SIDE * 4
 MIRRORED = np.arange(SIZE).reshape(SIDE, SIDE, 4)[:, ::-1][..., [1, 0, 2, 3]].ravel()
 ROLLS, STEP, RIDGE, ROUNDS = (0, -15, 15, -30, 30), 1.2, 1.0, 3
-# How often a face is shifted, and what it counts.
+# Number of shifts of a face, and its weight.
 KINDS = {"photo": (6, 1.0), "synth": (6, 0.3), "lfw": (6, 0.5), "drawn": (2, 0.15)}
 
 def cells(grey):
-    """As in find/template.rs."""
+    """The gradient features of a picture, identical to those of find/template.rs."""
     root = np.sqrt(np.maximum(grey, 0))
     wide = np.pad(root, 1, mode="edge")
     dx, dy = wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]
@@ -42,10 +42,10 @@ def cells(grey):
 
 
 def patch(grey, points, shift, scale, roll, mirrored):
-    """The cells of one face, upright."""
+    """The cells of one face, rotated upright."""
     left, right, mouth = points
     middle, across = (left + right) / 2, right - left
-    # Turned, eyes are nearer together; looking down, the mouth is nearer to them.
+    # Yaw shortens the distance of the eyes, pitch that of the mouth: the scale is the mean of both.
     eyes = scale * (np.hypot(*across) + np.hypot(*(mouth - middle)) / 1.1) / 2
     turn = math.atan2(across[1], across[0]) + roll
     pixels = (np.arange(44) - 21.5) / EYES_PX
@@ -57,7 +57,7 @@ def patch(grey, points, shift, scale, roll, mirrored):
 
 
 def levels(grey, io_min):
-    """Each size and roll: cells, and from a window's corner to the middle of the eyes and their distance."""
+    """For each size and roll: the cells, and a function from the corner of a window to the midpoint of the eyes."""
     shrink = io_min / 1.43 / EYES_PX
     image = Image.fromarray(grey.astype(np.float32))
     while min(grey.shape) / shrink >= 16:
@@ -103,7 +103,7 @@ def logistic(scores, faces, weights):
 
 
 def learn(frontal, turned, none):
-    """Templates: frontal, the nose to the right, to the left."""
+    """The three templates: frontal, turned to the right, turned to the left."""
     pairs = sorted({tuple(sorted((i, j))) for i, j in enumerate(MIRRORED)})
     tie = np.zeros((SIZE, len(pairs)))
     for column, pair in enumerate(pairs):
@@ -128,7 +128,7 @@ def main(work):
             continue
         kind = next((kind for kind in KINDS if name.startswith(kind)), "none" if name.startswith("none") else "photo")
         image = Image.open(work / f"{name}.png").convert("L")
-        # LFW's pieces were made three times as large.
+        # The LFW patches were enlarged three times.
         image = image.resize((25, 25), Image.BOX) if kind == "lfw" else image
         by = 3 if kind == "lfw" else 1
         faces = [dict(f, points=[(np.array(p) + 0.5) / by - 0.5 for p in f["points"]], io=f["io"] / by) for f in faces]
@@ -176,7 +176,7 @@ def write(templates, frontal):
     eyes = templates[:, :-1].reshape(3, SIDE, -1)[:, 1:4].reshape(3, -1)
     sums = (frontal.reshape(len(frontal), SIDE, -1)[:, 1:4].reshape(len(frontal), -1) @ eyes.T).max(1)
 
-    # What a hundredth of the faces has less of, the biases; the left half of the frontal template, and the whole turned one.
+    # The first percentile of the score of the eye rows, the biases, the left half of the frontal template, the turned one.
     head = [f"{np.percentile(sums, 1):.2f}", *(f"{bias:.3f}" for bias in templates[:2, -1])]
     halves = templates[0, :-1].reshape(SIDE, SIDE, 4)[:, :5], templates[1, :-1]
     weights = [f"{weight:.2f}" for half in halves for weight in half.ravel()]

@@ -1,5 +1,5 @@
-"""How thick a leg is round the knee, and an arm round elbow and wrist: learns the mean and the ways in which limbs differ, and
-writes subject/body/data/girths.json. Part of learn.py."""
+"""Trains the girth models of knee, elbow and wrist, a mean profile and its principal components, for
+subject/body/data/girths.json. Part of learn.py."""
 
 import dataclasses
 
@@ -7,15 +7,15 @@ import numpy as np
 
 STEP = 0.006  # section.rs
 EVERY = 2 * STEP  # model.rs
-# Of the standard deviations of a whole profile's height and slope: more than any person's, so that they say nothing.
+# Standard deviations of height and slope of a profile: larger than between people, so that they carry no information.
 HEIGHT, SLOPE = 0.5, 0.3
-# So much is left to chance at each place, in the logarithm of the girth, or as a part of it.
+# Residual standard deviation at each level, in the logarithm of the girth or as a fraction of it.
 REST = 0.04
 
 
 @dataclasses.dataclass
 class Place:
-    """Where on a limb the girth is looked at: levels from the joint, in body scales."""
+    """A section of a limb where the girth is measured: levels relative to the joint, in body scales."""
 
     name: str
     limb: str
@@ -38,7 +38,7 @@ PLACES = [
 
 
 def level_nearest(line, at, within):
-    """Where the centre line (levels x 3) passes nearest to a joint, as a level, and how near; looked for between two levels."""
+    """The level, within a range, at which the centre line (levels x 3) is closest to a joint, and the distance there."""
     levels = (np.arange(len(line)) + 1) * STEP
     distances = np.where((levels > within[0]) & (levels < within[1]), np.linalg.norm(line - at, axis=1), np.inf)
     best = int(np.argmin(distances))
@@ -47,7 +47,7 @@ def level_nearest(line, at, within):
 
 
 def profiles(bodies, place):
-    """The girth round each true joint, in body scales."""
+    """The girth profile around each true joint, in body scales."""
     for body in bodies:
         for half in body["halves"]:
             line, length = np.array(half[f"{place.limb}_line"]), np.array(half[f"{place.limb}_girth"])
@@ -75,7 +75,7 @@ def learn(bodies, place):
     values, vectors = np.linalg.eigh(spread)
     order = np.argsort(-values)[: place.modes]
     modes = (vectors * np.sqrt(np.maximum(values, 0) / (np.maximum(values, 0) + REST**2))).T[order]
-    # Which way a mode points is nothing: the same on every machine.
+    # The sign of a mode is arbitrary: it is fixed, so that every machine gives the same table.
     modes *= np.sign(modes[np.arange(place.modes), np.abs(modes).argmax(axis=1)])[:, None]
     return average, mean, modes
 

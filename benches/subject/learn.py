@@ -1,14 +1,14 @@
-"""Learns where joints are among the landmarks, and writes subject/body/data/joint-weights.json; before that how thick a leg is
-round the knee and an arm round elbow and wrist (girth.py), for the landmarks are placed by it.
+"""Trains the regression from landmarks to joints, subject/body/data/joint-weights.json, after the girth models of knee, elbow
+and wrist (girth.py), on which the landmarks depend.
 
     MOCAPD_BODIES=... python3 benches/subject/learn.py
 
-A joint is a weighted mean of landmarks (subject/body/src/locate/landmark.rs) with weights that add up to one, so that it
-moves, turns and grows with the body. The weights are a ridge regression on the shapes mavg and favg, and on no other; the
-same weights serve the left and the right.
+A joint is a weighted mean of landmarks (subject/body/src/locate/landmark.rs). The weights sum to one, so that the joint
+moves, rotates and scales with the body. They come from a ridge regression on the shapes mavg and favg alone, and are the
+same for the left and the right side.
 
 Printed for each joint: mean and 95th percentile of the error, in per cent of stature, with each shape left out in turn, with
-each pose left out, and with each build left out. The standard deviation that is written is sigma() of them. Needs numpy.
+each pose left out, and with each build left out. The written standard deviation is sigma() of these errors. Needs numpy.
 """
 
 import json
@@ -24,8 +24,8 @@ WEIGHTS = PROJECT / "subject/body/data/joint-weights.json"
 GIRTHS = PROJECT / "subject/body/data/girths.json"
 SHAPES = ["mh_mavg", "mh_favg"]
 
-# Joint, its name in the truth (with .L and .R if there are two), ridge, and which landmarks: part, first, one past the last.
-# The ridge is in body scales squared: a weight of 1 costs as much as an error of its root.
+# Joint, its name in the ground truth (with .L and .R if there are two), ridge, and landmarks: part, first, one past the last.
+# The ridge is in body scales squared: a weight of 1 costs as much as an error of its square root.
 JOINTS = [
     ("head", "head_top", 1e-3, [("head", 0, 7)]),
     ("throat", "neck", 3e-3, [("head", 3, 13), ("arm", 16, 22), ("other_arm", 16, 22)]),
@@ -45,7 +45,7 @@ def landmarks():
 
 
 def samples(bodies, truth, spans):
-    """One a body and side: the landmarks, the joint (both in body scales), the shape, the pose, the build, stature over scale."""
+    """For each body and side: landmarks and joint in body scales, shape, pose, build, stature over scale."""
     for body in bodies:
         joints = {name: np.array(at) / body["scale"] for name, at in body["joints"].items()}
         wrist = np.array(body["halves"][0]["arm"][4])
@@ -60,7 +60,7 @@ def samples(bodies, truth, spans):
 
 
 def fit(points, targets, ridge, weights):
-    """Weights of landmarks that add up to one: pulled towards the one landmark that is nearest on average."""
+    """Weights of landmarks that sum to one, regularised towards the one landmark that is closest on average."""
     distances = np.linalg.norm(points - targets[:, None], axis=2)
     nearest = int(np.argmin(distances.mean(axis=0)))
     relative = points - points[:, nearest : nearest + 1]
@@ -87,7 +87,7 @@ def left_out(points, targets, ridge, groups, weights):
 
 def learn(bodies, truth, ridge, spans):
     points, targets, shapes, poses, builds, statures = map(np.array, zip(*samples(bodies, truth, spans)))
-    # Poses that were made in more variants must not count more; resolutions of one body stay together.
+    # Each combination of shape, pose and build has the same weight, however many variants it has.
     key = np.array([f"{shape} {pose} {build}" for shape, pose, build in zip(shapes, poses, builds)])
     names, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
     weights = 1 / counts[inverse]
@@ -98,23 +98,23 @@ def learn(bodies, truth, ridge, spans):
     return fit(points, targets, ridge, weights), sigma(by_shape, by_pose), left
 
 
-# Two shapes are one difference between people. Its square is, half of the time, less than this part of what it is in the mean
-# over many pairs: the median of chi-squared with one degree of freedom.
+# Two shapes give a single difference between people. The ratio of the median of its square to the mean over many pairs:
+# the median of chi-squared with one degree of freedom.
 ONE_DIFFERENCE = 0.455
-# Bones of people of one stature vary by some 4 %, which is 0.01 stature for the longest. About half of it is taken to show on
-# the surface.
+# The bones of people of equal stature vary by about 4 %, which is 0.01 stature for the longest. About half of this is assumed
+# to be visible on the surface.
 UNSEEN = 0.005
 
 
 def sigma(by_shape, by_pose):
-    """The standard deviation that is expected on another body: within a shape, between shapes, and what no two shapes show."""
+    """The expected standard deviation on a new body: within a shape, between shapes, and invisible on the surface."""
     within = np.mean(by_pose**2)
     between = max(np.mean(by_shape**2) - within, 0) / ONE_DIFFERENCE
     return np.sqrt(within + between + UNSEEN**2)
 
 
 def entry(name, spans, found, sigma):
-    """A joint as the table has it."""
+    """The text of a joint in the table."""
     lines = []
     at = 0
     for part, start, end in spans:
@@ -124,12 +124,12 @@ def entry(name, spans, found, sigma):
     return f'  "{name}": {{ "sigma": {sigma:.4f}, "spans": [\n' + ",\n".join(lines) + "\n  ] }"
 
 
-# Bone, its ends in the truth.
+# Bone, and its ends in the ground truth.
 BONES = [("upper_arm", "shoulder", "elbow"), ("thigh", "hip", "knee")]
 
 
 def bones(bodies):
-    """Mean lengths in body scales, each shape counted once."""
+    """Mean lengths in body scales, with equal weight for each shape."""
     for name, near, far in BONES:
         lengths = {}
         for body in bodies:
@@ -149,7 +149,7 @@ def main():
         found, sigma, left = learn(bodies, truth, ridge, spans)
         cells = [f"{np.mean(e) * 100:.2f} / {np.percentile(e, 95) * 100:.2f}" for e in left]
         print(f"| {name} | {' | '.join(cells)} |")
-        # Rounded weights must still add up to one: what is missing goes to the greatest.
+        # Rounded weights must still sum to one: the remainder is added to the largest.
         found = np.round(found, 5)
         found[np.argmax(np.abs(found))] += 1 - found.sum()
         entries.append(entry(name, spans, found, sigma))

@@ -1,9 +1,9 @@
-"""The skin Gaussian of (Yang et al. 2004, eqs. 1 and 2), from the development photographs that have colours.
+"""Fits the Gaussian model of skin colour (Yang et al. 2004, eqs. 1 and 2) to the colour photographs of the development set.
 
     python3 benches/subject/skin.py $MOCAPD_FACES
 
-Needs numpy and pillow. Skin is what lies inside the outline of a face's landmarks (jaw and brows) and outside of its eyes,
-brows and lips. Every face counts the same, however large it is. What is printed stands in subject/face/src/paper/skin.rs.
+Needs numpy and pillow. Skin is the area inside the outline of the landmarks (jaw and brows) without eyes, brows and lips.
+Every face has the same weight, whatever its size. The printed values are the constants of subject/face/src/paper/skin.rs.
 """
 
 import json

@@ -1,9 +1,9 @@
-"""What the ordinary reader of each format gives back of a file, and what it says: run as a program, because a reader
-may end the process.
+"""Reads a file with the common readers of its format. It runs as a program of its own, because a reader may crash.
 
-    python readers.py KIND FILE OUT.npy
+    python readers.py READER FILE OUT.npy
 
-prints what the reader said, one line each, and leaves the positions it gave in OUT.npy (frames, markers, 3).
+prints the messages of the reader, one per line, and writes the positions that it returned to OUT.npy (frames, markers,
+3).
 """
 
 import logging
@@ -34,12 +34,12 @@ def read_mcap(path):
 
     frames = []
     with open(path, "rb") as file:
-        # What is given before an error counts.
+        # Frames returned before an error count.
         try:
             for _, _, message in make_reader(file).iter_messages():
                 frames.append(np.frombuffer(message.data, "<f4").reshape(-1, 3))
         except Exception as error:  # noqa: BLE001
-            said(error)
+            print_error(error)
     return np.array(frames)
 
 
@@ -52,7 +52,7 @@ def read_mcap_stream(path):
             for _, _, message in NonSeekingReader(file).iter_messages(log_time_order=False):
                 frames.append(np.frombuffer(message.data, "<f4").reshape(-1, 3))
         except Exception as error:  # noqa: BLE001
-            said(error)
+            print_error(error)
     return np.array(frames)
 
 
@@ -80,7 +80,7 @@ READERS = {
 }
 
 
-def said(error):
+def print_error(error):
     text = " ".join(str(error).split())
     print(f"{type(error).__name__}: {text}" if text else type(error).__name__)
 
@@ -93,7 +93,7 @@ def main():
     try:
         frames = read(path)
     except Exception as error:  # noqa: BLE001
-        said(error)
+        print_error(error)
         frames = np.zeros((0, 0, 3))
     np.save(out, np.asarray(frames, dtype="<f4"))
 

@@ -1,13 +1,13 @@
-"""A take that is killed or cut beside C3D, MCAP, HDF5 and XDF files of the same motion: what each gives back, and what
-its ordinary reader says.
+"""Data loss after a crash: the frames that a killed or truncated take returns, compared with C3D, MCAP, HDF5 and XDF
+files of the same motion and their common readers.
 
     python3 -m venv venv && venv/bin/pip install -r benches/survival/requirements.txt
     cargo build --release --workspace
     venv/bin/python benches/survival/run.py --bin target/release [--seconds 60] [--markers 64] [--part 0.6]
 
-prints a table in Markdown. Two things happen to each format: its writer is killed when this part of the motion was
-written, and a whole file is cut off at this part of its bytes. The motion is a simulated device's; the original is a
-lossless recording of it.
+prints a table in Markdown. There are two tests per format: its writer is killed after the fraction --part of the
+motion, and a complete file is truncated to this fraction of its bytes. The motion comes from a simulated device; the
+reference is a lossless recording of it.
 """
 
 import argparse
@@ -46,7 +46,8 @@ class Tools:
         return subprocess.run([self.mocapd, *args], cwd=self.work, capture_output=True, text=True)
 
     def record(self, take, *more, killed_at=None):
-        """A recording of the simulated device, killed after so many seconds."""
+        """Records the simulated device; the recorder is killed `killed_at` seconds after the take appears, unless
+        None."""
         serve = [self.sim, "serve", "--generate", "jump:1", "--rate", "120", "--seconds", str(self.args.seconds)]
         serve += ["--markers", str(self.args.markers)]
         sim = subprocess.Popen([*serve, "--pty"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
@@ -69,20 +70,20 @@ class Tools:
             sim.wait()
 
     def motion(self, take):
-        """The frames of a take, by the program's own export."""
+        """Labels and frames of a take from `mocapd export`, its messages, and its exit code."""
         csv = self.work / "export.csv"
         csv.unlink(missing_ok=True)
         ran = self.run("export", take, "-o", csv.name)
-        said = [line.removeprefix(f"mocapd: {take}: ") for line in ran.stderr.splitlines()]
+        messages = [line.removeprefix(f"mocapd: {take}: ") for line in ran.stderr.splitlines()]
         lines = csv.read_text().splitlines() if csv.exists() else [""]
         labels = [cell[:-2] for cell in lines[0].split(",")[2::3]]
         cells = [[float(cell) if cell else np.nan for cell in line.split(",")[2:]] for line in lines[1:]]
         frames = np.array(cells, dtype="<f4").reshape(len(cells), -1, 3)
-        return labels, frames, said, ran.returncode
+        return labels, frames, messages, ran.returncode
 
 
-def verdict(frames, original, tolerance_mm=0.0):
-    """How many frames came back, and how many of them are not the original's."""
+def count_frames(frames, original, tolerance_mm=0.0):
+    """The number of frames that were returned, and how many of them differ from the original."""
     n = min(len(frames), len(original))
     if n == 0:
         return 0, 0
@@ -102,28 +103,28 @@ def read(reader, path, work):
     try:
         ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60)
     except subprocess.TimeoutExpired:
-        return np.zeros((0, 0, 3)), "does not come to an end within 60 s"
-    said = [line for line in ran.stdout.splitlines() if line.strip()]
+        return np.zeros((0, 0, 3)), "does not finish within 60 s"
+    messages = [line for line in ran.stdout.splitlines() if line.strip()]
     if ran.returncode < 0:
-        said.append(f"the process ends with {signal.Signals(-ran.returncode).name}")
+        messages.append(f"the process ends with {signal.Signals(-ran.returncode).name}")
     elif ran.returncode > 0:
-        said = said[-1:]
+        messages = messages[-1:]
     frames = np.load(out) if out.exists() else np.zeros((0, 0, 3))
-    return frames, "; ".join(dict.fromkeys(said)) or "nothing"
+    return frames, "; ".join(dict.fromkeys(messages)) or "nothing"
 
 
-def row(name, how, reader, frames, original, said, tolerance_mm=0.0):
-    back, wrong = verdict(frames, original, tolerance_mm)
-    said = said.replace("|", "/").replace(str(Path(tempfile.gettempdir())), "...")
-    said = " ".join(said.split())
-    if len(said) > 160:
-        said = said[:157] + "..."
-    print(f"| {name} | {how} | {reader} | {back} of {len(original)} | {wrong} | {said} |", flush=True)
+def row(name, how, reader, frames, original, message, tolerance_mm=0.0):
+    back, wrong = count_frames(frames, original, tolerance_mm)
+    message = message.replace("|", "/").replace(str(Path(tempfile.gettempdir())), "...")
+    message = " ".join(message.split())
+    if len(message) > 160:
+        message = message[:157] + "..."
+    print(f"| {name} | {how} | {reader} | {back} of {len(original)} | {wrong} | {message} |", flush=True)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--bin", required=True, help="the folder with mocapd and mocapd-sim")
+    parser.add_argument("--bin", required=True, help="folder with mocapd and mocapd-sim")
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--markers", type=int, default=64)
     parser.add_argument("--part", type=float, default=0.6)
@@ -151,8 +152,8 @@ def compare(tools, args, work):
     (work / "cut.take").write_bytes(whole[: round(args.part * len(whole))])
     tolerance_mm = json.loads(tools.run("info", "whole.take", "--json").stdout)["tolerance_mm"]
     for take, how in [("killed.take", killed), ("cut.take", cut)]:
-        _, frames, said, code = tools.motion(take)
-        row("take", how, "mocapd export", frames, original, f"{'; '.join(said)}; exit code {code}", tolerance_mm)
+        _, frames, messages, code = tools.motion(take)
+        row("take", how, "mocapd export", frames, original, f"{'; '.join(messages)}; exit code {code}", tolerance_mm)
 
     spawn = multiprocessing.get_context("spawn")
     for kind, write in WRITERS.items():
@@ -168,8 +169,8 @@ def compare(tools, args, work):
                 if not path.exists():
                     row(NAMES[kind], how, reader, np.zeros((0, 0, 3)), original, "there is no file")
                     break
-                frames, said = read(reader, path, work)
-                row(NAMES[kind], how, reader, frames, original, said.replace(str(work), ""))
+                frames, message = read(reader, path, work)
+                row(NAMES[kind], how, reader, frames, original, message.replace(str(work), ""))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""The same motion in other formats, as their ordinary libraries write them.
+"""Writes a motion in other formats with their common libraries.
 
-Each writer gets `killed_at`: the number of frames after which its process ends as after SIGKILL (None: it ends in
-order). The formats that are written as they grow are written a second at a time.
+`killed_at` of each writer is the number of frames after which its process ends as if by SIGKILL; with None it closes
+the file. Formats that can grow are written one second at a time.
 """
 
 import os
@@ -13,7 +13,7 @@ import numpy as np
 
 
 def die():
-    """As after SIGKILL: nothing is closed, flushed or said."""
+    """Ends the process as SIGKILL does: nothing is closed, flushed or printed."""
     os._exit(9)
 
 
@@ -24,7 +24,7 @@ def seconds_of(motion):
 
 
 def write_c3d(path, motion, killed_at):
-    """ezc3d, which writes the whole file at the end: a recorder that is killed before has none."""
+    """ezc3d writes the whole file at the end: a recorder that is killed earlier leaves no file."""
     import ezc3d
 
     c3d = ezc3d.c3d()
@@ -40,7 +40,7 @@ def write_c3d(path, motion, killed_at):
 
 
 def write_mcap(path, motion, killed_at):
-    """mcap's writer with its defaults: chunks of 1 MiB; a message a frame, float32 positions."""
+    """The writer of mcap with its default chunks of 1 MiB: one message of float32 positions per frame."""
     from mcap.writer import Writer
 
     with open(path, "wb") as file:
@@ -57,7 +57,7 @@ def write_mcap(path, motion, killed_at):
 
 
 def write_hdf5(path, motion, killed_at, flush=False):
-    """h5py: one dataset that grows a second at a time, flushed each time or not."""
+    """h5py: one dataset that grows with each frame, optionally flushed after each second."""
     import h5py
 
     file = h5py.File(path, "w")
@@ -80,7 +80,8 @@ def write_hdf5_flushed(path, motion, killed_at):
 
 
 def write_xdf(path, motion, killed_at):
-    """XDF 1.0 as LabRecorder writes it: a samples chunk a second, boundary chunks each ten, footer at the end."""
+    """XDF 1.0 as written by LabRecorder: a samples chunk each second, a boundary chunk every ten, a footer at the
+    end."""
     boundary = uuid.UUID("43a546dc-cbf5-410f-b30e-d5467383cbe4").bytes
     n = 3 * len(motion.labels)
 

@@ -1,6 +1,6 @@
-//! Twenty markers for 25 seconds, as a recorder would code them: half a second a block, a key every ten
-//! seconds. Then what a player does that starts in the middle, and a check of the bound by somebody who
-//! trusts neither.
+//! Codes twenty markers for 25 seconds as a recorder does: half a second per block, a key every ten seconds.
+//! Then decodes all blocks, decodes again from the second key as a player that seeks does, and checks the
+//! error bound independently.
 //!
 //!     cargo run --release -p mocapd-codec --example compress
 
@@ -15,7 +15,7 @@ const N_MARKERS: usize = 20;
 const N_ROWS: usize = 25 * RATE_HZ;
 const TOLERANCE_MM: f64 = 0.5;
 
-/// One marker: a position a row, and whether it was seen.
+/// One marker: a position in millimetres per row, and whether the marker was seen.
 struct Marker {
     positions: Vec<Position>,
     present: Vec<bool>,
@@ -27,7 +27,7 @@ impl Marker {
     }
 }
 
-/// A block, and what its decoder must be told with it. A file would store the rows of a full stretch once.
+/// A block and the arguments of its decoder. A file would store the number of rows of a full stretch once.
 struct Block {
     bytes: Vec<u8>,
     shared: Vec<u8>,
@@ -54,7 +54,7 @@ fn main() -> Result<(), CodecError> {
     Ok(())
 }
 
-/// Half a second a block where samples may be coded as they come, else all rows in one.
+/// Codes half a second per block with a live resampler, all rows in one block with an offline one.
 fn encode(settings: &Settings, markers: &[Marker]) -> Result<Vec<Block>, CodecError> {
     let stretch_rows = if settings.kind.is_live() { RATE_HZ / 2 } else { N_ROWS };
     let mut encoder = settings.encoder();
@@ -64,7 +64,7 @@ fn encode(settings: &Settings, markers: &[Marker]) -> Result<Vec<Block>, CodecEr
     for first_row in (0..N_ROWS).step_by(stretch_rows) {
         let key = first_row % (10 * RATE_HZ) == 0;
         let stretch = first_row..(first_row + stretch_rows).min(N_ROWS);
-        // A recorder keeps this list, the room of `bytes` and the reports from block to block.
+        // A recorder reuses this list, the memory of `bytes` and the reports from block to block.
         let channels: Vec<_> =
             markers.iter().map(|marker| marker.rows(stretch.clone())).collect::<Result<_, _>>()?;
         let shared = settings.plan(&channels)?;
@@ -75,7 +75,7 @@ fn encode(settings: &Settings, markers: &[Marker]) -> Result<Vec<Block>, CodecEr
     Ok(blocks)
 }
 
-/// Decodes all blocks, and once more from the second key on; gives the largest error found.
+/// Decodes all blocks, then again from the second key on; returns the largest error found, in millimetres.
 fn decode_and_check(
     settings: &Settings,
     blocks: &[Block],
@@ -87,7 +87,7 @@ fn decode_and_check(
         assert_eq!(blocks[middle].first_row, 10 * RATE_HZ);
         assert!(decode(settings, &blocks[middle..], markers)? <= worst_mm);
     }
-    // What is proven while encoding needs no check after decoding: this is for those who doubt it.
+    // The encoder has proven this already; the check here is independent of the crate.
     assert!(worst_mm <= if settings.kind.is_lossless() { 0.0 } else { TOLERANCE_MM });
     Ok(worst_mm)
 }
@@ -99,7 +99,7 @@ fn decode(settings: &Settings, blocks: &[Block], markers: &[Marker]) -> Result<f
     let mut worst_mm = 0.0_f64;
     for block in blocks {
         decoder.decode(&block.bytes, &block.shared, block.n_rows, block.key, &mut decoded)?;
-        // A block leaves out markers at the end that were not seen since the key.
+        // A block omits the last markers if they have not been seen since the key.
         for (i, marker) in markers.iter().enumerate() {
             for row in 0..block.n_rows {
                 let seen = decoded.get(i).is_some_and(|rows| rows.present[row]);
@@ -118,7 +118,7 @@ fn distance_mm(a: Position, b: Position) -> f64 {
     a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Markers on a body that sways, each with a swing and some noise of its own, hidden now and then.
+/// Markers on a swaying body, each with its own swing and noise, and hidden now and then.
 fn motion(seed: u64) -> Vec<Marker> {
     let mut random = Random(seed);
     let marker = |i: usize| {
@@ -142,7 +142,7 @@ fn motion(seed: u64) -> Vec<Marker> {
     (0..N_MARKERS).map(marker).collect()
 }
 
-/// A small generator (Knuth's MMIX constants): the same numbers everywhere.
+/// A small random generator (Knuth's MMIX constants) that gives the same numbers on every machine.
 struct Random(u64);
 
 impl Random {
@@ -157,7 +157,7 @@ impl Random {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn it_runs() {
+    fn the_example_runs() {
         assert_eq!(super::main(), Ok(()));
     }
 }

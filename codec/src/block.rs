@@ -1,4 +1,4 @@
-//! The contract of every resampler: one group of channels over one stretch in, one block out, and back.
+//! The contract of every resampler: it encodes a group of channels over one stretch into one block, and decodes it.
 
 use crate::Position;
 
@@ -6,36 +6,36 @@ use crate::Position;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CodecError {
-    /// The block's bytes cannot have come from the encoder: bit rot, or another format.
+    /// No encoder writes these bytes: they are damaged, or of another format. The text names what is wrong.
     #[error("corrupt block: {0}")]
     Corrupt(&'static str),
-    /// The block ends before its samples do.
+    /// The block ends before its samples do. The text names what is missing.
     #[error("block cut short: {0}")]
     Truncated(&'static str),
-    /// An earlier block failed, and only a key block is in step with the other side again.
-    #[error("an earlier block failed: go on with a key block")]
+    /// An earlier block failed; encoder and decoder agree again only from a key block on.
+    #[error("an earlier block failed; continue with a key block")]
     OutOfStep,
-    /// The caller asked for something that has no answer; the message says what would.
+    /// The caller passed an argument that cannot be coded; the message says what can.
     #[error("{0}")]
     InvalidArgument(String),
 }
 
 pub(crate) type Result<T> = std::result::Result<T, CodecError>;
 
-/// Bytes of which something does not hold that holds of an encoder's are corrupt.
+/// `Corrupt` with the text `otherwise` unless `holds`, a condition that every encoder's bytes meet.
 #[inline(always)]
 pub(crate) fn ensure(holds: bool, otherwise: &'static str) -> Result<()> {
     if holds { Ok(()) } else { Err(CodecError::Corrupt(otherwise)) }
 }
 
-/// Most channels of a group: those that are coded together.
+/// Largest number of channels in a group, which are coded together.
 ///
-/// What a block costs whatever is in it (its length, its head, the ends of its coders, what it learns
-/// anew after a key) is then paid once for a whole body; and a hundred markers still make two groups,
-/// for as many processors.
+/// A whole body then shares the fixed costs of a block: its length, its head, the ends of its entropy
+/// coders, and what the model learns again after a key. A hundred markers still make two groups, which two
+/// processors can code at the same time.
 pub const GROUP_CHANNELS: usize = 64;
 
-/// One channel over one stretch: a row per frame. None by default.
+/// One channel over one stretch: one row per frame. `default()` has no rows.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Rows<'a> {
     positions: &'a [Position],
@@ -43,10 +43,10 @@ pub struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// `positions[i]` counts only where `present[i]`.
+    /// `positions[i]`, in millimetres, is a sample where `present[i]`; elsewhere it is ignored.
     ///
     /// # Errors
-    /// `InvalidArgument` when the lengths differ.
+    /// `InvalidArgument` when the two lengths differ.
     pub fn new(
         positions: &'a [Position],
         present: &'a [bool],
@@ -61,54 +61,54 @@ impl<'a> Rows<'a> {
         )))
     }
 
-    /// Rows, present or not.
+    /// Number of rows, with and without a sample.
     #[must_use]
     pub fn len(&self) -> usize {
         self.present.len()
     }
 
-    /// No rows at all.
+    /// Whether there are no rows.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.present.is_empty()
     }
 
-    /// The sample of a row, if there is one.
+    /// The sample of a row in millimetres; `None` where it is absent.
     #[must_use]
     pub fn get(&self, row: usize) -> Option<Position> {
         (*self.present.get(row)?).then(|| self.positions[row])
     }
 
-    /// One position a row; meaningless where not present.
+    /// One position per row in millimetres; meaningless where the row is absent.
     #[must_use]
     pub fn positions(&self) -> &'a [Position] {
         self.positions
     }
 
-    /// One flag a row.
+    /// One flag per row: whether it has a sample.
     #[must_use]
     pub fn present(&self) -> &'a [bool] {
         self.present
     }
 
-    /// The runs of present rows, as half-open ranges.
+    /// The runs of consecutive present rows, as half-open ranges.
     pub fn runs(&self) -> impl Iterator<Item = std::ops::Range<usize>> + 'a {
         runs(self.present)
     }
 }
 
-/// The runs of present rows, as half-open ranges.
+/// The runs of consecutive present rows in `present`, as half-open ranges.
 pub(crate) fn runs(present: &[bool]) -> impl Iterator<Item = std::ops::Range<usize>> {
     let mut at = 0;
     std::iter::from_fn(move || {
-        let start = at + length(&present[at..], false);
-        at = start + length(&present[start..], true);
+        let start = at + run_length(&present[at..], false);
+        at = start + run_length(&present[start..], true);
         (start < at).then_some(start..at)
     })
 }
 
-/// How many rows from the first on are as said. Most are as those before them: many are looked at together.
-fn length(present: &[bool], state: bool) -> usize {
+/// How many flags at the start equal `state`. Changes are rare, so 32 flags are compared at once.
+fn run_length(present: &[bool], state: bool) -> usize {
     let (many, _) = present.as_chunks::<32>();
     let is_other = |many: &[bool; 32]| many.iter().fold(false, |any, &p| any | (p != state));
     let same = 32 * many.iter().position(is_other).unwrap_or(many.len());
@@ -120,43 +120,43 @@ fn length(present: &[bool], state: bool) -> usize {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct BlockReport {
-    /// Samples present.
+    /// Number of samples present.
     pub samples: u32,
-    /// Samples kept (knots): the asynchronous sampling `TS_i` of (Shi et al. 2012).
+    /// Number of samples kept (knots): the asynchronous sampling `TS_i` of (Shi et al. 2012).
     pub kept: u32,
-    /// Largest Euclidean distance between a sample and its float32 reconstruction, in millimetres,
-    /// measured, not estimated.
+    /// Largest Euclidean distance between a sample and its float32 reconstruction, in millimetres: measured,
+    /// not estimated.
     pub max_error_mm: f64,
 }
 
 impl BlockReport {
-    /// States that all samples are as they were.
+    /// Reports that every sample is stored exactly.
     pub(crate) fn keep_all(&mut self) {
         (self.kept, self.max_error_mm) = (self.samples, 0.0);
     }
 }
 
-/// Encodes the blocks of one group of channels, in order. State may run from block to block.
+/// Encodes the blocks of one group of channels, in order. A block may continue the state of the one before.
 ///
-/// To be called, not implemented elsewhere: it may get more methods.
+/// Call this trait; do not implement it outside this crate: it may get more methods.
 pub trait BlockEncoder: Send + std::fmt::Debug {
-    /// Allocates what blocks of up to so many channels and rows will ever need; not called, it is
-    /// allocated as blocks need it. What a debug build checks behind every block is not part of it.
+    /// Allocates the memory for blocks of up to `n_channels` channels and `n_rows` rows. Without this call
+    /// the encoder allocates as blocks need it. A debug build allocates more, to check every block.
     fn prepare(&mut self, n_channels: usize, n_rows: usize);
 
-    /// Appends one block to `out`: nothing at all when no channel has a sample.
+    /// Appends one block to `out`; appends nothing when no channel has a sample.
     ///
-    /// `channels` are 1 to [`GROUP_CHANNELS`], each with the same number of rows; `reports` gets one
-    /// a channel. Between two key blocks a channel keeps its place, and new ones come behind.
+    /// `channels` has 1 to [`GROUP_CHANNELS`] entries with the same number of rows each; `reports` has one
+    /// entry per channel. Between two key blocks a channel keeps its index; new channels are appended.
     ///
-    /// `key` forgets all state first, so that a decoder may start here. `shared` is what
-    /// [`Settings::plan`](crate::Settings::plan) gave for this stretch. Does not allocate after
-    /// [`prepare`](Self::prepare), when `out` has room for
-    /// [`max_block_bytes`](crate::Settings::max_block_bytes) (live kinds).
+    /// `key` forgets all state first, so that a decoder may start here. `shared` is the result of
+    /// [`Settings::plan`](crate::Settings::plan) for this stretch. The live kinds do not allocate after
+    /// [`prepare`](Self::prepare) when `out` has spare capacity for
+    /// [`max_block_bytes`](crate::Settings::max_block_bytes).
     ///
     /// # Errors
-    /// `InvalidArgument` when a present sample is not finite, or the slices do not fit each other;
-    /// `out` is then as it was. `OutOfStep` where an earlier block failed half way and this is no key block.
+    /// `InvalidArgument` when a present sample is not finite or the slices differ in length; `out` is then
+    /// unchanged. `OutOfStep` when an earlier block failed and this is not a key block.
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
@@ -169,17 +169,17 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
 
 /// Decodes the blocks of one group of channels, in order, starting at a key block.
 ///
-/// What it allocates goes with the rows times the channels of a block, which
-/// [`stated_channels`](crate::stated_channels) tells beforehand. To be called, not implemented elsewhere:
-/// it may get more methods.
+/// Its memory grows with the rows times the channels of a block; [`stated_channels`](crate::stated_channels)
+/// reads the latter before decoding. Call this trait; do not implement it outside this crate: it may get
+/// more methods.
 pub trait BlockDecoder: Send + std::fmt::Debug {
-    /// Replaces `out` by the rows of one block, an entry for each channel that it has: those from
-    /// the group's first to the last one with a sample since the key block. The memory in `out` is
-    /// used again. An empty block has none. `n_rows` is believed: bound it when it comes from a file.
+    /// Replaces `out` by the rows of one block, with one entry per channel: from the group's first channel to
+    /// the last one that has had a sample since the key block. An empty block has no channels. The memory in
+    /// `out` is reused. The decoder trusts `n_rows`: bound it when it comes from a file.
     ///
     /// # Errors
-    /// `Corrupt` or `Truncated`; `out` is then empty and the decoder needs a key block to go on, and says
-    /// `OutOfStep` of any other.
+    /// `Corrupt` or `Truncated`; `out` is then empty, and until the next key block every other block gives
+    /// `OutOfStep`.
     fn decode(
         &mut self,
         block: &[u8],
@@ -189,22 +189,22 @@ pub trait BlockDecoder: Send + std::fmt::Debug {
         out: &mut Vec<DecodedRows>,
     ) -> std::result::Result<(), CodecError>;
 
-    /// Passes an empty block: rows without a sample, however many.
+    /// Accounts for an empty block: any number of rows without a sample.
     fn skip(&mut self, key: bool);
 }
 
-/// The rows of one channel of a decoded block. Reused from block to block.
+/// The rows of one channel of a decoded block. Its memory is reused from block to block.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DecodedRows {
-    /// One position a row; `[0.0; 3]` where not present.
+    /// One position per row, in millimetres; `[0.0; 3]` where the row is absent.
     pub positions: Vec<Position>,
-    /// Whether the row has a sample.
+    /// One flag per row: whether it has a sample.
     pub present: Vec<bool>,
-    /// Whether the sample was kept (a knot) rather than interpolated.
+    /// One flag per row: whether its sample was kept (a knot) rather than interpolated.
     pub kept: Vec<bool>,
-    /// The bound that the block states for all its channels, in millimetres: at least the largest
-    /// error the encoder measured, rounded up to a 63rd of the tolerance, never above it.
+    /// The error bound that the block states for all its channels, in millimetres: the largest error that
+    /// the encoder measured, rounded up to a multiple of 1/63 of the tolerance, never above the tolerance.
     pub max_error_mm: f64,
 }
 
@@ -215,8 +215,8 @@ impl DecodedRows {
         self.present.contains(&true)
     }
 
-    /// `n_rows` rows that are not kept, in the memory already there. Which of them are present, and where they are,
-    /// is as it was: to be said of every row.
+    /// Sets the number of rows and clears `kept`, reusing memory. `positions` and `present` keep old values: the
+    /// caller must write them for every row.
     pub(crate) fn reuse(&mut self, n_rows: usize) {
         self.positions.resize(n_rows, [0.0; 3]);
         self.present.resize(n_rows, false);
@@ -225,7 +225,7 @@ impl DecodedRows {
         self.max_error_mm = 0.0;
     }
 
-    /// Absent rows have no position.
+    /// Zeroes the positions of absent rows.
     pub(crate) fn blank_absent(&mut self) {
         for (position, present) in self.positions.iter_mut().zip(&self.present) {
             *position = if *present { *position } else { [0.0; 3] };

@@ -1,4 +1,4 @@
-//! How far a reconstruction may lie from its samples, and how far it does: measured, and stated in six bits.
+//! The error bound: the tolerance, the distances that are measured, and the six bits in which a block states them.
 
 use crate::{CodecError, Position};
 
@@ -9,9 +9,11 @@ pub struct Tolerance(f64);
 impl Tolerance {
     /// The smallest tolerance: below it a float32 position has no digits left to save at room scale.
     pub const MIN_MM: f64 = 1e-4;
-    /// The largest: beyond a kilometre it is a typing error.
+    /// The largest tolerance: anything beyond a kilometre is a typing error.
     pub const MAX_MM: f64 = 1e6;
 
+    /// The tolerance of `mm` millimetres.
+    ///
     /// # Errors
     /// `InvalidArgument` when `mm` is not finite or outside `MIN_MM..=MAX_MM`.
     pub fn from_mm(mm: f64) -> Result<Self, CodecError> {
@@ -25,26 +27,26 @@ impl Tolerance {
         )))
     }
 
-    /// In millimetres.
+    /// The tolerance in millimetres.
     #[must_use]
     pub fn mm(self) -> f64 {
         self.0
     }
 }
 
-/// Steps of the stated bound.
+/// The stated bound is a multiple of 1/63 of the tolerance: the largest number of six bits.
 pub(crate) const STATED_STEPS: u8 = 63;
 
-/// One value per axis.
+/// One f64 per axis.
 pub(crate) type Vector = [f64; 3];
 
-/// Exact: every f32 is an f64.
+/// Converts to f64, which is exact.
 #[inline(always)]
 pub(crate) fn widen(position: Position) -> Vector {
     position.map(f64::from)
 }
 
-/// The square of the distance, each step of it in this order: the same on every machine.
+/// The squared Euclidean distance. The order of operations is fixed, so that every machine gets the same bits.
 #[inline(always)]
 pub(crate) fn squared_distance(a: Vector, b: Vector) -> f64 {
     let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
@@ -56,17 +58,17 @@ pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
     squared_distance(widen(a), widen(b)).sqrt()
 }
 
-/// The bound that a step states, in millimetres.
+/// The bound that `step` (0 to 63) states, in millimetres.
 pub(crate) fn stated_mm(step: u8, tolerance_mm: f64) -> f64 {
     match step {
         0 => 0.0,
-        // Not by the division below: rounding must not carry it over the tolerance.
+        // The division below could round to more than the tolerance.
         STATED_STEPS.. => tolerance_mm,
         _ => tolerance_mm * f64::from(step) / f64::from(STATED_STEPS),
     }
 }
 
-/// The smallest step that states at least `error_mm`; none when that is over the tolerance.
+/// The smallest step that states at least `error_mm`; `None` when the error exceeds the tolerance.
 pub(crate) fn stated_step(error_mm: f64, tolerance_mm: f64) -> Option<u8> {
     if error_mm.is_nan() || error_mm > tolerance_mm {
         return None;

@@ -2,19 +2,19 @@
 //!
 //! A *channel* is one marker's trajectory: a position per frame, or none where the marker was not seen.
 //! Up to [`GROUP_CHANNELS`] channels are coded together in *blocks*, each over one stretch of frames. The
-//! encoder rebuilds every block as a decoder would and measures it: every sample present lies within
-//! the tolerance, as a Euclidean distance in 3D, of its float32 reconstruction, and the block says how
-//! close it came.
+//! encoder rebuilds every block as a decoder does and measures it: the float32 reconstruction of every
+//! sample lies within the tolerance, a Euclidean distance in 3D, and the block states the error bound
+//! it reached.
 //!
-//! Five resamplers stand behind one contract ([`ResamplerKind`]): `dense` makes the smallest blocks,
-//! `fast` the quickest, `lossless` keeps every bit, and `spline` and `sync` are the methods of
+//! Five resamplers implement one contract ([`ResamplerKind`]): `dense` makes the smallest blocks, `fast`
+//! codes in the shortest time, `lossless` keeps every bit, and `spline` and `sync` are the methods of
 //! (Shi et al. 2012), for study. The bytes depend on the samples and the [`Settings`] only, never on the
 //! machine.
 //!
-//! The crate does no I/O, reads no clock and starts no thread. Encoders and decoders are [`Send`], and
-//! share no state. Decoders take any bytes: they give an error or samples, do not panic, and never
-//! allocate more than the caller's rows and a group's channels ask for. `docs/codec.md` describes the
-//! format byte by byte; the README says what it costs, and what is stable.
+//! The crate does no I/O, reads no clock and starts no thread. Encoders and decoders are [`Send`] and
+//! share no state. Decoders accept arbitrary bytes: they return an error or samples, never panic, and
+//! allocate no more than the caller's number of rows times the channels of a group needs. `docs/codec.md`
+//! specifies the format byte by byte; the README gives memory and speed, and what is stable.
 //!
 //! ```
 //! use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
@@ -66,14 +66,14 @@ pub use spline::SplineVariant;
 
 /// The version of the block format: the one that this crate writes, and the only one it reads.
 ///
-/// Blocks do not carry it: a container stores it beside them, and refuses any other. A new version is a
-/// breaking change of the crate. 1 to 4 were those of development versions.
+/// Blocks do not carry it: a container stores it beside them and refuses every other version. A new version
+/// is a breaking change of the crate. Versions 1 to 5 existed during development only.
 pub const BLOCK_VERSION: u16 = 6;
 
 /// A position in millimetres, x y z, right-handed, in the device's own axes.
 pub type Position = [f32; 3];
 
-/// The README's example, as a test.
+/// Runs the README's example as a test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,4 +1,4 @@
-//! Bit-exact float32.
+//! `lossless`: bit-exact float32, as packed differences of bit patterns.
 
 use crate::{
     BlockReport, DecodedRows, Result, Rows,
@@ -9,7 +9,7 @@ use crate::{
     frame::{Payload, PayloadDecoder, PayloadEncoder},
 };
 
-/// Encoder and decoder of one group: the last bit patterns of each channel.
+/// Encoder and decoder of one group. Its state is the last bit patterns of each channel.
 #[derive(Debug, Default)]
 pub(crate) struct Lossless {
     histories: Vec<Histories>,
@@ -24,7 +24,7 @@ impl Lossless {
     }
 }
 
-/// Empty blocks leave the histories as they are: a marker is found again not far from where it was lost.
+/// Empty blocks keep the histories: a marker usually reappears close to where it was lost.
 impl Payload for Lossless {
     const EXACT: bool = true;
 

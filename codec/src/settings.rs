@@ -1,4 +1,4 @@
-//! Which resampler, and what it is asked for.
+//! The choice of a resampler and its tolerance, and the encoders and decoders they give.
 
 use std::{fmt, str::FromStr};
 
@@ -11,32 +11,32 @@ use crate::{
     spline::{self, Spline},
 };
 
-/// The resamplers. [`Display`](fmt::Display) writes and [`FromStr`] reads the name that a container of
+/// The resamplers. [`Display`](fmt::Display) writes and [`FromStr`] parses the name that a container of
 /// blocks stores: `dense`, `fast`, `lossless`, `spline:worst-sample`...
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum ResamplerKind {
-    /// Smallest files: adaptive, quantised inside the tolerance, context-coded.
+    /// The smallest blocks: adaptive sampling, quantised inside the tolerance, coded with adaptive contexts.
     #[default]
     Dense,
-    /// The same contract at bus speed.
+    /// The fastest: adaptive sampling with fixed code tables.
     Fast,
     /// Bit-exact float32.
     Lossless,
-    /// The published method: asynchronous greedy cubic-spline knots. Offline only.
+    /// Asynchronous greedy cubic-spline knots (Shi et al. 2012). Offline only.
     Spline(SplineVariant),
-    /// The published rival: one set of key times for all channels. Offline only.
+    /// Synchronous sampling (Shi et al. 2012): one set of key times for all channels. Offline only.
     Sync(SplineVariant),
 }
 
 impl ResamplerKind {
-    /// Whether it can run while the samples arrive, stretch by stretch.
+    /// Whether it can encode stretch by stretch while samples arrive.
     #[must_use]
     pub fn is_live(self) -> bool {
         !matches!(self, Self::Spline(_) | Self::Sync(_))
     }
 
-    /// Whether it keeps every bit, so that a tolerance has no meaning.
+    /// Whether it is bit-exact, so that the tolerance has no meaning.
     #[must_use]
     pub fn is_lossless(self) -> bool {
         self == Self::Lossless
@@ -71,7 +71,7 @@ impl FromStr for ResamplerKind {
             "sync:exhaustive" => Self::Sync(SplineVariant::Exhaustive),
             _ => {
                 return Err(CodecError::InvalidArgument(format!(
-                    "no resampler is called '{name}': use dense, fast, lossless, \
+                    "unknown resampler '{name}': use dense, fast, lossless, \
                      spline[:worst-sample|:exhaustive] or sync[:worst-sample|:exhaustive]"
                 )));
             }
@@ -83,17 +83,17 @@ impl FromStr for ResamplerKind {
 /// [`BLOCK_VERSION`](crate::BLOCK_VERSION).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Which resampler.
+    /// The resampler.
     pub kind: ResamplerKind,
-    /// Ignored by `lossless`.
+    /// The largest error allowed. `lossless` ignores it.
     pub tolerance: Tolerance,
 }
 
 impl Settings {
-    /// A new encoder for one group of channels; allocate one a group, at start. It may move to another
+    /// A new encoder for one group of channels; create one per group at start. It may move to another
     /// thread between two blocks.
     ///
-    /// Without a key block it is as behind a key block without samples; so is a new decoder.
+    /// A new encoder is in the state after an empty key block, and so is a new decoder.
     #[must_use]
     pub fn encoder(&self) -> Box<dyn BlockEncoder> {
         match self.kind {
@@ -131,11 +131,11 @@ impl Settings {
         }
     }
 
-    /// What all channels of a stretch share, coded: `sync`'s key times; empty for every other kind.
+    /// The bytes that all channels of a stretch share: the key times of `sync`; empty for every other kind.
     ///
     /// # Errors
-    /// `InvalidArgument` when a present sample is not finite, when the channels differ in rows, or
-    /// when a run is too long for the exhaustive variant.
+    /// `InvalidArgument` when a present sample is not finite, when the channels differ in their number of
+    /// rows, or when a run is too long for the exhaustive variant.
     pub fn plan(&self, channels: &[Rows<'_>]) -> Result<Vec<u8>, CodecError> {
         match self.kind {
             ResamplerKind::Sync(variant) => spline::plan(channels, self.tolerance, variant),
@@ -143,8 +143,8 @@ impl Settings {
         }
     }
 
-    /// Most bytes that `encode` can append for a block of so many channels, up to
-    /// [`GROUP_CHANNELS`](crate::GROUP_CHANNELS), and of as many rows as memory can hold of each.
+    /// The most bytes that `encode` can append for a block of `n_channels` channels, up to
+    /// [`GROUP_CHANNELS`](crate::GROUP_CHANNELS), of `n_rows` rows each.
     #[must_use]
     pub fn max_block_bytes(&self, n_channels: usize, n_rows: usize) -> usize {
         let most = match self.kind {

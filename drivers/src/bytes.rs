@@ -1,6 +1,6 @@
-//! Numbers and texts in bytes, little-endian, in both directions.
+//! Little-endian encoding and decoding of numbers, text and plain structs.
 
-/// What is left of bytes that somebody else wrote. `None` from any call means that the layout is wrong.
+/// Reads values from untrusted bytes. Every method returns `None` when the bytes do not have that layout.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cursor<'a>(&'a [u8]);
 
@@ -23,39 +23,39 @@ impl<'a> Cursor<'a> {
     }
 
     #[inline]
-    pub(crate) fn get<T: Wire>(&mut self) -> Option<T> {
+    pub(crate) fn get<T: WireValue>(&mut self) -> Option<T> {
         T::get(self)
     }
 
-    /// A length byte and that much UTF-8 without control characters.
+    /// Reads a length byte and that many bytes of UTF-8 without control characters, at most `bytes_max`.
     pub(crate) fn text(&mut self, bytes_max: usize) -> Option<&'a str> {
         let n = usize::from(self.get::<u8>()?);
         let text = std::str::from_utf8(self.bytes(n)?).ok()?;
         (n <= bytes_max && !text.contains(char::is_control)).then_some(text)
     }
 
-    /// `Some(value)` when nothing is left: a message with bytes to spare is not ours.
+    /// Returns `Some(value)` when all bytes were read: a message with trailing bytes is invalid.
     pub(crate) fn end<T>(self, value: T) -> Option<T> {
         self.0.is_empty().then_some(value)
     }
 }
 
-/// A value of a fixed size on the wire.
-pub(crate) trait Wire: Sized {
+/// A value with a fixed-size wire encoding.
+pub(crate) trait WireValue: Sized {
     fn get(from: &mut Cursor<'_>) -> Option<Self>;
     fn put(self, out: &mut Vec<u8>);
 
-    /// The value that `bytes` are, all of them.
-    fn whole(bytes: &[u8]) -> Option<Self> {
+    /// Decodes `bytes` as one value; `None` when they are too few or too many.
+    fn decode(bytes: &[u8]) -> Option<Self> {
         let mut cursor = Cursor::new(bytes);
         let value = cursor.get()?;
         cursor.end(value)
     }
 }
 
-macro_rules! numbers {
+macro_rules! wire_numbers {
     ($($number:ty)+) => {$(
-        impl Wire for $number {
+        impl WireValue for $number {
             #[inline]
             fn get(from: &mut Cursor<'_>) -> Option<Self> {
                 from.array().map(Self::from_le_bytes)
@@ -68,10 +68,10 @@ macro_rules! numbers {
     )+};
 }
 
-numbers!(u8 u16 u32 u64 i16 f32);
+wire_numbers!(u8 u16 u32 u64 i16 f32);
 
-/// A position, millimetres.
-impl Wire for [f32; 3] {
+/// A position in millimetres: x, y, z.
+impl WireValue for [f32; 3] {
     fn get(from: &mut Cursor<'_>) -> Option<Self> {
         Some([from.get()?, from.get()?, from.get()?])
     }
@@ -81,7 +81,7 @@ impl Wire for [f32; 3] {
     }
 }
 
-impl Wire for () {
+impl WireValue for () {
     fn get(_: &mut Cursor<'_>) -> Option<Self> {
         Some(())
     }
@@ -89,10 +89,10 @@ impl Wire for () {
     fn put(self, _: &mut Vec<u8>) {}
 }
 
-/// A struct of values, in the order in which they stand on the wire.
-macro_rules! record {
-    ($record:ident { $($field:ident),* }) => {
-        impl $crate::bytes::Wire for $record {
+/// Implements [`WireValue`] for a struct: its fields in the order given.
+macro_rules! wire_struct {
+    ($name:ident { $($field:ident),* }) => {
+        impl $crate::bytes::WireValue for $name {
             fn get(from: &mut $crate::bytes::Cursor<'_>) -> Option<Self> {
                 Some(Self { $($field: from.get()?),* })
             }
@@ -104,4 +104,4 @@ macro_rules! record {
     };
 }
 
-pub(crate) use record;
+pub(crate) use wire_struct;

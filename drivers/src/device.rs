@@ -1,210 +1,211 @@
-//! What a device says and is told, whatever its wire: the vocabulary between a driver and the daemon.
+//! The interface between drivers and the recorder: [`Protocol`], its events, and its commands.
+//!
+//! Every device family translates its own wire format into these types.
 
 use crate::transport::Transport;
 
-/// Who the device is. Sent first, and again when asked.
+/// Identity and capabilities of a device. Sent first, and again on [`Command::Identify`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Hello {
-    /// `DVMC-8820`, `mocapd-sim`...
+    /// Model name: `DVMC-8820`, `mocapd-sim`...
     pub model: String,
-    /// Serial number, the stable identity across replugs.
+    /// Serial number: the identity that survives a replug.
     pub serial: String,
-    /// Firmware version, as the device writes it.
+    /// Firmware version, as the device reports it.
     pub firmware: String,
-    /// Frame rate now, in millihertz (so that 59.94 Hz is exact enough and integers stay integers).
-    pub rate_mhz: u32,
-    /// Lowest and highest rate it can run at, in millihertz.
-    pub rate_min_mhz: u32,
-    /// See `rate_min_mhz`.
-    pub rate_max_mhz: u32,
-    /// Device clock ticks a second.
+    /// Current frame rate, in millihertz: an integer that holds 59.94 Hz.
+    pub rate_millihertz: u32,
+    /// Lowest rate that the device supports, in millihertz.
+    pub rate_min_millihertz: u32,
+    /// Highest rate that the device supports, in millihertz.
+    pub rate_max_millihertz: u32,
+    /// Ticks of the device clock per second.
     pub tick_hz: u64,
-    /// Which way is up: 0 unknown, 1 x, 2 y, 3 z.
+    /// The axis that points up: 0 unknown, 1 x, 2 y, 3 z.
     pub up_axis: u8,
-    /// How many markers it may announce at most, temporary ids included.
+    /// Most markers that the device can announce, temporary ids included.
     pub markers_max: u16,
-    /// Frames in the replay when the device knows it (a simulator does); 0 when it runs until stopped.
+    /// Number of frames in a replay (a simulator knows it); 0 when the device runs until stopped.
     pub n_frames: u64,
 }
 
-/// One marker the device tracks.
+/// A marker that the device tracks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MarkerInfo {
-    /// Its id in frames.
+    /// The marker's id in frames.
     pub id: u16,
-    /// Its name; empty when unlabelled.
+    /// Label; empty when the marker has none.
     pub label: String,
-    /// Whether the device knows which physical marker this is (false: a temporary id).
+    /// `true` when the device knows which physical marker this is, `false` for a temporary id.
     pub labelled: bool,
 }
 
-/// One marker in one frame. A marker that is not listed, or is listed as occluded, has no sample.
+/// One marker in one frame. A marker that is absent from a frame, or occluded in it, has no sample there.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MarkerSample {
-    /// The id announced by [`MarkerInfo`], or a new temporary one.
+    /// An id that a [`MarkerInfo`] announced, or a new temporary id.
     pub id: u16,
-    /// Seen by the device but without a position.
+    /// The device lists the marker without a position.
     pub occluded: bool,
-    /// The device's own residual in units of 10 micrometres; 255 = 2.55 mm or more, 0 = not given.
+    /// The device's residual in units of 10 micrometres: 255 = 2.55 mm or more, 0 = not reported.
     pub residual_10um: u8,
-    /// x y z in millimetres.
+    /// x, y, z in millimetres, in the device's axes.
     pub position_mm: [f32; 3],
 }
 
-/// One frame.
+/// One frame of marker samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
-    /// The device's frame counter; wraps.
+    /// The device's frame counter, which wraps.
     pub seq: u32,
-    /// The device's clock at exposure, in ticks.
+    /// Device clock at exposure, in ticks.
     pub device_ticks: u64,
-    /// SMPTE timecode packed as hh mm ss ff, when the device has one.
+    /// SMPTE timecode as hh, mm, ss, ff, from devices that have one.
     pub timecode: Option<[u8; 4]>,
-    /// The markers.
+    /// Samples of the markers in this frame.
     pub markers: &'a [MarkerSample],
 }
 
-/// What a device reports about itself while it runs, and once more at the end.
+/// Counters and temperature that a device reports while it runs, and once more at the end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Status {
-    /// Frames produced since Start: the value the counter reached, dropped ones included.
+    /// Frames produced since Start, dropped ones included.
     pub frames_produced: u64,
-    /// Of these, the ones that never left the device: its own queue was full, or it is polled and nobody
-    /// fetched them before the next one.
+    /// Frames of those that never left the device: its own queue was full, or the host polled too late and
+    /// the next frame replaced them.
     pub frames_dropped: u64,
     /// Temperature in hundredths of a degree Celsius; `i16::MIN` when not measured.
     pub temperature_c_100: i16,
 }
 
-/// A trigger input or sync pulse.
+/// An edge on a trigger or sync input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Trigger {
-    /// The device's clock at the edge, in ticks.
+    /// Device clock at the edge, in ticks.
     pub device_ticks: u64,
-    /// Which input.
+    /// Number of the input.
     pub input: u8,
-    /// 0 trigger, 1 sync pulse.
+    /// Kind of edge: 0 trigger, 1 sync pulse.
     pub kind: u8,
 }
 
-/// Answer to a ping: with the time at which it arrives, what ties the two clocks together.
+/// Reply to a ping. Together with its arrival time it relates the device clock to the host clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pong {
-    /// The host time the ping carried, in nanoseconds.
+    /// Host time that the ping carried, in nanoseconds.
     pub host_ns: u64,
-    /// Device ticks when the ping arrived.
+    /// Device clock when the ping arrived, in ticks.
     pub device_ticks: u64,
 }
 
-/// What the line must carry and can carry.
+/// Bandwidth that the frames need, and bandwidth that the line has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LinkBudget {
-    /// Bytes a second the frames need at the rate, worst case.
+    /// Bytes per second that the frames need at the chosen rate, worst case.
     pub needed_bytes_per_s: u64,
-    /// Bytes a second the line carries; `u64::MAX` when not limited (a bare pty, USB).
+    /// Bytes per second that the line carries; `u64::MAX` when nothing limits it (a bare pty, USB).
     pub available_bytes_per_s: u64,
-    /// The highest rate that fits, in millihertz.
-    pub rate_fits_mhz: u32,
+    /// Highest frame rate that fits the line, in millihertz.
+    pub rate_fits_millihertz: u32,
 }
 
 impl LinkBudget {
-    /// Whether the line carries what is needed.
+    /// Whether the line has the bandwidth that the frames need.
     #[must_use]
     pub fn fits(&self) -> bool {
         self.needed_bytes_per_s <= self.available_bytes_per_s
     }
 }
 
-/// One thing a device said.
+/// A decoded message from a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DeviceEvent<'a> {
-    /// Who it is.
+    /// Identity and capabilities.
     Hello(&'a Hello),
-    /// Markers added to the table (all of them after Hello; later ones as they appear).
+    /// Markers to add to the table: all of them after Hello, later ones as they appear.
     Markers(&'a [MarkerInfo]),
-    /// A frame of markers.
+    /// One frame.
     Frame(Frame<'a>),
     /// A trigger edge.
     Trigger(Trigger),
-    /// A report.
+    /// Counters and temperature.
     Status(Status),
-    /// What people should know about this device or its line, in one line of words. Said rarely: once a
-    /// Start for each thing.
+    /// One line of text for the operator about the device or its line. Sent rarely: at most once per Start
+    /// for each subject.
     Note(&'a str),
-    /// Answer to [`Command::Ping`].
+    /// Reply to [`Command::Ping`].
     Pong(Pong),
-    /// Start accepted.
+    /// [`Command::Start`] was accepted; frames follow.
     Started(LinkBudget),
-    /// Start or `SetRate` refused: the line is too slow, or the rate out of range.
+    /// [`Command::Start`] or [`Command::SetRate`] was refused: the line is too slow, or the rate out of range.
     Refused(LinkBudget),
-    /// `SetRate` accepted: the rate from the next Start on, in millihertz.
+    /// [`Command::SetRate`] was accepted: the rate from the next Start on, in millihertz.
     RateSet(u32),
-    /// The device will send no more frames, and the last report.
+    /// The stream ended: no frame follows. Carries the final counters.
     EndOfStream(Status),
 }
 
-/// What the host can ask.
+/// A command from the host to a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Command {
-    /// Say Hello and Markers (again).
+    /// Send Hello and Markers, possibly again.
     Identify,
-    /// Send frames. The line's speed as the host knows it, in bytes a second; 0 = unknown.
+    /// Start to send frames.
     Start {
-        /// See the variant.
+        /// Bandwidth of the line as the host knows it, in bytes per second; 0 when unknown or unlimited.
         line_bytes_per_s: u64,
     },
-    /// Stop sending frames; the device answers with `EndOfStream`.
+    /// Stop sending frames. The device replies with [`DeviceEvent::EndOfStream`].
     Stop,
-    /// Change the rate while stopped, in millihertz.
+    /// Change the frame rate, in millihertz. Valid while the device is stopped.
     SetRate(u32),
-    /// Answer with a [`Pong`].
+    /// Reply with a [`Pong`].
     Ping {
-        /// The host's monotonic time, in nanoseconds, sent back as it came.
+        /// The host's monotonic time in nanoseconds, which the device returns unchanged.
         host_ns: u64,
     },
 }
 
-/// What a protocol counted since it was made.
+/// Counters of a protocol since its creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LinkCounters {
-    /// Bytes pushed in.
+    /// Bytes received.
     pub bytes: u64,
-    /// Bytes that belonged to no valid message, once the end of the damage is seen.
-    /// A lone 0x00 between messages is framing and counts nowhere.
+    /// Bytes that belonged to no valid message, counted once the end of the damage has arrived. A lone 0x00
+    /// between messages is framing and is not counted.
     pub bytes_skipped: u64,
     /// Messages decoded.
     pub messages: u64,
-    /// Messages whose checksum or layout was wrong.
+    /// Messages with a wrong checksum or layout.
     pub messages_damaged: u64,
-    /// Messages of a type this build does not know: skipped whole.
+    /// Messages of a type or version that this build does not know; they are skipped whole.
     pub messages_unknown: u64,
-    /// Marker positions that were no numbers (infinite, NaN), given as occluded.
+    /// Marker positions that were infinite or NaN; they are reported as occluded.
     pub samples_not_finite: u64,
 }
 
-/// A device family's wire, sans-io: bytes are pushed in, events come out; commands go in, bytes come out.
+/// The protocol of a device family, sans-io: received bytes become events, commands become bytes.
 ///
-/// Frames are decoded without allocating; what is rare (a table, a Hello) may allocate.
+/// Decoding a frame must not allocate. Rare messages (a marker table, a Hello) may.
 pub trait Protocol: Send + std::fmt::Debug {
-    /// Takes the line that it is spoken on, at first and again after the device went away, and gives
-    /// the transport to read instead.
+    /// Takes the transport after every open and reopen, and returns the one to read from.
     ///
-    /// A protocol of devices that speak unasked gives the line back as it is. One of devices that
-    /// only answer puts a [`TurnTransport`](crate::transport::turns::TurnTransport) around it, and
-    /// knows nothing of the device from then on.
+    /// Returns `line` unchanged for devices that send on their own. A protocol that must poll wraps it in a
+    /// [`PolledTransport`](crate::transport::polled::PolledTransport). The state of the device is unknown from
+    /// then on: a protocol that keeps any resets it here.
     fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
         line
     }
 
-    /// Takes bytes as they arrived, in pieces of any size, and gives every event they complete.
+    /// Decodes received bytes, split at arbitrary points, and calls `on_event` for every event they complete.
     ///
-    /// It is called after every read, also one that brought nothing: a protocol that waits for
-    /// answers sees then that time has passed.
+    /// The reader calls it after every read, empty ones included, so that a polling protocol can detect
+    /// time-outs.
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>));
 
-    /// Appends the bytes that say `command`.
+    /// Appends the encoded `command` to `out`.
     fn command(&mut self, command: Command, out: &mut Vec<u8>);
 
-    /// What was counted so far.
+    /// The counters so far.
     fn counters(&self) -> LinkCounters;
 }

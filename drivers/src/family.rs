@@ -1,55 +1,55 @@
-//! What a family of devices is, and what can be seen of a device from outside.
+//! Device families, and the properties by which a family recognises a device before opening it.
 
 use crate::{device::Protocol, uri::Location};
 
 /// Devices that speak one protocol.
 #[derive(Debug)]
 pub struct Family {
-    /// What `?driver=` calls it.
+    /// The family's name in `?driver=NAME`: lower-case ASCII letters and digits.
     pub name: &'static str,
-    /// Whether a device is one of these, by what can be seen without opening it.
+    /// Rates a device by what is visible without opening it: location, USB ids and strings.
     pub claims: fn(&Candidate) -> Claim,
-    /// The protocol of a device at a place, on which nothing was said yet.
+    /// Makes the protocol for a newly opened device at a location.
     pub protocol: fn(&Location) -> Box<dyn Protocol>,
 }
 
-/// How sure a family is.
+/// How confident a family is that a device is one of its own. Ordered: a higher claim wins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Claim {
-    /// It is none of ours.
+    /// Not a device of this family.
     No,
-    /// It may be: nothing speaks against it.
+    /// Could be one; nothing rules it out (a bare serial port).
     Possible,
-    /// It says so itself.
+    /// The device's USB strings identify it.
     Certain,
 }
 
-/// A device, as it looks from outside.
+/// A device as the operating system describes it, without opening it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Candidate {
-    /// Where it is.
+    /// The serial port or USB address.
     pub location: Location,
-    /// USB vendor and product, where it has them.
+    /// USB vendor and product ids; `None` for a serial port that is not on USB.
     pub usb_ids: Option<(u16, u16)>,
-    /// Its serial number.
+    /// Serial number from the USB descriptor.
     pub serial: Option<String>,
-    /// Who made it.
+    /// Manufacturer string from the USB descriptor.
     pub manufacturer: Option<String>,
-    /// What it calls itself.
+    /// Product string from the USB descriptor.
     pub product: Option<String>,
 }
 
 impl Candidate {
-    /// A device of which nothing is known but the place.
+    /// A device known by its location only.
     #[must_use]
     pub fn at(location: Location) -> Self {
         Self { location, usb_ids: None, serial: None, manufacturer: None, product: None }
     }
 
-    /// Whether the product or its maker is called so; `is_name` gets small letters.
-    pub(crate) fn is_called(&self, is_name: impl Fn(&str) -> bool) -> bool {
-        let texts = [&self.product, &self.manufacturer].into_iter().flatten();
-        texts.map(|text| text.to_ascii_lowercase()).any(|text| is_name(&text))
+    /// Whether `is_name` accepts the product or the manufacturer string, in lower case.
+    pub(crate) fn name_matches(&self, is_name: impl Fn(&str) -> bool) -> bool {
+        let strings = [&self.product, &self.manufacturer].into_iter().flatten();
+        strings.map(|text| text.to_ascii_lowercase()).any(|text| is_name(&text))
     }
 
     pub(crate) fn is_serial(&self) -> bool {

@@ -1,6 +1,10 @@
-//! Device families, the link protocol and the transports they run over.
+//! Drivers for motion-capture devices: device families, the link protocol, and serial and USB transports.
 //!
-//! A frame from a device to a host, with nothing between them but bytes:
+//! A [`device::Protocol`] is sans-io: it turns received bytes into events and commands into bytes. A
+//! [`transport::Transport`] moves those bytes. [`registry`] pairs the two for a device URI, and
+//! [`ndi`] and [`link`] are the families so far.
+//!
+//! One frame, encoded at the device's end of a link and decoded at the host's:
 //!
 //! ```
 //! use mocapd_drivers::{

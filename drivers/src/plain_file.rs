@@ -1,7 +1,6 @@
-//! Files that are read to their end: what has none is refused before anything waits for it.
+//! Opens regular files only, so that reading to the end of input cannot block.
 
 use std::{
-    fmt,
     fs::{self, File, FileType},
     io,
     os::unix::fs::FileTypeExt,
@@ -10,16 +9,20 @@ use std::{
 
 use rustix::fs::{Mode, OFlags};
 
-/// What a path leads to that is no plain file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Kinds of file that are not regular files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotAFile {
     /// A directory.
+    #[error("a folder, not a file")]
     Folder,
-    /// A FIFO: opening it waits for a writer, and it need not end.
+    /// A FIFO: opening it blocks until there is a writer, and it may never end.
+    #[error("a pipe, not a file: write its content to a file first")]
     Pipe,
     /// A socket.
+    #[error("a socket, not a file")]
     Socket,
-    /// A character or block device: it need not end either, and opening it may have effects of its own.
+    /// A character or block device: it may never end, and opening it can have side effects.
+    #[error("a device, not a file")]
     Device,
 }
 
@@ -34,41 +37,28 @@ impl NotAFile {
         }
     }
 
-    /// Why a file was not opened, if it was for this.
+    /// Returns the `NotAFile` inside an error of [`open`], if that was the reason.
     #[must_use]
     pub fn why(error: &io::Error) -> Option<Self> {
         error.get_ref().and_then(|source| source.downcast_ref()).copied()
     }
 }
 
-impl fmt::Display for NotAFile {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Folder => "a folder, not a file",
-            Self::Pipe => "a pipe, not a file: write what comes through it to a file first",
-            Self::Socket => "a socket, not a file",
-            Self::Device => "a device, not a file",
-        })
-    }
-}
-
-impl std::error::Error for NotAFile {}
-
-/// Opens a plain file to read, or what a link to one leads to. Never waits, whatever is there.
+/// Opens a regular file, or a link to one, for reading. Never blocks.
 ///
 /// # Errors
-/// The system's; [`NotAFile`] as its source where something else is there.
+/// The operating system's error; [`NotAFile`] as its source for anything but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
-    // Before it is opened, which is not without effect on a device.
-    check(fs::metadata(path)?.file_type())?;
-    // It may have been replaced since: opening a pipe must not wait then, either.
+    // Before opening it, which has side effects on a device.
+    require_regular(fs::metadata(path)?.file_type())?;
+    // The path may have been replaced since: opening a pipe must not block then either.
     let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
-    check(file.metadata()?.file_type())?;
+    require_regular(file.metadata()?.file_type())?;
     Ok(file)
 }
 
-fn check(kind: FileType) -> io::Result<()> {
+fn require_regular(kind: FileType) -> io::Result<()> {
     NotAFile::of(kind).map_or(Ok(()), |what| Err(io::Error::other(what)))
 }
 
@@ -79,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_plain_file_is_refused_at_once() {
+    fn everything_but_a_regular_file_is_refused_without_blocking() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         fs::write(path("plain"), b"it").unwrap();

@@ -1,42 +1,42 @@
-//! The raw log: every byte that went over a line, either way, with its time. `docs/raw-log.md` has the format.
+//! Raw logs: every byte of a line, in both directions, with its time. `docs/raw-log.md` has the format.
 
-use crate::bytes::{Cursor, Wire, record};
+use crate::bytes::{Cursor, WireValue, wire_struct};
 
-/// What a raw log begins with.
+/// Magic number at the start of a raw log.
 ///
-/// The first byte is no text, the line ends show a transfer that changed them, and 0x1a ends a listing.
+/// The first byte is not ASCII, the line ends reveal a transfer in text mode, and 0x1a ends a listing.
 pub const MAGIC: [u8; 8] = *b"\x89MRL\r\n\x1a\n";
 
-/// The version that this build writes and reads.
+/// Format version that this build writes and reads.
 pub const VERSION: u8 = 1;
 
-/// Bytes before the first record.
-pub const HEAD_BYTES: usize = MAGIC.len() + 1;
+/// Bytes of the file header: magic number and version.
+pub const HEADER_BYTES: usize = MAGIC.len() + 1;
 
-/// Type, time, length and checksum around every payload.
+/// Bytes around every payload: type, time, length and checksum.
 pub const RECORD_OVERHEAD_BYTES: usize = 1 + 8 + 4 + 4;
 
-/// The longest payload: 16 times what a host reads at once.
+/// Longest payload of a record, in bytes: 16 times what a host reads at once.
 pub const PAYLOAD_BYTES_MAX: usize = 1 << 20;
 
-/// What a record tells.
+/// Content of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Entry<'a> {
-    /// The device said these bytes.
+    /// Bytes received from the device.
     FromDevice(&'a [u8]),
-    /// The host said these bytes.
+    /// Bytes sent to the device.
     ToDevice(&'a [u8]),
-    /// The host held the line in the break state, as a reset.
+    /// The host sent a break, which resets some devices.
     Break,
     /// The host changed the line's speed, in baud.
     Baud(u32),
-    /// The line was opened. The driver's name and the line in words, with a space in between.
+    /// The line was opened. Holds the driver's name, a space, and the description of the line.
     Opened(&'a str),
-    /// The device was gone, or the line was closed.
+    /// The device was disconnected, or the line closed.
     Closed,
-    /// So many bytes of both directions are not in the log: the disk did not take them in time.
+    /// Number of bytes of both directions that are missing here, because the disk fell behind.
     Missing(u64),
-    /// The log is whole: nothing went over the line after it.
+    /// The log is complete: nothing went over the line afterwards.
     End,
 }
 
@@ -55,27 +55,27 @@ impl Entry<'_> {
     }
 }
 
-/// One record.
+/// One record of a raw log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Record<'a> {
-    /// Nanoseconds since the log was begun.
+    /// Nanoseconds since the start of the log.
     pub time_ns: u64,
-    /// What it tells.
+    /// The content.
     pub entry: Entry<'a>,
 }
 
-/// Appends what a log begins with.
-pub fn put_head(out: &mut Vec<u8>) {
+/// Appends the file header.
+pub fn put_header(out: &mut Vec<u8>) {
     out.extend_from_slice(&MAGIC);
     out.push(VERSION);
 }
 
-/// Appends a record. A payload that is longer than [`PAYLOAD_BYTES_MAX`] goes as several.
+/// Appends a record. A payload longer than [`PAYLOAD_BYTES_MAX`] is split over several records.
 pub fn put_record(record: &Record<'_>, out: &mut Vec<u8>) {
     let Record { time_ns, entry } = record;
     let payload: &[u8] = match entry {
         Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => bytes,
-        Entry::Opened(words) => words.as_bytes(),
+        Entry::Opened(text) => text.as_bytes(),
         Entry::Missing(bytes) => &bytes.to_le_bytes(),
         Entry::Baud(baud) => &baud.to_le_bytes(),
         Entry::Break | Entry::Closed | Entry::End => &[],
@@ -96,43 +96,43 @@ pub fn put_record(record: &Record<'_>, out: &mut Vec<u8>) {
     }
 }
 
-/// Why a raw log cannot be read on.
+/// Reasons why reading a raw log stops.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RawLogError {
-    /// It does not begin like one.
-    #[error("not a raw log: `mocapd record --raw` writes them")]
+    /// The file does not start with [`MAGIC`].
+    #[error("not a raw log; record one with `mocapd record --raw`")]
     NotALog,
-    /// A later version.
-    #[error("raw log version {found}, and this build reads {VERSION}: use a newer one")]
+    /// The log has another format version.
+    #[error("raw log version {found}, but this build reads version {VERSION}; use a newer build")]
     Version {
-        /// As it says.
+        /// Version in the file.
         found: u8,
     },
-    /// A record is not as it was written. What stands before it is good.
-    #[error("the raw log is damaged at byte {offset}, and is read up to there")]
+    /// The checksum or layout of a record is wrong. The records before it are intact.
+    #[error("raw log damaged at byte {offset}; the records before it were read")]
     Damaged {
         /// Where the record begins.
         offset: usize,
     },
-    /// The last record is not whole: the recorder was killed.
-    #[error("the raw log is cut off at byte {offset}, and is read up to there")]
+    /// The last record is incomplete: the recorder was killed.
+    #[error("raw log cut off at byte {offset}; the records before it were read")]
     CutOff {
         /// Where the record begins.
         offset: usize,
     },
 }
 
-/// What stands in front of every payload.
-struct Head {
+/// Header of a record, before its payload.
+struct RecordHeader {
     kind: u8,
     time_ns: u64,
     payload_bytes: u32,
 }
 
-record!(Head { kind, time_ns, payload_bytes });
+wire_struct!(RecordHeader { kind, time_ns, payload_bytes });
 
-/// The records of a log, one after another, and an error where it cannot be read on. Nothing is allocated.
+/// Iterator over the records of a log. It yields an error where the log cannot be read, and allocates nothing.
 #[derive(Debug, Clone)]
 pub struct Records<'a> {
     log: &'a [u8],
@@ -140,14 +140,14 @@ pub struct Records<'a> {
     ended: bool,
 }
 
-/// Reads a log that is in memory.
+/// Iterates over the records of a log in memory.
 ///
 /// # Errors
 /// `NotALog` and `Version`.
 pub fn records(log: &[u8]) -> Result<Records<'_>, RawLogError> {
     let rest = log.strip_prefix(&MAGIC[..]).ok_or(RawLogError::NotALog)?;
     match rest.first() {
-        Some(&VERSION) => Ok(Records { log, offset: HEAD_BYTES, ended: false }),
+        Some(&VERSION) => Ok(Records { log, offset: HEADER_BYTES, ended: false }),
         Some(&found) => Err(RawLogError::Version { found }),
         None => Err(RawLogError::CutOff { offset: MAGIC.len() }),
     }
@@ -159,8 +159,8 @@ impl<'a> Records<'a> {
         let (cut_off, damaged) = (RawLogError::CutOff { offset }, RawLogError::Damaged { offset });
         let rest = self.log.get(offset..).unwrap_or_default();
         let mut cursor = Cursor::new(rest);
-        let head = cursor.get::<Head>().ok_or_else(|| cut_off.clone())?;
-        let Head { kind, time_ns, payload_bytes } = head;
+        let header = cursor.get::<RecordHeader>().ok_or_else(|| cut_off.clone())?;
+        let RecordHeader { kind, time_ns, payload_bytes } = header;
         let n = payload_bytes as usize;
         if n > PAYLOAD_BYTES_MAX {
             return Err(damaged);
@@ -175,10 +175,10 @@ impl<'a> Records<'a> {
             (0x01, _) => Entry::FromDevice(payload),
             (0x02, _) => Entry::ToDevice(payload),
             (0x03, 0) => Entry::Break,
-            (0x04, _) => Entry::Baud(Wire::whole(payload).ok_or(damaged)?),
+            (0x04, _) => Entry::Baud(WireValue::decode(payload).ok_or(damaged)?),
             (0x10, _) => Entry::Opened(str::from_utf8(payload).map_err(|_| damaged)?),
             (0x11, 0) => Entry::Closed,
-            (0x20, _) => Entry::Missing(Wire::whole(payload).ok_or(damaged)?),
+            (0x20, _) => Entry::Missing(WireValue::decode(payload).ok_or(damaged)?),
             (0x7f, 0) => Entry::End,
             _ => return Err(damaged),
         };
@@ -204,7 +204,7 @@ impl<'a> Iterator for Records<'a> {
 mod tests {
     use super::*;
 
-    fn written() -> (Vec<u8>, Vec<Record<'static>>) {
+    fn sample_log() -> (Vec<u8>, Vec<Record<'static>>) {
         let entries = [
             Entry::Opened("dvmc a line"),
             Entry::ToDevice(&[0, 1, 2]),
@@ -217,7 +217,7 @@ mod tests {
             Entry::End,
         ];
         let mut log = Vec::new();
-        put_head(&mut log);
+        put_header(&mut log);
         let records = (0..).zip(entries).map(|(i, entry)| Record { time_ns: i << 40, entry });
         let records: Vec<_> = records.collect();
         records.iter().for_each(|record| put_record(record, &mut log));
@@ -226,17 +226,17 @@ mod tests {
 
     #[test]
     fn records_come_back_as_they_were() {
-        let (log, expected) = written();
+        let (log, expected) = sample_log();
         let found: Result<Vec<_>, _> = records(&log).unwrap().collect();
         assert_eq!(found.unwrap(), expected);
-        assert_eq!(log.len(), HEAD_BYTES + 9 * RECORD_OVERHEAD_BYTES + 11 + 3 + 4 + 300 + 8);
+        assert_eq!(log.len(), HEADER_BYTES + 9 * RECORD_OVERHEAD_BYTES + 11 + 3 + 4 + 300 + 8);
     }
 
     #[test]
     fn a_long_payload_goes_as_several_records() {
         let bytes = vec![5; 2 * PAYLOAD_BYTES_MAX + 1];
         let mut log = Vec::new();
-        put_head(&mut log);
+        put_header(&mut log);
         put_record(&Record { time_ns: 3, entry: Entry::FromDevice(&bytes) }, &mut log);
         let lengths: Vec<usize> = records(&log)
             .unwrap()
@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn every_cut_and_every_changed_byte_is_found() {
-        let (log, expected) = written();
+        let (log, expected) = sample_log();
         for end in 0..log.len() {
             let found: Vec<_> = match records(&log[..end]) {
                 Ok(records) => records.collect(),
@@ -275,7 +275,7 @@ mod tests {
     fn other_files_and_later_versions_are_refused() {
         assert_eq!(records(b"").unwrap_err(), RawLogError::NotALog);
         assert_eq!(records(b"seq,ticks\n1,2\n").unwrap_err(), RawLogError::NotALog);
-        let (mut log, _) = written();
+        let (mut log, _) = sample_log();
         log[MAGIC.len()] = 9;
         assert_eq!(records(&log).unwrap_err(), RawLogError::Version { found: 9 });
     }

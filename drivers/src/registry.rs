@@ -1,4 +1,4 @@
-//! The device families, what is attached, and how to open it.
+//! The registry: all device families, the attached devices, and how to open them.
 
 use std::path::Path;
 
@@ -16,44 +16,39 @@ use crate::{
     uri::{DeviceUri, Location},
 };
 
-/// Every family. A new one is a folder and a line here.
+/// All device families. Register a new one here.
 pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY];
 
-/// The family that is surest; of two that are equally sure, the first.
+/// Returns the family with the highest claim on a device; of two equal claims, the first in [`FAMILIES`].
 #[must_use]
 pub fn family_of(candidate: &Candidate) -> Option<(&'static Family, Claim)> {
-    let mut surest: Option<(&'static Family, Claim)> = None;
-    for family in FAMILIES {
-        let claim = (family.claims)(candidate);
-        if claim > surest.map_or(Claim::No, |(_, claim)| claim) {
-            surest = Some((family, claim));
-        }
-    }
-    surest
+    let claims = FAMILIES.iter().map(|family| (family, (family.claims)(candidate)));
+    // Reversed, as `max_by_key` returns the last of equal claims.
+    claims.filter(|(_, claim)| *claim > Claim::No).rev().max_by_key(|(_, claim)| *claim)
 }
 
-/// A device that is attached.
+/// An attached device.
 #[derive(Debug)]
-pub struct Listed {
-    /// What it says of itself.
+pub struct AttachedDevice {
+    /// The device as the operating system describes it.
     pub candidate: Candidate,
-    /// The family that is surest of it, and how sure.
+    /// Name of the family with the highest claim, and that claim.
     pub family: Option<(&'static str, Claim)>,
-    /// Whether it can be opened, and if not, what helps.
+    /// Whether it can be opened, or the error that opening would return.
     pub access: Access,
 }
 
-/// Serial ports, then USB devices that are no serial port. None of them is opened.
+/// Lists serial ports, then USB devices that are not serial ports. Opens none of them.
 ///
 /// # Errors
-/// `Io` when the system's lists cannot be read.
-pub fn devices() -> Result<Vec<Listed>, TransportError> {
+/// `Io` when the operating system's device lists cannot be read.
+pub fn devices() -> Result<Vec<AttachedDevice>, TransportError> {
     let serial = serial_candidates()?;
     let usb = usb::devices()?;
     let mut listed = Vec::new();
     for device in &usb {
         if !serial.iter().any(|port| is_port_of(port, device)) {
-            listed.push(list(usb_candidate(device), usb::usb_access(device)));
+            listed.push(list_device(usb_candidate(device), usb::usb_access(device)));
         }
     }
     let ports = serial.into_iter().map(|candidate| {
@@ -61,15 +56,15 @@ pub fn devices() -> Result<Vec<Listed>, TransportError> {
             Location::Serial { path, .. } => access(path),
             Location::Usb { .. } => Access::Accessible,
         };
-        list(candidate, access)
+        list_device(candidate, access)
     });
     Ok(ports.chain(listed).collect())
 }
 
-/// The serial ports, by name.
+/// Serial ports, sorted by name.
 fn serial_candidates() -> Result<Vec<Candidate>, TransportError> {
     const SYSFS: &str = "/sys/class/tty";
-    // Without this folder serialport panics.
+    // serialport panics without this folder.
     if !Path::new(SYSFS).exists() {
         return Ok(Vec::new());
     }
@@ -79,22 +74,20 @@ fn serial_candidates() -> Result<Vec<Candidate>, TransportError> {
         source: error.into(),
     })?;
     ports.sort_by(|a, b| a.port_name.cmp(&b.port_name));
-    Ok(ports
-        .into_iter()
-        .map(|port| {
-            let location = Location::Serial { path: port.port_name.into(), baud: None };
-            match port.port_type {
-                SerialPortType::UsbPort(usb) => Candidate {
-                    location,
-                    usb_ids: Some((usb.vid, usb.pid)),
-                    serial: usb.serial_number,
-                    manufacturer: usb.manufacturer,
-                    product: usb.product,
-                },
-                _ => Candidate::at(location),
-            }
-        })
-        .collect())
+    let candidates = ports.into_iter().map(|port| {
+        let location = Location::Serial { path: port.port_name.into(), baud: None };
+        match port.port_type {
+            SerialPortType::UsbPort(usb) => Candidate {
+                location,
+                usb_ids: Some((usb.vid, usb.pid)),
+                serial: usb.serial_number,
+                manufacturer: usb.manufacturer,
+                product: usb.product,
+            },
+            _ => Candidate::at(location),
+        }
+    });
+    Ok(candidates.collect())
 }
 
 fn usb_candidate(device: &UsbDevice) -> Candidate {
@@ -112,41 +105,41 @@ fn is_port_of(port: &Candidate, device: &UsbDevice) -> bool {
     port.usb_ids == Some((device.vid, device.pid)) && port.serial == device.serial
 }
 
-fn list(candidate: Candidate, access: Access) -> Listed {
+fn list_device(candidate: Candidate, access: Access) -> AttachedDevice {
     let family = family_of(&candidate).map(|(family, claim)| (family.name, claim));
-    Listed { candidate, family, access }
+    AttachedDevice { candidate, family, access }
 }
 
-/// A device, open, and what it speaks.
+/// An open device and its protocol.
 #[derive(Debug)]
 pub struct OpenedDevice {
-    /// Its bytes.
+    /// Byte stream to the device, as the protocol wants it read.
     pub transport: Box<dyn Transport>,
-    /// Their meaning.
+    /// Decoder and encoder of that stream.
     pub protocol: Box<dyn Protocol>,
-    /// The family's name.
+    /// Name of the family.
     pub family: &'static str,
-    /// Which device it is, to be found again by after a replug.
+    /// Identity of the device, to find it after a replug.
     pub identity: Candidate,
 }
 
-/// Why a device was not opened.
+/// Reasons why a device was not opened.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// `?driver=` names no family.
-    #[error("no driver is called '{name}': use one of {}", family_names())]
+    /// No family has the name in `?driver=NAME`.
+    #[error("unknown driver '{name}'; use one of {}", family_names())]
     UnknownDriver {
-        /// The name.
+        /// Name in the URI.
         name: String,
     },
     /// No family claims the device.
     #[error(
-        "no driver claims {location}: if you know what it speaks, add ?driver=NAME with one of {}",
+        "no driver recognises {location}; name one with ?driver=NAME, one of {}",
         family_names()
     )]
     Unclaimed {
-        /// The device.
+        /// Location of the device.
         location: String,
     },
     /// The transport could not be opened.
@@ -154,19 +147,20 @@ pub enum OpenError {
     Transport(#[from] TransportError),
 }
 
-/// Opens a device. Nothing is written to it.
+/// Opens a device without writing to it.
 ///
 /// # Errors
-/// `UnknownDriver`, `Unclaimed`, and why the transport could not be opened.
+/// `UnknownDriver`, `Unclaimed`, and the transport's error.
 pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
-    open_through(uri, &mut |_, line| line)
+    open_with_wrapper(uri, &mut |_, line| line)
 }
 
-/// The same, with something between the line and the protocol: `wrap` gets the family's name and the line.
+/// Opens a device with a wrapper around its transport, such as a raw log: `wrap` gets the family's name
+/// and the transport, and returns the transport to give to the protocol.
 ///
 /// # Errors
-/// As [`open`].
-pub fn open_through(
+/// `UnknownDriver`, `Unclaimed`, and the transport's error.
+pub fn open_with_wrapper(
     uri: &DeviceUri,
     wrap: &mut dyn FnMut(&'static str, Box<dyn Transport>) -> Box<dyn Transport>,
 ) -> Result<OpenedDevice, OpenError> {
@@ -183,37 +177,32 @@ pub fn open_through(
     Ok(OpenedDevice { transport, protocol, family: family.name, identity })
 }
 
-/// Opens a device that went away, wherever it is now: a replug may give a port another name.
+/// Reopens a device after a disconnect, also when a replug gave its port another name.
 ///
 /// # Errors
-/// Why its transport could not be opened.
-pub fn open_again(
-    uri: &DeviceUri,
-    identity: &Candidate,
-) -> Result<Box<dyn Transport>, TransportError> {
-    open_transport(&place_now(&uri.location, identity))
+/// The transport's error.
+pub fn reopen(uri: &DeviceUri, identity: &Candidate) -> Result<Box<dyn Transport>, TransportError> {
+    open_transport(&current_location(&uri.location, identity))
 }
 
-/// Where a device is now that was seen before.
+/// Returns the current URI of a device that was open before.
 #[must_use]
-pub fn find_again(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
-    DeviceUri { location: place_now(&uri.location, identity), driver: uri.driver.clone() }
+pub fn current_uri(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
+    DeviceUri { location: current_location(&uri.location, identity), driver: uri.driver.clone() }
 }
 
-/// A USB device is the one with its serial number, whatever else of its kind is attached by now.
-fn place_now(location: &Location, identity: &Candidate) -> Location {
-    match location {
-        Location::Usb { vid, pid, serial } => {
+/// The current location of a device. USB devices are found by serial number, among any others of that kind.
+fn current_location(location: &Location, identity: &Candidate) -> Location {
+    match *location {
+        Location::Usb { vid, pid, ref serial } => {
             let serial = identity.serial.clone().or_else(|| serial.clone());
-            Location::Usb { vid: *vid, pid: *pid, serial }
+            Location::Usb { vid, pid, serial }
         }
-        Location::Serial { path, baud } if identity.serial.is_some() && !path.exists() => {
+        Location::Serial { ref path, baud } if identity.serial.is_some() && !path.exists() => {
             let ports = serial_candidates().unwrap_or_default().into_iter();
             let mut same = ports.filter(|port| is_same(port, identity));
             match (same.next().map(|port| port.location), same.next()) {
-                (Some(Location::Serial { path, .. }), None) => {
-                    Location::Serial { path, baud: *baud }
-                }
+                (Some(Location::Serial { path, .. }), None) => Location::Serial { path, baud },
                 _ => location.clone(),
             }
         }
@@ -243,7 +232,7 @@ fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportEr
     }
 }
 
-/// What is known of the device at a place: a link to a port is the port.
+/// Describes the device at a location. A link to a port stands for that port.
 fn candidate_at(location: &Location) -> Candidate {
     let unknown = || Candidate::at(location.clone());
     let path = match location {
@@ -256,14 +245,12 @@ fn candidate_at(location: &Location) -> Candidate {
             return same.as_ref().map_or_else(unknown, usb_candidate);
         }
     };
-    let Ok(real_path) = path.canonicalize() else {
-        return unknown();
-    };
+    let Ok(real_path) = path.canonicalize() else { return unknown() };
     let ports = serial_candidates().unwrap_or_default();
-    let is_here = |port: &&Candidate| matches!(&port.location, Location::Serial { path, .. } if *path == real_path);
-    let Some(mut found) = ports.iter().find(is_here).cloned() else { return unknown() };
+    let is_at_path = |port: &&Candidate| matches!(&port.location, Location::Serial { path, .. } if *path == real_path);
+    let Some(mut found) = ports.iter().find(is_at_path).cloned() else { return unknown() };
     if ports.iter().filter(|port| is_same(port, &found)).count() > 1 {
-        // The ports of one adapter, or adapters that were never numbered: the serial number tells nothing.
+        // Several ports of one adapter, or adapters without individual numbers: the number identifies nothing.
         found.serial = None;
     }
     found
@@ -331,17 +318,17 @@ mod tests {
     }
 
     #[test]
-    fn says_what_to_do() {
+    fn errors_say_what_to_do() {
         let unknown = error_of("serial:/dev/null?driver=vicon");
         assert!(matches!(&unknown, OpenError::UnknownDriver { name } if name == "vicon"));
         assert!(unknown.to_string().contains(&family_names()), "{unknown}");
-        // A name in capitals is found: what is wrong is the port.
+        // A driver name in capitals is accepted: the fault is the port.
         for uri in ["serial:/dev/null?driver=NDI", "serial:/dev/null", "serial:/etc/hostname"] {
-            let no_port = error_of(uri);
+            let not_a_port = error_of(uri);
             let device = uri.trim_start_matches("serial:").trim_end_matches("?driver=NDI");
             assert!(
-                matches!(&no_port, OpenError::Transport(TransportError::Unsupported(said)) if said.contains(device)),
-                "{uri}: {no_port:?}"
+                matches!(&not_a_port, OpenError::Transport(TransportError::Unsupported(text)) if text.contains(device)),
+                "{uri}: {not_a_port:?}"
             );
         }
         for (uri, name) in [

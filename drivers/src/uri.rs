@@ -1,41 +1,41 @@
-//! Which device: `serial:PATH[@BAUD]` or `usb:VID:PID[:SERIAL]`, and `?driver=NAME` after either.
+//! Device URIs: `serial:PATH[@BAUD]` or `usb:VID:PID[:SERIAL]`, with an optional `?driver=NAME`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
-/// Where a device is.
+/// The port or USB address of a device.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Location {
     /// A serial port.
     Serial {
         /// The device file, or a link to it.
         path: PathBuf,
-        /// The line's speed; `None` for [`BAUD_DEFAULT`](crate::transport::serial::BAUD_DEFAULT).
+        /// Baud rate; `None` for [`BAUD_DEFAULT`](crate::transport::serial::BAUD_DEFAULT).
         baud: Option<u32>,
     },
     /// A USB device.
     Usb {
-        /// Vendor.
+        /// Vendor id.
         vid: u16,
-        /// Product.
+        /// Product id.
         pid: u16,
-        /// Serial number, where two of the kind are attached.
+        /// Serial number, needed where several devices share the ids.
         serial: Option<String>,
     },
 }
 
-/// Where a device is, and which family's protocol it speaks.
+/// Location of a device, and optionally the family whose protocol it speaks.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct DeviceUri {
-    /// Where.
+    /// Serial port or USB address.
     pub location: Location,
-    /// The family's name; `None` to take the family that claims the device.
+    /// Name of the family; `None` selects the family that claims the device.
     pub driver: Option<String>,
 }
 
-/// Why a text is no device.
+/// Error of parsing a device URI.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "'{text}' is no device: {reason}; write serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed"
+    "invalid device URI '{text}': {reason}; write serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed"
 )]
 pub struct UriError {
     text: String,
@@ -51,31 +51,27 @@ impl FromStr for DeviceUri {
 }
 
 fn parse(text: &str) -> Result<DeviceUri, String> {
-    let (place, query) = text.split_once('?').map_or((text, None), |(place, q)| (place, Some(q)));
+    let (base, query) = text.split_once('?').map_or((text, None), |(base, q)| (base, Some(q)));
     let driver = query.map(parse_query).transpose()?;
-    let location = match place.split_once(':') {
-        Some(("serial", rest)) => parse_serial(rest)?,
-        Some(("usb", rest)) => parse_usb(rest)?,
-        _ if place.starts_with('/') => {
-            return Err(format!("a path needs its scheme, serial:{place}"));
-        }
-        Some((scheme, _)) => {
-            return Err(format!("the scheme '{scheme}' is neither serial nor usb"));
-        }
-        None => return Err("it has no scheme".to_owned()),
+    let location = match base.split_once(':') {
+        Some(("serial", rest)) => parse_serial(rest),
+        Some(("usb", rest)) => parse_usb(rest),
+        _ if base.starts_with('/') => Err(format!("a path needs a scheme: serial:{base}")),
+        Some((scheme, _)) => Err(format!("unknown scheme '{scheme}', expected serial or usb")),
+        None => Err("the scheme is missing".to_owned()),
     };
-    Ok(DeviceUri { location, driver })
+    Ok(DeviceUri { location: location?, driver })
 }
 
 fn parse_query(query: &str) -> Result<String, String> {
     match query.split_once('=') {
         Some(("driver", name)) if !name.is_empty() => Ok(name.to_owned()),
-        _ => Err(format!("after '?' stands '{query}' and not driver=NAME")),
+        _ => Err(format!("expected driver=NAME after '?', found '{query}'")),
     }
 }
 
 fn parse_serial(rest: &str) -> Result<Location, String> {
-    // The last '@' with digits behind it: udev's by-path links hold '@' too.
+    // The last '@' that no '/' follows: udev's by-path links contain '@' too.
     let (path, baud) = match rest.rsplit_once('@') {
         Some((path, baud)) if !baud.contains('/') => (path, Some(parse_baud(baud)?)),
         _ => (rest, None),
@@ -88,7 +84,7 @@ fn parse_serial(rest: &str) -> Result<Location, String> {
 
 fn parse_baud(baud: &str) -> Result<u32, String> {
     match baud.parse() {
-        Ok(0) | Err(_) => Err(format!("the speed '{baud}' is no baud rate")),
+        Ok(0) | Err(_) => Err(format!("'{baud}' is not a baud rate")),
         Ok(baud) => Ok(baud),
     }
 }
@@ -100,7 +96,7 @@ fn parse_usb(rest: &str) -> Result<Location, String> {
         if part.len() == 4 && part.bytes().all(|byte| byte.is_ascii_hexdigit()) {
             return u16::from_str_radix(part, 16).map_err(|error| error.to_string());
         }
-        Err(format!("the {what} id '{part}' is not four hexadecimal digits"))
+        Err(format!("expected four hexadecimal digits as the {what} id, found '{part}'"))
     };
     let (vid, pid) = (hex("vendor")?, hex("product")?);
     match parts.next() {
@@ -140,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_every_form_and_writes_it_back() {
+    fn every_form_round_trips() {
         let usb = |serial: Option<&str>| Location::Usb {
             vid: 0x0403,
             pid: 0x6abc,
@@ -162,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn says_what_is_wrong() {
+    fn errors_name_the_invalid_part() {
         for (text, reason) in [
             ("/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
             ("tcp:host:1", "'tcp'"),
@@ -186,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn says_what_is_missing() {
+    fn errors_name_the_missing_part() {
         let reason = |text: &str| text.parse::<DeviceUri>().unwrap_err().reason;
         let (no_scheme, no_path) = (reason(""), reason("serial:"));
         assert_eq!(reason("ttyUSB0"), no_scheme);

@@ -1,4 +1,4 @@
-//! Once the largest frame has been seen, neither end of the link allocates; nor does an NDI host while it
+//! After the largest frame, neither end of the link allocates, nor does an NDI host while it
 //! polls.
 
 #![expect(unsafe_code, reason = "counting allocations takes an allocator")]
@@ -17,21 +17,21 @@ mod no_allocation {
         },
         link::{DeviceLink, FrameForm, HostLink},
         ndi::{NdiHost, crc16},
-        transport::turns::{Order, Orders, desk},
+        transport::polled::{LineCommand, LineCommandReceiver, line_command_channel},
     };
 
     thread_local! {
-        /// Of this thread: the test harness allocates on others.
+        /// Allocations of this thread; the test harness allocates on others.
         static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
     }
 
     struct Counting;
 
-    // SAFETY: every call goes to the system's allocator as it came.
+    // SAFETY: every call is forwarded unchanged to the system's allocator.
     unsafe impl GlobalAlloc for Counting {
         unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
             ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-            // SAFETY: the caller keeps alloc's contract.
+            // SAFETY: the caller upholds alloc's contract.
             unsafe { System.alloc(layout) }
         }
 
@@ -42,7 +42,7 @@ mod no_allocation {
 
         unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
             ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-            // SAFETY: the caller keeps realloc's contract.
+            // SAFETY: the caller upholds realloc's contract.
             unsafe { System.realloc(pointer, layout, bytes) }
         }
     }
@@ -50,7 +50,7 @@ mod no_allocation {
     #[global_allocator]
     static COUNTING: Counting = Counting;
 
-    struct Talk {
+    struct LinkPair {
         device: DeviceLink,
         host: HostLink,
         wire: Vec<u8>,
@@ -59,7 +59,7 @@ mod no_allocation {
         markers: Vec<MarkerSample>,
     }
 
-    impl Talk {
+    impl LinkPair {
         fn round(&mut self, seq: u32) {
             self.wire.clear();
             for form in [FrameForm::Float, FrameForm::Micrometres, FrameForm::Compact] {
@@ -71,19 +71,19 @@ mod no_allocation {
             self.device.markers(&self.table, &mut self.wire).unwrap();
             self.device.status(Status::default(), &mut self.wire);
             self.device.pong(Pong { host_ns: 1, device_ticks: 2 }, &mut self.wire);
-            let mut heard = 0;
+            let mut n_events = 0;
             for piece in self.wire.chunks(1000) {
                 self.host.push(piece, &mut |event| {
                     black_box(event);
-                    heard += 1;
+                    n_events += 1;
                 });
             }
-            assert!(heard >= 7);
+            assert!(n_events >= 7);
             self.wire.clear();
             self.host.command(Command::Ping { host_ns: 1 }, &mut self.wire);
-            let mut asked = 0;
-            self.device.push(&self.wire, &mut |_| asked += 1);
-            assert_eq!(asked, 1);
+            let mut n_commands = 0;
+            self.device.push(&self.wire, &mut |_| n_commands += 1);
+            assert_eq!(n_commands, 1);
         }
     }
 
@@ -98,12 +98,12 @@ mod no_allocation {
         let info = |id: u16| MarkerInfo { id, label: format!("marker {id}"), labelled: true };
         let hello = Hello {
             model: "model".to_owned(),
-            rate_mhz: 1,
-            rate_max_mhz: 1,
+            rate_millihertz: 1,
+            rate_max_millihertz: 1,
             tick_hz: 1,
             ..Hello::default()
         };
-        let mut talk = Talk {
+        let mut pair = LinkPair {
             device: DeviceLink::new(),
             host: HostLink::new(),
             wire: Vec::new(),
@@ -111,17 +111,17 @@ mod no_allocation {
             table: (0..300).map(info).collect(),
             markers: (0..300).map(marker).collect(),
         };
-        talk.round(0);
+        pair.round(0);
         let before = ALLOCATIONS.get();
         assert!(before > 0, "the allocator does not count");
         for seq in 1..50 {
-            talk.round(seq);
+            pair.round(seq);
         }
         assert_eq!(ALLOCATIONS.get(), before);
     }
 
-    /// An NDI system as answers to requests: set up at once, then the same tool and strays every time.
-    fn ndi_answer(request: &[u8], number: u32, out: &mut Vec<u8>) {
+    /// A scripted NDI system: set up at once, then the same tool and strays in every frame.
+    fn ndi_reply(request: &[u8], number: u32, out: &mut Vec<u8>) {
         out.clear();
         let mut text = |text: &[u8]| {
             out.extend_from_slice(text);
@@ -155,51 +155,51 @@ mod no_allocation {
         }
     }
 
-    /// One read: orders are carried out, and the answer comes.
+    /// One read: executes the line commands and delivers the reply. Returns the number of markers received.
     fn ndi_read(
         host: &mut NdiHost,
-        orders: &Orders,
+        commands: &LineCommandReceiver,
         now_ns: &mut u64,
         wire: &mut Vec<u8>,
     ) -> usize {
         wire.clear();
-        while let Some(order) = orders.next_order() {
-            if let Order::Write { request, not_before_ns } = order {
+        while let Some(command) = commands.try_recv() {
+            if let LineCommand::Write { request, not_before_ns } = command {
                 *now_ns = not_before_ns.max(*now_ns) + 1_000_000;
-                ndi_answer(request.as_bytes(), (*now_ns / 16_000_000) as u32, wire);
+                ndi_reply(request.as_bytes(), (*now_ns / 16_000_000) as u32, wire);
             }
         }
-        orders.set_now_ns(*now_ns);
-        let mut heard = 0;
+        commands.set_now_ns(*now_ns);
+        let mut n_markers = 0;
         for piece in wire.chunks(1000) {
             host.push(piece, &mut |event| {
                 if let DeviceEvent::Frame(frame) = event {
-                    heard += frame.markers.len();
+                    n_markers += frame.markers.len();
                 }
                 black_box(event);
             });
         }
-        heard
+        n_markers
     }
 
     #[test]
     fn an_ndi_host_polls_without_allocating() {
-        let (desk, orders) = desk();
-        let mut host = NdiHost::new(desk, 9_600_000);
+        let (sender, commands) = line_command_channel();
+        let mut host = NdiHost::new(sender, 9_600_000);
         let (mut now_ns, mut wire) = (0, Vec::with_capacity(8192));
         host.command(Command::Identify, &mut Vec::new());
         host.command(Command::Start { line_bytes_per_s: 0 }, &mut Vec::new());
-        let mut heard = 0;
+        let mut n_markers = 0;
         for _ in 0..200 {
-            heard += ndi_read(&mut host, &orders, &mut now_ns, &mut wire);
+            n_markers += ndi_read(&mut host, &commands, &mut now_ns, &mut wire);
         }
-        assert!(heard > 50 * 256, "{heard}");
+        assert!(n_markers > 50 * 256, "{n_markers}");
         let before = ALLOCATIONS.get();
-        let mut heard = 0;
+        let mut n_markers = 0;
         for _ in 0..1_000 {
-            heard += ndi_read(&mut host, &orders, &mut now_ns, &mut wire);
+            n_markers += ndi_read(&mut host, &commands, &mut now_ns, &mut wire);
         }
-        assert!(heard > 500 * 256, "{heard}");
+        assert!(n_markers > 500 * 256, "{n_markers}");
         assert_eq!(ALLOCATIONS.get(), before);
     }
 }

@@ -1,4 +1,4 @@
-//! The serial transport on a pty, which is a serial port for all but its speed and its modem lines.
+//! The serial transport on a pty, which is a serial port except for its baud rate and modem lines.
 
 #[cfg(test)]
 mod serial_pty {
@@ -18,7 +18,7 @@ mod serial_pty {
     };
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-    /// The device's side, and the path of the host's.
+    /// Opens a pty: the device's end, and the path of the host's.
     fn pty() -> (File, PathBuf) {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&master).unwrap();
@@ -52,7 +52,7 @@ mod serial_pty {
     }
 
     #[test]
-    fn nothing_yet_takes_a_moment_and_is_no_error() {
+    fn a_read_without_data_times_out_without_error() {
         let (_device, path) = pty();
         let mut host = SerialTransport::open(&path, None).unwrap();
         let before = Instant::now();
@@ -74,7 +74,7 @@ mod serial_pty {
     }
 
     #[test]
-    fn the_speed_changes_while_it_is_open_and_a_pty_has_no_break_that_matters() {
+    fn the_baud_rate_changes_while_open_and_a_break_does_no_harm() {
         let (mut device, path) = pty();
         let mut host = SerialTransport::open(&path, Some(9_600)).unwrap();
         host.write_all(b"before").unwrap();
@@ -99,7 +99,7 @@ mod serial_pty {
         assert!(matches!(read, Err(TransportError::Disconnected { .. })), "{read:?}");
         let write = host.write_all(b"x");
         assert!(matches!(write, Err(TransportError::Disconnected { .. })), "{write:?}");
-        // While our end is open, no other pty can get the same name.
+        // While this end is open, no other pty can get the same name.
         let again = SerialTransport::open(&path, None);
         assert!(matches!(again, Err(TransportError::NotFound { .. })), "{again:?}");
     }
@@ -126,7 +126,7 @@ mod serial_pty {
     }
 
     #[test]
-    fn a_device_uri_opens_and_the_device_says_who_it_is() {
+    fn a_device_uri_opens_and_the_device_identifies_itself() {
         let (mut device, path) = pty();
         let folder = tempfile::tempdir().unwrap();
         let link = folder.path().join("rig");
@@ -138,24 +138,25 @@ mod serial_pty {
         let mut wire = Vec::new();
         opened.protocol.command(Command::Identify, &mut wire);
         opened.transport.write_all(&wire).unwrap();
-        let mut asked = vec![0; wire.len()];
-        device.read_exact(&mut asked).unwrap();
+        let mut received = vec![0; wire.len()];
+        device.read_exact(&mut received).unwrap();
         let mut commands = Vec::new();
         let mut end = DeviceLink::new();
-        end.push(&asked, &mut |command| commands.push(command));
+        end.push(&received, &mut |command| commands.push(command));
         assert_eq!(commands, [Command::Identify]);
 
-        let hello = Hello { rate_mhz: 1, rate_max_mhz: 1, tick_hz: 1, ..Hello::default() };
+        let hello =
+            Hello { rate_millihertz: 1, rate_max_millihertz: 1, tick_hz: 1, ..Hello::default() };
         let mut answer = Vec::new();
         end.hello(&hello, &mut answer).unwrap();
         device.write_all(&answer).unwrap();
-        let mut heard = 0;
+        let mut n_events = 0;
         let bytes = read_exactly(opened.transport.as_mut(), answer.len());
         opened.protocol.push(&bytes, &mut |event| {
             assert_eq!(event, DeviceEvent::Hello(&hello));
-            heard += 1;
+            n_events += 1;
         });
-        assert_eq!(heard, 1);
+        assert_eq!(n_events, 1);
 
         let busy = registry::open(&uri);
         assert!(matches!(busy, Err(OpenError::Transport(TransportError::Busy { .. }))), "{busy:?}");

@@ -1,6 +1,6 @@
-//! Writes what the fuzzers start from, made here and now: `cargo run --example seeds`, in `fuzz/`.
+//! Generates the seed corpora of the fuzz targets: `cargo run --example seeds`, in `fuzz/`.
 //!
-//! Every seed is also run once, so that a target that fails on its own seeds shows without a fuzzer.
+//! Also runs every seed once, which reveals a target that fails on its own seeds without a fuzzer.
 
 #[path = "seeds/faces.rs"]
 mod faces;
@@ -16,15 +16,15 @@ use mocapd_drivers::{
 };
 use mocapd_take::{
     TakeWriter,
-    chunk::{self, Front},
+    chunk::{self, ChunkParse},
     interchange::Format,
     motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
     record::{Channel, Device, EndingKind, Event, EventKind, Header, Ledger, SummaryRecord},
-    stretch::{FrontWriter, Span, put_block},
-    timeline::{Causes, RowTime, Timeline, TimelineEncoder},
+    stretch::{Span, StretchHeaderWriter, put_block},
+    timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
 };
 
-/// Modes of a channel in `motion.rs`, with a scale: at rest, walks, smooth, given steps, jumps, any bits.
+/// Modes of a channel in `motion.rs`, with a scale: rest, random walk, smooth, given steps, jumps, any bits.
 const MODES: [u8; 8] = [0x00, 0x72, 0x52, 0x63, 0x54, 0x66, 0x6a, 0x07];
 
 fn main() -> io::Result<()> {
@@ -56,7 +56,7 @@ fn main() -> io::Result<()> {
     Ok(())
 }
 
-/// Bytes that are as good as any, and always the same.
+/// Pseudo-random bytes, always the same.
 fn noise(seed: usize, len: usize) -> Vec<u8> {
     let mut state = seed as u32;
     let byte = |_| {
@@ -66,7 +66,7 @@ fn noise(seed: usize, len: usize) -> Vec<u8> {
     (0..len).map(byte).collect()
 }
 
-/// A stretch of so many channels, for `Group::stretch`.
+/// A stretch of `n_channels` channels, for `Group::stretch`.
 fn stretch(i: usize, n_channels: usize, n_rows: u8) -> Vec<u8> {
     let mut seed = vec![n_rows];
     for channel in 0..n_channels {
@@ -108,7 +108,7 @@ fn blocks() -> Vec<Vec<u8>> {
                 seed.extend([i as u8, 0, 1 << (i % 8)]);
             }
         }
-        // A real block as bytes of anybody, and some that are not.
+        // A real block as arbitrary bytes, and some noise.
         let real = block((i % 7) as u8, (i * 37 % 256) as u8, i);
         for (key, n_rows, bytes) in [(4, 12, real), (0, 12, noise(i, 40)), (4, 200, noise(i, 9))] {
             seed.extend([key, n_rows, 0, bytes.len() as u8, (bytes.len() >> 8) as u8]);
@@ -147,7 +147,7 @@ fn programs() -> Vec<Vec<u8>> {
     (0..20)
         .map(|i| {
             let mut seed = vec![if i % 4 == 0 { 5 } else { 0xff }, 0xff * u8::from(i % 4 != 0)];
-            // Runs of expected bits, and of what is not expected: carries.
+            // Runs of expected bits, and of unexpected ones, which cause carries.
             let value =
                 |at: usize, byte: u8| if (at / 64 + i).is_multiple_of(3) { byte } else { 0xff };
             seed.extend(noise(i, 400 + 20 * i).into_iter().enumerate().map(|(at, b)| value(at, b)));
@@ -179,7 +179,7 @@ fn files() -> Vec<Vec<u8>> {
         }
         for (byte, format) in [(0, Format::C3d), (1, Format::Trc), (3, Format::Csv)] {
             let mut seed = vec![byte];
-            // A label that a format cannot hold is refused: what was written until then is a seed, too.
+            // Writing stops at a label that the format cannot hold; the partial file is also a seed.
             format.write(&mut MotionFrames::new(&motion), &mut seed).ok();
             let cut = seed.len() * 2 / 3;
             seeds.push(seed[..cut].to_vec());
@@ -193,7 +193,7 @@ fn files() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// What a device says, as it is, damaged, and as messages whose checksums the target makes.
+/// A device's messages: unchanged, damaged, and as messages whose checksums the target computes.
 fn wires() -> Vec<Vec<u8>> {
     let mut seeds = Vec::new();
     for i in 0..12_usize {
@@ -201,9 +201,9 @@ fn wires() -> Vec<Vec<u8>> {
         let hello = Hello {
             model: "rig".into(),
             serial: "1".into(),
-            rate_mhz: 100_000,
-            rate_min_mhz: 60_000,
-            rate_max_mhz: 1_000_000,
+            rate_millihertz: 100_000,
+            rate_min_millihertz: 60_000,
+            rate_max_millihertz: 1_000_000,
             tick_hz: 1 << i,
             markers_max: 64,
             ..Hello::default()
@@ -242,12 +242,12 @@ fn wires() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// The example, every key of it with its default or what it may be, and some of what people write instead.
+/// The example configuration, every key with its default or an example, and common mistakes.
 fn configs() -> Vec<Vec<u8>> {
     let example = mocapd_service::config::example();
     let mut given = String::new();
     for key in mocapd_service::config::keys::KEYS {
-        // A section may stand once only.
+        // Dotted keys, because a section may occur only once.
         given.push_str(&format!("{} = {}\n", key.path, key.example()));
     }
     let mut seeds = vec![example.into_bytes(), given.clone().into_bytes()];
@@ -268,7 +268,7 @@ fn configs() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// Takes as they are, and as chunks whose checksums the target makes.
+/// Takes: unchanged, and as chunks whose checksums the target computes.
 fn takes() -> Vec<Vec<u8>> {
     let mut seeds = Vec::new();
     for kind in ["dense", "fast", "lossless", "spline", "sync"] {
@@ -276,7 +276,7 @@ fn takes() -> Vec<Vec<u8>> {
             let take = take(kind, timed);
             let mut chunks = vec![1];
             let mut rest = &take[chunk::MAGIC.len()..];
-            while let Front::Whole { kind, payload, len } = chunk::front(rest) {
+            while let ChunkParse::Whole { kind, payload, len } = chunk::parse(rest) {
                 chunks.extend([kind, payload.len() as u8, (payload.len() >> 8) as u8]);
                 chunks.extend(payload);
                 rest = &rest[len..];
@@ -289,7 +289,7 @@ fn takes() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// The same, whole and with one, three and twenty of their bytes changed.
+/// Takes with none, one, three and twenty of their bytes changed.
 fn damaged_takes() -> Vec<Vec<u8>> {
     let damage = [0, 1, 3, 20];
     let damaged =
@@ -337,9 +337,9 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
     writer.event(&event).expect("an event");
     let paths: Vec<_> = (0..3).map(|channel| swing(channel, 5 * ROWS)).collect();
     let mut front = if timed {
-        FrontWriter::with_times(ROWS as u32, TimelineEncoder::new(1_000_000, 60.0))
+        StretchHeaderWriter::with_times(ROWS as u32, TimelineEncoder::new(1_000_000, 60.0))
     } else {
-        FrontWriter::new(ROWS as u32)
+        StretchHeaderWriter::new(ROWS as u32)
     };
     let mut encoder = settings.encoder();
     let mut first_row = 0;
@@ -349,7 +349,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
         let mut timeline = Timeline::default();
         timeline.restart(first_row);
         if timed && number == 2 {
-            timeline.push_lost(4, Causes::NOT_RECEIVED);
+            timeline.push_lost(4, LossCauses::NOT_RECEIVED);
         }
         let from = first_row + timeline.n_rows();
         for row in from..from + n_rows as u64 {
@@ -375,7 +375,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
         writer.stretch(span, &payload).expect("a stretch");
         first_row = span.end_row();
     }
-    // Takes without a device are imports, which do not say how they ended.
+    // Takes without a device are imports, which have no ending.
     let ending = timed.then(|| EndingKind::DiskFull.into());
     writer.finish_with(&Ledger::default(), &SummaryRecord { ending }).expect("a ledger").0
 }

@@ -1,4 +1,4 @@
-//! Bytes of anybody into a decoder.
+//! Arbitrary bytes into the decoders of blocks.
 
 use mocapd_codec::CodecError;
 
@@ -7,11 +7,11 @@ use crate::{Input, check, motion::Group};
 /// Most blocks of one input.
 const BLOCKS_MAX: usize = 24;
 
-/// Most rows that are asked for with bytes of anybody: 64 channels of them take milliseconds.
+/// Most rows requested with arbitrary bytes: 64 channels of them take milliseconds.
 const ROWS_MAX: usize = 1 << 10;
 
-/// A sequence of blocks: arbitrary ones, ones of a real encoder, changed ones, empty ones. Whatever comes,
-/// it is an error or samples; after an error nothing is taken but a key; and behind that all is well.
+/// Decodes a sequence of arbitrary, valid, damaged and skipped blocks. Each gives an error or samples. After an error
+/// the decoder accepts only a key block, and after that works normally.
 pub fn decode_block(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let settings = input.settings();
@@ -22,7 +22,7 @@ pub fn decode_block(bytes: &[u8]) {
     let mut decoder = settings.decoder();
     let mut decoded = Vec::new();
     let mut lost = false;
-    // Blocks of the encoder follow each other only as long as none was changed or left out.
+    // The decoder follows the encoder only while no block was changed or skipped.
     let mut in_step = true;
     for _ in 0..BLOCKS_MAX {
         if input.is_empty() {
@@ -72,7 +72,7 @@ pub fn decode_block(bytes: &[u8]) {
             check::faithful(settings, &stretch, &block, &decoded);
         }
     }
-    // Whatever was before, a key makes all well.
+    // Whatever came before, a key block restores the decoder.
     let stretch = group.stretch(true, &mut Input::new(&[40, 0x42, 0x11, 0x63, 0]));
     let block = check::encode(settings, &mut *encoder, &stretch);
     decoder

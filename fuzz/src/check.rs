@@ -1,10 +1,10 @@
-//! What must hold of a block, whoever wrote it.
+//! Invariants of blocks and of decoded rows.
 
 use mocapd_codec::{BlockEncoder, BlockReport, DecodedRows, Settings};
 
 use crate::motion::{Block, Channel, Stretch};
 
-/// Encodes one stretch into exactly the room that was promised to be enough.
+/// Encodes one stretch into a buffer of exactly the promised maximum size.
 pub(crate) fn encode(
     settings: Settings,
     encoder: &mut dyn BlockEncoder,
@@ -21,7 +21,7 @@ pub(crate) fn encode(
     Block { bytes, shared, reports }
 }
 
-/// Rows that came from bytes of anybody: well formed, finite, and what they state is possible.
+/// Checks rows decoded from arbitrary bytes: well formed, finite, with a possible stated error.
 pub(crate) fn well_formed(settings: Settings, n_rows: usize, decoded: &[DecodedRows]) {
     let most = if settings.kind.is_lossless() { 0.0 } else { settings.tolerance.mm() };
     for rows in decoded {
@@ -37,7 +37,7 @@ pub(crate) fn well_formed(settings: Settings, n_rows: usize, decoded: &[DecodedR
     }
 }
 
-/// Rows that came from a block of our own: the samples, within the bound, and what was reported.
+/// Checks rows decoded from a valid block: they match the samples within the bound, and the encoder's report.
 pub(crate) fn faithful(
     settings: Settings,
     stretch: &Stretch,

@@ -1,9 +1,9 @@
-//! Bytes of anybody as a configuration.
+//! Arbitrary bytes as a configuration.
 
 use mocapd_service::config::{Config, Overrides, PROBLEMS_MAX, Surroundings};
 
-/// Reasons of a bounded number and length, each on its line; or a configuration that is the same when it is written
-/// out and read again, and of which nothing has changed then.
+/// Parses a configuration: gives a bounded number of errors, one short line each, or a configuration that survives
+/// being written and read again without changes.
 pub fn config(bytes: &[u8]) {
     let surroundings =
         Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() };

@@ -1,4 +1,4 @@
-//! Bytes of anybody as a photograph, and as what is kept of a face.
+//! Arbitrary bytes as photographs, fitted faces, mappings and face models.
 
 use mocapd_face::{
     Photo,
@@ -8,12 +8,12 @@ use mocapd_face::{
     photo::BYTES_MAX,
 };
 
-/// Characters of a reason.
+/// Most characters in an error message.
 const REASON_MAX: usize = 400;
-/// Vertices of a model that is also fitted: what a fit costs grows with them.
+/// Most vertices of a model that is also fitted: the cost of a fit grows with them.
 const FITTED_VERTICES_MAX: usize = 2000;
 
-/// An error with a reason, or a photograph whose pixels are all there.
+/// Reads a photograph: gives an error with a message, or a complete picture.
 pub fn read_photo(bytes: &[u8]) {
     match Photo::from_bytes(bytes) {
         Ok(photo) => {
@@ -24,7 +24,7 @@ pub fn read_photo(bytes: &[u8]) {
     }
 }
 
-/// An error with a line of reason, or a face that can be drawn, and is the same when it is written out and read again.
+/// Reads a fitted face: gives a one-line error, or a face that can be drawn and survives being written and read again.
 pub fn read_face(bytes: &[u8]) {
     let face = match FittedFace::from_json(bytes) {
         Ok(face) => face,
@@ -33,14 +33,14 @@ pub fn read_face(bytes: &[u8]) {
     assert!(face.triangles.as_flattened().iter().all(|&v| v < face.vertices_mm.len()));
     face.to_obj();
     face.to_svg();
-    // Numbers are rounded as they are written, and a scale may then be none.
+    // Numbers are rounded when written, which may make a scale 0.
     if let Ok(written) = face.to_json() {
         let again = FittedFace::from_json(written.as_bytes()).expect("what we write can be read");
         assert_eq!(again.to_json().expect("as before"), written);
     }
 }
 
-/// An error with a line of reason, or a mapping that is the same when it is written out and read again.
+/// Reads a mapping: gives a one-line error, or a mapping that survives being written and read again.
 pub fn read_mapping(bytes: &[u8]) {
     match Mapping::from_json(bytes) {
         Ok(mapping) => {
@@ -56,7 +56,7 @@ pub fn read_mapping(bytes: &[u8]) {
     }
 }
 
-/// An error with a line of reason, or a model that points can be fitted to: with a face, or a reason why there is none.
+/// Reads a face model: gives a one-line error, or a model that can be fitted, which gives a face or a one-line error.
 pub fn read_face_model(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let model = match Model::parse(text) {

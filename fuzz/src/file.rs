@@ -1,14 +1,14 @@
-//! Bytes of anybody as a file of another program.
+//! Arbitrary bytes as an interchange file.
 
 use mocapd_take::{interchange::Format, motion::MotionFrames};
 
 use crate::Input;
 
-/// Bytes of positions that a byte of input may become.
+/// Most bytes of positions per byte of input.
 const EARNED: usize = 48;
 
-/// The first byte says which format. An error, or a motion that the bytes earn; and what was read can be written, or is
-/// refused.
+/// Reads a file; the first byte selects the format. Gives an error, or a motion whose size is bounded by the input's,
+/// which can be written and read again unless the format cannot hold it.
 pub fn read_file(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let format = match input.byte() & 3 {
@@ -25,7 +25,7 @@ pub fn read_file(bytes: &[u8]) {
     assert!(foreign <= 2 * file.len() as u64 + 1024, "{foreign} bytes kept from {}", file.len());
     assert!(motion.info.markers.is_empty() || motion.n_frames() as u64 == motion.info.n_frames);
     let mut written = Vec::new();
-    // The rate of a CSV is that of its times: one frame has none.
+    // The rate of a CSV file follows from its times, so one frame has none.
     let has_rate = motion.n_frames() >= 2 && !motion.info.markers.is_empty();
     if format.write(&mut MotionFrames::new(&motion), &mut written).is_ok() && has_rate {
         let again = format.read(&written).expect("our own file");

@@ -1,23 +1,23 @@
-//! A fuzzer's bytes as numbers.
+//! Converts a fuzzer's bytes to numbers.
 
 use mocapd_codec::{Settings, Tolerance};
 
-/// The resamplers, by a byte.
+/// The resamplers, selected by one byte.
 const KINDS: [&str; 7] =
     ["dense", "fast", "lossless", "spline", "sync", "spline:exhaustive", "sync:exhaustive"];
 
-/// Reads numbers from the front; zeros when there is nothing left, so that any bytes mean something.
+/// Reads numbers from the front, and zeros at the end, so that any bytes are valid input.
 #[derive(Debug, Clone, Copy)]
 pub struct Input<'a>(&'a [u8]);
 
 impl<'a> Input<'a> {
-    /// At the first byte.
+    /// Starts at the first byte.
     #[must_use]
     pub fn new(bytes: &'a [u8]) -> Self {
         Self(bytes)
     }
 
-    /// Nothing is left.
+    /// Whether no bytes are left.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -28,24 +28,24 @@ impl<'a> Input<'a> {
         self.take(1).first().copied().unwrap_or_default()
     }
 
-    /// Two bytes, the lower first.
+    /// Two bytes, little endian.
     pub fn pair(&mut self) -> usize {
         usize::from(self.byte()) | usize::from(self.byte()) << 8
     }
 
-    /// A float32 by its bits.
+    /// A float32 of any bits.
     pub fn float(&mut self) -> f32 {
         f32::from_le_bytes(std::array::from_fn(|_| self.byte()))
     }
 
-    /// So many bytes, or all that are left.
+    /// `n` bytes, or all that are left.
     pub fn take(&mut self, n: usize) -> &'a [u8] {
         let (front, rest) = self.0.split_at(n.min(self.0.len()));
         self.0 = rest;
         front
     }
 
-    /// A resampler in one byte, and a tolerance from 0.1 um to 1 km in another.
+    /// A resampler, from one byte, and a tolerance from 0.1 um to 1 km, from another.
     pub fn settings(&mut self) -> Settings {
         let kind = KINDS[usize::from(self.byte()) % KINDS.len()];
         let exponent = f64::from(self.byte()) / 25.5 - 4.0;

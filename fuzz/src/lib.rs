@@ -1,6 +1,6 @@
-//! What the fuzz targets share: a fuzzer's bytes as motion, and the checks of what comes back.
+//! The fuzz targets, one function each, so that seeds can be run without a fuzzer.
 //!
-//! Each target is a function here, so that the seeds can be tried without a fuzzer.
+//! They share the conversion of a fuzzer's bytes to motion, and the checks of the results.
 
 mod blocks;
 mod check;

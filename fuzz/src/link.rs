@@ -1,4 +1,4 @@
-//! Bytes of anybody on the link, heard by the host and by the device.
+//! Arbitrary bytes on the link, decoded by the host and by the device.
 
 use mocapd_drivers::{
     device::{DeviceEvent, LinkCounters, Protocol},
@@ -7,8 +7,8 @@ use mocapd_drivers::{
 
 use crate::Input;
 
-/// The first byte says how: as they are, or as messages whose checksums are made good first, since a fuzzer cannot
-/// guess them. Then both ends hear them, whole and in pieces, which must be the same.
+/// Decodes the bytes at both ends, whole and in pieces, with equal results. The first byte selects whether they are
+/// used unchanged, or as messages that first get valid checksums, which a fuzzer cannot guess.
 pub fn hear(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let how = input.byte();
@@ -22,7 +22,7 @@ pub fn hear(bytes: &[u8]) {
     assert_eq!(devices(&wire, wire.len().max(1)), devices(&wire, piece));
 }
 
-/// What was heard, as far as it can be compared: kinds and sizes.
+/// The host's events, reduced to kinds and sizes for comparison, and its counters.
 fn hosts(wire: &[u8], piece: usize) -> (Vec<(u8, usize)>, LinkCounters) {
     let (mut link, mut heard) = (HostLink::new(), Vec::new());
     for bytes in wire.chunks(piece) {
@@ -56,7 +56,7 @@ fn devices(wire: &[u8], piece: usize) -> (Vec<String>, LinkCounters) {
     (heard, link.counters())
 }
 
-/// `{type, length in 2 bytes, payload}` after each other as messages.
+/// Encodes a sequence of `{type, length in 2 bytes, payload}` as messages.
 fn sealed(bytes: &[u8]) -> Vec<u8> {
     let mut input = Input::new(bytes);
     let mut wire = Vec::new();

@@ -1,4 +1,4 @@
-//! Bytes of anybody as a mesh, and as a skeleton.
+//! Arbitrary bytes as meshes and skeletons.
 
 use std::collections::HashMap;
 
@@ -9,11 +9,11 @@ use mocapd_body::{
     skeleton::{LEN_MAX, Skeleton},
 };
 
-/// Characters of a reason.
+/// Most characters in an error message.
 const REASON_MAX: usize = 400;
 
-/// The first byte says what the file's name ends in, and whether its unit is stated. An error with a line of reason, or
-/// a mesh that the bytes earn; and what was repaired is one closed surface.
+/// Reads a mesh; the first byte selects the file's extension, and whether its unit is given. Gives a one-line error,
+/// or a mesh whose size is bounded by the input's. A repaired mesh is a closed surface.
 pub fn read_mesh(bytes: &[u8]) {
     let Some((&first, file)) = bytes.split_first() else { return };
     let name = ["a.obj", "a.ply", "a.stl", "a.off", "a"][usize::from(first & 7) % 5];
@@ -38,19 +38,19 @@ pub fn read_mesh(bytes: &[u8]) {
                 }
             }
             assert!(edges.keys().all(|&(a, b)| edges.contains_key(&(b, a))), "a hole");
-            // Holes that were closed have triangles of their own.
+            // Closing holes adds triangles.
             assert!(repaired.mesh.triangles.len() <= 60 * FACES_KEPT_MAX);
         }
         Err(error) => one_line(&error.to_string()),
     }
 }
 
-/// An error with a line of reason, or a skeleton that is the same when it is written out and read again.
+/// Reads a skeleton: gives a one-line error, or a skeleton that survives being written and read again.
 pub fn read_skeleton(bytes: &[u8]) {
     match Skeleton::from_json(bytes) {
         Ok(skeleton) => {
             let written = skeleton.to_json();
-            // With a line a value it may be longer than what is read.
+            // Written with one value per line, it may exceed the limit for reading.
             if written.len() <= LEN_MAX {
                 let again =
                     Skeleton::from_json(written.as_bytes()).expect("what we write can be read");

@@ -1,13 +1,13 @@
-//! Motion from a fuzzer's bytes: one byte makes a whole channel, or twelve make one sample.
+//! Converts a fuzzer's bytes to motion: one byte can make a whole channel, or twelve a single sample.
 
 use mocapd_codec::{BlockReport, Position, Rows, Settings};
 
 use crate::Input;
 
-/// Most rows of a stretch: some of every span, stride and table, and quick to code.
+/// Most rows of a stretch: enough for every span, stride and table, and quick to code.
 const ROWS_MAX: usize = 600;
 
-/// Most rows where every sample is tried: the work grows with their third power.
+/// Most rows for the exhaustive resamplers, whose work grows with the third power.
 const EXHAUSTIVE_ROWS_MAX: usize = 24;
 
 /// A channel over one stretch.
@@ -24,7 +24,7 @@ pub(crate) struct Stretch {
     pub(crate) channels: Vec<Channel>,
 }
 
-/// A block, and what its encoder said of it.
+/// A block and its encoder's report.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Block {
     pub(crate) bytes: Vec<u8>,
@@ -46,7 +46,7 @@ impl Stretch {
     }
 }
 
-/// Where each channel of a group is.
+/// The current position of each channel of a group.
 #[derive(Debug)]
 pub(crate) struct Group {
     at: Vec<Position>,
@@ -54,7 +54,7 @@ pub(crate) struct Group {
 }
 
 impl Group {
-    /// The number of channels in a byte: few, or all that a group can have.
+    /// Takes the number of channels from one byte: a few, or the maximum of a group.
     pub(crate) fn new(settings: Settings, input: &mut Input<'_>) -> Self {
         let n = input.byte();
         let n = if n >= 0xf8 { mocapd_codec::GROUP_CHANNELS } else { usize::from(n % 8) + 1 };
@@ -85,16 +85,16 @@ fn channel(at: &mut Position, n_rows: usize, input: &mut Input<'_>) -> Channel {
         match mode & 7 {
             // At rest.
             0 | 1 => {}
-            // A walk of seeded steps.
+            // A random walk.
             2 => *at = add(*at, [0; 3].map(|_| scale * signed(&mut noise))),
             // Smooth: seeded accelerations.
             3 => {
                 speed = add(speed, [0; 3].map(|_| 0.02 * scale * signed(&mut noise)));
                 *at = add(*at, speed);
             }
-            // Steps as they are given.
+            // Steps from the input.
             4 | 5 => *at = add(*at, [0; 3].map(|_| scale * f32::from(input.byte() as i8))),
-            // Jumps here and there.
+            // Jumps in between.
             6 if row % 16 == 7 => *at = [0; 3].map(|_| 1000.0 * scale * signed(&mut noise)),
             6 => {}
             // Any bits.
@@ -115,7 +115,7 @@ fn channel(at: &mut Position, n_rows: usize, input: &mut Input<'_>) -> Channel {
     Channel { positions, present }
 }
 
-/// From -1 to 1: the same numbers everywhere.
+/// A random number from -1 to 1, the same on every machine.
 fn signed(noise: &mut u32) -> f32 {
     *noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
     (*noise >> 8) as f32 / (1 << 23) as f32 - 1.0

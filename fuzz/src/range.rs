@@ -1,4 +1,4 @@
-//! The range coder by itself.
+//! The range coder alone.
 
 use mocapd_codec::range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder};
 
@@ -6,11 +6,10 @@ use crate::Input;
 
 const MODELS: usize = 8;
 
-/// Most bits of one input: with the longest answers of a decoder that never ends.
+/// Most bits of one input, which bounds a decoder that would never end.
 const STEPS_MAX: usize = 1 << 14;
 
-/// One program of bits: encoded and decoded it gives itself, within a limit of bytes or not; and as bytes
-/// it decodes to something.
+/// Encodes and decodes a program of bits, which must round-trip if it fits the limit; then decodes arbitrary bytes.
 pub fn range_coder(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let limit = input.pair();
@@ -27,7 +26,7 @@ pub fn range_coder(bytes: &[u8]) {
         assert_eq!(run(&mut decoder, blank(program).input()), wanted);
         assert_eq!(decoder.finish(), Ok(()));
     }
-    // The same questions, answered by any bytes.
+    // The same steps, decoded from arbitrary bytes.
     for cut in [0, bytes.len() / 2] {
         let mut decoder = RangeDecoder::new(&bytes[cut..]);
         let answers = run(&mut decoder, program);
@@ -45,7 +44,7 @@ impl Blank {
     }
 }
 
-/// The steps stay, what is to be encoded is forgotten: a decoder must not look at it.
+/// Clears the values of a program and keeps its steps: a decoder must not see the values.
 fn blank(mut program: Input<'_>) -> Blank {
     let mut steps = Vec::new();
     while !program.is_empty() {
@@ -55,7 +54,7 @@ fn blank(mut program: Input<'_>) -> Blank {
     Blank(steps)
 }
 
-/// Runs a program of steps and values, and gives what each step gave.
+/// Runs a program of steps and values; returns the result of each step.
 fn run(coder: &mut impl BinaryCoder, mut program: Input<'_>) -> Vec<u64> {
     let mut models = [Bit::NEW; MODELS];
     for (model, odds) in models.iter_mut().skip(MODELS / 2).zip([0, 4, 128, 255]) {
@@ -79,7 +78,7 @@ fn run(coder: &mut impl BinaryCoder, mut program: Input<'_>) -> Vec<u64> {
                 assert!(n == 64 || read >> n == 0);
                 given.push(read);
             }
-            // The odds that the contract allows: at least 1 and below the whole.
+            // The odds that the contract allows: at least 1, and less than the total.
             _ => {
                 let odds = (u32::from(step >> 2) << 10 | 32).clamp(1, (1 << 16) - 1);
                 given.push(u64::from(coder.split(odds, bit)));

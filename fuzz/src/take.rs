@@ -1,22 +1,22 @@
-//! Bytes of anybody as a take.
+//! Arbitrary bytes as a take.
 
 use std::io::Cursor;
 
 use mocapd_take::{
-    TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource, recovery::Survey,
-    stretch::StretchDecoder,
+    TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource,
+    recovery::RecoveryScan, stretch::StretchDecoder,
 };
 
 use crate::Input;
 
-/// Most samples of a stretch that is decoded here. A reader takes more, which is time and no other code.
+/// Most samples of a stretch that is decoded. More would take time without reaching other code.
 const SAMPLES_MAX: usize = 1 << 13;
 
-/// Most frames that are looked at.
+/// Most frames read.
 const FRAMES_MAX: usize = 1 << 10;
 
-/// The first byte says how: as they are, or as chunks whose checksums are made good first, since a fuzzer
-/// cannot guess them. Then events, stretches, frames: errors or samples, and an end.
+/// Reads a take's events, stretches and frames: gives errors or samples, and reaches an end. The first byte selects
+/// whether the bytes are used unchanged, or as chunks that first get valid checksums, which a fuzzer cannot guess.
 pub fn read_take(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let how = input.byte();
@@ -39,31 +39,31 @@ pub fn read_take(bytes: &[u8]) {
     }
 }
 
-/// The same bytes as a damaged take: what can be recovered of it makes a take that has lost nothing more.
+/// Recovers a damaged take: the result is a valid take with everything that could be recovered.
 ///
-/// Bits 3 to 7 of the first byte say how it is damaged beside: so many bytes of it, spread over the file, are changed.
+/// Bits 3 to 7 of the first byte give the number of bytes that are changed in addition, spread over the file.
 pub fn recover_take(bytes: &[u8]) {
     let take = damaged(bytes);
     if !events(&take, take.len().max(1)).is_ok_and(|(_, small)| small) {
         return;
     }
-    let survey = Survey::read(&take[..]).expect("its events could be read");
+    let scan = RecoveryScan::read(&take[..]).expect("its events could be read");
     let mut new = Vec::new();
-    match survey.write(Cursor::new(&take), &mut new, "fuzz") {
+    match scan.write(Cursor::new(&take), &mut new, "fuzz") {
         Ok(_) => {}
-        // A header that is as large as it can be has no room for what recovered it.
+        // A header of maximum size has no room for the name of the recovering program.
         Err(TakeError::InvalidArgument(_)) => return,
         Err(error) => panic!("{error}"),
     }
-    let again = Survey::read(&new[..]).expect("a take");
+    let again = RecoveryScan::read(&new[..]).expect("a take");
     assert!(again.problems.is_empty() && !again.lost_anything(), "{:?}", again.problems);
-    let samples = |survey: &Survey| survey.per_channel.iter().map(|c| c.samples).sum::<u64>();
-    assert_eq!(samples(&survey), samples(&again), "other samples than were found");
-    assert_eq!(survey.rows, again.rows, "other rows than were found");
-    assert_eq!(survey.channels, again.channels, "other names than were found");
+    let samples = |scan: &RecoveryScan| scan.per_channel.iter().map(|c| c.samples).sum::<u64>();
+    assert_eq!(samples(&scan), samples(&again), "other samples than were found");
+    assert_eq!(scan.rows, again.rows, "other rows than were found");
+    assert_eq!(scan.channels, again.channels, "other names than were found");
 }
 
-/// A fuzzer's bytes as a damaged take.
+/// Converts a fuzzer's bytes to a damaged take.
 fn damaged(bytes: &[u8]) -> Vec<u8> {
     let mut input = Input::new(bytes);
     let how = input.byte();
@@ -79,7 +79,7 @@ fn damaged(bytes: &[u8]) -> Vec<u8> {
     take
 }
 
-/// `{type, length in 2 bytes, payload}` after each other as a take.
+/// Encodes a sequence of `{type, length in 2 bytes, payload}` as a take.
 fn with_checksums(bytes: &[u8]) -> Vec<u8> {
     let mut input = Input::new(bytes);
     let mut take = chunk::MAGIC.to_vec();
@@ -91,14 +91,14 @@ fn with_checksums(bytes: &[u8]) -> Vec<u8> {
     take
 }
 
-/// How many events there are, and whether all of it is quick to decode.
+/// Number of events, and whether all stretches are small enough to decode.
 fn events(take: &[u8], piece: usize) -> Result<(usize, bool), TakeError> {
     let mut reader = TakeReader::new();
     let mut pieces = take.chunks(piece);
     let mut decoder = None;
     let (mut n_events, mut small) = (0, true);
     loop {
-        // Every event takes at least a byte, but the end.
+        // Every event except the end takes at least one byte.
         assert!(n_events <= take.len() + 1, "more events than bytes");
         let Some(event) = reader.next_event()? else {
             match pieces.next() {
@@ -115,7 +115,7 @@ fn events(take: &[u8], piece: usize) -> Result<(usize, bool), TakeError> {
                 let most_channels = mocapd_codec::GROUP_CHANNELS * stretch.blocks.len();
                 if most_channels * stretch.span.n_rows as usize > SAMPLES_MAX {
                     small = false;
-                    decoder.pass();
+                    decoder.skip();
                 } else if decoder.decode(&stretch).is_ok() {
                     let finite = |p: &[f32; 3]| p.iter().all(|coordinate| coordinate.is_finite());
                     for rows in decoder.rows().flatten() {

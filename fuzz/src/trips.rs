@@ -1,4 +1,4 @@
-//! Samples to blocks and back.
+//! Round trips from samples to blocks and back.
 
 use crate::{
     Input, check,
@@ -8,8 +8,8 @@ use crate::{
 /// Most stretches of one input.
 const STRETCHES_MAX: usize = 12;
 
-/// Any float32, presence, tolerance and stretches: the bound holds, the encoder is a function of its
-/// samples, and a decoder may start at any key.
+/// Encodes and decodes any float32 samples, presence, tolerance and stretches: the bound holds, the encoder is
+/// deterministic, and a decoder can start at any key.
 pub fn round_trip(bytes: &[u8]) {
     let mut input = Input::new(bytes);
     let settings = input.settings();
@@ -26,7 +26,7 @@ pub fn round_trip(bytes: &[u8]) {
     for (i, stretch) in stretches.iter().enumerate() {
         let block = check::encode(settings, &mut *encoder, stretch);
         if stretch.key {
-            // Behind a key nothing that was before counts: not for an encoder, not for a decoder.
+            // A key resets both encoder and decoder.
             (again, late) = (settings.encoder(), settings.decoder());
             prepared = i % 2 == 1;
         }

@@ -1,58 +1,59 @@
-//! Arrays into takes.
+//! Encodes arrays as takes.
 
 use std::thread;
 
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_take::{
     motion::{Marker, Motion, MotionInfo, Position, UpAxis},
+    motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter, channels, stretch_rows},
     record::{CODEC_VERSION, Header, ImportSource},
-    whole::{self, Coded, Part, Plan, WholeWriter},
 };
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyBytes};
 
 use crate::{
-    errors::Failure,
-    wait::{Cancel, abandonable, detached},
+    background::{Cancel, run_abandonable, run_detached},
+    errors::{Failure, Result},
 };
 
-/// What a take says wrote it.
+/// The writer's name in a take's header.
 const SOFTWARE: &str = concat!("mocapd-python ", env!("CARGO_PKG_VERSION"));
 
-/// Positions that are looked at and copied between two questions whether to go on: about a millisecond of work.
-const POSITIONS_AT_ONCE: usize = 1 << 16;
+/// Positions to check and copy between two checks for cancellation: about a millisecond of work.
+const POSITIONS_PER_CHECK: usize = 1 << 16;
 
-/// Most markers of a take: their ids have 16 bits.
+/// Most markers of a take: marker ids have 16 bits.
 const MARKERS_MAX: usize = 1 << 16;
 
-/// How a take is coded, as Python gives it: a dictionary with these keys.
+/// Options of the encoder: in Python a dictionary with these keys.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct Coding {
+pub(crate) struct EncodeOptions {
     rate_hz: f64,
-    /// None keeps every bit.
+    /// None for `lossless`.
     tolerance_mm: Option<f64>,
     resampler: String,
-    /// As HEADER stores it.
+    /// The code of the up axis in HEADER.
     up_axis: u8,
 }
 
-/// The bytes of a take of `positions`, float32 [frames, markers, 3] in millimetres, NaN where there is no sample.
+/// Encodes `positions`, float32 [frames, markers, 3] in millimetres with NaN for missing samples. Returns the bytes of
+/// the take.
 #[pyfunction]
 pub(crate) fn encode<'py>(
     py: Python<'py>,
     positions: PyReadonlyArray3<'py, f32>,
     labels: Vec<(String, bool)>,
-    coding: Coding,
+    options: EncodeOptions,
     threads: usize,
 ) -> PyResult<Bound<'py, PyBytes>> {
-    let Coding { rate_hz, tolerance_mm, resampler, up_axis } = coding;
+    let EncodeOptions { rate_hz, tolerance_mm, resampler, up_axis } = options;
     let [n_rows, n_markers, axes] = *positions.shape() else {
         return Err(Failure::Value("the array must be [frames, markers, 3]".into()).into());
     };
     if axes != 3 || labels.len() != n_markers || n_markers > MARKERS_MAX {
         let message = format!(
-            "[{n_rows}, {n_markers}, {axes}] with {} labels: it must be [frames, markers, 3], with a label a marker, and at most {MARKERS_MAX} of them",
+            "expected an array [frames, markers, 3] of at most {MARKERS_MAX} markers with a label for each, found [{n_rows}, {n_markers}, {axes}] with {} labels",
             labels.len()
         );
         return Err(Failure::Value(message).into());
@@ -65,12 +66,12 @@ pub(crate) fn encode<'py>(
         tolerance: Tolerance::from_mm(tolerance_mm.unwrap_or(Tolerance::MAX_MM))
             .map_err(Failure::from)?,
     };
-    let motion = detached(py, None, |cancel| motion(values, n_rows, labels, rate_hz, cancel))?;
-    let take = abandonable(py, move |cancel| {
+    let motion = run_detached(py, None, |cancel| motion(values, n_rows, labels, rate_hz, cancel))?;
+    let take = run_abandonable(py, move |cancel| {
         let mut header = header(&settings, rate_hz, UpAxis::from_code(up_axis));
-        header.channels = whole::channels(&motion.info.markers);
+        header.channels = channels(&motion.info.markers);
         let codec = header.codec()?;
-        header.stretch_rows = whole::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
+        header.stretch_rows = stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
         header.check()?;
         let values = motion.positions_mm.as_flattened().iter();
         let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
@@ -106,20 +107,20 @@ fn motion(
     labels: Vec<(String, bool)>,
     rate_hz: f64,
     cancel: &Cancel,
-) -> Result<Motion, Failure> {
+) -> Result<Motion> {
     let (positions, _) = values.as_chunks::<3>();
-    let is_half = |position: &Position| {
+    let is_invalid = |position: &Position| {
         let missing = position.iter().filter(|value| value.is_nan()).count();
         (missing != 0 && missing != 3) || position.iter().any(|value| value.is_infinite())
     };
     let mut positions_mm = Vec::with_capacity(positions.len());
-    for part in positions.chunks(POSITIONS_AT_ONCE) {
+    for part in positions.chunks(POSITIONS_PER_CHECK) {
         cancel.check()?;
-        if let Some(at) = part.iter().position(is_half) {
+        if let Some(at) = part.iter().position(is_invalid) {
             let place = positions_mm.len() + at;
             let (row, column) = (place / labels.len(), place % labels.len());
             return Err(Failure::Value(format!(
-                "frame {row}, marker {column} is {:?}: a sample is three finite numbers, a gap three NaN",
+                "frame {row}, marker {column} is {:?}: expected three finite numbers, or three NaN for a gap",
                 part[at]
             )));
         }
@@ -137,20 +138,15 @@ fn motion(
     })
 }
 
-/// As many parts at a time as there are threads: the bytes are the same for any number.
-fn write(
-    motion: &Motion,
-    header: &Header,
-    threads: usize,
-    cancel: &Cancel,
-) -> Result<Vec<u8>, Failure> {
-    let plan = Plan::new(motion, header)?;
-    let mut take = WholeWriter::new(&plan, header, Vec::new())?;
+/// Encodes as many parts at a time as there are threads. The bytes do not depend on the number of threads.
+fn write(motion: &Motion, header: &Header, threads: usize, cancel: &Cancel) -> Result<Vec<u8>> {
+    let plan = EncodePlan::new(motion, header)?;
+    let mut take = MotionWriter::new(&plan, header, Vec::new())?;
     let mut encoders: Vec<_> = (0..threads.max(1)).map(|_| plan.encoder()).collect();
-    let parts: Vec<Part> = plan.parts().collect();
+    let parts: Vec<EncodePart> = plan.parts().collect();
     for parts in parts.chunks(encoders.len()) {
         cancel.check()?;
-        let coded: Vec<Coded> = thread::scope(|scope| {
+        let coded: Vec<EncodedPart> = thread::scope(|scope| {
             let work = encoders.iter_mut().zip(parts);
             let threads: Vec<_> = work
                 .map(|(encoder, &part)| {
@@ -158,8 +154,7 @@ fn write(
                 })
                 .collect::<Result<_, _>>()?;
             let done = threads.into_iter().map(|thread| thread.join());
-            done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??))
-                .collect::<Result<_, Failure>>()
+            done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??)).collect::<Result<_>>()
         })?;
         for (part, coded) in parts.iter().zip(&coded) {
             take.push(*part, coded)?;

@@ -1,4 +1,4 @@
-//! Errors as Python has them, by what the caller can do about them. No panic gets past here.
+//! Conversion of errors to Python exceptions, by what the caller can do about them.
 
 use std::path::Path;
 
@@ -13,16 +13,20 @@ pyo3::create_exception!(
     mocapd,
     TakeError,
     PyException,
-    "A take that cannot be read: not a take, of another version, or without a header that is whole."
+    "A file that cannot be read as a take: not a take, a take of another version, or one with a damaged header."
 );
 
-/// What went wrong, before Python is asked for.
+/// The result of work that has not been converted to Python yet.
+pub(crate) type Result<T, E = Failure> = std::result::Result<T, E>;
+
+/// An error, before its conversion to an exception.
 #[derive(Debug)]
 pub(crate) enum Failure {
     Take(mocapd_take::TakeError),
     Value(String),
-    /// What is there is not a file: the number of the error and why.
+    /// Not a plain file: `errno` and the reason.
     NotAFile(i32, &'static str),
+    /// A panic.
     Internal,
 }
 
@@ -46,17 +50,17 @@ impl From<std::io::Error> for Failure {
 
 impl From<Failure> for PyErr {
     fn from(failure: Failure) -> Self {
-        Python::attach(|py| failure.of(py, None))
+        Python::attach(|py| failure.into_py_err(py, None))
     }
 }
 
 impl Failure {
-    /// Of the take at `path`, which the words begin with; bytes have no path.
-    pub(crate) fn of(self, py: Python<'_>, path: Option<&Path>) -> PyErr {
+    /// The exception for the take at `path`, which begins the message; bytes in memory have no path.
+    pub(crate) fn into_py_err(self, py: Python<'_>, path: Option<&Path>) -> PyErr {
         use mocapd_take::TakeError::{Codec, InvalidArgument, Io};
-        let named = |message: String| match path {
+        let named = |message: &str| match path {
             Some(path) => format!("{}: {message}", path.display()),
-            None => message,
+            None => message.to_owned(),
         };
         match self {
             Self::Value(message)
@@ -66,25 +70,24 @@ impl Failure {
             Self::NotAFile(code, why) => os_error(code, why.to_owned(), path),
             Self::Take(Io(error)) => match error.raw_os_error() {
                 Some(code) => {
-                    let words = py.import("os").and_then(|os| os.call_method1("strerror", (code,)));
-                    let words = words.and_then(|words| words.extract());
-                    os_error(code, words.unwrap_or_else(|_| error.to_string()), path)
+                    let text = py.import("os").and_then(|os| os.call_method1("strerror", (code,)));
+                    let text = text.and_then(|text| text.extract());
+                    os_error(code, text.unwrap_or_else(|_| error.to_string()), path)
                 }
                 None => error.into(),
             },
-            Self::Take(error) => TakeError::new_err(named(error.to_string())),
+            Self::Take(error) => TakeError::new_err(named(&error.to_string())),
             Self::Internal => TakeError::new_err(named(
-                "a fault of mocapd itself, told on standard error: please report it, with the take"
-                    .to_owned(),
+                "internal error, see standard error for details: please report it with the take",
             )),
         }
     }
 }
 
-/// OSError, and what of it the number says: FileNotFoundError, PermissionError.
-fn os_error(code: i32, words: String, path: Option<&Path>) -> PyErr {
+/// An OSError, which Python makes a FileNotFoundError, PermissionError... by its number.
+fn os_error(code: i32, text: String, path: Option<&Path>) -> PyErr {
     match path {
-        Some(path) => PyOSError::new_err((code, words, path.to_string_lossy().into_owned())),
-        None => PyOSError::new_err((code, words)),
+        Some(path) => PyOSError::new_err((code, text, path.to_string_lossy().into_owned())),
+        None => PyOSError::new_err((code, text)),
     }
 }

@@ -1,16 +1,16 @@
-//! The Rust half of the Python package: takes into arrays and arrays into takes. What Python people see of it
-//! is in `mocapd/`; what is here is called from there alone.
+//! The native half of the Python package: decodes takes into arrays and encodes arrays as takes. Only the Python half
+//! in `mocapd/` calls it; that is the public API.
 
+mod background;
+mod cache;
+mod decode;
 mod encode;
 mod errors;
-mod pieces;
 mod read;
+mod scan;
 mod source;
-mod survey;
 mod take_file;
 mod times;
-mod wait;
-mod window;
 
 /// `mocapd._native`.
 #[pyo3::pymodule]

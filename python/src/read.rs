@@ -1,34 +1,35 @@
-//! Positions of some rows and columns into an array of rows.
+//! Decodes the positions of some rows and columns into an array.
 
 use std::ops::Range;
 
 use mocapd_take::TakeTraversal;
 
 use crate::{
+    decode::{DecodeRequest, PIECES_PER_THREAD},
     errors::Failure,
-    pieces::{PIECES_A_THREAD, Wanted},
     source::Reader,
 };
 
-/// Rows that are written column by column before the next ones: what they fill of the array stays in a cache.
+/// Rows of a tile, which is filled column by column: so few that it stays in the processor's cache.
 const TILE_ROWS: usize = 32;
 
-/// Values of a position.
+/// Coordinates of a position.
 const AXES: usize = 3;
 
-/// Fills `out`, which has three values a column and row, with millimetres; NaN where there is no sample.
+/// Fills `out`, which has three values for each row and column, with millimetres, NaN for a missing sample. Returns the
+/// problems of decoding as text.
 pub(crate) fn read(
-    wanted: Wanted<'_>,
+    request: DecodeRequest<'_>,
     rows: &Range<u64>,
     mut out: &mut [f32],
 ) -> Result<Vec<String>, Failure> {
-    let Wanted { source, map, columns, threads } = wanted;
+    let DecodeRequest { source, map, columns, threads } = request;
     let width = columns.len() * AXES;
     let mut pieces = Vec::new();
-    for piece in map.pieces(rows, threads.max(1) * PIECES_A_THREAD) {
+    for piece in map.pieces(rows, threads.max(1) * PIECES_PER_THREAD) {
         let values = (piece.end - piece.start) as usize * width;
         let Some((head, rest)) = out.split_at_mut_checked(values) else {
-            return Err(Failure::Value("the array is smaller than what is read into it".into()));
+            return Err(Failure::Value("the array is too small for these rows".into()));
         };
         pieces.push((piece, head));
         out = rest;
@@ -36,11 +37,11 @@ pub(crate) fn read(
     if width == 0 {
         return Ok(Vec::new());
     }
-    let (_, problems) = wanted.decode(pieces, |take, (rows, out)| {
+    let (_, problems) = request.decode(pieces, |take, (rows, out)| {
         let mut at = rows.start;
         take.read_rows(&rows, |take, held, offset| {
             source.check()?;
-            // Between stretches is what was lost.
+            // Rows between stretches are lost.
             let from = (held.start.max(at) - rows.start) as usize;
             out[(at - rows.start) as usize * width..from * width].fill(f32::NAN);
             let to = (held.end - rows.start) as usize;
@@ -54,7 +55,7 @@ pub(crate) fn read(
     Ok(problems)
 }
 
-/// The rows of a stretch from `offset` on, as many as `out` has.
+/// Fills `out` with the rows of a stretch from `offset` on.
 fn fill(take: &TakeTraversal<Reader>, offset: usize, columns: &[usize], out: &mut [f32]) {
     let all: Vec<_> = take.rows().collect();
     let rows: Vec<_> = columns.iter().map(|&column| all.get(column).copied().flatten()).collect();

@@ -1,5 +1,7 @@
-//! A take's bytes, wherever they are, read by several threads at their own places.
+//! The bytes of a take in a file or in memory, which several threads read at independent positions.
 
+#[cfg(unix)]
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::{
     fs::{File, FileType, OpenOptions},
     io::{self, Read, Seek, SeekFrom},
@@ -7,63 +9,60 @@ use std::{
     sync::Arc,
 };
 
-use crate::{errors::Failure, wait::Cancel};
+use crate::{background::Cancel, errors::Failure};
 
-/// What is read for somebody who may not want it any more.
+/// The bytes of a take, read until cancelled.
 #[derive(Debug, Clone)]
 pub(crate) struct Source {
     bytes: Bytes,
     cancel: Cancel,
 }
 
-/// A file that is open, or bytes.
+/// Where the bytes are.
 #[derive(Debug, Clone)]
 enum Bytes {
     File(Arc<File>),
     Memory(Arc<[u8]>),
 }
 
-/// What the system says of a folder, and of an argument that cannot be meant.
+/// The system's error numbers for a folder and for an invalid argument.
 const EISDIR: i32 = 21;
 #[cfg(unix)]
 const EINVAL: i32 = 22;
 
 impl Source {
-    /// Opens a plain file. Never waits, whatever is there.
+    /// Opens a plain file. Never blocks, also not on a pipe or a device.
     pub(crate) fn open(path: &Path) -> Result<Self, Failure> {
         if path.as_os_str().as_encoded_bytes().contains(&0) {
             let shown = path.to_string_lossy().replace('\0', "\\0");
-            return Err(Failure::Value(format!("{shown}: a path has no zero byte")));
+            return Err(Failure::Value(format!("{shown}: a path cannot contain a zero byte")));
         }
-        // Before it is opened, which is not without effect on a device, and again when it is: it may have been replaced.
+        // Checked before opening, which may have an effect on a device, and again after: it may have been replaced.
         check(std::fs::metadata(path)?.file_type())?;
         let mut options = OpenOptions::new();
         options.read(true);
         #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::custom_flags(
-            &mut options,
-            libc::O_NONBLOCK | libc::O_NOCTTY,
-        );
+        options.custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
         let file = options.open(path)?;
         check(file.metadata()?.file_type())?;
         Ok(Self { bytes: Bytes::File(Arc::new(file)), cancel: Cancel::default() })
     }
 
-    pub(crate) fn of_bytes(bytes: &[u8]) -> Self {
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
         Self { bytes: Bytes::Memory(Arc::from(bytes)), cancel: Cancel::default() }
     }
 
-    /// The same, read as long as it is not cancelled.
-    pub(crate) fn until(&self, cancel: &Cancel) -> Self {
+    /// The same bytes, read until `cancel` is set.
+    pub(crate) fn with_cancel(&self, cancel: &Cancel) -> Self {
         Self { bytes: self.bytes.clone(), cancel: cancel.clone() }
     }
 
-    /// Whether somebody wants it still.
+    /// Fails with `TimedOut` once cancelled.
     pub(crate) fn check(&self) -> io::Result<()> {
         self.cancel.check()
     }
 
-    /// A place of its own, at the start.
+    /// A reader with a position of its own, at the start.
     pub(crate) fn reader(&self) -> Reader {
         Reader { source: self.clone(), at: 0 }
     }
@@ -76,36 +75,25 @@ impl Source {
     }
 }
 
-fn check(kind: FileType) -> Result<(), Failure> {
-    match not_a_file(kind) {
-        Some((code, what)) => Err(Failure::NotAFile(code, what)),
-        None => Ok(()),
-    }
-}
-
-/// What is no plain file: the number of the error that it makes, and what it is.
+/// Fails with the error number and a description of a file that is not a plain one.
 #[cfg(unix)]
-fn not_a_file(kind: FileType) -> Option<(i32, &'static str)> {
-    use std::os::unix::fs::FileTypeExt;
-    match kind {
-        _ if kind.is_dir() => Some((EISDIR, "a folder, not a file")),
-        _ if kind.is_fifo() => {
-            Some((EINVAL, "a pipe, not a file: write what comes through it to a file first"))
-        }
-        _ if kind.is_socket() => Some((EINVAL, "a socket, not a file")),
-        _ if kind.is_char_device() || kind.is_block_device() => {
-            Some((EINVAL, "a device, not a file"))
-        }
-        _ => None,
-    }
+fn check(kind: FileType) -> Result<(), Failure> {
+    let (code, what) = match kind {
+        _ if kind.is_dir() => (EISDIR, "a folder, not a file"),
+        _ if kind.is_fifo() => (EINVAL, "a pipe, not a file: write its content to a file first"),
+        _ if kind.is_socket() => (EINVAL, "a socket, not a file"),
+        _ if kind.is_char_device() || kind.is_block_device() => (EINVAL, "a device, not a file"),
+        _ => return Ok(()),
+    };
+    Err(Failure::NotAFile(code, what))
 }
 
 #[cfg(not(unix))]
-fn not_a_file(kind: FileType) -> Option<(i32, &'static str)> {
-    kind.is_dir().then_some((EISDIR, "a folder, not a file"))
+fn check(kind: FileType) -> Result<(), Failure> {
+    if kind.is_dir() { Err(Failure::NotAFile(EISDIR, "a folder, not a file")) } else { Ok(()) }
 }
 
-/// A place in a [`Source`].
+/// A position in a [`Source`].
 #[derive(Debug)]
 pub(crate) struct Reader {
     source: Source,

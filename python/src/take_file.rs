@@ -1,8 +1,8 @@
-//! `TakeFile`: a take that is open, as `mocapd.Take` uses it.
+//! `TakeFile`: the native object behind `mocapd.Take`.
 
 use std::{ops::Range, path::PathBuf};
 
-use mocapd_take::{TakeMap, damage::Problem, timeline::Causes};
+use mocapd_take::{TakeMap, damage::Problem, timeline::LossCauses};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
@@ -10,44 +10,44 @@ use pyo3::{
 };
 
 use crate::{
+    background::run_detached,
+    cache::DecodeCache,
+    decode::DecodeRequest,
     errors::Failure,
-    pieces::Wanted,
+    scan::scan,
     source::Source,
-    survey::survey,
-    times::{lost, times},
-    wait::detached,
-    window::Last,
+    times::{Times, lost, times},
 };
 
-/// A take that is open, by rows and columns.
+/// An open take, addressed by rows and columns.
 #[pyclass(frozen, module = "mocapd._native")]
 pub(crate) struct TakeFile {
     source: Source,
     path: Option<PathBuf>,
     map: TakeMap,
-    last: Last,
+    cache: DecodeCache,
 }
 
-/// Device ticks, arrivals in nanoseconds, and whether a row was recorded.
+/// Device ticks, arrival times in nanoseconds, and whether each row was recorded.
 type TimesOut<'py> =
     (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray1<u64>>, Bound<'py, PyArray1<bool>>);
 
-/// By column: samples, gaps, knots, the largest stated error in millimetres, and the rows of the knots.
-type SurveyOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
+/// For each column: samples, gaps, knots, the largest stated error in millimetres, and the rows of the knots.
+type ScanOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
 
 #[pymethods]
 impl TakeFile {
     #[new]
     fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let opened = py.detach(|| Source::open(&path));
-        let source = opened.map_err(|failure| failure.of(py, Some(&path)))?;
-        Self::of(py, source, Some(path))
+        let source = opened.map_err(|failure| failure.into_py_err(py, Some(&path)))?;
+        Self::open_source(py, source, Some(path))
     }
 
-    /// A take in memory.
+    /// Opens a take in memory.
     #[staticmethod]
     fn from_bytes(py: Python<'_>, bytes: &Bound<'_, PyBytes>) -> PyResult<Self> {
-        Self::of(py, Source::of_bytes(bytes.as_bytes()), None)
+        Self::open_source(py, Source::from_bytes(bytes.as_bytes()), None)
     }
 
     #[getter]
@@ -65,14 +65,14 @@ impl TakeFile {
         self.map.finished
     }
 
-    /// What is missing or damaged, but that the end is missing: that is said by [`cut_off`](Self::cut_off).
+    /// The problems of the take, except that its end is missing: that is [`cut_off`](Self::cut_off).
     #[getter]
     fn problems(&self) -> Vec<String> {
         let problems = self.map.problems.iter().filter(|problem| **problem != Problem::CutOff);
         problems.map(ToString::to_string).collect()
     }
 
-    /// That the end is missing, in words; None of a take that was closed in order.
+    /// A message if the end of the take is missing; None for a take that was closed in order.
     #[getter]
     fn cut_off(&self) -> Option<String> {
         let cut_off = self.map.problems.iter().find(|problem| **problem == Problem::CutOff);
@@ -117,7 +117,7 @@ impl TakeFile {
         Ok(out)
     }
 
-    /// By channel, whether its name came from the device or file.
+    /// For each channel whether the device or file gave it its name.
     fn labelled(&self) -> Vec<bool> {
         self.map.channels.iter().map(|channel| channel.labelled).collect()
     }
@@ -154,10 +154,10 @@ impl TakeFile {
         Ok(Some(out))
     }
 
-    /// How it ended as (kind, detail), or None where the take does not say.
+    /// How the recording ended, as (kind, detail); None if the take does not state it.
     fn ending(&self) -> Option<(String, String)> {
         let ending = self.map.ending.as_ref()?;
-        Some((ending.kind.word().to_owned(), ending.detail.clone()))
+        Some((ending.kind.name().to_owned(), ending.detail.clone()))
     }
 
     /// The events, each as a dict.
@@ -165,7 +165,7 @@ impl TakeFile {
         let out = PyList::empty(py);
         for event in &self.map.events {
             let dict = PyDict::new(py);
-            dict.set_item("kind", event.kind.word())?;
+            dict.set_item("kind", event.kind.name())?;
             dict.set_item("frame", event.row)?;
             dict.set_item("device_ticks", event.device_ticks)?;
             dict.set_item("host_ns", event.host_ns)?;
@@ -176,7 +176,7 @@ impl TakeFile {
         Ok(out)
     }
 
-    /// The lines from the device's clock to the host's, each as a dict.
+    /// The clock lines, each as a dict: linear maps from the device's clock to the host's.
     fn clock_lines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let out = PyList::empty(py);
         for (segment, line) in &self.map.clock_lines {
@@ -191,8 +191,8 @@ impl TakeFile {
         Ok(out)
     }
 
-    /// Fills `out`, float32 [stop - first, columns, 3], with millimetres, NaN where there is no sample. Gives what
-    /// could not be decoded, in words.
+    /// Fills `out`, float32 [rows, columns, 3], with positions in millimetres from row `first` on, NaN for missing
+    /// samples. Returns the problems of decoding as text.
     fn read_into(
         &self,
         py: Python<'_>,
@@ -206,26 +206,25 @@ impl TakeFile {
             return Err(Failure::Value("the array must be [frames, markers, 3]".into()).into());
         }
         let rows = self.rows(first, first.saturating_add(n_rows))?;
-        self.check(&columns)?;
+        self.check_columns(&columns)?;
         let out = out
             .as_slice_mut()
             .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
-        self.detached(py, |source| {
-            self.last.read(self.wanted(source, &columns, threads), &rows, out)
-        })
+        self.run(py, |source| self.cache.read(self.request(source, &columns, threads), &rows, out))
     }
 
-    /// Of every column asked for, over the whole take: what [`SurveyOut`] has; and what could not be decoded.
-    fn survey<'py>(
+    /// Counts samples, gaps and knots of the requested columns over the whole take. Returns [`ScanOut`], and the
+    /// problems of decoding as text.
+    fn scan<'py>(
         &self,
         py: Python<'py>,
         columns: Vec<usize>,
         with_knots: bool,
         threads: usize,
-    ) -> PyResult<(SurveyOut<'py>, Vec<String>)> {
-        self.check(&columns)?;
+    ) -> PyResult<(ScanOut<'py>, Vec<String>)> {
+        self.check_columns(&columns)?;
         let (found, problems) =
-            self.detached(py, |source| survey(self.wanted(source, &columns, threads), with_knots))?;
+            self.run(py, |source| scan(self.request(source, &columns, threads), with_knots))?;
         let out = found.into_iter().map(|column| {
             let knots = column.knots.into_pyarray(py);
             (column.samples, column.gaps, column.n_knots, column.max_error_mm, knots)
@@ -233,47 +232,44 @@ impl TakeFile {
         Ok((out.collect(), problems))
     }
 
-    /// Of the rows from `first` to before `stop`: what [`TimesOut`] has; the arrays are empty for an import.
+    /// The times of the rows from `first` to before `stop`, as [`TimesOut`]; the arrays are empty for an import.
     fn times<'py>(&self, py: Python<'py>, first: u64, stop: u64) -> PyResult<TimesOut<'py>> {
         let rows = self.rows(first, stop)?;
-        let found = self.detached(py, |source| times(source, &self.map, &rows))?;
-        Ok((
-            found.device_ticks.into_pyarray(py),
-            found.arrival_ns.into_pyarray(py),
-            found.recorded.into_pyarray(py),
-        ))
+        let Times { device_ticks, arrival_ns, recorded } =
+            self.run(py, |source| times(source, &self.map, &rows))?;
+        Ok((device_ticks.into_pyarray(py), arrival_ns.into_pyarray(py), recorded.into_pyarray(py)))
     }
 
-    /// Runs of rows that are not in the take, each as first, count, cause: however many they are of.
+    /// Runs of lost rows, each as first row, number of rows and causes.
     fn lost(&self, py: Python<'_>) -> PyResult<Vec<(u64, u64, String)>> {
-        let found = self.detached(py, |source| lost(source, &self.map))?;
-        Ok(found.into_iter().map(|(first, n, causes)| (first, n, words(causes))).collect())
+        let found = self.run(py, |source| lost(source, &self.map))?;
+        Ok(found.into_iter().map(|(first, n, causes)| (first, n, cause_text(causes))).collect())
     }
 }
 
 impl TakeFile {
-    fn of(py: Python<'_>, source: Source, path: Option<PathBuf>) -> PyResult<Self> {
-        let map = detached(py, path.as_deref(), |cancel| {
-            Ok(TakeMap::open(&mut source.until(cancel).reader())?)
+    fn open_source(py: Python<'_>, source: Source, path: Option<PathBuf>) -> PyResult<Self> {
+        let map = run_detached(py, path.as_deref(), |cancel| {
+            Ok(TakeMap::open(&mut source.with_cancel(cancel).reader())?)
         })?;
-        Ok(Self { source, path, map, last: Last::default() })
+        Ok(Self { source, path, map, cache: DecodeCache::default() })
     }
 
-    fn detached<T: Send>(
+    fn run<T: Send>(
         &self,
         py: Python<'_>,
         work: impl FnOnce(&Source) -> Result<T, Failure> + Send,
     ) -> PyResult<T> {
-        detached(py, self.path.as_deref(), |cancel| work(&self.source.until(cancel)))
+        run_detached(py, self.path.as_deref(), |cancel| work(&self.source.with_cancel(cancel)))
     }
 
-    fn wanted<'a>(
+    fn request<'a>(
         &'a self,
         source: &'a Source,
         columns: &'a [usize],
         threads: usize,
-    ) -> Wanted<'a> {
-        Wanted { source, map: &self.map, columns, threads }
+    ) -> DecodeRequest<'a> {
+        DecodeRequest { source, map: &self.map, columns, threads }
     }
 
     fn rows(&self, first: u64, stop: u64) -> Result<Range<u64>, Failure> {
@@ -281,27 +277,27 @@ impl TakeFile {
             return Ok(first..stop);
         }
         let n_rows = self.map.n_rows;
-        Err(Failure::Value(format!("frames {first} to {stop} of a take of {n_rows}")))
+        Err(Failure::Value(format!("frames {first} to {stop} are outside of the take's {n_rows}")))
     }
 
-    fn check(&self, columns: &[usize]) -> Result<(), Failure> {
+    fn check_columns(&self, columns: &[usize]) -> Result<(), Failure> {
         let n = self.map.channels.len();
         match columns.iter().find(|&&column| column >= n) {
-            Some(column) => Err(Failure::Value(format!("column {column} of {n}"))),
+            Some(column) => Err(Failure::Value(format!("no column {column}: the take has {n}"))),
             None => Ok(()),
         }
     }
 }
 
-/// Why rows are empty.
-fn words(causes: Causes) -> String {
+/// The causes of lost rows as text.
+fn cause_text(causes: LossCauses) -> String {
     let all = [
-        (Causes::NOT_RECEIVED, "not received"),
-        (Causes::RING_FULL, "ring full"),
-        (Causes::DISCONNECTED, "disconnected"),
-        (Causes::DAMAGED, "damaged"),
+        (LossCauses::NOT_RECEIVED, "not received"),
+        (LossCauses::RING_FULL, "ring full"),
+        (LossCauses::DISCONNECTED, "disconnected"),
+        (LossCauses::DAMAGED, "damaged"),
     ];
-    let said = all.iter().filter(|(cause, _)| causes.contains(*cause)).map(|(_, words)| *words);
-    let said: Vec<_> = said.collect();
-    if said.is_empty() { "unknown".to_owned() } else { said.join(", ") }
+    let texts = all.iter().filter(|(cause, _)| causes.contains(*cause)).map(|(_, text)| *text);
+    let texts: Vec<_> = texts.collect();
+    if texts.is_empty() { "unknown".to_owned() } else { texts.join(", ") }
 }

@@ -1,4 +1,4 @@
-"""Motion that is made here, takes of it, and the program, where there is one."""
+"""Fixtures: generated motion, takes of it, and the command line."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ RATE_HZ = 120.0
 
 
 def make_motion(frames, markers, seed=7):
-    """Swings with noise of 0.05 mm; some markers hidden for a while, one always."""
+    """Sinusoids with noise of 0.05 mm; some markers are hidden for a while, the last one always."""
     random = np.random.default_rng(seed)
     t = np.arange(frames)[:, None, None] / RATE_HZ
     swing = random.uniform(20, 300, (1, markers, 3))
@@ -29,7 +29,7 @@ def make_motion(frames, markers, seed=7):
 
 @pytest.fixture(scope="session")
 def motion():
-    """35 s of 70 markers: two groups, four keys."""
+    """35 s of 70 markers: two groups, four key stretches."""
     return make_motion(4200, 70)
 
 
@@ -47,15 +47,15 @@ def path(motion, labels, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def program():
-    """The command line, in the variable MOCAPD."""
+    """Path of the command line, from the environment variable MOCAPD."""
     if not os.environ.get("MOCAPD"):
-        pytest.skip("MOCAPD does not name the program")
+        pytest.skip("the environment variable MOCAPD is not set")
     return Path(os.environ["MOCAPD"]).resolve()
 
 
 @pytest.fixture(scope="session")
 def recorded(program, tmp_path_factory):
-    """A take that was recorded from a simulated device."""
+    """A take recorded from a simulated device."""
     folder = tmp_path_factory.mktemp("demo")
     run(program, "demo", "--seconds", "12", "--out", folder / "out")
     return folder / "out" / "jump-001.take"
@@ -68,7 +68,7 @@ def run(*command):
 
 
 def error_mm(found, original):
-    """The largest distance of samples, all of which must be there, and no others."""
+    """The largest distance between samples; both arrays must have the same gaps."""
     assert np.array_equal(np.isnan(found), np.isnan(original))
     apart = np.linalg.norm(found.astype(np.float64) - original, axis=-1)
     return float(np.nanmax(apart)) if np.isfinite(apart).any() else 0.0

@@ -11,7 +11,7 @@ from conftest import error_mm, make_motion
 
 @pytest.mark.parametrize("resampler", ["dense", "fast", "spline", "spline:exhaustive", "sync"])
 @pytest.mark.parametrize("tolerance_mm", [0.1, 1, 20])
-def test_what_comes_back_is_within_the_tolerance(resampler, tolerance_mm):
+def test_decompressed_samples_are_within_the_tolerance(resampler, tolerance_mm):
     array = make_motion(300, 5)
     found = mocapd.decompress(mocapd.compress(array, tolerance_mm, resampler))
     assert found.dtype == np.float32 and found.shape == array.shape
@@ -24,7 +24,7 @@ def test_lossless_keeps_every_bit(motion):
     assert len(data) < motion.nbytes
 
 
-def test_the_same_array_is_the_same_bytes(motion):
+def test_the_same_array_gives_the_same_bytes(motion):
     one = mocapd.compress(motion, 0.5, threads=1)
     assert one == mocapd.compress(motion, 0.5, threads=3) != mocapd.compress(motion, 0.6)
     assert len(one) * 10 < motion.nbytes
@@ -42,15 +42,15 @@ def test_any_layout_and_number_type():
     assert error_mm(mocapd.decompress(mocapd.compress(whole, 0.5)), whole.astype(np.float32)) <= 0.5
 
 
-def test_what_is_no_motion_is_refused():
+def test_invalid_arrays_are_refused():
     array = make_motion(20, 2)
-    for wrong, words in [
+    for wrong, message in [
         (array[:, 0], r"array\[:, np.newaxis, :\]"),
         (array[:, :, :2], "frames, markers, 3"),
         (array.astype(np.complex64), "complex64"),
         (np.array([[["a"] * 3]]), "<U1"),
     ]:
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match=message):
             mocapd.compress(wrong, 0.5)
     for value in [np.nan, np.inf, -np.inf]:
         half = np.ones((20, 2, 3), dtype=np.float32)
@@ -64,27 +64,27 @@ def test_what_is_no_motion_is_refused():
 
 
 @pytest.mark.parametrize("tolerance_mm", [0, -1, None, float("nan"), 1e-9, 1e9])
-def test_tolerances_that_are_none(tolerance_mm):
+def test_invalid_tolerances_are_refused(tolerance_mm):
     with pytest.raises(ValueError, match="lossless|tolerance"):
         mocapd.compress(make_motion(20, 2), tolerance_mm)
 
 
-def test_an_unknown_resampler_is_named():
+def test_an_unknown_resampler_is_named_in_the_error():
     with pytest.raises(ValueError, match="'smallest'.*dense"):
         mocapd.compress(make_motion(20, 2), 1, "smallest")
 
 
-def test_damaged_bytes_give_an_error_and_nothing_else():
+def test_damaged_bytes_are_a_take_error():
     data = mocapd.compress(make_motion(150, 4), 0.5)
     for cut in range(len(data)):
         with pytest.raises(mocapd.TakeError):
             mocapd.decompress(data[:cut])
     random = np.random.default_rng(5)
     for at in range(len(data)):
-        hurt = bytearray(data)
-        hurt[at] ^= int(random.integers(1, 256))
+        damaged = bytearray(data)
+        damaged[at] ^= int(random.integers(1, 256))
         with pytest.raises(mocapd.TakeError):
-            mocapd.decompress(bytes(hurt))
+            mocapd.decompress(bytes(damaged))
 
 
 def test_no_file_is_overwritten(tmp_path):
@@ -99,16 +99,16 @@ def test_no_file_is_overwritten(tmp_path):
         mocapd.write_take(tmp_path / "none" / "t.take", make_motion(50, 2), ["a", "b"], 60)
 
 
-def test_what_a_take_cannot_be_written_of(tmp_path):
+def test_invalid_arguments_write_no_file(tmp_path):
     array = make_motion(50, 2)
-    for labels, rate_hz, more, words in [
+    for labels, rate_hz, more, message in [
         (["a"], 60, {}, "1 labels.* 2 markers"),
         (["a", "b"], 0, {}, "0 Hz"),
         (["a", "b"], float("inf"), {}, "inf Hz"),
         (["a", "b"], 60, {"up_axis": "up"}, "'x', 'y', 'z'"),
         (["a", "b"], 60, {"tolerance_mm": 0}, "lossless"),
     ]:
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match=message):
             mocapd.write_take(tmp_path / "t.take", array, labels, rate_hz, **more)
     assert os.listdir(tmp_path) == []
 
@@ -131,5 +131,5 @@ def test_other_threads_run_while_it_works():
     while not done.wait(0.001):
         turns += 1
     thread.join()
-    # With the interpreter held there would be a turn a call.
+    # With the GIL held there would be one turn for each call.
     assert turns > 20, f"{turns} turns in {took[0]:.3f} s"

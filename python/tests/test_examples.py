@@ -14,13 +14,13 @@ def run(name, *arguments):
     return done.stdout
 
 
-def test_a_picture_of_what_is_kept(path, tmp_path):
+def test_knots_plots_an_image(path, tmp_path):
     pytest.importorskip("matplotlib")
-    said = run("knots.py", path, "M01", "-o", tmp_path / "knots.png")
-    assert "M01" in said and "4200" in said
+    output = run("knots.py", path, "M01", "-o", tmp_path / "knots.png")
+    assert "M01" in output and "4200" in output
     assert (tmp_path / "knots.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_bars_are_measured(path):
-    said = run("bars.py", path, "--runs", 1)
-    assert "open" in said and "MB/s" in said
+def test_bars_measures_reading(path):
+    output = run("bars.py", path, "--runs", 1)
+    assert "open" in output and "MB/s" in output

@@ -18,7 +18,7 @@ def test_xarray_has_names_and_units(path):
     assert take.to_xarray().shape == take.shape
 
 
-def test_pandas_has_a_column_an_axis(path):
+def test_pandas_has_one_column_for_each_axis(path):
     pytest.importorskip("pandas")
     take = mocapd.open(path)
     frame = take.to_pandas(1, 2, ["M01", "M65"])
@@ -28,7 +28,7 @@ def test_pandas_has_a_column_an_axis(path):
 
 
 @pytest.mark.parametrize("name", ["pandas", "xarray"])
-def test_without_the_library_it_says_what_to_install(path, monkeypatch, name):
+def test_without_the_library_the_error_names_what_to_install(path, monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
     assert name in importlib.metadata.metadata("mocapd").get_all("Provides-Extra")
     with pytest.raises(ImportError, match=rf"pip install '\./python\[{name}\]'"):

@@ -1,4 +1,4 @@
-"""What claims too much, makes no sense, or has to be interrupted: an exception, and Python lives on."""
+"""Excessive sizes, invalid arguments, special files and interrupts: an exception, and the interpreter survives."""
 
 import os
 import signal
@@ -36,7 +36,7 @@ def string(text):
 
 
 def header():
-    """HEADER of a recording at 120 Hz of two markers, after docs/take-format.md."""
+    """HEADER of a recording of two markers at 120 Hz, as in docs/take-format.md."""
     device = b"".join(string(text) for text in ("dvmc", "", "", "", "")) + bytes([100, 0])
     channels = b"\x03M00\x21" + b"1"
     payload = (
@@ -49,7 +49,7 @@ def header():
 
 @pytest.fixture
 def years_lost(tmp_path):
-    """A recording whose one stretch has no frames, and says that 2^32 were lost before it."""
+    """A recording whose only stretch has no frames and states that 2^32 were lost before it."""
     # Key, number 0; a time line, with runs and rows listed; from row 0, no rows; one run of lost rows, all damaged.
     stretch = bytes([0x01, 0x07]) + varint(0) + varint(0) + varint(1) + varint(2**33 | 1) + b"\x08"
     to = tmp_path / "lost.take"
@@ -86,7 +86,7 @@ def test_an_end_before_the_start_is_refused(path):
     ):
         with pytest.raises(ValueError, match=ends):
             wrong()
-    # Beyond the end there is nothing, and an empty part is a part.
+    # A part beyond the end is empty, and an empty part is valid.
     assert len(take.read(4000, 5000)) == 0
     assert len(take.read(5, 5)) == 0
     assert len(take[5:4]) == 0
@@ -100,31 +100,31 @@ def test_errors_name_the_file(tmp_path, path):
     data = bytearray(path.read_bytes())
     data[20] ^= 1
     data[30] ^= 1
-    hurt = tmp_path / "header.take"
-    hurt.write_bytes(data)
+    damaged = tmp_path / "header.take"
+    damaged.write_bytes(data)
     with pytest.raises(mocapd.TakeError, match="header.take"):
-        mocapd.open(hurt)
+        mocapd.open(damaged)
     with pytest.raises(FileNotFoundError) as caught:
         mocapd.open(tmp_path / "none.take")
     assert caught.value.filename == str(tmp_path / "none.take")
 
 
-def test_a_path_with_a_zero_byte_is_no_path(motion, labels):
+def test_a_path_with_a_zero_byte_is_refused(motion, labels):
     with pytest.raises(ValueError):
         mocapd.open("a\0b.take")
     with pytest.raises(ValueError):
         mocapd.write_take("a\0b.take", motion, labels, 120.0)
 
 
-def test_rates_that_no_device_has_are_refused(tmp_path, motion, labels):
+def test_invalid_rates_are_refused(tmp_path, motion, labels):
     for rate_hz in (1e300, 1e7, 1e-4, 0.0, -1.0, float("inf"), float("nan")):
         with pytest.raises(ValueError, match="Hz"):
             mocapd.write_take(tmp_path / "rate.take", motion[:100], labels, rate_hz)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
-def test_what_is_no_file_is_refused_at_once(tmp_path):
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes need POSIX")
+def test_special_files_are_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.take")
     os.symlink("/dev/zero", tmp_path / "device.take")
     listener = socket.socket(socket.AF_UNIX)
@@ -144,8 +144,8 @@ def test_what_is_no_file_is_refused_at_once(tmp_path):
 
 
 def interrupted(code, *args):
-    """Seconds from Ctrl-C to the end of a program that has begun."""
-    # What is started in the background may have been told to ignore it.
+    """Seconds from Ctrl-C to the end of a running program."""
+    # A process started in the background may ignore SIGINT.
     code = f"import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n{code}"
     program = subprocess.Popen(
         [sys.executable, "-c", code, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -153,21 +153,21 @@ def interrupted(code, *args):
     assert program.stdout.readline() == "begins\n"
     time.sleep(0.5)
     assert program.poll() is None, program.stderr.read()
-    begun = time.monotonic()
+    started_s = time.monotonic()
     program.send_signal(signal.SIGINT)
     try:
-        _, words = program.communicate(timeout=30)
+        _, output = program.communicate(timeout=30)
     except subprocess.TimeoutExpired:
         program.kill()
         program.communicate()
         pytest.fail("Ctrl-C was not answered within 30 s")
-    assert "KeyboardInterrupt" in words, words
-    return time.monotonic() - begun
+    assert "KeyboardInterrupt" in output, output
+    return time.monotonic() - started_s
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them")
-def test_ctrl_c_ends_what_takes_long(path, tmp_path):
-    # A hundred gigabytes to look through, none of which take room.
+@pytest.mark.skipif(os.name != "posix", reason="the test sends POSIX signals")
+def test_ctrl_c_interrupts_long_work(path, tmp_path):
+    # A sparse file: a hundred gigabytes to scan, no disk space.
     data = path.read_bytes()
     long = tmp_path / "long.take"
     long.write_bytes(data[: len(data) // 2])
@@ -179,14 +179,14 @@ def test_ctrl_c_ends_what_takes_long(path, tmp_path):
         "print('begins', flush=True)\n"
         "mocapd.compress(array, 0.01, threads=1)"
     )
-    # With what it takes to end Python, on a machine that has other things to do; it is 0.3 s on one that has not.
+    # Includes the exit of Python on a busy machine; on an idle one it takes 0.3 s.
     for code in (opening, coding):
         assert interrupted(code, long) < 5
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others round the size of a stack in their own way")
-def test_where_no_thread_can_be_made_there_is_an_exception(path):
-    # No address space has room for such a stack.
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems round the size of a stack differently")
+def test_without_a_thread_there_is_an_exception(path):
+    # No address space can hold such a stack.
     code = (
         "import mocapd, numpy, sys\n"
         "for work in (lambda: mocapd.open(sys.argv[1]), lambda: mocapd.compress(numpy.zeros((9, 1, 3), numpy.float32), 1)):\n"

@@ -1,4 +1,4 @@
-"""A recording of a simulated device, against what the program itself says of it."""
+"""A recording of a simulated device, compared with the output of the command line."""
 
 import json
 
@@ -8,14 +8,14 @@ import mocapd
 from conftest import run
 
 
-def test_it_is_what_info_says(program, recorded):
+def test_it_matches_info(program, recorded):
     info = json.loads(run(program, "info", "--json", recorded))
     take = mocapd.open(recorded)
     assert (take.frames, take.n_markers, take.rate_hz) == (info["frames"], info["markers"], info["rate_hz"])
     assert list(take.labels) == [channel["label"] for channel in info["channels"]]
     for found, channel in zip(take.summary.values(), info["channels"]):
-        said = [channel[name] for name in ("samples", "gaps", "knots", "max_error_mm")]
-        assert [found.n_samples, found.n_gaps, found.n_knots, found.max_error_mm] == said
+        expected = [channel[name] for name in ("samples", "gaps", "knots", "max_error_mm")]
+        assert [found.n_samples, found.n_gaps, found.n_knots, found.max_error_mm] == expected
     assert take.header.software == info["software"] and take.header.created is not None
     assert take.header.device.driver == info["device"]["driver"]
     assert take.ledger.closes and take.ledger.recorded == take.n_frames
@@ -24,7 +24,7 @@ def test_it_is_what_info_says(program, recorded):
     assert len(take.clock_lines) == len(info["clock"]["lines"])
 
 
-def test_positions_are_those_of_an_export(program, recorded, tmp_path):
+def test_positions_match_an_export(program, recorded, tmp_path):
     run(program, "export", recorded, "-o", tmp_path / "all.csv")
     table = np.genfromtxt(tmp_path / "all.csv", delimiter=",", skip_header=1)
     take = mocapd.open(recorded)
@@ -47,7 +47,7 @@ def test_frames_have_both_clocks(recorded):
     np.testing.assert_array_equal(some.host_s, times.host_s[some.frame])
 
 
-def test_the_program_reads_what_is_written_here(program, path, motion, tmp_path):
+def test_the_program_reads_takes_written_from_python(program, path, motion, tmp_path):
     info = json.loads(run(program, "info", "--json", path))
     assert (info["frames"], info["markers"], info["problems"]) == (4200, 70, [])
     assert info["ending"] is None and mocapd.open(path).ending is None

@@ -14,7 +14,7 @@ def take(path):
     return mocapd.open(path)
 
 
-def test_it_says_what_it_is(take, motion, labels):
+def test_header_and_properties(take, motion, labels):
     assert (take.n_frames, take.frames, len(take)) == (4200, 4200, 4200)
     assert (take.n_markers, take.rate_hz, take.duration_s) == (70, RATE_HZ, 35.0)
     assert take.labels == tuple(labels) and take.shape == motion.shape
@@ -34,14 +34,14 @@ def test_positions_are_within_the_tolerance(take, motion):
     assert take.positions is take.positions
 
 
-def test_the_ledger_counts_what_is_there(take, motion):
+def test_the_ledger_counts_frames_and_samples(take, motion):
     present = int(np.isfinite(motion[:, :, 0]).sum())
     assert take.ledger.closes and take.ledger.finished
     assert (take.ledger.recorded, take.ledger.samples_present) == (4200, present)
     assert take.ledger.samples_occluded == 4200 * 70 - present
 
 
-def test_any_part_is_that_part_of_the_whole(take, path):
+def test_a_part_equals_that_part_of_the_whole(take, path):
     whole = mocapd.open(path, threads=1).read()
     random = np.random.default_rng(1)
     for _ in range(60):
@@ -51,8 +51,8 @@ def test_any_part_is_that_part_of_the_whole(take, path):
         np.testing.assert_array_equal(part, whole[start:stop][:, columns])
 
 
-def test_a_marker_after_another_is_what_it_is_alone(take, path):
-    """The markers that were decoded with the last ones are kept: what comes out of memory is what is in the file."""
+def test_cached_markers_equal_those_of_the_file(take, path):
+    """Markers read from the cache of decoded rows equal those decoded from the file."""
     whole = mocapd.open(path, threads=1).read()
     random = np.random.default_rng(2)
     for _ in range(12):
@@ -65,7 +65,7 @@ def test_a_marker_after_another_is_what_it_is_alone(take, path):
                 np.testing.assert_array_equal(part[:, 0], whole[a:b, column])
 
 
-def test_threads_of_a_program_may_read_at_once(take, path):
+def test_several_threads_can_read_at_once(take, path):
     whole = mocapd.open(path, threads=1).read()
 
     def read(column):
@@ -77,7 +77,7 @@ def test_threads_of_a_program_may_read_at_once(take, path):
                 np.testing.assert_array_equal(part[:, 0], whole[first : first + 900, column])
 
 
-def test_times_are_frames_at_or_after_them(take):
+def test_times_select_frames_at_or_after_them(take):
     whole = take.positions
     other = mocapd.open(take.path)
     for start_s, stop_s, frames in [
@@ -92,7 +92,7 @@ def test_times_are_frames_at_or_after_them(take):
         np.testing.assert_array_equal(other.read(start_s, stop_s), whole[frames])
 
 
-def test_keys_are_markers_frames_or_both(take):
+def test_indexing_by_markers_frames_or_both(take):
     whole = mocapd.open(take.path).positions
     np.testing.assert_array_equal(take[100:200], whole[100:200])
     np.testing.assert_array_equal(take[-50:], whole[-50:])
@@ -107,7 +107,7 @@ def test_keys_are_markers_frames_or_both(take):
     assert [found.label for found in take] == list(take.labels) and "M66" in take
 
 
-def test_knots_are_samples_that_were_kept(take, motion):
+def test_knots_are_frames_with_samples(take, motion):
     for label in ["M00", "M33", "M66"]:
         marker = take[label]
         assert marker.n_knots == len(marker.knots) == take.summary[label].n_knots
@@ -136,7 +136,7 @@ def test_the_number_of_threads_changes_nothing(path):
             np.testing.assert_array_equal(one, other)
 
 
-def test_what_is_not_there_is_a_key_error(take):
+def test_an_unknown_marker_is_a_key_error(take):
     for key in ["nobody", 70, -1]:
         with pytest.raises(KeyError, match=str(key)):
             take.marker(key)
@@ -144,7 +144,7 @@ def test_what_is_not_there_is_a_key_error(take):
         take.read(markers=["M01", "nobody"])
 
 
-def test_what_makes_no_sense_is_refused(take):
+def test_invalid_arguments_are_refused(take):
     reasons = set()
     for wrong, fact in [
         (lambda: take.read(-1), "-1"),
@@ -161,7 +161,7 @@ def test_what_makes_no_sense_is_refused(take):
         take[5]
 
 
-def test_two_markers_of_one_name_are_told_apart_by_column(tmp_path, motion):
+def test_markers_with_the_same_label_are_distinguished_by_column(tmp_path, motion):
     mocapd.write_take(tmp_path / "t.take", motion[:50, :3], ["A", "A", ""], RATE_HZ)
     take = mocapd.open(tmp_path / "t.take")
     assert take.labels == ("A", "A", "u003") and list(take.summary) == ["A", "A#1", "u003"]
@@ -170,7 +170,7 @@ def test_two_markers_of_one_name_are_told_apart_by_column(tmp_path, motion):
     assert error_mm(take.marker(1).positions, motion[:50, 1]) <= 0.5
 
 
-def test_files_that_are_no_takes(tmp_path):
+def test_files_that_are_not_takes(tmp_path):
     with pytest.raises(FileNotFoundError) as missing:
         mocapd.open(tmp_path / "none.take")
     assert missing.value.filename == str(tmp_path / "none.take")

@@ -1,4 +1,4 @@
-"""The types that are declared are those that there are."""
+"""The declared types match the module."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ def run(*command):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_stub_is_the_module():
+def test_the_stub_matches_the_module():
     run("mypy.stubtest", "mocapd._native")
 
 

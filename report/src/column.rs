@@ -1,4 +1,4 @@
-//! One marker's samples out of trajectories that are stored frame by frame.
+//! The samples of one marker, from trajectories that are stored frame by frame.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use mocapd_take::motion::{Motion, Position, is_gap};
 /// A position in f64, millimetres.
 pub type Vector = [f64; 3];
 
-/// One marker over a whole take: `None` where it was not seen.
+/// The positions of one marker in every frame of a take; `None` in gaps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Column(pub Vec<Option<Vector>>);
 
@@ -19,7 +19,7 @@ impl Column {
         Self((0..motion.n_frames()).map(sample).collect())
     }
 
-    /// The mean of several columns, row by row; a row has it where all of them are there.
+    /// The mean of several columns, row by row; `None` where one of them is.
     #[must_use]
     pub fn mean(columns: &[Self]) -> Self {
         let n_rows = columns.iter().map(|column| column.0.len()).min().unwrap_or(0);
@@ -39,14 +39,14 @@ impl Column {
         runs(self.0.iter().map(Option::is_some))
     }
 
-    /// Rows with a sample.
+    /// The number of rows with a sample.
     #[must_use]
     pub fn n_samples(&self) -> usize {
         self.0.iter().flatten().count()
     }
 
-    /// The same with short gaps bridged by straight lines and the ends held, for looking at a motion as a whole;
-    /// `None` where there is no sample at all.
+    /// The positions with all gaps filled: linear interpolation between samples, the nearest sample at the ends. `None`
+    /// if there is no sample at all.
     #[must_use]
     pub fn bridged(&self) -> Option<Vec<Vector>> {
         let known: Vec<(usize, Vector)> =
@@ -65,25 +65,25 @@ impl Column {
     }
 }
 
-/// A sample in f64, unless it stands for a missing one.
+/// A position in f64; `None` for a gap.
 #[must_use]
 pub fn sample(position: Position) -> Option<Vector> {
     (!is_gap(position)).then(|| position.map(f64::from))
 }
 
-/// Euclidean distance.
+/// Euclidean distance between two positions.
 #[must_use]
 pub fn distance(a: Vector, b: Vector) -> f64 {
     norm(std::array::from_fn(|axis| a[axis] - b[axis]))
 }
 
-/// Euclidean length.
+/// Euclidean length of a vector.
 #[must_use]
 pub fn norm([x, y, z]: Vector) -> f64 {
     (x * x + y * y + z * z).sqrt()
 }
 
-/// Runs of `true`, as half-open ranges.
+/// The runs of `true`, as half-open ranges of indices.
 pub fn runs(present: impl Iterator<Item = bool>) -> impl Iterator<Item = Range<usize>> {
     let mut rows = present.enumerate();
     std::iter::from_fn(move || {
@@ -93,7 +93,7 @@ pub fn runs(present: impl Iterator<Item = bool>) -> impl Iterator<Item = Range<u
     })
 }
 
-/// The middle value, the upper one of two; `None` of none.
+/// The median, the upper one of the two in the middle; `None` of no values. Reorders `values`.
 pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     if values.is_empty() {

@@ -1,8 +1,8 @@
-//! What a tolerance does to velocities and accelerations: those of a take against those of its original.
+//! Errors of velocities and accelerations of a take against its original.
 //!
-//! Both are filtered first, as the field does before it differentiates ([`Butterworth`]). The filter and the
-//! differences are linear, so that what is filtered is the difference of the two: its derivative is the error of
-//! the derivative.
+//! Positions are low-pass filtered before they are differentiated ([`Butterworth`]), as is usual in biomechanics.
+//! Filter and differences are linear, so the difference of take and original is filtered and differentiated: the
+//! derivative of the difference is the error of the derivative.
 
 use mocapd_take::motion::Motion;
 
@@ -11,38 +11,38 @@ use crate::{
     column::{Column, Vector, norm},
 };
 
-/// The usual cutoff for the motion of a body, Hz.
+/// The usual cutoff for human motion, Hz.
 pub const CUTOFF_HZ: f64 = 6.0;
 
-/// The size of a vector over many rows.
+/// Statistics of the lengths of a vector quantity over many rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Size {
+pub struct MagnitudeStats {
     n: u64,
     sum_of_squares: f64,
     max: f64,
 }
 
-impl Size {
+impl MagnitudeStats {
     fn add(&mut self, length: f64) {
         self.n += 1;
         self.sum_of_squares += length * length;
         self.max = self.max.max(length);
     }
 
-    /// Both together.
+    /// Merges the statistics of `other` into these.
     pub fn add_all(&mut self, other: &Self) {
         self.n += other.n;
         self.sum_of_squares += other.sum_of_squares;
         self.max = self.max.max(other.max);
     }
 
-    /// Rows.
+    /// The number of rows.
     #[must_use]
     pub fn n(&self) -> u64 {
         self.n
     }
 
-    /// Root of the mean square of the lengths; 0 without rows.
+    /// The root mean square of the lengths; 0 without rows.
     #[must_use]
     pub fn rms(&self) -> f64 {
         (self.sum_of_squares / self.n.max(1) as f64).sqrt()
@@ -55,25 +55,25 @@ impl Size {
     }
 }
 
-/// One marker, or many together.
+/// Errors of position, velocity and acceleration of one marker, or of several together.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DerivativeError {
     /// Error of the filtered position, mm.
-    pub position_mm: Size,
+    pub position_mm: MagnitudeStats,
     /// Error of the velocity, mm/s.
-    pub velocity_mm_s: Size,
+    pub velocity_mm_s: MagnitudeStats,
     /// Error of the acceleration, mm/s^2.
-    pub acceleration_mm_s2: Size,
+    pub acceleration_mm_s2: MagnitudeStats,
     /// The original's own velocity, mm/s.
-    pub original_velocity_mm_s: Size,
+    pub original_velocity_mm_s: MagnitudeStats,
     /// The original's own acceleration, mm/s^2.
-    pub original_acceleration_mm_s2: Size,
-    /// Samples of runs between gaps that are shorter than a period of the cutoff: nothing is said of them.
+    pub original_acceleration_mm_s2: MagnitudeStats,
+    /// Samples left out: those of runs between gaps that are shorter than a period of the cutoff.
     pub samples_left_out: u64,
 }
 
 impl DerivativeError {
-    /// Both together.
+    /// Merges the errors of `other` into these.
     pub fn add_all(&mut self, other: &Self) {
         self.position_mm.add_all(&other.position_mm);
         self.velocity_mm_s.add_all(&other.velocity_mm_s);
@@ -84,10 +84,11 @@ impl DerivativeError {
     }
 }
 
-/// By marker of the original, in its order, for the frames and markers that both have; filtered at `cutoff_hz`.
+/// The errors of each marker, in the order of the original, over the frames and markers that both have; filtered at
+/// `cutoff_hz`.
 ///
 /// # Errors
-/// `InvalidArgument` when the cutoff does not go with the rate of the original.
+/// `InvalidArgument` if the cutoff is not below half the frame rate of the original.
 pub fn by_marker(
     take: &Motion,
     original: &Motion,
@@ -96,20 +97,14 @@ pub fn by_marker(
     let rate_hz = original.info.rate_hz;
     let filter = Butterworth::new(cutoff_hz, rate_hz)?;
     let n_markers = original.info.markers.len().min(take.info.markers.len());
-    Ok((0..n_markers)
-        .map(|marker| {
-            let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
-            of_marker(&ours, &theirs, &filter, rate_hz)
-        })
-        .collect())
+    let of_marker = |marker| {
+        let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
+        errors(&ours, &theirs, &filter, rate_hz)
+    };
+    Ok((0..n_markers).map(of_marker).collect())
 }
 
-fn of_marker(
-    ours: &Column,
-    theirs: &Column,
-    filter: &Butterworth,
-    rate_hz: f64,
-) -> DerivativeError {
+fn errors(ours: &Column, theirs: &Column, filter: &Butterworth, rate_hz: f64) -> DerivativeError {
     let mut found = DerivativeError::default();
     let both: Vec<Option<(Vector, Vector)>> =
         ours.0.iter().zip(&theirs.0).map(|(a, b)| (*a).zip(*b)).collect();
@@ -119,11 +114,11 @@ fn of_marker(
             continue;
         }
         let pairs: Vec<(Vector, Vector)> = both[run].iter().flatten().copied().collect();
-        let apart = |(a, b): &(Vector, Vector)| std::array::from_fn(|axis| a[axis] - b[axis]);
-        let differences: Vec<Vector> = pairs.iter().map(apart).collect();
+        let error = |(a, b): &(Vector, Vector)| std::array::from_fn(|axis| a[axis] - b[axis]);
+        let differences: Vec<Vector> = pairs.iter().map(error).collect();
         let originals: Vec<Vector> = pairs.iter().map(|(_, b)| *b).collect();
-        let difference = filtered(filter, &differences);
-        let original = filtered(filter, &originals);
+        let filtered = |run: &[Vector]| by_axis(run, |values| filter.filter(values));
+        let (difference, original) = (filtered(&differences), filtered(&originals));
         difference.iter().for_each(|&error| found.position_mm.add(norm(error)));
         derivatives(&difference, rate_hz, |velocity, acceleration| {
             found.velocity_mm_s.add(velocity);
@@ -137,16 +132,17 @@ fn of_marker(
     found
 }
 
-/// The three axes of a run, each filtered.
-pub(crate) fn filtered(filter: &Butterworth, run: &[Vector]) -> Vec<Vector> {
+/// A run with `change` applied to the values on each of its three axes.
+pub(crate) fn by_axis(run: &[Vector], change: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vector> {
     let axes: [Vec<f64>; 3] = std::array::from_fn(|axis| {
         let values: Vec<f64> = run.iter().map(|at| at[axis]).collect();
-        filter.filter(&values)
+        change(&values)
     });
     (0..run.len()).map(|row| std::array::from_fn(|axis| axes[axis][row])).collect()
 }
 
-/// Central differences of all rows but the first and the last: lengths of velocity and acceleration.
+/// Calls `found` with the lengths of velocity and acceleration by central differences, for all rows but the first and
+/// the last.
 fn derivatives(run: &[Vector], rate_hz: f64, mut found: impl FnMut(f64, f64)) {
     for three in run.windows(3) {
         let velocity =
@@ -158,53 +154,54 @@ fn derivatives(run: &[Vector], rate_hz: f64, mut found: impl FnMut(f64, f64)) {
     }
 }
 
-/// What a cutoff is divided by, as `tan(pi f / rate)`, so that two passes together have half the power there:
-/// `(2^(1/2) - 1)^(1/4)`.
-pub const TWO_PASSES: f64 = 0.802_243_262_923_150_2;
+/// Correction of the cutoff for two passes: `tan(pi f / rate)` is divided by it, so that both passes together have half
+/// the power at the cutoff. `(2^(1/2) - 1)^(1/4)`.
+pub const TWO_PASS_FACTOR: f64 = 0.802_243_262_923_150_2;
 
-/// The filter for one rate and cutoff.
+/// A second-order Butterworth low-pass for one rate and cutoff, applied forwards and backwards: zero lag, fourth order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Butterworth {
-    /// Weights of the input, now and before.
+    /// Numerator coefficients: weights of the input.
     b: [f64; 3],
-    /// Weights of the output before, of which the first is 1.
+    /// Denominator coefficients: weights of the output; the first is 1.
     a: [f64; 3],
     /// Rows by which a run is extended at each end.
     n_pad: usize,
+    /// A period of the cutoff, rows.
     period_rows: f64,
 }
 
 impl Butterworth {
-    /// `cutoff_hz` is where both passes together let half of the power through (-3.01 dB).
+    /// Designs the filter; at `cutoff_hz` both passes together have half the power (-3.01 dB).
     ///
     /// # Errors
-    /// `InvalidArgument` when the cutoff is not between 0 and half the rate.
+    /// `InvalidArgument` if the cutoff is not between 0 and half the rate.
     pub fn new(cutoff_hz: f64, rate_hz: f64) -> Result<Self, ReportError> {
         let possible = cutoff_hz.is_finite() && rate_hz.is_finite() && cutoff_hz > 0.0;
         if !possible || cutoff_hz >= 0.5 * rate_hz {
             return Err(ReportError::InvalidArgument(format!(
-                "a cutoff of {cutoff_hz} Hz cannot be at {rate_hz} Hz: choose one above 0 and below half the rate"
+                "a cutoff of {cutoff_hz} Hz is impossible at {rate_hz} Hz: choose one above 0 and below half the rate"
             )));
         }
-        let w = (std::f64::consts::PI * cutoff_hz / rate_hz).tan() / TWO_PASSES;
+        let w = (std::f64::consts::PI * cutoff_hz / rate_hz).tan() / TWO_PASS_FACTOR;
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
         let b0 = w * w * scale;
         let a1 = 2.0 * (w * w - 1.0) * scale;
         let a2 = (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale;
         let period_rows = rate_hz / cutoff_hz;
-        // Three times the order at least, as SciPy has it, and long enough for the slowest filter to settle.
+        // At least three times the number of coefficients, as in SciPy, and one period, so that the filter settles.
         let n_pad = 9.max(period_rows.ceil().min(1e6) as usize);
         Ok(Self { b: [b0, 2.0 * b0, b0], a: [1.0, a1, a2], n_pad, period_rows })
     }
 
-    /// The shortest run that can be filtered: one period of the cutoff. What is shorter is all ends.
+    /// The shortest run that is filtered, rows: one period of the cutoff. In shorter ones the ends dominate.
     #[must_use]
     pub fn rows_min(&self) -> usize {
         (self.period_rows.ceil().min(1e9) as usize).max(4)
     }
 
-    /// Filters one run of values, in their own unit; as long as it was. A run shorter than
-    /// [`rows_min`](Self::rows_min) comes back as it is.
+    /// Filters a run of values of any unit; the result has the same length. A run shorter than
+    /// [`rows_min`](Self::rows_min) is returned unchanged.
     #[must_use]
     pub fn filter(&self, values: &[f64]) -> Vec<f64> {
         let n = values.len();
@@ -224,7 +221,7 @@ impl Butterworth {
         padded[n_pad..n_pad + n].to_vec()
     }
 
-    /// Once through, beginning as if the first value had been there for ever.
+    /// One forward pass; the initial state is that of a constant input equal to the first value.
     fn pass(&self, values: &mut [f64]) {
         let Some(&first) = values.first() else { return };
         let ([b0, b1, b2], [_, a1, a2]) = (self.b, self.a);
@@ -255,7 +252,7 @@ mod tests {
         Motion { info, positions_mm: (0..600).map(|i| path(f64::from(i) / rate_hz)).collect() }
     }
 
-    /// A take that is off by a sine of 2 Hz and 1 mm: its velocity is off by 4 pi mm/s, times the filter's gain.
+    /// A take with a sine error of 2 Hz and 1 mm: the error of its velocity is 4 pi mm/s, times the filter's gain.
     #[test]
     fn a_known_error_has_the_known_derivatives() {
         let rate_hz = 240.0;
@@ -264,7 +261,7 @@ mod tests {
             motion(rate_hz, |t| [(100.0 * t) as f32, (2.0 * PI * 2.0 * t).sin() as f32, 0.0]);
         let found = by_marker(&take, &original, CUTOFF_HZ).unwrap()[0];
         let w = |f: f64| (PI * f / rate_hz).tan();
-        let gain = 1.0 / (1.0 + (w(2.0) * TWO_PASSES / w(6.0)).powi(4));
+        let gain = 1.0 / (1.0 + (w(2.0) * TWO_PASS_FACTOR / w(6.0)).powi(4));
         let speed = gain * 4.0 * PI;
         let close = |value: f64, expected: f64, part: f64| {
             assert!((value - expected).abs() < part * expected, "{value} is not {expected}");
@@ -297,7 +294,7 @@ mod tests_of_butterworth {
 
     use super::*;
 
-    /// Amplitude and phase of what is left of a sine, by its products with a sine and a cosine over whole periods.
+    /// Amplitude and phase of a filtered sine, by its products with a sine and a cosine over whole periods.
     fn response(filter: &Butterworth, frequency_hz: f64, rate_hz: f64) -> (f64, f64) {
         let n = 4000;
         let angle = |i: usize| 2.0 * PI * frequency_hz * i as f64 / rate_hz;
@@ -328,7 +325,7 @@ mod tests_of_butterworth {
         let filter = Butterworth::new(cutoff_hz, rate_hz).unwrap();
         for frequency_hz in [1.0, 3.0, 5.0, 10.0, 20.0] {
             let w = |f: f64| (PI * f / rate_hz).tan();
-            let expected = 1.0 / (1.0 + (w(frequency_hz) * TWO_PASSES / w(cutoff_hz)).powi(4));
+            let expected = 1.0 / (1.0 + (w(frequency_hz) * TWO_PASS_FACTOR / w(cutoff_hz)).powi(4));
             let (gain, phase) = response(&filter, frequency_hz, rate_hz);
             assert!((gain - expected).abs() < 1e-5, "{frequency_hz} Hz: {gain} {expected}");
             assert!(phase.abs() < 1e-3, "{frequency_hz} Hz: {phase}");
@@ -354,15 +351,15 @@ mod tests_of_butterworth {
             let refused = Butterworth::new(cutoff_hz, rate_hz).unwrap_err();
             let values = [format!("{cutoff_hz} Hz"), format!("{rate_hz} Hz")];
             assert!(
-                matches!(&refused, ReportError::InvalidArgument(said) if values.iter().all(|value| said.contains(value))),
+                matches!(&refused, ReportError::InvalidArgument(text) if values.iter().all(|value| text.contains(value))),
                 "{refused:?}"
             );
         }
     }
 
     #[test]
-    fn the_correction_is_what_it_says() {
+    fn the_two_pass_correction_is_exact() {
         let exact = (std::f64::consts::SQRT_2 - 1.0).sqrt().sqrt();
-        assert!((exact - TWO_PASSES).abs() < 1e-15, "{exact}");
+        assert!((exact - TWO_PASS_FACTOR).abs() < 1e-15, "{exact}");
     }
 }

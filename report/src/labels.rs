@@ -1,14 +1,15 @@
-//! What labels of markers mean: whose they are, which joint of the body they name, and which are joined by a line on a
-//! screen. Everything that reads a label for its meaning reads it here.
+//! Marker sets: the subject and the joint that a marker label names, and the lines to draw between markers.
+//!
+//! All interpretation of labels is in this module.
 
 use std::collections::HashMap;
 
-/// What labels call a joint, set by set; what stands between `/` are names of one joint, of which the first that is
-/// there is taken. `*` is either side. Names are as [`plain`] writes them.
+/// A marker set: each joint, and the labels for it in order of preference, separated by `/`. `*` stands for `l` and
+/// `r`. Labels are in the form of [`site_key`].
 type Names = [(&'static str, &'static str)];
 
-/// By the joint itself, as the generator and files of joints do, and as Vicon's Plug-in Gait and the sets after Helen
-/// Hayes call the marker or the computed centre that is nearest to it.
+/// Labels that name the joint itself, as in joint files and by the generator, and the markers or computed joint centres
+/// nearest to it in Vicon's Plug-in Gait and the Helen Hayes sets.
 const BY_JOINT: &Names = &[
     ("head", "head"),
     ("throat", "throat/neck"),
@@ -34,7 +35,7 @@ const ASF: &Names = &[
     ("*_ankle", "*tibia"),
 ];
 
-/// Joints of BVH files as most programs name them, after the segment that begins there.
+/// Joints of BVH files by their most common names, those of the segments that begin there.
 const BVH: &Names = &[
     ("head", "head"),
     ("throat", "neck"),
@@ -47,16 +48,16 @@ const BVH: &Names = &[
     ("*_ankle", "*foot"),
 ];
 
-/// In the order in which they are preferred where two explain as much.
+/// All sets; if two match equally many joints, the earlier one is taken.
 const SETS: [&Names; 3] = [BY_JOINT, ASF, BVH];
 
-/// Lines between markers of a set, for people's eyes: nothing is measured by them. What stands between `/` are names of one site, of which the first that is there is taken; `*`
-/// is both sides, one after the other.
+/// The lines to draw for a marker set, as pairs of sites; nothing is measured along them. `/` separates labels of one
+/// site in order of preference, and `*` stands for `l` and `r`.
 type Lines = [(&'static str, &'static str)];
 
-/// The 15 sites of Shi et al. 2012 (doi 10.3969/j.issn.0372-2112.2012.01.021), as `simulator/src/generator/body.rs` and
-/// the joint files made from CMU's motion capture database (mocap.cs.cmu.edu) call them, with toes and hands where they
-/// are. A body without a throat or a pelvis is joined across.
+/// The 15 sites of Shi et al. 2012 (doi 10.3969/j.issn.0372-2112.2012.01.021), as labelled by
+/// `simulator/src/generator/body.rs` and in joint files made from CMU's motion capture database (mocap.cs.cmu.edu),
+/// plus toes and hands. Without a throat or a pelvis, the shoulders or hips are joined directly.
 const JOINT_LINES: &Lines = &[
     ("throat/neck", "head"),
     ("throat/neck/rshoulder", "lshoulder"),
@@ -74,8 +75,8 @@ const JOINT_LINES: &Lines = &[
     ("*heel", "*toe/*foot"),
 ];
 
-/// Plug-in Gait, full body: names and places after Vicon's "Plug-in Gait Reference Guide". Wands and the offset marker
-/// (`LUPA`, `LFRM`, `LTHI`, `LTIB`, `RBAK`) stay without a line.
+/// Plug-in Gait, full body, after Vicon's "Plug-in Gait Reference Guide". Wand markers and the offset marker (`LUPA`,
+/// `LFRM`, `LTHI`, `LTIB`, `RBAK`) get no line.
 const PLUG_IN_GAIT_LINES: &Lines = &[
     ("lfhd", "rfhd"),
     ("lbhd", "rbhd"),
@@ -103,8 +104,8 @@ const PLUG_IN_GAIT_LINES: &Lines = &[
     ("*hee", "*toe"),
 ];
 
-/// The set of the Helen Hayes hospital (Kadaba, Ramakrishnan and Wootten 1990, doi 10.1002/jor.1100080310), with head and
-/// arms as Motion Analysis's programs name them, in full and in four letters.
+/// The Helen Hayes set (Kadaba, Ramakrishnan and Wootten 1990, doi 10.1002/jor.1100080310), with head and arms as
+/// labelled by Motion Analysis's programs, in full and in four letters.
 const HELEN_HAYES_LINES: &Lines = &[
     ("fronthead/fhea", "rearhead/rhea"),
     ("fronthead/fhea", "tophead/thea"),
@@ -142,7 +143,7 @@ const ASF_LINES: &Lines = &[
     ("*foot", "*toes"),
 ];
 
-/// Joints of BVH files as most programs name them.
+/// Joints of BVH files, by their most common names.
 const BVH_LINES: &Lines = &[
     ("hips", "spine"),
     ("spine", "spine1/neck"),
@@ -158,20 +159,20 @@ const BVH_LINES: &Lines = &[
     ("*foot", "*toebase"),
 ];
 
-/// In the order in which they are preferred where two explain as much.
+/// All sets of lines; if two draw equally many, the earlier one is taken.
 const LINE_SETS: [&Lines; 5] =
     [JOINT_LINES, PLUG_IN_GAIT_LINES, HELEN_HAYES_LINES, ASF_LINES, BVH_LINES];
 
-/// Whose marker it is, and what it is called there: several subjects are told apart by what stands before the last `:`.
+/// Splits a label into subject and site at the last `:`; without one the subject is empty.
 #[must_use]
 pub fn split(label: &str) -> (&str, &str) {
     label.rsplit_once(':').unwrap_or(("", label))
 }
 
-/// A site in small letters without what separates its words, and its side as one letter before it: `L.Shoulder`,
-/// `l_shoulder`, `LeftShoulder` and `Shoulder_L` are one.
+/// The normalised form of a site: lower case, without separators, with the side as one letter in front. `L.Shoulder`,
+/// `l_shoulder`, `LeftShoulder` and `Shoulder_L` all become `lshoulder`.
 #[must_use]
-pub fn plain(site: &str) -> String {
+pub fn site_key(site: &str) -> String {
     let small = site.to_lowercase();
     let words: Vec<&str> =
         small.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect();
@@ -190,16 +191,16 @@ pub fn plain(site: &str) -> String {
     format!("{side}{name}")
 }
 
-/// Markers of one subject.
+/// The markers of one subject.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SubjectMarkers<'a> {
-    /// What stands before the `:` of its labels; empty where nothing does.
+    /// The subject's name in the labels; may be empty.
     pub name: &'a str,
-    /// The column of each [`plain`] site: of one that comes twice, the first.
+    /// The column of each site in the form of [`site_key`]; the first one of a repeated site.
     pub sites: HashMap<String, usize>,
 }
 
-/// The markers by subject, in the order in which these appear.
+/// Groups markers by subject, in order of their first appearance.
 #[must_use]
 pub fn subjects<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<SubjectMarkers<'a>> {
     let mut subjects: Vec<SubjectMarkers<'a>> = Vec::new();
@@ -210,29 +211,25 @@ pub fn subjects<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<SubjectMar
         if place == subjects.len() {
             subjects.push(SubjectMarkers { name, sites: HashMap::new() });
         }
-        subjects[place].sites.entry(plain(site)).or_insert(column);
+        subjects[place].sites.entry(site_key(site)).or_insert(column);
     }
     subjects
 }
 
 impl SubjectMarkers<'_> {
-    /// The column of the first of these names that is there.
+    /// The column of the first of these sites that exists.
     #[must_use]
     pub fn first(&self, names: &[&str]) -> Option<usize> {
         names.iter().find_map(|name| self.sites.get(*name).copied())
     }
 
-    /// The columns of the joints that its labels name, by the set that names most of them: `l_shoulder` and so on.
+    /// The columns of the joints (`l_shoulder` and so on) that labels name, by the marker set that matches most of
+    /// them.
     #[must_use]
     pub fn joints(&self) -> HashMap<String, usize> {
-        let mut best = HashMap::new();
-        for set in SETS {
-            let found = self.by(set);
-            if found.len() > best.len() {
-                best = found;
-            }
-        }
-        best
+        // Of equally large ones `max_by_key` takes the last: reversed, the earlier one.
+        let found = SETS.into_iter().rev().map(|set| self.by(set));
+        found.max_by_key(HashMap::len).unwrap_or_default()
     }
 
     fn by(&self, set: &Names) -> HashMap<String, usize> {
@@ -247,21 +244,16 @@ impl SubjectMarkers<'_> {
         found
     }
 
-    /// The column of the first of the names between `/` that is there.
+    /// The column of the first site in a list separated by `/` that exists.
     fn column(&self, names: &str, side: &str) -> Option<usize> {
         names.split('/').find_map(|name| self.sites.get(&name.replace('*', side)).copied())
     }
 
-    /// The lines of the set that draws most of them.
+    /// The lines of the set with most matches.
     fn lines(&self) -> Vec<[u16; 2]> {
-        let mut best = Vec::new();
-        for set in LINE_SETS {
-            let lines = self.lines_of(set);
-            if lines.len() > best.len() {
-                best = lines;
-            }
-        }
-        best
+        // As in `joints`, the earlier one of equally large ones.
+        let found = LINE_SETS.into_iter().rev().map(|set| self.lines_of(set));
+        found.max_by_key(Vec::len).unwrap_or_default()
     }
 
     fn lines_of(&self, set: &Lines) -> Vec<[u16; 2]> {
@@ -275,16 +267,16 @@ impl SubjectMarkers<'_> {
     }
 }
 
-/// What a `*` stands for in names.
+/// The values of `*` in a list of sites.
 fn sides(names: &str) -> &'static [&'static str] {
     if names.contains('*') { &["l", "r"] } else { &[""] }
 }
 
-/// Pairs of slots between which a line is drawn, for the labels of the slots. Of a label that comes twice the first is
-/// meant. Each subject gets the marker set that explains most of its labels; no lines where none is known.
+/// The lines to draw between markers, as pairs of columns of `labels`. Each subject gets the lines of the marker set
+/// that matches it best; of repeated labels the first is used.
 #[must_use]
-pub fn bones(labels: &[String]) -> Vec<[u16; 2]> {
-    // What a line can name is a slot of 16 bits.
+pub fn marker_lines(labels: &[String]) -> Vec<[u16; 2]> {
+    // Columns in lines have 16 bits.
     let named = labels.iter().take(usize::from(u16::MAX) + 1).map(String::as_str);
     subjects(named).iter().flat_map(SubjectMarkers::lines).collect()
 }
@@ -301,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_of_writing_a_side_are_one() {
+    fn spellings_of_a_side_are_equivalent() {
         for label in
             ["l_wrist", "L.Wrist", "LeftWrist", "Wrist_L", "LWRIST", "wrist left", "Left Wrist"]
         {
@@ -323,11 +315,11 @@ mod tests {
     }
 
     #[test]
-    fn subjects_are_told_apart_and_what_nobody_knows_is_no_joint() {
+    fn subjects_are_distinguished_and_unknown_labels_name_no_joint() {
         let two = ["Ann:LKNE", "Bob:LKNE", "Ann:LANK", "u001", "Ann:LKNE"];
         let subjects = subjects(two);
         assert_eq!(subjects.iter().map(|s| s.name).collect::<Vec<_>>(), ["Ann", "Bob", ""]);
-        assert_eq!(subjects[0].joints()["l_knee"], 0, "of two the first");
+        assert_eq!(subjects[0].joints()["l_knee"], 0, "the first of two");
         assert!(subjects[2].joints().is_empty());
         assert!(super::subjects([]).is_empty() && joints(&["_", "left", ":"]).is_empty());
     }
@@ -338,7 +330,7 @@ mod tests {
 
     /// The lines as pairs of names, each pair and all pairs in alphabetical order.
     fn names(labels: &[String]) -> Vec<[&str; 2]> {
-        let mut lines: Vec<[&str; 2]> = bones(labels)
+        let mut lines: Vec<[&str; 2]> = marker_lines(labels)
             .iter()
             .map(|line| {
                 let mut pair = line.map(|slot| labels[usize::from(slot)].as_str());
@@ -351,17 +343,20 @@ mod tests {
     }
 
     #[test]
-    fn lines_of_a_side_are_one_however_it_is_written() {
+    fn lines_do_not_depend_on_the_spelling_of_a_side() {
         for wrist in
             ["l_wrist", "L.Wrist", "LeftWrist", "Wrist_L", "LWRIST", "wrist left", "Left Wrist"]
         {
-            assert_eq!(bones(&owned(&["L_Elbow", wrist])), [[0, 1]], "{wrist}");
-            assert!(bones(&owned(&["R_Elbow", wrist])).is_empty(), "{wrist} is not the right one");
+            assert_eq!(marker_lines(&owned(&["L_Elbow", wrist])), [[0, 1]], "{wrist}");
+            assert!(
+                marker_lines(&owned(&["R_Elbow", wrist])).is_empty(),
+                "{wrist} is not the right one"
+            );
         }
     }
 
     #[test]
-    fn joints_of_another_name_or_order_get_the_same_body() {
+    fn joints_in_another_order_get_the_same_lines() {
         let shuffled = owned(&[
             "r_ankle",
             "r_knee",
@@ -379,13 +374,13 @@ mod tests {
             "neck",
             "head",
         ]);
-        assert_eq!(bones(&shuffled).len(), 14);
+        assert_eq!(marker_lines(&shuffled).len(), 14);
         assert!(names(&shuffled).contains(&["neck", "pelvis"]));
         assert!(names(&shuffled).contains(&["l_hip", "pelvis"]));
     }
 
     #[test]
-    fn a_body_without_middle_is_joined_across() {
+    fn a_body_without_throat_and_pelvis_is_joined_across() {
         let body = owned(&["l_shoulder", "r_shoulder", "l_hip", "r_hip"]);
         assert_eq!(names(&body), [["l_hip", "r_hip"], ["l_shoulder", "r_shoulder"]]);
     }
@@ -438,16 +433,16 @@ mod tests {
             "THEA", "FHEA", "RHEA", "RSHO", "RELB", "RWRI", "LSHO", "LELB", "LWRI", "RASI", "LASI",
             "VSAC", "RKNE", "RANK", "RHEE", "RTOE", "LKNE", "LANK", "LHEE", "LTOE",
         ]);
-        assert_eq!(bones(&full), bones(&short));
-        assert_eq!(bones(&full).len(), 23);
+        assert_eq!(marker_lines(&full), marker_lines(&short));
+        assert_eq!(marker_lines(&full).len(), 23);
     }
 
     #[test]
     fn skeletons_of_asf_and_bvh_are_chains() {
         let asf = owned(&["root", "lhipjoint", "lfemur", "ltibia", "lfoot", "ltoes"]);
-        assert_eq!(bones(&asf), [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]);
+        assert_eq!(marker_lines(&asf), [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]);
         let bvh = owned(&["Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"]);
-        assert_eq!(bones(&bvh), [[0, 1], [1, 2], [2, 3], [3, 4]]);
+        assert_eq!(marker_lines(&bvh), [[0, 1], [1, 2], [2, 3], [3, 4]]);
     }
 
     #[test]
@@ -462,20 +457,22 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_nobody_knows_get_no_lines() {
-        assert!(bones(&[]).is_empty());
-        assert!(bones(&owned(&["u001", "", ":", "left", "_", "marker 7", "LÄNGS"])).is_empty());
+    fn unknown_labels_get_no_lines() {
+        assert!(marker_lines(&[]).is_empty());
+        assert!(
+            marker_lines(&owned(&["u001", "", ":", "left", "_", "marker 7", "LÄNGS"])).is_empty()
+        );
     }
 
     #[test]
-    fn of_a_label_that_comes_twice_the_first_is_meant() {
-        assert_eq!(bones(&owned(&["l_knee", "l_knee", "l_hip"])), [[2, 0]]);
+    fn the_first_of_repeated_labels_is_used() {
+        assert_eq!(marker_lines(&owned(&["l_knee", "l_knee", "l_hip"])), [[2, 0]]);
     }
 
     #[test]
-    fn slots_beyond_what_a_line_can_name_are_passed_over() {
+    fn columns_beyond_16_bits_are_ignored() {
         let mut many = vec!["u001".to_owned(); 65_535];
         many.extend(owned(&["l_hip", "l_knee"]));
-        assert!(bones(&many).is_empty());
+        assert!(marker_lines(&many).is_empty());
     }
 }

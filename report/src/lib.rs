@@ -1,11 +1,11 @@
-//! What reads takes and draws or tabulates: pictures, the study of (Shi et al. 2012), and the errors that a
-//! tolerance makes in velocities and accelerations.
+//! Analysis of takes: plots, the study of (Shi et al. 2012), errors of velocities and accelerations, marker noise, and
+//! limb lengths.
 //!
-//! Nothing here opens a file, prints, reads a clock or starts a thread: trajectories and the bytes of takes come
-//! from the caller, and text, tables and pictures go back.
+//! This crate opens no file, prints nothing, reads no clock and starts no thread: callers pass in trajectories and the
+//! bytes of takes, and get back text, tables and pictures.
 
-pub mod coded;
 pub mod column;
+pub mod decoded;
 pub mod derivative;
 pub mod labels;
 pub mod limbs;
@@ -17,23 +17,23 @@ pub mod sites;
 pub mod study;
 pub mod up;
 
-/// Why there is no report.
+/// Why an analysis failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportError {
-    /// What was asked for cannot be: the message says what can.
+    /// An argument is out of range; the message states the range.
     #[error("{0}")]
     InvalidArgument(String),
-    /// There is nothing to report on.
+    /// The input has no data for this analysis.
     #[error("{0}")]
     Nothing(String),
     /// A take could not be read or written.
     #[error(transparent)]
     Take(#[from] mocapd_take::TakeError),
-    /// The coder refused.
+    /// The [`Coder`](study::Coder) failed, or its take does not match its input.
     #[error("{0}")]
     Coder(String),
-    /// The drawing library refused.
+    /// The drawing library failed.
     #[error("cannot draw: {0}")]
     Drawing(String),
 }

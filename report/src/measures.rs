@@ -1,8 +1,9 @@
-//! The storage measures of (Shi et al. 2012), counted over samples present.
+//! The storage measures SR1 and SR2 of (Shi et al. 2012), over samples present. Numbers in parentheses are the paper's
+//! equations.
 
 use std::ops::AddAssign;
 
-/// What they are made of. Counts of several takes add up.
+/// The counts that the measures are computed from. Counts of several takes can be added.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Rows in which some channel has a sample: |T|.
@@ -13,12 +14,12 @@ pub struct Counts {
     pub kept: u64,
     /// Rows in which some channel keeps its sample: |K|.
     pub key_rows: u64,
-    /// Samples present in those: |K| N where there are no gaps.
+    /// Samples present in these key rows: |K| N where there are no gaps.
     pub samples_in_key_rows: u64,
 }
 
 impl Counts {
-    /// Of channels as `present` and `kept` by row: one pair of flag lists a channel, of equal length.
+    /// Counts over channels, each given as the flags `present` and `kept` by row.
     #[must_use]
     pub fn of(channels: &[(&[bool], &[bool])]) -> Self {
         let n_rows = channels.iter().map(|(present, _)| present.len()).max().unwrap_or(0);
@@ -38,37 +39,37 @@ impl Counts {
         counts
     }
 
-    /// Items of the original: positions and times (4).
+    /// Stored items of the original: positions and times (4).
     #[must_use]
     pub fn original_items(&self) -> u64 {
         self.samples + self.rows
     }
 
-    /// Items of synchronous resampling (5).
+    /// Stored items of synchronous resampling (5).
     #[must_use]
     pub fn synchronous_items(&self) -> u64 {
         self.samples_in_key_rows + self.key_rows
     }
 
-    /// Items of asynchronous resampling (6).
+    /// Stored items of asynchronous resampling (6).
     #[must_use]
     pub fn asynchronous_items(&self) -> u64 {
         2 * self.kept
     }
 
-    /// (7): how many times smaller synchronous resampling is, as items are counted.
+    /// SR1 (7): the compression ratio of synchronous resampling, in items; `None` without samples.
     #[must_use]
     pub fn sr1(&self) -> Option<f64> {
         ratio(self.original_items(), self.synchronous_items())
     }
 
-    /// (8): the same of asynchronous resampling.
+    /// SR2 (8): the compression ratio of asynchronous resampling, in items; `None` without samples.
     #[must_use]
     pub fn sr2(&self) -> Option<f64> {
         ratio(self.original_items(), self.asynchronous_items())
     }
 
-    /// (10): whether asynchronous resampling needs fewer items than synchronous.
+    /// Whether asynchronous resampling needs fewer items than synchronous (10).
     #[must_use]
     pub fn asynchronous_wins(&self) -> bool {
         self.asynchronous_items() < self.synchronous_items()
@@ -85,7 +86,7 @@ impl AddAssign for Counts {
     }
 }
 
-/// `None` for nothing by nothing.
+/// The quotient `of / by`; `None` if `by` is 0.
 #[must_use]
 pub fn ratio(of: u64, by: u64) -> Option<f64> {
     (by > 0).then(|| of as f64 / by as f64)
@@ -105,9 +106,9 @@ mod tests {
         Counts::of(&slices)
     }
 
-    /// Ten rows of two channels, worked by hand: K has 4 rows, the channels keep 3 each.
+    /// Ten rows of two channels, computed by hand: K has 4 rows, the channels keep 3 each.
     #[test]
-    fn without_gaps_they_are_the_formulas() {
+    fn without_gaps_the_measures_are_the_formulas() {
         let all = "1111111111";
         let found = counts(&[(all, "1000100001"), (all, "1010000001")]);
         assert_eq!((found.rows, found.samples, found.kept, found.key_rows), (10, 20, 6, 4));

@@ -1,57 +1,60 @@
-//! The noise of a marker: the standard deviation of white noise on one axis, out of differences of consecutive samples.
+//! The noise of a marker: the standard deviation of white noise on one axis, estimated from differences of consecutive
+//! samples.
 //!
-//! Motion is smooth, so that it is gone from fourth differences, and white noise with a standard deviation of 1 has one of
-//! the root of 70 there. The median of their sizes is taken, which a few jumps do not change.
+//! Smooth motion vanishes from fourth differences, in which white noise with a standard deviation of 1 has one of the
+//! root of 70. The estimate uses the median of their magnitudes, which is robust against a few jumps.
 //!
-//! Where that is not so, nobody can tell the noise, and there is no figure:
+//! There is no estimate if its assumptions do not hold:
 //! * too few samples;
-//! * motion that is quick beside the frame rate, or noise that a filter has smoothed: sixth differences, from which more of
-//!   the motion is gone, then give another figure than fourth ones. Slow noise that is not white cannot be told from motion,
-//!   and counts as such;
-//! * steps of the numbers that are wider than the noise: many differences are then exactly 0.
+//! * fast motion at a low frame rate, or noise smoothed by a filter: the estimate from sixth differences, in which less
+//!   of the motion remains, then differs from that of fourth ones. Slow noise that is not white cannot be distinguished
+//!   from motion, and counts as motion;
+//! * quantisation steps wider than the noise: many differences are then exactly 0.
 
 use std::collections::VecDeque;
 
 use crate::column::{Column, Vector};
 
-/// Fewest fourth differences: the figure of so many scatters by 8 % (measured on white noise, 140 samples of 3 axes).
+/// Fewest fourth differences: estimates from so many scatter by 8 % (measured on white noise, 140 samples of 3 axes).
 pub const DIFFERENCES_MIN: usize = 400;
 
-/// The figures of fourth and sixth differences may be apart by this factor. With [`DIFFERENCES_MIN`] those of white noise
-/// are apart by 1.15 at most in 99 of 100 cases; motion that adds a fifth to the figure of the fourth shows here.
+/// Largest ratio of the estimates from fourth and sixth differences. With [`DIFFERENCES_MIN`] those of white noise
+/// differ by a factor of 1.15 at most in 99 of 100 cases; motion that adds a fifth to the estimate of the fourth is
+/// detected.
 const ORDERS_APART_MAX: f64 = 1.2;
 
-/// So many of the fourth differences may be 0. They are integers where samples are rounded to a step: normal, with a
-/// standard deviation of the root of 70 (s^2 + 1/12) steps, where the noise is s steps, so that 4 % of them are 0 at s = 1.15.
-/// There rounding adds 3 % to the figure, and the median is known to within 10 %; below, both soon become worse.
+/// Largest fraction of fourth differences that may be 0. If samples are rounded to a step, differences are integers:
+/// normal, with a standard deviation of the root of 70 (s^2 + 1/12) steps for noise of s steps, so that 4 % of them are
+/// 0 at s = 1.15. There rounding adds 3 % to the estimate, and the median is known to within 10 %; below, both soon
+/// become worse.
 const ZEROS_MAX: f64 = 0.04;
 
-/// What is 0 of a difference, in units of the last place of the largest sample in it. Rounding to f32 leaves half a unit in
-/// each sample, and the weights of a fourth difference have a sum of 16.
+/// Differences up to this size count as 0, in units of the last place of their largest sample. Rounding to f32 leaves
+/// half a unit in each sample, and the absolute weights of a fourth difference add up to 16.
 const ZERO_ULPS: f64 = 8.0;
 
-/// The median of the size of a normal variable, in standard deviations.
+/// The median magnitude of a normal variable, in standard deviations.
 const NORMAL_MEDIAN: f64 = 0.674_489_750_196_081_7;
 
-/// Weights of differences, and the sum of their squares: by how much they multiply the variance of white noise.
+/// Weights of differences, and the sum of their squares: the factor by which they multiply the variance of white noise.
 const FOURTH: ([f64; 5], f64) = ([1.0, -4.0, 6.0, -4.0, 1.0], 70.0);
 const SIXTH: ([f64; 7], f64) = ([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0], 924.0);
 
-/// The noise of one marker, from samples as they come.
+/// A running estimate of one marker's noise.
 #[derive(Debug, Clone)]
 pub struct NoiseEstimator {
-    /// Differences of each order that are kept, the newest.
+    /// Most differences of each order that are kept.
     kept_max: usize,
-    /// The newest samples, the latest last; of these `n_recent` follow each other without a gap.
+    /// The newest samples, the latest last; the last `n_recent` of them are consecutive.
     recent: [Vector; SIXTH.0.len()],
     n_recent: usize,
-    /// Sizes of differences on all axes, mm.
+    /// Magnitudes of the newest differences on all axes, mm.
     fourth: VecDeque<f32>,
     sixth: VecDeque<f32>,
 }
 
 impl NoiseEstimator {
-    /// One that tells the noise of the newest samples: of as many as have `kept_max` fourth differences, three a sample.
+    /// An estimator over the newest `kept_max` differences of each order; every sample adds three, one per axis.
     #[must_use]
     pub fn new(kept_max: usize) -> Self {
         Self {
@@ -63,7 +66,7 @@ impl NoiseEstimator {
         }
     }
 
-    /// The next sample. `None`: the marker was not seen.
+    /// Adds the next sample; `None` in a gap.
     pub fn push(&mut self, sample: Option<Vector>) {
         let Some(sample) = sample else { return self.end_run() };
         self.recent.rotate_left(1);
@@ -77,12 +80,12 @@ impl NoiseEstimator {
         }
     }
 
-    /// What comes next does not follow the last sample: frames are missing.
+    /// Ends a run of consecutive samples: frames are missing.
     pub fn end_run(&mut self) {
         self.n_recent = 0;
     }
 
-    /// The standard deviation of the noise on one axis, mm; `None` where nobody can tell.
+    /// The standard deviation of the noise on one axis, mm; `None` if it cannot be estimated (see the [module](self)).
     #[must_use]
     pub fn noise_mm(&self) -> Option<f64> {
         if self.fourth.len() < DIFFERENCES_MIN {
@@ -99,7 +102,7 @@ impl NoiseEstimator {
     }
 }
 
-/// The noise of a marker over a whole take: its standard deviation on one axis, mm; `None` where nobody can tell.
+/// The noise of a marker over a whole take: its standard deviation on one axis, mm; `None` if it cannot be estimated.
 #[must_use]
 pub fn noise_mm(column: &Column) -> Option<f64> {
     let mut estimator = NoiseEstimator::new(3 * column.0.len());
@@ -107,7 +110,7 @@ pub fn noise_mm(column: &Column) -> Option<f64> {
     estimator.noise_mm()
 }
 
-/// The size of the difference of the last samples, by axis; 0 where it is no larger than rounding to f32 makes it.
+/// The magnitude of a difference of the last samples, by axis; 0 if rounding to f32 explains it.
 fn differences(recent: &[Vector], weights: &[f64]) -> [f32; 3] {
     let last = &recent[recent.len() - weights.len()..];
     std::array::from_fn(|axis| {
@@ -130,7 +133,7 @@ fn keep(kept: &mut VecDeque<f32>, kept_max: usize, sizes: [f32; 3]) {
     }
 }
 
-/// The standard deviation of white noise whose differences have these sizes.
+/// The standard deviation of white noise whose differences have these magnitudes.
 fn deviation(sizes: &VecDeque<f32>, gain: f64) -> Option<f64> {
     let mut sizes: Vec<f32> = sizes.iter().copied().collect();
     let middle = sizes.len() / 2;
@@ -162,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_known_from_runs_that_are_long_enough_together() {
+    fn noise_is_estimated_over_short_runs_together() {
         let mut normal = normal(3);
         let mut at = |_: usize| [500.0 + 0.2 * normal(), 0.2 * normal(), 0.2 * normal()];
         let found = noise_mm(&column(2000, &mut at)).unwrap();
@@ -180,8 +183,8 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_from_motion_or_rounding_is_no_figure() {
-        // Motion alone, as quick as 4 Hz at 60 frames a second, and with little noise.
+    fn noise_hidden_by_motion_filter_or_rounding_is_not_estimated() {
+        // Motion alone, as fast as 4 Hz at 60 frames a second, and with little noise.
         let path = |row: usize| 80.0 * (row as f64 * 0.42).sin();
         assert_eq!(noise_mm(&column(2000, |row| [path(row), path(row + 7), 0.0])), None);
         let mut random = normal(5);
@@ -198,7 +201,7 @@ mod tests {
             mean
         });
         assert_eq!(noise_mm(&smooth), None);
-        // Steps of a millimetre: noise of two is seen through them, noise of half of one is not.
+        // Steps of 1 mm: noise of 2 mm can be estimated, noise of 0.5 mm cannot.
         for (noise, is_known) in [(2.0, true), (0.5, false), (0.1, false), (0.0, false)] {
             let mut random = normal(7);
             let rounded = column(4000, |_| std::array::from_fn(|_| (noise * random()).round()));

@@ -1,4 +1,4 @@
-//! Which marker is at which site of the body, by its label.
+//! The markers that the detection of jumps needs, by their labels.
 
 use mocapd_take::motion::Motion;
 
@@ -7,28 +7,28 @@ use crate::{
     labels::{SubjectMarkers, subjects},
 };
 
-/// What labels call a site, as [`crate::labels::plain`] writes it; the first name that is there is taken.
+/// Labels of the pelvis, in the form of [`crate::labels::site_key`] and in order of preference.
 const PELVIS: &[&str] = &["pelvis", "hips", "root", "sacrum", "sacr", "midhip", "vsacral", "vsac"];
-/// Where there is no pelvis, the middle of these is: every marker of the first line that is there whole.
+/// Without a pelvis marker it is the mean of these: all markers of the first set that is complete.
 const AROUND_PELVIS: &[&[&str]] =
     &[&["lasi", "rasi", "lpsi", "rpsi"], &["lasis", "rasis"], &["lasi", "rasi"], &["lhip", "rhip"]];
 const LEFT_FOOT: &[&str] = &["lankle", "lank", "lfoot", "lheel", "lhee"];
 const RIGHT_FOOT: &[&str] = &["rankle", "rank", "rfoot", "rheel", "rhee"];
 
-/// The sites by which the phases of a jump are told.
+/// The markers from which the phases of a jump are detected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sites {
-    /// Columns whose middle is the pelvis.
+    /// Columns whose mean is the pelvis.
     pub pelvis: Vec<usize>,
-    /// Left and right.
+    /// Columns of the left and the right foot.
     pub feet: [usize; 2],
 }
 
 impl Sites {
-    /// Of several subjects (`name:site`) the first that has them all.
+    /// The sites of the first subject (`name:site`) that has them all.
     ///
     /// # Errors
-    /// Which site is missing, in words.
+    /// A message that names the missing site.
     pub fn of(motion: &Motion) -> Result<Self, String> {
         let subjects = subjects(motion.info.markers.iter().map(|marker| marker.label.as_str()));
         let mut found = subjects.iter().map(Self::of_subject);
@@ -41,16 +41,15 @@ impl Sites {
         let pelvis = subject.first(PELVIS).map(|pelvis| vec![pelvis]);
         let pelvis = pelvis
             .or_else(|| AROUND_PELVIS.iter().find_map(all))
-            .ok_or("no marker is called pelvis, hips, sacrum or l_hip and r_hip")?;
+            .ok_or("no marker is labelled pelvis, hips, sacrum or l_hip and r_hip")?;
         let foot = |names: &[&str], side: &str| {
-            subject
-                .first(names)
-                .ok_or(format!("no marker is called {side}_ankle, {side}_foot or {side}_heel"))
+            let missing = format!("no marker is labelled {side}_ankle, {side}_foot or {side}_heel");
+            subject.first(names).ok_or(missing)
         };
         Ok(Self { pelvis, feet: [foot(LEFT_FOOT, "l")?, foot(RIGHT_FOOT, "r")?] })
     }
 
-    /// The pelvis over the take.
+    /// The position of the pelvis over the take.
     #[must_use]
     pub fn pelvis(&self, motion: &Motion) -> Column {
         let columns: Vec<Column> =

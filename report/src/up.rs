@@ -1,24 +1,24 @@
-//! Which way is up in a picture: one answer for all pictures of a take.
+//! The up direction in plots, the same for all plots of a take.
 
 use mocapd_take::motion::Motion;
 
 use crate::column::{Vector, sample};
 
-/// Frames that are looked at where the take does not say what is up, evenly spread.
+/// Number of frames that are sampled, evenly spread, if the take does not state its up axis.
 const FRAMES: usize = 64;
 
-/// An axis, and which way along it.
+/// The up direction: an axis and its sign.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Up {
-    /// 0, 1 or 2.
+    /// 0, 1 or 2 for x, y or z.
     pub axis: usize,
-    /// 1, or -1 where the axis points down.
+    /// 1, or -1 if the axis points down.
     pub sign: f64,
 }
 
 impl Up {
-    /// What the take says, else the way that the top of a face points, else the axis along which its markers lie farthest
-    /// apart: a body is taller than wide.
+    /// The up axis as stated by the take; else the axis nearest to the top of the face; else the axis along which the
+    /// markers spread most, since a body is taller than wide.
     #[must_use]
     pub fn of(motion: &Motion, top_of_face: Option<Vector>) -> Self {
         if let Some(axis) = motion.info.up.index() {
@@ -33,19 +33,19 @@ impl Up {
         }
     }
 
-    /// How far up a position is.
+    /// The height of a position, mm.
     #[must_use]
     pub fn height(self, at: Vector) -> f64 {
         self.sign * at[self.axis]
     }
 }
 
-/// The axis with the largest value; of equal ones the last.
+/// The index of the largest value; the last one of equal values.
 fn largest(values: [f64; 3]) -> usize {
     (0..3).max_by(|&a, &b| values[a].total_cmp(&values[b])).unwrap_or(2)
 }
 
-/// How far apart the markers of a frame lie along each axis, summed over frames.
+/// The extent of the markers of a frame along each axis, summed over frames.
 fn extents(motion: &Motion) -> [f64; 3] {
     let step = motion.n_frames().div_ceil(FRAMES).max(1);
     let extent = |row: usize, axis: usize| {
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_take_counts_most_then_a_face_then_the_tallest_axis() {
+    fn the_stated_axis_precedes_the_face_and_the_face_the_tallest_axis() {
         let tall = [[0.0; 3], [100.0, 1700.0, 300.0]];
         let up = |axis, sign| Up { axis, sign };
         assert_eq!(Up::of(&motion(UpAxis::Z, tall), Some([0.0, 1.0, 0.0])), up(2, 1.0));

@@ -1,7 +1,7 @@
-//! `mocapd.toml`: what is written in it, checked key by key into a [`Config`] that nothing has to be asked of again.
+//! Reads `mocapd.toml` into a checked [`Config`], key by key.
 //!
-//! The table of [`keys`] says of each key what it takes, its default, its unit and why it is there; the example
-//! (`mocapd config example`), docs/config.md and the messages come from it.
+//! The table of [`keys`] has the type, default and purpose of each key. The example file (`mocapd config example`), the
+//! tables of docs/config.md and the error messages are generated from it.
 
 mod key;
 pub mod keys;
@@ -23,7 +23,7 @@ use anyhow::Context;
 use mocapd_acquire::setting::{self, Setting};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
-    registry::{Claim, Listed},
+    registry::{AttachedDevice, Claim},
     uri::DeviceUri,
 };
 use rustix::fs::{Access, access};
@@ -31,115 +31,115 @@ use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
 pub use self::{
-    key::{Key, Preset, Takes, When},
+    key::{DefaultValue, Key, ReloadPolicy, ValueType},
     keys::{example, table},
     name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name},
-    problem::{ConfigError, PROBLEMS_MAX, Place, Problem},
-    read::{CONFIG_BYTES_MAX, CONFIG_PATH, Overrides, Surroundings},
+    problem::{ConfigError, ConfigProblem, PROBLEMS_MAX, SourceLocation},
+    read::{CONFIG_BYTES_MAX, CONFIG_PATH, Environment, Overrides},
 };
 use crate::{log::Level, subject::SubjectFiles, trigger::Network};
 
-/// A configuration in which every value is possible, and all of them together.
+/// A configuration whose values are all valid, alone and together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
-    /// What the rig is called.
+    /// Name of the rig.
     pub rig_name: String,
-    /// Which device, and how it runs.
+    /// The device to record, and its settings.
     pub device: DeviceConfig,
-    /// Where takes go, and how they are written.
+    /// Where takes are written, and how.
     pub take: TakeConfig,
-    /// Who is captured.
+    /// The subject's files.
     pub subject: SubjectFiles,
-    /// What is kept while no take is recorded.
+    /// What is kept in memory between takes.
     pub arm: ArmConfig,
-    /// Who may ask and command the service, and where.
+    /// The HTTP interface.
     pub http: HttpConfig,
-    /// Capture triggers in and out.
+    /// Capture triggers.
     pub trigger: TriggerConfig,
-    /// How much is said.
+    /// How much is logged.
     pub log_level: Level,
 }
 
-/// `[device]`.
+/// The section `[device]`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DeviceConfig {
-    /// Which one.
+    /// The device to record.
     pub uri: DeviceChoice,
-    /// Its frame rate in Hz; `None` leaves it as it is.
+    /// Frame rate to set, in Hz; `None` keeps the device's own.
     pub rate_hz: Option<f64>,
-    /// Whether the bytes of its line are kept beside the takes, from when it is armed until it is not.
+    /// Whether every byte received while the device is armed is logged beside the takes.
     pub raw_log: bool,
 }
 
-/// Which device.
+/// The choice of the device.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The only one that is attached and that a driver claims: see [`choose`].
+    /// The only attached device that a driver recognises: see [`auto_device`].
     #[default]
     Auto,
-    /// This one.
+    /// The device at this URI.
     At(DeviceUri),
 }
 
-/// `[take]`.
+/// The section `[take]`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TakeConfig {
-    /// Where takes are created.
+    /// The folder for new takes.
     pub directory: PathBuf,
-    /// How they are called there.
+    /// The names of new takes.
     pub name: NameTemplate,
     /// Resampler and tolerance.
     pub codec: Settings,
-    /// Length of a stretch: a kill loses no more.
+    /// Length of a stretch: a killed process loses at most one.
     pub stretch: Duration,
-    /// Time between syncs: a power cut loses no more than this and a stretch.
+    /// Time between syncs: a power cut loses at most this time and one stretch.
     pub sync: Duration,
-    /// Bytes of the disk that stay free.
+    /// Disk space to keep free, in bytes.
     pub keep_free_bytes: u64,
-    /// How long a take waits for a device that went away.
+    /// How long a take waits for a device that has disconnected.
     pub reconnect: Duration,
-    /// The longest take; it is closed then.
+    /// The length at which a take is closed.
     pub max_length: Option<Duration>,
 }
 
-/// `[arm]`.
+/// The section `[arm]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArmConfig {
-    /// Whether the service arms itself when it starts.
+    /// Whether the service arms itself at startup.
     pub at_start: bool,
-    /// What of the past is kept while armed.
+    /// Length of the pre-roll.
     pub pre_roll: Duration,
-    /// How much of it a plain start puts into its take.
+    /// How much of it a start puts into its take by default.
     pub include_pre_roll: Duration,
-    /// Bytes that the pre-roll may hold.
+    /// Memory limit of the pre-roll in bytes.
     pub memory_max_bytes: u64,
 }
 
-/// `[http]`.
+/// The section `[http]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HttpConfig {
     /// The Unix socket.
     pub socket: Option<PathBuf>,
     /// The TCP address.
     pub listen: Option<SocketAddr>,
-    /// Where the token is that callers over TCP must know; there is one whenever other machines can call.
+    /// The file with the token for clients over TCP; required if other machines can connect.
     pub token_file: Option<PathBuf>,
-    /// Names, in small letters, under which the service may be called beside its addresses.
+    /// Host names, in lower case, under which clients may reach the service besides its addresses.
     pub allowed_hosts: Vec<String>,
-    /// Connections at once.
+    /// Limit on simultaneous connections.
     pub connections_max: usize,
 }
 
-/// `[trigger]`.
+/// The section `[trigger]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TriggerConfig {
-    /// The UDP address on which triggers are heard.
+    /// The UDP address that receives triggers.
     pub listen: Option<SocketAddr>,
-    /// Who is told of our starts and stops.
+    /// The addresses that are sent triggers.
     pub send_to: Vec<SocketAddr>,
-    /// Who is listened to; everybody when it is empty.
+    /// The senders that are accepted; all if empty.
     pub allow_from: Vec<Network>,
-    /// The longest delay that a trigger may ask for.
+    /// Longest delay that a trigger may ask for.
     pub delay_max: Duration,
 }
 
@@ -152,32 +152,32 @@ impl fmt::Display for DeviceChoice {
     }
 }
 
-/// A key with another value.
+/// A key whose value has changed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    /// Which key, such as `arm.pre_roll`.
+    /// The key, such as `arm.pre_roll`.
     pub key: &'static str,
-    /// When the new value holds.
-    pub when: When,
-    /// Its value until then; `None` where it had none.
+    /// When the new value applies.
+    pub when: ReloadPolicy,
+    /// The old value; `None` if there was none.
     pub from: Option<Json>,
-    /// Its new one.
+    /// The new value.
     pub to: Option<Json>,
 }
 
 impl Config {
-    /// What `new` has otherwise, in the order of the table. Values are compared as they are written, which is
-    /// exact: what is written is read as the same again.
+    /// The keys whose values differ in `new`, in the order of the table. Values are compared as JSON, which is exact:
+    /// the JSON of a value is parsed to the same value.
     #[must_use]
     pub fn changes(&self, new: &Self) -> Vec<Change> {
         let changed = |key: &'static Key| {
-            let (from, to) = ((key.field.written)(self), (key.field.written)(new));
+            let (from, to) = ((key.field.to_json)(self), (key.field.to_json)(new));
             (from != to).then_some(Change { key: key.path, when: key.when, from, to })
         };
         KEYS.iter().filter_map(changed).collect()
     }
 
-    /// Every key that has a value, as a file that is read as this configuration again, wherever mocapd runs.
+    /// All keys that have a value, as a file that is parsed to this configuration in any environment.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut out = String::new();
@@ -185,7 +185,7 @@ impl Config {
             // Writing into a String does not fail.
             writeln!(out, "[{section}]").ok();
             for key in KEYS.iter().filter(|key| key.section() == *section) {
-                if let Some(value) = (key.field.written)(self) {
+                if let Some(value) = (key.field.to_json)(self) {
                     // Texts, numbers, booleans and lists of texts are the same in JSON and TOML.
                     writeln!(out, "{} = {value}", key.name()).ok();
                 }
@@ -194,18 +194,19 @@ impl Config {
         out
     }
 
-    /// Every key with its value; `None` where it has none.
+    /// All keys with their values; `None` if a key has none.
     pub fn values(&self) -> impl Iterator<Item = (&'static str, Option<Json>)> + '_ {
-        KEYS.iter().map(|key| (key.path, (key.field.written)(self)))
+        KEYS.iter().map(|key| (key.path, (key.field.to_json)(self)))
     }
 
-    /// What `mocapd config check` and `mocapd run` warn of, one line each: [`Config::notes`], and what this machine adds.
+    /// Warnings of `mocapd config check` and `mocapd run`, one line each: those of [`Config::notes`], and those about
+    /// this machine.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = self.notes();
         if let Some(folder) = self.missing_socket_folder() {
             warnings.push(format!(
-                "there is no Unix socket, because its folder {} does not exist: systemd makes it for the unit; \
+                "no Unix socket: its folder {} does not exist (systemd creates it for the unit); \
                  set http.socket to another path, or to \"\" for none",
                 folder.display()
             ));
@@ -216,7 +217,7 @@ impl Config {
         warnings
     }
 
-    /// The folder of the Unix socket, where it does not exist and the service goes on with TCP alone.
+    /// The folder of the Unix socket, if it does not exist and the service can continue with TCP alone.
     #[must_use]
     pub fn missing_socket_folder(&self) -> Option<&Path> {
         self.http.listen?;
@@ -224,24 +225,24 @@ impl Config {
         (!folder.as_os_str().is_empty() && !folder.exists()).then_some(folder)
     }
 
-    /// Whether this user can write into the takes' folder, or make it.
+    /// Checks that this user can write to the takes' folder, or create it.
     ///
     /// # Errors
-    /// Why not, and what to do.
+    /// It is not writable; the message says what to do.
     pub fn check_takes_folder(&self) -> anyhow::Result<()> {
         let directory = self.take.directory.as_path();
         let there = directory.ancestors().find(|folder| folder.exists());
-        // A relative path without a folder that exists is in this one.
+        // A relative path without an existing folder is in the current one.
         let there = there.filter(|there| !there.as_os_str().is_empty()).unwrap_or(Path::new("."));
         access(there, Access::WRITE_OK | Access::EXEC_OK).with_context(|| {
             format!(
-                "cannot write into the takes' folder {}: give it to the user that the service runs as, or name another one",
+                "cannot write to the takes' folder {}: make it writable for the service's user, or set another take.directory",
                 directory.display()
             )
         })
     }
 
-    /// What the configuration itself says, one line each.
+    /// Warnings about the configuration itself, one line each.
     #[must_use]
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
@@ -252,36 +253,37 @@ impl Config {
             && self.trigger.allow_from.is_empty()
         {
             notes.push(format!(
-                "trigger.allow_from is empty: ANYBODY who reaches {listen} over UDP can start and stop takes; \
-                 name the machines that may, such as allow_from = [\"192.168.10.0/24\"]"
+                "trigger.allow_from is empty: ANYBODY who can reach {listen} over UDP can start and stop takes; \
+                 list the allowed senders, such as allow_from = [\"192.168.10.0/24\"]"
             ));
         }
         if !self.trigger.allow_from.is_empty() && self.trigger.listen.is_none() {
             notes.push(
-                "trigger.allow_from is given, and trigger.listen is not: no trigger is heard"
+                "trigger.allow_from has no effect: trigger.listen is not set, so no triggers are received"
                     .to_owned(),
             );
         }
         if let (Some(listen), Some(_)) = (from_outside(self.http.listen), &self.http.token_file) {
             notes.push(format!(
-                "http.listen is {listen}: the token travels over the network as it is; \
+                "http.listen is {listen}: the token is sent over the network unencrypted; \
                  use a network that you trust, or a tunnel"
             ));
         }
         let nobody_asks = self.http.socket.is_none() && self.http.listen.is_none();
         if nobody_asks && self.trigger.listen.is_none() {
             notes.push(
-                "there is no http.socket, no http.listen and no trigger.listen: nobody can start a take"
+                "http.socket, http.listen and trigger.listen are all empty: nothing can start a take"
                     .to_owned(),
             );
         } else if nobody_asks {
             notes.push(
-                "there is no http.socket and no http.listen: nobody can ask how it is".to_owned(),
+                "http.socket and http.listen are both empty: nothing can query the service"
+                    .to_owned(),
             );
         }
         if self.device.raw_log {
             notes.push(
-                "device.raw_log is on: the line's bytes are kept for as long as it is armed, many times what its takes have"
+                "device.raw_log is on: every byte received while armed is logged, many times the size of the takes"
                     .to_owned(),
             );
         }
@@ -289,51 +291,52 @@ impl Config {
     }
 }
 
-/// In one line, with the key that helps against a refusal.
-pub(crate) fn in_keys(error: &anyhow::Error) -> String {
-    setting::words(error, with_key)
+/// An error as one line, with the configuration key that helps.
+pub(crate) fn message_with_keys(error: &anyhow::Error) -> String {
+    setting::message(error, key_hint)
 }
 
-pub(crate) fn with_key(setting: Setting) -> String {
+pub(crate) fn key_hint(setting: Setting) -> String {
     match setting {
         Setting::Rate(Some(rate_hz)) => format!("set device.rate_hz = {rate_hz}"),
-        Setting::Rate(None) => "leave device.rate_hz out".to_owned(),
+        Setting::Rate(None) => "remove device.rate_hz".to_owned(),
         Setting::KeepFree => "lower take.keep_free".to_owned(),
     }
 }
 
-/// Which device is meant, among those that `registry::devices` lists. Devices that say themselves what they are
-/// come first; then adapters behind which one may be. A bare port of the machine is never meant: something else
-/// may listen there, and nothing is written to a device that nobody asked for.
+/// Selects the device among those listed by `registry::devices`: devices that identify themselves first, then USB
+/// adapters that may have one behind them. A bare serial port is never selected: something else may be connected to it,
+/// and nothing is written to a device without a request.
 ///
 /// # Errors
-/// That there is none, or more than one, and what to write.
-pub fn choose(choice: &DeviceChoice, attached: &[Listed]) -> Result<DeviceUri, String> {
+/// There is no device, or more than one; the message says what to write.
+pub fn auto_device(
+    choice: &DeviceChoice,
+    attached: &[AttachedDevice],
+) -> Result<DeviceUri, String> {
     if let DeviceChoice::At(uri) = choice {
         return Ok(uri.clone());
     }
-    let claimed = |listed: &&Listed, claim: Claim| {
+    let claimed = |listed: &&AttachedDevice, claim: Claim| {
         listed.family.is_some_and(|(_, sure)| sure == claim)
             && (claim == Claim::Certain || listed.candidate.usb_ids.is_some())
     };
     let with = |claim| attached.iter().filter(move |listed| claimed(listed, claim));
-    let mut found: Vec<&Listed> = with(Claim::Certain).collect();
+    let mut found: Vec<&AttachedDevice> = with(Claim::Certain).collect();
     if found.is_empty() {
         found = with(Claim::Possible).collect();
     }
     match found[..] {
-        [] => Err(
-            "no device is attached that a driver claims: plug one in, or name one in device.uri; \
-                   `mocapd devices` lists what is there"
-                .to_owned(),
-        ),
+        [] => Err("no device found that a driver recognises: connect one, or set device.uri; \
+                   `mocapd devices` lists what is attached"
+            .to_owned()),
         [only] => Ok(DeviceUri { location: only.candidate.location.clone(), driver: None }),
         _ => {
-            // A hub has no room for more than a line does.
+            // Bounded, so that a large hub does not fill the screen.
             let names: Vec<String> =
                 found.iter().take(8).map(|listed| listed.candidate.location.to_string()).collect();
             Err(format!(
-                "{} devices are attached, and device.uri does not say which: write uri = \"{}\" under [device], \
+                "{} devices are attached: choose one with uri = \"{}\" under [device], \
                  or one of the others ({})",
                 found.len(),
                 names.first().map_or("", String::as_str),

@@ -1,4 +1,4 @@
-//! What people and programs can ask the service for, however they ask.
+//! The interface of the service for people and programs, independent of how they reach it.
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
@@ -17,267 +17,279 @@ use super::{
     },
 };
 
-/// The service as the HTTP API, the triggers and the signals see it.
+/// The service as the HTTP API, the triggers and the signal handlers see it.
 ///
-/// Calls that change something wait until it is true, at most some seconds: they are made from threads that may wait.
-/// A request with the id of an earlier one is not carried out again: it gets the answer of the first.
+/// Calls that change something wait for their effect, at most some seconds, and must be made from threads that may
+/// wait. A request with the id of an earlier one is not executed again: it gets the reply to the first.
 pub trait Control: Send + Sync + std::fmt::Debug + 'static {
-    /// How things stand. Never waits.
+    /// The current status. Never waits.
     fn status(&self) -> Status;
 
-    /// By marker, how well it is seen. Never waits.
+    /// How well each marker is seen. Never waits.
     fn quality(&self) -> Vec<MarkerQuality>;
 
-    /// Starts the device, and keeps what it sends for the pre-roll. Armed already: nothing to do.
+    /// Starts the device and keeps its frames for the pre-roll. Does nothing if armed already.
     ///
     /// # Errors
-    /// The device is absent or refuses; the service is stopping.
+    /// The device is absent or refuses, or the service is stopping.
     fn arm(&self, request: &Request) -> Result<Status, Refusal>;
 
-    /// Stops the device and forgets the pre-roll.
+    /// Stops the device and discards the pre-roll.
     ///
     /// # Errors
-    /// A take is being recorded: stop it first.
+    /// A take is being recorded.
     fn disarm(&self, request: &Request) -> Result<Status, Refusal>;
 
-    /// Begins a take, and answers when its first frame would survive a power cut. An idle service is armed first.
+    /// Starts a take, and returns when its first frame would survive a power cut. An idle service is armed first.
     ///
     /// # Errors
-    /// A take is being recorded; a name that exists or is none; no frame within the time; the disk is full.
+    /// A take is being recorded; the name exists or is invalid; no frame arrives in time; the disk is full.
     fn start(&self, start: &Start) -> Result<Started, Refusal>;
 
-    /// Ends the take, and answers when its ledger would survive a power cut.
+    /// Stops the take, and returns when its ledger would survive a power cut.
     ///
     /// # Errors
-    /// No take is being recorded; the take could not be closed.
+    /// No take is being recorded, or the take could not be closed.
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal>;
 
-    /// Puts a mark into the take at the frame that comes next.
+    /// Puts a mark into the take at the next frame.
     ///
     /// # Errors
-    /// No take is being recorded; a text that is too long.
+    /// No take is being recorded, or the text is too long.
     fn mark(&self, mark: &Mark) -> Result<Marked, Refusal>;
 
-    /// Writes a take of what the pre-roll holds, and goes on.
+    /// Writes the pre-roll as a take, and continues.
     ///
     /// # Errors
-    /// Not armed; nothing is held; a name that exists or is none; the disk is full.
+    /// Not armed; nothing is held; the name exists or is invalid; the disk is full.
     fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal>;
 
-    /// The takes in the service's folder, newest first, at most so many.
+    /// The takes in the service's folder, newest first, at most `limit`.
     ///
     /// # Errors
     /// The folder cannot be read.
     fn takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal>;
 
-    /// The file of a take by its name. A name that could lead out of the folder is none.
+    /// The path of a take by its name. A name that could lead out of the folder is invalid.
     ///
     /// # Errors
-    /// There is no such take.
+    /// No take of that name exists.
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal>;
 
-    /// The take that is being recorded, where it is this file, whatever that is called. Never waits.
+    /// The status of the take being recorded, if it is this file, regardless of the file's current name. Never waits.
     fn live_take(&self, file: FileId) -> Option<TakeStatus>;
 
-    /// Says something to everybody who listens: an event of this kind.
-    fn tell(&self, _kind: ServiceEventKind, _message: &str) {}
+    /// Publishes an event of this kind to all subscribers.
+    fn notify(&self, _kind: ServiceEventKind, _message: &str) {}
 
-    /// What happens from now on.
+    /// A feed of the events from now on.
     fn events(&self) -> EventFeed;
 
-    /// Frames from now on, some thirty a second.
+    /// A feed of live frames from now on, some thirty a second.
     fn live(&self) -> LiveFeed;
 }
 
-/// What every request may carry.
+/// Fields that every request may have.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// Chosen by the client, at most 64 characters: the same request again gets the same answer.
+    /// Chosen by the client, at most 64 characters: the same request again gets the same reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
 }
 
-/// Begin a take.
+/// A request to start a take.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Start {
-    /// As in [`Request`].
+    /// Chosen by the client, at most 64 characters: the same request again gets the same reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
-    /// Name of the take, without `.take`; without one it is named by the configuration.
+    /// Name of the take, without `.take`; by default the configuration names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Goes into the take as its first event.
+    /// Stored in the take as its first event.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
-    /// Seconds before the request that the take includes, as far as they are held; without it as configured.
+    /// Seconds of pre-roll to include, or as many as are held; by default as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pre_roll_s: Option<f64>,
 }
 
-/// Put a mark into the take.
+/// A request to put a mark into the take.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Mark {
-    /// As in [`Request`].
+    /// Chosen by the client, at most 64 characters: the same request again gets the same reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
-    /// What it says, at most 1024 bytes; may be empty.
+    /// Text of the mark, at most 1024 bytes; may be empty.
     #[serde(default)]
     pub text: String,
 }
 
-/// Write what the pre-roll holds.
+/// A request to save the pre-roll as a take.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SaveLast {
-    /// As in [`Request`].
+    /// Chosen by the client, at most 64 characters: the same request again gets the same reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
-    /// As in [`Start`].
+    /// Name of the take, without `.take`; by default the configuration names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// How much of it; more than is held is what is held.
+    /// Seconds to save; if more than are held, all of them are saved.
     pub seconds: f64,
 }
 
-/// A take has begun.
+/// Reply to a start: the take has begun.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Started {
-    /// Of the take, 32 hexadecimal digits.
+    /// Id of the take, 32 hexadecimal digits.
     pub take_id: String,
-    /// Its name, without `.take`.
+    /// Name of the take, without `.take`.
     pub name: String,
-    /// Its file.
+    /// Path of its file.
     #[schema(value_type = String)]
     #[serde(serialize_with = "path_as_text")]
     pub path: PathBuf,
     /// Its first frame, which is on disk.
     pub first_frame: FirstFrame,
-    /// What is said beside it: a name that was changed, a pre-roll that is shorter than asked for.
+    /// Remarks, such as a changed name or a pre-roll that is shorter than requested.
     #[serde(default)]
     pub remarks: Vec<String>,
 }
 
-/// The frame that a take begins with.
+/// The first frame of a take.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FirstFrame {
-    /// By the device's clock.
+    /// Time by the device's clock, in ticks.
     pub device_ticks: u64,
-    /// When it arrived, in nanoseconds of the host's monotonic clock.
+    /// Arrival in nanoseconds of the host's monotonic clock.
     pub arrival_ns: u64,
-    /// Seconds before the request that it arrived: the pre-roll that the take has.
+    /// Seconds between its arrival and the request: the pre-roll in the take.
     pub before_request_s: f64,
 }
 
-/// A take has ended.
+/// Reply to a stop: the take has ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Stopped {
-    /// Of the take, 32 hexadecimal digits.
+    /// Id of the take, 32 hexadecimal digits.
     pub take_id: String,
-    /// Its name, without `.take`.
+    /// Name of the take, without `.take`.
     pub name: String,
-    /// Its file, where it is now: another program may have renamed it, or removed it, and what was recorded was saved
-    /// beside it.
+    /// Path where its file is now: another program may have renamed it, or removed it, in which case the recording was
+    /// saved beside it.
     #[schema(value_type = String)]
     #[serde(serialize_with = "path_as_text")]
     pub path: PathBuf,
-    /// What others did to the file while it was recorded.
+    /// What other programs did to the file during the recording.
     #[serde(default)]
     pub file: FileState,
-    /// Rows: the frames recorded and those lost between them.
+    /// Rows: frames recorded, and frames lost between them.
     pub rows: u64,
-    /// Seconds that they make.
+    /// Length in seconds.
     pub seconds: f64,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub bytes: u64,
-    /// Why it ended, as it stands in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`,
-    /// `service stopped`, `truncated` or `unmounted` by somebody else, and `saved` of what the pre-roll held.
+    /// Why it ended, as stored in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`,
+    /// `service stopped`, `truncated` or `unmounted` by another program, or `saved` from the pre-roll.
     #[serde(with = "ending_word")]
     #[schema(value_type = String)]
     pub ending: Option<EndingKind>,
-    /// What became of every frame.
+    /// The ledger: what became of every frame.
     pub ledger: LedgerDocument,
-    /// Of `save-last`: seconds that were asked for and were not held; 0 where all of them were.
+    /// For `save-last`: seconds that were requested but not held; 0 if all were held.
     #[serde(default)]
     pub short_by_s: f64,
-    /// What is said beside it: that less was held than asked for, or that the file is not where it was begun.
+    /// Remarks, such as that less was held than requested, or that the file has moved.
     #[serde(default)]
     pub remarks: Vec<String>,
 }
 
-/// A mark is in the take.
+/// Reply to a mark: it is in the take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Marked {
-    /// The row of the take that it stands at.
+    /// The row of the take that is marked.
     pub row: u64,
 }
 
-/// Why something was not done, and what to do.
+/// Why a request was not executed, and what to do.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{message}")]
 pub struct Refusal {
-    /// What kind of thing stands in the way.
+    /// The kind of the reason.
     pub kind: RefusalKind,
     /// One line for people: what was found, and what to do.
     pub message: String,
 }
 
 impl Refusal {
-    /// Of a kind, in words.
+    /// A refusal with its message.
     #[must_use]
     pub fn new(kind: RefusalKind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into() }
     }
+
+    pub(crate) fn conflict(message: impl Into<String>) -> Self {
+        Self::new(RefusalKind::Conflict, message)
+    }
+
+    pub(crate) fn device(message: impl Into<String>) -> Self {
+        Self::new(RefusalKind::Device, message)
+    }
+
+    pub(crate) fn unavailable(message: impl Into<String>) -> Self {
+        Self::new(RefusalKind::Unavailable, message)
+    }
 }
 
-/// Kinds of refusals, by remedy: those of the service, and those of HTTP.
+/// Kinds of refusals by remedy, including those of HTTP.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[schema(as = ProblemKind)]
 pub enum RefusalKind {
-    /// The request makes no sense: change it.
+    /// The request is invalid: change it.
     Invalid,
-    /// There is no such thing.
+    /// It does not exist.
     NotFound,
-    /// Not in this state: do something else first.
+    /// Not possible in this state: do something else first.
     Conflict,
-    /// A take of that name exists: choose another.
+    /// A take of that name exists: choose another name.
     Exists,
-    /// The device is not there, or does not answer.
+    /// The device is missing or does not respond.
     Device,
-    /// The disk is full, or failed.
+    /// The disk is full or has failed.
     Disk,
-    /// The take has ended, and no name leads to its file any more: the message says where it can be copied from.
+    /// The take has ended, but its file has no name any more: the message says where to copy it from.
     Vanished,
-    /// The take has ended by itself, and data was lost: its file was cut short or its file system unmounted.
+    /// The take has already ended, and data was lost: its file was truncated or its file system unmounted.
     DataLost,
-    /// The service is stopping, or too busy: try again.
+    /// The service is stopping or busy: try again.
     Unavailable,
-    /// A fault of this program.
+    /// An error in mocapd.
     Internal,
-    /// A token is needed.
+    /// A token is required.
     Unauthorized,
-    /// From another site, or under a name that is not the service's.
+    /// The request comes from another site, or under a host name that is not the service's.
     Forbidden,
-    /// Something is there, but not with this method.
+    /// The resource does not support this method.
     MethodNotAllowed,
-    /// The client took too long.
+    /// The client was too slow.
     Timeout,
-    /// More bytes than are taken.
+    /// The request is too large.
     TooLarge,
-    /// Not in a form that is understood here.
+    /// The body has an unsupported media type.
     UnsupportedMediaType,
-    /// The bytes asked for are not there.
+    /// The requested range is not satisfiable.
     Range,
 }
 
-/// What happens, in order, for one listener. One that does not listen loses the oldest and is told how many.
+/// Events for one subscriber, in order. A subscriber that does not keep up loses the oldest, and learns how many.
 #[derive(Debug)]
 pub struct EventFeed {
     pub(crate) events: crossbeam_channel::Receiver<Arc<ServiceEvent>>,
@@ -285,7 +297,7 @@ pub struct EventFeed {
 }
 
 impl EventFeed {
-    /// What comes from `events`; `missed` counts what did not.
+    /// A feed that receives from `events`; `missed` counts what it lost.
     #[must_use]
     pub fn new(
         events: crossbeam_channel::Receiver<Arc<ServiceEvent>>,
@@ -294,13 +306,13 @@ impl EventFeed {
         Self { events, missed }
     }
 
-    /// The next event, waited for at most so long. `None`: none came.
+    /// Waits at most `wait` for the next event.
     #[must_use]
     pub fn next(&self, wait: Duration) -> Option<Arc<ServiceEvent>> {
         self.events.recv_timeout(wait).ok()
     }
 
-    /// Events that this listener has missed since this was asked last, because it did not listen.
+    /// The number of events lost since the last call, because the subscriber did not keep up.
     #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.swap(0, std::sync::atomic::Ordering::Relaxed)

@@ -1,14 +1,14 @@
-//! The service: between takes nobody watches a terminal.
+//! The service: records takes unattended, under the control of an API, triggers and signals.
 //!
 //! ```text
-//! Control      what people and programs can ask for: status, arm, start, stop, mark
+//! Control      the requests of people and programs: status, arm, start, stop, mark
 //!   ▲   ▲  ▲
 //!   │   │  └── HTTP API, dashboard     threads of each listener, async; never touch the data plane
 //!   │   └───── capture triggers        own threads
 //!   └───────── signals, systemd
 //! ```
 //!
-//! [`config`] is what it is told to do, [`engine`] does it, and [`doctor`] says what of the machine is in its way.
+//! [`config`] configures it, [`engine`] runs it, and [`doctor`] checks whether the machine is fit for it.
 
 pub mod config;
 pub mod control;

@@ -1,4 +1,4 @@
-//! Frames for people's eyes: some thirty a second, the newest ones, and never at the cost of the data plane.
+//! The live view: the newest frames, some thirty a second, never at the cost of recording.
 
 use std::{
     sync::{
@@ -10,13 +10,14 @@ use std::{
 
 use crossbeam_channel::Receiver;
 
-/// From the face to the device's millimetres: for each axis three factors and what is added.
+/// The placement of the face in the device's volume: for each axis three factors of a vertex, and an offset in
+/// millimetres.
 pub type FacePose = [[f32; 4]; 3];
 
 /// One message of the live stream.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LiveMessage {
-    /// Which markers there are: before the first frame, and whenever that changes.
+    /// The markers: sent before the first frame and whenever they change.
     Table(Arc<LiveTable>),
     /// A frame.
     Frame(Arc<LiveFrame>),
@@ -27,65 +28,65 @@ pub enum LiveMessage {
 pub struct LiveTable {
     /// Labels, by slot.
     pub labels: Vec<String>,
-    /// Whether the device knows the marker, by slot.
+    /// Whether the device identifies the marker, by slot.
     pub labelled: Vec<bool>,
-    /// Which axis points up: 0 unknown, 1 x, 2 y, 3 z.
+    /// The vertical axis: 0 unknown, 1 x, 2 y, 3 z.
     pub up_axis: u8,
-    /// Frames a second that the device sends.
+    /// The device's frame rate in Hz.
     pub rate_hz: f64,
-    /// Pairs of slots between which a line is drawn.
+    /// Pairs of slots to join by a line.
     pub bones: Vec<[u16; 2]>,
-    /// Those of them that are limbs of the subject's skeleton.
+    /// The lines that are limbs of the subject's skeleton.
     pub limbs: Vec<LiveLimb>,
-    /// The subject's face, where markers say where it is.
+    /// The subject's face, if its markers are mapped.
     pub face: Option<LiveFace>,
 }
 
 /// The wireframe of a face.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct LiveFace {
-    /// Its vertices, in its own millimetres.
+    /// Vertices in the face's own coordinates, in millimetres.
     pub vertices_mm: Vec<[f32; 3]>,
-    /// Pairs of vertices that are joined.
+    /// Pairs of vertices joined by a line.
     pub lines: Vec<[usize; 2]>,
 }
 
 /// A limb of the subject's skeleton between two markers.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct LiveLimb {
-    /// The slots of the markers.
+    /// The slots of the two markers.
     pub ends: [u16; 2],
-    /// How long the scan has it, in millimetres.
+    /// The length measured in the scan, in millimetres.
     pub length_mm: f64,
-    /// How far the markers may be off that before somebody should look.
+    /// The tolerated difference from that length, in millimetres.
     pub off_mm: f64,
 }
 
 /// One frame.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LiveFrame {
-    /// Its row, counted since the device was armed.
+    /// Row number, counted since the device was armed.
     pub row: u64,
-    /// By the device's clock.
+    /// Time by the device's clock, in ticks.
     pub device_ticks: u64,
-    /// When its last byte arrived, in microseconds since 1970.
+    /// Arrival of the frame's last byte, in microseconds since 1970.
     pub arrival_unix_us: u64,
-    /// In millimetres, by slot; NaN where the marker is not seen.
+    /// Positions in millimetres, by slot; NaN if the marker is not seen.
     pub positions_mm: Vec<[f32; 3]>,
-    /// Where the subject's face is, where its markers are seen.
+    /// The placement of the subject's face, if its markers are seen.
     pub face: Option<FacePose>,
 }
 
 impl LiveMessage {
-    /// As it goes to a browser, little endian: u32 length of what follows, u8 kind. Kind 1, a table: JSON. Kind 2, a
-    /// frame: three bytes of zero, u64 row, u64 ticks, u64 arrival in microseconds since 1970, then three f32 a marker
-    /// (NaN where it is not seen). Behind a frame kind 3, the place of the subject's face: three bytes of zero, then for
-    /// each axis three factors of a vertex and what is added, f32.
+    /// Appends the message in the wire format, little endian: u32 length of what follows, u8 kind. Kind 1 is a table in
+    /// JSON. Kind 2 is a frame: three zero bytes, u64 row, u64 ticks, u64 arrival in microseconds since 1970, then
+    /// three f32 per marker (NaN if it is not seen). Kind 3, the placement of the subject's face, follows the frame
+    /// that it belongs to: three zero bytes, then for each axis three factors of a vertex and an offset, as f32.
     pub fn put(&self, out: &mut Vec<u8>) {
         match self {
             Self::Table(table) => message(out, |out| {
                 out.push(1);
-                // A table of strings and numbers is always JSON.
+                // A table of strings and numbers can always be written as JSON.
                 serde_json::to_writer(&mut *out, table.as_ref()).ok();
             }),
             Self::Frame(frame) => {
@@ -101,7 +102,7 @@ impl LiveMessage {
     }
 }
 
-/// Its length, then what `put` puts.
+/// Appends the length of what `put` appends, then that.
 fn message(out: &mut Vec<u8>, put: impl FnOnce(&mut Vec<u8>)) {
     let at = out.len();
     out.extend_from_slice(&[0; 4]);
@@ -122,29 +123,29 @@ impl LiveFrame {
     }
 }
 
-/// One viewer's frames: the newest few. What a slow viewer does not take is dropped, its table never.
+/// The newest frames for one viewer. If the viewer is slow, frames are dropped, but never the table.
 #[derive(Debug)]
 pub struct LiveFeed {
     pub(crate) messages: Receiver<LiveMessage>,
     pub(crate) closed: Arc<AtomicBool>,
-    /// Tells the other end that it is still there.
+    /// Lets the sender notice when the feed is dropped.
     pub(crate) _alive: Arc<()>,
 }
 
 impl LiveFeed {
-    /// What comes from `messages`, until `closed` is true.
+    /// A feed that receives from `messages` until `closed` is set.
     #[must_use]
     pub fn new(messages: Receiver<LiveMessage>, closed: Arc<AtomicBool>) -> Self {
         Self { messages, closed, _alive: Arc::default() }
     }
 
-    /// The next message, waited for at most so long. `None`: none came.
+    /// Waits at most `wait` for the next message.
     #[must_use]
     pub fn next(&self, wait: Duration) -> Option<LiveMessage> {
         self.messages.recv_timeout(wait).ok()
     }
 
-    /// Whether the service ends, and no more will come.
+    /// Whether the service is ending, so that no more messages will come.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.closed.load(Ordering::Relaxed) && self.messages.is_empty()

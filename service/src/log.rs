@@ -1,12 +1,13 @@
-//! What the service says while it runs: into the journal, with fields; on stderr where there is no journal.
+//! The log of the service: to the journal with fields, or to stderr without a journal.
 //!
-//! Who must not wait does not speak here: the reader's words go to the engine's watcher (`engine/events.rs`).
+//! Threads that must not wait do not log directly: the reader's messages go through the engine's watcher
+//! (`engine/events.rs`).
 //!
-//! Text from outside is escaped ([`mocapd_take::escape`]): on stderr by the layer that writes lines. The journal keeps the
-//! bytes of a field apart from others, so that nobody can forge an entry, but shows them as they are: what is logged with a
-//! text from outside is escaped where it is logged, too.
+//! Text from outside is escaped ([`mocapd_take::escape`]): on stderr by the layer that writes lines. The journal keeps
+//! fields apart, so that entries cannot be forged, but shows their bytes unchanged; text from outside is therefore
+//! also escaped where it is logged.
 
-mod gate;
+mod rate_limit;
 
 use std::{fmt, io, str::FromStr, sync::Arc};
 
@@ -21,33 +22,33 @@ use tracing_subscriber::{
     util::SubscriberInitExt,
 };
 
-use self::gate::{Gate, Summaries};
+use self::rate_limit::{LogFilter, SummaryThread};
 use crate::units;
 
-/// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
+/// Prefix of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
 const PREFIX: &str = "MOCAPD";
 
-/// How much is said.
+/// How much is logged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Level {
-    /// What went wrong.
+    /// Errors.
     Error,
-    /// And what may.
+    /// Errors and warnings.
     Warn,
-    /// And what happens: takes that start and end, devices that come and go.
+    /// Also normal events: takes that start and stop, devices that connect and disconnect.
     #[default]
     Info,
-    /// And how.
+    /// Also details.
     Debug,
     /// Everything.
     Trace,
 }
 
 impl Level {
-    /// From silent to chatty.
+    /// From the fewest messages to the most.
     pub const ALL: [Self; 5] = [Self::Error, Self::Warn, Self::Info, Self::Debug, Self::Trace];
 
-    /// As they are written.
+    /// The names used in the configuration.
     pub(crate) const NAMES: [&str; 5] = ["error", "warn", "info", "debug", "trace"];
 
     fn filter(self) -> LevelFilter {
@@ -67,47 +68,47 @@ impl FromStr for Level {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|level| level.to_string() == text);
-        found.ok_or_else(|| format!("'{text}' is no level: use error, warn, info, debug or trace"))
+        found.ok_or_else(|| format!("no level '{text}': use error, warn, info, debug or trace"))
     }
 }
 
-/// The running log. Dropping it says what was left out.
+/// The running log. Dropping it logs what the rate limit left out.
 #[derive(Debug)]
 pub struct Log {
-    gate: Arc<Gate>,
-    _summaries: Summaries,
+    filter: Arc<LogFilter>,
+    _summaries: SummaryThread,
 }
 
 impl Log {
-    /// From now on everything that is said through `tracing` goes to the journal when stderr does, and to `stderr`
-    /// otherwise. `rig` is a field of every line in the journal.
+    /// Sends everything logged through `tracing` to the journal if stderr is the journal, and otherwise to `stderr`.
+    /// `rig` becomes a field of every journal entry.
     ///
     /// # Errors
-    /// When there is a log already, or its thread cannot be started.
+    /// A log is running already, or its thread cannot be started.
     pub fn start<W>(level: Level, rig: &str, stderr: W) -> anyhow::Result<Self>
     where
         W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
     {
-        let gate = Arc::new(Gate::new(level));
+        let filter = Arc::new(LogFilter::new(level));
         let out: Box<dyn Layer<Registry> + Send + Sync> =
             match stderr_is_the_journal().then(|| journal(rig)).and_then(Result::ok) {
                 Some(journal) => Box::new(journal),
                 None => Box::new(lines(stderr)),
             };
-        let registry =
-            tracing_subscriber::registry().with(out).with(gate::Layer(Arc::clone(&gate)));
-        registry.try_init().context("the log runs already")?;
-        let summaries = Summaries::start(Arc::clone(&gate))?;
-        Ok(Self { gate, _summaries: summaries })
+        let layer = rate_limit::FilterLayer(Arc::clone(&filter));
+        let registry = tracing_subscriber::registry().with(out).with(layer);
+        registry.try_init().context("the log is already running")?;
+        let summaries = SummaryThread::start(Arc::clone(&filter))?;
+        Ok(Self { filter, _summaries: summaries })
     }
 
-    /// Says more or less from now on.
+    /// Changes the level.
     pub fn set_level(&self, level: Level) {
-        self.gate.set_level(level);
+        self.filter.set_level(level);
     }
 }
 
-/// systemd says in `JOURNAL_STREAM` which file stderr is, when it is the journal's.
+/// Whether stderr is the journal: systemd gives its device and inode in `JOURNAL_STREAM`.
 fn stderr_is_the_journal() -> bool {
     let Ok(stat) = rustix::fs::fstat(rustix::stdio::stderr()) else { return false };
     std::env::var("JOURNAL_STREAM")
@@ -128,7 +129,7 @@ fn journal(rig: &str) -> io::Result<tracing_journald::Layer> {
         .with_syslog_identifier("mocapd".to_owned()))
 }
 
-/// Before each line on stderr; the journal has its own.
+/// The time in front of each line on stderr; the journal has its own.
 struct LocalTime;
 
 impl FormatTime for LocalTime {
@@ -141,7 +142,7 @@ fn lines<W>(writer: W) -> impl Layer<Registry> + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
-    // Any field, and above all the message, may quote a mark, a name, a device: one event stays one line.
+    // Any field, and above all the message, may quote a mark, a name or a device: each event stays on one line.
     let fields = format::debug_fn(|out, field, value| {
         let text = format!("{value:?}");
         match field.name() {

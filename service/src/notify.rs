@@ -1,6 +1,6 @@
-//! What systemd is told: that the service runs, how it is, and that its data plane moves.
+//! Notifies systemd that the service is ready, of its status, and that its data plane is making progress.
 //!
-//! Started by anything else, nobody is told, and nothing fails for it.
+//! Without systemd, notifications do nothing.
 
 use std::{
     thread::JoinHandle,
@@ -12,77 +12,79 @@ use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
 use mocapd_take::escape::visible;
 use sd_notify::NotifyState;
 
-pub use mocapd_acquire::heartbeat::{Beat, Heartbeat, Who};
+pub use mocapd_acquire::heartbeat::{Heartbeat, HeartbeatHandle, ThreadRole};
 use mocapd_acquire::threads;
 
-/// Longer words are cut: `systemctl status` has one line for them.
+/// Longest status text in bytes: `systemctl status` shows one line.
 const STATUS_BYTES_MAX: usize = 512;
 
-/// Tells the service manager that started this process, if one did.
+/// Notifies the service manager, if one started this process.
 #[derive(Debug, Clone, Default)]
 pub struct Notifier {
     status: String,
 }
 
 impl Notifier {
-    /// Supervision runs: what waits for this unit may go on. `status` says how the device is, which need not be there.
+    /// Reports that the service is ready, so that units waiting for it can start. `status` may say that the device is
+    /// missing.
     pub fn ready(&mut self, status: &str) {
         self.status = one_line(status);
-        tell(&[NotifyState::Ready, NotifyState::Status(&self.status)]);
+        send(&[NotifyState::Ready, NotifyState::Status(&self.status)]);
     }
 
-    /// How it is, in words. The same words are said once.
+    /// Reports a status text, unless it has not changed.
     pub fn status(&mut self, status: &str) {
         let status = one_line(status);
         if status != self.status {
-            tell(&[NotifyState::Status(&status)]);
+            send(&[NotifyState::Status(&status)]);
             self.status = status;
         }
     }
 
-    /// The configuration is read again, from now until [`ready`](Self::ready).
+    /// Reports that the configuration is being reloaded, until the next [`ready`](Self::ready).
     pub fn reloading(&mut self) {
-        self.status = "reading the configuration again".to_owned();
+        self.status = "reloading the configuration".to_owned();
         match NotifyState::monotonic_usec_now() {
-            Ok(now) => tell(&[NotifyState::Reloading, now, NotifyState::Status(&self.status)]),
-            Err(_) => tell(&[NotifyState::Reloading, NotifyState::Status(&self.status)]),
+            Ok(now) => send(&[NotifyState::Reloading, now, NotifyState::Status(&self.status)]),
+            Err(_) => send(&[NotifyState::Reloading, NotifyState::Status(&self.status)]),
         }
     }
 
-    /// It ends; `status` says what is still done: a take is finished.
+    /// Reports that the service is stopping; `status` says what it is still doing, such as finishing a take.
     pub fn stopping(&mut self, status: &str) {
         self.status = one_line(status);
-        tell(&[NotifyState::Stopping, NotifyState::Status(&self.status)]);
+        send(&[NotifyState::Stopping, NotifyState::Status(&self.status)]);
     }
 
-    /// Pings the watchdog, on a thread of its own and for as long as what this gives is kept, while every thread in
-    /// `heartbeat` moves. `None` when nobody waits for pings.
+    /// Starts a thread that pings the watchdog while every thread in `heartbeat` makes progress, until the returned
+    /// value is dropped. `None` if the watchdog is off.
     ///
     /// # Errors
-    /// When the thread cannot be started.
+    /// The thread cannot be started.
     pub fn watch(heartbeat: &Heartbeat) -> anyhow::Result<Option<Pings>> {
         let Some(watchdog) = sd_notify::watchdog_enabled().filter(|time| !time.is_zero()) else {
             return Ok(None);
         };
-        // A thread that hangs is noticed after half the time, and no ping follows. Two looks fit into that half.
+        // A stalled thread is detected after half the watchdog's time, and pings then stop. Two checks fit into that
+        // half.
         let (limit, every) = (watchdog / 2, watchdog / 4);
         let heartbeat = heartbeat.clone();
         let (stop, stopped) = bounded::<()>(1);
         let thread = threads::spawn("mocapd-notify", move || {
-            let mut watch = heartbeat.watch(Instant::now());
-            let mut has_told = false;
+            let mut watch = heartbeat.watchdog(Instant::now());
+            let mut is_reported = false;
             loop {
                 match watch.overdue(Instant::now(), limit) {
                     None => {
-                        tell(&[NotifyState::Watchdog]);
-                        has_told = false;
+                        send(&[NotifyState::Watchdog]);
+                        is_reported = false;
                     }
-                    Some(overdue) if !has_told => {
+                    Some(overdue) if !is_reported => {
                         tracing::error!(
-                            "{overdue}: the watchdog is not pinged, and restarts the service"
+                            "{overdue}: not pinging the watchdog, so systemd will restart the service"
                         );
-                        tell(&[NotifyState::Status(&format!("{overdue}"))]);
-                        has_told = true;
+                        send(&[NotifyState::Status(&format!("{overdue}"))]);
+                        is_reported = true;
                     }
                     Some(_) => {}
                 }
@@ -91,12 +93,12 @@ impl Notifier {
                 }
             }
         })
-        .context("the watchdog cannot be served")?;
+        .context("cannot start the watchdog thread")?;
         Ok(Some(Pings { stop: Some(stop), thread: Some(thread) }))
     }
 }
 
-/// Serves the watchdog until it is dropped.
+/// Pings the watchdog until it is dropped.
 #[derive(Debug)]
 pub struct Pings {
     stop: Option<Sender<()>>,
@@ -112,21 +114,21 @@ impl Drop for Pings {
     }
 }
 
-/// Stopping takes so much longer, from now on, whatever the unit's `TimeoutStopSec=` says.
+/// Asks systemd to wait this much longer for the service to stop, regardless of `TimeoutStopSec=`.
 pub(super) fn extend_stop(by: Duration) {
     let usec = u32::try_from(by.as_micros()).unwrap_or(u32::MAX);
-    tell(&[NotifyState::ExtendTimeoutUsec(usec)]);
+    send(&[NotifyState::ExtendTimeoutUsec(usec)]);
 }
 
-fn tell(states: &[NotifyState<'_>]) {
+fn send(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
-        tracing::warn!("systemd is not told: {error}");
+        tracing::warn!("cannot notify systemd: {error}");
     }
 }
 
-/// What may stand in one assignment: a line break would begin another.
-fn one_line(words: &str) -> String {
-    let mut line = visible(words).into_owned();
+/// Makes a text safe for one assignment of the protocol: a line break would begin another.
+fn one_line(text: &str) -> String {
+    let mut line = visible(text).into_owned();
     line.truncate(line.floor_char_boundary(STATUS_BYTES_MAX));
     line
 }
@@ -142,9 +144,9 @@ mod tests {
 
     use super::*;
 
-    /// What a process of its own, in which `scene` is played, tells a socket that is not systemd's. The environment
-    /// belongs to a whole process, and the tests share one.
-    fn told(scene: &str, watchdog_usec: Option<u64>) -> (Vec<String>, ExitStatus) {
+    /// Runs `scene` in its own process and collects the messages it sends to a socket in place of systemd's. The
+    /// environment belongs to a whole process, and tests share one.
+    fn messages_of(scene: &str, watchdog_usec: Option<u64>) -> (Vec<String>, ExitStatus) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
@@ -156,7 +158,7 @@ mod tests {
         let mut child = child.spawn().unwrap();
         let (mut messages, mut buffer) = (Vec::new(), [0; 4096]);
         loop {
-            // Looked at before the read: what it said before it ended is there by then.
+            // Checked before reading: whatever it sent before it ended has arrived by then.
             let ended = child.try_wait().unwrap();
             while let Ok(n) = socket.recv(&mut buffer) {
                 messages.push(String::from_utf8(buffer[..n].to_vec()).unwrap());
@@ -175,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "played in a process of its own, by the test below"]
+    #[ignore = "run in its own process by the test below"]
     fn a_life() {
         let mut notifier = Notifier::default();
         notifier.ready("idle; the device is not there");
@@ -189,80 +191,83 @@ mod tests {
     }
 
     #[test]
-    fn systemd_is_told_of_a_life() {
-        let (said, status) = told("a_life", None);
+    fn systemd_is_notified_from_ready_to_stopping() {
+        let (messages, status) = messages_of("a_life", None);
         assert!(status.success());
-        assert_eq!(said.len(), 7, "{said:?}");
-        assert_eq!(said[0], "READY=1\nSTATUS=idle; the device is not there\n");
-        assert_eq!(said[1], "STATUS=armed\n");
-        assert_eq!(said[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
-        let mut lines = said[3].lines();
+        assert_eq!(messages.len(), 7, "{messages:?}");
+        assert_eq!(messages[0], "READY=1\nSTATUS=idle; the device is not there\n");
+        assert_eq!(messages[1], "STATUS=armed\n");
+        assert_eq!(messages[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
+        let mut lines = messages[3].lines();
         assert_eq!(lines.next(), Some("RELOADING=1"));
         let usec = lines.next().unwrap().strip_prefix("MONOTONIC_USEC=").unwrap();
         assert!(usec.parse::<u64>().unwrap() > 0);
-        assert_eq!(said[4], "READY=1\nSTATUS=idle\n");
-        assert!(said[5].starts_with("STOPPING=1\nSTATUS=finishing ää"));
-        assert!(said[5].len() < STATUS_BYTES_MAX + 30, "cut: {}", said[5].len());
-        assert_eq!(said[6], "EXTEND_TIMEOUT_USEC=25000000\n");
+        assert_eq!(messages[4], "READY=1\nSTATUS=idle\n");
+        assert!(messages[5].starts_with("STOPPING=1\nSTATUS=finishing ää"));
+        assert!(messages[5].len() < STATUS_BYTES_MAX + 30, "cut: {}", messages[5].len());
+        assert_eq!(messages[6], "EXTEND_TIMEOUT_USEC=25000000\n");
     }
 
-    /// Moves for a second, hangs for one, and moves again.
+    /// Makes progress for a second, stalls for one, and makes progress again.
     #[test]
-    #[ignore = "played in a process of its own, by the test below"]
+    #[ignore = "run in its own process by the test below"]
     fn a_reader_that_hangs() {
         let heartbeat = Heartbeat::default();
-        let (reader, idle) = (heartbeat.beat(Who::Reader).unwrap(), heartbeat.beat(Who::Worker));
+        let (reader, idle) = (
+            heartbeat.register(ThreadRole::Reader).unwrap(),
+            heartbeat.register(ThreadRole::Worker),
+        );
         let idle = idle.unwrap();
         idle.idle();
         let pings = Notifier::watch(&heartbeat).unwrap().expect("the watchdog is on");
         let move_for_a_second = || {
             for _ in 0..50 {
-                reader.moved();
+                reader.beat();
                 std::thread::sleep(Duration::from_millis(20));
             }
         };
         move_for_a_second();
-        tell(&[NotifyState::Custom("X_HANGS=1")]);
+        send(&[NotifyState::Custom("X_HANGS=1")]);
         std::thread::sleep(Duration::from_secs(1));
-        tell(&[NotifyState::Custom("X_MOVES=1")]);
+        send(&[NotifyState::Custom("X_MOVES=1")]);
         move_for_a_second();
         drop(pings);
-        tell(&[NotifyState::Custom("X_ENDED=1")]);
+        send(&[NotifyState::Custom("X_ENDED=1")]);
         std::thread::sleep(Duration::from_millis(300));
     }
 
     #[test]
     fn the_watchdog_is_pinged_only_while_the_reader_moves() {
-        let (said, status) = told("a_reader_that_hangs", Some(400_000));
+        let (messages, status) = messages_of("a_reader_that_hangs", Some(400_000));
         assert!(status.success());
         let at = |what: &str| {
-            let found = said.iter().position(|message| message.starts_with(what));
-            found.unwrap_or_else(|| panic!("no {what} in {said:?}"))
+            let found = messages.iter().position(|message| message.starts_with(what));
+            found.unwrap_or_else(|| panic!("no {what} in {messages:?}"))
         };
         let pings = |messages: &[String]| messages.iter().filter(|m| *m == "WATCHDOG=1\n").count();
         let (hangs, complains, moves, ended) =
             (at("X_HANGS"), at("STATUS=the reader"), at("X_MOVES"), at("X_ENDED"));
         // Every 100 ms, on a machine that may be busy.
-        assert!(pings(&said[..hangs]) >= 3, "{said:?}");
-        assert!(hangs < complains && complains < moves, "{said:?}");
-        assert_eq!(pings(&said[complains..moves]), 0, "{said:?}");
-        assert!(pings(&said[moves..ended]) >= 3, "{said:?}");
-        assert_eq!(pings(&said[ended..]), 0, "{said:?}");
+        assert!(pings(&messages[..hangs]) >= 3, "{messages:?}");
+        assert!(hangs < complains && complains < moves, "{messages:?}");
+        assert_eq!(pings(&messages[complains..moves]), 0, "{messages:?}");
+        assert!(pings(&messages[moves..ended]) >= 3, "{messages:?}");
+        assert_eq!(pings(&messages[ended..]), 0, "{messages:?}");
     }
 
     #[test]
-    #[ignore = "played in a process of its own, by the test below"]
+    #[ignore = "run in its own process by the test below"]
     fn no_watchdog() {
         assert!(Notifier::watch(&Heartbeat::default()).unwrap().is_none());
     }
 
     #[test]
-    fn nobody_is_pinged_who_does_not_wait_for_it() {
+    fn without_a_watchdog_nothing_is_sent() {
         for usec in [None, Some(0)] {
-            let (said, status) = told("no_watchdog", usec);
-            assert!(status.success() && said.is_empty(), "{said:?}");
+            let (messages, status) = messages_of("no_watchdog", usec);
+            assert!(status.success() && messages.is_empty(), "{messages:?}");
         }
-        // And without a socket nothing fails.
+        // Without a socket nothing fails, either.
         a_life();
     }
 }

@@ -1,22 +1,22 @@
-//! What a process has used so far, as the kernel accounts for it.
+//! Resources that a process has used, from the kernel's accounting.
 
 use std::fs;
 
-/// Processor time and memory of one process.
+/// Processor time and memory of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Usage {
     /// Processor time in user and kernel mode, in seconds.
     pub cpu_s: f64,
-    /// The most memory that was resident at once, in bytes.
+    /// Peak resident memory in bytes.
     pub peak_memory_bytes: u64,
 }
 
-/// Of a process by its id, or of this one; `None` where /proc does not tell.
+/// The usage of a process by its id, or of this one; `None` if /proc does not have it.
 #[must_use]
 pub fn usage(pid: Option<u32>) -> Option<Usage> {
     let folder = pid.map_or("/proc/self".to_owned(), |pid| format!("/proc/{pid}"));
     let stat = fs::read_to_string(format!("{folder}/stat")).ok()?;
-    // The name, in brackets, may hold anything: fields are counted behind it.
+    // The name, in brackets, may contain anything: fields are counted after it.
     let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?;
     let status = fs::read_to_string(format!("{folder}/status")).ok()?;

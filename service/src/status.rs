@@ -1,4 +1,4 @@
-//! How things stand, as the API, the dashboard and `ctl` tell it. Units stand in the names.
+//! The status of the service as the API, the dashboard and `ctl` report it. Units stand in the field names.
 
 use std::fmt;
 
@@ -11,31 +11,31 @@ use utoipa::ToSchema;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// The device does not run, or is not there.
+    /// The device is not running, or is missing.
     #[default]
     Idle,
-    /// The device runs, and what it sends is kept for the pre-roll.
+    /// The device is running, and its frames are kept for the pre-roll.
     Armed,
     /// A take is being written.
     Recording,
-    /// A take could not be written to its end, or the data plane failed: `failure` says why.
+    /// A take could not be completed, or the data plane failed: see `failure`.
     Failed,
 }
 
-/// Whether the device is there.
+/// Whether the device is connected and sending.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Presence {
-    /// It is not there, or away.
+    /// It is missing, or has disconnected.
     #[default]
     Absent,
-    /// It is attached.
+    /// It is connected.
     Present,
-    /// It sends frames.
+    /// It is sending frames.
     Streaming,
-    /// It should stream and sends nothing.
+    /// It should be sending frames, but sends none.
     Silent,
-    /// What a later version tells.
+    /// A value from a later version.
     #[serde(other)]
     Other,
 }
@@ -46,7 +46,7 @@ impl fmt::Display for Presence {
     }
 }
 
-/// Everything at one time.
+/// The whole status at one moment.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct Status {
     /// Name of the rig, from its configuration.
@@ -55,33 +55,33 @@ pub struct Status {
     pub state: State,
     /// Why it failed, and what to do.
     pub failure: Option<String>,
-    /// Program and version.
+    /// Name and version of the program.
     pub software: String,
-    /// Seconds since the service was started.
+    /// Time since the service was started, in seconds.
     pub uptime_s: f64,
     /// The device.
     pub device: DeviceStatus,
-    /// What came from it since it was armed.
+    /// What has arrived since the device was armed.
     pub input: InputStatus,
-    /// What is kept while armed.
+    /// The pre-roll.
     pub pre_roll: PreRollStatus,
-    /// The take being written.
+    /// The take being recorded.
     pub take: Option<TakeStatus>,
-    /// The one before: null while it is being closed.
+    /// The previous take; null while it is being closed.
     pub last_take: Option<TakeSummary>,
-    /// The disk of the takes' folder.
+    /// The disk that holds the takes' folder.
     pub disk: DiskStatus,
 }
 
 /// The device.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct DeviceStatus {
-    /// Where it is looked for.
+    /// Where it is expected.
     pub uri: String,
-    /// `absent`, `present` (attached), `streaming`, `silent` (it should stream and sends nothing).
+    /// `absent`, `present` (connected), `streaming` or `silent` (should be sending frames, but sends none).
     #[schema(value_type = String)]
     pub presence: Presence,
-    /// Its model; empty before it said so, and so are the following.
+    /// Its model. This and the following are empty until the device has reported them.
     pub model: String,
     /// Its serial number.
     pub serial: String,
@@ -89,190 +89,191 @@ pub struct DeviceStatus {
     pub firmware: String,
     /// Driver family.
     pub driver: String,
-    /// Frames a second.
+    /// Frame rate in Hz.
     pub rate_hz: f64,
-    /// Markers that it announced, and those that appeared since.
+    /// Number of markers: those it announced, and those that appeared since.
     pub markers: usize,
-    /// What keeps it away, in words.
+    /// Why the device cannot be used, and what to do.
     pub obstacle: Option<String>,
-    /// Times that it went away and came back since it was armed.
+    /// How often it has disconnected and come back since it was armed.
     pub outages: u32,
-    /// Whether it is absent and waited for: it is armed, or its take goes on, as soon as it is there.
+    /// Whether an absent device is waited for: as soon as it is back, it is armed or its take continues.
     #[serde(default)]
     pub is_awaited: bool,
-    /// The time without frames, while it is armed or recorded and is `absent` or `silent`.
+    /// The current time without frames, if the device is armed or recorded and is `absent` or `silent`.
     #[serde(default)]
     pub outage: Option<OutageStatus>,
 }
 
-/// A device that should send frames and sends none: nothing that happens now is recorded.
+/// A device that should send frames and sends none: nothing is being recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct OutageStatus {
-    /// Seconds since its last frame, or since it was armed where none came.
+    /// Seconds since the last frame, or since the device was armed if none has arrived.
     pub seconds: f64,
-    /// Frames that were due in that time, by the device's rate. A take that is being written misses them; its ledger
-    /// counts them when the device is back, or when the take ends.
+    /// Frames due in that time at the device's rate. A take in progress misses them; its ledger counts them once the
+    /// device is back or the take ends.
     pub frames: u64,
-    /// Seconds until the device is given up and the take ends; `None` while it is `silent`, which is waited for without
-    /// a limit.
+    /// Seconds until the service gives up the device and ends the take; `None` if it is `silent`, because then the
+    /// service waits without a limit.
     pub ends_in_s: Option<f64>,
 }
 
-/// What came from the device since it was armed.
+/// What has arrived from the device since it was armed.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct InputStatus {
-    /// Frames taken in.
+    /// Frames received.
     pub frames: u64,
-    /// Frames lost, for whatever reason.
+    /// Frames lost, for any reason.
     pub lost: u64,
-    /// Frames a second over the last seconds, as they arrived.
+    /// Frame rate over the last seconds, by arrival, in Hz.
     pub measured_hz: f64,
-    /// How full the fullest ring is, 0 to 1.
+    /// Fill level of the fullest ring, 0 to 1.
     pub ring_fill: f64,
-    /// From a frame's last byte to its place in every ring: what 99 of 100 frames took at most, in microseconds.
+    /// 99th percentile of the time from a frame's last byte to its place in every ring, in microseconds.
     pub ring_latency_p99_us: u64,
-    /// What 99 of 100 frames were no later than after the clock's line, in microseconds; 0 while unknown.
+    /// 99th percentile of the delay of frames after the line fitted to the clock, in microseconds; 0 while unknown.
     pub jitter_p99_us: u64,
     /// How much faster the host's clock runs than the device's, in parts per million.
     pub drift_ppm: f64,
-    /// Processor time of all of the service's threads over the last seconds, in cores.
+    /// Processor time of all the service's threads over the last seconds, in cores.
     pub cpu_cores: f64,
 }
 
-/// What is kept while armed.
+/// The pre-roll.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct PreRollStatus {
-    /// Seconds that are to be held.
+    /// Configured length in seconds.
     pub wanted_s: f64,
-    /// Seconds that are.
+    /// Length held, in seconds.
     pub held_s: f64,
-    /// Bytes that they take.
+    /// Memory used, in bytes.
     pub held_bytes: u64,
-    /// Whether less is held than wanted because of the bound on memory.
+    /// Whether the memory limit keeps it shorter than configured.
     pub is_cut: bool,
 }
 
-/// The take being written.
+/// The take being recorded.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeStatus {
-    /// 32 hexadecimal digits.
+    /// Id of the take, 32 hexadecimal digits.
     pub take_id: String,
-    /// Without `.take`.
+    /// Name without `.take`.
     pub name: String,
-    /// Its file.
+    /// Path of the file.
     pub path: String,
-    /// When it was asked for, in milliseconds since 1970.
+    /// When its start was requested, in milliseconds since 1970.
     pub started_unix_ms: i64,
-    /// Rows so far, lost ones included.
+    /// Rows so far, including lost frames.
     pub rows: u64,
-    /// Seconds that they make.
+    /// Length in seconds.
     pub seconds: f64,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub bytes: u64,
-    /// Of these, bytes that would survive a power cut.
+    /// Bytes of it that would survive a power cut.
     pub durable_bytes: u64,
-    /// 12 bytes a present sample, over the bytes of the file; 0 before there are any.
+    /// Compression: 12 bytes per present sample, divided by the size of the file; 0 before there are samples.
     pub ratio: f64,
-    /// Largest error of a sample so far, in millimetres.
+    /// Largest error of any sample so far, in millimetres.
     pub max_error_mm: f64,
-    /// What became of its frames so far.
+    /// Its ledger so far.
     pub ledger: LedgerDocument,
-    /// What others did to its file.
+    /// What other programs did to its file.
     #[serde(default)]
     pub file: FileState,
-    /// The same in words, and what to do; `None` while it is in its place.
+    /// The same as a message that says what to do; `None` while the file is in its place.
     #[serde(default)]
     pub file_notice: Option<String>,
 }
 
-/// A take that is there.
+/// A take in the folder.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeSummary {
-    /// Without `.take`.
+    /// Name without `.take`.
     pub name: String,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub bytes: u64,
-    /// When the file was last written, in milliseconds since 1970.
+    /// Last modification of the file, in milliseconds since 1970.
     pub modified_unix_ms: i64,
     /// Whether it is being written.
     pub is_open: bool,
-    /// What its two ends tell of its content: its header, its last ledger, and how it ended.
+    /// Its condition, from its header, last ledger and ending.
     pub health: TakeHealth,
-    /// Seconds; 0 while unknown.
+    /// Length in seconds; 0 while unknown.
     pub seconds: f64,
-    /// Markers; 0 while unknown.
+    /// Number of markers; 0 while unknown.
     pub markers: usize,
-    /// 32 hexadecimal digits; empty while unknown.
+    /// Id, 32 hexadecimal digits; empty while unknown.
     pub take_id: String,
-    /// Why it ended, as `stop` tells it; empty where the take does not say.
+    /// Why it ended, in the words of `stop`; empty if the take does not say.
     #[serde(default, with = "ending_word")]
     #[schema(value_type = String)]
     pub ending: Option<EndingKind>,
-    /// More about that; mostly empty.
+    /// Details of the ending; mostly empty.
     #[serde(default)]
     pub ending_detail: String,
 }
 
-/// The disk of the takes' folder.
+/// The disk that holds the takes' folder.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct DiskStatus {
-    /// The folder.
+    /// Path of the folder.
     pub directory: String,
-    /// Bytes that are free; `None` where nobody can tell.
+    /// Free space in bytes; `None` while unknown.
     pub free_bytes: Option<u64>,
-    /// Bytes that stay free: a take that comes there is closed, and none is begun.
+    /// Space to keep free in bytes: a take that reaches it is closed, and none is started.
     pub keep_free_bytes: u64,
-    /// How long a take can go on at the rate of the last half a minute, in seconds; 0 where none can begin; `None` while
+    /// How long a take can continue at the rate of the last half minute, in seconds; 0 if none can start; `None` while
     /// unknown.
     pub left_s: Option<u64>,
 }
 
-/// How well a marker is seen since the device was armed.
+/// How well a marker has been seen since the device was armed.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct MarkerQuality {
-    /// Its label, or `u001` by slot.
+    /// Label, or `u001` by slot.
     pub label: String,
-    /// Whether the device knows it.
+    /// Whether the device identifies the marker.
     pub labelled: bool,
-    /// Frames with a position, of all frames since the marker has a channel.
+    /// Share of frames with a position, since the marker has a channel.
     pub visible: f64,
-    /// Times that it vanished.
+    /// Number of gaps.
     pub gaps: u64,
-    /// The longest, in seconds.
+    /// Longest gap in seconds.
     pub longest_gap_s: f64,
-    /// Standard deviation of its noise on one axis, in millimetres: of fourth differences over the last seconds, as
-    /// `mocapd plot quality` has it. `None` where it cannot be told from motion or rounding, or while too little is known.
+    /// Standard deviation of the noise on one axis in millimetres, from fourth differences over the last seconds, as in
+    /// `mocapd plot quality`. `None` if it cannot be distinguished from motion or rounding, or while too little is
+    /// known.
     #[serde(default)]
     pub noise_mm: Option<f64>,
     /// The same as `noise_mm`, under its former name.
     pub still_sigma_mm: Option<f64>,
-    /// Times that it jumped to where another marker was.
+    /// How often it jumped to the position of another marker.
     pub swaps_suspected: u64,
 }
 
-/// What kind of thing happened.
+/// Kind of an event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ServiceEventKind {
-    /// The service does something else now.
+    /// The state of the service changed.
     State,
-    /// The device said something, or something happened to it.
+    /// A message from the device, or about it.
     Device,
-    /// A take has begun.
+    /// A take has started.
     TakeStarted,
-    /// It has ended.
+    /// A take has ended.
     TakeStopped,
-    /// What the pre-roll held was saved.
+    /// The pre-roll was saved as a take.
     TakeSaved,
     /// A mark was put into the take.
     Mark,
-    /// Something that somebody may have to look at.
+    /// Something may need attention.
     Warning,
-    /// A take could not be written to its end, or the data plane failed.
+    /// A take could not be completed, or the data plane failed.
     Failure,
-    /// A trigger came.
+    /// A capture trigger was received.
     Trigger,
-    /// What a later version tells.
+    /// A kind from a later version.
     #[serde(other)]
     Other,
 }
@@ -283,28 +284,28 @@ impl fmt::Display for ServiceEventKind {
     }
 }
 
-/// Something happened.
+/// An event of the service.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ServiceEvent {
-    /// Counted from 1 since the service was started.
+    /// Number, counted from 1 since the service was started.
     pub number: u64,
-    /// Milliseconds since 1970.
+    /// Time in milliseconds since 1970.
     pub unix_ms: i64,
     /// `state`, `device`, `take-started`, `take-stopped`, `take-saved`, `mark`, `warning`, `failure`, `trigger`.
     #[schema(value_type = String)]
     pub kind: ServiceEventKind,
-    /// One line for people.
+    /// The message, one line.
     pub message: String,
-    /// The state after it.
+    /// The state after the event.
     pub state: State,
-    /// Name of the take that it is about.
+    /// Name of the take concerned.
     pub take: Option<String>,
-    /// The notes of a take that has started.
+    /// Notes of a take that has started.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
 }
 
-/// An ending by its word; empty where it is not known.
+/// Serialises an ending as its word, or as an empty text if it is unknown.
 pub(crate) mod ending_word {
     use mocapd_take::record::EndingKind;
     use serde::{Deserialize, Deserializer, Serializer};
@@ -313,14 +314,14 @@ pub(crate) mod ending_word {
         ending: &Option<EndingKind>,
         serializer: S,
     ) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(ending.map_or("", EndingKind::word))
+        serializer.serialize_str(ending.map_or("", EndingKind::name))
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<Option<EndingKind>, D::Error> {
         let word = String::deserialize(deserializer)?;
-        Ok((!word.is_empty()).then(|| EndingKind::from_word(&word)))
+        Ok((!word.is_empty()).then(|| EndingKind::from_name(&word)))
     }
 }
 

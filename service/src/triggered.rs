@@ -1,4 +1,4 @@
-//! Capture triggers at work: those that are heard start and stop takes, and our starts and stops are told.
+//! Executes capture triggers that are received, and sends triggers for takes that start and stop here.
 
 use std::{
     net::IpAddr,
@@ -8,63 +8,63 @@ use std::{
 };
 
 use crossbeam_channel::{after, never, select};
-use mocapd_acquire::threads::{self, Stopped, Stopper};
+use mocapd_acquire::threads::{self, StopReceiver, StopSender};
 use rustix::rand::{GetRandomFlags, getrandom};
 
 use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::{ServiceEvent, ServiceEventKind},
     trigger::{
-        Announcer, Capture, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
-        first_packet_id,
-        socket::{self, Hearing, Questions, Teller},
+        Announcer, Capture, Listener, RateLimit, ReceivedTrigger, StopResult, TakeName, Trigger,
+        TriggerQueue, first_packet_id,
+        socket::{self, ListenerThread, TakeQueries, TriggerSender},
     },
 };
 use crate::config::TriggerConfig;
 
-/// The threads that hear and tell.
+/// The threads that receive and send triggers.
 #[derive(Debug)]
 pub struct Triggers {
-    hearing: Option<Hearing>,
-    stopper: Stopper,
+    listening: Option<ListenerThread>,
+    stopper: StopSender,
     worker: JoinHandle<()>,
 }
 
-/// Who carries out what is heard.
+/// Executes triggers, and announces takes.
 #[derive(Debug)]
 struct Worker {
     control: Arc<dyn Control>,
-    triggers: Queue,
+    triggers: TriggerQueue,
     events: EventFeed,
     announcer: Announcer,
-    teller: Option<Teller>,
-    /// The take that another program started, which need not be told of it.
-    triggered: Option<Triggered>,
-    /// Of triggers that change nothing: their sender can send a thousand a second.
-    quiet: Quiet,
-    stopped: Stopped,
+    sender: Option<TriggerSender>,
+    /// The take that another program started: it is not announced, because that program has announced it.
+    triggered: Option<TriggeredTake>,
+    /// Limits messages about triggers without effect: a sender can send a thousand of them per second.
+    rate_limit: RateLimit,
+    stopped: StopReceiver,
 }
 
-/// What became of a trigger, in words.
+/// The effect of a trigger, with its message.
 #[derive(Debug)]
 enum Outcome {
-    /// A take began, or ended.
+    /// A take started or stopped.
     Acted(String),
-    /// All is as it was.
+    /// Nothing changed.
     Nothing(String),
 }
 
 #[derive(Debug)]
-struct Triggered {
+struct TriggeredTake {
     take: String,
     by: IpAddr,
 }
 
 impl Triggers {
-    /// As configured; `None` where nothing is to be heard or told.
+    /// Starts as configured; `None` if triggers are neither received nor sent.
     ///
     /// # Errors
-    /// When the address cannot be listened on, or the system gives no thread or socket.
+    /// The address is unavailable, or the system refuses a thread or socket.
     pub fn open(
         config: &TriggerConfig,
         rig: &str,
@@ -77,44 +77,41 @@ impl Triggers {
         getrandom(&mut mark, GetRandomFlags::empty())?;
         let mark = u64::from_le_bytes(mark);
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let triggers = Queue::default();
-        let (stopper, stopped) = threads::stop();
-        let mut hearing = None;
+        let triggers = TriggerQueue::default();
+        let (stopper, stopped) = threads::stop_channel();
+        let mut listening = None;
         if let Some(address) = config.listen {
-            let (names, takes, words) =
-                (Arc::clone(control), Arc::clone(control), Arc::clone(control));
-            let questions = Questions {
+            let [names, takes, notifier] = std::array::from_fn(|_| Arc::clone(control));
+            let queries = TakeQueries {
                 exists: Box::new(move |name| names.take_path(name).is_ok()),
                 recording: Box::new(move || takes.status().take.map(|take| take.name)),
             };
-            let say = move |text: &str| words.tell(ServiceEventKind::Trigger, text);
+            let report = move |text: &str| notifier.notify(ServiceEventKind::Trigger, text);
             let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
             let socket = socket::bind(address)?;
-            hearing = Some(socket::listen(socket, listener, questions, triggers.clone(), say)?);
+            listening = Some(socket::listen(socket, listener, queries, triggers.clone(), report)?);
         }
-        let teller = match config.send_to.is_empty() {
-            true => None,
-            false => Some(Teller::new(config.send_to.clone())?),
-        };
+        let send_to = config.send_to.clone();
+        let sender = (!send_to.is_empty()).then(|| TriggerSender::new(send_to)).transpose()?;
         let worker = Worker {
             control: Arc::clone(control),
             triggers,
             events: control.events(),
             announcer: Announcer::new(rig, mark, first_packet_id(now.as_secs())),
-            teller,
+            sender,
             triggered: None,
-            quiet: Quiet::default(),
+            rate_limit: RateLimit::default(),
             stopped,
         };
         let worker = threads::spawn("mocapd-triggered", move || worker.run())?;
-        Ok(Some(Self { hearing, stopper, worker }))
+        Ok(Some(Self { listening, stopper, worker }))
     }
 
-    /// Hears and tells no more.
+    /// Stops receiving and sending.
     pub fn close(self) {
-        drop(self.hearing);
+        drop(self.listening);
         drop(self.stopper);
-        // A thread that panicked has told so already.
+        // A thread that panicked has reported it already.
         drop(self.worker.join());
     }
 }
@@ -123,16 +120,16 @@ impl Worker {
     fn run(mut self) {
         while !self.stopped.is_stopped() {
             match self.triggers.take_due() {
-                Some(received) => self.carry_out(&received),
+                Some(received) => self.execute(&received),
                 None => self.wait(),
             }
             self.announce();
         }
-        // The end of the take that was finished when the service stopped.
+        // Announces the end of the take that was finished when the service stopped.
         self.announce();
     }
 
-    /// Until a trigger comes or is due, something happens, or it is over.
+    /// Waits until a trigger arrives or is due, an event happens, or the thread has to stop.
     fn wait(&mut self) {
         let due = self.triggers.due_in().map_or_else(never, after);
         let event = select! {
@@ -143,26 +140,26 @@ impl Worker {
         };
         match event {
             Ok(event) => self.announce_event(&event),
-            // The service ends: nothing more happens, and this thread is told to end soon.
+            // The service is ending: there will be no more events, and this thread will be stopped soon.
             Err(_) => {
                 self.stopped.channel().recv().ok();
             }
         }
     }
 
-    fn carry_out(&mut self, received: &Received) {
+    fn execute(&mut self, received: &ReceivedTrigger) {
         let note = received.trigger.note(received.from.ip());
         let outcome = match &received.trigger {
             Trigger::Start(start) => self.start(start, received.sender(), &note),
             Trigger::Stop(stop) => self.stop(stop, received, &note),
             Trigger::Complete(_) => Outcome::Nothing(note),
         };
-        let words = match outcome {
-            Outcome::Acted(words) => Some(words),
-            Outcome::Nothing(words) => self.quiet.say(&words, self.triggers.now()),
+        let message = match outcome {
+            Outcome::Acted(message) => Some(message),
+            Outcome::Nothing(message) => self.rate_limit.admit(&message, self.triggers.now()),
         };
-        if let Some(words) = words {
-            self.control.tell(ServiceEventKind::Trigger, &words);
+        if let Some(message) = message {
+            self.control.notify(ServiceEventKind::Trigger, &message);
         }
     }
 
@@ -171,54 +168,53 @@ impl Worker {
         let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
         match self.control.start(&start) {
             Ok(started) => {
-                let words = format!("{note}: recording {}", started.name);
-                self.triggered = Some(Triggered { take: started.name, by });
-                Outcome::Acted(words)
+                let message = format!("{note}: recording {}", started.name);
+                self.triggered = Some(TriggeredTake { take: started.name, by });
+                Outcome::Acted(message)
             }
             Err(refusal) => Outcome::Nothing(format!("{note}: not started: {refusal}")),
         }
     }
 
-    fn stop(&self, stop: &Capture, received: &Received, note: &str) -> Outcome {
+    fn stop(&self, stop: &Capture, received: &ReceivedTrigger, note: &str) -> Outcome {
         let name = stop.name.as_ref().map(TakeName::text);
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);
-        // A stop that means no take that is being recorded can mean a start that waits.
-        let of_waiting = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
-        {
+        // A stop that matches no take in progress may mean a start that is still pending.
+        let cancel = |otherwise: String| match self.triggers.cancel_starts(received.from, name) {
             0 => Outcome::Nothing(format!("{note}: {otherwise}")),
-            n => Outcome::Acted(format!("{note}: starts that waited, now cancelled: {n}")),
+            n => Outcome::Acted(format!("{note}: delayed starts cancelled: {n}")),
         };
         let Some(recording) = recording.as_deref() else {
-            return of_waiting(match was_recording {
-                Some(was) => format!("{was} was over already"),
+            return cancel(match was_recording {
+                Some(was) => format!("{was} had already ended"),
                 None => "no take is being recorded".to_owned(),
             });
         };
         if name.is_some_and(|name| name != recording) {
-            return of_waiting(format!("another take is being recorded, {recording}: it goes on"));
+            return cancel(format!("another take, {recording}, is being recorded and continues"));
         }
-        // Without a name the take is meant that was being recorded when the trigger came, and no later one. Where there
-        // was none, its sender can only mean a start of its own, which came before it and was not carried out yet.
+        // Without a name, a stop means the take that was being recorded when it arrived, not a later one. If there was
+        // none, it can only mean a start by the same sender that arrived earlier and was not executed yet.
         match was_recording.filter(|_| name.is_none()) {
             Some(was) if was != recording => {
-                return Outcome::Nothing(format!("{note}: {was} was over already"));
+                return Outcome::Nothing(format!("{note}: {was} had already ended"));
             }
             None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
                 let goes_on =
-                    format!("no take was being recorded when it came: {recording} goes on");
-                return of_waiting(goes_on);
+                    format!("no take was being recorded when it arrived; {recording} continues");
+                return cancel(goes_on);
             }
             _ => {}
         }
-        // A take that cannot be marked can be stopped.
+        // A take that cannot be marked can still be stopped.
         self.control.mark(&Mark { text: note.to_owned(), ..Mark::default() }).ok();
         match self.control.stop(&Request::default()) {
             Ok(stopped) => Outcome::Acted(format!("{note}: stopped {}", stopped.name)),
             Err(refusal) if refusal.kind == RefusalKind::Conflict => {
-                Outcome::Nothing(format!("{note}: it was over already"))
+                Outcome::Nothing(format!("{note}: the take had already ended"))
             }
-            // The take may have ended, and with a loss: whoever reads the log must not miss it.
+            // The take may have ended with a loss, which must not be missing from the log.
             Err(refusal) => Outcome::Acted(format!("{note}: not stopped: {refusal}")),
         }
     }
@@ -239,16 +235,16 @@ impl Worker {
             return;
         }
         for datagram in self.datagrams(event, name) {
-            let failed = self.teller.as_ref().map(|teller| teller.tell(&datagram));
-            for words in failed.unwrap_or_default() {
-                self.control.tell(ServiceEventKind::Warning, &words);
+            let failed = self.sender.as_ref().map(|sender| sender.send(&datagram));
+            for message in failed.unwrap_or_default() {
+                self.control.notify(ServiceEventKind::Warning, &message);
             }
         }
     }
 
     fn datagrams(&mut self, event: &ServiceEvent, name: &str) -> Vec<Vec<u8>> {
         let Some(name) = TakeName::of(name) else { return Vec::new() };
-        let Self { announcer, teller: Some(_), .. } = self else { return Vec::new() };
+        let Self { announcer, sender: Some(_), .. } = self else { return Vec::new() };
         match event.kind {
             ServiceEventKind::TakeStarted => {
                 vec![announcer.start(&name, event.notes.as_deref().unwrap_or_default())]

@@ -1,14 +1,14 @@
-//! Values as people type and read them: `0.5mm`, `10s`, `240Hz`, and times on the clock of this machine's time zone.
+//! Values as people write and read them, such as `0.5mm`, `10s` and `240Hz`, and times in this machine's time zone.
 
 use std::time::Duration;
 
 use jiff::{Timestamp, tz::TimeZone};
 use mocapd_codec::Tolerance;
 
-/// Splits a number from its unit.
+/// Splits a value into number and unit.
 fn split(text: &str) -> Result<(f64, &str), String> {
     let text = text.trim();
-    // An exponent's `e` belongs to the number: the unit begins at the first letter that is not one.
+    // The `e` of an exponent belongs to the number: the unit begins at the first letter that is not one.
     let at = text
         .char_indices()
         .find(|&(i, c)| {
@@ -26,17 +26,17 @@ fn split(text: &str) -> Result<(f64, &str), String> {
     Ok((value, unit.trim()))
 }
 
-/// The number in the unit that it has among `units`, each with its factor; `of` says what is measured, and in what.
+/// Converts a value with one of `units`, each with its factor; `of` names the quantity and its units.
 fn in_unit(text: &str, units: &[(&str, f64)], of: &str) -> Result<f64, String> {
     let (value, unit) = split(text)?;
     let known = units.iter().find(|(name, _)| *name == unit);
-    known.map(|(_, factor)| value * factor).ok_or_else(|| format!("'{unit}' is no unit of {of}"))
+    known.map(|(_, factor)| value * factor).ok_or_else(|| format!("'{unit}' is not a unit of {of}"))
 }
 
-/// `0.5mm`, `100um`, `2cm`, `0.001m`; a bare number is millimetres.
+/// Parses `0.5mm`, `100um`, `2cm` or `0.001m`; a bare number is millimetres.
 ///
 /// # Errors
-/// What is wrong and what to type; 0 is answered with `lossless`, the setting that keeps every bit.
+/// What is wrong and what to write; for 0 that is `lossless`, the setting that keeps every bit.
 pub fn tolerance(text: &str, lossless: &str) -> Result<Tolerance, String> {
     let units = [("mm", 1.0), ("", 1.0), ("um", 1e-3), ("µm", 1e-3), ("cm", 10.0), ("m", 1000.0)];
     let mm = in_unit(text, &units, "length: use um, mm, cm or m")?;
@@ -51,16 +51,16 @@ pub fn tolerance(text: &str, lossless: &str) -> Result<Tolerance, String> {
     Tolerance::from_mm(mm).map_err(|error| error.to_string())
 }
 
-/// `500ms`, `10s`, `2min`, `1h`; a bare number is seconds.
+/// Parses `500ms`, `10s`, `2min` or `1h`; a bare number is seconds.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong and what to write.
 pub fn duration(text: &str) -> Result<Duration, String> {
     let units = [("s", 1.0), ("", 1.0), ("ms", 1e-3), ("min", 60.0), ("m", 60.0), ("h", 3600.0)];
     let seconds = in_unit(text, &units, "time: use ms, s, min or h")?;
-    // A year is longer than any take; beyond it Duration's own limits come near.
+    // No take is longer than a year, which is far below the limits of Duration.
     if !(0.0..=3.2e7).contains(&seconds) {
-        return Err(format!("'{text}' is no length of a take: give something like 10s"));
+        return Err(format!("'{text}' is not a usable duration: give something like 10s"));
     }
     Ok(Duration::from_secs_f64(seconds))
 }
@@ -81,48 +81,47 @@ const SIZES: [(&str, f64); 12] = [
     ("TiB", 1099511627776.0),
 ];
 
-/// `256MiB`, `2GB`, `500kB`; a bare number is bytes.
+/// Parses `256MiB`, `2GB` or `500kB`; a bare number is bytes.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong and what to write.
 pub fn size_bytes(text: &str) -> Result<u64, String> {
     let bytes = in_unit(text, &SIZES, "size: use B, kB, MB, GB, MiB or GiB")?;
-    // No disk has more, and every whole number of bytes below it is one of f64.
+    // No disk is larger, and f64 represents every whole number of bytes up to here.
     if !(0.0..=9e15).contains(&bytes) {
-        return Err(format!("'{text}' is no size of a disk: give something like 2GiB"));
+        return Err(format!("'{text}' is not a usable size: give something like 2GiB"));
     }
     Ok(bytes.round() as u64)
 }
 
 /// Units of rates and frequencies.
-const RATES: [(&str, f64); 5] =
-    [("Hz", 1.0), ("hz", 1.0), ("", 1.0), ("kHz", 1000.0), ("khz", 1000.0)];
+const RATES: [(&str, f64); 5] = [("Hz", 1.0), ("hz", 1.0), ("", 1.0), ("kHz", 1e3), ("khz", 1e3)];
 
-/// `240`, `240Hz`, `1kHz`; 1 to 10 000 Hz.
+/// Parses `240`, `240Hz` or `1kHz`; 1 to 10 000 Hz.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong and what to write.
 pub fn rate_hz(text: &str) -> Result<f64, String> {
     let hz = in_unit(text, &RATES, "rate: use Hz or kHz")?;
     if !(1.0..=10_000.0).contains(&hz) {
-        return Err(format!("{hz} Hz is no frame rate: use 1 to 10000"));
+        return Err(format!("{hz} Hz is not a usable frame rate: use 1 to 10000"));
     }
     Ok(hz)
 }
 
-/// `6`, `6Hz`, `0.5kHz`: more than 0 and at most 10 kHz.
+/// Parses `6`, `6Hz` or `0.5kHz`; more than 0 and at most 10 kHz.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong and what to write.
 pub fn frequency_hz(text: &str) -> Result<f64, String> {
     let hz = in_unit(text, &RATES, "frequency: use Hz or kHz")?;
     if hz > 0.0 && hz <= 10_000.0 {
         return Ok(hz);
     }
-    Err(format!("a frequency of '{text}' cannot be: give something like 6Hz"))
+    Err(format!("'{text}' is not a usable frequency: give something like 6Hz"))
 }
 
-/// In the largest unit that needs no fraction, and otherwise in seconds with every digit.
+/// Formats a duration in the largest unit without a fraction, or otherwise in seconds with every digit.
 pub(crate) fn duration_text(time: Duration) -> String {
     let (s, ns) = (time.as_secs(), time.subsec_nanos());
     match (s, ns) {
@@ -135,7 +134,7 @@ pub(crate) fn duration_text(time: Duration) -> String {
     }
 }
 
-/// In the largest binary unit that needs no fraction.
+/// Formats a size in the largest binary unit without a fraction.
 pub(crate) fn size_text(bytes: u64) -> String {
     let units = [(40, "TiB"), (30, "GiB"), (20, "MiB"), (10, "KiB")];
     let fits = |shift: u32| bytes > 0 && bytes.trailing_zeros() >= shift;
@@ -145,20 +144,22 @@ pub(crate) fn size_text(bytes: u64) -> String {
     }
 }
 
-/// A moment on the clock of this machine's time zone, to the second, with its offset from UTC, such as `2026-11-23T14:05:09+01:00`. `None` for one that no calendar has.
+/// Formats a time in this machine's time zone, to the second and with its offset from UTC, such as
+/// `2026-11-23T14:05:09+01:00`. `None` if no calendar has it.
 #[must_use]
 pub fn local_time(unix_ms: i64) -> Option<String> {
-    Timestamp::from_millisecond(unix_ms).ok().map(|time| words(time, TimeZone::system()))
+    Timestamp::from_millisecond(unix_ms).ok().map(|time| format_local(time, TimeZone::system()))
 }
 
-/// Now, to the microsecond. Programs get milliseconds since 1970 or UTC, in JSON and in takes.
+/// The current local time to the microsecond. Programs get milliseconds since 1970 or UTC instead, in JSON and in
+/// takes.
 #[must_use]
 pub fn local_now() -> String {
     let now = Timestamp::now().to_zoned(TimeZone::system());
     now.strftime("%Y-%m-%dT%H:%M:%S%.6f%:z").to_string()
 }
 
-fn words(time: Timestamp, zone: TimeZone) -> String {
+fn format_local(time: Timestamp, zone: TimeZone) -> String {
     time.to_zoned(zone).strftime("%Y-%m-%dT%H:%M:%S%:z").to_string()
 }
 
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_says_what_to_type() {
+    fn invalid_values_are_explained() {
         assert!(tolerance("0mm", "--lossless").unwrap_err().contains("--lossless"));
         for text in ["-1mm", "nan", "inf", "1e999", "mm", "1 furlong", "1e-9mm", ""] {
             assert!(tolerance(text, "lossless").is_err(), "{text}");
@@ -233,7 +234,8 @@ mod tests {
     #[test]
     fn a_time_has_its_offset() {
         let time = Timestamp::from_second(1_763_899_509).unwrap();
-        let at = |seconds| words(time, Offset::from_seconds(seconds).unwrap().to_time_zone());
+        let zone = |seconds| Offset::from_seconds(seconds).unwrap().to_time_zone();
+        let at = |seconds| format_local(time, zone(seconds));
         assert_eq!(at(0), "2025-11-23T12:05:09+00:00");
         assert_eq!(at(3600), "2025-11-23T13:05:09+01:00");
         assert_eq!(at(-12_600), "2025-11-23T08:35:09-03:30");

@@ -1,8 +1,9 @@
-//! A take in, a device out: replays recorded or generated motion as a real device.
+//! Simulated motion-capture devices that play recorded or generated motion to a real host.
 //!
-//! [`generator`] makes motion, [`replay`] gives it another rate, [`device`] says it in the link protocol or
-//! [`ndi`] in NDI's, [`faults`] damage it, [`logged`] says again what a raw log holds, and [`pty`] or, on a machine that can be a USB device, [`gadget`] is the [line](mod@line). None of them
-//! starts a thread; only a line reads a clock.
+//! [`source`] reads a motion and [`generator`] makes one; [`replay`] resamples it to another rate. [`device`] plays
+//! it over the link protocol, [`ndi`] over NDI's. [`faults`] injects faults by a script, and [`log_device`] replays a raw
+//! log. A [line](mod@line) connects a device to its host: [`pty`], or [`gadget`] on a machine with a USB device
+//! controller. None of them starts a thread, and only a line reads a clock.
 
 pub mod device;
 pub mod faults;
@@ -10,7 +11,7 @@ pub mod faults;
 pub mod gadget;
 pub mod generator;
 pub mod line;
-pub mod logged;
+pub mod log_device;
 pub mod ndi;
 pub mod pty;
 pub mod replay;

@@ -1,41 +1,41 @@
-//! Recorded motion at another rate, frame by frame: nothing is kept but the recording.
+//! Resamples a motion to another rate, one frame at a time, without storing the result.
 
 use std::sync::Arc;
 
 use mocapd_take::motion::{GAP, Motion, Position, is_gap};
 
-/// A recording, stepped through in fractions of its own frames.
+/// A motion, sampled in steps of a fraction of its own frames.
 ///
-/// Inside runs without gaps the missing moments are interpolated (Catmull-Rom); a frame that coincides with a
-/// recorded one is that one, bit for bit; where a neighbour is missing, there is a gap.
+/// Positions between recorded frames are interpolated (Catmull-Rom). A frame that coincides with a recorded one
+/// equals it bit for bit. Where one of the two enclosing samples is missing, the result is a gap.
 #[derive(Debug, Clone)]
 pub struct Replay {
     motion: Arc<Motion>,
-    /// Recorded frames a step, as an exact fraction.
+    /// Recorded frames per step, as an exact fraction.
     step: (u64, u64),
 }
 
 impl Replay {
-    /// Every recorded frame as it is.
+    /// Plays every recorded frame unchanged.
     #[must_use]
     pub fn native(motion: Arc<Motion>) -> Self {
         Self { motion, step: (1, 1) }
     }
 
-    /// `recorded` rate to `wanted` rate, both in the same unit (the device counts in millihertz).
-    /// `None` when either is 0.
+    /// Resamples from the `recorded` to the `wanted` rate, both in the same unit (the device uses millihertz). `None`
+    /// when either is 0.
     #[must_use]
     pub fn resampled(motion: Arc<Motion>, recorded: u64, wanted: u64) -> Option<Self> {
         (recorded > 0 && wanted > 0).then_some(Self { motion, step: (recorded, wanted) })
     }
 
-    /// The recording.
+    /// The recorded motion.
     #[must_use]
     pub fn motion(&self) -> &Arc<Motion> {
         &self.motion
     }
 
-    /// Frames from the first recorded one to the last, at this step.
+    /// Number of resampled frames from the first recorded one to the last.
     #[must_use]
     pub fn n_frames(&self) -> u64 {
         let Some(last) = (self.motion.n_frames() as u64).checked_sub(1) else { return 0 };
@@ -44,7 +44,7 @@ impl Replay {
         u64::try_from(steps).unwrap_or(u64::MAX - 1) + 1
     }
 
-    /// Replaces `row` by one frame: a position a marker, millimetres. Empty past the end.
+    /// Replaces `row` by one frame, with one position per marker, in millimetres; empty past the end.
     pub fn frame(&self, index: u64, row: &mut Vec<Position>) {
         row.clear();
         let (num, den) = (u128::from(self.step.0), u128::from(self.step.1));
@@ -62,7 +62,7 @@ impl Replay {
     }
 }
 
-/// Appends every marker between frame `before` and the next one; `part` in (0, 1) of the way.
+/// Appends every marker's position between frame `before` and the next, at the fraction `part` in (0, 1).
 fn between(motion: &Motion, before: usize, part: f64, row: &mut Vec<Position>) {
     let here = motion.frame(before);
     let next = motion.frame(before + 1);
@@ -77,10 +77,10 @@ fn between(motion: &Motion, before: usize, part: f64, row: &mut Vec<Position>) {
     }
 }
 
-/// The cubic between `p1` and `p2` whose slopes are the neighbours' chords.
+/// The cubic between `p1` and `p2` whose slopes are the chords of their neighbours.
 ///
-/// Catmull and Rom, "A class of local interpolating splines", 1974; Hermite form. At the end of a run the slope
-/// is that of the piece itself: a parabola there, a line where both ends are.
+/// Catmull and Rom, "A class of local interpolating splines", 1974; Hermite form. Beside a gap the slope is that of the
+/// segment itself, which gives a parabola, or a line between two gaps.
 fn cubic(
     p0: Option<Position>,
     p1: Position,
@@ -109,7 +109,7 @@ mod tests {
 
     use super::*;
 
-    /// All frames at once, at the rate they then have.
+    /// All resampled frames as a motion of rate `rate_hz`.
     fn to_motion(replay: &Replay, rate_hz: f64) -> Motion {
         let mut out = Motion { info: replay.motion.info.clone(), positions_mm: Vec::new() };
         let mut row = Vec::new();
@@ -143,14 +143,14 @@ mod tests {
             replay.frame(4 * k as u64, &mut row);
             assert_eq!(row, motion.frame(k));
         }
-        // Down again by the same factor: the recording.
+        // Down again by the same factor gives the recording.
         let up = Arc::new(to_motion(&replay, 240.0));
         let down = to_motion(&Replay::resampled(up, 240_000, 60_000).unwrap(), 60.0);
         assert_eq!(down, *motion);
     }
 
     #[test]
-    fn smooth_motion_between_frames_is_met() {
+    fn interpolation_follows_smooth_motion() {
         let fine = Arc::new(JumpSpec::new(2, 480.0).clean().generate().unwrap().motion);
         let coarse = to_motion(&Replay::resampled(Arc::clone(&fine), 480, 120).unwrap(), 120.0);
         let again = Replay::resampled(Arc::new(coarse), 120, 480).unwrap();
@@ -178,14 +178,14 @@ mod tests {
             replay.frame(k, &mut row);
             seen.push(if is_gap(row[0]) { None } else { Some(row[0][0]) });
         }
-        // Only what touches the missing sample is missing, and a straight line stays one up to the gap.
+        // Only frames beside the missing sample are gaps, and a straight line stays straight up to the gap.
         let expected = [0.0, 0.5, 1.0, 1.5, 2.0, -1.0, -1.0, -1.0, 4.0, 4.5, 5.0, 5.5, 6.0];
         let expected: Vec<_> = expected.map(|x| (x >= 0.0).then_some(x)).to_vec();
         assert_eq!(seen, expected);
     }
 
     #[test]
-    fn nothing_and_one_frame() {
+    fn motions_of_no_and_one_frame() {
         let empty = Replay::native(line(&[]));
         assert_eq!(empty.n_frames(), 0);
         let one = Replay::resampled(line(&[at(3.0)]), 60, 999).unwrap();

@@ -1,4 +1,4 @@
-//! Where the motion comes from: a file by its ending, or the generator by name.
+//! Sources of motion: files, whose format follows from the extension, and the generator.
 
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -8,61 +8,61 @@ use mocapd_drivers::plain_file;
 use mocapd_take::interchange::{Format, InterchangeError};
 use mocapd_take::motion::Motion;
 
-/// Why there is no motion.
+/// Why a motion could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SourceError {
-    /// The name says nothing about the format.
-    #[error("{}: unknown ending, expected .take, .c3d, .trc, .tsv or .csv", path.display())]
-    Ending {
+    /// The file's extension is that of no known format.
+    #[error("{}: unknown extension, expected .take, .c3d, .trc, .tsv or .csv", path.display())]
+    Extension {
         /// The file.
         path: PathBuf,
     },
-    /// It cannot be opened or read.
+    /// The file cannot be opened or read.
     #[error("cannot read {}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// It is not what its ending says.
+    /// The content does not match the extension.
     #[error("{}", path.display())]
     Interchange {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The format's error.
         source: InterchangeError,
     },
-    /// It is not a take that can be read.
+    /// The take is unreadable.
     #[error("{}", path.display())]
     Take {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The take's error.
         source: mocapd_take::TakeError,
     },
 }
 
-/// Whether a file is called after a format of motion.
+/// Whether a file has the extension of a motion format.
 #[must_use]
 pub fn is_motion(path: &Path) -> bool {
     is_take(path) || Format::from_extension(path).is_some_and(Format::is_read)
 }
 
 fn is_take(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("take"))
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("take"))
 }
 
-/// Reads a whole motion, and what was wrong with it and read all the same, one sentence each.
+/// Reads a whole motion; returns it with one warning for each problem that reading got past.
 ///
 /// # Errors
-/// When the ending is unknown, or the file cannot be read.
+/// When the extension is unknown, or the file cannot be read.
 pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     let owned = || path.to_owned();
     let format = Format::from_extension(path).filter(|format| format.is_read());
     if !is_motion(path) {
-        return Err(SourceError::Ending { path: owned() });
+        return Err(SourceError::Extension { path: owned() });
     }
     let read = |source| SourceError::Read { path: owned(), source };
     let Some(format) = format.filter(|_| !is_take(path)) else {
@@ -79,19 +79,19 @@ pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     Ok((motion, warnings))
 }
 
-/// Cuts a motion to its first seconds: at least one frame, if there is any.
+/// Truncates a motion to its first seconds, but at least one frame if it has any.
 pub fn keep_first(motion: &mut Motion, seconds: f64) {
     let wanted = (seconds * motion.info.rate_hz).round().max(1.0);
-    // A float beyond usize saturates, and then nothing is cut.
+    // A float beyond usize saturates, which truncates nothing.
     let n_frames = motion.n_frames().min(wanted as usize);
     motion.positions_mm.truncate(n_frames * motion.info.markers.len());
     motion.info.n_frames = n_frames as u64;
 }
 
-/// What can be generated: `jump` or `jump:SEED`.
+/// The argument of `--generate`: `jump` or `jump:SEED`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Generated {
-    /// The seed of the jump; 1 when none is given.
+    /// Seed of the jump, 1 by default.
     pub seed: u64,
 }
 
@@ -103,10 +103,8 @@ impl FromStr for Generated {
         if name != "jump" {
             return Err(format!("unknown motion '{name}', expected jump or jump:SEED"));
         }
-        let seed = seed
-            .parse()
-            .map_err(|_| format!("seed '{seed}' is no whole number from 0 to {}", u64::MAX))?;
-        Ok(Self { seed })
+        let bad = |_| format!("bad seed '{seed}': expected 0 to {}", u64::MAX);
+        Ok(Self { seed: seed.parse().map_err(bad)? })
     }
 }
 
@@ -119,22 +117,22 @@ mod tests {
     use crate::generator::JumpSpec;
 
     #[test]
-    fn endings_decide_and_errors_name_the_file() {
+    fn the_extension_selects_the_format_and_errors_name_the_file() {
         let error = read(Path::new("/nowhere/jump.xyz")).unwrap_err().to_string();
         assert_eq!(
             error,
-            "/nowhere/jump.xyz: unknown ending, expected .take, .c3d, .trc, .tsv or .csv"
+            "/nowhere/jump.xyz: unknown extension, expected .take, .c3d, .trc, .tsv or .csv"
         );
-        for ending in ["take", "TAKE", "c3d", "trc", "tsv", "csv"] {
-            let error = read(Path::new(&format!("/nowhere/jump.{ending}"))).unwrap_err();
-            assert!(matches!(error, SourceError::Read { .. }), "{ending}: {error}");
+        for extension in ["take", "TAKE", "c3d", "trc", "tsv", "csv"] {
+            let error = read(Path::new(&format!("/nowhere/jump.{extension}"))).unwrap_err();
+            assert!(matches!(error, SourceError::Read { .. }), "{extension}: {error}");
         }
     }
 
     #[test]
-    fn recorded_motions_of_every_ending_become_devices() {
+    fn recorded_motions_of_every_format_become_devices() {
         let Some(folder) = RecordedData::Takes.folder() else { return };
-        let mut endings = std::collections::BTreeSet::new();
+        let mut formats = std::collections::BTreeSet::new();
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
             let Some(format) = Format::from_extension(&path) else { continue };
@@ -143,9 +141,9 @@ mod tests {
             let device = Device::new(motion, DeviceSettings::default());
             let device = device.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
             assert_eq!(device.hello().n_frames, n_frames, "{}", path.display());
-            endings.insert(format!("{format:?}"));
+            formats.insert(format!("{format:?}"));
         }
-        assert_eq!(endings.len(), 4, "{endings:?}");
+        assert_eq!(formats.len(), 4, "{formats:?}");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! `mocapd-sim` as a program: its one line, its exit codes, its words.
+//! `mocapd-sim` as a program: its output, exit codes and messages.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use mocapd_drivers::device::{Command as Say, DeviceEvent, Protocol};
+use mocapd_drivers::device::{Command as HostCommand, DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
 use mocapd_drivers::plain_file::NotAFile;
 use mocapd_drivers::raw_log::records;
@@ -25,18 +25,18 @@ fn sim(args: &[&str]) -> Command {
 
 fn fails(args: &[&str], code: i32) -> String {
     let Output { status, stdout, stderr } = sim(args).output().unwrap();
-    let words = String::from_utf8(stderr).unwrap();
-    assert_eq!(status.code(), Some(code), "{args:?}: {words}");
+    let message = String::from_utf8(stderr).unwrap();
+    assert_eq!(status.code(), Some(code), "{args:?}: {message}");
     assert!(stdout.is_empty(), "{args:?} printed on stdout");
-    words
+    message
 }
 
-/// The whole numbers in words.
-fn numbers(words: &str) -> Vec<u64> {
-    words.split(|c: char| !c.is_alphanumeric()).filter_map(|word| word.parse().ok()).collect()
+/// The whole numbers in a message.
+fn numbers(message: &str) -> Vec<u64> {
+    message.split(|c: char| !c.is_alphanumeric()).filter_map(|word| word.parse().ok()).collect()
 }
 
-/// A running simulator, and the path that it printed.
+/// Starts a simulator; returns it with the path that it printed.
 fn started(args: &[&str]) -> (Child, String) {
     let mut child = sim(args).spawn().unwrap();
     let mut line = String::new();
@@ -55,13 +55,13 @@ fn ended(mut child: Child) -> (Option<i32>, String) {
         }
         std::thread::sleep(Duration::from_millis(10));
     };
-    let mut words = String::new();
-    child.stderr.unwrap().read_to_string(&mut words).unwrap();
-    (status.code(), words)
+    let mut message = String::new();
+    child.stderr.unwrap().read_to_string(&mut message).unwrap();
+    (status.code(), message)
 }
 
-/// Opens a line. One that was just closed may be busy for a moment: what another test starts has it open, too, between its
-/// fork and its exec.
+/// Opens a line. A line that was just closed may be busy for a moment: a program started by another test also holds it
+/// open, between its fork and its exec.
 fn open(path: &str) -> SerialTransport {
     let give_up = Instant::now() + Duration::from_secs(5);
     loop {
@@ -74,13 +74,13 @@ fn open(path: &str) -> SerialTransport {
     }
 }
 
-/// Records until the end of stream, and counts frames.
+/// Records until the end of stream; returns the number of frames.
 fn record(path: &str) -> u64 {
     let mut port = open(path);
     let mut link = HostLink::new();
     let mut bytes = Vec::new();
-    link.command(Say::Identify, &mut bytes);
-    link.command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
+    link.command(HostCommand::Identify, &mut bytes);
+    link.command(HostCommand::Start { line_bytes_per_s: 0 }, &mut bytes);
     port.write_all(&bytes).unwrap();
     let give_up = Instant::now() + Duration::from_secs(20);
     let (mut n_frames, mut at_end) = (0, false);
@@ -98,12 +98,12 @@ fn record(path: &str) -> u64 {
 }
 
 #[test]
-fn refused_values_exit_2_and_failures_1() {
-    let words = fails(&["/nowhere/a.xyz", "--pty"], 2);
-    assert!(words.contains("/nowhere/a.xyz") && words.contains(".c3d"), "{words}");
-    let words = fails(&["/nowhere/a.csv", "--pty"], 1);
-    assert!(words.contains("/nowhere/a.csv") && words.contains("os error 2"), "{words}");
-    assert_eq!(words.lines().count(), 1, "{words}");
+fn usage_errors_exit_2_and_failures_1() {
+    let message = fails(&["/nowhere/a.xyz", "--pty"], 2);
+    assert!(message.contains("/nowhere/a.xyz") && message.contains(".c3d"), "{message}");
+    let message = fails(&["/nowhere/a.csv", "--pty"], 1);
+    assert!(message.contains("/nowhere/a.csv") && message.contains("os error 2"), "{message}");
+    assert_eq!(message.lines().count(), 1, "{message}");
     for bad in [
         &["--generate", "jump", "--pty", "--rate", "0"][..],
         &["--generate", "jump", "--pty", "--rate", "10001"],
@@ -127,18 +127,18 @@ fn refused_values_exit_2_and_failures_1() {
     ] {
         fails(bad, 2);
     }
-    let words = fails(&["--generate", "jump", "--pty", "--log", "/nowhere/log.csv"], 1);
-    assert!(words.contains("/nowhere/log.csv"), "{words}");
+    let message = fails(&["--generate", "jump", "--pty", "--log", "/nowhere/log.csv"], 1);
+    assert!(message.contains("/nowhere/log.csv"), "{message}");
     let folder = tempfile::tempdir().unwrap();
     let taken = folder.path().join("taken");
     std::fs::write(&taken, "").unwrap();
     let link = format!("--pty={}", taken.display());
-    let words = fails(&["--generate", "jump", &link], 2);
-    assert!(words.contains(taken.to_str().unwrap()), "{words}");
+    let message = fails(&["--generate", "jump", &link], 2);
+    assert!(message.contains(taken.to_str().unwrap()), "{message}");
 }
 
 #[test]
-fn a_machine_that_cannot_be_a_usb_device_says_so() {
+fn a_missing_usb_device_controller_is_reported() {
     for bad in [
         &["--generate", "jump", "--usb-gadget", "--pty"][..],
         &["--generate", "jump", "--usb-gadget", "--usb-serial"],
@@ -147,21 +147,21 @@ fn a_machine_that_cannot_be_a_usb_device_says_so() {
     ] {
         fails(bad, 2);
     }
-    let words = fails(&["--generate", "jump", "--usb-gadget", "--serial", "two words"], 2);
-    assert!(words.contains("'two words'"), "{words}");
+    let message = fails(&["--generate", "jump", "--usb-gadget", "--serial", "two words"], 2);
+    assert!(message.contains("'two words'"), "{message}");
     if std::fs::read_dir("/sys/class/udc").is_ok_and(|mut all| all.next().is_some()) {
         eprintln!("skipped: this machine can be a USB device");
         return;
     }
     for line in ["--usb-gadget", "--usb-serial"] {
-        let words = fails(&["--generate", "jump", line], 1);
-        assert!(words.contains("hardware-in-the-loop.md"), "{words}");
-        assert!(words.contains("`sudo modprobe dummy_hcd`"), "{words}");
+        let message = fails(&["--generate", "jump", line], 1);
+        assert!(message.contains("hardware-in-the-loop.md"), "{message}");
+        assert!(message.contains("`sudo modprobe dummy_hcd`"), "{message}");
     }
 }
 
 #[test]
-fn one_line_one_run_and_out() {
+fn once_serves_one_run_and_exits() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("rig");
     let log = folder.path().join("sent.csv");
@@ -180,10 +180,10 @@ fn one_line_one_run_and_out() {
     ]);
     assert_eq!(path, link.to_str().unwrap());
     assert_eq!(record(&path), 150);
-    let (code, words) = ended(child);
-    assert_eq!(code, Some(0), "{words}");
-    let said = numbers(&words);
-    assert_eq!(said.iter().filter(|n| **n == 150).count(), 2, "produced and sent: {words}");
+    let (code, message) = ended(child);
+    assert_eq!(code, Some(0), "{message}");
+    let counts = numbers(&message);
+    assert_eq!(counts.iter().filter(|n| **n == 150).count(), 2, "produced and sent: {message}");
     assert_eq!(std::fs::read_to_string(&log).unwrap().lines().count(), 151);
     let again = fails(&["--generate", "jump", "--pty", "--log", log.to_str().unwrap()], 1);
     assert!(again.contains(log.to_str().unwrap()) && !again.contains("os error 2"), "{again}");
@@ -191,7 +191,7 @@ fn one_line_one_run_and_out() {
 }
 
 #[test]
-fn scripts_of_faults_are_refused_in_words_and_played() {
+fn fault_scripts_are_checked_and_played() {
     let folder = tempfile::tempdir().unwrap();
     let script = folder.path().join("faults.toml");
     let with = |more: &[&'static str]| {
@@ -201,30 +201,30 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
         args.extend(more);
         args
     };
-    let words = fails(&with(&["--pty"]), 1);
-    assert!(words.contains("faults.toml") && words.contains("os error 2"), "{words}");
+    let message = fails(&with(&["--pty"]), 1);
+    assert!(message.contains("faults.toml") && message.contains("os error 2"), "{message}");
     std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'stall'\nat = 2\n").unwrap();
-    let words = fails(&with(&["--pty"]), 2);
+    let message = fails(&with(&["--pty"]), 2);
     for fact in ["faults.toml", "'at'", "'at_s'"] {
-        assert!(words.contains(fact), "{fact}: {words}");
+        assert!(message.contains(fact), "{fact}: {message}");
     }
-    assert!(numbers(&words).contains(&4) && words.lines().count() == 1, "{words}");
+    assert!(numbers(&message).contains(&4) && message.lines().count() == 1, "{message}");
     std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'unplug'\nat_s = 1\nfor_s = 1\n").unwrap();
-    let words = fails(&with(&["--pty"]), 2);
-    assert!(words.contains("faults.toml") && words.contains("--pty=LINK"), "{words}");
+    let message = fails(&with(&["--pty"]), 2);
+    assert!(message.contains("faults.toml") && message.contains("--pty=LINK"), "{message}");
 
     std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'lost-frames'\nrate = 0.2\n").unwrap();
     let log = folder.path().join("sent.csv");
     let path: &'static str = log.to_str().unwrap().to_owned().leak();
     let (child, device) = started(&with(&["--pty", "--once", "--log", path]));
     let n_frames = record(&device);
-    let (code, words) = ended(child);
-    assert_eq!(code, Some(0), "{words}");
+    let (code, message) = ended(child);
+    assert_eq!(code, Some(0), "{message}");
     let lost = 120 - n_frames;
-    let faults = words.lines().last().unwrap();
-    assert!(faults.starts_with("mocapd-sim: ") && faults.contains("lost-frames"), "{words}");
-    // Whole, damaged and lost; then what the kind did.
-    assert!(lost > 5 && numbers(faults).starts_with(&[n_frames, 0, lost, lost]), "{words}");
+    let faults = message.lines().last().unwrap();
+    assert!(faults.starts_with("mocapd-sim: ") && faults.contains("lost-frames"), "{message}");
+    // Whole, damaged and lost; then the effects of the kind.
+    assert!(lost > 5 && numbers(faults).starts_with(&[n_frames, 0, lost, lost]), "{message}");
     let log = std::fs::read_to_string(&log).unwrap();
     assert!(log.starts_with(
         "run,seq,device_ticks,present,dropped,host_ns,unasked,fate,again,faults,frames\n"
@@ -234,27 +234,27 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
 }
 
 #[test]
-fn a_raw_log_is_the_device_that_it_is_of() {
+fn a_raw_log_is_replayed() {
     let log = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog");
     for option in [&["--rate", "60"][..], &["--faults", "x.toml"], &["--loop"], &["--seconds", "1"]]
     {
-        let words = fails(&[&[log, "--pty"], option].concat(), 2);
-        assert!(words.contains(option[0]) && words.contains("stall.rawlog"), "{words}");
+        let message = fails(&[&[log, "--pty"], option].concat(), 2);
+        assert!(message.contains(option[0]) && message.contains("stall.rawlog"), "{message}");
     }
     let pulled = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/unplug.rawlog");
-    let words = fails(&[pulled, "--pty"], 2);
-    assert!(words.contains("--pty=LINK"), "{words}");
+    let message = fails(&[pulled, "--pty"], 2);
+    assert!(message.contains("--pty=LINK"), "{message}");
 
     let (child, path) = started(&[log, "--pty", "--speed", "10", "--once"]);
     let mut port = open(&path);
     let mut link = HostLink::new();
     let (mut n_frames, mut at_end, mut greeted, mut n_bytes) = (0, false, false, 0);
-    let say = |port: &mut SerialTransport, commands: &[Say]| {
+    let send = |port: &mut SerialTransport, commands: &[HostCommand]| {
         let mut bytes = Vec::new();
         commands.iter().for_each(|command| HostLink::new().command(*command, &mut bytes));
         port.write_all(&bytes).unwrap();
     };
-    say(&mut port, &[Say::Identify, Say::Ping { host_ns: 42 }]);
+    send(&mut port, &[HostCommand::Identify, HostCommand::Ping { host_ns: 42 }]);
     let begun = Instant::now();
     let mut buffer = [0; 4096];
     while !at_end {
@@ -265,31 +265,31 @@ fn a_raw_log_is_the_device_that_it_is_of() {
         link.push(&buffer[..n], &mut |event| match event {
             DeviceEvent::Frame(_) => n_frames += 1,
             DeviceEvent::EndOfStream(_) => at_end = greeted,
-            DeviceEvent::Pong(said) if said.host_ns == 42 => pong = true,
+            DeviceEvent::Pong(answer) if answer.host_ns == 42 => pong = true,
             _ => {}
         });
         if pong && !greeted {
             greeted = true;
-            say(&mut port, &[Say::Start { line_bytes_per_s: 0 }]);
+            send(&mut port, &[HostCommand::Start { line_bytes_per_s: 0 }]);
         }
     }
     // Two seconds of it, ten times as fast.
     assert_eq!(n_frames, 120);
     assert!((0.1..1.9).contains(&begun.elapsed().as_secs_f64()), "{:?}", begun.elapsed());
-    let (code, words) = ended(child);
-    assert_eq!(code, Some(0), "{words}");
-    assert_eq!(numbers(words.lines().last().unwrap()), [1, n_bytes], "{words}");
+    let (code, message) = ended(child);
+    assert_eq!(code, Some(0), "{message}");
+    assert_eq!(numbers(message.lines().last().unwrap()), [1, n_bytes], "{message}");
 }
 
 #[test]
-fn a_file_that_is_neither_motion_nor_log_is_told_for_what_it_is() {
+fn each_unusable_file_has_its_own_error() {
     let log =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.rawlog");
     let mut bad_head = log.clone();
     bad_head[2] ^= 0x40;
-    let mut told = HashSet::new();
+    let mut messages = HashSet::new();
     for (bytes, code, fact) in [
         (&b""[..], 1, "empty"),
         (&log[..5], 1, "raw log"),
@@ -299,19 +299,18 @@ fn a_file_that_is_neither_motion_nor_log_is_told_for_what_it_is() {
         (b"time,x,y\n1,2,3\n", 2, ".c3d"),
     ] {
         std::fs::write(&path, bytes).unwrap();
-        let words = fails(&[path.to_str().unwrap(), "--pty"], code);
-        assert!(words.contains(fact) && words.contains("a.rawlog"), "{words}");
-        assert_eq!(words.lines().count(), 1, "{words}");
-        assert!(told.insert(words.clone()), "said of two files: {words}");
+        let message = fails(&[path.to_str().unwrap(), "--pty"], code);
+        assert!(message.contains(fact) && message.contains("a.rawlog"), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+        assert!(messages.insert(message.clone()), "one message for two files: {message}");
     }
-    let words = fails(&[folder.path().to_str().unwrap(), "--pty"], 1);
-    assert!(words.contains(&NotAFile::Folder.to_string()), "{words}");
+    let message = fails(&[folder.path().to_str().unwrap(), "--pty"], 1);
+    assert!(message.contains(&NotAFile::Folder.to_string()), "{message}");
 }
 
-/// The log of a recorder that was killed: two seconds less their end.
-/// A pipe that nobody writes to would be waited for, and a device need not end.
+/// Reading a pipe without a writer would block, and a device may have no end.
 #[test]
-fn what_is_no_file_is_refused_at_once() {
+fn pipes_and_devices_are_refused_at_once() {
     let folder = tempfile::tempdir().unwrap();
     for ending in ["take", "csv", "toml"] {
         let pipe = folder.path().join(format!("pipe.{ending}"));
@@ -324,15 +323,15 @@ fn what_is_no_file_is_refused_at_once() {
                 "toml" => vec!["--generate", "jump", "--pty", "--faults", path],
                 _ => vec![path, "--pty"],
             };
-            let (code, words) = ended(sim(&args).spawn().unwrap());
-            assert!(matches!(code, Some(1 | 2)), "{args:?}: {words}");
-            assert!(words.contains(&what.to_string()), "{args:?}: {words}");
+            let (code, message) = ended(sim(&args).spawn().unwrap());
+            assert!(matches!(code, Some(1 | 2)), "{args:?}: {message}");
+            assert!(message.contains(&what.to_string()), "{args:?}: {message}");
         }
     }
 }
 
 #[test]
-fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
+fn a_log_without_an_end_is_played_once_and_the_device_disappears() {
     let log =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog")).unwrap();
     let folder = tempfile::tempdir().unwrap();
@@ -344,10 +343,10 @@ fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
     let mut port = open(&line);
     let mut link = HostLink::new();
     let mut bytes = Vec::new();
-    for command in [Say::Stop, Say::Identify, Say::Ping { host_ns: 42 }] {
+    for command in [HostCommand::Stop, HostCommand::Identify, HostCommand::Ping { host_ns: 42 }] {
         link.command(command, &mut bytes);
     }
-    link.command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
+    link.command(HostCommand::Start { line_bytes_per_s: 0 }, &mut bytes);
     port.write_all(&bytes).unwrap();
     let mut buffer = [0; 4096];
     let begun = Instant::now();
@@ -357,34 +356,34 @@ fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
         link.push(&buffer[..n], &mut |event| {
             assert!(!matches!(event, DeviceEvent::EndOfStream(_)), "it was cut off");
         });
-        assert!(begun.elapsed() < Duration::from_secs(20), "it stays");
+        assert!(begun.elapsed() < Duration::from_secs(20), "the device stays");
     }
-    let (code, words) = ended(child);
-    assert_eq!(code, Some(0), "{words}");
-    let lines: Vec<&str> = words.lines().collect();
-    // What is wrong with the log, what is played, that it is over, and what was sent.
-    assert!(lines.len() == 4 && lines[0].contains(&cut_off.to_string()), "{words}");
-    assert_eq!(numbers(lines[3]), [1, n_bytes], "{words}");
+    let (code, message) = ended(child);
+    assert_eq!(code, Some(0), "{message}");
+    let lines: Vec<&str> = message.lines().collect();
+    // The log's problem, what is played, that it is over, and what was sent.
+    assert!(lines.len() == 4 && lines[0].contains(&cut_off.to_string()), "{message}");
+    assert_eq!(numbers(lines[3]), [1, n_bytes], "{message}");
 }
 
 /// `timeout -s INT` signals a process and then its group.
 #[test]
-fn a_signal_that_comes_twice_is_one_and_a_later_one_ends_it_at_once() {
-    // Half a second of frames that nobody reads: a device that ends waits a second for its host.
+fn a_doubled_signal_counts_once_and_a_later_one_ends_the_program_at_once() {
+    // Half a second of unread frames: on a stop, the simulator waits a second for its host.
     let args = ["--generate", "jump", "--pty", "--rate", "1000", "--loop"];
     for (pause_ms, code) in [(100, Some(0)), (700, Some(130))] {
         let (child, path) = started(&args);
         let mut port = open(&path);
         let mut bytes = Vec::new();
-        HostLink::new().command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
+        HostLink::new().command(HostCommand::Start { line_bytes_per_s: 0 }, &mut bytes);
         port.write_all(&bytes).unwrap();
         std::thread::sleep(Duration::from_millis(500));
         let signal = || kill_process(Pid::from_child(&child), Signal::INT).unwrap();
         signal();
         std::thread::sleep(Duration::from_millis(pause_ms));
         signal();
-        let (ended, words) = ended(child);
-        assert_eq!(ended, code, "{pause_ms} ms: {words}");
+        let (ended, message) = ended(child);
+        assert_eq!(ended, code, "{pause_ms} ms: {message}");
         drop(port);
     }
 }
@@ -395,13 +394,13 @@ fn signals_end_it_cleanly() {
         let args = ["--generate", "jump", "--pty", "--speed", "4", "--seconds", "200ms"];
         let (child, path) = started(&args);
         assert!(path.starts_with("/dev/pts/"), "{path}");
-        // It stays after the end of stream: a second record works.
+        // It keeps serving after the end of stream: a second recording works.
         assert_eq!(record(&path), 24);
         assert_eq!(record(&path), 24);
         kill_process(Pid::from_child(&child), signal).unwrap();
-        let (code, words) = ended(child);
-        assert_eq!(code, Some(0), "{words}");
-        assert!(numbers(words.lines().last().unwrap()).starts_with(&[2, 48, 48]), "{words}");
+        let (code, message) = ended(child);
+        assert_eq!(code, Some(0), "{message}");
+        assert!(numbers(message.lines().last().unwrap()).starts_with(&[2, 48, 48]), "{message}");
     }
 }
 
@@ -417,7 +416,7 @@ fn a_data_set_of_jumps() {
     for more in [&["--jumps", "0"][..], &["--jumps", "3", "--rate", "0.5"]] {
         let refused = generate(more);
         assert_eq!(refused.status.code(), Some(2), "{refused:?}");
-        assert!(!out.exists(), "nothing is made for a value that is refused");
+        assert!(!out.exists(), "a refused value creates nothing");
     }
     assert_eq!(generate(&["--jumps", "3", "--rate", "30"]).status.code(), Some(0));
     let mut names: Vec<String> = std::fs::read_dir(&out)
@@ -434,5 +433,5 @@ fn a_data_set_of_jumps() {
         assert_eq!(phases.matches(&format!("\n{jump},")).count(), 7, "{phases}");
     }
     let again = generate(&["--jumps", "3", "--rate", "30"]);
-    assert_eq!(again.status.code(), Some(1), "a folder that is there is left alone");
+    assert_eq!(again.status.code(), Some(1), "an existing folder is not overwritten");
 }

@@ -1,4 +1,4 @@
-//! How the clocks ran, as JSON and as words, the same for `info` and `record`.
+//! The device's clock against the host's, as JSON and as text, for `info` and `record`.
 
 use std::fmt::Write;
 
@@ -15,7 +15,7 @@ pub(crate) struct ClockReport {
     drift_ppm: f64,
     bound_us: Option<u64>,
     drift_bound_ppm: Option<f64>,
-    at: At,
+    at: ClockPoint,
     residual_us: u64,
     jitter_us: Jitter,
     frames: u64,
@@ -25,17 +25,17 @@ pub(crate) struct ClockReport {
     lines: Vec<LineReport>,
 }
 
-/// Lines of earlier segments that words show.
+/// Most earlier segments that the text lists.
 const LINES_SHOWN: usize = 8;
 
-/// A segment's line.
+/// The fitted line of one clock segment.
 #[derive(Debug, Serialize)]
 struct LineReport {
     segment: u32,
     drift_ppm: f64,
     bound_us: Option<u64>,
     drift_bound_ppm: Option<f64>,
-    at: At,
+    at: ClockPoint,
 }
 
 impl LineReport {
@@ -46,14 +46,14 @@ impl LineReport {
             drift_ppm: drift_ppb as f64 / 1e3,
             bound_us: bound.map(|bound| bound.offset_us),
             drift_bound_ppm: bound.map(|bound| bound.drift_ppb as f64 / 1e3),
-            at: At { device_ticks, host_ns },
+            at: ClockPoint { device_ticks, host_ns },
         }
     }
 }
 
-/// Where the line is told at: no digits are lost there.
+/// The reference point of a line: a device time, and the host time that the line gives for it.
 #[derive(Debug, Serialize)]
-struct At {
+struct ClockPoint {
     device_ticks: u64,
     host_ns: u64,
 }
@@ -66,7 +66,7 @@ struct Jitter {
 }
 
 impl ClockReport {
-    /// `lines`: by segment, the line of each that had one. `None` when the last one had none.
+    /// `lines` holds the line of each segment that has one. `None` if the last segment has none.
     pub(crate) fn new(status: &ClockStatus, lines: &[(u32, ClockLine)]) -> Option<Self> {
         let ClockLine { device_ticks, host_ns, bound, .. } = status.line?;
         let fit = status.ledger()?;
@@ -77,7 +77,7 @@ impl ClockReport {
             drift_ppm: fit.drift_ppm,
             bound_us: bound.map(|bound| bound.offset_us),
             drift_bound_ppm: bound.map(|bound| bound.drift_ppb as f64 / 1e3),
-            at: At { device_ticks, host_ns },
+            at: ClockPoint { device_ticks, host_ns },
             residual_us,
             jitter_us: Jitter { p50: p50_us, p99: p99_us, max: max_us },
             frames,
@@ -88,59 +88,52 @@ impl ClockReport {
         })
     }
 
-    /// Indented, a line each.
-    pub(crate) fn words(&self) -> String {
+    /// Indented text, one line per fact.
+    pub(crate) fn text(&self) -> String {
         let mut out = String::from("clock\n");
-        let mut line = |name: &str, words: &str| {
-            writeln!(out, "  {name:>15} {words}").ok();
+        let mut line = |name: &str, text: &str| {
+            writeln!(out, "  {name:>15} {text}").ok();
         };
         let within = match self.drift_bound_ppm {
             Some(ppm) => format!(" within {ppm:.1}"),
-            None => ", nobody knows how well without round trips".to_owned(),
+            None => ", accuracy unknown without round trips".to_owned(),
         };
-        let faster = self.which_is_faster();
+        let faster = self.faster_clock();
         line("drift", &format!("{:+.1} ppm{within}: {faster}", self.drift_ppm));
-        let At { device_ticks, host_ns } = self.at;
+        let ClockPoint { device_ticks, host_ns } = self.at;
         let host_s = host_ns as f64 * 1e-9;
         let known = match self.bound_us {
             Some(us) => format!("within {us} us, by {}", count(self.probes, "round trip")),
-            None => "late by the least delay of frames: no round trip was measured".to_owned(),
+            None => "late by the shortest delay of a frame: no round trip was measured".to_owned(),
         };
-        line(
-            "offset",
-            &format!("device tick {device_ticks} is {host_s:.6} s of host time, {known}"),
-        );
+        let offset = format!("device tick {device_ticks} is {host_s:.6} s of host time, {known}");
+        line("offset", &offset);
         let Jitter { p50, p99, max } = self.jitter_us;
         let jitter =
-            format!("frames came {p50} us after that (p50), {p99} us (p99), {max} us (max)");
+            format!("frames arrived {p50} us after that (p50), {p99} us (p99), {max} us (max)");
         line("jitter", &format!("{jitter}; {} us rms", self.residual_us));
         if self.segments > 1 {
             let segments = count(self.segments, "segment");
-            line(
-                "segments",
-                &format!("{segments}: the device was away, or its clock jumped; this is the last"),
-            );
+            let note = format!("{segments}: device disconnected or clock jumped; this is the last");
+            line("segments", &note);
             let earlier =
                 self.lines.iter().filter(|line| u64::from(line.segment) + 1 < self.segments);
-            for one in earlier.clone().take(LINES_SHOWN) {
-                let known =
-                    one.bound_us.map_or(String::new(), |us| format!(", known within {us} us"));
-                line(
-                    "",
-                    &format!("segment {}: drift {:+.1} ppm{known}", one.segment, one.drift_ppm),
-                );
+            let shown = earlier.clone().take(LINES_SHOWN);
+            for LineReport { segment, drift_ppm, bound_us, .. } in shown {
+                let known = bound_us.map_or(String::new(), |us| format!(", within {us} us"));
+                line("", &format!("segment {segment}: drift {drift_ppm:+.1} ppm{known}"));
             }
             let more = earlier.count().saturating_sub(LINES_SHOWN);
             if more > 0 {
-                line("", &format!("and {more} more: --json has them"));
+                line("", &format!("and {more} more: see --json"));
             }
         }
         out
     }
 
-    fn which_is_faster(&self) -> &'static str {
+    fn faster_clock(&self) -> &'static str {
         if self.drift_bound_ppm.is_some_and(|bound| self.drift_ppm.abs() <= bound) {
-            "no difference can be told"
+            "no significant difference"
         } else if self.drift_ppm >= 0.0 {
             "the host's clock runs faster than the device's"
         } else {

@@ -1,11 +1,11 @@
-//! `config`: whether a configuration can be meant, and one with every key in it.
+//! `config`: checks a configuration of the service, and prints an example.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_service::{
-    config::{self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem},
+    config::{self, CONFIG_PATH, Config, ConfigError, ConfigProblem, Overrides, SourceLocation},
     http::{Token, TokenError},
 };
 use rustix::process::geteuid;
@@ -13,21 +13,21 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::{
-    output::{plain, print, print_json, say},
+    output::{notify, plain, print, print_json},
     values::count,
 };
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum ConfigCommand {
-    /// Check a configuration: everything that is wrong with it at once, and what may surprise
+    /// Check a configuration: list every error in it, and settings that may surprise
     Check(CheckArgs),
-    /// Print a configuration with every key, its default and what it is for
+    /// Print an example configuration with every key, its default and its purpose
     Example,
 }
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct CheckArgs {
-    /// The file
+    /// The configuration file
     #[arg(value_name = "FILE", default_value = CONFIG_PATH)]
     file: PathBuf,
     /// Print one JSON document
@@ -36,12 +36,12 @@ pub(crate) struct CheckArgs {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct ConfigReport {
     file: String,
     good: bool,
     problems: Vec<ProblemReport>,
     notes: Vec<String>,
-    /// By section and key; `None` when something is wrong.
+    /// The values by section and key; `None` if the configuration is invalid.
     config: Option<Value>,
 }
 
@@ -53,11 +53,11 @@ struct ProblemReport {
     message: String,
 }
 
-impl From<&Problem> for ProblemReport {
-    fn from(problem: &Problem) -> Self {
+impl From<&ConfigProblem> for ProblemReport {
+    fn from(problem: &ConfigProblem) -> Self {
         let (line, column) = match problem.place {
-            Place::At { line, column } => (Some(line), Some(column)),
-            Place::Option(_) | Place::Nowhere => (None, None),
+            SourceLocation::At { line, column } => (Some(line), Some(column)),
+            SourceLocation::Option(_) | SourceLocation::Nowhere => (None, None),
         };
         Self { line, column, key: problem.key, message: problem.message.clone() }
     }
@@ -72,20 +72,20 @@ pub(crate) fn run(command: &ConfigCommand) -> anyhow::Result<Outcome> {
 
 fn check(args: &CheckArgs) -> anyhow::Result<Outcome> {
     match Config::load(&args.file, &Overrides::default()) {
-        Ok(config) => found_good(args, &config),
-        Err(error @ ConfigError::Refused { .. }) => refused(args, &error),
+        Ok(config) => report_valid(args, &config),
+        Err(error @ ConfigError::Refused { .. }) => report_invalid(args, &error),
         Err(error) => Err(error.into()),
     }
 }
 
-fn found_good(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
+fn report_valid(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
     let mut notes = config.warnings();
     config.subject.load().context("[subject]")?;
     if let Some(file) = &config.http.token_file {
         notes.extend(token_note(file)?);
     }
     if args.json {
-        print_json(&Report {
+        print_json(&ConfigReport {
             file: args.file.display().to_string(),
             good: true,
             problems: Vec::new(),
@@ -95,13 +95,14 @@ fn found_good(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
         return Ok(Outcome::Done);
     }
     for note in &notes {
-        say(&format!("note: {note}"));
+        notify(&format!("note: {note}"));
     }
-    print(&format!("{} is good\n", plain(&args.file.display().to_string())))?;
+    print(&format!("{} is valid\n", plain(&args.file.display().to_string())))?;
     Ok(Outcome::Done)
 }
 
-/// The file must do for the service; root who looks is not the service's user.
+/// Checks the token file as the service would. If root runs the check, another owner is only a note: the file may
+/// belong to the service's user.
 fn token_note(file: &Path) -> anyhow::Result<Option<String>> {
     match Token::read(file) {
         Ok(_) => Ok(None),
@@ -112,12 +113,12 @@ fn token_note(file: &Path) -> anyhow::Result<Option<String>> {
     }
 }
 
-fn refused(args: &CheckArgs, error: &ConfigError) -> anyhow::Result<Outcome> {
+fn report_invalid(args: &CheckArgs, error: &ConfigError) -> anyhow::Result<Outcome> {
     let ConfigError::Refused { problems, more, .. } = error else {
         return Err(UsageError(error.to_string()).into());
     };
     if args.json {
-        print_json(&Report {
+        print_json(&ConfigReport {
             file: args.file.display().to_string(),
             good: false,
             problems: problems.iter().map(ProblemReport::from).collect(),
@@ -130,14 +131,13 @@ fn refused(args: &CheckArgs, error: &ConfigError) -> anyhow::Result<Outcome> {
         return Err(UsageError(lines.remove(0)).into());
     }
     for line in &lines {
-        say(line);
+        notify(line);
     }
-    let n = count((problems.len() + more) as u64, "thing");
-    Err(UsageError(format!("{} is refused: {n} to put right, see above", args.file.display()))
-        .into())
+    let n = count((problems.len() + more) as u64, "problem");
+    Err(UsageError(format!("{} is invalid: {n}, see above", args.file.display())).into())
 }
 
-/// Every key that has a value, by section.
+/// Every key that has a value, as an object of sections.
 fn by_section(config: &Config) -> Value {
     let mut sections = Map::new();
     for (path, value) in config.values() {

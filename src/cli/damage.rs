@@ -1,18 +1,19 @@
-//! Frames that are lost to damage, as JSON and as words, the same for `info`, `verify` and `recover`.
+//! Frames lost to damage, as JSON and as text, for `info`, `verify` and `recover`.
 
 use std::{fmt::Write, path::Path};
 
-use mocapd_acquire::inspect::Summary;
-use mocapd_take::damage::{LostRows, Why};
+use mocapd_acquire::{health::TakeHealth, inspect::Summary, ledger::LedgerDocument};
+use mocapd_take::damage::{DamageOrigin, LostRows};
 use serde::Serialize;
 
 use super::{
-    output::plain,
+    ledger,
+    output::{notify, plain},
     values::{count, thousands},
 };
 
-/// Ranges that are told one by one; more of them are summed up.
-const TOLD_MAX: usize = 20;
+/// Most ranges that are listed; the rest are summed up in one line.
+const SHOWN_MAX: usize = 20;
 
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct DamageReport {
@@ -26,60 +27,63 @@ impl DamageReport {
         let report = |lost: &LostRows| Self {
             first_frame: lost.first_row,
             frames: lost.rows,
-            cause: match lost.why {
-                Why::Damaged => "damaged in the file",
-                Why::BeforeRecovery => "damaged before the take was recovered",
+            cause: match lost.origin {
+                DamageOrigin::Damaged => "damaged in the file",
+                DamageOrigin::BeforeRecovery => "damaged before the take was recovered",
             },
         };
         lost.iter().map(report).collect()
     }
 
-    fn words(&self) -> String {
+    fn text(&self) -> String {
         let Self { first_frame, frames, cause } = self;
         let last = first_frame.saturating_add(frames.saturating_sub(1));
+        let (first, last) = (thousands(*first_frame), thousands(last));
         match frames {
-            1 => format!("frame {}: {cause}", thousands(*first_frame)),
-            _ => format!(
-                "frames {} to {}, {}: {cause}",
-                thousands(*first_frame),
-                thousands(last),
-                count(*frames, "frame")
-            ),
+            1 => format!("frame {first}: {cause}"),
+            _ => format!("frames {first} to {last}, {}: {cause}", count(*frames, "frame")),
         }
     }
 }
 
-/// Whether a recovery makes a better take of it.
-pub(crate) fn is_recoverable(summary: &Summary) -> bool {
-    !summary.take.problems.is_empty()
-}
-
-/// How.
-pub(crate) fn recoverable(take: &Path) -> String {
+/// Reports what a take lacks: its losses, a ledger that does not close, and, if no losses are known, that the recording
+/// ended before the motion did. With `with_hint` also how to recover a damaged take.
+pub(crate) fn notify_losses(take: &Path, summary: &Summary, with_hint: bool) {
     let name = take.display();
-    format!("{name}: `mocapd recover {name} -o NEW.take` makes a whole take of what is there")
-}
-
-/// That a take of which nothing is known to be lost may lack what came after its end.
-pub(crate) fn ended_early(take: &Path, ending: &str) -> String {
-    format!("{}: it ended early ({ending}): what came then is not in it", take.display())
-}
-
-/// Which frames are lost, a line each.
-pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
-    let mut lines: Vec<String> = damage.iter().take(TOLD_MAX).map(DamageReport::words).collect();
-    if let Some(more) = damage.get(TOLD_MAX..).filter(|more| !more.is_empty()) {
-        let frames = more.iter().map(|damage| damage.frames).sum();
-        lines.push(format!(
-            "{} more, {}",
-            count(more.len() as u64, "range"),
-            count(frames, "frame")
+    let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
+    let losses = document.as_ref().and_then(ledger::losses);
+    if let Some(losses) = &losses {
+        notify(&format!("{name}: not in the take: {losses}"));
+    }
+    if let Some(why) = document.as_ref().and_then(ledger::not_closing) {
+        notify(&format!("{name}: {why}"));
+    }
+    if summary.health() == TakeHealth::Lossy
+        && losses.is_none()
+        && let Some(ending) = &summary.take.ending
+    {
+        let ending = ending.kind.name();
+        notify(&format!("{name}: the recording ended early ({ending}): later frames are missing"));
+    }
+    if with_hint && !summary.take.problems.is_empty() {
+        notify(&format!(
+            "{name}: `mocapd recover {name} -o NEW.take` writes a new take from what can be read"
         ));
+    }
+}
+
+/// The lost ranges, one line each.
+pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
+    let mut lines: Vec<String> = damage.iter().take(SHOWN_MAX).map(DamageReport::text).collect();
+    if let Some(more) = damage.get(SHOWN_MAX..).filter(|more| !more.is_empty()) {
+        let ranges = count(more.len() as u64, "range");
+        let frames = count(more.iter().map(|damage| damage.frames).sum(), "frame");
+        lines.push(format!("{ranges} more, {frames}"));
     }
     lines
 }
 
-/// How many frames each marker lost, markers of the same number together; empty when none lost any.
+/// Frames lost by each marker, markers with equal losses on one line; empty if no marker lost any.
 pub(crate) fn by_marker(markers: &[(&str, u64)]) -> String {
     let mut groups: Vec<(u64, Vec<&str>)> = Vec::new();
     for &(label, frames) in markers {
@@ -91,12 +95,12 @@ pub(crate) fn by_marker(markers: &[(&str, u64)]) -> String {
     let whole = groups.len() == 1;
     let mut out = String::new();
     for (frames, labels) in groups.iter().filter(|(frames, _)| *frames > 0) {
-        let who = match labels.as_slice() {
+        let markers = match labels.as_slice() {
             [label] => plain(label).into_owned(),
             labels if whole => format!("each of {}", count(labels.len() as u64, "marker")),
             labels => plain(&labels.join(", ")).into_owned(),
         };
-        writeln!(out, "  {:>15} lost to damage: {who}", count(*frames, "frame")).ok();
+        writeln!(out, "  {:>15} lost to damage: {markers}", count(*frames, "frame")).ok();
     }
     out
 }
@@ -106,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn markers_that_lost_the_same_stand_together() {
+    fn markers_with_equal_losses_share_a_line() {
         let markers = [("a", 30), ("b", 30), ("c", 0), ("d", 7)];
         assert_eq!(
             by_marker(&markers),
@@ -121,7 +125,7 @@ mod tests {
 
     #[test]
     fn many_ranges_are_summed_up() {
-        let range = |first_row| LostRows { first_row, rows: 2, why: Why::Damaged };
+        let range = |first_row| LostRows { first_row, rows: 2, origin: DamageOrigin::Damaged };
         let lost: Vec<_> = (0..25).map(|i| range(10 * i)).collect();
         let lines = lines(&DamageReport::all(&lost));
         assert_eq!(lines[1], "frames 10 to 11, 2 frames: damaged in the file");

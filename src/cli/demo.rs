@@ -1,4 +1,4 @@
-//! `demo`: a simulated device through the whole of mocapd, with nothing plugged in.
+//! `demo`: records, verifies and exports a simulated device, without any hardware.
 
 use std::{
     fs,
@@ -36,11 +36,10 @@ use mocapd_take::{
 
 use super::{
     export::write,
-    output::{print, say, shown},
-    record::{Limits, Report, record_and_watch},
+    output::{notify, plain_path, print},
+    record::{Limits, RecordReport, record_and_watch},
     stop::stop_on_signal,
-    values,
-    values::{bytes, count, thousands},
+    values::{self, bytes, count, thousands},
     verify::AgainstReport,
 };
 
@@ -50,10 +49,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = values::length,
           allow_hyphen_values = true)]
     seconds: Duration,
-    /// Folder for the take and its exports; created if need be
+    /// Folder for the take and its exports; created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "mocapd-demo")]
     out: PathBuf,
-    /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm
+    /// Largest allowed distance between a sample and its reconstruction: 0.5mm, 100um, 2cm
     #[arg(long, value_name = "LENGTH", default_value = "0.5mm", value_parser = values::tolerance,
           allow_hyphen_values = true)]
     tolerance: Tolerance,
@@ -63,10 +62,10 @@ pub(crate) struct Args {
     rate: f64,
 }
 
-/// The motion is the same for everyone, so that figures can be compared.
+/// Fixed, so that everyone records the same motion and figures can be compared.
 const SEED: u64 = 1;
 
-/// What the take is exported to, beside it.
+/// The formats that the take is exported to, and their extensions.
 const EXPORTS: [(Format, &str); 3] =
     [(Format::C3d, "c3d"), (Format::Trc, "trc"), (Format::Csv, "csv")];
 
@@ -93,26 +92,26 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     ))?;
     let location = Location::Serial { path: simulated.path.clone(), baud: None };
     let rig = Rig::open(&DeviceUri { location, driver: None })?;
-    let limits = Limits { length: None, keep_free_bytes: 0, beside_bytes: None, subject: None };
+    let limits = Limits { length: None, keep_free_bytes: 0, raw_log_bytes: None, subject: None };
     let recorded = record_and_watch(rig, &take, codec, &limits, &stop)?;
     let sent = simulated.stop()?;
-    let report = Report::new(&take, &recorded, &codec);
-    print(&report.words())?;
+    let report = RecordReport::new(&take, &recorded, &codec);
+    print(&report.text())?;
 
     show_take(&take)?;
     verify(&take, &motion, &recorded, &sent, args.tolerance.mm())?;
     let exports = export(&take)?;
     print(&format!(
-        "\nThe take lies at {0}\nSee what is in it:   mocapd info {0}\nOpen it elsewhere:   {exports}\n",
-        shown(&take),
+        "\nThe take:            {0}\nShow its contents:   mocapd info {0}\nOpen in other tools: {exports}\n",
+        plain_path(&take),
     ))?;
     if let Some(losses) = report.losses() {
-        say(&format!("not in the take: {losses}"));
+        notify(&format!("not in the take: {losses}"));
     }
     Ok(Outcome::of(recorded.written.ledger.lost_anything()))
 }
 
-/// `jump-001.take`, or the next number under which nothing lies yet.
+/// `jump-001.take`, or the next number of which neither the take nor an export exists.
 fn free_name(folder: &Path) -> PathBuf {
     let name = |n: u32| folder.join(format!("jump-{n:03}.take"));
     let is_free = |take: &PathBuf| {
@@ -134,7 +133,7 @@ fn show_take(take: &Path) -> anyhow::Result<()> {
     ))
 }
 
-/// The take against what the device really sent.
+/// Compares the take with what the device really sent.
 fn verify(
     take: &Path,
     motion: &Motion,
@@ -145,16 +144,16 @@ fn verify(
     let frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
     let difference = compare(frames, MotionFrames::new(motion))?;
     let report = AgainstReport::new(difference, tolerance_mm);
-    print(&format!("4. {}", report.words(tolerance_mm)))?;
+    print(&format!("4. {}", report.text(tolerance_mm)))?;
     let ledger = &recorded.written.ledger;
     ensure!(ledger.closes(), "the ledger does not close: this is a bug in mocapd");
     ensure!(
         sent.run.frames_produced == ledger.frames_sent,
-        "the device says it sent {} frames, the ledger says {}: this is a bug in mocapd",
+        "the device sent {} frames, the ledger has {}: this is a bug in mocapd",
         sent.run.frames_produced,
         ledger.frames_sent
     );
-    // Ctrl-C leaves a take that is whole as far as it goes.
+    // After Ctrl-C the take holds only a part of the motion.
     let cut_short = recorded.recording.ending == EndingKind::Stopped;
     ensure!(
         report.is_within() || ledger.lost_anything() || cut_short,
@@ -163,7 +162,7 @@ fn verify(
     Ok(())
 }
 
-/// Beside the take, in the three formats.
+/// Exports the take to each format, beside it; the names and sizes of the files.
 fn export(take: &Path) -> anyhow::Result<String> {
     let mut names = Vec::new();
     for (format, extension) in EXPORTS {
@@ -171,16 +170,16 @@ fn export(take: &Path) -> anyhow::Result<String> {
         let mut frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
         write(&mut frames, format, &path)?;
         let size = fs::metadata(&path).map_or(0, |meta| meta.len());
-        names.push(format!("{} ({})", shown(&path), bytes(size)));
+        names.push(format!("{} ({})", plain_path(&path), bytes(size)));
     }
     Ok(names.join(", "))
 }
 
-/// Runs until it is stopped.
+/// A simulated device on a pty, run by its own thread.
 pub(super) struct SimulatedDevice {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Result<SentLog, PtyError>>,
-    /// What a host opens.
+    /// The pty to open.
     pub(super) path: PathBuf,
 }
 
@@ -198,12 +197,12 @@ impl SimulatedDevice {
             Ok(path) => Ok(Self { stop, thread, path }),
             Err(_) => Err(match threads::join(thread)? {
                 Err(error) => anyhow!(error).context("cannot simulate a device"),
-                Ok(_) => anyhow!("the simulated device ended at once"),
+                Ok(_) => anyhow!("the simulated device ended before it was opened"),
             }),
         }
     }
 
-    /// What it says it sent.
+    /// Stops the device and returns the log of what it sent.
     pub(super) fn stop(self) -> anyhow::Result<SentLog> {
         self.stop.store(true, Ordering::Relaxed);
         threads::join(self.thread)?.context("the simulated device failed")

@@ -1,4 +1,4 @@
-//! `devices`: what is attached, which driver claims it, or why it cannot be opened.
+//! `devices`: lists attached devices with their drivers, or why they cannot be opened.
 
 use mocapd::outcome::Outcome;
 use mocapd_acquire::listing::{self, ListedDevice};
@@ -12,16 +12,16 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// One line, and a second one for what is in the way.
+/// One line for a device, and a second one if it cannot be opened.
 fn line(listed: &ListedDevice) -> String {
     let driver = match (&listed.driver, listed.certain) {
         (Some(driver), true) => driver.clone(),
-        (Some(driver), false) => format!("perhaps {driver}"),
+        (Some(driver), false) => format!("{driver} (unconfirmed)"),
         (None, _) => "no driver".to_owned(),
     };
     let names = [&listed.manufacturer, &listed.product, &listed.serial];
     let names: Vec<&str> = names.into_iter().flatten().map(String::as_str).collect();
-    let line = format!("{:<32} {driver:<14} {}", listed.device, names.join(" "));
+    let line = format!("{:<32} {driver:<18} {}", listed.device, names.join(" "));
     let mut out = format!("{}\n", plain(line.trim_end()));
     if let Some(problem) = &listed.problem {
         out += &format!("    {}\n", plain(problem));
@@ -29,10 +29,11 @@ fn line(listed: &ListedDevice) -> String {
     out
 }
 
-/// All of them in words.
-pub(super) fn words(listed: &[ListedDevice]) -> String {
+/// The list as text.
+pub(super) fn text(listed: &[ListedDevice]) -> String {
     if listed.is_empty() {
-        return "no devices: plug one in, or try `mocapd demo`, which needs none\n".to_owned();
+        return "no devices found: plug one in, or try `mocapd demo`, which needs none\n"
+            .to_owned();
     }
     listed.iter().map(line).collect()
 }
@@ -42,7 +43,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.json {
         print_json(&listed)?;
     } else {
-        print(&words(&listed))?;
+        print(&text(&listed))?;
     }
     Ok(Outcome::Done)
 }
@@ -64,13 +65,13 @@ mod tests {
     }
 
     #[test]
-    fn says_what_is_sure_and_what_is_in_the_way() {
-        let words = line(&adapter());
-        assert!(words.starts_with("serial:/dev/ttyUSB0 "), "{words}");
-        assert!(words.contains("perhaps dvmc") && words.contains("FTDI FT232R\\u{1b}[2J\n"));
-        assert!(words.ends_with("\n    no permission\n"), "{words}");
+    fn lines_show_unconfirmed_drivers_and_problems() {
+        let text = line(&adapter());
+        assert!(text.starts_with("serial:/dev/ttyUSB0 "), "{text}");
+        assert!(text.contains("dvmc (unconfirmed)") && text.contains("FTDI FT232R\\u{1b}[2J\n"));
+        assert!(text.ends_with("\n    no permission\n"), "{text}");
         let sure = ListedDevice { certain: true, problem: None, ..adapter() };
-        assert!(!line(&sure).contains("perhaps") && line(&sure).lines().count() == 1);
+        assert!(!line(&sure).contains("unconfirmed") && line(&sure).lines().count() == 1);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! `doctor`: whether this machine can record, and what to type where it cannot.
+//! `doctor`: checks whether this machine can record, and shows how to fix what is in the way.
 
 use std::path::PathBuf;
 
@@ -18,10 +18,10 @@ use super::{
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder where takes would go: some megabytes are written there, and removed
+    /// Folder for takes; the disk test writes some megabytes there and removes them
     #[arg(long, value_name = "DIR", default_value = ".")]
     dir: PathBuf,
-    /// What is to stay free of its disk, as `record` has it
+    /// Disk space to keep free, as for `record`
     #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
     keep_free: u64,
     /// Print one JSON document
@@ -30,14 +30,14 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct FindingReport {
     what: String,
     verdict: &'static str,
     seen: String,
     remedy: Option<String>,
 }
 
-impl Report {
+impl FindingReport {
     fn new(finding: Finding) -> Self {
         Self {
             what: finding.what,
@@ -52,8 +52,8 @@ impl Report {
         }
     }
 
-    /// One line, and a second one for what to do.
-    fn words(&self) -> String {
+    /// One line for the finding, and a second one for its remedy.
+    fn text(&self) -> String {
         let mut out =
             format!("{:<8} {:<24} {}\n", self.verdict, plain(&self.what), plain(&self.seen));
         if let Some(remedy) = &self.remedy {
@@ -69,10 +69,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     doctor::examine(&args.dir, args.keep_free, &mut |finding| {
         failures += u64::from(finding.verdict == Verdict::Failure);
         warnings += u64::from(finding.verdict == Verdict::Warning);
-        let report = Report::new(finding);
-        // The disk takes a while: each is told as it comes.
+        let report = FindingReport::new(finding);
+        // The disk test takes a while, so each finding is printed as it comes.
         if !args.json && printed.is_ok() {
-            printed = print(&report.words());
+            printed = print(&report.text());
         }
         reports.push(report);
     });
@@ -82,11 +82,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     } else if failures == 0 {
         print(&match warnings {
             0 => "this machine can record\n".to_owned(),
-            n => format!("this machine can record; {} to look at\n", count(n, "warning")),
+            n => format!("this machine can record; {}, see above\n", count(n, "warning")),
         })?;
     }
     if failures > 0 {
-        bail!("{} in the way of a recording: see above", count(failures, "thing"));
+        bail!("this machine cannot record: {}, see above", count(failures, "failure"));
     }
     Ok(Outcome::Done)
 }

@@ -1,4 +1,4 @@
-//! `import`: a file of the field becomes a take.
+//! `import`: converts a motion file of another tool to a take.
 
 use std::{
     io::BufWriter,
@@ -10,11 +10,11 @@ use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::NewFile,
-    pipeline::{Written, offline},
+    pipeline::{TakeAccount, offline},
     threads,
 };
 use mocapd_codec::Settings;
-use mocapd_service::subject::strangers;
+use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, Motion},
@@ -24,8 +24,7 @@ use serde::Serialize;
 
 use super::{
     original::{header_of, read_motion_and_bytes},
-    output::Progress,
-    output::{plain, print, print_json, say, shown},
+    output::{Progress, notify, plain, plain_path, print, print_json},
     paths,
     subject::SubjectArgs,
     values::{CodecArgs, SizeReport, count, thousands, tolerance_mm},
@@ -42,17 +41,17 @@ pub(crate) struct Args {
     codec: CodecArgs,
     #[command(flatten)]
     subject: SubjectArgs,
-    /// The unit of length in the file, where it states none or a wrong one: mm, cm, dm, m, um, in, ft
+    /// Unit of length of the file, if it states none or a wrong one: mm, cm, dm, m, um, in, ft
     #[arg(long, value_name = "UNIT")]
     unit: Option<LengthUnit>,
-    /// What points up in the file, where it does not say or says wrong: x, y, z, or -x, -y, -z, which turns the take so that
-    /// the axis points up
+    /// Axis that points up in the file, if it states none or a wrong one: x, y, z; with -x, -y or -z the take is
+    /// rotated so that the axis points up
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Direction>,
-    /// Leave out what is not marker trajectories (analog channels, model outputs, foreign parameters)
+    /// Import marker trajectories only, without analog channels, model outputs and foreign parameters
     #[arg(long)]
     drop_foreign: bool,
-    /// Resampler threads; the bytes are the same for any number [default: one a core, at most 8]
+    /// Number of resampler threads; the take is the same for any number [default: one per core, at most 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
     /// Print one JSON document
@@ -67,20 +66,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let options = ReadOptions { unit: args.unit, up: args.up };
     let (mut motion, bytes) = read_motion_and_bytes(&args.file, &options)?;
     check_unit(&motion, &args.file, tolerance_mm(&codec))?;
-    let about_file = |words: &str| say(&format!("{}: {words}", args.file.display()));
+    let about_file = |message: &str| notify(&format!("{}: {message}", args.file.display()));
     motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
     let mut foreign_dropped = Vec::new();
     if args.drop_foreign && !motion.info.foreign.is_empty() {
         foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
-        about_file(&format!("left out, as asked: {}", foreign_dropped.join(", ")));
+        about_file(&format!("left out (--drop-foreign): {}", foreign_dropped.join(", ")));
     }
     let mut header = header_of(&motion, &args.file, &codec);
     header.settings.extend(options.settings());
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
-    let unseen = strangers(subject.as_ref(), &motion.info.labels());
-    unseen.iter().for_each(|words| about_file(words));
+    let unseen = unused_part_notes(subject.as_ref(), &motion.info.labels());
+    unseen.iter().for_each(|warning| about_file(warning));
     header.set_import_id(&bytes, subject.as_ref())?;
     motion.info.subject = subject;
     drop(bytes);
@@ -88,22 +87,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let written = write(&motion, &header, workers, &args.output)
         .with_context(|| format!("cannot write {}", args.output.display()))?;
     if written.samples == 0 {
-        about_file("every sample is missing: the take holds gaps only");
+        about_file("it has no samples: the take holds only gaps");
     }
-    let report = Report::new(&args.output, &motion, &codec, &written, foreign_dropped);
+    let report = ImportReport::new(&args.output, &motion, &codec, &written, foreign_dropped);
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.words())?;
+        print(&report.text())?;
     }
     Ok(Outcome::of(motion.info.source.frames_missing > 0))
 }
 
-/// Refuses a tolerance that would leave nothing of the motion if the unit, which nothing states or which is unlikely, is
-/// another one.
+/// Refuses a tolerance that would destroy the motion if the unit of the file, unstated or implausible, is not the one
+/// assumed.
 ///
 /// # Errors
-/// A usage error that names `--unit`.
+/// A usage error that recommends `--unit`.
 fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
     let is_destroyed = |found: &&Ambiguity| found.is_destroyed_by(tolerance_mm);
     let found = motion.info.source.ambiguities.iter().find(is_destroyed);
@@ -111,9 +110,9 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
         Some(Ambiguity::Unit { stated, span }) => {
             let unit = match stated.as_str() {
                 "" => "no unit of length is stated".to_owned(),
-                unit => format!("the unit of length `{}` is not known", plain(unit)),
+                unit => format!("the unit of length `{}` is unknown", plain(unit)),
             };
-            format!("{unit}, and the markers span {span:.4} in it")
+            format!("{unit}, and all markers are within {span:.4} of it")
         }
         Some(Ambiguity::StatedUnit { stated, span_mm }) => format!(
             "the unit of length is stated as `{}`, in which all markers are within {span_mm:.4} mm",
@@ -121,15 +120,19 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
         ),
         _ => return Ok(()),
     };
-    Err(UsageError(format!(
-        "{}: {why}, too little for millimetres within {tolerance_mm} mm: give --unit (mm, cm, m, in...), or --lossless to \
-         keep every bit as it is read",
+    anyhow::bail!(UsageError(format!(
+        "{}: {why}; as millimetres, a tolerance of {tolerance_mm} mm would destroy the motion: give --unit (mm, cm, m, \
+         in...), or --lossless to keep every bit as it is read",
         file.display()
-    ))
-    .into())
+    )))
 }
 
-fn write(motion: &Motion, header: &Header, workers: usize, to: &Path) -> anyhow::Result<Written> {
+fn write(
+    motion: &Motion,
+    header: &Header,
+    workers: usize,
+    to: &Path,
+) -> anyhow::Result<TakeAccount> {
     let mut output = NewFile::create(to)?;
     let counter = Arc::new(AtomicU64::new(0));
     let progress = Progress::follow("resampling", &counter, motion.positions_mm.len() as u64);
@@ -142,7 +145,7 @@ fn write(motion: &Motion, header: &Header, workers: usize, to: &Path) -> anyhow:
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct ImportReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     frames: u64,
@@ -157,12 +160,12 @@ pub(super) struct Report {
     warnings: Vec<String>,
 }
 
-impl Report {
+impl ImportReport {
     pub(super) fn new(
         take: &Path,
         motion: &Motion,
         codec: &Settings,
-        written: &Written,
+        written: &TakeAccount,
         foreign_dropped: Vec<String>,
     ) -> Self {
         let info = &motion.info;
@@ -181,18 +184,18 @@ impl Report {
         }
     }
 
-    pub(super) fn words(&self) -> String {
+    pub(super) fn text(&self) -> String {
         let gaps = match self.samples_missing {
             0 => String::new(),
             n => format!(" ({} samples missing)", thousands(n)),
         };
         format!(
             "{}: {} of {}{gaps} at {} Hz, {}\n",
-            shown(&self.take),
+            plain_path(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
             self.rate_hz,
-            self.size.words(),
+            self.size.text(),
         )
     }
 }

@@ -1,4 +1,4 @@
-//! A ledger in words, the same for every command that shows one.
+//! The ledger of a take as text, for every command that shows one.
 
 use std::fmt::Write;
 
@@ -13,7 +13,7 @@ use super::{
     values::{count, thousands},
 };
 
-/// Times that the device was away and frames are missing for it.
+/// Outages: times when the device was away or silent, and the frames that are missing for it.
 #[derive(Debug, Serialize)]
 pub(crate) struct OutagesReport {
     count: u32,
@@ -26,28 +26,24 @@ impl OutagesReport {
         Self { count, frames, seconds: frames as f64 / rate_hz }
     }
 
-    /// In one line; `None` when there was none.
-    pub(crate) fn words(&self) -> Option<String> {
-        let away = count(u64::from(self.count), "time");
-        let frames = count(self.frames, "frame");
-        let words = format!(
-            "the device was away or silent {away}, {:.3} s of the take: {frames}",
-            self.seconds
+    /// One line; `None` if no frame is missing.
+    pub(crate) fn text(&self) -> Option<String> {
+        let (away, frames) = (count(u64::from(self.count), "time"), count(self.frames, "frame"));
+        let seconds = self.seconds;
+        let text = format!(
+            "the device was away or silent {away}, for {seconds:.3} s of the take: {frames} missing"
         );
-        (self.frames > 0).then_some(words)
+        (self.frames > 0).then_some(text)
     }
 }
 
-/// Nobody knows whether the device produced these frames.
+/// Frames that the device may or may not have produced.
 const UNKNOWN: &str = "unknown: the device was away or silent";
 
-/// As an account that adds up before the reader's eyes.
-pub(crate) fn words(ledger: &LedgerDocument) -> String {
-    let mut out = String::from(if ledger.finished {
-        "ledger\n"
-    } else {
-        "ledger, the last one written before the take was cut off\n"
-    });
+/// The ledger of a recording, one line per entry, with its balance.
+pub(crate) fn text(ledger: &LedgerDocument) -> String {
+    let cut = if ledger.finished { "" } else { " (the last one before the take was cut off)" };
+    let mut out = format!("ledger{cut}\n");
     let mut line = |n: u64, what: &str| {
         writeln!(out, "  {:>15} {what}", thousands(n)).ok();
     };
@@ -59,7 +55,7 @@ pub(crate) fn words(ledger: &LedgerDocument) -> String {
     for (n, what) in [
         (ledger.lost_other, "lost in the host: other"),
         (ledger.unknown_after_disconnect, UNKNOWN),
-        (ledger.duplicates, "came again or too late, not recorded"),
+        (ledger.duplicates, "duplicates or late arrivals, not recorded"),
     ] {
         if n > 0 {
             line(n, what);
@@ -71,17 +67,17 @@ pub(crate) fn words(ledger: &LedgerDocument) -> String {
     out
 }
 
-/// The clocks, as a ledger knows them: for takes that tell no more of them.
-pub(crate) fn clock_words(ledger: &LedgerDocument) -> Option<String> {
+/// The clock figures of a ledger, for takes that store no others.
+pub(crate) fn clock_text(ledger: &LedgerDocument) -> Option<String> {
     let ClockDocument { drift_ppm, residual_us } = ledger.clock.as_ref()?;
-    let words = "ppm: how much faster the host's clock runs than the device's";
+    let meaning = "ppm: how much faster the host's clock runs than the device's";
     Some(format!(
-        "clock\n  drift {drift_ppm:+.1} {words}; arrivals {residual_us:.0} us off (rms)\n"
+        "clock\n  drift {drift_ppm:+.1} {meaning}; arrivals {residual_us:.0} us off (rms)\n"
     ))
 }
 
-/// As an account of a file, which no device sent.
-pub(crate) fn words_of_import(ledger: &LedgerDocument) -> String {
+/// The ledger of an import.
+pub(crate) fn import_text(ledger: &LedgerDocument) -> String {
     let mut out = String::from("ledger\n");
     writeln!(out, "  {:>15} frames in the file", thousands(ledger.frames_sent)).ok();
     writeln!(out, "  {:>15} in the take", thousands(ledger.recorded)).ok();
@@ -90,8 +86,7 @@ pub(crate) fn words_of_import(ledger: &LedgerDocument) -> String {
     out
 }
 
-/// What is not in the take, by cause and in one line: frames, and samples of markers beyond the channel pool. `None`
-/// when all is.
+/// Frames and samples that are missing from the take, by cause and in one line; `None` if nothing is.
 pub(crate) fn losses(ledger: &LedgerDocument) -> Option<String> {
     let causes = [
         "lost on the link",
@@ -101,22 +96,22 @@ pub(crate) fn losses(ledger: &LedgerDocument) -> Option<String> {
         UNKNOWN,
     ];
     let frames = ledger.frames_lost_by_cause().into_iter().zip(causes).filter(|part| part.0 > 0);
-    let mut said: Vec<String> =
+    let mut losses: Vec<String> =
         frames.map(|(n, what)| format!("{} {what}", count(n, "frame"))).collect();
     if ledger.markers_dropped > 0 {
         let samples = count(ledger.markers_dropped, "sample");
-        said.push(format!("{samples} of markers beyond the channel pool"));
+        losses.push(format!("{samples} of markers beyond the channel pool"));
     }
-    (!said.is_empty()).then(|| said.join(", "))
+    (!losses.is_empty()).then(|| losses.join(", "))
 }
 
-/// Why it does not close, in one line; `None` when it does.
+/// Why the ledger does not close, in one line; `None` if it does.
 pub(crate) fn not_closing(ledger: &LedgerDocument) -> Option<String> {
     let mut why: Vec<String> =
-        ledger.contradictions.iter().map(|told| plain(told).into_owned()).collect();
+        ledger.contradictions.iter().map(|text| plain(text).into_owned()).collect();
     for (n, what) in [(ledger.frame_balance, "frames"), (ledger.sample_balance, "samples")] {
         if n != 0 {
-            why.push(format!("{n} {what} are left over"));
+            why.push(format!("{n} {what} unaccounted for"));
         }
     }
     (!ledger.closes).then(|| format!("{}: {}", Finding::LedgerOpen, why.join("; ")))
@@ -126,8 +121,8 @@ fn close(ledger: &LedgerDocument, out: &mut String) {
     let state = if ledger.closes { "the ledger closes" } else { "THE LEDGER DOES NOT CLOSE" };
     let but = match (ledger.closes, ledger.frame_balance, ledger.sample_balance) {
         (true, ..) => String::new(),
-        // Every frame has its place, and what counted them cannot be believed.
-        (_, 0, 0) => " of the frames, but what counts them contradicts itself".to_owned(),
+        // Every frame is accounted for, but the counters are not credible.
+        (_, 0, 0) => " of the frames, but the counters contradict each other".to_owned(),
         (_, _, 0) => " of the frames".to_owned(),
         (.., samples) => format!(" of the frames, {samples} of the samples"),
     };

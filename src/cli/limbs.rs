@@ -1,4 +1,4 @@
-//! The skeleton that a take is held against, and its limbs, for `plot pose` and `verify`.
+//! The skeleton that a take is compared with, and the limbs between its markers, for `plot pose` and `verify`.
 
 use std::path::Path;
 
@@ -7,19 +7,19 @@ use mocapd_report::limbs::{Limb, limbs};
 use mocapd_service::subject;
 use mocapd_take::motion::Motion;
 
-/// A skeleton, and the limbs of it whose ends are markers of a take.
+/// A skeleton, and those of its bones whose ends are markers of a take.
 #[derive(Debug)]
 pub(super) struct TakeLimbs {
     pub(super) skeleton: Skeleton,
     pub(super) limbs: Vec<Limb>,
-    /// Columns of all markers of the subject.
+    /// The columns of all markers of the subject.
     pub(super) columns: Vec<usize>,
 }
 
-/// With the skeleton of a file, or else the take's own; `None` where there is none.
+/// The limbs by the skeleton in `file`, else by the take's own; `None` if there is no skeleton.
 ///
 /// # Errors
-/// What is wrong with it.
+/// If the skeleton cannot be read.
 pub(super) fn of(motion: &Motion, file: Option<&Path>) -> anyhow::Result<Option<TakeLimbs>> {
     let own = motion.info.subject.as_ref();
     let skeleton = match file {

@@ -1,5 +1,4 @@
-//! What packages are made of beside programs: completions of shells, and pages of the manual. Both come out of the
-//! command line's own definition.
+//! Shell completions and manual pages for packages, generated from the definition of the command line.
 
 use std::path::PathBuf;
 
@@ -12,13 +11,13 @@ use super::{Cli, output::print_exact};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Completions {
-    /// The shell
+    /// The shell to complete for
     shell: Shell,
 }
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Pages {
-    /// Folder for them, which exists
+    /// Folder for the pages; it must exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -32,7 +31,7 @@ pub(crate) fn completions(args: &Completions) -> anyhow::Result<Outcome> {
 
 pub(crate) fn pages(args: &Pages) -> anyhow::Result<Outcome> {
     clap_mangen::generate_to(Cli::command(), &args.out)
-        .with_context(|| format!("cannot write pages to {}", args.out.display()))?;
+        .with_context(|| format!("cannot write manual pages to {}", args.out.display()))?;
     Ok(Outcome::Done)
 }
 
@@ -56,7 +55,7 @@ mod tests {
         for option in command.get_opts().filter(|option| !option.is_hide_set()) {
             let name =
                 format!("--{}", option.get_long().unwrap_or_else(|| option.get_id().as_str()));
-            assert!(text.contains(&name), "{} says nothing of {name}", page.display());
+            assert!(text.contains(&name), "{} does not mention {name}", page.display());
         }
     }
 
@@ -72,7 +71,8 @@ mod tests {
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), wanted.len(), "and no other");
         let nowhere = Pages { out: folder.path().join("none") };
-        assert!(format!("{:#}", pages(&nowhere).unwrap_err()).contains("cannot write pages"));
+        let error = format!("{:#}", pages(&nowhere).unwrap_err());
+        assert!(error.contains("cannot write manual pages"), "{error}");
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The command line: a file or folder for each subcommand, and what several share. stdout is data, stderr is words.
+//! The command line: one file or folder per subcommand, and what several of them share. Data goes to standard output,
+//! messages go to standard error.
 
 mod bench;
 mod clock;
@@ -14,6 +15,7 @@ mod info;
 mod ledger;
 mod limbs;
 mod manual;
+mod motion_files;
 mod original;
 mod output;
 mod paths;
@@ -27,14 +29,13 @@ mod subject;
 mod usage;
 mod values;
 mod verify;
-mod whole;
 
 use clap::{Parser, Subcommand, error::ErrorKind};
 use mocapd::outcome::{Outcome, UsageError};
 
-pub(crate) use output::say;
+pub(crate) use output::notify;
 
-/// Records optical motion capture: error-bounded takes, and a ledger that closes to zero.
+/// Record optical motion capture: error-bounded takes, and a ledger that accounts for every frame
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -48,51 +49,51 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Record a simulated device and look at the take: no hardware needed
+    /// Record a simulated device, verify the take and export it; needs no hardware
     Demo(demo::Args),
-    /// List what is attached, which driver claims it, or why it cannot be opened
+    /// List attached devices: the driver of each, or why it cannot be opened
     Devices(devices::Args),
-    /// Record a device into a take
+    /// Record a device to a take
     Record(record::Args),
-    /// Run beside a rig as a service: arm, start, stop and mark over HTTP
+    /// Run as a service that is controlled over HTTP: arm, start, stop, mark
     Run(run::Args),
-    /// Make a take of a C3D, TRC, QTM TSV or CSV file
+    /// Convert a C3D, TRC, QTM TSV or CSV file to a take
     Import(import::Args),
-    /// Write a take as other tools read it: C3D, TRC, CSV, XDF, BIDS and more
+    /// Convert a take to a format of other tools: C3D, TRC, CSV, XDF, BIDS and more
     Export(export::Args),
-    /// Tell what is in a take: header, ledger, and per marker samples, gaps, knots, error, bytes
+    /// Show what is in a take: header, sizes, ledger, and the samples, gaps, knots and error of each marker
     Info(info::Args),
-    /// Check a take: checksums, every block, the ledger, and every sample against an original
+    /// Check a take: every checksum and block, the ledger, and with --against every sample
     Verify(verify::Args),
-    /// Write a take again of what can be read of one that was cut off or damaged
+    /// Write a new take from what can be read of a truncated or damaged one
     Recover(recover::Args),
-    /// Draw a take as SVG or PNG: a trajectory, poses, sizes, quality
+    /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, marker quality
     #[command(subcommand)]
     Plot(plot::Plot),
-    /// Repeat the study of Shi et al. 2012 on takes: its tables, figures, and bytes
+    /// Repeat the study of Shi et al. 2012 on your takes: its tables and figures, and file sizes
     Study(study::Args),
-    /// Prepare a subject: a skeleton out of a body scan, a wireframe fitted to a photograph of the face
+    /// Prepare a subject: a skeleton from a body scan, a wireframe fitted to a photograph of the face
     #[command(subcommand)]
-    Subject(subject::Subject),
-    /// Ask a running service: status, arm, start, stop, mark, takes, events
+    Subject(subject::SubjectCommand),
+    /// Control a running service: status, arm, start, stop, mark, takes, events
     Ctl(ctl::Args),
-    /// Look whether this machine can record, and say what to type where it cannot
+    /// Check whether this machine can record, and show how to fix what is in the way
     Doctor(doctor::Args),
-    /// Check a configuration of the service, or print one with every key
+    /// Check a configuration of the service, or print an example with every key
     #[command(subcommand)]
     Config(config::ConfigCommand),
-    /// Measure this machine
+    /// Benchmark the resamplers and the recording pipeline on this machine
     #[command(subcommand)]
     Bench(bench::Bench),
-    /// Print what a shell needs to complete this command line
+    /// Print a shell completion script
     #[command(hide = true)]
     Completions(manual::Completions),
-    /// Write the pages of the manual, replacing those that are there
+    /// Write the manual pages, replacing existing ones
     #[command(hide = true)]
     Man(manual::Pages),
 }
 
-/// Reads the arguments. Help and version are printed here.
+/// Parses the arguments; prints help and version and exits if asked to.
 pub(crate) fn parse() -> anyhow::Result<Cli> {
     Cli::try_parse().map_err(|error| match error.kind() {
         ErrorKind::DisplayHelp
@@ -102,7 +103,7 @@ pub(crate) fn parse() -> anyhow::Result<Cli> {
     })
 }
 
-/// Runs one command.
+/// Runs the command that was given.
 pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
     match cli.command {
         Command::Demo(args) => demo::run(&args),
@@ -116,7 +117,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Recover(args) => recover::run(&args),
         Command::Plot(plot) => plot::run(&plot),
         Command::Study(args) => study::run(&args),
-        Command::Subject(subject) => subject::run(&subject),
+        Command::Subject(command) => subject::run(&command),
         Command::Ctl(args) => ctl::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),

@@ -1,4 +1,4 @@
-//! Files of the field, read whole.
+//! Reading motion files of other tools, and the header of a take made from one.
 
 use std::{io::Read, path::Path};
 
@@ -13,18 +13,18 @@ use mocapd_take::{
 
 use super::paths;
 
-/// Frame rates that mean something, Hz: from time lapse to ballistics.
+/// Plausible frame rates, Hz: from time lapse to ballistics.
 const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
 
-/// Reads a file of trajectories.
+/// Reads a motion file.
 ///
 /// # Errors
-/// Why it cannot be read, or that there is nothing in it to make a take of.
+/// If it cannot be read, has no markers or frames, or an implausible frame rate.
 pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
     read_motion_with(path, &ReadOptions::default())
 }
 
-/// Reads a file of trajectories, with what is known beside it.
+/// Reads a motion file with a given unit and up axis.
 ///
 /// # Errors
 /// As [`read_motion`].
@@ -32,7 +32,7 @@ pub(super) fn read_motion_with(path: &Path, options: &ReadOptions) -> anyhow::Re
     Ok(read_motion_and_bytes(path, options)?.0)
 }
 
-/// The same, with the file's bytes.
+/// Reads a motion file; also returns its bytes.
 ///
 /// # Errors
 /// As [`read_motion`].
@@ -47,21 +47,18 @@ pub(super) fn read_motion_and_bytes(
     let motion = format.read_with(&bytes, options).with_context(reading)?;
     let name = path.display();
     let rate_hz = motion.info.rate_hz;
-    ensure!(
-        !motion.info.markers.is_empty(),
-        "{name} holds no markers: there is nothing to make a take of"
-    );
-    ensure!(motion.n_frames() > 0, "{name} holds no frames: there is nothing to make a take of");
+    ensure!(!motion.info.markers.is_empty(), "{name} has no markers: nothing to import");
+    ensure!(motion.n_frames() > 0, "{name} has no frames: nothing to import");
     ensure!(
         RATE_HZ.contains(&rate_hz),
-        "{name} has a rate of {rate_hz:e} Hz, expected {} to {}: mend the rate in the file",
+        "{name} has a rate of {rate_hz:e} Hz, expected {} to {}: correct the rate in the file",
         RATE_HZ.start(),
         RATE_HZ.end()
     );
     Ok((motion, bytes))
 }
 
-/// The header of a take made of a file, but for its id.
+/// The header of a take made from a file, without its id.
 pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> Header {
     let info = &motion.info;
     let mut header = header::of_import(codec, info.rate_hz);

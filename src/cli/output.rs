@@ -1,4 +1,5 @@
-//! What is printed: data on stdout, messages on stderr. Text for people is escaped here, in one place.
+//! Printing: data goes to standard output, messages to standard error. Everything meant for people is escaped here, so
+//! that no text from a file or device controls the terminal.
 
 use std::{
     borrow::Cow,
@@ -18,24 +19,24 @@ use mocapd_acquire::threads;
 use mocapd_take::escape::{is_unsafe, visible, visible_lines};
 use serde::Serialize;
 
-/// One line of words, on stderr.
-pub(crate) fn say(line: &str) {
-    // Nobody to tell when stderr is closed.
+/// Prints a one-line message on stderr, with the program's name before it.
+pub(crate) fn notify(line: &str) {
+    // A closed stderr is no reason to fail.
     writeln!(io::stderr(), "mocapd: {}", plain(line)).ok();
 }
 
-/// Lines for people on stderr: a table whose place on stdout is taken by data.
-pub(crate) fn tell(text: &str) {
+/// Prints lines for people on stderr: a table, when stdout carries data.
+pub(crate) fn eprint(text: &str) {
     io::stderr().write_all(visible_lines(text).as_bytes()).ok();
 }
 
-/// Lines for people, on stdout. A value in them that comes from outside is made [`plain`] by itself, since a line end in
-/// it would stay.
+/// Prints lines for people on stdout. Pass values from outside through [`plain`] first: this function keeps line ends.
 pub(crate) fn print(text: &str) -> anyhow::Result<()> {
     print_exact(&visible_lines(text))
 }
 
-/// Data for programs, on stdout, as it is; JSON goes through [`print_json_text`]. A reader that has seen enough (`| head`) is no failure.
+/// Prints data for programs on stdout, unescaped; for JSON use [`print_json_text`]. A closed pipe (`| head`) is no
+/// error.
 pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -44,19 +45,18 @@ pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// One JSON document and a line end, on stdout.
+/// Prints a value as one indented JSON document and a line end on stdout.
 pub(crate) fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
     print_json_text(&serde_json::to_string_pretty(value)?)
 }
 
-/// One text of JSON and a line end, on stdout, which may be a terminal.
+/// Prints JSON text and a line end on stdout, escaped for a terminal.
 pub(crate) fn print_json_text(text: &str) -> anyhow::Result<()> {
     print_exact(&format!("{}\n", json_visible(text.trim_end_matches('\n'))))
 }
 
-/// A text of JSON that means exactly the same, without a character that a terminal would obey: those in strings become
-/// `\uXXXX`, in two halves above U+FFFF. Outside strings JSON has no such characters but white space, where tabs and
-/// carriage returns become spaces.
+/// Equivalent JSON without terminal control characters: those in strings become `\uXXXX`, a surrogate pair above
+/// U+FFFF. Outside strings only white space can be one: tabs and carriage returns become spaces.
 fn json_visible(text: &str) -> Cow<'_, str> {
     let is_escaped = |c: char| c != '\n' && is_unsafe(c);
     if !text.contains(is_escaped) {
@@ -76,29 +76,30 @@ fn json_visible(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// A text from a file, a device or the system on one line, with nothing that a terminal would obey.
+/// Escapes text from a file, a device or the system: one line, without terminal control characters.
 pub(crate) fn plain(text: &str) -> Cow<'_, str> {
     visible(text.trim_end())
 }
 
-/// A file's name on one line, as [`plain`] makes it.
-pub(crate) fn shown(path: &Path) -> String {
+/// A path on one line, escaped as by [`plain`].
+pub(crate) fn plain_path(path: &Path) -> String {
     visible(&path.to_string_lossy()).into_owned()
 }
 
-/// Follows a counter from a thread of its own until it is dropped.
+/// A progress display on stderr, updated by its own thread until dropped; nothing if stderr is no terminal.
 #[derive(Debug)]
 pub(crate) struct Progress {
     done: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// Time before a bar appears, and between its steps.
+/// Refresh interval of a progress display.
 const STEP: Duration = Duration::from_millis(100);
+/// Refreshes before it appears (1 s), so that quick commands show none.
 const APPEARS_AFTER_STEPS: u32 = 10;
 
 impl Progress {
-    /// Shows `counter` on its way to `total`.
+    /// Shows a bar of `counter` towards `total`.
     pub(crate) fn follow(what: &'static str, counter: &Arc<AtomicU64>, total: u64) -> Self {
         let counter = Arc::clone(counter);
         let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
@@ -111,10 +112,10 @@ impl Progress {
         )
     }
 
-    /// Shows a line that `words` makes, for what has no known end.
-    pub(crate) fn status(words: impl Fn() -> String + Send + 'static) -> Self {
+    /// Shows a spinner and the current value of `text`, for work without a known end.
+    pub(crate) fn status(text: impl Fn() -> String + Send + 'static) -> Self {
         Self::start(ProgressBar::new_spinner, move |bar| {
-            bar.set_message(visible(&words()).into_owned());
+            bar.set_message(visible(&text()).into_owned());
             bar.tick();
         })
     }
@@ -146,7 +147,7 @@ impl Progress {
                 bar.finish_and_clear();
             }
         });
-        // Without a thread there is no bar; the work goes on.
+        // If no thread can be started there is no display; the work goes on.
         Self { done, thread: thread.ok() }
     }
 }

@@ -1,4 +1,4 @@
-//! Paths as arguments: what their endings mean, and where nothing may be written.
+//! Paths as arguments: formats by extension, and checks of output paths.
 
 use std::{fs::Metadata, os::unix::fs::MetadataExt, path::Path};
 
@@ -7,10 +7,10 @@ use mocapd_acquire::files::{FileError, NewFile, folder_of};
 use mocapd_drivers::plain_file::NotAFile;
 use mocapd_take::interchange::Format;
 
-/// The format of a file to read, by its ending.
+/// The format of a file to read, by its extension.
 ///
 /// # Errors
-/// That it is a folder, or a usage error that lists the endings.
+/// If it is a folder; a usage error that lists the extensions.
 pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
     if path.is_dir() {
         return Err(FileError::NotAFile(path.to_owned(), NotAFile::Folder).into());
@@ -20,79 +20,75 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
         .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
 }
 
-/// The format of a file to write, by its ending.
+/// The format of a file to write, by its extension.
 ///
 /// # Errors
-/// A usage error that lists the endings.
+/// A usage error that lists the extensions.
 pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
-    Format::from_extension(path).ok_or_else(|| {
-        unknown_ending(
-            path,
-            ".c3d, .trc, .tsv, .csv, .npz, .xdf, .parquet or .mcap, or say --format (bids is a folder)",
-        )
-    })
+    let endings = ".c3d, .trc, .tsv, .csv, .npz, .xdf, .parquet or .mcap, or give --format (bids is a folder)";
+    Format::from_extension(path).ok_or_else(|| unknown_ending(path, endings))
 }
 
-fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
-    let message = format!("{}: the ending tells the format: use {endings}", path.display());
+/// The usage error for a file whose extension is not one of `endings`.
+pub(super) fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
+    let message = format!("{}: unknown file extension: use {endings}", path.display());
     UsageError(message).into()
 }
 
-/// Whether its name ends like that, in letters of either case.
+/// Whether a path has this extension, in upper or lower case.
 pub(super) fn ends_in(path: &Path, ending: &str) -> bool {
     path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending))
 }
 
-/// Whether it is called a take.
+/// Whether a path has the extension of a take.
 pub(super) fn is_take(path: &Path) -> bool {
     ends_in(path, "take")
 }
 
-/// Says early what creating a take at `path` would meet: before a device is woken or a file is read.
+/// Checks that a take can be created at `path`, before a device is opened or a file is read.
 ///
 /// # Errors
-/// A usage error when it is called after another format; what [`check_output`] finds.
+/// A usage error if it has the extension of another format; the errors of [`check_output`].
 pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
     if Format::from_extension(path).is_some() {
-        return Err(UsageError(format!(
-            "{}: a take is written, so call it .take; `mocapd export` makes other formats of it",
+        anyhow::bail!(UsageError(format!(
+            "{}: the output is a take: use .take; `mocapd export` converts takes to other formats",
             path.display()
-        ))
-        .into());
+        )));
     }
     check_output(path)
 }
 
-/// Whether two files that do not exist yet would be one: whatever their folders are called.
+/// Whether two paths of files that do not exist yet lead to the same file, by whatever names of their folders.
 pub(super) fn are_one(one: &Path, other: &Path) -> bool {
     let place = |path: &Path| folder(path).map(|folder| (folder.dev(), folder.ino()));
     let is_same_folder = place(one).is_some_and(|found| place(other) == Some(found));
     one == other || (is_same_folder && one.file_name() == other.file_name())
 }
 
-/// Whether what grows at one path takes room from the other.
+/// Whether two files are on the same file system.
 pub(super) fn are_on_one_disk(one: &Path, other: &Path) -> bool {
     let disk = |path: &Path| folder(path).map(|folder| folder.dev());
     disk(one).is_some_and(|found| disk(other) == Some(found))
 }
 
-/// The folder that a file would be in.
+/// The metadata of a file's folder.
 fn folder(path: &Path) -> Option<Metadata> {
     folder_of(path).metadata().ok()
 }
 
-/// Whether it stands for standard output, where a command has data for it.
+/// Whether a path stands for standard output.
 pub(super) fn is_stdout(path: &Path) -> bool {
     path == Path::new("-")
 }
 
-/// Says early what creating a file at `path` would meet.
+/// Checks that a file can be created at `path`.
 ///
 /// # Errors
-/// That something is there already, or that nothing can be created in that folder; a usage error for `-`, which is no file.
+/// If something exists there, or nothing can be created in its folder; a usage error for `-`.
 pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
     if is_stdout(path) {
-        let message = "- stands for standard output, which this is not written to: name a file (./- for one of that name)";
+        let message = "cannot write to standard output: name a file (./- for a file of the name -)";
         return Err(UsageError(message.to_owned()).into());
     }
     let folder = folder_of(path);

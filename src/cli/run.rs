@@ -1,4 +1,4 @@
-//! `run`: the service, until it is told to stop.
+//! `run`: runs the service until a signal stops it.
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
@@ -21,29 +21,29 @@ use signal_hook::{
     iterator::Signals,
 };
 
-use super::output::{plain, say};
+use super::output::{notify, plain};
 
-/// Between two lines of status that systemd is told.
-const TELL_EVERY: Duration = Duration::from_secs(1);
+/// Interval of the status lines sent to systemd.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Signals that wait: one of each kind and more; the kernel keeps one of each kind beside them.
+/// Capacity of the channel of signals: one of each kind and one more; the kernel keeps one more of each kind pending.
 const SIGNALS_MAX: usize = 4;
 
-/// How long clients are waited for when the service stops: their takes are closed by then.
-const CLIENTS_WITHIN: Duration = Duration::from_secs(1);
+/// How long HTTP clients may finish their requests when the service stops; their takes are closed by then.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The configuration
+    /// The configuration file
     #[arg(long, value_name = "FILE", default_value = CONFIG_PATH)]
     config: PathBuf,
-    /// The device, whatever the configuration says: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], or auto
+    /// Device, instead of the configured one: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], or auto
     #[arg(long, value_name = "DEVICE")]
     device: Option<String>,
-    /// The takes' folder, whatever the configuration says
+    /// Folder for takes, instead of the configured one
     #[arg(long, value_name = "FOLDER")]
     directory: Option<String>,
-    /// The TCP address, whatever the configuration says
+    /// TCP address to listen on, instead of the configured one
     #[arg(long, value_name = "ADDRESS:PORT")]
     listen: Option<String>,
 }
@@ -66,53 +66,53 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     })?;
     #[cfg(feature = "fault-hooks")]
     mocapd_acquire::heartbeat::fault_hooks::install()?;
-    // Before anything is started: no signal is missed.
+    // Handlers are installed before anything starts, so that no signal is missed.
     let signals = signals()?;
-    make_directory(&config)?;
+    create_directory(&config)?;
     let options = EngineOptions::load(&config)?;
     let log = Log::start(config.log_level, &config.rig_name, std::io::stderr)?;
     let heartbeat = Heartbeat::default();
     let engine = Arc::new(Engine::start(options, &heartbeat)?);
     let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
     for warning in config.warnings() {
-        control.tell(ServiceEventKind::Warning, &warning);
+        control.notify(ServiceEventKind::Warning, &warning);
     }
-    let doors = Doors::open(&config, &control)?;
+    let servers = Servers::open(&config, &control)?;
     let mut notifier = Notifier::default();
-    notifier.ready(&engine.status().words());
+    notifier.ready(&engine.status().summary());
     let pings = Notifier::watch(&heartbeat)?;
-    let mut running = Running { args, config, log, engine, control, doors, notifier };
+    let mut running = RunningService { args, config, log, engine, control, servers, notifier };
     let outcome = running.until_stopped(&signals);
     running.notifier.stopping("finishing the take");
     running.engine.stop_service();
-    running.doors.close();
+    running.servers.close();
     drop(pings);
     outcome.map(|()| Outcome::Done)
 }
 
-/// Signals, as they come.
+/// Starts a thread that receives signals; the channel that they arrive on.
 fn signals() -> anyhow::Result<Receiver<i32>> {
     let mut signals =
         Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
-    let (heard, come) = bounded(SIGNALS_MAX);
+    let (sender, receiver) = bounded(SIGNALS_MAX);
     threads::spawn("mocapd-signal", move || {
         for signal in signals.forever() {
-            // Nobody listens any more: the program ends.
-            if heard.send(signal).is_err() {
+            // The receiver is gone: the program ends.
+            if sender.send(signal).is_err() {
                 return;
             }
         }
     })?;
-    Ok(come)
+    Ok(receiver)
 }
 
-/// Ways in.
-struct Doors {
+/// The servers that requests arrive on: HTTP and capture triggers.
+struct Servers {
     http: Option<HttpServer>,
     triggers: Option<Triggers>,
 }
 
-impl Doors {
+impl Servers {
     fn open(config: &Config, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
         let mut options = http_options(&config.http)?;
         if config.missing_socket_folder().is_some() {
@@ -122,13 +122,13 @@ impl Doors {
         let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
         if let Some(address) = http.as_ref().and_then(HttpServer::tcp_address) {
             control
-                .tell(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
+                .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
         Ok(Self { http, triggers })
     }
 
-    /// Takes over what another configuration says at once.
+    /// Applies those changes of a new configuration that take effect at once.
     fn reload(
         &mut self,
         was: &Config,
@@ -152,7 +152,7 @@ impl Doors {
             triggers.close();
         }
         if let Some(http) = self.http
-            && let Err(error) = http.stop(CLIENTS_WITHIN)
+            && let Err(error) = http.stop(SHUTDOWN_TIMEOUT)
         {
             tracing::error!("{}", plain(&format!("{error:#}")));
         }
@@ -171,27 +171,27 @@ fn http_options(config: &HttpConfig) -> anyhow::Result<HttpOptions> {
     })
 }
 
-struct Running<'a> {
+struct RunningService<'a> {
     args: &'a Args,
     config: Config,
     log: Log,
     engine: Arc<Engine>,
     control: Arc<dyn Control>,
-    doors: Doors,
+    servers: Servers,
     notifier: Notifier,
 }
 
-impl Running<'_> {
+impl RunningService<'_> {
     fn until_stopped(&mut self, signals: &Receiver<i32>) -> anyhow::Result<()> {
         loop {
-            match signals.recv_timeout(TELL_EVERY) {
+            match signals.recv_timeout(STATUS_INTERVAL) {
                 Ok(SIGHUP) => self.reload(),
                 Ok(_) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
-                    self.notifier.status(&self.engine.status().words());
+                    self.notifier.status(&self.engine.status().summary());
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    anyhow::bail!("nobody watches for signals any more: this is a bug in mocapd")
+                    anyhow::bail!("the signal thread has ended: this is a bug in mocapd")
                 }
             }
             if self.engine.has_died() {
@@ -200,30 +200,27 @@ impl Running<'_> {
         }
     }
 
-    /// A configuration that cannot be meant changes nothing.
+    /// Reads the configuration again and applies it; an invalid one changes nothing.
     fn reload(&mut self) {
         self.notifier.reloading();
         match self.args.load() {
-            Ok(config) => self.take_over(config),
+            Ok(config) => self.apply(config),
             Err(error) => {
-                tracing::error!("the configuration stays as it was: {}", plain(&error.to_string()));
+                tracing::error!("keeping the old configuration: {}", plain(&error.to_string()));
             }
         }
-        self.notifier.ready(&self.engine.status().words());
+        self.notifier.ready(&self.engine.status().summary());
     }
 
-    fn take_over(&mut self, mut config: Config) {
+    fn apply(&mut self, mut config: Config) {
         let changes = self.config.changes(&config);
         for change in &changes {
-            tracing::info!("{}: {}", change.key, change.when.words());
+            tracing::info!("{}: {}", change.key, change.when.description());
         }
-        let options = match make_directory(&config).and_then(|()| EngineOptions::load(&config)) {
+        let options = match create_directory(&config).and_then(|()| EngineOptions::load(&config)) {
             Ok(options) => options,
             Err(error) => {
-                tracing::error!(
-                    "the configuration stays as it was: {}",
-                    plain(&format!("{error:#}"))
-                );
+                tracing::error!("keeping the old configuration: {}", plain(&format!("{error:#}")));
                 return;
             }
         };
@@ -231,26 +228,27 @@ impl Running<'_> {
         self.engine.reload(options);
         let known = self.config.warnings();
         for warning in config.warnings().iter().filter(|warning| !known.contains(warning)) {
-            self.control.tell(ServiceEventKind::Warning, warning);
+            self.control.notify(ServiceEventKind::Warning, warning);
         }
-        if let Err(error) = self.doors.reload(&self.config, &config, &self.control) {
+        if let Err(error) = self.servers.reload(&self.config, &config, &self.control) {
             tracing::error!("{}", plain(&format!("{error:#}")));
-            // Tried again the next time.
+            // The next reload then differs from this one, and tries again.
             config.trigger.listen = None;
         }
         self.config = config;
     }
 }
 
-/// Makes the takes' folder where it does not exist: whether it can be written is known before anybody presses record.
-fn make_directory(config: &Config) -> anyhow::Result<()> {
+/// Creates the folder for takes if it does not exist, so that a folder that cannot be written to is reported at once
+/// and not when a recording starts.
+fn create_directory(config: &Config) -> anyhow::Result<()> {
     config.check_takes_folder()?;
     let directory = &config.take.directory;
     if directory.exists() {
         return Ok(());
     }
     std::fs::create_dir_all(directory)
-        .with_context(|| format!("cannot make the takes' folder {}", directory.display()))?;
-    say(&format!("made the folder {}", directory.display()));
+        .with_context(|| format!("cannot create the folder for takes, {}", directory.display()))?;
+    notify(&format!("created the folder {}", directory.display()));
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Ctrl-C, and other signals that end a program; and a second one.
+//! Ctrl-C and the other signals that end a program: the first one stops it in order, a second one at once.
 
 use std::{
     fs,
@@ -17,15 +17,15 @@ use signal_hook::{
     iterator::Signals,
 };
 
-/// `timeout` and service managers signal a process and its group, which is the same signal twice: one that comes so soon
-/// is no second wish.
-const SAME_WITHIN: Duration = Duration::from_millis(500);
+/// `timeout` and service managers signal a process and its group, so that the same signal arrives twice: within this
+/// time it counts as one.
+const SAME_SIGNAL_WITHIN: Duration = Duration::from_millis(500);
 
-/// Exit code of a program that was ended at once: what it was doing failed.
-const ENDED_AT_ONCE: i32 = 1;
+/// Exit code after the second signal: the command failed.
+const EXIT_FAILED: i32 = 1;
 
-/// Signals that end a program: Ctrl-C, a service manager's, Ctrl-\\, and that of a terminal or an SSH connection that was
-/// closed. Under `nohup` the last is ignored, and stays so.
+/// The signals that end a program: Ctrl-C, a service manager's, Ctrl-\\, and that of a closed terminal or SSH
+/// connection. `nohup` ignores the last one; it then stays ignored.
 fn ending_signals() -> Vec<i32> {
     let mut signals = vec![SIGINT, SIGTERM, SIGQUIT];
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -42,7 +42,8 @@ fn is_ignored(status: &str, signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-/// Set by the first signal that ends programs; a second one ends the process at once, unless it comes within half a second.
+/// A flag that the first of these signals sets. A second one ends the process at once, unless it comes within
+/// [`SAME_SIGNAL_WITHIN`].
 pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
@@ -56,8 +57,8 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
         let mut first: Option<Instant> = None;
         for _ in signals.forever() {
             stopped.store(true, Ordering::Relaxed);
-            if first.get_or_insert_with(Instant::now).elapsed() > SAME_WITHIN {
-                signal_hook::low_level::exit(ENDED_AT_ONCE);
+            if first.get_or_insert_with(Instant::now).elapsed() > SAME_SIGNAL_WITHIN {
+                signal_hook::low_level::exit(EXIT_FAILED);
             }
         }
     })?;
@@ -69,8 +70,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_ignored_is_known() {
-        // As the kernel has it under `nohup`.
+    fn ignored_signals_are_detected() {
+        // The kernel's status of a process under `nohup`.
         let status = "Name:\tmocapd\nSigBlk:\t0000000000000000\nSigIgn:\t0000000000001001\n";
         assert!(is_ignored(status, SIGHUP));
         assert!(!is_ignored(status, SIGTERM));

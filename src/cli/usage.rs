@@ -1,8 +1,8 @@
-//! What clap has to say about arguments, in one line.
+//! clap's error messages in one line.
 
 use clap::error::{Error, ErrorKind};
 
-/// clap explains in paragraphs; an error here is one line that ends with what to do.
+/// Joins the paragraphs of an error message of clap into one line that ends with what to do.
 pub(super) fn one_line(error: &Error) -> String {
     let message = error.render().to_string();
     let mut out = String::new();
@@ -15,7 +15,7 @@ pub(super) fn one_line(error: &Error) -> String {
         }
         out.push_str(line);
     }
-    // A refused value says itself what to type; here only the command's help does.
+    // The message about an invalid value says what to type; these others do not.
     if matches!(
         error.kind(),
         ErrorKind::MissingRequiredArgument
@@ -36,7 +36,7 @@ mod tests {
     use super::*;
     use crate::cli::Cli;
 
-    fn said(args: &[&str]) -> String {
+    fn message_of(args: &[&str]) -> String {
         let args = ["mocapd"].iter().chain(args);
         one_line(&Cli::try_parse_from(args).unwrap_err())
     }
@@ -58,7 +58,7 @@ mod tests {
                 "invalid value '0' for '--tolerance <LENGTH>': a tolerance of 0 keeps every bit: use --lossless",
             ),
         ] {
-            assert_eq!(said(args), expected);
+            assert_eq!(message_of(args), expected);
         }
     }
 }

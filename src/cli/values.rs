@@ -1,61 +1,62 @@
-//! Values of arguments that only the command line refuses.
+//! Parsing of argument values that only the command line has, and formatting of numbers for people.
 
 use std::time::Duration;
 
+use anyhow::bail;
 use clap::Args;
 use mocapd::outcome::UsageError;
 use mocapd_acquire::{
     inspect::size_ratio,
-    pipeline::{STRETCH_LENGTHS, SYNC_MAX, Written},
+    pipeline::{STRETCH_LENGTHS, SYNC_MAX, TakeAccount},
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
 use serde::Serialize;
 
-/// The bound of the samples' error.
+/// Parses a tolerance.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong, and what to type instead.
 pub(super) fn tolerance(text: &str) -> Result<Tolerance, String> {
     units::tolerance(text, "--lossless")
 }
 
-/// The length of something that is to be made: more than nothing.
+/// Parses a length of time above 0.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong, and what to type instead.
 pub(super) fn length(text: &str) -> Result<Duration, String> {
     match units::duration(text)? {
-        Duration::ZERO => Err(format!("'{text}' is no time at all: give something like 10s")),
+        Duration::ZERO => Err(format!("'{text}' is zero: give a length of time such as 10s")),
         length => Ok(length),
     }
 }
 
-/// The length of a stretch.
+/// Parses the length of a stretch.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong, and what to type instead.
 pub(super) fn stretch(text: &str) -> Result<Duration, String> {
     let stretch = length(text)?;
     if STRETCH_LENGTHS.contains(&stretch) {
         return Ok(stretch);
     }
-    Err(format!("stretches of '{text}' are not written: give 50ms to 10s"))
+    Err(format!("a stretch of '{text}' is out of range: give 50ms to 10s"))
 }
 
-/// The time between syncs; 0 is one with each stretch.
+/// Parses the time between syncs; 0 syncs after each stretch.
 ///
 /// # Errors
-/// What is wrong and what to type.
+/// What is wrong, and what to type instead.
 pub(super) fn sync(text: &str) -> Result<Duration, String> {
     let sync = units::duration(text)?;
     if sync <= SYNC_MAX {
         return Ok(sync);
     }
-    Err(format!("syncs '{text}' apart are too few: give 0s to 60s"))
+    Err(format!("a sync interval of '{text}' is out of range: give 0s to 60s"))
 }
 
-/// `12 345 678`: digits in threes.
+/// A number with its digits in groups of three: `12 345 678`.
 pub(crate) fn thousands(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();
@@ -68,17 +69,17 @@ pub(crate) fn thousands(n: u64) -> String {
     out
 }
 
-/// `1 marker`, `12 345 markers`.
+/// A count with its noun, plural with s: `1 marker`, `12 345 markers`.
 pub(crate) fn count(n: u64, what: &str) -> String {
     count_of(n, [what, &format!("{what}s")])
 }
 
-/// The same of a word with another plural: `1 vertex`, `2 vertices`.
+/// A count with a noun of irregular plural: `1 vertex`, `2 vertices`.
 pub(crate) fn count_of(n: u64, [one, several]: [&str; 2]) -> String {
     format!("{} {}", thousands(n), if n == 1 { one } else { several })
 }
 
-/// `12 345 frames`, or `300 of 12 345 frames` where some of the rows are empty.
+/// `12 345 frames`, or `300 of 12 345 frames` if some rows are empty.
 pub(crate) fn frames_of(recorded: u64, rows: u64) -> String {
     if recorded < rows {
         format!("{} of {}", thousands(recorded), count(rows, "frame"))
@@ -87,7 +88,7 @@ pub(crate) fn frames_of(recorded: u64, rows: u64) -> String {
     }
 }
 
-/// `1.3 MB`.
+/// A number of bytes with its unit: `1.3 MB`.
 pub(crate) fn bytes(n: u64) -> String {
     match n {
         0..10_000 => format!("{} B", thousands(n)),
@@ -97,40 +98,38 @@ pub(crate) fn bytes(n: u64) -> String {
     }
 }
 
-/// Five to fifteen times the noise of an optical rig, and 2.5 times smaller files than a tenth of a
-/// millimetre.
+/// The default tolerance: 5 to 15 times the noise of an optical rig, with files 2.5 times smaller than at 0.1 mm.
 const DEFAULT_TOLERANCE_MM: f64 = 0.5;
 
 #[derive(Debug, Args)]
 pub(crate) struct CodecArgs {
-    /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
+    /// Largest allowed distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
     #[arg(long, value_name = "LENGTH", value_parser = tolerance, allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
-    /// Keep every bit; the same as --resampler lossless
+    /// Keep every bit, like --resampler lossless
     #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]
     lossless: bool,
-    /// dense, fast or lossless; of whole takes (import, bench codec) also spline[:worst-sample|:exhaustive] and
-    /// sync[:worst-sample|:exhaustive]
+    /// Resampler: dense, fast or lossless; for whole takes (import, bench codec) also
+    /// spline[:worst-sample|:exhaustive] and sync[:worst-sample|:exhaustive]
     #[arg(long, value_name = "NAME", default_value = "dense", value_parser = str::parse::<ResamplerKind>)]
     resampler: ResamplerKind,
 }
 
 impl CodecArgs {
-    /// For samples that are all there.
+    /// Settings to code a whole take.
     ///
     /// # Errors
-    /// A usage error when a tolerance is given to a resampler that has none.
+    /// A usage error if a tolerance is given for a lossless resampler.
     pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
         let kind = if self.lossless { ResamplerKind::Lossless } else { self.resampler };
         if kind.is_lossless() && self.tolerance.is_some() {
-            let message = "lossless keeps every bit and has no tolerance: leave --tolerance out";
-            return Err(UsageError(message.to_owned()).into());
+            bail!(UsageError("a lossless take has no tolerance: omit --tolerance".to_owned()));
         }
         let tolerance = self.tolerance.map_or(Tolerance::from_mm(DEFAULT_TOLERANCE_MM), Ok)?;
         Ok(Settings { kind, tolerance })
     }
 
-    /// For a device, whose samples are coded as they come.
+    /// Settings to code the samples of a device as they arrive.
     ///
     /// # Errors
     /// A usage error for a resampler that needs the whole take.
@@ -139,20 +138,19 @@ impl CodecArgs {
         if settings.kind.is_live() {
             return Ok(settings);
         }
-        Err(UsageError(format!(
-            "{} works on whole takes: record with dense, fast or lossless, then export and import with it",
+        bail!(UsageError(format!(
+            "{0} needs the whole take: record with dense, fast or lossless, then export the take and import it with {0}",
             settings.kind
-        ))
-        .into())
+        )))
     }
 }
 
-/// What a report says of the bound: 0 where every bit is kept.
+/// The tolerance as reports show it: 0 for lossless.
 pub(crate) fn tolerance_mm(codec: &Settings) -> f64 {
     if codec.kind.is_lossless() { 0.0 } else { codec.tolerance.mm() }
 }
 
-/// How large a take is beside its samples, and within which bound they are in it: what reports of new takes share.
+/// The size and accuracy of a new take, part of every report about one.
 #[derive(Debug, Serialize)]
 pub(crate) struct SizeReport {
     samples: u64,
@@ -165,7 +163,7 @@ pub(crate) struct SizeReport {
 }
 
 impl SizeReport {
-    pub(crate) fn new(written: &Written, codec: &Settings) -> Self {
+    pub(crate) fn new(written: &TakeAccount, codec: &Settings) -> Self {
         Self {
             samples: written.samples,
             raw_bytes: 12 * written.samples,
@@ -177,7 +175,7 @@ impl SizeReport {
         }
     }
 
-    pub(crate) fn words(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         let bound = if self.tolerance_mm > 0.0 {
             format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
         } else {
@@ -193,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_length_is_more_than_nothing() {
+    fn lengths_stretches_and_syncs_have_limits() {
         assert_eq!(length("250ms").unwrap(), Duration::from_millis(250));
         for text in ["49ms", "11s", "0"] {
             assert!(stretch(text).is_err(), "{text}");

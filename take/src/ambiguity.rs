@@ -1,79 +1,79 @@
-//! Where a file can be read in more than one way, and which way was taken.
+//! Ambiguities of imported files, and how they were resolved.
 
 use std::fmt;
 
-/// How the data of a C3D file are cut into frames.
+/// The layout of frames in the data section of a C3D file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameLayout {
-    /// Points a frame.
+    /// Points per frame.
     pub points: u64,
-    /// Analog samples a frame, all channels together.
+    /// Analog samples per frame, over all channels.
     pub analog_per_frame: u64,
-    /// Where the first frame begins in the file.
+    /// Byte offset of the first frame in the file.
     pub data_offset: u64,
     /// Whether samples are 16-bit integers (else floats).
     pub integers: bool,
 }
 
-/// Something that a file leaves open, and what was decided. A comparison with the file that repeats the decision cannot
-/// find it wrong.
+/// An ambiguity of a file, and how it was resolved. Comparing the take with the file cannot reveal a wrong resolution,
+/// because it resolves the ambiguity in the same way.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Ambiguity {
-    /// No unit of length is stated, or one that is not known: coordinates were taken as millimetres.
+    /// No unit of length is stated, or an unknown one; coordinates were read as millimetres.
     Unit {
-        /// As it stands in the file; empty where none does.
+        /// The unit as written; empty if none is stated.
         stated: String,
-        /// What the markers span, in whatever unit that is: one frame's in the median, or the path of a single marker.
-        /// 0 where nothing can be measured.
+        /// The extent of the markers, in the file's unit: the median over frames, or the path length of a single
+        /// marker. 0 if it cannot be measured.
         span: f64,
     },
-    /// The unit of length that the file states makes of its markers something too small or too large to be captured.
+    /// The stated unit of length gives the markers an implausibly small or large extent.
     StatedUnit {
-        /// As it stands in the file.
+        /// The unit as written.
         stated: String,
-        /// What the markers span in it, and how far they are from the origin, whichever is more: in millimetres.
+        /// The larger of the markers' extent and their distance from the origin, in millimetres.
         span_mm: f64,
     },
-    /// Places in the file disagree about what a frame holds.
+    /// Places in the file disagree about the layout of a frame.
     FrameLayout {
         /// What they state.
         stated: String,
-        /// What was taken.
+        /// The layout that was used.
         taken: FrameLayout,
     },
-    /// Every fourth word says "missing", and coordinates are there: they were taken as samples.
+    /// Every fourth word says "missing" although coordinates exist; they were read as samples.
     FourthWords {
-        /// Samples taken so.
+        /// Number of samples concerned.
         samples: u64,
     },
-    /// Fourth words say "missing" of samples that have coordinates: they are gaps.
+    /// Some fourth words say "missing" although coordinates exist; these are gaps.
     CoordinatesUnderGaps {
-        /// Samples left out so.
+        /// Number of samples left out.
         samples: u64,
     },
-    /// Samples stand exactly at the origin, and nothing says that they are missing.
+    /// Samples lie exactly at the origin and are not marked as missing.
     Origin {
-        /// How many.
+        /// Number of samples.
         samples: u64,
-        /// Whether they were taken as gaps (else as positions).
+        /// Whether they were read as gaps (else as positions).
         gaps: bool,
     },
 }
 
-/// Markers that span more than this in whatever unit are measured in millimetres: 500 cm are more than a body with all
-/// its reach, and so are 500 inches or feet; half a metre is the smallest set of markers that is larger than a head.
+/// Markers with a larger extent, in an unknown unit, are in millimetres: 500 cm are more than a body with its reach,
+/// and so are 500 inches or feet. Half a metre is also the smallest marker set larger than a head.
 const SPAN_OF_MILLIMETRES: f64 = 500.0;
-/// Markers that are all so near to each other and to the origin are not in the unit that is stated: metres that are called
-/// millimetres are within 10, and a volume for fingers is calibrated with a wand of 50 mm and more.
+/// Markers that are all this close to each other and to the origin are not in the stated unit: metres labelled as
+/// millimetres are within 10, and a volume for fingers is calibrated with a wand of 50 mm or more.
 const STATED_TOO_SMALL_MM: f64 = 25.0;
-/// Neither are those that are so far: the largest outdoor volumes are some 100 m.
+/// Markers that are this far away are not in the stated unit either: the largest outdoor volumes are about 100 m.
 const STATED_TOO_LARGE_MM: f64 = 1e6;
-/// A tolerance may be such a part of what markers span: of a body of 1.8 m that is 1.8 mm.
+/// Largest tolerance as a fraction of the markers' extent: 1.8 mm for a body of 1.8 m.
 const TOLERANCE_OF_SPAN: f64 = 1e-3;
 
 impl Ambiguity {
-    /// Whether it is a unit that may well not be millimetres: the markers span too little for that.
+    /// Whether the unit is doubtful: the extent of the markers is implausible in it.
     #[must_use]
     pub fn is_in_doubt(&self) -> bool {
         match self {
@@ -85,7 +85,7 @@ impl Ambiguity {
         }
     }
 
-    /// Whether samples that are kept within a tolerance would be destroyed, were the unit not millimetres.
+    /// Whether encoding with this tolerance would destroy the samples if the unit were not millimetres.
     #[must_use]
     pub fn is_destroyed_by(&self, tolerance_mm: f64) -> bool {
         let (Self::Unit { span, .. } | Self::StatedUnit { span_mm: span, .. }) = self else {
@@ -94,7 +94,7 @@ impl Ambiguity {
         self.is_in_doubt() && tolerance_mm > TOLERANCE_OF_SPAN * span
     }
 
-    /// A name for programs.
+    /// The name in JSON documents.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
@@ -113,37 +113,37 @@ impl fmt::Display for Ambiguity {
         match self {
             Self::Unit { stated, span } => {
                 match stated.as_str() {
-                    "" => f.write_str("No unit of length is stated")?,
-                    unit => write!(f, "The unit of length `{unit}` is not known")?,
+                    "" => f.write_str("The file states no unit of length")?,
+                    unit => write!(f, "The unit of length `{unit}` is unknown")?,
                 }
                 write!(
                     f,
-                    "; positions were read as millimetres, in which the markers span {span:.4} mm."
+                    "; positions were read as millimetres; the markers then span {span:.4} mm."
                 )
             }
             Self::StatedUnit { stated, span_mm } => write!(
                 f,
-                "The unit of length is `{stated}`, in which all markers are within {span_mm:.4} mm: hardly what was captured; \
-                 if it is another, give it with --unit."
+                "The stated unit of length, `{stated}`, places all markers within {span_mm:.4} mm, which is implausible; \
+                 if the unit is another one, give it with --unit."
             ),
             Self::FrameLayout { stated, taken } => {
                 let FrameLayout { points, analog_per_frame, data_offset, integers } = taken;
                 let kind = if *integers { "integers" } else { "floats" };
                 write!(
                     f,
-                    "Places disagree about what a frame holds ({stated}): read as {points} points and {analog_per_frame} analog \
-                     samples, {kind} from byte {data_offset} on, which suits the number of bytes and the motion best."
+                    "The file contradicts itself about the layout of frames ({stated}); {points} points and {analog_per_frame} \
+                     analog samples, {kind} from byte {data_offset} on, fit its size and motion best and were read."
                 )
             }
             Self::FourthWords { samples } => write!(
                 f,
-                "Every sample is marked as missing (fourth word negative), but {samples} have coordinates; those were read as \
+                "Every sample is marked as missing (negative fourth word), but {samples} have coordinates; those were read as \
                  samples."
             ),
             Self::CoordinatesUnderGaps { samples } => write!(
                 f,
-                "{samples} samples are marked as missing (fourth word negative) and have coordinates; they are gaps, and the \
-                 coordinates were kept as c3d/gap-coordinates."
+                "{samples} samples are marked as missing (negative fourth word) but have coordinates; they were read as gaps, \
+                 and the coordinates are kept as c3d/gap-coordinates."
             ),
             Self::Origin { samples, gaps: true } => write!(
                 f,
@@ -157,17 +157,17 @@ impl fmt::Display for Ambiguity {
     }
 }
 
-/// What a reader found wrong or open, as it goes along.
+/// Warnings that an importer collects.
 #[derive(Debug, Default)]
 pub(crate) struct Notes {
     /// One sentence each.
     pub(crate) warnings: Vec<String>,
-    /// What can be read in another way; each stands among the warnings, too.
+    /// Ambiguities; each is also among the warnings.
     pub(crate) ambiguities: Vec<Ambiguity>,
 }
 
 impl Notes {
-    /// Adds a choice that was made.
+    /// Adds an ambiguity and its warning.
     pub(crate) fn ambiguous(&mut self, ambiguity: Ambiguity) {
         self.warnings.push(ambiguity.to_string());
         self.ambiguities.push(ambiguity);

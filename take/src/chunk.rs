@@ -1,38 +1,38 @@
-//! Chunks: {type, varint length, payload, CRC-32}, and finding the next one after damage.
+//! Chunks {type, varint length, payload, CRC-32}, and the search for the next one after damage.
 
-mod marks;
+mod prefix_crcs;
 mod search;
 
 #[cfg(test)]
-pub(crate) use self::marks::HASHED_BYTES;
+pub(crate) use self::prefix_crcs::HASHED_BYTES;
 pub(crate) use self::{
-    marks::Marks,
-    search::{LongChunks, Next, Search, front_by_marks, resync},
+    prefix_crcs::PrefixCrcs,
+    search::{LongChunkScan, LongChunks, ResyncOutcome, parse_at, resync},
 };
 use crate::{TakeError, varint};
 
-/// `0x89 T A K CR LF 0x1A LF`: any transfer in text mode breaks it.
+/// `0x89 T A K CR LF 0x1A LF`: any transfer in text mode alters it.
 pub const MAGIC: [u8; 8] = *b"\x89TAK\r\n\x1a\n";
 
-/// Longest payload. A stretch at the limits of docs/take-format.md, lossless, stays below it.
+/// Longest payload. A lossless stretch at the limits of docs/take-format.md stays below it.
 pub const PAYLOAD_BYTES_MAX: u64 = 1 << 30;
 
-/// Longest chunk that a reader holds before it knows that the checksum matches. Every record is shorter, and a
-/// SUBJECT, too: eight documents of 1 MiB, which DEFLATE makes longer by at most five bytes in 16 KiB, and their names.
-/// A longer chunk is a STRETCH or a FOREIGN, or of a type that this version does not know.
+/// Longest chunk that a reader buffers before its CRC is known to match. Every record is shorter, and so is a SUBJECT:
+/// eight documents of 1 MiB, which DEFLATE lengthens by at most five bytes per 16 KiB, and their names. A longer chunk
+/// is a STRETCH, a FOREIGN, or of a type that this version does not know.
 pub const CHUNK_HELD_MAX: u64 = (8 << 20) + (64 << 10);
 
-/// Most bytes of a file that a reader holds while it looks for the next chunk behind damage: half of them to find the
-/// end of whatever begins in the other half.
+/// Most bytes that a reader buffers while it searches for the next chunk after damage. Half of them hold the end of any
+/// chunk that begins in the other half.
 pub const WINDOW_BYTES: usize = 16 << 20;
 
 /// Most bytes of type and length.
 pub(crate) const HEAD_BYTES_MAX: usize = 6;
 
-/// CRC-32.
+/// Size of the CRC-32.
 pub(crate) const CRC_BYTES: usize = 4;
 
-/// Bit 7 of the type: a reader that does not know the chunk may skip it.
+/// Bit 7 of a chunk type: a reader that does not know the type may skip the chunk.
 pub const MAY_SKIP: u8 = 0x80;
 
 /// The chunk types.
@@ -70,87 +70,82 @@ pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError>
     }
     let start = out.len();
     out.push(kind);
-    varint::put(out, payload.len() as u64);
-    out.extend_from_slice(payload);
+    varint::put_prefixed(out, payload);
     let crc = crc32fast::hash(&out[start..]);
     out.extend_from_slice(&crc.to_le_bytes());
     Ok(())
 }
 
-/// What stands at the front of some bytes.
+/// What the first bytes of a buffer hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Front<'a> {
-    /// A whole chunk with a matching CRC.
+pub enum ChunkParse<'a> {
+    /// A complete chunk with a matching CRC.
     Whole {
         /// Its type.
         kind: u8,
         /// Its payload.
         payload: &'a [u8],
-        /// Bytes from its type to its CRC.
+        /// Size from its type to its CRC.
         len: usize,
     },
-    /// Nothing wrong so far, but the bytes end first; at least this many are needed.
+    /// An incomplete chunk without an error so far; parsing needs at least this many bytes.
     Short(u64),
-    /// No chunk of version 1 begins here.
+    /// Not a chunk of version 1.
     Damaged,
 }
 
-/// Looks at the front of `bytes`.
+/// Parses the chunk at the front of `bytes`.
 #[must_use]
-pub fn front(bytes: &[u8]) -> Front<'_> {
+pub fn parse(bytes: &[u8]) -> ChunkParse<'_> {
     match split(bytes) {
-        Front::Whole { len, .. } if !crc_matches(&bytes[..len]) => Front::Damaged,
+        ChunkParse::Whole { len, .. } if !crc_matches(&bytes[..len]) => ChunkParse::Damaged,
         front => front,
     }
 }
 
 fn crc_matches(chunk: &[u8]) -> bool {
-    chunk
-        .split_last_chunk::<4>()
-        .is_some_and(|(body, crc)| marks::append(0, body).to_le_bytes() == *crc)
+    let Some((body, crc)) = chunk.split_last_chunk::<CRC_BYTES>() else { return false };
+    prefix_crcs::extend_crc(0, body).to_le_bytes() == *crc
 }
 
-/// The same without the CRC, for a chunk whose CRC was seen to match.
-pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
+/// Parses the chunk at the front of `bytes` without checking its CRC.
+pub(crate) fn split(bytes: &[u8]) -> ChunkParse<'_> {
     match head(bytes) {
-        Head::Short(wanted) => Front::Short(wanted),
-        Head::Bad => Front::Damaged,
-        Head::Of { kind, len, head_bytes } => {
+        ChunkHead::Short(wanted) => ChunkParse::Short(wanted),
+        ChunkHead::Invalid => ChunkParse::Damaged,
+        ChunkHead::Valid { kind, len, head_bytes } => {
             let chunk = usize::try_from(len).ok().and_then(|len| bytes.get(..len));
-            match chunk.and_then(|chunk| chunk.get(head_bytes..chunk.len() - CRC_BYTES)) {
-                Some(payload) => {
-                    Front::Whole { kind, payload, len: head_bytes + payload.len() + CRC_BYTES }
-                }
-                None => Front::Short(len),
-            }
+            let Some(chunk) = chunk else { return ChunkParse::Short(len) };
+            let payload = &chunk[head_bytes..chunk.len() - CRC_BYTES];
+            ChunkParse::Whole { kind, payload, len: chunk.len() }
         }
     }
 }
 
-/// What type and length at the front of some bytes say.
+/// Type and length of a chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Head {
-    /// The bytes end first; at least this many are needed.
+pub(crate) enum ChunkHead {
+    /// The bytes end within them; parsing needs at least this many.
     Short(u64),
-    /// No chunk of version 1 begins so.
-    Bad,
-    /// A chunk of `len` bytes from its type to its CRC, of which type and length take `head_bytes`.
-    Of { kind: u8, len: u64, head_bytes: usize },
+    /// Not a chunk of version 1.
+    Invalid,
+    /// A chunk of `len` bytes from its type to its CRC, with `head_bytes` of type and length.
+    Valid { kind: u8, len: u64, head_bytes: usize },
 }
 
-pub(crate) fn head(bytes: &[u8]) -> Head {
+pub(crate) fn head(bytes: &[u8]) -> ChunkHead {
     let mut cursor = varint::Cursor::new(bytes);
-    let Some(kind) = cursor.byte() else { return Head::Short(1) };
+    let Some(kind) = cursor.byte() else { return ChunkHead::Short(1) };
     match cursor.varint() {
-        Some(payload_bytes) if payload_bytes > PAYLOAD_BYTES_MAX => Head::Bad,
+        Some(payload_bytes) if payload_bytes > PAYLOAD_BYTES_MAX => ChunkHead::Invalid,
         Some(payload_bytes) => {
             let head_bytes = bytes.len() - cursor.rest().len();
             let len = head_bytes as u64 + payload_bytes + CRC_BYTES as u64;
-            Head::Of { kind, len, head_bytes }
+            ChunkHead::Valid { kind, len, head_bytes }
         }
-        // A varint of this format's lengths ends within five bytes.
-        None if bytes.len() < HEAD_BYTES_MAX => Head::Short(bytes.len() as u64 + 1),
-        None => Head::Bad,
+        // Every valid length has at most five bytes.
+        None if bytes.len() < HEAD_BYTES_MAX => ChunkHead::Short(bytes.len() as u64 + 1),
+        None => ChunkHead::Invalid,
     }
 }
 
@@ -168,30 +163,33 @@ mod tests {
     #[test]
     fn whole_chunks_come_back() {
         let bytes = two();
-        let Front::Whole { kind, payload, len } = front(&bytes) else { panic!() };
+        let ChunkParse::Whole { kind, payload, len } = parse(&bytes) else { panic!() };
         assert_eq!((kind, payload), (types::STRETCH, &b"first"[..]));
-        let Front::Whole { kind, payload, .. } = front(&bytes[len..]) else { panic!() };
+        let ChunkParse::Whole { kind, payload, .. } = parse(&bytes[len..]) else { panic!() };
         assert_eq!((kind, payload), (types::LEDGER, &[7; 300][..]));
     }
 
     #[test]
     fn every_truncation_is_short() {
         let bytes = two();
-        let Front::Whole { len, .. } = front(&bytes) else { panic!() };
+        let ChunkParse::Whole { len, .. } = parse(&bytes) else { panic!() };
         for cut in 0..len {
-            assert!(matches!(front(&bytes[..cut]), Front::Short(n) if n as usize > cut), "{cut}");
+            assert!(
+                matches!(parse(&bytes[..cut]), ChunkParse::Short(n) if n as usize > cut),
+                "{cut}"
+            );
         }
     }
 
     #[test]
     fn every_mutation_is_seen() {
         let bytes = two();
-        let Front::Whole { len, .. } = front(&bytes) else { panic!() };
+        let ChunkParse::Whole { len, .. } = parse(&bytes) else { panic!() };
         for at in 0..len {
             for flip in 1..=255_u8 {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= flip;
-                assert!(!matches!(front(&damaged), Front::Whole { .. }), "{at} {flip}");
+                assert!(!matches!(parse(&damaged), ChunkParse::Whole { .. }), "{at} {flip}");
             }
         }
     }

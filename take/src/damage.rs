@@ -1,111 +1,111 @@
-//! What is wrong with a take: its problems, and the rows that are not to be had any more.
+//! The problems of a damaged take, and its lost rows.
 
-use crate::{index::IndexEntry, record::Ledger, stretch::Stretch, timeline::Causes};
+use crate::{index::IndexEntry, record::Ledger, stretch::Stretch, timeline::LossCauses};
 
-/// Problems that are kept. A take that a disk has ruined has one a stretch; a file that was made to have more would
-/// have one every few bytes.
+/// Most problems that a list keeps. A take on a failing disk has one problem per stretch; a crafted file could have one
+/// every few bytes.
 pub const PROBLEMS_MAX: usize = 10_000;
 
-/// Something that is missing, damaged, or not as the take says.
+/// Something missing, damaged or inconsistent in a take.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {
-    /// The magic was damaged, and [put right](crate::recovery::mend_start).
-    #[error("the eight bytes that a take begins with were damaged")]
+    /// The magic was damaged and has been [repaired](crate::recovery::mend_start).
+    #[error("the signature of the take was damaged; it has been repaired")]
     Magic,
-    /// A byte of the header at this file offset was damaged, and [put right](crate::recovery::mend_start).
-    #[error("byte {0}, in the header, was damaged; the checksum told what it was")]
+    /// A byte of the header, at this file offset, was damaged and has been [repaired](crate::recovery::mend_start).
+    #[error("byte {0}, in the header, was damaged; the checksum restored it")]
     HeaderByte(u64),
-    /// Bytes that are no chunk, or a chunk whose content is wrong.
+    /// Bytes that are not a chunk, or a chunk with invalid content.
     #[error("{len} bytes at byte {offset}: {message}")]
     Damaged {
         /// File offset.
         offset: u64,
-        /// How many bytes.
+        /// Number of bytes.
         len: u64,
-        /// What is wrong.
+        /// The reason.
         message: String,
     },
-    /// Type or length of a chunk were damaged, and put right.
-    #[error("the head of the chunk at byte {offset} is damaged; its content is whole")]
-    Mended {
+    /// The type or length of a chunk was damaged and has been restored.
+    #[error("the head of the chunk at byte {offset} is damaged; its content is intact")]
+    Repaired {
         /// File offset of the chunk.
         offset: u64,
     },
     /// Entries of the channel table are lost.
     #[error("the names of {markers} markers are lost")]
     NamesLost {
-        /// Of how many markers.
+        /// Number of markers concerned.
         markers: usize,
     },
-    /// Stretches are missing, and no damaged bytes are in their place.
+    /// Stretches are missing, with no damaged bytes in their place.
     #[error("stretches before frame {row} are missing")]
     MissingBefore {
-        /// First row of the stretch behind them.
+        /// First row of the stretch after them.
         row: u64,
     },
-    /// The same, and the stretch behind them does not say where it lies.
+    /// Stretches are missing before a stretch that does not state its row.
     #[error("stretches from frame {row} on are missing")]
     MissingFrom {
-        /// The first row that they may have had.
+        /// The first row that may be missing.
         row: u64,
     },
-    /// A stretch that goes on from one that is lost: nobody knows which rows it has.
+    /// A stretch that continues a lost one, so that its rows are unknown.
     #[error(
         "a stretch of {n_rows} frames, from frame {from_row} or later: it depends on a damaged one"
     )]
     Unplaced {
-        /// How many rows it has.
+        /// Number of its rows.
         n_rows: u32,
         /// The first row that it may have.
         from_row: u64,
     },
-    /// A stretch that is there, and whose rows are not to be had.
-    #[error("the stretch of frames {first_row} to {}: {refusal}",
+    /// A stretch whose rows are unavailable.
+    #[error("cannot read the stretch of frames {first_row} to {}: {refusal}",
         first_row.saturating_add(u64::from(*n_rows)).saturating_sub(1))]
     Refused {
         /// Its first row.
         first_row: u64,
-        /// How many it has.
+        /// Number of its rows.
         n_rows: u32,
-        /// Why.
+        /// The reason.
         refusal: Refusal,
     },
-    /// The index tells of another row where a key stretch is.
-    #[error("the index tells of frame {told} where the stretch of frame {found} is")]
+    /// The index gives another row for a key stretch.
+    #[error("the index gives frame {stated} for the stretch that begins at frame {found}")]
     IndexRow {
-        /// Its first row, as the index says.
-        told: u64,
-        /// As it says itself.
+        /// First row according to the index.
+        stated: u64,
+        /// First row according to the stretch.
         found: u64,
     },
-    /// The footer tells of another number of rows.
-    #[error("the footer tells of {told} frames, {found} were found")]
+    /// The footer gives another number of rows.
+    #[error("the footer states {stated} frames, but {found} were found")]
     FooterRows {
-        /// Rows, as it says.
-        told: u64,
-        /// Rows that were found.
+        /// Rows according to the footer.
+        stated: u64,
+        /// Rows found.
         found: u64,
     },
-    /// The last ledger tells of other numbers than a whole take has.
-    #[error("its ledger tells of {} frames and {} samples, in the file are {} and {}: it is counted again",
-        told.frames, told.samples, found.frames, found.samples)]
+    /// The last ledger of an undamaged take contradicts its content.
+    #[error("the ledger states {} frames and {} samples, but the file has {} and {}; they were recounted",
+        stated.frames, stated.samples, found.frames, found.samples)]
     LedgerCounts {
-        /// As it says.
-        told: Counts,
-        /// As they were found.
-        found: Counts,
+        /// Counts in the ledger.
+        stated: LedgerTotals,
+        /// Counts in the file.
+        found: LedgerTotals,
     },
-    /// A foreign part that was left out.
+    /// A foreign part was left out.
     #[error("{kind}: more foreign data than a take can hold")]
     ForeignTooLong {
-        /// What it is.
+        /// Its kind.
         kind: String,
     },
-    /// There are more than [`PROBLEMS_MAX`].
-    #[error("there are more problems than these {PROBLEMS_MAX}")]
+    /// There are more than [`PROBLEMS_MAX`] problems.
+    #[error("there are more problems than the {PROBLEMS_MAX} listed")]
     More,
-    /// It was finished, and there is no ledger.
+    /// A closed take has no ledger.
     #[error("the ledger is missing")]
     NoLedger,
     /// There is no footer.
@@ -113,48 +113,45 @@ pub enum Problem {
     CutOff,
 }
 
-/// Why the rows of a stretch that is there are not to be had.
+/// Why the rows of a stretch are unavailable.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
-    /// Another stretch had its rows.
+    /// Another stretch has the same rows.
     #[error("it comes twice")]
     Twice,
-    /// It goes on from one whose rows are not to be had.
+    /// The stretch continues one whose rows are unavailable.
     #[error("it depends on a damaged one")]
     DependsOnLost,
-    /// Its blocks cannot be decoded.
+    /// The blocks cannot be decoded.
     #[error("{0}")]
     Undecodable(String),
 }
 
-/// What ledgers count.
+/// Counts that a ledger and the stretches must agree on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Counts {
+pub struct LedgerTotals {
     /// Recorded frames.
     pub frames: u64,
     /// Samples in them.
     pub samples: u64,
 }
 
-impl Counts {
-    pub(crate) fn of(ledger: &Ledger) -> Self {
+impl LedgerTotals {
+    pub(crate) fn from_ledger(ledger: &Ledger) -> Self {
         Self { frames: ledger.recorded, samples: ledger.samples_present }
     }
 }
 
 impl Problem {
-    /// Whether it may show only when samples are decoded.
-    pub(crate) fn is_of_decoding(&self) -> bool {
-        matches!(
-            self,
-            Self::Refused { refusal: Refusal::DependsOnLost | Refusal::Undecodable(_), .. }
-        )
+    /// Whether only decoding can reveal the problem.
+    pub(crate) fn is_decoding_problem(&self) -> bool {
+        let Self::Refused { refusal, .. } = self else { return false };
+        matches!(refusal, Refusal::DependsOnLost | Refusal::Undecodable(_))
     }
 }
 
-/// Adds a problem, if there are not too many already; the last one then says that there are more. That a take was cut
-/// off is added in any case.
-pub(crate) fn note(problems: &mut Vec<Problem>, problem: Problem) {
+/// Appends a problem. After [`PROBLEMS_MAX`] it appends [`Problem::More`] once, and then only the cut-off.
+pub(crate) fn push_problem(problems: &mut Vec<Problem>, problem: Problem) {
     if problems.len() < PROBLEMS_MAX || problem == Problem::CutOff {
         problems.push(problem);
     } else if problems.len() == PROBLEMS_MAX {
@@ -162,75 +159,76 @@ pub(crate) fn note(problems: &mut Vec<Problem>, problem: Problem) {
     }
 }
 
-/// Consecutive rows of which nothing is left.
+/// Consecutive rows that are lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LostRows {
-    /// The first.
+    /// First row.
     pub first_row: u64,
-    /// How many.
+    /// Number of rows.
     pub rows: u64,
-    /// Why.
-    pub why: Why,
+    /// The cause.
+    pub origin: DamageOrigin,
 }
 
-/// Why rows are lost.
+/// What damaged the rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Why {
-    /// Their stretch is missing or damaged here, or depends on one that is.
+pub enum DamageOrigin {
+    /// Their stretch is missing or damaged in this file, or depends on such a stretch.
     Damaged,
     /// They were damaged in the file that this take was recovered from.
     BeforeRecovery,
 }
 
-/// Follows the stretches of a take that could be read, and the rows between them.
+/// Tracks the stretches that were read, and the rows lost between them.
 #[derive(Debug)]
-pub(crate) struct Losses {
-    /// What is lost, where that is kept.
+pub(crate) struct LossTracker {
+    /// The lost rows; `None` if they are not collected.
     pub(crate) lost: Option<Vec<LostRows>>,
     /// The row after the last stretch that was read.
     pub(crate) end_row: u64,
-    /// The key that was sought, and not met yet: what lies before it was passed over.
-    pub(crate) sought: Option<IndexEntry>,
+    /// The key stretch of a seek, until it is reached; earlier stretches were skipped.
+    pub(crate) seek_key: Option<IndexEntry>,
     rows_min: u64,
 }
 
-impl Losses {
-    /// Of a take from its start; the rows between are kept if `lost` is a list.
+impl LossTracker {
+    /// A tracker at the start of a take; it appends lost rows to `lost` if that is a list.
     pub(crate) fn new(lost: Option<Vec<LostRows>>) -> Self {
-        Self { lost, end_row: 0, sought: None, rows_min: 0 }
+        Self { lost, end_row: 0, seek_key: None, rows_min: 0 }
     }
 
-    /// What comes next is a key stretch.
+    /// The next stretch is this key stretch.
     pub(crate) fn seek(&mut self, key: IndexEntry) {
-        self.sought = Some(key);
-        self.at_least(key.first_row);
+        self.seek_key = Some(key);
+        self.raise_rows_min(key.first_row);
     }
 
-    /// Whether the stretch at file offset `offset` has rows that were read or passed over, or accounts for such rows as lost.
+    /// Whether the stretch at file offset `offset` overlaps rows that were read or skipped, or declares such rows lost.
     ///
-    /// How far the account of those passed over went is known to the sought key itself, which tells of rows lost before it.
-    pub(crate) fn has(&mut self, offset: u64, stretch: &Stretch<'_>) -> bool {
+    /// After a seek, only the key stretch itself states where the rows before it end, because it records the rows lost
+    /// before it.
+    pub(crate) fn is_repeated(&mut self, offset: u64, stretch: &Stretch<'_>) -> bool {
         let from_row = stretch.from_row();
-        if self.sought.is_some_and(|key| key.offset == offset) && stretch.span.key {
-            self.sought = None;
+        if self.seek_key.is_some_and(|key| key.offset == offset) && stretch.span.key {
+            self.seek_key = None;
             self.end_row = self.end_row.max(from_row);
         }
-        let is_passed = |key: IndexEntry| stretch.span.first_row < key.first_row;
-        from_row < self.end_row || self.sought.is_some_and(is_passed)
+        let is_skipped = |key: IndexEntry| stretch.span.first_row < key.first_row;
+        from_row < self.end_row || self.seek_key.is_some_and(is_skipped)
     }
 
-    /// A stretch that was read. Gives the rows that are lost before it, or by its own account.
-    pub(crate) fn stretch(&mut self, stretch: &Stretch<'_>) -> u64 {
+    /// Adds a stretch that was read. Returns the rows lost before it, or lost by its own record.
+    pub(crate) fn add_stretch(&mut self, stretch: &Stretch<'_>) -> u64 {
         let from_row = stretch.from_row();
-        let mut sum = self.push(from_row, Why::Damaged);
+        let mut sum = self.push(from_row, DamageOrigin::Damaged);
         self.end_row = self.end_row.max(from_row);
         let runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
         let mut at = from_row;
         for run in runs {
             let end = at.saturating_add(run.rows);
-            if run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED)) {
+            if run.lost.is_some_and(|causes| causes.contains(LossCauses::DAMAGED)) {
                 self.end_row = self.end_row.max(at);
-                sum += self.push(end, Why::BeforeRecovery);
+                sum += self.push(end, DamageOrigin::BeforeRecovery);
             }
             at = end;
         }
@@ -238,33 +236,33 @@ impl Losses {
         sum
     }
 
-    /// The take has so many rows at least: those of a stretch that was not read, or by its footer.
-    pub(crate) fn at_least(&mut self, rows: u64) {
+    /// Raises the least number of rows of the take, from a stretch that was not read or from the footer.
+    pub(crate) fn raise_rows_min(&mut self, rows: u64) {
         self.rows_min = self.rows_min.max(rows);
     }
 
-    /// No more stretches come. Gives the rows that are known to be lost behind the last.
+    /// Ends the take. Returns the rows known to be lost after the last stretch.
     pub(crate) fn finish(&mut self) -> u64 {
-        let lost = self.push(self.rows_min, Why::Damaged);
+        let lost = self.push(self.rows_min, DamageOrigin::Damaged);
         self.end_row = self.end_row.max(self.rows_min);
         lost
     }
 
-    /// The row after the last stretch, read or not, as far as is known.
+    /// The row after the last known stretch, read or not.
     pub(crate) fn rows_min(&self) -> u64 {
         self.end_row.max(self.rows_min)
     }
 
-    /// The rows from the end of what is known to `end`.
-    fn push(&mut self, end: u64, why: Why) -> u64 {
+    /// Counts the rows up to `end` as lost.
+    fn push(&mut self, end: u64, origin: DamageOrigin) -> u64 {
         let rows = end.saturating_sub(self.end_row);
         let Some(lost) = self.lost.as_mut().filter(|_| rows > 0) else { return rows };
         match lost.last_mut() {
-            // A file of two bytes a run could else claim a list of twelve times its size.
-            Some(last) if last.first_row + last.rows == self.end_row && last.why == why => {
+            // Merging keeps the list short: a crafted run of two bytes would otherwise cost twelve times its size.
+            Some(last) if last.first_row + last.rows == self.end_row && last.origin == origin => {
                 last.rows += rows;
             }
-            _ => lost.push(LostRows { first_row: self.end_row, rows, why }),
+            _ => lost.push(LostRows { first_row: self.end_row, rows, origin }),
         }
         rows
     }
@@ -275,9 +273,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_list_ends_and_says_so() {
+    fn a_full_list_ends_with_more() {
         let mut problems = Vec::new();
-        (0..2 * PROBLEMS_MAX as u64).for_each(|i| note(&mut problems, Problem::HeaderByte(i)));
+        (0..2 * PROBLEMS_MAX as u64)
+            .for_each(|i| push_problem(&mut problems, Problem::HeaderByte(i)));
         assert_eq!(problems.len(), PROBLEMS_MAX + 1);
         assert_eq!(problems[PROBLEMS_MAX - 1], Problem::HeaderByte(PROBLEMS_MAX as u64 - 1));
         assert_eq!(problems[PROBLEMS_MAX], Problem::More);

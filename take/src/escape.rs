@@ -1,12 +1,12 @@
-//! Text from outside (labels, marks, names, messages of other programs), made safe to show and to put into tables.
+//! Escapes text of outside origin (labels, marks, names, messages of other programs) for display and for tables.
 //!
-//! A control character can begin a line of its own in a log, or command a terminal; a format character can turn the order
-//! of what stands beside it, or hide. All of them are escaped as Rust writes them: `\n`, `\u{1b}`, `\u{202e}`.
+//! A control character can start a new line in a log or control a terminal; a format character can reverse the order of
+//! the text beside it, or hide it. All of these are escaped as in Rust: `\n`, `\u{1b}`, `\u{202e}`.
 
 use std::borrow::Cow;
 
-/// Whether a character is escaped: all control characters (C0, DEL, C1), separators of lines and paragraphs, and what is
-/// invisible and acts on its surroundings. U+200C and U+200D stay: Persian, Indic scripts and emoji are spelt with them.
+/// Whether a character is escaped: all control characters (C0, DEL, C1), line and paragraph separators, and invisible
+/// characters that affect their surroundings. U+200C and U+200D are kept: Persian, Indic scripts and emoji need them.
 #[must_use]
 pub fn is_unsafe(c: char) -> bool {
     c.is_control()
@@ -23,13 +23,13 @@ pub fn is_unsafe(c: char) -> bool {
             | '\u{e0000}'..='\u{e007f}') // tags
 }
 
-/// A text on one line, with nothing in it that a terminal or a reader of a log would take for more than text.
+/// Escapes text to one line without control or format characters.
 #[must_use]
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, is_unsafe)
 }
 
-/// The same of a text of several lines, which stay: every value in it was made [`visible`] by itself.
+/// Escapes text like [`visible`], but keeps its line breaks. The caller has already escaped the values in it.
 #[must_use]
 pub fn visible_lines(text: &str) -> Cow<'_, str> {
     escaped(text, |c| c != '\n' && is_unsafe(c))
@@ -53,11 +53,11 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Before a number in an escape of a cell.
+/// The start of an escape in a table cell.
 const CELL_ESCAPE: &str = "\\u{";
 
-/// A text as part of a cell of a table, from which [`from_cell`] makes the same text again: what is unsafe becomes
-/// `\u{...}`, and the backslash of a `\u{` that stands in the text becomes `\u{5c}`.
+/// Encodes text for a table cell; [`from_cell`] is the inverse. Unsafe characters become `\u{...}`, and the backslash
+/// of a `\u{` in the text becomes `\u{5c}`.
 #[must_use]
 pub fn to_cell(text: &str) -> Cow<'_, str> {
     if !text.contains(is_unsafe) && !text.contains(CELL_ESCAPE) {
@@ -74,8 +74,8 @@ pub fn to_cell(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// The text that [`to_cell`] made a cell of. What it does not write stays as it is, so that cells of other programs are
-/// left alone.
+/// Decodes a table cell made by [`to_cell`]. Escapes that `to_cell` does not write are kept, so cells of other programs
+/// do not change.
 #[must_use]
 pub fn from_cell(cell: &str) -> Cow<'_, str> {
     if !cell.contains(CELL_ESCAPE) {
@@ -86,22 +86,19 @@ pub fn from_cell(cell: &str) -> Cow<'_, str> {
     while let Some((before, after)) = rest.split_once(CELL_ESCAPE) {
         out.push_str(before);
         let found = after.split_once('}').and_then(|(digits, behind)| {
-            // No character needs more than six digits; a sign is none.
+            // No character needs more than six digits, and `from_str_radix` would accept a sign.
             let is_digits = (1..=6).contains(&digits.len()) && !digits.starts_with('+');
             let digits = Some(digits).filter(|_| is_digits)?;
             let c = u32::from_str_radix(digits, 16).ok().and_then(char::from_u32)?;
             (is_unsafe(c) || c == '\\').then_some((c, behind))
         });
-        rest = match found {
-            Some((c, behind)) => {
-                out.push(c);
-                behind
-            }
-            None => {
-                out.push_str(CELL_ESCAPE);
-                after
-            }
-        };
+        if let Some((c, behind)) = found {
+            out.push(c);
+            rest = behind;
+        } else {
+            out.push_str(CELL_ESCAPE);
+            rest = after;
+        }
     }
     out.push_str(rest);
     Cow::Owned(out)

@@ -1,9 +1,9 @@
-//! FOREIGN: what an importer found and the take does not model, kept for the way back.
+//! FOREIGN: parts of an imported file that a take does not model, kept for export to the same format.
 
 pub mod content;
 
 use std::{
-    io::{self, BufReader, Read, Seek, SeekFrom},
+    io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},
     sync::Arc,
 };
 
@@ -15,22 +15,22 @@ use flate2::{
 use self::content::{Content, ScratchFile, Spool};
 use crate::{TakeError, varint};
 
-/// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
+/// Longest foreign part. The analog section of a C3D file stays below it even at the format's own limits.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
 
-/// What an importer found and we do not model, kept so that an exporter of the same format can give it back.
+/// A part of an imported file that a take does not model, kept for export to the same format.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Foreign {
-    /// Which format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
+    /// Format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
     pub kind: String,
-    /// The bytes, in the layout that docs/take-format.md gives for that kind.
+    /// The content, in the layout that docs/foreign.md gives for its kind.
     pub data: Content,
 }
 
-/// The payload of a FOREIGN chunk.
+/// Encodes the payload of a FOREIGN chunk.
 ///
 /// # Errors
-/// `InvalidArgument` when the part is too long; `Io` never happens in memory.
+/// `InvalidArgument` for content that is too long; `Io` if its scratch file cannot be read.
 pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
     if foreign.data.len() > DATA_BYTES_MAX {
         return Err(TakeError::InvalidArgument(format!(
@@ -40,37 +40,36 @@ pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
         )));
     }
     let mut out = Vec::new();
-    varint::put(&mut out, foreign.kind.len() as u64);
-    out.extend_from_slice(foreign.kind.as_bytes());
+    varint::put_prefixed(&mut out, foreign.kind.as_bytes());
     varint::put(&mut out, foreign.data.len());
     let mut deflate = DeflateEncoder::new(out, Compression::best());
     io::copy(&mut foreign.data.reader(), &mut deflate)?;
     Ok(deflate.finish()?)
 }
 
-/// A foreign part as it stands in a take: [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
+/// A foreign part of a take, not yet read. [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ForeignPart {
-    /// What it is: `c3d/analog`.
+    /// Its kind, such as `c3d/analog`.
     pub kind: String,
-    /// Bytes of its content.
+    /// Size of its content.
     pub data_bytes: u64,
     deflated_at: u64,
     deflated_bytes: u64,
-    /// Of its chunk.
+    /// File offset of its chunk.
     offset: u64,
 }
 
 impl ForeignPart {
-    /// Of the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
-    pub(crate) fn of_payload(
+    /// Parses the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
+    pub(crate) fn from_payload(
         front: &[u8],
         (payload_at, payload_bytes): (u64, u64),
         offset: u64,
     ) -> Result<Self, TakeError> {
         let mut cursor = varint::Cursor::new(front);
         let (kind, data_bytes) =
-            front_of(&mut cursor).map_err(|message| corrupt(offset, message))?;
+            parse_front(&mut cursor).map_err(|error| corrupt(offset, error))?;
         let in_front = (front.len() - cursor.rest().len()) as u64;
         Ok(Self {
             kind: kind.to_owned(),
@@ -81,15 +80,15 @@ impl ForeignPart {
         })
     }
 
-    /// What is deflated.
+    /// File offset of the deflated content.
     pub(crate) fn deflated_at(&self) -> u64 {
         self.deflated_at
     }
 
-    /// Reads its content from the take that it was found in.
+    /// Reads the content from the same file.
     ///
     /// # Errors
-    /// `Io`; `Corrupt` when the file is not the one that was read.
+    /// `Io`; `Corrupt` when the file has changed since it was parsed.
     pub(crate) fn read(
         &self,
         input: &mut (impl Read + Seek),
@@ -98,85 +97,80 @@ impl ForeignPart {
         input.seek(SeekFrom::Start(self.deflated_at))?;
         let deflated = BufReader::new(input.by_ref().take(self.deflated_bytes));
         let mut inflated = DeflateDecoder::new(deflated);
-        let data =
-            spool.put(&mut inflated, self.data_bytes).map_err(|error| match error.kind() {
-                io::ErrorKind::InvalidInput
-                | io::ErrorKind::InvalidData
-                | io::ErrorKind::UnexpectedEof => {
-                    corrupt(self.offset, &format!("not DEFLATE: {error}"))
-                }
-                _ => error.into(),
-            })?;
+        let data = spool.put(&mut inflated, self.data_bytes);
+        let data = data.map_err(|error| match error.kind() {
+            ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::UnexpectedEof => {
+                corrupt(self.offset, &format!("invalid DEFLATE data: {error}"))
+            }
+            _ => error.into(),
+        })?;
         if data.len() != self.data_bytes {
-            return Err(corrupt(self.offset, ANOTHER_LENGTH));
+            return Err(corrupt(self.offset, WRONG_LENGTH));
         }
         Ok(Foreign { kind: self.kind.clone(), data })
     }
 }
 
-const ANOTHER_LENGTH: &str = "another length than stated";
+const WRONG_LENGTH: &str = "its length is not the stated one";
 
-/// Longest kind of a part whose chunk is too long to be held. Those that importers write have at most 20 bytes.
+/// Longest kind of a part whose chunk is too long to hold. Importers write kinds of at most 20 bytes.
 const LONG_KIND_BYTES_MAX: u64 = 64;
 
-/// Bytes that kind and length of such a part take at most: two varints and the kind.
+/// Most bytes of kind and length of such a part: two varints and the kind.
 pub(crate) const FRONT_BYTES: usize = 10 + LONG_KIND_BYTES_MAX as usize + 10;
 
-/// Whether the payload of a long FOREIGN chunk may begin with these bytes.
+/// Whether these bytes are a plausible start of a long FOREIGN chunk's payload.
 pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
-    front_of(&mut varint::Cursor::new(payload)).is_ok_and(|(kind, _)| {
-        let is_name = kind.bytes().all(|byte| byte.is_ascii_graphic());
-        is_name && (1..=LONG_KIND_BYTES_MAX).contains(&(kind.len() as u64))
+    parse_front(&mut varint::Cursor::new(payload)).is_ok_and(|(kind, _)| {
+        let is_printable = kind.bytes().all(|byte| byte.is_ascii_graphic());
+        is_printable && (1..=LONG_KIND_BYTES_MAX).contains(&(kind.len() as u64))
     })
 }
 
-/// Kind and length of the content.
-fn front_of<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
-    let kind = cursor
-        .varint()
-        .and_then(|n| cursor.take(n))
-        .and_then(|bytes| std::str::from_utf8(bytes).ok())
-        .ok_or("no kind")?;
-    let len = cursor.varint().ok_or("no length")?;
+/// Parses the kind and the length of the content.
+fn parse_front<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
+    let kind = cursor.prefixed().and_then(|kind| std::str::from_utf8(kind).ok());
+    let kind = kind.ok_or("its kind is missing or not UTF-8")?;
+    let len = cursor.varint().ok_or("its length is missing")?;
     if len > DATA_BYTES_MAX { Err("longer than a take can hold") } else { Ok((kind, len)) }
 }
 
 fn corrupt(offset: u64, message: &str) -> TakeError {
-    TakeError::Corrupt { what: "foreign part", offset, message: message.to_owned() }
+    TakeError::corrupt("foreign part", offset, message)
 }
 
-/// What is inflated at once.
+/// Size of the buffer for inflated bytes.
 const INFLATED_BYTES: usize = 1 << 13;
 
-/// Inflates a part to see whether it can be, and keeps nothing of it.
+/// Inflates a part to validate it, and discards the output.
 #[derive(Debug)]
-pub(crate) struct Inflation {
+pub(crate) struct InflateCheck {
     inflater: Decompress,
     stated_bytes: u64,
     is_ended: bool,
     message: Option<String>,
 }
 
-impl Inflation {
-    /// Of a part whose content has so many bytes.
+impl InflateCheck {
+    /// A check of a part whose content has `stated_bytes`.
     pub(crate) fn new(stated_bytes: u64) -> Self {
         Self { inflater: Decompress::new(false), stated_bytes, is_ended: false, message: None }
     }
 
-    /// The deflated bytes that come next.
+    /// Inflates the next deflated bytes.
     pub(crate) fn push(&mut self, mut bytes: &[u8]) {
         let mut inflated = [0; INFLATED_BYTES];
         while !self.is_ended && self.message.is_none() {
             let before = (self.inflater.total_in(), self.inflater.total_out());
             match self.inflater.decompress(bytes, &mut inflated, FlushDecompress::None) {
                 Ok(status) => self.is_ended = status == Status::StreamEnd,
-                Err(error) => self.message = Some(format!("not DEFLATE: {error}")),
+                Err(error) => self.message = Some(format!("invalid DEFLATE data: {error}")),
             }
             let taken = (self.inflater.total_in() - before.0) as usize;
             let given = (self.inflater.total_out() - before.1) as usize;
             bytes = bytes.get(taken..).unwrap_or_default();
             if self.inflater.total_out() > self.stated_bytes {
-                self.message = Some(ANOTHER_LENGTH.to_owned());
+                self.message = Some(WRONG_LENGTH.to_owned());
             }
             if bytes.is_empty() && given < INFLATED_BYTES || taken == 0 && given == 0 {
                 return;
@@ -184,15 +178,13 @@ impl Inflation {
         }
     }
 
-    /// All bytes of the part at file offset `offset` were pushed.
+    /// Ends the check of the part at file offset `offset`.
     pub(crate) fn finish(self, offset: u64) -> Result<(), TakeError> {
         match self.message {
             Some(message) => Err(corrupt(offset, &message)),
-            None if !self.is_ended => Err(corrupt(offset, "not DEFLATE: it ends too early")),
-            None if self.inflater.total_out() != self.stated_bytes => {
-                Err(corrupt(offset, ANOTHER_LENGTH))
-            }
-            None => Ok(()),
+            None if !self.is_ended => Err(corrupt(offset, "invalid DEFLATE data: truncated")),
+            None if self.inflater.total_out() == self.stated_bytes => Ok(()),
+            None => Err(corrupt(offset, WRONG_LENGTH)),
         }
     }
 }
@@ -205,8 +197,8 @@ mod tests {
 
     fn read(payload: &[u8]) -> Result<Foreign, TakeError> {
         let len = payload.len() as u64;
-        let part = ForeignPart::of_payload(payload, (0, len), 0)?;
-        let mut inflation = Inflation::new(part.data_bytes);
+        let part = ForeignPart::from_payload(payload, (0, len), 0)?;
+        let mut inflation = InflateCheck::new(part.data_bytes);
         payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
         inflation.finish(0)?;
         part.read(&mut Cursor::new(payload), &mut Spool::new(|| unreachable!("few bytes")))

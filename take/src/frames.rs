@@ -1,4 +1,4 @@
-//! A take as frames: what exporters, `verify` and the simulator read.
+//! A take as a sequence of frames, for exporters, `verify` and the simulator.
 
 use std::{
     io::{self, Read, Seek},
@@ -7,11 +7,9 @@ use std::{
 
 use crate::{
     TakeError,
-    damage::{Problem, note},
-    foreign::{
-        Foreign, ForeignPart,
-        content::{Content, ScratchFile, Spool},
-    },
+    damage::{Problem, push_problem},
+    foreign::content::{Content, ScratchFile, Spool},
+    foreign::{Foreign, ForeignPart},
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
@@ -19,31 +17,31 @@ use crate::{
     traversal::{Decode, TakeTraversal},
 };
 
-/// Most bytes of foreign parts, in memory and in a scratch file.
+/// Most bytes of a take's foreign parts, in memory and scratch file together.
 const FOREIGN_BYTES_MAX: u64 = 1 << 28;
 
-/// Most samples of a take that [`read_motion`] holds: 3 GiB.
+/// Most samples that [`read_motion`] holds: 3 GiB.
 const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 
-/// Frames of a take in order, decoded stretch by stretch: bounded memory for a take of any length.
+/// The frames of a take in order, decoded stretch by stretch, in bounded memory.
 ///
-/// A lost or damaged frame is a row of gaps; [`problems`](Self::problems) says which and why.
+/// A lost or damaged frame is a row of gaps; [`problems`](Self::problems) gives the reasons.
 #[derive(Debug)]
 pub struct TakeFrames<R> {
     info: MotionInfo,
     map: TakeMap,
     stretches: TakeTraversal<R>,
-    /// The stretch that was decoded last.
+    /// The last decoded stretch.
     current: Option<Span>,
-    /// By channel, what its blocks state.
+    /// By channel, the error bound that the stretch's blocks state.
     stated_mm: Vec<Option<f64>>,
     next_row: u64,
     ended: bool,
 }
 
 impl<R: Read + Seek> TakeFrames<R> {
-    /// Reads the take once without decoding it, for its channel table and its number of rows. Its foreign parts are named
-    /// in [`info`](FrameSource::info), and empty.
+    /// Scans the take, without decoding it, for its channel table and number of rows. [`info`](FrameSource::info) lists
+    /// its foreign parts, without their content.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
@@ -51,11 +49,11 @@ impl<R: Read + Seek> TakeFrames<R> {
         Self::open_with(input, |_| false, || Err(io::ErrorKind::Unsupported.into()))
     }
 
-    /// The same, with the content of those foreign parts whose kind is `wanted`: beyond 8 MiB in the file that
-    /// `new_scratch` makes.
+    /// Opens a take like [`open`](Self::open), and reads the content of foreign parts whose kind is `wanted`. Content
+    /// beyond 8 MiB goes into the file that `new_scratch` creates.
     ///
     /// # Errors
-    /// As [`open`](Self::open); `Io` of the scratch file, too.
+    /// Those of [`open`](Self::open), and `Io` for the scratch file.
     pub fn open_with(
         mut input: R,
         wanted: impl Fn(&str) -> bool,
@@ -72,7 +70,7 @@ impl<R: Read + Seek> TakeFrames<R> {
             }
             foreign_bytes = foreign_bytes.saturating_add(*data_bytes);
             if foreign_bytes > FOREIGN_BYTES_MAX {
-                note(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
+                push_problem(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
             } else {
                 info.foreign.push(part.read(&mut input, &mut spool)?);
             }
@@ -80,18 +78,14 @@ impl<R: Read + Seek> TakeFrames<R> {
         describe(&map.header, &mut info);
         info.n_frames = map.n_rows;
         info.markers = map.channels.iter().map(Into::into).collect();
-        let event = |Event { row: frame, kind, text, .. }: &Event| MotionEvent {
-            frame: *frame,
-            kind: *kind,
-            text: text.clone(),
-        };
+        let event = |e: &Event| MotionEvent { frame: e.row, kind: e.kind, text: e.text.clone() };
         info.subject.clone_from(&map.subject);
         info.events = map.events.iter().map(event).collect();
-        // An event may be written behind the stretch of a later frame.
+        // An event may be written after the stretch of a later frame.
         info.events.sort_by_key(|event| event.frame);
         Ok(Self {
             info,
-            stretches: TakeTraversal::of_map(input, &map, Decode::All)?,
+            stretches: TakeTraversal::from_map(input, &map, Decode::All)?,
             map,
             current: None,
             stated_mm: Vec::new(),
@@ -100,21 +94,21 @@ impl<R: Read + Seek> TakeFrames<R> {
         })
     }
 
-    /// The take without its samples.
+    /// Everything in the take but its samples.
     #[must_use]
     pub fn map(&self) -> &TakeMap {
         &self.map
     }
 
-    /// What is missing or damaged. Complete after the last frame, but for frames that were
-    /// [passed over](Self::seek).
+    /// Everything missing or damaged. The list is complete after the last frame, except for frames that were
+    /// [skipped](Self::seek).
     #[must_use]
     pub fn problems(&self) -> &[Problem] {
         &self.map.problems
     }
 
-    /// Passes over the frames before `row`, so that it comes next: those before the last key stretch, at most ten
-    /// seconds before it, are not decoded. Frames that came already do not come again.
+    /// Skips to frame `row`. Stretches before the last key stretch, which begins at most ten seconds before `row`, are
+    /// not decoded. Frames that were read are not repeated.
     ///
     /// # Errors
     /// `Unsupported`, `Io`.
@@ -124,12 +118,12 @@ impl<R: Read + Seek> TakeFrames<R> {
         Ok(())
     }
 
-    /// Decodes the next stretch that can be, if the take goes on.
+    /// Decodes the next stretch, if there is one.
     fn advance(&mut self) -> Result<(), TakeError> {
         self.current = None;
         let span = self.stretches.next_stretch();
         let found = self.stretches.take_problems();
-        found.into_iter().for_each(|problem| note(&mut self.map.problems, problem));
+        found.into_iter().for_each(|problem| push_problem(&mut self.map.problems, problem));
         match span? {
             Some(span) if span.n_rows > 0 => {
                 self.current = Some(span);
@@ -158,9 +152,8 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
             self.advance().map_err(io::Error::other)?;
         }
         row.fill(GAP);
-        if let Some(span) =
-            self.current.filter(|span| (span.first_row..span.end_row()).contains(&at))
-        {
+        let span = self.current.filter(|span| (span.first_row..span.end_row()).contains(&at));
+        if let Some(span) = span {
             let i = (at - span.first_row) as usize;
             for (position, rows) in row.iter_mut().zip(self.stretches.rows()) {
                 if let Some(rows) = rows.filter(|rows| rows.present[i]) {
@@ -208,7 +201,7 @@ fn describe(header: &Header, info: &mut MotionInfo) {
     };
 }
 
-/// A whole take in memory, for replay, and what is missing from it.
+/// Reads a whole take into memory, for replay, with the list of its problems.
 ///
 /// # Errors
 /// `NotATake`, `Unsupported`, `Io`.
@@ -217,7 +210,7 @@ pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<Problem>), Ta
     let n_markers = frames.info.markers.len();
     if frames.info.n_frames.saturating_mul(n_markers.max(1) as u64) > MOTION_SAMPLES_MAX {
         return Err(TakeError::InvalidArgument(format!(
-            "{} frames of {n_markers} markers are more than fit into memory: export a part of the take",
+            "{} frames of {n_markers} markers do not fit into memory; export a part of the take",
             frames.info.n_frames
         )));
     }

@@ -1,20 +1,20 @@
-//! INDEX and FOOTER: the way to the middle of a long take, and the proof that it was finished; and what a take says at its two
-//! ends, without a look at what lies between.
+//! INDEX and FOOTER: random access to a long take, and the proof that it was closed. [`TakeEnds`] reads what a take
+//! states at its two ends without reading between them.
 
 use std::io::{Read, Seek, SeekFrom};
 
 use crate::{
     NotATake, TakeError,
-    chunk::{self, Front, MAGIC, types},
+    chunk::{self, ChunkParse, MAGIC, types},
     record::{Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding},
     varint,
 };
 
-/// Bytes of the shortest chunk of a stretch: type, length, a head of two bytes, CRC. It is less than what stands in front of
-/// the first one.
+/// Size of the shortest STRETCH chunk: type, length, a head of two bytes, CRC. The magic and header before the first
+/// one are longer.
 const STRETCH_BYTES_MIN: u64 = 8;
 
-/// One key stretch.
+/// Position of a key stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct IndexEntry {
     /// File offset of its chunk.
@@ -37,92 +37,74 @@ pub fn index_payload(entries: &[IndexEntry]) -> Vec<u8> {
     out
 }
 
-/// From the payload of INDEX at file offset `offset`.
+/// Parses the payload of the INDEX chunk at file offset `offset`.
 ///
 /// # Errors
 /// `Corrupt`.
 pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeError> {
-    let corrupt = || TakeError::Corrupt {
-        what: "index",
-        offset,
-        message: "its entries do not fill it, or make no sense".into(),
-    };
+    let message = "its entries are invalid or do not fill the payload";
+    let corrupt = || TakeError::corrupt("index", offset, message);
     let mut cursor = varint::Cursor::new(payload);
     let count = cursor.varint().ok_or_else(corrupt)?;
     let mut entries = Vec::new();
     let mut before = IndexEntry { offset: 0, first_row: 0 };
     for _ in 0..count {
-        let (Some(by), Some(rows)) = (cursor.varint(), cursor.varint()) else {
-            return Err(corrupt());
-        };
-        // So that an index costs no more memory than twice the stretches that it tells of.
-        if by < STRETCH_BYTES_MIN {
-            return Err(corrupt());
-        }
-        before = IndexEntry {
-            offset: before.offset.wrapping_add(by),
-            first_row: before.first_row.wrapping_add(rows),
-        };
+        // This bounds the memory of an index by twice the size of the stretches it lists.
+        let by = cursor.varint().filter(|&by| by >= STRETCH_BYTES_MIN).ok_or_else(corrupt)?;
+        let rows = cursor.varint().ok_or_else(corrupt)?;
+        before.offset = before.offset.wrapping_add(by);
+        before.first_row = before.first_row.wrapping_add(rows);
         entries.push(before);
     }
     if cursor.is_empty() { Ok(entries) } else { Err(corrupt()) }
 }
 
-/// The last chunk of a finished take.
+/// The last chunk of a closed take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Footer {
     /// File offset of INDEX.
     pub index_offset: u64,
     /// File offset of the last LEDGER.
     pub ledger_offset: u64,
-    /// Rows in all, lost ones included.
+    /// Number of rows, including lost ones.
     pub n_rows: u64,
 }
 
 impl Footer {
-    /// Bytes of its chunk, the last ones of a finished take: type, length, payload, CRC.
+    /// Size of its chunk, which ends a closed take: type, length, payload, CRC.
     pub const CHUNK_BYTES: usize = 30;
 
     /// Its payload.
     #[must_use]
     pub fn to_payload(self) -> Vec<u8> {
-        [self.index_offset, self.ledger_offset, self.n_rows]
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect()
+        [self.index_offset, self.ledger_offset, self.n_rows].map(u64::to_le_bytes).concat()
     }
 
-    /// From the last bytes of a file, when they are a footer whose CRC matches: so a take is known to be finished
-    /// without reading it.
+    /// Parses the last bytes of a file. `None` unless they are a footer with a matching CRC, which shows that the take
+    /// was closed.
     #[must_use]
     pub fn from_chunk(chunk: &[u8; Self::CHUNK_BYTES]) -> Option<Self> {
-        match chunk::front(chunk) {
-            Front::Whole { kind: types::FOOTER, payload, .. } => {
-                Self::from_payload(payload, 0).ok()
-            }
-            _ => None,
-        }
+        let ChunkParse::Whole { kind: types::FOOTER, payload, .. } = chunk::parse(chunk) else {
+            return None;
+        };
+        Self::from_payload(payload, 0).ok()
     }
 
-    /// From its payload.
+    /// Parses the payload.
     ///
     /// # Errors
-    /// `Corrupt` when it is not 24 bytes.
+    /// `Corrupt` unless it has 24 bytes.
     pub fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let word = |i: usize| payload[i * 8..].first_chunk().map(|b| u64::from_le_bytes(*b));
-        match payload.len() {
-            24 => word(0).zip(word(1)).zip(word(2)),
-            _ => None,
+        if let (&[index, ledger, rows], []) = payload.as_chunks::<8>() {
+            let [index_offset, ledger_offset, n_rows] =
+                [index, ledger, rows].map(u64::from_le_bytes);
+            return Ok(Self { index_offset, ledger_offset, n_rows });
         }
-        .map(|((index_offset, ledger_offset), n_rows)| Self { index_offset, ledger_offset, n_rows })
-        .ok_or_else(|| TakeError::Corrupt {
-            what: "footer",
-            offset,
-            message: format!("{} bytes instead of 24", payload.len()),
-        })
+        let message = format!("expected 24 bytes, found {}", payload.len());
+        Err(TakeError::corrupt("footer", offset, message))
     }
 
-    /// Itself, unless it claims more rows than what is known of the take leaves room for.
+    /// Rejects a footer that claims more than `rows_max` rows.
     ///
     /// # Errors
     /// `Corrupt`.
@@ -130,49 +112,49 @@ impl Footer {
         if self.n_rows <= rows_max {
             return Ok(self);
         }
-        let message = format!("it tells of {} frames, more than can have been lost", self.n_rows);
-        Err(TakeError::Corrupt { what: "footer", offset, message })
+        let message = format!("it states {} frames, more than any loss can explain", self.n_rows);
+        Err(TakeError::corrupt("footer", offset, message))
     }
 }
 
-/// Bytes that are read at once where a chunk begins: the header of hundreds of markers, and any usual ledger with a
-/// summary behind it.
+/// Size of one read at the start of a chunk: enough for the header of hundreds of markers, and for most ledgers with
+/// the summary after them.
 const READ_BYTES: u64 = 16 << 10;
 
-/// What a chunk has beside its payload: type, a length of at most five bytes, CRC-32; and the version of a record.
-const BESIDE_BYTES: u64 = 1 + 5 + 4 + 2;
+/// Most bytes of a record's chunk besides its content: type, a length of at most five bytes, CRC-32, and the version.
+const OVERHEAD_BYTES: u64 = 1 + 5 + 4 + 2;
 
 /// Longest chunk of a record.
-const RECORD_BYTES_MAX: u64 = LIMIT_BYTES as u64 + BESIDE_BYTES;
+const RECORD_BYTES_MAX: u64 = LIMIT_BYTES as u64 + OVERHEAD_BYTES;
 
-/// Longest SUMMARY.
-const SUMMARY_CHUNK_BYTES_MAX: u64 = SUMMARY_BYTES_MAX as u64 + BESIDE_BYTES;
+/// Longest SUMMARY chunk.
+const SUMMARY_CHUNK_BYTES_MAX: u64 = SUMMARY_BYTES_MAX as u64 + OVERHEAD_BYTES;
 
-/// The two ends of a take.
+/// What a take states at its start and at its end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TakeEnds {
-    /// What it begins with.
+    /// The header.
     pub header: Header,
-    /// What it ends with; `None` where it has no footer: it is being written, or was cut off.
+    /// `None` without a footer: the take is being written, or was cut off.
     pub end: Option<TakeEnd>,
 }
 
-/// The end of a take that was closed.
+/// The end of a closed take.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TakeEnd {
-    /// Its last chunk.
+    /// The last chunk.
     pub footer: Footer,
-    /// The last ledger; `None` where the one that the footer tells of is not there, or damaged.
+    /// The last ledger; `None` if the chunk at the footer's offset is missing or damaged.
     pub ledger: Option<Ledger>,
-    /// How it ended, where it says.
+    /// How the take ended, if it states that.
     pub ending: Option<TakeEnding>,
 }
 
 impl TakeEnds {
-    /// Reads them: some kilobytes of a usual take, and never more than the records there may have (some 16 MiB).
+    /// Reads both ends: some kilobytes of most takes, and at most the size limits of these records (16 MiB).
     ///
     /// # Errors
-    /// `NotATake`, `Unsupported`, `Corrupt` for a header that cannot be read, `Io`.
+    /// `NotATake`, `Unsupported`, `Io`; `Corrupt` for a header that cannot be decoded.
     pub fn read(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         let file_bytes = input.seek(SeekFrom::End(0))?;
         input.seek(SeekFrom::Start(0))?;
@@ -199,7 +181,7 @@ impl TakeEnd {
         let Some(footer) = Footer::from_chunk(&bytes) else { return Ok(None) };
         let mut end = Self { footer, ledger: None, ending: None };
         let ledger_at = footer.ledger_offset;
-        // Nothing follows a footer, and no file is so long that every offset could be gone to.
+        // No chunk follows a footer, and no file is long enough for every 64-bit offset.
         if ledger_at >= at {
             return Ok(Some(end));
         }
@@ -211,22 +193,21 @@ impl TakeEnd {
         if summary_at < footer.index_offset {
             let limit = SUMMARY_CHUNK_BYTES_MAX;
             let chunk = Chunk::read(input, summary_at, types::SUMMARY, limit)?;
-            let summary =
-                chunk.and_then(|c| SummaryRecord::from_payload(&c.payload, summary_at).ok());
-            end.ending = summary.and_then(|summary| summary.ending);
+            let summary = |c: Chunk| SummaryRecord::from_payload(&c.payload, summary_at).ok();
+            end.ending = chunk.and_then(summary).and_then(|summary| summary.ending);
         }
         Ok(Some(end))
     }
 }
 
-/// A chunk of the type that was looked for.
+/// A chunk with a matching CRC.
 struct Chunk {
     payload: Vec<u8>,
     len: u64,
 }
 
 impl Chunk {
-    /// `None` when there is no whole chunk of this type, or it is longer than `max`.
+    /// Reads the chunk at `offset`. `None` unless its CRC matches, its type is `wanted` and it has at most `max` bytes.
     fn read(
         input: &mut (impl Read + Seek),
         offset: u64,
@@ -237,14 +218,16 @@ impl Chunk {
         let mut needed = READ_BYTES.min(max);
         input.seek(SeekFrom::Start(offset))?;
         loop {
-            // Memory grows with what the file has, not with what a length in it claims.
+            // Memory grows with the file's content, not with a length that it claims.
             input.by_ref().take(needed - bytes.len() as u64).read_to_end(&mut bytes)?;
             let is_wanted = bytes.first() == Some(&wanted);
-            match chunk::front(&bytes) {
-                Front::Whole { payload, len, .. } if is_wanted => {
+            match chunk::parse(&bytes) {
+                ChunkParse::Whole { payload, len, .. } if is_wanted => {
                     return Ok(Some(Self { payload: payload.to_vec(), len: len as u64 }));
                 }
-                Front::Short(more) if is_wanted && more <= max && more > needed => needed = more,
+                ChunkParse::Short(more) if is_wanted && more <= max && more > needed => {
+                    needed = more;
+                }
                 _ => return Ok(None),
             }
         }
@@ -319,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn every_cut_and_every_wrong_byte_is_told_from_a_whole_end() {
+    fn every_cut_and_every_wrong_byte_is_detected() {
         let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
         for cut in 0..bytes.len() {
             let read = TakeEnds::read(&mut Cursor::new(&bytes[..cut]));
@@ -337,16 +320,16 @@ mod tests {
         }
     }
 
-    /// As a file is, none of whose offsets is beyond what is signed.
-    struct File(Cursor<Vec<u8>>);
+    /// Seeks like a file: offsets beyond `i64::MAX` are errors.
+    struct SignedOffsetFile(Cursor<Vec<u8>>);
 
-    impl Read for File {
+    impl Read for SignedOffsetFile {
         fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
             self.0.read(bytes)
         }
     }
 
-    impl Seek for File {
+    impl Seek for SignedOffsetFile {
         fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
             match to {
                 SeekFrom::Start(at) if i64::try_from(at).is_err() => {
@@ -358,14 +341,14 @@ mod tests {
     }
 
     #[test]
-    fn a_footer_that_tells_of_a_ledger_behind_itself_has_none() {
+    fn a_ledger_offset_behind_the_footer_is_ignored() {
         let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
         let footer_at = bytes.len() - Footer::CHUNK_BYTES;
         for ledger_offset in [footer_at as u64, bytes.len() as u64, i64::MAX as u64 + 1, u64::MAX] {
             let mut changed = bytes[..footer_at].to_vec();
             let footer = Footer { index_offset: u64::MAX, ledger_offset, n_rows: 0 };
             chunk::put(&mut changed, types::FOOTER, &footer.to_payload()).unwrap();
-            let ends = TakeEnds::read(&mut File(Cursor::new(changed))).unwrap();
+            let ends = TakeEnds::read(&mut SignedOffsetFile(Cursor::new(changed))).unwrap();
             assert_eq!(ends.end, Some(TakeEnd { footer, ledger: None, ending: None }));
         }
     }

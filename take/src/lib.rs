@@ -1,7 +1,7 @@
-//! The take file: writer, sans-io reader, and the field's interchange formats.
+//! The take file (writer and sans-io reader) and the interchange formats of the field.
 //!
-//! `docs/take-format.md` gives the format byte by byte. Nothing here opens a file, reads a clock or starts a
-//! thread: bytes go to a [`std::io::Write`] and come from the caller.
+//! `docs/take-format.md` specifies the format byte by byte. This crate opens no file, reads no clock and starts no
+//! thread: it writes to a [`std::io::Write`] and reads bytes that the caller provides.
 
 mod ambiguity;
 pub mod chunk;
@@ -15,6 +15,7 @@ pub mod map;
 pub mod motion;
 pub mod phase;
 
+pub mod motion_encoder;
 pub mod reader;
 pub mod record;
 pub mod recovery;
@@ -24,7 +25,6 @@ pub mod timeline;
 pub mod traversal;
 mod up_axis;
 mod varint;
-pub mod whole;
 pub mod writer;
 
 pub use frames::{TakeFrames, read_motion};
@@ -34,73 +34,78 @@ pub use reader::{TakeEvent, TakeReader};
 pub use traversal::TakeTraversal;
 pub use writer::TakeWriter;
 
-/// Why a file is no take.
+/// Why a file is not a take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NotATake {
-    /// There is less of it than the magic.
-    #[error("the file is shorter than a take's eight bytes")]
+    /// The file is shorter than the magic.
+    #[error("the file is shorter than the signature of a take")]
     Short,
-    /// It begins like something else.
-    #[error("the file does not begin with a take's eight bytes")]
+    /// The file begins with other bytes.
+    #[error("the file does not begin with the signature of a take")]
     OtherMagic,
-    /// It was sent as text.
-    #[error("its line ends were changed by a transfer in text mode; copy it again in binary mode")]
+    /// A transfer in text mode converted the line ends.
+    #[error("a transfer in text mode changed its line ends; copy it again in binary mode")]
     SentAsText,
-    /// It ends before its header does.
-    #[error("the file ends inside its header, and nothing of it can be read")]
+    /// The file ends inside its header.
+    #[error("the file ends inside its header, so nothing can be read")]
     HeaderCut,
-    /// Its header is damaged; one byte of it can be [put right](recovery::mend_start).
-    #[error(
-        "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right"
-    )]
+    /// The header is damaged; [`repair_start`](recovery::mend_start) may repair one byte of it.
+    #[error("its header is damaged; try `mocapd recover`, which can repair one byte of it")]
     HeaderDamaged,
-    /// Its header is damaged, and more of it than can be put right.
-    #[error("more than one byte of its header is damaged, and nothing can be read without it")]
+    /// The header has more damage than can be repaired.
+    #[error("more than one byte of its header is damaged, so nothing can be read")]
     HeaderLost,
-    /// The chunk behind the magic is no header, or a damaged one.
-    #[error("its header is damaged or not there")]
+    /// The chunk after the magic is damaged, or is not a header.
+    #[error("its header is missing or damaged")]
     NoHeader,
-    /// Another program changed it meanwhile.
-    #[error("it changed while it was read")]
+    /// Another program changed the file during the read.
+    #[error("another program changed it during the read")]
     Changed,
 }
 
-/// What can go wrong with a take, by what the caller can do about it.
+/// Errors of reading and writing takes, grouped by what the caller can do about them.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TakeError {
-    /// Not a take at all.
+    /// The file is not a take.
     #[error("not a take: {0}")]
     NotATake(NotATake),
-    /// A take from another version.
-    #[error("{what} has version {found}, this build reads {supported}: use {}",
+    /// The take was written by another version.
+    #[error("{what} has version {found}, but this build reads version {supported}: use {}",
         if found > supported { "a newer mocapd" } else { "the development version that wrote it" })]
     Unsupported {
-        /// Which record.
+        /// The kind of record.
         what: &'static str,
         /// The version found.
         found: u16,
-        /// The version known.
+        /// The version that this build reads.
         supported: u16,
     },
-    /// Bytes that cannot be right.
+    /// Bytes that cannot be valid.
     #[error("{what} at byte {offset}: {message}")]
     Corrupt {
-        /// Which chunk or record.
+        /// The kind of chunk or record.
         what: &'static str,
         /// File offset of its chunk.
         offset: u64,
         /// What is wrong.
         message: String,
     },
-    /// The caller asked for something a take cannot hold.
+    /// A request that a take cannot represent.
     #[error("{0}")]
     InvalidArgument(String),
-    /// The codec refused.
+    /// The codec rejected its input.
     #[error(transparent)]
     Codec(#[from] mocapd_codec::CodecError),
-    /// Reading or writing failed.
+    /// An I/O error.
     #[error(transparent)]
     Io(#[from] std::io::Error),
+}
+
+impl TakeError {
+    /// [`Corrupt`](Self::Corrupt) bytes of the chunk at `offset`.
+    pub(crate) fn corrupt(what: &'static str, offset: u64, message: impl Into<String>) -> Self {
+        Self::Corrupt { what, offset, message: message.into() }
+    }
 }

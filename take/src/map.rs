@@ -1,5 +1,4 @@
-//! Where everything in a take lies, and what it says beside the motion: what a reader needs that starts in the
-//! middle.
+//! The map of a take: everything but the samples, and the positions from which decoding can start.
 
 mod open;
 
@@ -13,46 +12,47 @@ use crate::{
     record::{Channel, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
 };
 
-/// A take without its samples.
+/// Everything in a take but its samples.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TakeMap {
-    /// Its header.
+    /// The header.
     pub header: Header,
-    /// The whole channel table, in order of columns.
+    /// The complete channel table, in column order.
     pub channels: Vec<Channel>,
-    /// Rows, lost ones included.
+    /// Number of rows, including lost ones.
     pub n_rows: u64,
-    /// Rows in stretches that were found and have samples; `None` when stretches were not read. The others were
-    /// lost, or nothing was seen in them.
-    pub n_held: Option<u64>,
-    /// Rows of the longest stretch, which is what a decoder holds of each marker; `None` when stretches were not read.
+    /// Rows in stretches that were found and have samples; `None` if the stretches were not read. All other rows were
+    /// lost or have no marker.
+    pub n_sampled_rows: Option<u64>,
+    /// Rows of the longest stretch, which is what a decoder buffers of each marker; `None` if the stretches were not
+    /// read.
     pub longest_stretch: Option<u64>,
-    /// The key stretches, at which a reader can start, in order of rows.
+    /// The key stretches, from which decoding can start, in order of rows.
     pub keys: Vec<IndexEntry>,
-    /// Who was captured, where it says.
+    /// The captured subject, if stated.
     pub subject: Option<Subject>,
-    /// The events, in order.
+    /// The events, in file order.
     pub events: Vec<Event>,
     /// The last ledger.
     pub ledger: Option<Ledger>,
-    /// How it ended, where it says: takes of earlier versions, imports, and takes that were cut off do not.
+    /// How the take ended, if stated: not by earlier versions, imports, or takes that were cut off.
     pub ending: Option<TakeEnding>,
-    /// By segment of the device's clock, the last line of each that has one.
+    /// The last fitted clock line of each segment of the device's clock that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,
-    /// What an importer kept; empty when stretches were not read.
+    /// The parts that an importer kept; empty if the stretches were not read.
     pub foreign: Vec<ForeignPart>,
-    /// Whether the take was closed in order: one without a footer was cut off.
+    /// Whether the take was closed; a take without a footer was cut off.
     pub finished: bool,
-    /// Something was found that is damaged or missing.
+    /// Whether anything damaged or missing was found.
     pub damaged: bool,
-    /// Rows that are lost to damage, here or before the take was recovered, as far as stretches were read.
+    /// Rows lost to damage, in this file or before it was recovered, in the stretches that were read.
     pub damage: Vec<LostRows>,
-    /// What is wrong with it; that it was cut off comes last.
+    /// Everything that is wrong with the take; the cut-off comes last.
     pub problems: Vec<Problem>,
 }
 
 impl TakeMap {
-    /// The rows `rows` in order, cut at keys: at most `n` pieces, each of which can be decoded on its own.
+    /// Splits `rows` at key stretches into at most `n` consecutive ranges that can be decoded independently.
     #[must_use]
     pub fn pieces(&self, rows: &Range<u64>, n: usize) -> Vec<Range<u64>> {
         let inside = self.keys.iter().map(|key| key.first_row);
@@ -70,8 +70,8 @@ impl TakeMap {
         pieces
     }
 
-    /// What the take says beside its motion and its channel table.
-    pub(crate) fn keep(&mut self, event: TakeEvent<'_>) {
+    /// Adds the content of an event, except motion and channel table.
+    pub(crate) fn add_content(&mut self, event: TakeEvent<'_>) {
         match event {
             TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),

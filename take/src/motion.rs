@@ -1,4 +1,4 @@
-//! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
+//! Marker trajectories in memory: importers produce them, exporters consume them and the simulator replays them.
 
 use std::time::Duration;
 
@@ -16,17 +16,17 @@ pub use crate::{
 /// A position in millimetres; a gap is [`GAP`].
 pub type Position = [f32; 3];
 
-/// What stands where a marker has no sample. Compare with [`is_gap`]: NaN is not equal to itself.
+/// The position of a missing sample. Compare with [`is_gap`]: NaN does not equal itself.
 pub const GAP: Position = [f32::NAN; 3];
 
-/// Whether a position stands for a missing sample.
+/// Whether a position marks a missing sample.
 #[must_use]
 pub fn is_gap(position: Position) -> bool {
     position.iter().any(|v| !v.is_finite())
 }
 
-/// The first frame at or after `time`, and so the number of frames before it. A time that is a frame's own
-/// but for its last digits is that frame's: 0.07 s at 100 Hz are 7.000000000000001 frames in binary.
+/// The first frame at or after `time`, which is also the number of frames before it. A time within rounding error of a
+/// frame's own time counts as that frame: 0.07 s at 100 Hz are 7.000000000000001 frames in binary.
 #[must_use]
 pub fn frame_at(time: Duration, rate_hz: f64) -> u64 {
     let frame = time.as_secs_f64() * rate_hz;
@@ -35,83 +35,83 @@ pub fn frame_at(time: Duration, rate_hz: f64) -> u64 {
     if close { nearest as u64 } else { frame.ceil() as u64 }
 }
 
-/// One marker.
+/// A marker.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Marker {
-    /// Its name; for an unlabelled slot `u001`... by column.
+    /// Its label; `u001`... by column if it is unlabelled.
     pub label: String,
-    /// Whether the name came from the source (false: an unlabelled slot).
+    /// Whether the label comes from the source (false: an unlabelled trajectory).
     pub labelled: bool,
 }
 
-/// Where trajectories came from and what was done to them.
+/// The origin of trajectories and their conversion.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Source {
     /// `c3d`, `trc`, `tsv`, `csv`, `generated`, or a driver's name.
     pub format: String,
-    /// The unit found there, as written (`mm`, `cm`, `m`); empty when none was stated.
+    /// The source's unit of length, as written (`mm`, `cm`, `m`); empty if none is stated.
     pub unit: String,
-    /// What every coordinate was multiplied by, in f64, to become millimetres.
+    /// The factor that converted every coordinate to millimetres, in f64.
     pub factor: f64,
     /// Number of the source's first frame (C3D files often do not start at 1).
     pub first_frame: u64,
-    /// Frames that the source announces and does not hold: a file that was cut short.
+    /// Frames that the source announces but lacks, because the file is truncated.
     pub frames_missing: u64,
-    /// What was found wrong and how it was read all the same, one sentence each.
+    /// Defects of the source and how they were read, one sentence each.
     pub warnings: Vec<String>,
-    /// What of them can be read in another way.
+    /// Warnings that allow another reading of the source.
     pub ambiguities: Vec<Ambiguity>,
 }
 
-/// Something that happened beside the motion: a mark, a trigger, a word of the device or the host.
+/// An operator's mark, a trigger, a sync pulse, or a notice of the device or host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MotionEvent {
-    /// The frame, counted from 0: the one that was recorded then. One past the last is the end.
+    /// The frame at that time, from 0; one past the last frame is the end.
     pub frame: u64,
-    /// What kind.
+    /// Its kind.
     pub kind: EventKind,
-    /// In words; may be empty.
+    /// A description; may be empty.
     pub text: String,
 }
 
 impl MotionEvent {
-    /// What to call it: its text, or the word for its kind where it has none.
+    /// A name for the event: its text, or its kind if the text is blank.
     #[must_use]
     pub fn label(&self) -> &str {
-        if self.text.trim().is_empty() { self.kind.word() } else { &self.text }
+        if self.text.trim().is_empty() { self.kind.name() } else { &self.text }
     }
 }
 
 /// Everything about trajectories but the samples.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct MotionInfo {
-    /// Frames a second.
+    /// Frames per second.
     pub rate_hz: f64,
-    /// Frames in all.
+    /// Number of frames.
     pub n_frames: u64,
     /// The markers, in column order.
     pub markers: Vec<Marker>,
-    /// Which way is up.
+    /// The vertical axis.
     pub up: UpAxis,
-    /// Where they came from.
+    /// The origin of the trajectories.
     pub source: Source,
-    /// Who was captured, where that is known.
+    /// The captured subject, if known.
     pub subject: Option<Subject>,
-    /// What else was there.
+    /// Parts of the source that a take does not model.
     pub foreign: Vec<Foreign>,
-    /// What happened, in the order of the frames.
+    /// The events, in order of frames.
     pub events: Vec<MotionEvent>,
 }
 
 impl MotionInfo {
-    /// The markers' labels, in the order of their columns.
+    /// The labels, in column order.
     #[must_use]
     pub fn labels(&self) -> Vec<String> {
         self.markers.iter().map(|marker| marker.label.clone()).collect()
     }
 
-    /// Turns this into what is true of the frames `first..end` alone: their number, the number of the first, and
-    /// the events among them. What is noticed after the last frame belongs to a part that reaches it.
+    /// Restricts the description to frames `first..end`: their number, the number of the first, and their events.
+    /// Events after the last frame stay if `end` reaches it.
     pub fn cut(&mut self, first: u64, end: u64) {
         let reaches_end = end >= self.n_frames;
         self.events.retain(|event| event.frame >= first && (event.frame < end || reaches_end));
@@ -124,14 +124,14 @@ impl MotionInfo {
 /// Trajectories in memory, frame-major: `positions_mm[frame * n_markers + marker]`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Motion {
-    /// All but the samples.
+    /// Everything but the samples.
     pub info: MotionInfo,
     /// `n_frames * markers.len()` positions, [`GAP`] where missing.
     pub positions_mm: Vec<Position>,
 }
 
 impl Motion {
-    /// One frame: a position a marker.
+    /// The positions of one frame, one per marker.
     #[must_use]
     pub fn frame(&self, index: usize) -> &[Position] {
         let n = self.info.markers.len();
@@ -148,29 +148,29 @@ impl Motion {
     }
 }
 
-/// Frames one after another: what exporters read, so that a take of any length is exported in bounded memory.
+/// Reads frames one after another, so that a take of any length can be exported in bounded memory.
 pub trait FrameSource {
-    /// All but the samples; `n_frames` is the number of frames that will come.
+    /// Everything but the samples; `n_frames` is the number of frames that follow.
     fn info(&self) -> &MotionInfo;
 
-    /// Fills `row`, one position a marker ([`GAP`] where missing; a lost frame is all gaps). `false` at the end.
+    /// Fills `row`, one position per marker ([`GAP`] where missing; a lost frame is all gaps). `false` at the end.
     ///
     /// # Errors
-    /// Whatever reading the source meets.
+    /// Any error of reading the source.
     fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool>;
 
-    /// The largest error in millimetres that the source states of a marker, by column, around the frame it gave
-    /// last; `None` where it states none.
+    /// The largest error of a marker, in millimetres, that the source states for the part of the recording around the
+    /// last frame; `None` if it states none.
     fn stated_error_mm(&self, _column: usize) -> Option<f64> {
         None
     }
 
-    /// The take that they are of, without its samples; `None` for frames of anything else.
+    /// The take that the frames come from, without its samples; `None` for other sources.
     fn take(&self) -> Option<&TakeMap> {
         None
     }
 
-    /// Whether the frame it gave last stands for one that was damaged in the file: nobody knows what was in it.
+    /// Whether the last frame was damaged in the file, so that its content is unknown.
     fn is_lost(&self) -> bool {
         false
     }
@@ -184,7 +184,7 @@ pub struct MotionFrames<'a> {
 }
 
 impl<'a> MotionFrames<'a> {
-    /// From the first frame.
+    /// Starts at the first frame.
     #[must_use]
     pub fn new(motion: &'a Motion) -> Self {
         Self { motion, next: 0 }

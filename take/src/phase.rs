@@ -1,9 +1,9 @@
-//! The phases of a jump, as (Shi et al. 2012) divide it.
+//! The phases of a jump, after Shi et al. (2012).
 
-/// What a part of a trial is.
+/// A phase of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Phase {
-    /// Standing still before the first swing. Not among the paper's.
+    /// Standing still before the first swing; not one of the paper's phases.
     Standing,
     /// Preparatory swings of the arms.
     Swings,
@@ -20,7 +20,7 @@ pub enum Phase {
 }
 
 impl Phase {
-    /// In the order of a trial.
+    /// All phases, in the order of a trial.
     pub const ALL: [Self; 7] = [
         Self::Standing,
         Self::Swings,
@@ -31,7 +31,7 @@ impl Phase {
         Self::Walking,
     ];
 
-    /// As tables and phase files say it.
+    /// The name in tables and phase files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -45,9 +45,9 @@ impl Phase {
         }
     }
 
-    /// The phase of a name.
+    /// The phase with this name.
     #[must_use]
-    pub fn of_name(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|phase| phase.name() == name)
     }
 }

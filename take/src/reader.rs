@@ -1,4 +1,5 @@
-//! Reads a take, sans-io: bytes are pushed in, events come out; damage is an event, not the end.
+//! A sans-io reader of takes: the caller pushes bytes in and takes events out. Damage is an event; reading goes on
+//! after it.
 
 mod chunks;
 mod damage;
@@ -7,120 +8,118 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
 use serde::Serialize;
 
-pub(crate) use self::{chunks::record, damage::mend_head};
+pub(crate) use self::{chunks::record, damage::repair_head};
 
-use self::{
-    chunks::{Passing, Step},
-    damage::Damage,
-};
+use self::{chunks::LongChunk, damage::Damage};
 use crate::{
     NotATake, TakeError,
-    chunk::{self, LongChunks, Marks, Search, WINDOW_BYTES, types},
+    chunk::{self, LongChunkScan, LongChunks, PrefixCrcs, WINDOW_BYTES, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
-    stretch::{Chain, Stretch},
+    stretch::{Stretch, StretchChain},
 };
 
-/// One thing found in a take.
+/// One element of a take.
 #[derive(Debug)]
 pub enum TakeEvent<'a> {
-    /// The first chunk.
+    /// The header, always the first chunk.
     Header(Box<Header>),
-    /// More entries of the channel table.
+    /// Further entries of the channel table.
     Channels(Vec<Channel>),
-    /// A stretch, its blocks still coded.
+    /// A stretch, with its blocks still encoded.
     Stretch(Stretch<'a>),
-    /// A stretch that goes on from one that is missing or damaged: nobody knows which rows it has, and
-    /// its blocks cannot be decoded.
+    /// A stretch that continues a missing or damaged one: its rows are unknown, and its blocks cannot be decoded.
     Unplaced {
         /// At least one stretch before it is missing.
         missing_before: bool,
-        /// How many rows it has.
+        /// Number of its rows.
         n_rows: u32,
-        /// Rows that the take has at least, up to its end.
+        /// The least number of rows that the take has up to the end of this stretch.
         rows_min: u64,
     },
-    /// Who was captured.
+    /// The captured subject.
     Subject(Box<Subject>),
-    /// An event.
+    /// A mark, a trigger, or a notice of the device or host.
     Event(Event),
-    /// What was seen of the clocks.
+    /// Observations of the device's and the host's clock.
     Clock(Box<Clock>),
-    /// The ledger so far; the last one counts.
+    /// The ledger up to here; the last one is final.
     Ledger(Box<Ledger>),
-    /// What an importer kept.
+    /// A part that an importer kept.
     Foreign(ForeignPart),
-    /// What stands at the end of a take that was closed: how it ended.
+    /// The summary of a closed take: how the take ended.
     Summary(SummaryRecord),
-    /// The key stretches.
+    /// Positions of the key stretches.
     Index(Vec<IndexEntry>),
-    /// The take was finished.
+    /// The footer: the take was closed.
     Footer(Footer),
-    /// A chunk of a type this build does not know, which it may skip.
+    /// A chunk of an unknown type that a reader may skip.
     Skipped {
         /// Its type.
         kind: u8,
     },
-    /// Bytes that are no chunk, or a chunk whose content is wrong: what it held is lost.
+    /// Bytes that are not a chunk, or a chunk with invalid content. What they held is lost.
     Damaged {
         /// File offset.
         offset: u64,
-        /// How many bytes.
+        /// Number of bytes.
         len: u64,
-        /// The type of chunk that their first byte says, if it is one.
+        /// The chunk type in their first byte, if it is a valid one.
         kind: Option<u8>,
-        /// What is wrong.
+        /// The reason.
         message: String,
     },
-    /// Type or length of the chunk that follows were damaged; where the next one begins and its CRC told what
-    /// they were. Nothing of it is lost.
-    Mended {
+    /// The type or length of the next chunk was damaged and has been restored from the position of the chunk after it
+    /// and from its CRC. No content is lost.
+    Repaired {
         /// File offset of the chunk.
         offset: u64,
     },
-    /// The end of the bytes, said once after [`TakeReader::finish`].
+    /// The end of the take, reported once after [`TakeReader::finish`].
     End {
-        /// Whether the footer was there: a take without one was cut off.
+        /// Whether the footer was found; a take without one was cut off.
         finished: bool,
-        /// What the bytes were for.
+        /// The bytes read, by purpose.
         bytes: TakeBytes,
     },
 }
 
-/// A window, and a piece that was pushed when a byte of it was still missing.
+/// Largest buffer in ordinary use: a search window, and a read pushed while the window lacks a byte.
 const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
 
-/// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time, after damage at most [`WINDOW_BYTES`], whatever the file
-/// claims. Of chunks longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) it holds a stretch, once it is known to be whole.
+/// Turns bytes into [`TakeEvent`]s. It holds one chunk at a time, and at most [`WINDOW_BYTES`] after damage, whatever
+/// lengths the file claims. A chunk longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) is held only if it is a
+/// stretch, and only once its CRC is known to match.
 ///
-/// To know that it reads ahead, and [goes back](Self::goes_back_to): no chunk is read more than twice.
+/// To learn that, the reader scans ahead and then [asks for earlier bytes again](Self::seek_request); no chunk is read
+/// more than twice.
 #[derive(Debug, Default)]
 pub struct TakeReader {
     buffer: Vec<u8>,
-    /// CRCs of what is in `buffer`.
-    marks: Marks,
-    /// Bytes at the front of `buffer` that are done with.
+    /// Prefix CRCs of `buffer`.
+    prefixes: PrefixCrcs,
+    /// Bytes at the front of `buffer` that were processed.
     used: usize,
     /// File offset of the front of `buffer`.
     base: u64,
-    /// Bytes that must be there before another look is worth it.
+    /// Number of unprocessed bytes needed before the next attempt to parse.
     wanted: u64,
-    /// After the header.
-    chain: Option<Chain>,
+    /// `None` before the header.
+    chain: Option<StretchChain>,
     /// Entries of the channel table so far.
     n_channels: usize,
     bytes: TakeBytes,
-    /// What is not a whole chunk, and behind which the next one is looked for.
+    /// A damaged region whose end is being searched for.
     damage: Option<Damage>,
-    /// A whole chunk that is too long to be held, on its way through.
-    passing: Option<Passing>,
-    /// Which long chunks are whole, as far as is known.
-    long: LongChunks,
-    /// The way ahead to know more of them.
-    search: Option<Search>,
-    goes_back_to: Option<u64>,
-    /// Up to which byte there was nothing but the beginning of a header.
+    /// A chunk with a matching CRC that is too long to hold and is read piece by piece.
+    long_chunk: Option<LongChunk>,
+    /// Which long chunks have matching CRCs, within the range that was scanned.
+    long_chunks: LongChunks,
+    /// The scan ahead that finds the long chunks.
+    scan: Option<LongChunkScan>,
+    seek_request: Option<u64>,
+    /// End of the region that held only an incomplete header.
     header_cut_until: u64,
     seen_magic: bool,
     seen_footer: bool,
@@ -129,37 +128,38 @@ pub struct TakeReader {
 }
 
 impl TakeReader {
-    /// At the start of a take.
+    /// Creates a reader for a take from its first byte.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// In the middle of the take whose header was read: the bytes to push are those from the key stretch `key` on.
+    /// Creates a reader for the middle of a take whose header is known. The caller pushes the bytes from the key
+    /// stretch `key` on.
     ///
-    /// What lies before it is not missed. The bytes that [`TakeEvent::End`] counts are those that were pushed.
+    /// Earlier stretches do not count as missing. [`TakeEvent::End`] counts only the pushed bytes.
     ///
     /// # Errors
-    /// `Unsupported` or `Codec` when the header cannot be used.
+    /// `Unsupported` or `Codec` when this build cannot use the header.
     pub fn from_key(header: &Header, key: IndexEntry) -> Result<Self, TakeError> {
-        let mut chain = Chain::of(header)?;
-        chain.go_to(key.first_row);
+        let mut chain = StretchChain::from_header(header)?;
+        chain.seek(key.first_row);
         Ok(Self { base: key.offset, chain: Some(chain), seen_magic: true, ..Self::default() })
     }
 
-    /// Adds bytes of the file, in order, in pieces of any size.
+    /// Appends bytes of the file, in order, in pieces of any size.
     pub fn push(&mut self, bytes: &[u8]) {
-        let done = self.done_with();
-        // So that each byte is moved a few times at most.
+        let done = self.consumed();
+        // Waiting for a quarter of the buffer moves each byte only a few times.
         if done >= self.buffer.len() / 4 {
             self.buffer.drain(..done);
-            self.marks.drain(done);
+            self.prefixes.drain(done);
             self.base += done as u64;
             self.used -= done;
         }
         let (held, wanted) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
         if wanted > held {
-            // A vector doubles: near the window it need not.
+            // A vector would double its capacity; near the window size less is enough.
             let grown = if held < WINDOW_BYTES { 2 * held } else { held / 4 * 5 };
             let grown = if wanted > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
             self.buffer.reserve_exact(grown.max(wanted) - self.buffer.len());
@@ -167,30 +167,31 @@ impl TakeReader {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Where the bytes to push next begin, when it is not where the last ones ended: said once.
-    pub fn goes_back_to(&mut self) -> Option<u64> {
-        let offset = self.goes_back_to.take()?;
+    /// The file offset from which the caller must push next, if it is not where the last bytes ended. Each request is
+    /// returned once.
+    pub fn seek_request(&mut self) -> Option<u64> {
+        let offset = self.seek_request.take()?;
         self.complete = false;
         Some(offset)
     }
 
-    /// Bytes at the front of the buffer that are not looked at again.
-    fn done_with(&self) -> usize {
+    /// Bytes at the front of the buffer that are no longer needed.
+    fn consumed(&self) -> usize {
         match &self.damage {
-            // All of it is wanted, if it turns out to be one chunk whose head alone is damaged.
-            Some(damage) if !damage.is_far && self.search.is_none() => {
+            // A region that turns out to be one chunk with a damaged head is needed as a whole.
+            Some(damage) if !damage.start_dropped && self.scan.is_none() => {
                 damage.offset.checked_sub(self.base).map_or(self.used, |at| at as usize)
             }
             _ => self.used,
         }
     }
 
-    /// No more bytes will come.
+    /// Declares the end of the file: no more bytes follow.
     pub fn finish(&mut self) {
         self.complete = true;
     }
 
-    /// File offset of the next byte that will be looked at.
+    /// File offset of the next byte to process.
     #[must_use]
     pub fn offset(&self) -> u64 {
         self.base + self.used as u64
@@ -199,76 +200,59 @@ impl TakeReader {
     /// The next event; `None` when more bytes are needed.
     ///
     /// # Errors
-    /// `NotATake`, and `Unsupported` or `Corrupt` when the header cannot be used: nothing can be read then.
+    /// `NotATake`; `Unsupported` or `Corrupt` when this build cannot use the header. Reading cannot continue after an
+    /// error.
     pub fn next_event(&mut self) -> Result<Option<TakeEvent<'_>>, TakeError> {
         Ok(self.next_located()?.map(|(_, event)| event))
     }
 
-    /// The same, with the file offset behind it.
+    /// The next event with the file offset of its end.
     pub(crate) fn next_located(&mut self) -> Result<Option<(u64, TakeEvent<'_>)>, TakeError> {
-        if !self.seen_magic && !self.check_magic()? {
+        if self.ended || !self.seen_magic && !self.check_magic()? {
             return Ok(None);
         }
-        if self.ended {
-            return Ok(None);
-        }
-        loop {
-            if self.goes_back_to.is_some() {
+        while self.seek_request.is_none() {
+            if self.scan.is_some() {
+                self.scan_ahead();
                 return Ok(None);
-            }
-            if self.search.is_some() {
-                if !self.look_ahead() {
+            } else if self.long_chunk.is_some() {
+                if !self.read_long_chunk() {
                     return Ok(None);
                 }
-            } else if self.passing.is_some() {
-                return if self.pass() {
-                    self.passed().map(|event| self.at(event))
-                } else {
-                    Ok(None)
-                };
+                return self.finish_long_chunk().map(|event| self.located(event));
             } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.wanted {
                 return Ok(None);
             } else if self.damage.is_some() {
                 if let Some(event) = self.find_next() {
-                    return Ok(self.at(event));
+                    return Ok(self.located(event));
                 }
             } else if self.used == self.buffer.len() {
-                return if self.complete {
-                    self.end().map(|event| self.at(event))
-                } else {
-                    Ok(None)
-                };
-            } else {
-                match self.next_chunk() {
-                    Step::Chunk { kind, start, len } => {
-                        let end = self.offset();
-                        return self.interpret(kind, start, len).map(|event| Some((end, event)));
-                    }
-                    Step::Again => {}
+                if !self.complete {
+                    return Ok(None);
                 }
+                return self.end().map(|event| self.located(event));
+            } else if let Some(len) = self.next_chunk() {
+                let end = self.offset();
+                return self.interpret(len).map(|event| Some((end, event)));
             }
         }
+        Ok(None)
     }
 
-    fn at(&self, event: TakeEvent<'static>) -> Option<(u64, TakeEvent<'static>)> {
+    fn located(&self, event: TakeEvent<'static>) -> Option<(u64, TakeEvent<'static>)> {
         Some((self.offset(), event))
     }
 
     fn check_magic(&mut self) -> Result<bool, TakeError> {
         let have = self.buffer.len().min(chunk::MAGIC.len());
         if self.buffer[..have] != chunk::MAGIC[..have] {
-            return Err(TakeError::NotATake(if self.buffer.starts_with(b"\x89TAK\n\x1a\n") {
-                NotATake::SentAsText
-            } else {
-                NotATake::OtherMagic
-            }));
+            let as_text = self.buffer.starts_with(b"\x89TAK\n\x1a\n");
+            let why = if as_text { NotATake::SentAsText } else { NotATake::OtherMagic };
+            return Err(TakeError::NotATake(why));
         }
         if have < chunk::MAGIC.len() {
-            return if self.complete {
-                Err(TakeError::NotATake(NotATake::Short))
-            } else {
-                Ok(false)
-            };
+            let short = Err(TakeError::NotATake(NotATake::Short));
+            return if self.complete { short } else { Ok(false) };
         }
         self.used = have;
         self.header_cut_until = have as u64;
@@ -280,29 +264,27 @@ impl TakeReader {
     fn end(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         self.ended = true;
         if self.chain.is_none() {
-            return Err(TakeError::NotATake(if self.offset() > self.header_cut_until {
-                NotATake::HeaderDamaged
-            } else {
-                NotATake::HeaderCut
-            }));
+            let is_damaged = self.offset() > self.header_cut_until;
+            let why = if is_damaged { NotATake::HeaderDamaged } else { NotATake::HeaderCut };
+            return Err(TakeError::NotATake(why));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
     }
 }
 
-/// Bytes by purpose: together all that were read.
+/// Bytes by purpose. Their sum is the number of bytes read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct TakeBytes {
-    /// The magic, HEADER and CHANNELS.
+    /// Magic, HEADER and CHANNELS.
     pub header: u64,
-    /// The blocks of the stretches, and what they share.
+    /// Blocks of stretches, and the bytes that these share.
     pub blocks: u64,
-    /// The lengths of the blocks; JSON counts them with the framing.
+    /// Length prefixes of blocks; JSON counts them with the framing.
     #[serde(skip)]
     pub lengths: u64,
-    /// When the rows were: runs and times.
+    /// Time lines of stretches: runs and times.
     pub time_line: u64,
-    /// What else a stretch needs: type, length, CRC, number, rows.
+    /// Everything else in STRETCH chunks: type, length, CRC, number, rows.
     pub framing: u64,
     /// LEDGER.
     pub ledgers: u64,
@@ -316,12 +298,12 @@ pub struct TakeBytes {
     pub subject: u64,
     /// FOREIGN.
     pub foreign: u64,
-    /// What is damaged, unknown, or depends on what is damaged.
+    /// Chunks that are damaged, unknown, or depend on damaged ones.
     pub other: u64,
 }
 
 impl TakeBytes {
-    /// Counts a chunk of `len` bytes.
+    /// Adds a chunk of `len` bytes.
     fn add(&mut self, event: &TakeEvent<'_>, len: u64) {
         let counter = match event {
             TakeEvent::Header(_) | TakeEvent::Channels(_) => &mut self.header,
@@ -345,13 +327,13 @@ impl TakeBytes {
             TakeEvent::Unplaced { .. }
             | TakeEvent::Skipped { .. }
             | TakeEvent::Damaged { .. }
-            | TakeEvent::Mended { .. }
+            | TakeEvent::Repaired { .. }
             | TakeEvent::End { .. } => &mut self.other,
         };
         *counter += len;
     }
 
-    /// All of them.
+    /// The total.
     #[must_use]
     pub fn sum(&self) -> u64 {
         let Self { header, blocks, lengths, time_line, framing, .. } = self;
@@ -361,15 +343,15 @@ impl TakeBytes {
     }
 }
 
-/// How much is read at once.
+/// Size of one read.
 const READ_BYTES: usize = 1 << 16;
 
-/// What a take can be read from, its bytes more than once: a file, or bytes in memory.
+/// A seekable source of a take: a file or bytes in memory.
 pub trait TakeInput {
-    /// What reads it.
+    /// The reader it becomes.
     type Input: Read + Seek;
 
-    /// From its start.
+    /// The reader.
     fn input(self) -> Self::Input;
 }
 
@@ -413,12 +395,13 @@ impl<T: AsRef<[u8]>> TakeInput for Cursor<T> {
     }
 }
 
-/// Pushes the next bytes of `input` into `reader`, from where it wants them, or tells it that there are no more.
+/// Reads the next piece of `input` and pushes it into `reader`, seeking first if the reader asks for it. At the end of
+/// the input it calls [`TakeReader::finish`].
 ///
 /// # Errors
-/// As [`TakeReader::next_event`], and `Io`.
-pub fn pull(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(), TakeError> {
-    if let Some(offset) = reader.goes_back_to() {
+/// `Io`.
+pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(), TakeError> {
+    if let Some(offset) = reader.seek_request() {
         input.seek(SeekFrom::Start(offset))?;
     }
     let mut buffer = [0; READ_BYTES];
@@ -436,26 +419,25 @@ pub fn pull(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     Ok(())
 }
 
-/// Gives every event of a take to `on_event`, the end included.
+/// Calls `on_event` for every event of a take, including the end.
 ///
 /// # Errors
-/// As [`TakeReader::next_event`], `Io`, and whatever `on_event` returns.
+/// Those of [`TakeReader::next_event`], `Io`, and any error of `on_event`.
 pub fn read_events(
     input: impl TakeInput,
     mut on_event: impl FnMut(TakeEvent<'_>) -> Result<(), TakeError>,
 ) -> Result<(), TakeError> {
     let mut input = input.input();
     let mut reader = TakeReader::new();
-    loop {
+    let mut ended = false;
+    while !ended {
         match reader.next_event()? {
             Some(event) => {
-                let end = matches!(event, TakeEvent::End { .. });
+                ended = matches!(event, TakeEvent::End { .. });
                 on_event(event)?;
-                if end {
-                    return Ok(());
-                }
             }
-            None => pull(&mut input, &mut reader)?,
+            None => feed(&mut input, &mut reader)?,
         }
     }
+    Ok(())
 }

@@ -1,45 +1,45 @@
-//! A take again of what can be read of a damaged one: its good chunks unchanged, with what stands for the others,
-//! a ledger that closes, index and footer.
+//! Recovers a damaged take: the new file has the valid chunks unchanged, records of what is lost in place of the
+//! others, a ledger that closes, an index and a footer.
 //!
-//! First the file is read and decoded once ([`Survey::read`]), then its good chunks are copied ([`Survey::write`]).
-//! A stretch is never coded again: what its encoder proved of it stays proven.
+//! [`RecoveryScan::read`] reads and decodes the file once; [`RecoveryScan::write`] then copies its valid chunks. No stretch is
+//! encoded again, so every error bound that its encoder proved still holds.
 
-mod account;
+mod ledger_tally;
+mod scan;
 mod start;
-mod survey;
 mod write;
 
 pub use self::{
-    start::{MendedStart, mend_start},
-    survey::{ChannelCount, Survey},
+    scan::{ChannelCount, RecoveryScan},
+    start::{RepairedStart, repair_start},
 };
 
 use crate::{chunk::types, record::Channel, stretch::Span};
 
-/// The setting in HEADER that tells of a recovery.
+/// The key in the settings of HEADER that marks a recovered take.
 pub const RECOVERED: &str = "recovered";
 
-/// What the new take is made of, in order.
+/// One element of the new take.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Piece {
-    /// A chunk of the old one.
-    Chunk {
+enum OutputChunk {
+    /// A chunk copied from the damaged file.
+    Copied {
         offset: u64,
         len: u64,
         kind: u8,
-        /// Of a stretch.
+        /// For a stretch.
         span: Option<Span>,
     },
-    /// Entries of the channel table in the place of lost ones.
+    /// Channel table entries in place of lost ones.
     Channels(Vec<Channel>),
-    /// A stretch of no rows in the place of those that are lost.
+    /// A stretch without rows in place of lost stretches.
     Lost { first_row: u64, rows: u64, number: u8 },
 }
 
-/// What kind of chunk.
+/// The kind of a chunk.
 #[expect(missing_docs, reason = "docs/take-format.md has the table")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum ChunkKind {
     Header,
     Channels,
     Stretch,
@@ -51,60 +51,60 @@ pub enum Kind {
     Summary,
     Index,
     Footer,
-    /// A type that this version does not write, or bytes that do not say what they were.
+    /// A type that this version does not write, or bytes whose type is unknown.
     Other,
 }
 
-/// Every kind, the type of its chunks, and its name for people and documents.
-const KINDS: [(Kind, Option<u8>, &str); 12] = [
-    (Kind::Header, Some(types::HEADER), "header"),
-    (Kind::Channels, Some(types::CHANNELS), "channel table"),
-    (Kind::Stretch, Some(types::STRETCH), "stretch"),
-    (Kind::Event, Some(types::EVENT), "event"),
-    (Kind::Ledger, Some(types::LEDGER), "ledger"),
-    (Kind::Clock, Some(types::CLOCK), "clock"),
-    (Kind::Subject, Some(types::SUBJECT), "subject"),
-    (Kind::Foreign, Some(types::FOREIGN), "foreign"),
-    (Kind::Summary, Some(types::SUMMARY), "summary"),
-    (Kind::Index, Some(types::INDEX), "index"),
-    (Kind::Footer, Some(types::FOOTER), "footer"),
-    (Kind::Other, None, "unknown"),
+/// Every kind with its chunk type and its name in reports.
+const KINDS: [(ChunkKind, Option<u8>, &str); 12] = [
+    (ChunkKind::Header, Some(types::HEADER), "header"),
+    (ChunkKind::Channels, Some(types::CHANNELS), "channel table"),
+    (ChunkKind::Stretch, Some(types::STRETCH), "stretch"),
+    (ChunkKind::Event, Some(types::EVENT), "event"),
+    (ChunkKind::Ledger, Some(types::LEDGER), "ledger"),
+    (ChunkKind::Clock, Some(types::CLOCK), "clock"),
+    (ChunkKind::Subject, Some(types::SUBJECT), "subject"),
+    (ChunkKind::Foreign, Some(types::FOREIGN), "foreign"),
+    (ChunkKind::Summary, Some(types::SUMMARY), "summary"),
+    (ChunkKind::Index, Some(types::INDEX), "index"),
+    (ChunkKind::Footer, Some(types::FOOTER), "footer"),
+    (ChunkKind::Other, None, "unknown"),
 ];
 
-impl Kind {
-    /// Of a chunk's type, if it has one.
+impl ChunkKind {
+    /// The kind with this chunk type.
     #[must_use]
     pub fn of(kind: Option<u8>) -> Self {
         let found = KINDS.iter().find(|(_, of, _)| kind.is_some() && *of == kind);
         found.map_or(Self::Other, |(kind, ..)| *kind)
     }
 
-    /// For people and documents.
+    /// The name in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         KINDS.iter().find(|(kind, ..)| *kind == self).map_or("unknown", |(.., name)| name)
     }
 
-    /// Whether it stands behind the last ledger of a take that was closed.
-    fn is_at_the_end(self) -> bool {
+    /// Whether chunks of this kind follow the last ledger of a closed take.
+    fn follows_last_ledger(self) -> bool {
         matches!(self, Self::Summary | Self::Index | Self::Footer)
     }
 
-    /// Whether a recovery makes it anew, so that a damaged one costs nothing.
+    /// Whether a recovery rebuilds chunks of this kind, so that a damaged one loses nothing.
     #[must_use]
-    pub fn is_made_anew(self) -> bool {
+    pub fn is_rebuilt(self) -> bool {
         matches!(self, Self::Index | Self::Footer)
     }
 }
 
-/// Chunks of one kind.
+/// Counts of chunks of one kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct KindCount {
-    /// Which.
-    pub kind: Kind,
-    /// Whole ones that were found.
+pub struct ChunkKindCount {
+    /// The kind.
+    pub kind: ChunkKind,
+    /// Valid chunks.
     pub recovered: u64,
-    /// Damaged ones, and those that cannot be read without a damaged one. Bytes that cannot be read count as one
-    /// of the kind that they begin like, however many they were.
+    /// Damaged chunks, and chunks that need a damaged one. An unreadable region counts as one chunk of the kind in its
+    /// first byte, however many it held.
     pub discarded: u64,
 }

@@ -1,14 +1,16 @@
-//! STRETCH: all channels over the same rows, and when these were: the unit that is checksummed, written
-//! and lost as one.
+//! STRETCH: all channels over a range of rows, with the times of the rows. It is checksummed, written and lost as a
+//! unit.
 
 mod chain;
-mod front;
+mod header;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use self::chain::{Chain, Placed};
-use self::front::Front;
-pub use self::front::{FrontWriter, put_moved};
+pub use self::header::{StretchHeaderWriter, put_renumbered};
+pub(crate) use self::{
+    chain::{Placement, StretchChain},
+    header::may_begin_with,
+};
 
 use std::iter;
 
@@ -18,141 +20,131 @@ use mocapd_codec::{
 
 use crate::{
     TakeError,
-    timeline::{Causes, Run, Timeline},
+    timeline::{LossCauses, RowRun, Timeline},
     varint,
 };
 
-/// Most rows of one stretch of any kind: over an hour at 1000 Hz, for the resamplers that are not cut into
-/// stretches.
+/// Most rows of a stretch of any kind: over an hour at 1000 Hz, for resamplers that encode a whole take as one stretch.
 pub const ROWS_MAX: u64 = 1 << 22;
 
-/// Most rows of one stretch of a live kind. An import has the longest: ten seconds, which up to 13 kHz are
-/// fewer rows, and above is cut to this. A recording has half a second, and as many rows as a time line has
-/// room for.
+/// Most rows of a stretch of a live kind. Imports have the longest: ten seconds, which exceed this only above 13 kHz
+/// and are then cut. A recording has half a second, and at most as many rows as a time line can hold.
 pub const LIVE_ROWS_MAX: u64 = 1 << 17;
 
-/// Most recorded rows of one stretch with a time line: ten times half a second at 10 kHz, a megabyte and
-/// a half in memory.
+/// Most recorded rows of a stretch with a time line: ten times half a second at 10 kHz; 1.5 MB in memory.
 pub(crate) const RECORDED_MAX: u64 = 1 << 16;
 
-/// Most rows from the end of one stretch to the end of the next, and so most that are lost between them:
-/// days at 10 kHz. What claims more, in whatever place, is wrong.
+/// Most rows from the end of one stretch to the end of the next, and so the most that are lost between them: days at 10
+/// kHz. A larger number is invalid wherever it occurs.
 pub(crate) const ROWS_PASSED_MAX: u64 = 1 << 32;
 
-/// Most samples that one stretch may decode to: 400 MB of positions; with their flags, and what decoders of
-/// `dense` keep beside them, 1.5 GB.
+/// Most samples that a stretch may decode to: 400 MB of positions; 1.5 GB with their flags and the state of `dense`
+/// decoders.
 pub const SAMPLES_MAX: u64 = 1 << 25;
 
-/// Longest chunk of a stretch: of each sample the 12 bytes of a position, and 4 for whether it is there, for the lengths
-/// of blocks and for the times, which together take less.
+/// Longest chunk of a stretch: for each sample the 12 bytes of a position, and 4 for its presence, block lengths and
+/// times, which together take less.
 pub(crate) const BYTES_MAX: u64 = 16 * SAMPLES_MAX;
 
-/// Stretches are counted modulo this.
+/// Stretch numbers count modulo this.
 pub const NUMBERS: u8 = 32;
 
-/// Most channels of a take: marker ids have 16 bits.
+/// Most channels of a take: a marker id has 16 bits.
 pub const CHANNELS_MAX: usize = 1 << 16;
 
-/// Most groups of channels.
+/// Most groups of channels of a take.
 const GROUPS_MAX: usize = CHANNELS_MAX / GROUP_CHANNELS;
 
-/// Most runs of one stretch: a writer has at most two a recorded row, and eight times as many are 24 MB.
+/// Most runs of a stretch. A writer has at most two per recorded row; eight times as many take 24 MB.
 pub(crate) const RUNS_MAX: u64 = 16 * RECORDED_MAX;
 
-/// Most rows of one stretch of a take coded with `kind`.
+/// Most rows of a stretch of a take encoded with `kind`.
 #[must_use]
 pub fn rows_max(kind: ResamplerKind) -> u64 {
     if kind.is_live() { LIVE_ROWS_MAX } else { ROWS_MAX }
 }
 
-/// Where a stretch lies and whether a decoder can start at it.
+/// The rows of a stretch, and whether decoding can start at it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Span {
     /// First row.
     pub first_row: u64,
-    /// Rows, lost ones between them included. 0: the take ends with lost rows.
+    /// Number of rows, including lost ones between them. 0 if the stretch only records lost rows.
     pub n_rows: u32,
-    /// Coded without state from earlier stretches.
+    /// Encoded without state from earlier stretches.
     pub key: bool,
-    /// Counts the stretches of a take from 0, modulo [`NUMBERS`]: one that is missing shows.
+    /// Number of the stretch in the take, from 0, modulo [`NUMBERS`]; it reveals missing stretches.
     pub number: u8,
 }
 
 impl Span {
-    /// The row after its last.
+    /// The row after the last.
     #[must_use]
     pub fn end_row(self) -> u64 {
         self.first_row.saturating_add(u64::from(self.n_rows))
     }
 }
 
-/// Bytes of a stretch's payload, by what they are for.
+/// Bytes of a stretch's payload, by purpose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Sizes {
-    /// Its front without the time line.
+pub struct StretchSizes {
+    /// The header, without the time line.
     pub framing: u64,
     /// Runs and times.
     pub time_line: u64,
-    /// The lengths of its blocks.
+    /// Length prefixes of the blocks.
     pub lengths: u64,
-    /// Its blocks, and what they share.
+    /// The blocks and the bytes that they share.
     pub blocks: u64,
 }
 
-/// A stretch as stored, its blocks still coded.
+/// A stretch with its blocks still encoded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stretch<'a> {
-    /// Where it lies.
+    /// Its rows.
     pub span: Span,
     /// At least one stretch before it is missing.
     pub missing_before: bool,
-    /// The rows from the end of the stretch before to the end of this one; an import has none.
+    /// The times of the rows from the end of the previous stretch to the end of this one; `None` in an import.
     pub timeline: Option<Timeline>,
-    /// What its channels share.
+    /// Bytes that all its channels share.
     pub shared: &'a [u8],
-    /// Its blocks, one a group of [`GROUP_CHANNELS`] channels in table order; groups after the last have
-    /// no samples.
+    /// One block per group of [`GROUP_CHANNELS`] channels, in the order of the channel table; groups after the last
+    /// have no samples.
     pub blocks: Vec<&'a [u8]>,
-    /// What its bytes are for.
-    pub sizes: Sizes,
+    /// The bytes of its payload, by purpose.
+    pub sizes: StretchSizes,
 }
 
 impl Stretch<'_> {
-    /// The row after the stretch before it: where its account of rows begins, lost ones included.
+    /// The row after the previous stretch, from which this one accounts for all rows, including lost ones.
     #[must_use]
     pub fn from_row(&self) -> u64 {
         self.timeline.as_ref().map_or(self.span.first_row, |timeline| timeline.first_row)
     }
 
-    /// Whether it has no rows, and stands for stretches that were damaged: a recovery wrote it in their place.
-    pub(crate) fn stands_for_damaged(&self) -> bool {
+    /// Whether the stretch has no rows and replaces damaged stretches of a recovered take.
+    pub(crate) fn replaces_damaged(&self) -> bool {
         let runs = self.timeline.as_ref().map_or(&[][..], |timeline| &timeline.runs);
         self.span.n_rows == 0 && all_damaged(runs)
     }
 
-    /// The channels that its blocks state, those before them included. The most of a take's stretches
-    /// is how many channels it has samples of at least.
+    /// The number of channels up to the last one that its blocks have samples of. The largest such number is the least
+    /// number of channels of the take.
     #[must_use]
     pub fn stated_channels(&self) -> usize {
-        let stated = |(group, block): (usize, &&[u8])| {
-            Some(group * GROUP_CHANNELS + stated_channels(block)?)
-        };
-        self.blocks.iter().enumerate().filter_map(stated).max().unwrap_or(0)
+        let stated = |(first, block): (usize, &&[u8])| Some(first + stated_channels(block)?);
+        (0..).step_by(GROUP_CHANNELS).zip(&self.blocks).filter_map(stated).max().unwrap_or(0)
     }
 }
 
-/// Whether the payload of a long stretch may begin with these bytes, so far as its front says.
-pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
-    Front::may_begin_with(payload)
-}
-
-/// Whether runs are those of rows that were damaged before a recovery.
-fn all_damaged(runs: &[Run]) -> bool {
-    let damaged = |run: &Run| run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED));
+/// Whether all runs are of rows that were damaged before a recovery.
+fn all_damaged(runs: &[RowRun]) -> bool {
+    let damaged = |run: &RowRun| run.lost.is_some_and(|lost| lost.contains(LossCauses::DAMAGED));
     !runs.is_empty() && runs.iter().all(damaged)
 }
 
-/// Appends one group's block; one that is `alone` in its stretch needs no length.
+/// Appends the block of one group. A block that is `alone` in its stretch needs no length prefix.
 pub fn put_block(block: &[u8], alone: bool, out: &mut Vec<u8>) {
     if !alone {
         varint::put(out, block.len() as u64);
@@ -160,12 +152,12 @@ pub fn put_block(block: &[u8], alone: bool, out: &mut Vec<u8>) {
     out.extend_from_slice(block);
 }
 
-/// All that is left of `cursor`. An error says what is wrong.
+/// Splits the rest of `cursor` into blocks. The error is a message.
 fn take_blocks<'a>(
     cursor: &mut varint::Cursor<'a>,
     alone: bool,
     n_rows: u32,
-    sizes: &mut Sizes,
+    sizes: &mut StretchSizes,
 ) -> Result<Vec<&'a [u8]>, &'static str> {
     let all = cursor.rest();
     let mut blocks = Vec::new();
@@ -174,17 +166,16 @@ fn take_blocks<'a>(
     }
     while !alone && !cursor.is_empty() {
         if blocks.len() == GROUPS_MAX {
-            return Err("it has more channels than there are marker ids");
+            return Err("it has more channels than marker ids");
         }
-        let block = cursor.varint().and_then(|n| cursor.take(n));
-        blocks.push(block.ok_or("its blocks do not fill it")?);
+        blocks.push(cursor.prefixed().ok_or("its blocks do not fill the payload")?);
     }
     let with_samples = blocks.iter().filter(|block| !block.is_empty()).count() as u64;
     if u64::from(n_rows) * with_samples > SAMPLES_MAX {
         return Err("it claims more samples than a stretch can hold");
     }
     if n_rows == 0 && with_samples > 0 {
-        return Err("it has blocks and no rows");
+        return Err("it has blocks but no rows");
     }
     let in_blocks = blocks.iter().map(|block| block.len()).sum::<usize>();
     sizes.blocks += in_blocks as u64;
@@ -196,54 +187,54 @@ fn take_blocks<'a>(
 #[derive(Debug)]
 pub struct StretchDecoder {
     settings: Settings,
-    /// Those that are decoded; `None`: all.
+    /// Numbers of the groups to decode; `None`: all.
     wanted: Option<Vec<usize>>,
-    /// Made with the first block, so that an empty one costs nothing.
-    groups: Vec<Option<Group>>,
-    /// The stretch before was not decoded: what follows up to the next key stretch cannot be either.
+    /// Decoders by group, created with the group's first block.
+    groups: Vec<Option<GroupDecoder>>,
+    /// The previous stretch was not decoded, so decoding resumes at the next key stretch.
     waits_for_key: bool,
 }
 
-/// One group of channels.
+/// The decoder of one group of channels.
 #[derive(Debug)]
-struct Group {
+struct GroupDecoder {
     decoder: Box<dyn BlockDecoder>,
-    /// Channels of its last block since the key.
+    /// Channels in its last block since the key stretch.
     n_channels: usize,
-    /// Its rows in the last stretch decoded.
+    /// Its rows in the last decoded stretch.
     rows: Vec<DecodedRows>,
 }
 
 impl StretchDecoder {
-    /// For a take coded with `settings`.
+    /// A decoder of all groups of a take encoded with `settings`.
     #[must_use]
     pub fn new(settings: Settings) -> Self {
         Self { settings, wanted: None, groups: Vec::new(), waits_for_key: true }
     }
 
-    /// The same for some groups only, by number: what is coded together is decoded together, and groups know
-    /// nothing of each other. [`rows`](Self::rows) has nothing of the others.
+    /// A decoder of the groups with the numbers `wanted`; groups are coded independently. [`rows`](Self::rows) has no
+    /// samples of the others.
     #[must_use]
-    pub fn of_groups(settings: Settings, wanted: Vec<usize>) -> Self {
+    pub fn with_groups(settings: Settings, wanted: Vec<usize>) -> Self {
         Self { wanted: Some(wanted), ..Self::new(settings) }
     }
 
-    /// A stretch that the reader gave is not decoded: what depends on it is lost, too.
-    pub fn pass(&mut self) {
+    /// Skips a stretch, and with it all stretches that depend on it.
+    pub fn skip(&mut self) {
         self.waits_for_key = true;
     }
 
-    /// It needs a stretch that was not decoded.
+    /// Whether a stretch depends on one that was not decoded.
     #[must_use]
     pub fn depends_on_lost(&self, span: Span) -> bool {
         self.waits_for_key && !span.key
     }
 
-    /// Decodes the stretch after the one before; [`rows`](Self::rows) then has what is in it.
+    /// Decodes the next stretch into [`rows`](Self::rows).
     ///
     /// # Errors
-    /// `InvalidArgument` when it [`depends_on_lost`](Self::depends_on_lost); `Codec`; what depends on the
-    /// stretch is then lost, too.
+    /// `InvalidArgument` when the stretch [depends on a lost one](Self::depends_on_lost); `Codec`. After an error, all
+    /// stretches that depend on this one are lost, too.
     pub fn decode(&mut self, stretch: &Stretch<'_>) -> Result<(), TakeError> {
         let Span { key, n_rows, .. } = stretch.span;
         if self.depends_on_lost(stretch.span) {
@@ -256,19 +247,17 @@ impl StretchDecoder {
         if self.groups.len() < stretch.blocks.len() {
             self.groups.resize_with(stretch.blocks.len(), || None);
         }
-        // Every group that is there must see the stretch, if only as a gap.
+        // Every existing group must see the stretch, if only as a gap.
         let is_wanted = |group: usize| self.wanted.as_ref().is_none_or(|all| all.contains(&group));
         let wanted = |(group, &block)| if is_wanted(group) { block } else { &[][..] };
         let blocks = stretch.blocks.iter().enumerate().map(wanted).chain(iter::repeat(&[][..]));
         let mut n_channels = 0;
         for (group, block) in self.groups.iter_mut().zip(blocks.clone()) {
-            if let Some(group) = group
-                && key
-            {
+            if key && let Some(group) = group {
                 group.n_channels = 0;
             }
             if !block.is_empty() {
-                let group = group.get_or_insert_with(|| Group::new(self.settings));
+                let group = group.get_or_insert_with(|| GroupDecoder::new(self.settings));
                 group.n_channels = stated_channels(block).unwrap_or(group.n_channels);
                 n_channels += group.n_channels;
             }
@@ -277,7 +266,7 @@ impl StretchDecoder {
             Err(CodecError::Corrupt("more samples than a stretch can hold"))?;
         }
         for (group, block) in self.groups.iter_mut().zip(blocks) {
-            if let Some(Group { decoder, rows, .. }) = group {
+            if let Some(GroupDecoder { decoder, rows, .. }) = group {
                 decoder.decode(block, stretch.shared, n_rows as usize, key, rows)?;
             }
         }
@@ -285,7 +274,7 @@ impl StretchDecoder {
         Ok(())
     }
 
-    /// The rows of the last stretch decoded, by channel; `None` where it has nothing of a channel.
+    /// The rows of the last decoded stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.groups.iter().flat_map(|group| {
             let rows = group.as_ref().map_or(&[][..], |group| &group.rows);
@@ -294,7 +283,7 @@ impl StretchDecoder {
     }
 }
 
-impl Group {
+impl GroupDecoder {
     fn new(settings: Settings) -> Self {
         Self { decoder: settings.decoder(), n_channels: 0, rows: Vec::new() }
     }

@@ -1,34 +1,34 @@
-//! The channel table as it grows, and where entries of it are lost.
+//! The channel table, and the detection of entries that are lost.
 
 use crate::record::Channel;
 
-/// Entries in order of columns. A lost entry shows when a stretch states more channels than there are entries:
-/// it gets a name of its own, where it stood, so that no other channel gets a name that is not its own.
+/// Entries in column order. When a stretch has more channels than there are entries, the lost ones get generated names
+/// at the position where they were lost, so that no channel gets the name of another.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct ChannelTable {
     channels: Vec<Channel>,
-    /// The header's entries are there, if it has any.
+    /// The header's entries have been read.
     begun: bool,
-    hole: Option<Hole>,
+    missing: Option<MissingEntries>,
 }
 
-/// Entries may be missing here.
+/// A position at which entries may be missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Hole {
-    /// Before this column.
+struct MissingEntries {
+    /// The column before which they are missing.
     column: usize,
-    /// And elsewhere behind it: nobody knows which entries are whose.
+    /// Entries may be missing at other positions after it, too, so that names and columns cannot be matched.
     several: bool,
 }
 
-/// What became of a table when lost entries showed.
+/// Entries that a stretch revealed as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Renamed {
-    /// The first column without its name.
+pub struct LostEntries {
+    /// The first column without a name.
     pub first: usize,
     /// Columns that had no entry.
     pub inserted: usize,
-    /// Columns without a name from `first` on: those inserted, and those whose entry may be another's.
+    /// Columns without a name from `first` on: the inserted ones, and those whose entry may belong to another column.
     pub nameless: usize,
 }
 
@@ -38,46 +38,40 @@ impl ChannelTable {
         &self.channels
     }
 
-    /// Entries that were read.
+    /// Appends entries that were read.
     pub(crate) fn append(&mut self, more: &[Channel]) {
         self.begun = true;
         self.channels.extend_from_slice(more);
     }
 
-    /// Bytes that cannot be read: entries may have been among them, if they follow the header.
-    pub(crate) fn damaged(&mut self) {
-        if !self.begun {
-            return;
-        }
-        let column = self.channels.len();
-        match &mut self.hole {
-            Some(hole) => hole.several |= hole.column != column,
-            None => self.hole = Some(Hole { column, several: false }),
+    /// Reports a damaged region, which may have contained entries if it follows the header.
+    pub(crate) fn add_damage(&mut self) {
+        if self.begun {
+            let column = self.channels.len();
+            let missing = self.missing.get_or_insert(MissingEntries { column, several: false });
+            missing.several |= missing.column != column;
         }
     }
 
-    /// A stretch has so many channels at least. Says what is lost, when that shows.
-    pub(crate) fn stated(&mut self, n_channels: usize) -> Option<Renamed> {
+    /// Reports that a stretch has at least `n_channels` channels. Returns the entries that this reveals as lost.
+    pub(crate) fn reconcile(&mut self, n_channels: usize) -> Option<LostEntries> {
         let len = self.channels.len();
-        if n_channels < len {
-            return None;
-        }
-        let hole = self.hole.take();
-        let inserted = n_channels - len;
+        let inserted = n_channels.checked_sub(len)?;
+        let missing = self.missing.take();
         if inserted == 0 {
             return None;
         }
-        let Hole { column: first, several } = hole.unwrap_or(Hole { column: len, several: false });
+        let (first, several) = missing.map_or((len, false), |at| (at.column, at.several));
         let nameless = if several { n_channels - first } else { inserted };
         let replaced = if several { first..len } else { first..first };
-        let new: Vec<_> = (first..first + nameless).map(nameless_channel).collect();
+        let new: Vec<_> = (first..first + nameless).map(unnamed_channel).collect();
         self.channels.splice(replaced, new);
-        Some(Renamed { first, inserted, nameless })
+        Some(LostEntries { first, inserted, nameless })
     }
 }
 
-/// A channel whose entry in the table is lost.
-fn nameless_channel(column: usize) -> Channel {
+/// A generated entry for a channel whose own is lost.
+fn unnamed_channel(column: usize) -> Channel {
     Channel { marker_id: u16::MAX, label: Channel::unlabelled_name(column), labelled: false }
 }
 
@@ -99,47 +93,47 @@ mod tests {
     fn a_lost_entry_leaves_the_others_their_names() {
         let mut table = ChannelTable::default();
         table.append(&channels(&["a", "b"]));
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["d"]));
-        assert_eq!(table.stated(2), None);
-        assert_eq!(table.stated(4), Some(Renamed { first: 2, inserted: 1, nameless: 1 }));
+        assert_eq!(table.reconcile(2), None);
+        assert_eq!(table.reconcile(4), Some(LostEntries { first: 2, inserted: 1, nameless: 1 }));
         assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
         table.append(&channels(&["e"]));
-        assert_eq!(table.stated(5), None);
-        assert_eq!(table.stated(6), Some(Renamed { first: 5, inserted: 1, nameless: 1 }));
+        assert_eq!(table.reconcile(5), None);
+        assert_eq!(table.reconcile(6), Some(LostEntries { first: 5, inserted: 1, nameless: 1 }));
     }
 
     #[test]
     fn damage_that_hid_no_entry_is_forgotten() {
         let mut table = ChannelTable::default();
         table.append(&channels(&["a"]));
-        table.damaged();
-        assert_eq!(table.stated(1), None);
+        table.add_damage();
+        assert_eq!(table.reconcile(1), None);
         table.append(&channels(&["b"]));
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["d"]));
-        table.stated(4);
+        table.reconcile(4);
         assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
     }
 
     #[test]
     fn damage_before_the_header_hides_no_entry() {
         let mut table = ChannelTable::default();
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["a", "b"]));
-        table.damaged();
-        table.stated(3);
+        table.add_damage();
+        table.reconcile(3);
         assert_eq!(labels(&table), ["a", "b", "u003"]);
     }
 
     #[test]
-    fn where_nobody_knows_no_name_is_given() {
+    fn ambiguous_entries_lose_their_names() {
         let mut table = ChannelTable::default();
         table.append(&channels(&["a"]));
-        table.damaged();
+        table.add_damage();
         table.append(&channels(&["b or c"]));
-        table.damaged();
-        assert_eq!(table.stated(3), Some(Renamed { first: 1, inserted: 1, nameless: 2 }));
+        table.add_damage();
+        assert_eq!(table.reconcile(3), Some(LostEntries { first: 1, inserted: 1, nameless: 2 }));
         assert_eq!(labels(&table), ["a", "u002", "u003"]);
     }
 }

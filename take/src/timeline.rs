@@ -1,4 +1,4 @@
-//! The time line: when each row was exposed and when it reached the host, or why it is empty.
+//! The time line: the exposure and arrival of each row, or the cause of its loss.
 
 mod coder;
 mod predict;
@@ -8,67 +8,67 @@ mod tests;
 pub use self::coder::TimelineEncoder;
 pub(crate) use self::coder::{TimelineDecoder, take_times};
 
-/// Why rows are empty: a set, because one stretch of loss can have several causes.
+/// Causes of lost rows; a set, because a run of lost rows can have several.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Causes(pub u8);
+pub struct LossCauses(pub u8);
 
-impl Causes {
-    /// Never arrived: lost on the link, or dropped by the device (the ledger tells which).
+impl LossCauses {
+    /// Never arrived: lost on the link or dropped by the device; the ledger has the counts of each.
     pub const NOT_RECEIVED: Self = Self(1);
-    /// Arrived when a ring was full.
+    /// Arrived while a ring buffer was full.
     pub const RING_FULL: Self = Self(2);
-    /// The device was gone.
+    /// The device was disconnected.
     pub const DISCONNECTED: Self = Self(4);
-    /// They were recorded, and damaged in the file that this take was recovered from.
+    /// Recorded, but damaged in the file that this take was recovered from.
     pub const DAMAGED: Self = Self(8);
 
-    /// Whether all of `other` are among these.
+    /// Whether all causes in `other` are among these.
     #[must_use]
     pub fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
-    /// Both.
+    /// All causes of both sets.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 }
 
-/// Consecutive rows of one fate.
+/// Consecutive rows with the same outcome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Run {
-    /// How many rows.
+pub struct RowRun {
+    /// Number of rows.
     pub rows: u64,
-    /// Why they are empty; `None` when they were recorded.
-    pub lost: Option<Causes>,
+    /// The causes of the loss; `None` for recorded rows.
+    pub lost: Option<LossCauses>,
 }
 
-/// When one recorded row happened.
+/// The times of one recorded row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RowTime {
-    /// Device clock at exposure.
+    /// Device time at exposure, in ticks.
     pub device_ticks: u64,
-    /// Host monotonic clock at arrival, in units of 10 microseconds. In a take it is kept to within half
-    /// of its step: 80 to 320 microseconds.
+    /// Host monotonic time of arrival, in units of 10 microseconds. A take stores it to within half a quantisation
+    /// step: 80 to 320 microseconds.
     pub arrival_10us: u64,
-    /// Hours, minutes, seconds, frames.
+    /// Timecode: hours, minutes, seconds, frames.
     pub timecode: Option<[u8; 4]>,
 }
 
-/// The rows from the end of one stretch to the end of the next.
+/// The time line of the rows from the end of one stretch to the end of the next.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Timeline {
     /// First row, recorded or lost.
     pub first_row: u64,
-    /// What became of the rows, in order.
-    pub runs: Vec<Run>,
-    /// The recorded ones.
+    /// Runs of recorded and lost rows, in order.
+    pub runs: Vec<RowRun>,
+    /// The times of the recorded rows.
     pub times: Vec<RowTime>,
 }
 
 impl Timeline {
-    /// Empties it for reuse.
+    /// Clears the time line for reuse.
     pub fn restart(&mut self, first_row: u64) {
         self.first_row = first_row;
         self.runs.clear();
@@ -82,29 +82,30 @@ impl Timeline {
     }
 
     /// Adds lost rows.
-    pub fn push_lost(&mut self, rows: u64, causes: Causes) {
+    pub fn push_lost(&mut self, rows: u64, causes: LossCauses) {
         self.extend_run(rows, Some(causes));
     }
 
-    /// Adds a run of rows that were damaged before a recovery; of none, too, which says that only numbers are.
+    /// Adds a run of rows that were damaged before a recovery. A run of no rows states that only stretch numbers are
+    /// missing.
     pub(crate) fn push_damaged(&mut self, rows: u64) {
-        self.runs.push(Run { rows, lost: Some(Causes::DAMAGED) });
+        self.runs.push(RowRun { rows, lost: Some(LossCauses::DAMAGED) });
     }
 
-    /// Rows in all.
+    /// Number of rows.
     #[must_use]
     pub fn n_rows(&self) -> u64 {
         self.runs.iter().fold(0, |sum, run| sum.saturating_add(run.rows))
     }
 
-    /// Recorded rows in all.
+    /// Number of recorded rows.
     #[must_use]
     pub fn n_recorded(&self) -> u64 {
         let recorded = self.runs.iter().filter(|run| run.lost.is_none());
         recorded.fold(0, |sum, run| sum.saturating_add(run.rows))
     }
 
-    /// The recorded rows with their numbers.
+    /// Numbers and times of the recorded rows.
     pub fn recorded(&self) -> impl Iterator<Item = (u64, RowTime)> + Clone + '_ {
         let mut at = self.first_row;
         let rows = self.runs.iter().flat_map(move |run| {
@@ -115,10 +116,10 @@ impl Timeline {
         rows.zip(self.times.iter().copied())
     }
 
-    fn extend_run(&mut self, rows: u64, lost: Option<Causes>) {
+    fn extend_run(&mut self, rows: u64, lost: Option<LossCauses>) {
         match self.runs.last_mut() {
             Some(last) if last.lost == lost => last.rows += rows,
-            _ if rows > 0 => self.runs.push(Run { rows, lost }),
+            _ if rows > 0 => self.runs.push(RowRun { rows, lost }),
             _ => {}
         }
     }

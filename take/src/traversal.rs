@@ -1,9 +1,9 @@
-//! The way through a take. Everything that reads one goes it: it owns the channel table, the decoders, the rows that are
-//! lost and the problems, and tells at each thing that it meets what is known by then.
+//! The traversal of a take, shared by all code that reads one. It owns the channel table, the decoders, the lost rows
+//! and the problems, and passes its current state along with each element of the take.
 //!
-//! A whole take is read by [`run`](TakeTraversal::run). What lies between two key stretches can be read on its own:
-//! [`pieces`](TakeMap::pieces) cuts rows there, and each thread that decodes some of these has a traversal
-//! [of the same map](TakeTraversal::of_map).
+//! [`run`](TakeTraversal::run) reads a whole take. Rows between two key stretches can be read independently:
+//! [`pieces`](TakeMap::pieces) splits rows there, and each decoding thread has a traversal [of the same
+//! map](TakeTraversal::of_map).
 
 use std::{
     io::{Read, Seek, SeekFrom},
@@ -15,75 +15,75 @@ use mocapd_codec::DecodedRows;
 use crate::{
     TakeError, TakeEvent, TakeReader,
     chunk::MAGIC,
-    damage::{Losses, Problem, Refusal, note},
+    damage::{LossTracker, Problem, Refusal, push_problem},
     index::IndexEntry,
     map::TakeMap,
-    reader::{TakeInput, pull},
+    reader::{TakeInput, feed},
     record::Channel,
     stretch::{Span, Stretch, StretchDecoder},
     table::ChannelTable,
     timeline::Timeline,
 };
 
-pub use crate::table::Renamed;
+pub use crate::table::LostEntries;
 
-/// What is decoded of each stretch.
+/// What a traversal decodes of each stretch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decode {
-    /// All its blocks.
+    /// All blocks.
     All,
-    /// Some groups of channels, by number, or none: what is coded together is decoded together, and groups know nothing of
-    /// each other. The other channels have no samples.
+    /// The groups of channels with these numbers, or none. Groups are coded independently of each other; channels of
+    /// other groups have no samples.
     Groups(Vec<usize>),
 }
 
-/// Something that was met on the way.
+/// An element of a take that the traversal has reached.
 #[derive(Debug)]
-pub struct Found<'a> {
-    /// File offset at which its chunk begins.
+pub struct LocatedEvent<'a> {
+    /// File offset of its chunk.
     pub offset: u64,
-    /// How many bytes it takes.
+    /// Size in bytes.
     pub len: u64,
-    /// What it is.
+    /// The element.
     pub event: TakeEvent<'a>,
-    /// Of a stretch: its rows are not to be had, and the last problem says why.
+    /// For a stretch: its rows are unavailable, and the last problem gives the reason.
     pub is_refused: bool,
-    /// Of a stretch: it showed that entries of the channel table are lost.
-    pub renamed: Option<Renamed>,
+    /// For a stretch: it revealed lost entries of the channel table.
+    pub lost_entries: Option<LostEntries>,
 }
 
-/// What is known of a take on the way through it.
+/// The state of a traversal.
 #[derive(Debug)]
 pub struct Progress {
-    /// What the take says beside its motion, up to here; its channels, rows and damage at the end.
+    /// The content of the take so far, except its motion. Channels, rows and damage are set at the end.
     pub take: TakeMap,
-    /// By channel, the rows that are lost to damage since it was announced.
+    /// By channel, rows lost to damage since the channel was announced.
     pub rows_damaged: Vec<u64>,
     table: ChannelTable,
-    losses: Losses,
+    losses: LossTracker,
     decoder: Option<StretchDecoder>,
     decode: Decode,
-    tells: Tells,
-    /// The damage that explains a missing stretch was told.
-    damage_told: bool,
+    scope: ProblemScope,
+    /// The damage that explains a missing stretch was already reported.
+    damage_reported: bool,
     timeline: Option<Timeline>,
 }
 
-/// Which problems are told, and so whether a map is made.
+/// Which problems a traversal reports, and whether it builds a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Tells {
-    /// All; the map is made.
+enum ProblemScope {
+    /// All problems; builds the map.
     All,
-    /// But for those of decoding, which is somebody else's; the map is made.
+    /// All but those of decoding, which a later traversal reports; builds the map.
     Map,
-    /// All; the map was made without a look at stretches.
-    Part,
-    /// Those of decoding: the map has the others.
-    PartOfScanned,
+    /// All problems; the existing map was built without reading stretches.
+    Unscanned,
+    /// Those of decoding; the existing map has all others.
+    Decoding,
 }
 
 impl Progress {
-    /// The channel table up to here.
+    /// The channel table so far.
     #[must_use]
     pub fn channels(&self) -> &[Channel] {
         self.table.channels()
@@ -95,45 +95,45 @@ impl Progress {
         self.losses.end_row
     }
 
-    /// Rows up to here, lost ones included.
+    /// Rows so far, including lost ones.
     #[must_use]
     pub fn n_rows(&self) -> u64 {
         self.losses.rows_min()
     }
 
-    /// The rows of the last stretch that was decoded, by channel; `None` where it has nothing of a channel.
+    /// The rows of the last decoded stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.decoder.iter().flat_map(StretchDecoder::rows)
     }
 
-    fn new(decode: Decode, tells: Tells) -> Self {
-        let makes_map = matches!(tells, Tells::All | Tells::Map);
-        let read = makes_map.then_some(0);
+    fn new(decode: Decode, scope: ProblemScope) -> Self {
+        let builds_map = matches!(scope, ProblemScope::All | ProblemScope::Map);
+        let read = builds_map.then_some(0);
         Self {
-            take: TakeMap { n_held: read, longest_stretch: read, ..TakeMap::default() },
+            take: TakeMap { n_sampled_rows: read, longest_stretch: read, ..TakeMap::default() },
             rows_damaged: Vec::new(),
             table: ChannelTable::default(),
-            losses: Losses::new(makes_map.then(Vec::new)),
+            losses: LossTracker::new(builds_map.then(Vec::new)),
             decoder: None,
             decode,
-            tells,
-            damage_told: false,
+            scope,
+            damage_reported: false,
             timeline: None,
         }
     }
 
-    fn makes_map(&self) -> bool {
-        matches!(self.tells, Tells::All | Tells::Map)
+    fn builds_map(&self) -> bool {
+        matches!(self.scope, ProblemScope::All | ProblemScope::Map)
     }
 
-    fn note(&mut self, problem: Problem) {
-        let is_told = match self.tells {
-            Tells::All | Tells::Part => true,
-            Tells::Map => !problem.is_of_decoding(),
-            Tells::PartOfScanned => problem.is_of_decoding(),
+    fn report(&mut self, problem: Problem) {
+        let is_reported = match self.scope {
+            ProblemScope::All | ProblemScope::Unscanned => true,
+            ProblemScope::Map => !problem.is_decoding_problem(),
+            ProblemScope::Decoding => problem.is_decoding_problem(),
         };
-        if is_told {
-            note(&mut self.take.problems, problem);
+        if is_reported {
+            push_problem(&mut self.take.problems, problem);
         }
     }
 
@@ -141,39 +141,39 @@ impl Progress {
         let settings = self.take.header.codec()?;
         self.decoder = Some(match &self.decode {
             Decode::All => StretchDecoder::new(settings),
-            Decode::Groups(groups) => StretchDecoder::of_groups(settings, groups.clone()),
+            Decode::Groups(groups) => StretchDecoder::with_groups(settings, groups.clone()),
         });
         Ok(())
     }
 
     fn announce(&mut self, channels: &[Channel]) {
-        if self.makes_map() {
+        if self.builds_map() {
             self.table.append(channels);
             self.rows_damaged.resize(self.table.channels().len(), 0);
         }
     }
 
-    /// So many rows of every channel.
-    fn lose(&mut self, rows: u64) {
+    /// Counts `rows` of every channel as lost.
+    fn add_lost(&mut self, rows: u64) {
         self.rows_damaged.iter_mut().for_each(|channel| *channel += rows);
     }
 
-    fn missing(&mut self, problem: Problem) {
+    fn report_missing(&mut self, problem: Problem) {
         self.take.damaged = true;
-        if !std::mem::take(&mut self.damage_told) {
-            self.note(problem);
+        if !std::mem::take(&mut self.damage_reported) {
+            self.report(problem);
         }
     }
 
-    /// What an event changes before anybody sees it; says of a stretch whether it is refused, and what it showed of
-    /// names.
-    fn meet(
+    /// Applies an event to the state. Returns whether a stretch is refused, and which channel table entries it revealed
+    /// as lost.
+    fn apply(
         &mut self,
         offset: u64,
         event: &TakeEvent<'_>,
-    ) -> Result<(bool, Option<Renamed>), TakeError> {
+    ) -> Result<(bool, Option<LostEntries>), TakeError> {
         match event {
-            TakeEvent::Header(header) if self.makes_map() => {
+            TakeEvent::Header(header) if self.builds_map() => {
                 self.take.header.clone_from(header);
                 self.start_decoding()?;
                 self.announce(&header.channels);
@@ -183,28 +183,28 @@ impl Progress {
             TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
                 let from_row = self.n_rows();
                 if *missing_before {
-                    self.missing(Problem::MissingFrom { row: from_row });
+                    self.report_missing(Problem::MissingFrom { row: from_row });
                 }
                 self.take.damaged = true;
-                self.note(Problem::Unplaced { n_rows: *n_rows, from_row });
-                self.losses.at_least(*rows_min);
+                self.report(Problem::Unplaced { n_rows: *n_rows, from_row });
+                self.losses.raise_rows_min(*rows_min);
             }
             TakeEvent::Damaged { offset, len, message, .. } => {
                 let (offset, len, message) = (*offset, *len, message.clone());
-                self.note(Problem::Damaged { offset, len, message });
-                self.damage_told = true;
+                self.report(Problem::Damaged { offset, len, message });
+                self.damage_reported = true;
                 self.take.damaged = true;
-                self.table.damaged();
+                self.table.add_damage();
             }
-            TakeEvent::Mended { offset } => self.note(Problem::Mended { offset: *offset }),
+            TakeEvent::Repaired { offset } => self.report(Problem::Repaired { offset: *offset }),
             TakeEvent::Footer(footer) => {
-                let (told, found) = (footer.n_rows, self.n_rows());
-                // Rows may be lost to the damage that was told of; it makes none.
-                if told < found || told > found && !self.take.damaged {
-                    self.note(Problem::FooterRows { told, found });
+                let (stated, found) = (footer.n_rows, self.n_rows());
+                // Rows may be lost to damage that was reported; the footer adds no problem then.
+                if stated < found || stated > found && !self.take.damaged {
+                    self.report(Problem::FooterRows { stated, found });
                 }
                 if self.take.damaged {
-                    self.losses.at_least(told);
+                    self.losses.raise_rows_min(stated);
                 }
             }
             TakeEvent::End { finished, .. } => self.end(*finished),
@@ -213,49 +213,47 @@ impl Progress {
         Ok((false, None))
     }
 
-    fn stretch(&mut self, offset: u64, stretch: &Stretch<'_>) -> (bool, Option<Renamed>) {
+    fn stretch(&mut self, offset: u64, stretch: &Stretch<'_>) -> (bool, Option<LostEntries>) {
         let Span { first_row, n_rows, key, .. } = stretch.span;
         if stretch.missing_before {
-            self.missing(Problem::MissingBefore { row: first_row });
+            self.report_missing(Problem::MissingBefore { row: first_row });
         }
-        let told =
-            self.losses.sought.filter(|key| key.offset == offset && key.first_row != first_row);
-        if let Some(IndexEntry { first_row: told, .. }) = told {
-            // Whoever sought it may have passed over rows that are there.
-            self.note(Problem::IndexRow { told, found: first_row });
+        let key_here = self.losses.seek_key.filter(|key| key.offset == offset);
+        if let Some(key) = key_here.filter(|key| key.first_row != first_row) {
+            // The seek to it may have skipped rows that exist.
+            self.report(Problem::IndexRow { stated: key.first_row, found: first_row });
             self.take.damaged = true;
         }
         if let Err(refusal) = self.decode(offset, stretch) {
-            self.note(Problem::Refused { first_row, n_rows, refusal });
+            self.report(Problem::Refused { first_row, n_rows, refusal });
             self.take.damaged = true;
-            self.losses.at_least(stretch.span.end_row());
+            self.losses.raise_rows_min(stretch.span.end_row());
             return (true, None);
         }
-        let mut renamed = None;
-        if self.makes_map() {
-            renamed = self.name_channels(stretch.stated_channels());
+        let mut lost_entries = None;
+        if self.builds_map() {
+            lost_entries = self.name_channels(stretch.stated_channels());
             let rows_before = self.n_rows();
             if key && n_rows > 0 && first_row >= rows_before {
                 self.take.keys.push(IndexEntry { offset, first_row });
             }
             self.take.longest_stretch = self.take.longest_stretch.max(Some(n_rows.into()));
-            // Rows of no channel are not held.
-            if let Some(held) = &mut self.take.n_held
-                && stretch.blocks.iter().any(|block| !block.is_empty())
-            {
+            // A stretch without samples holds no rows.
+            let is_sampled = stretch.blocks.iter().any(|block| !block.is_empty());
+            if is_sampled && let Some(held) = &mut self.take.n_sampled_rows {
                 *held += u64::from(n_rows);
             }
         }
-        let lost = self.losses.stretch(stretch);
-        self.lose(lost);
-        (false, renamed)
+        let lost = self.losses.add_stretch(stretch);
+        self.add_lost(lost);
+        (false, lost_entries)
     }
 
     fn decode(&mut self, offset: u64, stretch: &Stretch<'_>) -> Result<(), Refusal> {
-        let is_again = self.losses.has(offset, stretch);
+        let is_repeated = self.losses.is_repeated(offset, stretch);
         let Some(decoder) = &mut self.decoder else { return Ok(()) };
-        if is_again {
-            decoder.pass();
+        if is_repeated {
+            decoder.skip();
             Err(Refusal::Twice)
         } else if decoder.depends_on_lost(stretch.span) {
             Err(Refusal::DependsOnLost)
@@ -266,22 +264,22 @@ impl Progress {
         }
     }
 
-    /// A stretch has samples of so many channels at least: those without an entry in the table get one.
-    fn name_channels(&mut self, n_channels: usize) -> Option<Renamed> {
-        let renamed = self.table.stated(n_channels)?;
-        self.note(Problem::NamesLost { markers: renamed.nameless });
-        let at = renamed.first.min(self.rows_damaged.len());
-        self.rows_damaged.splice(at..at, std::iter::repeat_n(0, renamed.inserted));
-        Some(renamed)
+    /// Adds entries for channels that a stretch has and the table lacks.
+    fn name_channels(&mut self, n_channels: usize) -> Option<LostEntries> {
+        let lost_entries = self.table.reconcile(n_channels)?;
+        self.report(Problem::NamesLost { markers: lost_entries.nameless });
+        let at = lost_entries.first.min(self.rows_damaged.len());
+        self.rows_damaged.splice(at..at, std::iter::repeat_n(0, lost_entries.inserted));
+        Some(lost_entries)
     }
 
     fn end(&mut self, finished: bool) {
         let lost = self.losses.finish();
-        self.lose(lost);
+        self.add_lost(lost);
         if !finished {
-            self.note(Problem::CutOff);
-        } else if self.makes_map() && self.take.ledger.is_none() {
-            self.note(Problem::NoLedger);
+            self.report(Problem::CutOff);
+        } else if self.builds_map() && self.take.ledger.is_none() {
+            self.report(Problem::NoLedger);
         }
         self.take.finished = finished;
         self.take.n_rows = self.losses.end_row;
@@ -290,29 +288,29 @@ impl Progress {
     }
 }
 
-/// A take that is read from its start or from any key stretch on, in bounded memory. What cannot be decoded is passed
-/// over, and [`problems`](Self::problems) says what and why.
+/// Reads a take in bounded memory, from its start or from any key stretch. It skips whatever cannot be decoded;
+/// [`problems`](Self::problems) gives the reasons.
 #[derive(Debug)]
 pub struct TakeTraversal<R> {
     input: R,
     reader: TakeReader,
-    /// File offset behind the last event.
+    /// File offset after the last event.
     at: u64,
     progress: Progress,
-    /// The stretch that came last.
+    /// The last stretch.
     current: Option<Span>,
     ended: bool,
 }
 
 impl<R: Read + Seek> TakeTraversal<R> {
-    /// Of a take that is read from its start to its end.
+    /// A traversal from start to end.
     pub fn new(input: impl TakeInput<Input = R>, decode: Decode) -> Self {
-        Self::with(input.input(), Progress::new(decode, Tells::All))
+        Self::with(input.input(), Progress::new(decode, ProblemScope::All))
     }
 
-    /// Of one that is decoded later, if at all: what is wrong with its stretches is told then.
-    pub(crate) fn of_bytes(input: R) -> Self {
-        Self::with(input, Progress::new(Decode::Groups(Vec::new()), Tells::Map))
+    /// A traversal that decodes nothing. Problems of decoding are left to a later traversal.
+    pub(crate) fn without_decoding(input: R) -> Self {
+        Self::with(input, Progress::new(Decode::Groups(Vec::new()), ProblemScope::Map))
     }
 
     fn with(input: R, progress: Progress) -> Self {
@@ -320,29 +318,29 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Self { input, reader, at, progress, current: None, ended: false }
     }
 
-    /// Of a take whose map was made, from its start or the key that is [sought](Self::seek). What
-    /// [`TakeMap::problems`] has is not told again.
+    /// A traversal of a take whose map exists, from its start or from a [key stretch](Self::seek). It does not repeat
+    /// the problems in [`TakeMap::problems`].
     ///
     /// # Errors
     /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
-    pub fn of_map(mut input: R, map: &TakeMap, decode: Decode) -> Result<Self, TakeError> {
+    pub fn from_map(mut input: R, map: &TakeMap, decode: Decode) -> Result<Self, TakeError> {
         input.seek(SeekFrom::Start(0))?;
-        let is_scanned = map.n_held.is_some();
-        let tells = if is_scanned { Tells::PartOfScanned } else { Tells::Part };
-        let mut progress = Progress::new(decode, tells);
+        let is_scanned = map.n_sampled_rows.is_some();
+        let scope = if is_scanned { ProblemScope::Decoding } else { ProblemScope::Unscanned };
+        let mut progress = Progress::new(decode, scope);
         progress.take.header = map.header.clone();
         progress.take.keys.clone_from(&map.keys);
         progress.start_decoding()?;
         Ok(Self::with(input, progress))
     }
 
-    /// Reads the take to its end. `visit` sees everything that is in it, and what is known by then.
+    /// Reads the take to its end. `visit` receives each element of the take and the state after it.
     ///
     /// # Errors
-    /// As [`TakeReader::next_event`], `Io`, and what `visit` gives.
+    /// Those of [`TakeReader::next_event`], `Io`, and any error of `visit`.
     pub fn run(
         mut self,
-        mut visit: impl FnMut(&Found<'_>, &Progress) -> Result<(), TakeError>,
+        mut visit: impl FnMut(&LocatedEvent<'_>, &Progress) -> Result<(), TakeError>,
     ) -> Result<Progress, TakeError> {
         while !self.ended {
             self.step(&mut visit)?;
@@ -350,19 +348,19 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(self.progress)
     }
 
-    /// The next event, if enough of the file was read for one.
+    /// Reads a piece of the file, or visits the next event.
     fn step(
         &mut self,
-        visit: impl FnOnce(&Found<'_>, &Progress) -> Result<(), TakeError>,
+        visit: impl FnOnce(&LocatedEvent<'_>, &Progress) -> Result<(), TakeError>,
     ) -> Result<(), TakeError> {
         let Some((end, event)) = self.reader.next_located()? else {
-            return pull(&mut self.input, &mut self.reader);
+            return feed(&mut self.input, &mut self.reader);
         };
-        // Events lie behind each other: one begins where the one before ends.
+        // Events are contiguous in the file.
         let offset = std::mem::replace(&mut self.at, end);
-        let (is_refused, renamed) = self.progress.meet(offset, &event)?;
+        let (is_refused, lost_entries) = self.progress.apply(offset, &event)?;
         let len = end.saturating_sub(offset);
-        let found = Found { offset, len, event, is_refused, renamed };
+        let found = LocatedEvent { offset, len, event, is_refused, lost_entries };
         visit(&found, &self.progress)?;
         match found.event {
             TakeEvent::End { .. } => {
@@ -373,26 +371,24 @@ impl<R: Read + Seek> TakeTraversal<R> {
                 self.current = Some(stretch.span);
                 self.progress.timeline = stretch.timeline;
             }
-            event if self.progress.makes_map() => self.progress.take.keep(event),
+            event if self.progress.builds_map() => self.progress.take.add_content(event),
             _ => {}
         }
         Ok(())
     }
 
-    /// Goes on at the last key stretch that begins at `row` or before it, and passes over what lies between;
-    /// does nothing when no key lies ahead of what was read. At most ten seconds of the take are then decoded
-    /// before `row` comes.
+    /// Continues at the last key stretch that begins at or before `row`, and skips the stretches before it. Does
+    /// nothing if that key lies before the current position. At most ten seconds of the take are then decoded before
+    /// `row`.
     ///
-    /// What is wrong with stretches that are passed over is not told.
+    /// Problems of skipped stretches are not reported.
     ///
     /// # Errors
     /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
     pub fn seek(&mut self, row: u64) -> Result<(), TakeError> {
         let take = &self.progress.take;
         let behind = take.keys.partition_point(|key| key.first_row <= row);
-        let Some(&key) = behind.checked_sub(1).and_then(|at| take.keys.get(at)) else {
-            return Ok(());
-        };
+        let Some(&key) = take.keys[..behind].last() else { return Ok(()) };
         let is_read = self.at > MAGIC.len() as u64 && key.first_row <= self.progress.end_row();
         if is_read || key.offset <= self.at || self.ended {
             return Ok(());
@@ -401,16 +397,16 @@ impl<R: Read + Seek> TakeTraversal<R> {
         self.reader = TakeReader::from_key(&take.header, key)?;
         self.at = key.offset;
         if let Some(decoder) = &mut self.progress.decoder {
-            decoder.pass();
+            decoder.skip();
         }
         self.progress.losses.seek(key);
-        self.progress.damage_told = false;
+        self.progress.damage_reported = false;
         self.current = None;
         Ok(())
     }
 
-    /// Decodes the next stretch that can be; `None` at the end of the take. Stretches without rows, which tell
-    /// of lost ones alone, come with what they tell.
+    /// Decodes the next stretch; `None` at the end of the take. A stretch without rows, which only records lost ones,
+    /// counts too.
     ///
     /// # Errors
     /// `NotATake`, `Io`.
@@ -422,19 +418,19 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(self.current)
     }
 
-    /// Decodes the stretches that have some of the rows `rows`, from the last key before these on. `each` gets those of
-    /// the rows that a stretch has, and where the first of these lies in [its own](Self::rows). Rows that are in none
-    /// are lost.
+    /// Decodes the stretches that contain any of the rows `rows`, from the last key stretch before them on. `each`
+    /// receives the range of these rows in a stretch, and the index of the first of them in [the stretch's
+    /// rows](Self::rows). Rows in no stretch are lost.
     ///
     /// # Errors
-    /// As [`next_stretch`](Self::next_stretch), and what `each` gives.
+    /// Those of [`next_stretch`](Self::next_stretch), and any error of `each`.
     pub fn read_rows(
         &mut self,
         rows: &Range<u64>,
         mut each: impl FnMut(&Self, Range<u64>, usize) -> Result<(), TakeError>,
     ) -> Result<(), TakeError> {
         self.seek(rows.start)?;
-        // What was decoded last may reach into these.
+        // The stretch that was decoded last may contain some of them.
         while self.current.is_some() || self.next_stretch()?.is_some() {
             let Some(span) = self.current else { break };
             let held = span.first_row.max(rows.start)..span.end_row().min(rows.end);
@@ -450,31 +446,31 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(())
     }
 
-    /// The rows of the last stretch that came, by channel; `None` where it has nothing of a channel.
+    /// The rows of the last stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.progress.rows()
     }
 
-    /// When the rows of the last stretch were, those lost before it included; `None` in an import.
+    /// The times of the last stretch's rows, including those lost before it; `None` in an import.
     #[must_use]
     pub fn timeline(&self) -> Option<&Timeline> {
         self.progress.timeline.as_ref()
     }
 
-    /// Whether nothing that was read so far was damaged or missing.
+    /// Whether nothing read so far was damaged or missing.
     #[must_use]
     pub fn is_intact(&self) -> bool {
         let Progress { take, .. } = &self.progress;
         !take.damaged && (take.finished || !self.ended)
     }
 
-    /// What could not be decoded so far.
+    /// The problems so far.
     #[must_use]
     pub fn problems(&self) -> &[Problem] {
         &self.progress.take.problems
     }
 
-    /// The same since it was asked for last.
+    /// Removes and returns the problems since the last call.
     pub fn take_problems(&mut self) -> Vec<Problem> {
         std::mem::take(&mut self.progress.take.problems)
     }

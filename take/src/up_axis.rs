@@ -1,9 +1,9 @@
-//! Which way is up.
+//! The vertical axis.
 
-/// Which way is up, where the source says so.
+/// The vertical axis, if the source states it. The variants are in the order of their codes in HEADER.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum UpAxis {
-    /// The source does not say.
+    /// The source does not state it.
     #[default]
     Unknown,
     /// +x
@@ -15,7 +15,7 @@ pub enum UpAxis {
 }
 
 impl UpAxis {
-    /// By `x`, `y` or `z`, in either case.
+    /// Parses `x`, `y` or `z`, in either case.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         [Self::X, Self::Y, Self::Z]
@@ -23,37 +23,27 @@ impl UpAxis {
             .find(|axis| axis.name().is_some_and(|of_axis| of_axis.eq_ignore_ascii_case(name)))
     }
 
-    /// `x`, `y` or `z`, where it is known.
+    /// `x`, `y` or `z`, if known.
     #[must_use]
     pub fn name(self) -> Option<&'static str> {
         ["x", "y", "z"].get(self.index()?).copied()
     }
 
-    /// 0, 1 or 2, where it is known.
+    /// 0, 1 or 2, if known.
     #[must_use]
     pub fn index(self) -> Option<usize> {
-        match self {
-            Self::Unknown => None,
-            Self::X => Some(0),
-            Self::Y => Some(1),
-            Self::Z => Some(2),
-        }
+        (self as usize).checked_sub(1)
     }
 
-    /// As HEADER stores it.
+    /// The code in HEADER.
     #[must_use]
     pub fn code(self) -> u8 {
-        self.index().map_or(0, |index| index as u8 + 1)
+        self as u8
     }
 
-    /// From what HEADER stores; anything else is unknown.
+    /// Decodes the code in HEADER; other values mean unknown.
     #[must_use]
     pub fn from_code(code: u8) -> Self {
-        match code {
-            1 => Self::X,
-            2 => Self::Y,
-            3 => Self::Z,
-            _ => Self::Unknown,
-        }
+        [Self::X, Self::Y, Self::Z].into_iter().find(|axis| axis.code() == code).unwrap_or_default()
     }
 }

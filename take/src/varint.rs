@@ -1,6 +1,12 @@
-//! LEB128, and a cursor over bytes that never reads past their end.
+//! LEB128 integers, and a bounds-checked cursor over bytes.
 
-/// Appends `value`, seven bits a byte, lowest first.
+/// Appends `bytes` after their number.
+pub(crate) fn put_prefixed(out: &mut Vec<u8>, bytes: &[u8]) {
+    put(out, bytes.len() as u64);
+    out.extend_from_slice(bytes);
+}
+
+/// Appends `value`, seven bits per byte, lowest first.
 pub(crate) fn put(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
         out.push(value as u8 | 0x80);
@@ -34,6 +40,12 @@ impl<'a> Cursor<'a> {
         Some(first)
     }
 
+    /// Reads bytes after their number.
+    pub(crate) fn prefixed(&mut self) -> Option<&'a [u8]> {
+        let n = self.varint()?;
+        self.take(n)
+    }
+
     pub(crate) fn take(&mut self, n: u64) -> Option<&'a [u8]> {
         let n = usize::try_from(n).ok()?;
         let (head, rest) = self.rest.split_at_checked(n)?;
@@ -41,7 +53,7 @@ impl<'a> Cursor<'a> {
         Some(head)
     }
 
-    /// `None` when the bytes end first, the value does not fit 64 bits, or fewer bytes would have said it.
+    /// Reads an integer. `None` if the bytes end first, the value exceeds 64 bits, or the encoding is not the shortest.
     pub(crate) fn varint(&mut self) -> Option<u64> {
         let mut value = 0_u64;
         for shift in (0..64).step_by(7) {

@@ -1,4 +1,4 @@
-//! Writes a take, chunk after chunk, never going back.
+//! Writes a take chunk by chunk, without seeking back.
 
 use std::io::{Read, Write};
 
@@ -14,12 +14,12 @@ use crate::{
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
 
-/// Of a long chunk so much is copied at once.
+/// Size of one copy of a long chunk.
 const COPIED_BYTES: u64 = 1 << 16;
 
-/// Appends chunks to anything that takes bytes.
+/// Appends the chunks of a take to an output.
 ///
-/// After an error nothing more is written: what is on disk up to then stays a readable take.
+/// After an error nothing more is written, and the file so far remains a readable take.
 #[derive(Debug)]
 pub struct TakeWriter<W> {
     out: W,
@@ -33,15 +33,14 @@ pub struct TakeWriter<W> {
 }
 
 impl<W: Write> TakeWriter<W> {
-    /// Writes magic and header.
+    /// Writes the magic and the header.
     ///
     /// # Errors
-    /// `Io`; `InvalidArgument` or `Codec` for a header that a reader would refuse, or whose stretches it
-    /// would.
+    /// `Io`; `InvalidArgument` or `Codec` for a header that a reader would reject, by itself or for its stretch length.
     pub fn new(out: W, header: &Header) -> Result<Self, TakeError> {
         header.check()?;
         let rows_max = rows_max(header.codec()?.kind);
-        // A full stretch of a recording has a time for every row.
+        // A full stretch of a recording has a time for each row.
         let full_max = if header.device.is_some() { rows_max.min(RECORDED_MAX) } else { rows_max };
         check_rows(header.stretch_rows, full_max)?;
         let mut writer = Self {
@@ -60,7 +59,7 @@ impl<W: Write> TakeWriter<W> {
         Ok(writer)
     }
 
-    /// Who is captured: behind the header, once.
+    /// Writes the subject, once, after the header.
     ///
     /// # Errors
     /// `Io`; `InvalidArgument` for more or longer documents than a take can hold.
@@ -68,7 +67,7 @@ impl<W: Write> TakeWriter<W> {
         self.record(subject)
     }
 
-    /// Markers that appeared: appended to the channel table.
+    /// Appends channels to the channel table.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
@@ -76,19 +75,18 @@ impl<W: Write> TakeWriter<W> {
         self.record(&MoreChannels(channels.to_vec()))
     }
 
-    /// One stretch, its payload made by [`FrontWriter`](crate::stretch::FrontWriter) and
+    /// Writes a stretch, with a payload made by [`StretchHeaderWriter`](crate::stretch::FrontWriter) and
     /// [`put_block`](crate::stretch::put_block).
     ///
     /// # Errors
-    /// `Io`; `InvalidArgument` when it has more rows than a reader would take, or too many were lost
-    /// before it.
+    /// `Io`; `InvalidArgument` when it has more rows than a reader accepts, or too many rows were lost before it.
     pub fn stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
-        self.account(span)?;
+        self.add_span(span)?;
         self.chunk(types::STRETCH, payload)
     }
 
-    /// A stretch comes next.
-    fn account(&mut self, span: Span) -> Result<(), TakeError> {
+    /// Validates the span of the next stretch, and adds it to the index.
+    fn add_span(&mut self, span: Span) -> Result<(), TakeError> {
         check_rows(span.n_rows, self.rows_max)?;
         let passed = span.end_row().saturating_sub(self.n_rows);
         if passed > ROWS_PASSED_MAX {
@@ -103,7 +101,7 @@ impl<W: Write> TakeWriter<W> {
         Ok(())
     }
 
-    /// An event.
+    /// Writes an event.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
@@ -111,7 +109,7 @@ impl<W: Write> TakeWriter<W> {
         self.record(event)
     }
 
-    /// What was seen of the clocks.
+    /// Writes observations of the clocks.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
@@ -119,7 +117,7 @@ impl<W: Write> TakeWriter<W> {
         self.record(clock)
     }
 
-    /// The ledger so far.
+    /// Writes the ledger so far.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
@@ -128,7 +126,7 @@ impl<W: Write> TakeWriter<W> {
         self.record(ledger)
     }
 
-    /// Something an importer found and a take does not model.
+    /// Writes a part of an imported file that a take does not model.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
@@ -136,7 +134,7 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(types::FOREIGN, &foreign::to_payload(part)?)
     }
 
-    /// The last ledger, index and footer. Gives the output back, flushed, and the bytes written.
+    /// Writes the last ledger, index and footer, and flushes. Returns the output and the number of bytes written.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
@@ -144,10 +142,11 @@ impl<W: Write> TakeWriter<W> {
         self.finish_with(ledger, &SummaryRecord::default())
     }
 
-    /// The same with a SUMMARY, unless that says nothing.
+    /// Writes the last ledger, a SUMMARY unless it is empty, index and footer, and flushes. Returns the output and the
+    /// number of bytes written.
     ///
     /// # Errors
-    /// As [`finish`](Self::finish).
+    /// Those of [`finish`](Self::finish).
     pub fn finish_with(
         mut self,
         ledger: &Ledger,
@@ -157,10 +156,10 @@ impl<W: Write> TakeWriter<W> {
         Ok((self.out, self.offset))
     }
 
-    /// The same, and keeps the output: nothing more may be written.
+    /// Closes the take like [`finish_with`](Self::finish_with), and keeps the output. Nothing more may be written.
     ///
     /// # Errors
-    /// As [`finish`](Self::finish).
+    /// Those of [`finish`](Self::finish).
     pub fn close(&mut self, ledger: &Ledger, summary: &SummaryRecord) -> Result<(), TakeError> {
         self.ledger(ledger)?;
         if *summary != SummaryRecord::default() {
@@ -175,37 +174,32 @@ impl<W: Write> TakeWriter<W> {
         Ok(())
     }
 
-    /// The output, with nothing more written: what is on disk stays a take that was cut off.
+    /// Returns the output without closing the take; the file remains a take that was cut off.
     #[must_use]
     pub fn abandon(self) -> W {
         self.out
     }
 
-    /// Bytes written.
+    /// Number of bytes written.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.offset
     }
 
-    /// What it writes to, for a sync.
+    /// The output, for a sync.
     pub fn get_mut(&mut self) -> &mut W {
         &mut self.out
     }
 
-    /// A chunk of another take that is no stretch, unchanged.
-    pub(crate) fn copy(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
-        self.chunk(kind, payload)
-    }
-
-    /// A whole chunk of `len` bytes of another take, however long, unchanged; says whether its CRC matches. What a
-    /// stretch spans is told.
+    /// Copies a chunk of another take, of any length `len`, and returns whether its CRC matches. A stretch needs its
+    /// `span`.
     pub(crate) fn copy_long(
         &mut self,
         span: Option<Span>,
         mut chunk: impl Read,
         len: u64,
     ) -> Result<bool, TakeError> {
-        span.map_or(Ok(()), |span| self.account(span))?;
+        span.map_or(Ok(()), |span| self.add_span(span))?;
         let mut crc = Hasher::new();
         let mut left = len.saturating_sub(chunk::CRC_BYTES as u64);
         while left > 0 {
@@ -229,18 +223,18 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(R::KIND, &record.to_payload()?)
     }
 
-    fn chunk(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
+    /// Writes a chunk that is not a stretch, or one whose span was added.
+    pub(crate) fn chunk(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
         self.scratch.clear();
         chunk::put(&mut self.scratch, kind, payload)?;
         self.flush_scratch()
     }
 
-    /// One `write` a chunk, so that a kill leaves at most one chunk torn.
+    /// One `write` per chunk, so that a kill leaves at most one incomplete chunk.
     fn flush_scratch(&mut self) -> Result<(), TakeError> {
         if self.failed {
-            return Err(TakeError::InvalidArgument(
-                "an earlier write failed: nothing more is written to this take".into(),
-            ));
+            let message = "an earlier write failed; nothing more is written to this take".into();
+            return Err(TakeError::InvalidArgument(message));
         }
         self.failed = true;
         self.out.write_all(&self.scratch)?;

@@ -1,5 +1,5 @@
-//! A few bytes whose checksums match may claim anything: what is beyond the bounds is damage, what is within
-//! them comes back.
+//! Takes whose CRCs match may claim anything: claims beyond the limits are damage, and values within them are read
+//! back.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -14,17 +14,17 @@ use mocapd_take::{
     motion::{FrameSource, UpAxis},
     reader::read_events,
     record::{Channel, Device, Header, Ledger},
-    recovery::Survey,
-    stretch::{LIVE_ROWS_MAX, ROWS_MAX, Sizes, Span, Stretch, StretchDecoder, rows_max},
+    recovery::RecoveryScan,
+    stretch::{LIVE_ROWS_MAX, ROWS_MAX, Span, Stretch, StretchDecoder, StretchSizes, rows_max},
     traversal::Decode,
 };
 
 const LIVE: [&str; 3] = ["dense", "fast", "lossless"];
 
-/// Most rows between two stretches, as docs/take-format.md has it.
+/// Most rows between two stretches, from docs/take-format.md.
 const ROWS_PASSED_MAX: u64 = 1 << 32;
 
-/// Shapes of a stretch: its number of rows is listed; it has a time line, its runs are listed, too.
+/// Shapes of a stretch: with a listed number of rows; with a time line; with listed runs.
 const ROWS_LISTED: u8 = 4;
 const RUNS_LISTED: u8 = 7;
 
@@ -62,7 +62,7 @@ fn varint(mut value: u64) -> Vec<u8> {
     out
 }
 
-/// A stretch of a group alone: its first byte, shape and numbers, and a block.
+/// A stretch of a single group: its first byte, shape and numbers, and a block.
 fn stretch(number: u8, key: bool, shape: u8, numbers: &[u64], block: &[u8]) -> Vec<u8> {
     let mut payload = vec![u8::from(key) | 4 | number << 3, shape];
     payload.extend(numbers.iter().flat_map(|&number| varint(number)));
@@ -70,12 +70,12 @@ fn stretch(number: u8, key: bool, shape: u8, numbers: &[u64], block: &[u8]) -> V
     payload
 }
 
-/// `n_rows` rows of samples from a row on, without a time line.
+/// `n_rows` rows of samples from `first_row` on, without a time line.
 fn held(number: u8, first_row: u64, n_rows: u64, block: &[u8]) -> Vec<u8> {
     stretch(number, true, ROWS_LISTED, &[first_row, n_rows], block)
 }
 
-/// So many lost rows and nothing else: after `from_row`, or after the stretch before.
+/// A stretch of lost rows only, after `from_row` or after the previous stretch.
 fn lost(number: u8, from_row: Option<u64>, runs: &[u64]) -> Vec<u8> {
     let mut numbers: Vec<u64> = from_row.into_iter().chain([0, runs.len() as u64]).collect();
     // Each with its cause, one byte: not received.
@@ -83,7 +83,7 @@ fn lost(number: u8, from_row: Option<u64>, runs: &[u64]) -> Vec<u8> {
     stretch(number, from_row.is_some(), RUNS_LISTED, &numbers, &[])
 }
 
-/// A take of these stretches, their checksums good. A footer only if it is given.
+/// A take of these stretches with matching CRCs, and a footer if one is given.
 fn take(kind: &str, payloads: &[Vec<u8>], footer: Option<u64>) -> Vec<u8> {
     let mut take = Vec::new();
     TakeWriter::new(&mut take, &header(kind)).unwrap();
@@ -101,7 +101,7 @@ fn take(kind: &str, payloads: &[Vec<u8>], footer: Option<u64>) -> Vec<u8> {
     take
 }
 
-/// What was read: of every stretch its first row, and what was damaged.
+/// The first row of each stretch that is read, and the damage.
 fn read(take: &[u8]) -> (Vec<u64>, Vec<String>) {
     let (mut rows, mut damage) = (Vec::new(), Vec::new());
     read_events(take, |event| {
@@ -124,7 +124,7 @@ fn frames(take: &[u8]) -> TakeFrames<Cursor<&[u8]>> {
 const AT_REST: [u8; 2] = [0x7f, 8];
 
 #[test]
-fn a_live_stretch_of_more_rows_than_anybody_writes_is_damage() {
+fn a_live_stretch_of_too_many_rows_is_damage() {
     for kind in LIVE {
         for n_rows in [LIVE_ROWS_MAX + 1, ROWS_MAX] {
             let take = take(kind, &[held(0, 0, n_rows, &AT_REST)], None);
@@ -156,7 +156,7 @@ fn a_decoder_refuses_it_too() {
                 timeline: None,
                 shared: &[],
                 blocks: vec![&AT_REST],
-                sizes: Sizes::default(),
+                sizes: StretchSizes::default(),
             })
         };
         let refused = decode(ROWS_MAX);
@@ -167,7 +167,7 @@ fn a_decoder_refuses_it_too() {
     }
 }
 
-/// What no count of blocks tells: how many channels they have.
+/// The number of blocks does not limit the number of their channels.
 #[test]
 fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
     let span = Span { first_row: 0, n_rows: LIVE_ROWS_MAX as u32, key: true, number: 0 };
@@ -179,7 +179,7 @@ fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
             timeline: None,
             shared: &[],
             blocks: vec![&full; 5],
-            sizes: Sizes::default(),
+            sizes: StretchSizes::default(),
         });
         assert!(
             matches!(refused, Err(TakeError::Codec(CodecError::Corrupt(m))) if m.contains("samples")),
@@ -189,7 +189,7 @@ fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
 }
 
 #[test]
-fn a_writer_refuses_what_no_reader_takes() {
+fn a_writer_refuses_what_no_reader_accepts() {
     let refused = |result: Result<(), TakeError>| match result {
         Err(TakeError::InvalidArgument(message)) => message,
         other => panic!("{other:?}"),
@@ -206,7 +206,7 @@ fn a_writer_refuses_what_no_reader_takes() {
         assert!(ahead.contains(&ROWS_PASSED_MAX.to_string()), "{ahead}");
         write(LIVE_ROWS_MAX + ROWS_PASSED_MAX - 1, 1).unwrap();
     }
-    // Said before anything is recorded: these rows would have more times than a time line has room for.
+    // Refused before the recording starts: a time line has no room for the times of so many rows.
     let device = Some(Device::default());
     let new = |rows| {
         let header = Header { device: device.clone(), stretch_rows: rows, ..header("dense") };
@@ -220,7 +220,7 @@ fn a_writer_refuses_what_no_reader_takes() {
 fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
     let block = &AT_REST;
     let sound = held(0, 0, 30, block);
-    // Before anything is known, and after something.
+    // Before the first stretch, and after one.
     for (before, known) in [(None, 0), (Some(sound), 30)] {
         let behind = held(2, known + 1_000, 3, block);
         for (row, believed) in [
@@ -234,7 +234,7 @@ fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
             let (rows, damage) = read(&take("dense", &payloads, None));
             assert_eq!(rows.contains(&row), believed, "{row}");
             assert_eq!(damage.is_empty(), believed, "{row}: {damage:?}");
-            // What is sound behind it comes back.
+            // Valid stretches after it are read.
             let payloads = [payloads, vec![behind.clone()]].concat();
             let take = take("dense", &payloads, None);
             assert!(read(&take).0.contains(&(known + 1_000)));
@@ -254,7 +254,7 @@ fn more_lost_rows_than_can_be_are_damage() {
         (vec![most + 1], 30),
         (vec![most, 1], 30),
     ] {
-        // Placed, as a key stretch, and without a place, after one that is missing.
+        // With known rows, as a key stretch, and with unknown ones, after a missing stretch.
         for from_row in [Some(30), None] {
             let number = if from_row.is_some() { 1 } else { 2 };
             let take = take("dense", &[sound.clone(), lost(number, from_row, &runs)], None);
@@ -265,7 +265,7 @@ fn more_lost_rows_than_can_be_are_damage() {
 }
 
 #[test]
-fn a_footer_is_believed_as_far_as_rows_can_be_lost() {
+fn a_footer_is_accepted_up_to_the_most_rows_that_can_be_lost() {
     let stretches = [held(0, 0, 30, &AT_REST), b"no stretch".to_vec()];
     for (n_rows, believed) in [
         (30, true),
@@ -277,9 +277,9 @@ fn a_footer_is_believed_as_far_as_rows_can_be_lost() {
         let take = take("dense", &stretches, Some(n_rows));
         let frames = frames(&take);
         assert_eq!(frames.info().n_frames, if believed { n_rows } else { 30 });
-        assert_eq!(frames.map().n_held, Some(30));
+        assert_eq!(frames.map().n_sampled_rows, Some(30));
         assert_eq!(read(&take).1.len(), if believed { 1 } else { 2 });
-        // That rows are missing is no more than the damage says.
+        // The rows are missing because of the damage, and the footer adds no problem.
         let footer = frames.problems().iter().filter(|p| matches!(p, Problem::FooterRows { .. }));
         assert_eq!(footer.count(), 0, "{n_rows}");
         let cut_off = frames.problems().contains(&Problem::CutOff);
@@ -288,18 +288,18 @@ fn a_footer_is_believed_as_far_as_rows_can_be_lost() {
 }
 
 #[test]
-fn a_footer_that_tells_of_more_frames_is_a_problem() {
+fn a_footer_with_more_frames_is_a_problem() {
     let stretches = [held(0, 0, 30, &[0x7f, 1]), held(1, 30, 30, &[0x7f, 1])];
     let whole = take("dense", &stretches, Some(60));
     assert_eq!(frames(&whole).problems(), []);
     let cut = take("dense", &stretches[..1], Some(60));
     let cut = frames(&cut);
-    assert_eq!(cut.problems(), [Problem::FooterRows { told: 60, found: 30 }]);
+    assert_eq!(cut.problems(), [Problem::FooterRows { stated: 60, found: 30 }]);
 }
 
-/// Their numbers fit, because there are as many as numbers.
+/// Their numbers fit, because exactly as many are missing as there are numbers.
 #[test]
-fn a_row_tells_of_missing_stretches_when_no_number_does() {
+fn a_row_reveals_missing_stretches_when_no_number_does() {
     let mut missing = Vec::new();
     let stretches = [held(0, 0, 30, &AT_REST), held(1, 33 * 30, 30, &AT_REST)];
     read_events(&take("dense", &stretches, None)[..], |event| {
@@ -332,7 +332,7 @@ fn a_take_of_what_is_allowed_is_read_back() {
 }
 
 #[test]
-fn what_comes_twice_is_refused_behind_a_key_that_was_sought() {
+fn duplicates_are_refused_after_a_seek() {
     let bad = &[0xff; 4];
     let stretches = [
         held(0, 0, 30, &AT_REST),
@@ -346,9 +346,9 @@ fn what_comes_twice_is_refused_behind_a_key_that_was_sought() {
     let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
     assert!(map.problems.contains(&twice), "{:?}", map.problems);
     for row in [0, 60] {
-        // One whose map was made without a look at stretches tells of all.
-        let map = TakeMap { n_held: None, ..map.clone() };
-        let mut part = TakeTraversal::of_map(Cursor::new(&take), &map, Decode::All).unwrap();
+        // A map that was built without reading stretches leaves all problems to the traversal.
+        let map = TakeMap { n_sampled_rows: None, ..map.clone() };
+        let mut part = TakeTraversal::from_map(Cursor::new(&take), &map, Decode::All).unwrap();
         part.seek(row).unwrap();
         let mut rows = Vec::new();
         while let Some(span) = part.next_stretch().unwrap() {
@@ -366,24 +366,24 @@ fn a_stretch_that_is_refused_names_no_channels() {
     let take = take("dense", &[held(0, 0, 30, one), again], None);
     let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
     assert_eq!((map.channels.len(), map.longest_stretch), (1, Some(30)));
-    let survey = Survey::read(&take).unwrap();
-    assert_eq!((survey.channels.len(), survey.per_channel.len()), (1, 1));
+    let scan = RecoveryScan::read(&take).unwrap();
+    assert_eq!((scan.channels.len(), scan.per_channel.len()), (1, 1));
     let named = |problem: &Problem| matches!(problem, Problem::NamesLost { .. });
-    assert!(!map.problems.iter().chain(&survey.problems).any(named), "{:?}", survey.problems);
-    // One that is not names them all.
+    assert!(!map.problems.iter().chain(&scan.problems).any(named), "{:?}", scan.problems);
+    // A stretch that is not refused names all of them.
     let take = self::take("dense", &[held(0, 0, 30, one), held(1, 30, 30, three)], None);
-    assert_eq!(Survey::read(&take).unwrap().channels.len(), 3);
+    assert_eq!(RecoveryScan::read(&take).unwrap().channels.len(), 3);
 }
 
 #[test]
-fn an_index_that_tells_of_another_row_is_a_problem() {
+fn an_index_with_another_row_is_a_problem() {
     let take = take("dense", &[held(0, 0, 30, &AT_REST), held(1, 30, 30, &AT_REST)], Some(60));
     let mut map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
-    map.n_held = None;
+    map.n_sampled_rows = None;
     map.keys[1].first_row = 20;
-    let mut part = TakeTraversal::of_map(Cursor::new(&take), &map, Decode::All).unwrap();
+    let mut part = TakeTraversal::from_map(Cursor::new(&take), &map, Decode::All).unwrap();
     part.seek(25).unwrap();
     assert_eq!(part.next_stretch().unwrap().map(|span| span.first_row), Some(30));
-    assert_eq!(part.problems(), [Problem::IndexRow { told: 20, found: 30 }]);
+    assert_eq!(part.problems(), [Problem::IndexRow { stated: 20, found: 30 }]);
     assert!(!part.is_intact());
 }

@@ -1,4 +1,4 @@
-//! Parquet and MCAP, read back by their own libraries: what is there, what is not, and how much of it at once.
+//! Parquet and MCAP files, read back by their own libraries: content, absent samples, and memory.
 
 #![cfg(feature = "full")]
 #![expect(clippy::unwrap_used, reason = "a test stops there")]
@@ -14,7 +14,7 @@ use parquet::{
     record::Field,
 };
 
-/// Some markers, with gaps, two of one name, and one that is never seen.
+/// Markers with gaps: two share a label, and one is never visible.
 fn motion(n_frames: usize, n_markers: usize) -> Motion {
     let mut positions_mm = Vec::new();
     for frame in 0..n_frames {
@@ -153,7 +153,7 @@ fn nothing_is_a_file_too() {
     }
 }
 
-/// Takes a few bytes, and then no more.
+/// Accepts a few bytes and then fails.
 struct Full(usize);
 
 impl std::io::Write for Full {

@@ -1,4 +1,4 @@
-//! A take read from the middle is the take read from its start, and only what is asked for is read and decoded.
+//! A take read from the middle equals the take read from its start, and only the requested rows are read and decoded.
 
 #![expect(clippy::unwrap_used, reason = "a test stops there")]
 
@@ -18,7 +18,7 @@ use mocapd_take::{
     traversal::Decode,
 };
 
-/// Every frame from `row` on.
+/// All frames from `row` on.
 fn frames(take: &[u8], row: u64) -> Vec<Vec<[u32; 3]>> {
     let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
     frames.seek(row).unwrap();
@@ -34,11 +34,11 @@ fn scanned(take: &[u8]) -> TakeMap {
     TakeMap::scan(&mut Cursor::new(take)).unwrap()
 }
 
-/// The offset of the first byte of each chunk, and of the end.
+/// The offsets of all chunks, and of the end.
 fn chunks(take: &[u8]) -> Vec<usize> {
     let mut at = vec![8];
-    while let mocapd_take::chunk::Front::Whole { len, .. } =
-        mocapd_take::chunk::front(&take[at[at.len() - 1]..])
+    while let mocapd_take::chunk::ChunkParse::Whole { len, .. } =
+        mocapd_take::chunk::parse(&take[at[at.len() - 1]..])
     {
         at.push(at[at.len() - 1] + len);
     }
@@ -67,7 +67,7 @@ fn damage_before_the_row_costs_nothing_behind_the_next_key() {
     hurt[key.offset as usize + 40] ^= 1;
     let next = scanned(&whole).keys[4].first_row;
     assert_eq!(frames(&hurt, next), all[next as usize..]);
-    // Within, the rows are gaps, and it is told.
+    // Within the damage, the rows are gaps and a problem is reported.
     let mut source = TakeFrames::open(Cursor::new(&hurt[..])).unwrap();
     source.seek(key.first_row + 20).unwrap();
     let mut row = vec![[0.0; 3]; source.info().markers.len()];
@@ -83,15 +83,15 @@ fn damage_before_the_row_costs_nothing_behind_the_next_key() {
 }
 
 #[test]
-fn the_map_by_heads_is_the_map_by_chunks() {
+fn the_map_from_heads_equals_the_map_from_chunks() {
     let take = take::take("dense");
     let quick = TakeMap::open(&mut Cursor::new(&take)).unwrap();
     let slow = scanned(&take);
-    assert_eq!((quick.n_held, slow.n_held.is_some()), (None, true));
+    assert_eq!((quick.n_sampled_rows, slow.n_sampled_rows.is_some()), (None, true));
     assert!(quick.finished && quick.keys.len() == 10 && quick.events.len() == 5);
     assert_eq!(quick.channels.len(), 6);
-    // Whose stretches were not read, it does not know how long they are.
-    assert_eq!(quick, TakeMap { n_held: None, longest_stretch: None, ..slow });
+    // The length of stretches is unknown, because they were not read.
+    assert_eq!(quick, TakeMap { n_sampled_rows: None, longest_stretch: None, ..slow });
 }
 
 #[test]
@@ -102,12 +102,12 @@ fn what_is_cut_or_damaged_is_scanned() {
         for cut in [end - 3, end] {
             let quick = TakeMap::open(&mut Cursor::new(&take[..cut])).unwrap();
             if cut < take.len() {
-                assert!(!quick.finished && quick.n_held.is_some(), "cut at {cut}");
+                assert!(!quick.finished && quick.n_sampled_rows.is_some(), "cut at {cut}");
                 assert_eq!(quick, scanned(&take[..cut]), "cut at {cut}");
             }
         }
     }
-    // A byte of a head, and of what is no stretch, is seen at once; the header's cannot be done without.
+    // A wrong byte in a chunk head, or in a chunk other than a stretch, shows at once; the header is indispensable.
     for pair in chunks[1..].windows(2) {
         for at in [pair[0], pair[0] + 1, pair[1] - 1] {
             let mut hurt = take.clone();
@@ -124,20 +124,20 @@ fn what_is_cut_or_damaged_is_scanned() {
 }
 
 #[test]
-fn damage_that_opening_passed_over_is_told_when_it_is_read() {
+fn damage_skipped_by_opening_is_reported_when_it_is_read() {
     let whole = take::take("fast");
     let last = *scanned(&whole).keys.last().unwrap();
     for key in [scanned(&whole).keys[2], last] {
         let mut hurt = whole.clone();
         hurt[key.offset as usize + 40] ^= 1;
         let map = TakeMap::open(&mut Cursor::new(&hurt)).unwrap();
-        assert!(map.problems.is_empty() && map.n_held.is_none());
-        let mut stretches = TakeTraversal::of_map(Cursor::new(&hurt), &map, Decode::All).unwrap();
+        assert!(map.problems.is_empty() && map.n_sampled_rows.is_none());
+        let mut stretches = TakeTraversal::from_map(Cursor::new(&hurt), &map, Decode::All).unwrap();
         stretches.seek(key.first_row).unwrap();
         while stretches.next_stretch().unwrap().is_some() {}
-        let told = stretches.problems();
+        let problems = stretches.problems();
         let damaged = |problem: &Problem| matches!(problem, Problem::Damaged { offset, .. } if *offset == key.offset);
-        assert!(told.iter().any(damaged), "{told:?}");
+        assert!(problems.iter().any(damaged), "{problems:?}");
     }
 }
 
@@ -148,9 +148,9 @@ fn only_the_groups_that_are_wanted_have_rows() {
             .unwrap();
     let map = TakeMap::open(&mut Cursor::new(&bytes)).unwrap();
     assert!(map.channels.len() > 64);
-    let mut all = TakeTraversal::of_map(Cursor::new(&bytes), &map, Decode::All).unwrap();
+    let mut all = TakeTraversal::from_map(Cursor::new(&bytes), &map, Decode::All).unwrap();
     let groups = Decode::Groups(vec![1]);
-    let mut second = TakeTraversal::of_map(Cursor::new(&bytes), &map, groups).unwrap();
+    let mut second = TakeTraversal::from_map(Cursor::new(&bytes), &map, groups).unwrap();
     let mut with_samples = 0;
     while let Some(span) = all.next_stretch().unwrap() {
         assert_eq!(second.next_stretch().unwrap(), Some(span));
@@ -189,7 +189,7 @@ fn what_lies_before_the_key_is_not_read() {
     let read = Rc::new(Cell::new(0));
     let mut input = Counting(Cursor::new(&take), Rc::clone(&read));
     let map = TakeMap::open(&mut input).unwrap();
-    let mut stretches = TakeTraversal::of_map(input, &map, Decode::All).unwrap();
+    let mut stretches = TakeTraversal::from_map(input, &map, Decode::All).unwrap();
     read.set(0);
     let key = map.keys[9];
     stretches.seek(map.n_rows - 1).unwrap();
@@ -197,7 +197,7 @@ fn what_lies_before_the_key_is_not_read() {
     while stretches.next_stretch().unwrap().is_some() {}
     assert_eq!(read.get(), take.len() - key.offset as usize);
     assert!(stretches.problems().is_empty());
-    // There is no way back.
+    // Seeking back is not possible.
     stretches.seek(0).unwrap();
     assert_eq!(stretches.next_stretch().unwrap(), None);
 }

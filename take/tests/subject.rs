@@ -1,4 +1,4 @@
-//! SUBJECT in a take: where it stands, who keeps it, and that nobody needs it.
+//! SUBJECT in a take: its position, the readers and copies that keep it, and takes that lack it.
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test stops there")]
 
@@ -9,18 +9,18 @@ use std::{io::Cursor, ops::Range};
 
 use mocapd_take::{
     TakeFrames, TakeMap,
-    chunk::{self, Front, MAGIC, MAY_SKIP, types},
+    chunk::{self, ChunkParse, MAGIC, MAY_SKIP, types},
     damage::Problem,
     motion::{FrameSource, GAP},
     reader::read_events,
     record::{Record, Subject},
-    recovery::{Kind, Survey},
+    recovery::{ChunkKind, RecoveryScan},
 };
 
-/// Where the take's SUBJECT lies: right behind the header.
+/// The range of the take's SUBJECT, right after the header.
 fn place(take: &[u8]) -> Range<usize> {
-    let front = |at: usize| match chunk::front(&take[at..]) {
-        Front::Whole { kind, len, .. } => (kind, at + len),
+    let front = |at: usize| match chunk::parse(&take[at..]) {
+        ChunkParse::Whole { kind, len, .. } => (kind, at + len),
         other => panic!("{other:?}"),
     };
     let (header, behind) = front(MAGIC.len());
@@ -30,13 +30,13 @@ fn place(take: &[u8]) -> Range<usize> {
     behind..end
 }
 
-/// The take with another chunk in the place of SUBJECT.
+/// The take with another chunk in place of SUBJECT.
 fn with(take: &[u8], chunk: &[u8]) -> Vec<u8> {
     let place = place(take);
     [&take[..place.start], chunk, &take[place.end..]].concat()
 }
 
-/// Every sample, and what is wrong.
+/// All samples, and the problems.
 fn samples(take: &[u8]) -> (Vec<u32>, Vec<Problem>, Option<Subject>) {
     let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
     let mut row = vec![GAP; frames.info().markers.len()];
@@ -54,7 +54,7 @@ fn every_reader_finds_it() {
     assert_eq!((found, problems), (Some(take::subject()), vec![]));
     let quick = TakeMap::open(&mut Cursor::new(&whole)).unwrap();
     let scanned = TakeMap::scan(&mut Cursor::new(&whole)).unwrap();
-    assert_eq!(quick.n_held, None, "known by the heads of its chunks");
+    assert_eq!(quick.n_sampled_rows, None, "known by the heads of its chunks");
     assert_eq!(quick.subject, Some(take::subject()));
     assert_eq!(scanned.subject, quick.subject);
     let mut bytes = 0;
@@ -74,7 +74,7 @@ fn readers_that_do_not_know_it_pass_over_it() {
     const { assert!(Subject::KIND == 0x87 && Subject::KIND & MAY_SKIP != 0) };
     let whole = take::take("dense");
     let (wanted, ..) = samples(&whole);
-    // Of a version that comes after this one, or of a type that is not there yet.
+    // Of a later version, or of a future type.
     let mut payload = take::subject().to_payload().unwrap();
     payload[0] = 9;
     for kind in [Subject::KIND, 0xf7] {
@@ -98,11 +98,11 @@ fn a_damaged_one_costs_nothing_else() {
         hurt[at] ^= 0x21;
         let (found, problems, subject) = samples(&hurt);
         assert!(found == wanted && problems.len() == 1, "byte {at}: {problems:?}");
-        // A head that is damaged alone is put right.
-        let is_mended = matches!(problems[0], Problem::Mended { .. });
+        // A head that alone is damaged is repaired.
+        let is_mended = matches!(problems[0], Problem::Repaired { .. });
         assert_eq!(subject.is_some(), is_mended, "byte {at}: {problems:?}");
     }
-    // Its checksum matches, and it is none.
+    // The CRC matches, but the content is invalid.
     let mut wrong = Vec::new();
     chunk::put(&mut wrong, Subject::KIND, &[1, 0, 9]).unwrap();
     let (found, problems, subject) = samples(&with(&whole, &wrong));
@@ -124,11 +124,11 @@ fn a_recovery_keeps_it() {
         hurt
     };
     for take in [&whole, &hurt, &whole[..whole.len() / 2].to_vec()] {
-        let survey = Survey::read(&take[..]).unwrap();
+        let scan = RecoveryScan::read(&take[..]).unwrap();
         let mut new = Vec::new();
-        survey.write(Cursor::new(&take[..]), &mut new, "tests").unwrap();
+        scan.write(Cursor::new(&take[..]), &mut new, "tests").unwrap();
         assert_eq!(new[place(&new)], whole[place(&whole)], "the same bytes, behind the header");
-        let kept = survey.kinds.iter().find(|count| count.kind == Kind::Subject).unwrap();
+        let kept = scan.kinds.iter().find(|count| count.kind == ChunkKind::Subject).unwrap();
         assert_eq!((kept.recovered, kept.discarded), (1, 0));
     }
 }

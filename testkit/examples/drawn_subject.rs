@@ -1,7 +1,7 @@
-//! A scan and a portrait of somebody who does not exist, to try a subject's preparation with.
+//! Writes a synthetic body scan and portrait, to try out the preparation of a subject.
 //!
-//! `cargo run --release -p mocapd-testkit --example drawn_subject FOLDER [SEED]` writes `scan.obj` (metres, arms away from
-//! the body) and `portrait.png` into a folder.
+//! `cargo run --release -p mocapd-testkit --example drawn_subject FOLDER [SEED]` writes `scan.obj` (metres, arms away
+//! from the body) and `portrait.png` to a folder.
 
 use std::error::Error;
 use std::fmt::Write;
@@ -10,13 +10,13 @@ use std::path::Path;
 use mocapd_body::Mesh;
 use mocapd_testkit::{
     photograph::Scene,
-    synthetic_body::{Options, Pose, body},
+    synthetic_body::{BodyOptions, Pose, body},
 };
 
-/// Between the outer corners of the eyes: as large as a portrait that fills a screen.
-const IO_PX: f64 = 120.0;
+/// Outer interocular distance: that of a portrait which fills a screen.
+const INTEROCULAR_PX: f64 = 120.0;
 
-/// Triangles of the scan: a fifth of what a scanner gives.
+/// Triangles of the scan: a fifth of a typical scanner's.
 const N_FACES: usize = 10_000;
 
 fn obj(mesh: &Mesh) -> Result<String, std::fmt::Error> {
@@ -33,14 +33,14 @@ fn obj(mesh: &Mesh) -> Result<String, std::fmt::Error> {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args_os().skip(1);
-    let folder = args.next().ok_or("which folder? drawn_subject FOLDER [SEED]")?;
+    let folder = args.next().ok_or("missing FOLDER: drawn_subject FOLDER [SEED]")?;
     let seed = match args.next() {
-        Some(seed) => seed.to_str().ok_or("the seed is a number")?.parse()?,
+        Some(seed) => seed.to_str().ok_or("SEED must be a number")?.parse()?,
         None => 5,
     };
-    let (mesh, _) = body(seed, Pose::A, Options { n_faces: N_FACES, turned: false });
+    let (mesh, _) = body(seed, Pose::A, BodyOptions { n_faces: N_FACES, turned: false });
     std::fs::write(Path::new(&folder).join("scan.obj"), obj(&mesh)?)?;
-    Scene::portrait(seed, IO_PX, 0.0)
+    Scene::portrait(seed, INTEROCULAR_PX, 0.0)
         .render()?
         .image
         .save(Path::new(&folder).join("portrait.png"))?;

@@ -1,4 +1,4 @@
-//! What the tests of several crates share. Tests, benchmarks, examples and fuzz targets depend on it, and no product does.
+//! Shared test utilities. Tests, benchmarks, examples and fuzz targets of all crates use them; no product code does.
 
 pub mod memory;
 pub mod photograph;

@@ -1,4 +1,4 @@
-//! A line in one process: what one end writes, the other reads.
+//! An in-memory transport: each end reads the bytes that the other writes.
 
 use std::{
     collections::VecDeque,
@@ -10,14 +10,14 @@ use mocapd_drivers::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_T
 
 const NAME: &str = "memory";
 
-/// One end. Dropping it is unplugging: the other end reads what is left, and then `Disconnected`.
+/// One end of an in-memory line. Dropping it unplugs it: the other end reads the remaining bytes, then `Disconnected`.
 #[derive(Debug)]
 pub struct MemoryTransport {
     incoming: Arc<Pipe>,
     outgoing: Arc<Pipe>,
 }
 
-/// Two ends; `capacity_bytes` are kept in each direction, and a writer waits for room.
+/// Creates both ends of a line that buffers `capacity_bytes` in each direction; a writer waits when the buffer is full.
 #[must_use]
 pub fn pair(capacity_bytes: usize) -> (MemoryTransport, MemoryTransport) {
     let there = Arc::new(Pipe::new(capacity_bytes));
@@ -46,7 +46,7 @@ impl Pipe {
         Self { capacity_bytes, state: Mutex::default(), changed: Condvar::new() }
     }
 
-    /// A panic of the other end's thread leaves the queue whole: no step in between can panic.
+    /// Ignores poisoning: a panic elsewhere leaves the queue consistent, because no step under the lock can panic.
     fn lock(&self) -> MutexGuard<'_, PipeState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_yet_is_no_error_and_an_unplugged_end_is() {
+    fn a_read_without_bytes_succeeds_and_an_unplugged_end_fails() {
         let (mut a, mut b) = pair(16);
         assert_eq!(b.read(&mut [0; 4]).unwrap(), 0);
         a.write_all(b"last").unwrap();
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_write_that_nobody_reads_ends() {
+    fn a_write_without_a_reader_times_out() {
         let (mut a, _b) = pair(4);
         let error = a.write_all(b"too long").unwrap_err();
         assert!(matches!(error, TransportError::Stuck { .. }), "{error}");

@@ -1,9 +1,9 @@
-//! Random numbers out of a seed, the same on every machine and in every version of a library.
+//! Seeded random numbers, the same on every machine and in every version.
 //!
-//! `SplitMix64` (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014): every seed is as
-//! good as another, 0 too, and seeds in a row give streams that have nothing to do with each other.
+//! `SplitMix64` (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014): every seed is
+//! equally good, including 0, and consecutive seeds give independent streams.
 
-/// A stream of random numbers. A test that fails prints the seed.
+/// A stream of random numbers. Failing tests should print the seed.
 #[derive(Debug, Clone)]
 pub struct Random(u64);
 
@@ -28,18 +28,18 @@ impl Random {
         (self.next_u64() >> 56) as u8
     }
 
-    /// So many random bytes.
+    /// `n` random bytes.
     pub fn bytes(&mut self, n: usize) -> Vec<u8> {
         (0..n).map(|_| self.byte()).collect()
     }
 
-    /// One of the numbers below `n`, each as often as another; 0 where there is none.
+    /// Uniform from 0 to `n - 1`; 0 if `n` is 0.
     pub fn below(&mut self, n: usize) -> usize {
-        // The upper half of a product of 128 bits: off by less than 2^-32 for any n that a test has.
+        // The upper half of a 128-bit product, with a bias below 2^-32 for n below 2^32.
         ((u128::from(self.next_u64()) * n as u128) >> 64) as usize
     }
 
-    /// True once in `n` times.
+    /// `true` with probability 1 / `n`.
     pub fn one_in(&mut self, n: usize) -> bool {
         self.below(n) == 0
     }
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_below_a_bound_are_all_met_and_none_is_above() {
+    fn bounded_numbers_cover_their_range() {
         let mut random = Random::new(0);
         let mut counts = [0; 7];
         (0..7000).for_each(|_| counts[random.below(7)] += 1);

@@ -1,4 +1,4 @@
-//! Recorded data, which is not part of the project: tests that need it are skipped where there is none, and say so.
+//! Recorded data, which is not part of the project. Tests that need it are skipped without it, with a message.
 
 use std::{
     env, fmt,
@@ -7,7 +7,8 @@ use std::{
     path::PathBuf,
 };
 
-/// When this environment variable is `1`, a test that finds no data fails: `.ci/run` sets it where the data is there.
+/// If this environment variable is `1`, tests without their data fail. `.ci/run` sets it on machines that have the
+/// data.
 pub const REQUIRED: &str = "MOCAPD_DATA_REQUIRED";
 
 /// A kind of recorded data.
@@ -15,14 +16,14 @@ pub const REQUIRED: &str = "MOCAPD_DATA_REQUIRED";
 pub enum RecordedData {
     /// Takes of motion-capture systems, as C3D, TRC, TSV and CSV.
     Takes,
-    /// Meshes of bodies, with joint centres that are known.
+    /// Meshes of bodies with known joint centres.
     Bodies,
-    /// Photographs of faces, with landmarks that are known.
+    /// Photographs of faces with known landmarks.
     Faces,
 }
 
 impl RecordedData {
-    /// The environment variable that names its folder.
+    /// The environment variable that names the folder.
     #[must_use]
     pub fn variable(self) -> &'static str {
         match self {
@@ -32,11 +33,11 @@ impl RecordedData {
         }
     }
 
-    /// Its folder. Where there is none, the test that calls this is skipped: a line on standard error says which and why,
-    /// also without `--nocapture`.
+    /// The folder of the data; `None` if it is not set, in which case the calling test should return. A line on
+    /// standard error then reports the skipped test, even without `--nocapture`.
     ///
     /// # Panics
-    /// When the variable names no folder; when it is not set although data is [required](REQUIRED).
+    /// When the variable does not name a folder, or is not set although data is [required](REQUIRED).
     #[must_use]
     #[track_caller]
     pub fn folder(self) -> Option<PathBuf> {
@@ -45,16 +46,16 @@ impl RecordedData {
             let is_required = env::var_os(REQUIRED).is_some_and(|value| value == "1");
             assert!(
                 !is_required,
-                "{REQUIRED} is 1, and {variable} is not set to the folder of {self}"
+                "{REQUIRED} is 1, but {variable} is not set to the folder of {self}"
             );
             let place = Location::caller();
-            // Not `eprintln!`, which the test harness keeps to itself when the test passes.
+            // Not `eprintln!`, whose output the test harness hides when the test passes.
             let line = format!("skipped: {place}: {variable} is not set to a folder of {self}\n");
             io::stderr().write_all(line.as_bytes()).ok();
             return None;
         };
         let folder = PathBuf::from(folder);
-        assert!(folder.is_dir(), "{variable} is {}, which is no folder", folder.display());
+        assert!(folder.is_dir(), "{variable} is {}, which is not a folder", folder.display());
         Some(folder)
     }
 }

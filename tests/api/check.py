@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""The HTTP API against tools that are not ours, on a real service with a simulated device.
+"""Tests the HTTP API of a real service, with a simulated device, by third-party tools.
 
-openapi-spec-validator reads /openapi.json, schemathesis sends what it allows and what it does not, and promtool, where
-Debian's prometheus package is installed, reads /metrics.
+openapi-spec-validator reads /openapi.json, schemathesis sends valid and invalid requests, and promtool, if Debian's
+prometheus package is installed, reads /metrics.
 
     check.py --mocapd target/release/mocapd --mocapd-sim target/release/mocapd-sim
 """
@@ -20,9 +20,9 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-# Streams go on for as long as the client likes, which schemathesis does not; tests/service/http/streams.rs has them.
+# Streams do not end, which schemathesis does not support; tests/service/http/streams.rs tests them.
 STREAMS = ["/v1/events", "/v1/live"]
-# A text is bounded in bytes, which JSON Schema cannot say, and whether a name is free is no matter of its form.
+# JSON Schema cannot express limits in bytes, nor whether a take name is unused.
 NOT_CHECKED = "positive_data_acceptance"
 SECONDS_MAX = 75
 SEED = 7
@@ -35,10 +35,10 @@ def main():
     options = arguments.parse_args()
     results = []
     with tempfile.TemporaryDirectory(prefix="mocapd-api-") as folder, Service(options, Path(folder)) as service:
-        results.append(validated(service))
-        results.append(linted(service))
-        results.append(probed(service, Path(folder)))
-        results.append(alive(service))
+        results.append(validate_document(service))
+        results.append(check_metrics(service))
+        results.append(fuzz(service, Path(folder)))
+        results.append(check_running(service))
     passed, failed = results.count(True), results.count(False)
     print(f"{passed} passed, {failed} failed")
     sys.exit(failed > 0)
@@ -97,32 +97,32 @@ def wait(ready, what):
         time.sleep(0.1)
 
 
-def tell(what, good, words=""):
-    print(f"{'good' if good else 'BAD '}  {what}")
-    if not good:
-        print(words)
-    return good
+def report(check, passed, details=""):
+    print(f"{'good' if passed else 'BAD '}  {check}")
+    if not passed:
+        print(details)
+    return passed
 
 
-def validated(service):
+def validate_document(service):
     from openapi_spec_validator import OpenAPIV31SpecValidator
 
     document = json.loads(service.get("/openapi.json"))
     errors = [f"{list(error.path)}: {error.message}" for error in OpenAPIV31SpecValidator(document).iter_errors()]
-    return tell("/openapi.json is OpenAPI 3.1", not errors, "\n".join(errors))
+    return report("/openapi.json is OpenAPI 3.1", not errors, "\n".join(errors))
 
 
-def linted(service):
+def check_metrics(service):
     metrics = service.get("/metrics")
     promtool = shutil.which("promtool")
     if promtool is None:
-        print("skipped: promtool, which is in Debian's package prometheus")
+        print("skipped: promtool (Debian package prometheus)")
         return None
     ran = subprocess.run([promtool, "check", "metrics"], input=metrics, capture_output=True)
-    return tell("promtool reads /metrics", ran.returncode == 0, (ran.stdout + ran.stderr).decode())
+    return report("promtool reads /metrics", ran.returncode == 0, (ran.stdout + ran.stderr).decode())
 
 
-def probed(service, folder):
+def fuzz(service, folder):
     command = [
         Path(sys.executable).with_name("schemathesis"), "--no-color", "run", service.url + "/openapi.json",
         "--url", service.url, "--exclude-checks", NOT_CHECKED, "--phases", "examples,coverage,fuzzing",
@@ -135,13 +135,13 @@ def probed(service, folder):
     ran = subprocess.run(list(map(str, command)), cwd=folder, capture_output=True, text=True, timeout=2 * SECONDS_MAX)
     cases = re.search(r"(\d+) generated", ran.stdout)
     what = f"schemathesis, {cases[1] if cases else '?'} requests in {time.monotonic() - began:.0f} s"
-    return tell(what, ran.returncode == 0 and cases is not None, ran.stdout[-12000:] + ran.stderr)
+    return report(what, ran.returncode == 0 and cases is not None, ran.stdout[-12000:] + ran.stderr)
 
 
-def alive(service):
+def check_running(service):
     status = json.loads(service.get("/v1/status") or "{}")
     good = status.get("state") in ("idle", "armed", "recording") and service.children[-1].poll() is None
-    return tell("the service lives and has not failed", good, f"{status}\n{service.log()[-4000:]}")
+    return report("the service is running and has not failed", good, f"{status}\n{service.log()[-4000:]}")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""How soon a capture stop of one sender acts, alone and beside a hostile sender of delayed triggers.
+"""Latency of capture stops of one sender, alone and beside a hostile sender of delayed triggers.
 
-A sender at 127.0.0.1 starts and stops a take every two seconds. The hostile one, at 127.0.0.2, sends a datagram a second
-with a delay of 60 s, or the longest that is allowed. Once with the former in trigger.allow_from, once with everybody
-heard. Passes when every stop acts and the 99th percentile beside it is at most three times the one alone.
+A sender at 127.0.0.1 starts and stops a take every two seconds. The hostile one, at 127.0.0.2, sends one datagram per
+second with a delay of 60 s, or the longest that is allowed. Measured once with the former in trigger.allow_from, once
+with any sender allowed. Passes if every stop takes effect and the 99th percentile is at most three times the one alone.
 
     hostile_triggers.py --mocapd target/release/mocapd --mocapd-sim target/release/mocapd-sim
 """
@@ -21,8 +21,8 @@ from pathlib import Path
 
 RATIO_MAX = 3.0
 CYCLE_S = 2.0
-# For a stop to act: beyond it, it counts as lost.
-ACTS_WITHIN_S = 15.0
+# A stop without effect within this time counts as lost.
+TIMEOUT_S = 15.0
 POLL_S = 0.002
 
 
@@ -30,31 +30,31 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--mocapd", type=Path, default=Path("target/release/mocapd"))
     arguments.add_argument("--mocapd-sim", type=Path, default=Path("target/release/mocapd-sim"))
-    arguments.add_argument("--seconds", type=float, default=120, help="of each of the four measurements")
+    arguments.add_argument("--seconds", type=float, default=120, help="duration of each of the four measurements")
     options = arguments.parse_args()
     good = True
-    for name, allow_from in (("known sender", ["127.0.0.1"]), ("everybody heard", [])):
+    for name, allow_from in (("known sender", ["127.0.0.1"]), ("any sender", [])):
         with tempfile.TemporaryDirectory(prefix="mocapd-triggers-") as folder:
             with Service(options, Path(folder), allow_from) as service:
-                good &= compared(options, service, name)
+                good &= compare(options, service, name)
     sys.exit(not good)
 
 
-def compared(options, service, name):
-    alone = measured(options, service, f"{name}, alone", hostile=False)
-    beside = measured(options, service, f"{name}, beside a hostile one", hostile=True)
+def compare(options, service, name):
+    alone = measure(options, service, f"{name}, alone", hostile=False)
+    beside = measure(options, service, f"{name}, beside a hostile sender", hostile=True)
     ratio = p99(beside) / p99(alone) if alone and beside else float("inf")
     good = ratio <= RATIO_MAX and None not in alone + beside
-    print(f"{'good' if good else 'BAD '}  {name}: p99 {ratio:.2f} times that alone: {RATIO_MAX} at most")
+    print(f"{'good' if good else 'BAD '}  {name}: p99 is {ratio:.2f} times that alone (at most {RATIO_MAX})")
     return good
 
 
 def p99(times):
-    known = sorted(ACTS_WITHIN_S if ms is None else ms for ms in times)
+    known = sorted(TIMEOUT_S if s is None else s for s in times)
     return known[max(0, -(-len(known) * 99 // 100) - 1)]
 
 
-def measured(options, service, name, hostile):
+def measure(options, service, name, hostile):
     ending = threading.Event()
     disturbing = threading.Thread(target=disturb, args=(service, ending))
     if hostile:
@@ -68,21 +68,21 @@ def measured(options, service, name, hostile):
     ending.set()
     if hostile:
         disturbing.join()
-    acted = sum(ms is not None for ms in times)
-    middle = sorted(ACTS_WITHIN_S if ms is None else ms for ms in times)[len(times) // 2]
-    print(f"{name}: {acted} of {len(times)} stops acted, p50 {middle * 1e3:.1f} ms, p99 {p99(times) * 1e3:.1f} ms")
+    acted = sum(s is not None for s in times)
+    middle = sorted(TIMEOUT_S if s is None else s for s in times)[len(times) // 2]
+    print(f"{name}: {acted} of {len(times)} stops effective, p50 {middle * 1e3:.1f} ms, p99 {p99(times) * 1e3:.1f} ms")
     return times
 
 
 def disturb(service, ending):
-    """A datagram a second; none of them names a take that runs, since everybody who is heard may stop one."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.bind(("127.0.0.2", 0))
+    """Sends one datagram per second; none names a current take, since every allowed sender may stop one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind(("127.0.0.2", 0))
         packet = 10**9
         while not ending.wait(1.0):
             packet += 1
             element, delay_ms = (("CaptureStart", 60000), ("CaptureStop", 5000))[packet % 2]
-            stranger.sendto(datagram(element, "disturb", delay_ms, packet), service.trigger_at)
+            sender.sendto(datagram(element, "disturb", delay_ms, packet), service.trigger_at)
 
 
 def datagram(element, name, delay_ms, packet):
@@ -91,12 +91,12 @@ def datagram(element, name, delay_ms, packet):
 
 
 class Service:
-    """A simulated device, and the service that hears triggers."""
+    """A simulated device, and the service that receives triggers."""
 
     def __init__(self, options, folder, allow_from):
         self.options, self.folder, self.allow_from = options, folder, allow_from
         self.children, self.packet, self.client = [], 0, None
-        self.http_at, self.trigger_at = free(socket.SOCK_STREAM), free(socket.SOCK_DGRAM)
+        self.http_at, self.trigger_at = free_address(socket.SOCK_STREAM), free_address(socket.SOCK_DGRAM)
 
     def __enter__(self):
         pty = self.folder / "rig"
@@ -135,23 +135,23 @@ class Service:
             sender.bind(("127.0.0.1", 0))
             sender.sendto(datagram(element, name, 0, self.packet), self.trigger_at)
 
-    def becomes(self, state):
+    def wait_for(self, state):
         began = time.monotonic()
         while self.state() != state:
-            if time.monotonic() - began > ACTS_WITHIN_S:
+            if time.monotonic() - began > TIMEOUT_S:
                 return None
             time.sleep(POLL_S)
         return time.monotonic() - began
 
     def cycle(self):
-        """Starts and stops a take: how long the stop took, or `None`."""
+        """Starts and stops a take; returns the latency of the stop in seconds, or `None`."""
         name = f"take-{self.packet}"
         self.send("CaptureStart", name)
-        if self.becomes("recording") is None:
+        if self.wait_for("recording") is None:
             return None
         time.sleep(0.5)
         self.send("CaptureStop", name)
-        return self.becomes("armed")
+        return self.wait_for("armed")
 
     def __exit__(self, *_):
         for child in reversed(self.children):
@@ -162,7 +162,7 @@ class Service:
                 child.kill()
 
 
-def free(kind):
+def free_address(kind):
     with socket.socket(socket.AF_INET, kind) as found:
         found.bind(("127.0.0.1", 0))
         return found.getsockname()

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""How long `mocapd ctl status` takes on the Unix socket beside strangers on TCP, who hold connections and ask nothing.
+"""Duration of `mocapd ctl status` on the Unix socket, alone and beside TCP clients that hold connections open.
 
-100 calls alone and 100 beside the strangers, in turns, several times over. Passes when every call is answered and the
-99th percentile beside them is at most three times the one alone.
+100 calls alone and 100 beside these clients, alternately, several times. Passes if every call succeeds and the 99th
+percentile beside them is at most three times the one alone.
 
     strangers.py --mocapd target/release/mocapd
 """
@@ -22,7 +22,7 @@ from pathlib import Path
 IDLE, DRIPPING = 64, 300
 CALLS = 100
 RATIO_MAX = 3.0
-# One byte of a head from each dripping connection, this often.
+# Each slow connection sends one byte of a header at this interval, in seconds.
 DRIP_S = 0.1
 HEAD = b"GET /v1/status HTTP/1.1\r\nhost: localhost\r\nx-slow: " + b"a" * 4000
 
@@ -31,7 +31,7 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--mocapd", type=Path, default=Path("target/release/mocapd"))
     arguments.add_argument("--strangers", nargs=2, help=argparse.SUPPRESS)
-    arguments.add_argument("--rounds", type=int, default=5, help="the medians of so many are compared")
+    arguments.add_argument("--rounds", type=int, default=5, help="number of rounds whose medians are compared")
     options = arguments.parse_args()
     if options.strangers:
         return Strangers((options.strangers[0], int(options.strangers[1]))).work()
@@ -68,7 +68,7 @@ def run(options, folder):
         service.wait(30)
     ratio = statistics.median(p99 for _, p99, _ in beside) / statistics.median(p99 for _, p99, _ in alone)
     good = all(good == CALLS for _, _, good in alone + beside) and ratio <= RATIO_MAX
-    print(f"{'good' if good else 'BAD '}  median p99 beside strangers is {ratio:.2f} times that alone: {RATIO_MAX} at most")
+    print(f"{'good' if good else 'BAD '}  median p99 is {ratio:.2f} times that alone (at most {RATIO_MAX})")
     return not good
 
 
@@ -104,10 +104,10 @@ def calls(options, socket_path):
 
 
 def start_strangers(at):
-    """In a process of their own, so that they do not take the time of the one that measures."""
+    """Starts the clients in a separate process, so that they do not slow down the measurement."""
     command = [sys.executable, __file__, "--strangers", at[0], str(at[1])]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    # All of them are there before anything is measured.
+    # Wait until all of them are connected.
     process.stdout.readline()
     return process
 
@@ -118,7 +118,7 @@ def end(process):
 
 
 class Strangers:
-    """Connections that are opened again as soon as they are closed."""
+    """Connections that are reopened as soon as they are closed."""
 
     def __init__(self, at):
         self.at, self.made, self.refused = at, 0, 0
@@ -160,7 +160,7 @@ class Strangers:
         if not answer or answer.startswith(b"HTTP/1.1 503"):
             self.selector.unregister(key.fileobj)
             key.fileobj.close()
-            # At once, 364 connections that are refused would measure Python's own speed.
+            # Without a pause, 364 refused connections would measure the speed of Python.
             time.sleep(0.002)
             self.open(key.data)
 

@@ -1,7 +1,7 @@
-//! Arguments that cannot be meant: exit code 2, and a line that says what to type.
+//! Invalid arguments: exit code 2, and one line that says what to type.
 
 use super::Folder;
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 /// A folder with `jump.csv` and `jump.take`, so that only the argument under test is wrong.
 fn folder() -> Folder {
@@ -13,10 +13,10 @@ fn folder() -> Folder {
 
 #[track_caller]
 fn refused_with(folder: &Folder, args: &[&str], facts: &[&str]) {
-    assert_tells(&folder.refuses(args, 2), facts);
+    assert_mentions(&folder.refuses(args, 2), facts);
 }
 
-/// What is wrong with the value of an option: both are named, and so are these.
+/// Asserts that a value of an option is refused, in a message with both and with these facts.
 #[track_caller]
 fn value_refused(folder: &Folder, command: &[&str], option: &str, value: &str, facts: &[&str]) {
     let args = [command, &[option, value]].concat();
@@ -49,7 +49,7 @@ fn tolerances() {
             value_refused(&folder, command, "--tolerance", tolerance, facts);
         }
     }
-    // A bare number is millimetres.
+    // A number without a unit is in millimetres.
     folder.run(&["import", "jump.csv", "-o", "new.take", "--tolerance", "5"]).with_code(0);
     assert_eq!(folder.run(&["info", "new.take", "--json"]).json()["tolerance_mm"], 5.0);
 }
@@ -120,7 +120,7 @@ fn resamplers() {
 }
 
 #[test]
-fn endings() {
+fn file_extensions() {
     let folder = folder();
     folder.write("jump.xyz", "x");
     folder.write("jump", "x");
@@ -145,9 +145,9 @@ fn endings() {
 }
 
 #[test]
-fn devices_that_are_none() {
+fn invalid_devices() {
     let folder = Folder::new();
-    // The part that is wrong stands there beside the whole.
+    // The message has the invalid part beside the whole.
     for (device, part) in [
         ("/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
         ("ttyUSB0", "ttyUSB0"),
@@ -165,13 +165,13 @@ fn devices_that_are_none() {
 }
 
 #[test]
-fn what_clap_refuses_is_one_line_too() {
+fn errors_of_clap_are_one_line() {
     let folder = folder();
     refused_with(&folder, &["frob"], &["frob", "--help"]);
     refused_with(&folder, &["import"], &["--output <TAKE>", "<FILE>", "--help"]);
     refused_with(&folder, &["info", "jump.take", "--jsn"], &["--jsn", "--json"]);
     refused_with(&folder, &["info", "jump.take", "again.take"], &["again.take"]);
-    // Nothing at all is a question, not an error.
+    // Without arguments the program prints its usage.
     for args in [&[][..], &["bench"]] {
         assert!(folder.run(args).with_code(2).stderr.contains("Usage: mocapd"), "{args:?}");
     }

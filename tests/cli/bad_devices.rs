@@ -1,4 +1,4 @@
-//! Devices that cannot be recorded: each says why and what to do, and no take is left behind.
+//! Devices that cannot be recorded: each error says why and what to do, and no take is left behind.
 
 use std::{
     sync::atomic::{AtomicBool, Ordering},
@@ -15,7 +15,7 @@ use super::{
     devices::{RawLine, Recorder, Simulated},
     unprivileged,
 };
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
 #[track_caller]
 fn refused(folder: &Folder, device: &str) -> String {
@@ -23,20 +23,20 @@ fn refused(folder: &Folder, device: &str) -> String {
 }
 
 #[test]
-fn what_is_absent_or_no_serial_port() {
+fn absent_devices_and_other_files_are_refused() {
     let folder = Folder::new();
     folder.write("file", "");
     let absent = |device: &str| TransportError::NotFound { device: device.to_owned() }.to_string();
     assert_eq!(refused(&folder, "serial:/dev/mocapd-none"), absent("/dev/mocapd-none"));
     for path in ["file", ".", "/dev/null"] {
-        assert_tells(&refused(&folder, &format!("serial:{path}")), &[path, "/dev/ttyUSB0"]);
+        assert_mentions(&refused(&folder, &format!("serial:{path}")), &[path, "/dev/ttyUSB0"]);
     }
     assert_eq!(refused(&folder, "usb:1209:0001:none"), absent("usb:1209:0001:none"));
-    assert_tells(&absent(""), &["mocapd devices"]);
+    assert_mentions(&absent(""), &["mocapd devices"]);
 }
 
 #[test]
-fn what_is_in_use() {
+fn a_device_in_use_is_refused() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let mut first = Recorder::start(&folder, &device, "first.take", &[]);
@@ -54,14 +54,14 @@ fn what_is_in_use() {
 }
 
 #[test]
-fn what_may_not_be_opened() {
+fn a_device_without_permission_is_refused() {
     let folder = Folder::new();
     let device = Simulated::of(jump(1, 120.0, 1.0));
     let Some(user) = unprivileged::command_in(&folder) else { return };
     unprivileged::forbid(&device.path);
     let line = folder.refused(user(&["record", "-d", &device.uri(), "-o", "new.take"]), 1);
-    assert_tells(&line, &[&device.path.display().to_string()]);
-    assert!(["udev", "usermod"].iter().any(|remedy| tells(&line, remedy)), "{line}");
+    assert_mentions(&line, &[&device.path.display().to_string()]);
+    assert!(["udev", "usermod"].iter().any(|remedy| mentions(&line, remedy)), "{line}");
 }
 
 #[test]
@@ -73,11 +73,11 @@ fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
     let device = Simulated::start(jump(1, 500.0, 0.5), settings, Some(baud));
     let uri = device.uri();
     let line = folder.refuses(&["record", "-d", &uri, "-o", "new.take"], 1);
-    assert_tells(&line, &["500 Hz", "11520"]);
+    assert_mentions(&line, &["500 Hz", "11520"]);
     let rate = line.split("--rate ").nth(1).and_then(|rest| rest.split(',').next());
     let rate = rate.unwrap_or_else(|| panic!("no rate in: {line}"));
     assert!(rate.parse::<f64>().is_ok_and(|hz| hz > 10.0 && hz < 500.0), "{line}");
-    // What it says fits does fit, and a little more does not.
+    // The stated rate fits, and a slightly higher one does not.
     let record = ["record", "-d", &uri, "-o", "new.take", "--json", "--rate"];
     let report = folder.run(&[&record[..], &[rate]].concat()).with_code(0).json();
     assert_eq!(report["rate_hz"].as_f64(), rate.parse().ok());
@@ -85,12 +85,12 @@ fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
     std::fs::remove_file(folder.path("new.take")).unwrap();
     let more = format!("{}", rate.parse::<f64>().unwrap() + 1.0);
     let line = folder.refuses(&[&record[..], &[more.as_str()]].concat(), 1);
-    assert_tells(&line, &[&more, "11520", "--rate", rate]);
+    assert_mentions(&line, &[&more, "11520", "--rate", rate]);
 }
 
-/// Both wait for an answer that does not come, side by side.
+/// Both wait for an answer that never comes, in parallel.
 #[test]
-fn what_is_mute_or_speaks_another_language() {
+fn silent_and_foreign_devices_are_refused() {
     let (mute, noisy) = (RawLine::open(), RawLine::open());
     let noisy_uri = noisy.uri();
     let done = AtomicBool::new(false);
@@ -115,9 +115,9 @@ fn what_is_mute_or_speaks_another_language() {
         let ended = (noisy_refused.join(), mute_refused.join());
         done.store(true, Ordering::Relaxed);
         let (noisy_line, mute_line) = (ended.0.unwrap(), ended.1.unwrap());
-        // The driver that understands nothing of it is named; of a silence there is no telling.
-        assert_tells(&noisy_line, &[&noisy_uri, "dvmc", "baud", "?driver=NAME"]);
-        assert_tells(&mute_line, &[&mute.uri(), "cable", "baud", "?driver=NAME"]);
-        assert!(!tells(&mute_line, "dvmc"), "{mute_line}");
+        // The message names the driver that could not decode the noise; silence has none to name.
+        assert_mentions(&noisy_line, &[&noisy_uri, "dvmc", "baud", "?driver=NAME"]);
+        assert_mentions(&mute_line, &[&mute.uri(), "cable", "baud", "?driver=NAME"]);
+        assert!(!mentions(&mute_line, "dvmc"), "{mute_line}");
     });
 }

@@ -1,14 +1,14 @@
-//! Files that are not what they should be: what is wrong, where, and nothing written.
+//! Invalid input files: the error says what is wrong and where, and nothing is written.
 
 use mocapd_acquire::files::FileError;
 use mocapd_drivers::plain_file::NotAFile;
 use mocapd_take::{NotATake, TakeError};
 
 use super::{Folder, unprivileged};
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 #[test]
-fn what_is_not_there_or_is_a_folder() {
+fn missing_files_and_folders_are_refused() {
     let folder = Folder::new();
     std::fs::create_dir(folder.path("folder.csv")).unwrap();
     std::fs::create_dir(folder.path("folder.take")).unwrap();
@@ -35,7 +35,7 @@ fn what_is_not_there_or_is_a_folder() {
 }
 
 #[test]
-fn what_may_not_be_read() {
+fn files_without_permission_are_refused() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &jump(1, 60.0, 0.5));
     folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
@@ -50,7 +50,7 @@ fn what_may_not_be_read() {
 }
 
 #[test]
-fn what_is_no_take() {
+fn other_files_than_takes_are_refused() {
     let folder = Folder::new();
     folder.write("empty.take", "");
     folder.write("short.take", b"\x89TAK");
@@ -66,13 +66,13 @@ fn what_is_no_take() {
     ] {
         let why = TakeError::NotATake(why).to_string();
         for args in [&["info", file][..], &["verify", file], &["export", file, "-o", "new.csv"]] {
-            assert_tells(&folder.refuses(args, 1), &[file, &why]);
+            assert_mentions(&folder.refuses(args, 1), &[file, &why]);
         }
     }
 }
 
 #[test]
-fn what_is_not_its_format() {
+fn files_of_another_format_are_refused() {
     let folder = Folder::new();
     let motion = jump(1, 60.0, 1.0);
     folder.write_motion("jump.c3d", &motion);
@@ -96,12 +96,12 @@ fn what_is_not_its_format() {
         ("half_a_header.c3d", &["c3d byte 0", "512", "100"]),
     ] {
         let line = folder.refuses(&["import", file, "-o", "new.take"], 1);
-        assert_tells(&line, &[&[file], facts].concat());
+        assert_mentions(&line, &[&[file], facts].concat());
     }
 }
 
 #[test]
-fn what_is_empty() {
+fn empty_motions_are_refused() {
     let folder = Folder::new();
     folder.write("no_markers.csv", "time_s\n0\n0.01\n");
     folder.write("no_frames.csv", "# rate=60\ntime_s,head.x,head.y,head.z\n");
@@ -111,34 +111,34 @@ fn what_is_empty() {
     for (file, what) in
         [("no_markers.csv", "markers"), ("no_frames.csv", "frames"), ("no_frames.trc", "frames")]
     {
-        assert_tells(&folder.refuses(&["import", file, "-o", "new.take"], 1), &[file, what]);
+        assert_mentions(&folder.refuses(&["import", file, "-o", "new.take"], 1), &[file, what]);
     }
 }
 
 #[test]
-fn rates_that_are_none() {
+fn invalid_rates() {
     let folder = Folder::new();
     let rows = "head_x,head_y,head_z\n1,2,3\n4,5,6\n";
     for rate in ["0", "nan", "-60", "fast"] {
         folder.write("a.csv", format!("# rate={rate}\n{rows}"));
         let line = folder.refuses(&["import", "a.csv", "-o", "new.take"], 1);
-        assert_tells(&line, &["a.csv", "csv line 2", "# rate=120"]);
+        assert_mentions(&line, &["a.csv", "csv line 2", "# rate=120"]);
     }
     for rate in ["1e9", "1e300", "1e-9"] {
         folder.write("a.csv", format!("# rate={rate}\n{rows}"));
         let line = folder.refuses(&["import", "a.csv", "-o", "new.take"], 1);
-        assert_tells(&line, &["a.csv", &format!("{rate} Hz"), "0.001", "1000000"]);
+        assert_mentions(&line, &["a.csv", &format!("{rate} Hz"), "0.001", "1000000"]);
     }
     folder.write(
         "a.trc",
         "DataRate\tUnits\n0\tmm\nFrame#\tTime\thead\n\t\tX1\tY1\tZ1\n1\t0\t1\t2\t3\n",
     );
     let line = folder.refuses(&["import", "a.trc", "-o", "new.take"], 1);
-    assert_tells(&line, &["a.trc", "trc line 3", "DataRate"]);
+    assert_mentions(&line, &["a.trc", "trc line 3", "DataRate"]);
 }
 
 #[test]
-fn coordinates_that_are_no_numbers_become_gaps_and_are_told() {
+fn coordinates_that_are_not_numbers_become_gaps_and_are_reported() {
     let folder = Folder::new();
     let rows = [["1", "2", "3"], ["nan", "2", "3"], ["1", "inf", "3"], ["1", "2", "-1e60"]];
     let csv: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
@@ -157,7 +157,7 @@ fn coordinates_that_are_no_numbers_become_gaps_and_are_told() {
         let ran = folder.run(&["import", file, "-o", &take, "--json"]).with_code(0);
         assert_eq!(ran.json()["samples"], 1, "{file}");
         assert_eq!(ran.json()["samples_missing"], 3, "{file}");
-        assert_tells(&ran.stderr, &[file, "3"]);
+        assert_mentions(&ran.stderr, &[file, "3"]);
         let info = folder.run(&["info", &take, "--json"]).with_code(0).json();
         assert_eq!(info["channels"][0]["samples"], 1, "{file}");
         assert_eq!(info["channels"][0]["gaps"], 1, "{file}");
@@ -165,20 +165,20 @@ fn coordinates_that_are_no_numbers_become_gaps_and_are_told() {
 }
 
 #[test]
-fn a_file_of_gaps_is_a_take_that_says_so() {
+fn a_file_of_gaps_is_imported_with_a_warning() {
     let folder = Folder::new();
     folder.write("gaps.csv", "# rate=60\nhead_x,head_y,head_z\n,,\n,,\n");
     let ran = folder.run(&["import", "gaps.csv", "-o", "gaps.take"]).with_code(0);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["gaps.csv"]);
+    assert_mentions(&ran.stderr, &["gaps.csv"]);
     let info = folder.run(&["info", "gaps.take", "--json"]).with_code(0).json();
     assert_eq!((&info["samples"], &info["channels"][0]["gaps"]), (&0.into(), &1.into()));
-    let words = folder.run(&["info", "gaps.take"]).with_code(0).stdout;
-    assert_tells(&words, &["0 of 2", "1 gap"]);
+    let printed = folder.run(&["info", "gaps.take"]).with_code(0).stdout;
+    assert_mentions(&printed, &["0 of 2", "1 gap"]);
 }
 
 #[test]
-fn a_cut_c3d_is_imported_as_far_as_it_goes() {
+fn a_truncated_c3d_is_imported_to_its_end() {
     let folder = Folder::new();
     let motion = jump(1, 60.0, 2.0);
     folder.write_motion("whole.c3d", &motion);
@@ -193,10 +193,10 @@ fn a_cut_c3d_is_imported_as_far_as_it_goes() {
     assert!(missing.as_u64().unwrap() > 40, "{missing}");
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
     let counts = ["120", &frames.to_string()];
-    assert_tells(&ran.stderr, &["cut.c3d", counts[0], counts[1]]);
-    // The take itself is whole, and remembers.
+    assert_mentions(&ran.stderr, &["cut.c3d", counts[0], counts[1]]);
+    // The take is intact, and has the warning.
     let info = folder.run(&["info", "cut.take", "--json"]).with_code(0).json();
     let warning = info["source"]["warnings"][0].as_str().unwrap();
-    assert_tells(warning, &counts);
-    assert_tells(&folder.run(&["info", "cut.take"]).with_code(0).stdout, &[warning]);
+    assert_mentions(warning, &counts);
+    assert_mentions(&folder.run(&["info", "cut.take"]).with_code(0).stdout, &[warning]);
 }

@@ -1,4 +1,4 @@
-//! `config`: a file that is good, one that is not, and the example.
+//! `config`: a valid file, invalid ones, and the example.
 
 use std::{fs, os::unix::fs::PermissionsExt};
 
@@ -6,10 +6,10 @@ use mocapd_drivers::plain_file::NotAFile;
 use mocapd_service::config::ConfigError;
 
 use super::{Folder, Ran};
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 #[test]
-fn the_example_is_good() {
+fn the_example_is_valid() {
     let folder = Folder::new();
     let example = folder.run(&["config", "example"]).with_code(0);
     assert_eq!(example.stderr, "");
@@ -17,13 +17,13 @@ fn the_example_is_good() {
     folder.write("left.toml", &example.stdout);
     let check = |more: &[&str]| -> Ran {
         let mut command = folder.command(&[&["config", "check", "left.toml"], more].concat());
-        // As the unit has it: without this folder there is a note that the socket has none.
+        // The systemd unit creates this folder; without it there is a note about the socket.
         command.env("RUNTIME_DIRECTORY", folder.path("."));
         command.output().unwrap().into()
     };
     let checked = check(&[]).with_code(0);
     assert_eq!(checked.stderr, "");
-    assert_tells(&checked.stdout, &["left.toml"]);
+    assert_mentions(&checked.stdout, &["left.toml"]);
     let json = check(&["--json"]).with_code(0).json();
     assert_eq!(json["config"]["rig"]["name"], "left");
     assert_eq!(json["config"]["take"]["tolerance"], "0.5mm");
@@ -31,11 +31,11 @@ fn the_example_is_good() {
 }
 
 #[test]
-fn what_is_wrong_is_one_line_each() {
+fn each_error_is_one_line() {
     let folder = Folder::new();
     folder.write("left.toml", "[arm]\npre_rol = '10s'\n");
     let line = folder.refuses(&["config", "check", "left.toml"], 2);
-    assert_tells(&line, &["left.toml line 2, column 1", "pre_rol", "[arm]", "pre_roll"]);
+    assert_mentions(&line, &["left.toml line 2, column 1", "pre_rol", "[arm]", "pre_roll"]);
 
     folder.write("left.toml", "[arm]\npre_rol = '10s'\npre_roll = 10\n[log]\nlevel = 'x'\n");
     let ran = folder.run(&["config", "check", "left.toml"]).with_code(2);
@@ -46,20 +46,20 @@ fn what_is_wrong_is_one_line_each() {
         (lines[1], "line 3, column 12", ["arm.pre_roll", "pre_roll = \"10s\""]),
         (lines[2], "line 5, column 9", ["log.level", "level = \"info\""]),
     ] {
-        assert_tells(line, &[&format!("left.toml {place}"), facts[0], facts[1]]);
+        assert_mentions(line, &[&format!("left.toml {place}"), facts[0], facts[1]]);
     }
-    assert_tells(lines[3], &["left.toml", "3"]);
+    assert_mentions(lines[3], &["left.toml", "3"]);
     assert_eq!(ran.stdout, "");
 }
 
 #[test]
-fn a_file_that_is_not_there_says_how_to_write_one() {
+fn a_missing_configuration_is_an_error_that_says_how_to_write_one() {
     let folder = Folder::new();
     let line = folder.refuses(&["config", "check", "left.toml"], 1);
     assert_eq!(line, ConfigError::NotFound("left.toml".into()).to_string());
-    assert_tells(&line, &["left.toml", "mocapd config example > left.toml"]);
+    assert_mentions(&line, &["left.toml", "mocapd config example > left.toml"]);
     let line = folder.refuses(&["config", "check", "."], 1);
-    assert_tells(&line, &[".", &NotAFile::Folder.to_string()]);
+    assert_mentions(&line, &[".", &NotAFile::Folder.to_string()]);
 }
 
 #[test]
@@ -67,17 +67,17 @@ fn notes_and_token_files() {
     let folder = Folder::new();
     folder.write("left.toml", "[http]\nsocket = 'rig.sock'\n[trigger]\nlisten = '0.0.0.0:8989'\n");
     let ran = folder.run(&["config", "check", "left.toml"]).with_code(0);
-    assert_tells(&ran.stderr, &["trigger.allow_from", "0.0.0.0:8989"]);
+    assert_mentions(&ran.stderr, &["trigger.allow_from", "0.0.0.0:8989"]);
     assert_eq!(ran.stderr.lines().count(), 1);
 
     folder.write("left.toml", "[http]\nlisten = '0.0.0.0:7060'\ntoken_file = 'token'\n");
     let check = ["config", "check", "left.toml"];
-    assert_tells(&folder.refuses(&check, 1), &["token", "openssl rand -hex 32 > token"]);
+    assert_mentions(&folder.refuses(&check, 1), &["token", "openssl rand -hex 32 > token"]);
     folder.write("token", "0123456789abcdef\n");
     fs::set_permissions(folder.path("token"), fs::Permissions::from_mode(0o640)).unwrap();
-    assert_tells(&folder.refuses(&check, 1), &["0640", "chmod 600 token"]);
+    assert_mentions(&folder.refuses(&check, 1), &["0640", "chmod 600 token"]);
     fs::set_permissions(folder.path("token"), fs::Permissions::from_mode(0o600)).unwrap();
     let ran = folder.run(&check).with_code(0);
-    assert_tells(&ran.stderr, &["http.listen", "0.0.0.0:7060", "token"]);
+    assert_mentions(&ran.stderr, &["http.listen", "0.0.0.0:7060", "token"]);
     assert!(!ran.stderr.contains("0123456789abcdef"));
 }

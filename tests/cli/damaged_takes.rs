@@ -1,10 +1,10 @@
-//! Takes that were cut off or damaged: what is left is read, what is missing is said, exit code 3.
+//! Truncated and damaged takes: the rest is read, the loss is reported, and the exit code is 3.
 
 use mocapd_take::{NotATake, damage::Problem};
 use serde_json::Value;
 
 use super::{Folder, Ran};
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 /// Length of a header, the first chunk: type 01, varint length, payload, CRC-32.
 fn header_end(take: &[u8]) -> usize {
@@ -33,27 +33,27 @@ fn problems(report: &Value) -> Vec<&str> {
     report["problems"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect()
 }
 
-/// What `info`, `verify` and `export` say of the same damage: each exits 3 and says on stderr what is wrong.
+/// Runs `info`, `verify` and `export` on the same damage: each exits with 3 and reports it on stderr.
 fn looked_at(folder: &Folder) -> (Value, Vec<String>) {
     let info = folder.run(&["info", "bad.take", "--json"]).with_code(3).json();
     assert!(!problems(&info).is_empty());
-    let words = folder.run(&["info", "bad.take"]).with_code(3);
+    let printed = folder.run(&["info", "bad.take"]).with_code(3);
     let verify = folder.run(&["verify", "bad.take", "--json"]).with_code(3).json();
     assert_eq!(verify["intact"], false);
     for problem in problems(&info) {
-        assert!(words.stderr.contains(problem), "{problem}: {}", words.stderr);
+        assert!(printed.stderr.contains(problem), "{problem}: {}", printed.stderr);
         assert!(problems(&verify).contains(&problem), "{problem}: {verify}");
     }
     std::fs::remove_file(folder.path("bad.csv")).ok();
     let export: Ran = folder.run(&["export", "bad.take", "-o", "bad.csv"]).with_code(3);
-    assert_tells(&export.stderr, &["bad.take", problems(&info)[0]]);
+    assert_mentions(&export.stderr, &["bad.take", problems(&info)[0]]);
     let rows: Vec<String> = folder.text("bad.csv").lines().skip(1).map(str::to_owned).collect();
     assert_eq!(rows.len() as u64, info["frames"].as_u64().unwrap());
     (info, rows)
 }
 
 #[test]
-fn a_cut_take_is_read_as_far_as_it_goes() {
+fn a_truncated_take_is_read_to_its_end() {
     let (folder, take) = three_stretches();
     let original: Vec<String> =
         folder.text("jump.csv").lines().skip(1).map(str::to_owned).collect();
@@ -72,13 +72,16 @@ fn a_cut_take_is_read_as_far_as_it_goes() {
     for cut in [9, header - 1] {
         folder.write("bad.take", &take[..cut]);
         let line = folder.refuses(&["info", "bad.take"], 1);
-        assert_tells(&line, &["bad.take", &NotATake::HeaderCut.to_string()]);
+        assert_mentions(&line, &["bad.take", &NotATake::HeaderCut.to_string()]);
     }
     for cut in [header, header + 1] {
         folder.write("bad.take", &take[..cut]);
         assert_eq!(folder.run(&["info", "bad.take", "--json"]).with_code(3).json()["frames"], 0);
         folder.run(&["verify", "bad.take"]).with_code(3);
-        assert_tells(&folder.refuses(&["export", "bad.take", "-o", "new.csv"], 1), &["bad.take"]);
+        assert_mentions(
+            &folder.refuses(&["export", "bad.take", "-o", "new.csv"], 1),
+            &["bad.take"],
+        );
     }
 }
 
@@ -108,9 +111,9 @@ fn damage_in_the_middle_costs_its_stretch_and_no_more() {
         }
     }
     let verify = folder.run(&["verify", "bad.take"]).with_code(3);
-    // What the ledger tells of, and what is left.
+    // The frames on the ledger, and those that are left.
     let counts = [&info["ledger"]["samples_present"], &info["samples"]].map(Value::to_string);
-    assert_tells(&verify.stderr, &["bad.take", &counts[0], &counts[1]]);
+    assert_mentions(&verify.stderr, &["bad.take", &counts[0], &counts[1]]);
 }
 
 #[test]
@@ -124,7 +127,7 @@ fn every_byte_that_is_damaged_is_noticed() {
         bad[at] ^= 0x41;
         folder.write("bad.take", &bad);
         let code = folder.run(&["verify", "bad.take"]).code;
-        // Type and length of a chunk come back by its checksum, even those of the header.
+        // The checksum restores type and length of a chunk, even those of the header.
         let header = at < header_end(&take) && !(8..11).contains(&at);
         assert_eq!(code, Some(if header { 1 } else { 3 }), "byte {at} of {}", take.len());
     }

@@ -1,7 +1,7 @@
-//! `demo`: the whole of it with nothing plugged in.
+//! `demo`: recording, verification and export without hardware.
 
 use super::Folder;
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 #[test]
 fn the_demo_records_verifies_and_exports() {
@@ -10,7 +10,7 @@ fn the_demo_records_verifies_and_exports() {
     let ran = folder.run(&demo).with_code(0);
     assert_eq!(ran.stderr, "");
     let facts = ["240 Hz", "1 s", "1 mm", "ledger closes", "mocapd info d/jump-001.take"];
-    assert_tells(&ran.stdout, &facts);
+    assert_mentions(&ran.stdout, &facts);
     let info = folder.run(&["info", "d/jump-001.take", "--json"]).with_code(0).json();
     assert_eq!(info["ledger"]["closes"], true, "{info}");
     let names = || {
@@ -22,14 +22,14 @@ fn the_demo_records_verifies_and_exports() {
     };
     let first = ["jump-001.c3d", "jump-001.csv", "jump-001.take", "jump-001.trc"];
     assert_eq!(names(), first);
-    // The exports are the take, to the bit.
+    // The exports are bit-identical to the take.
     for export in ["d/jump-001.c3d", "d/jump-001.trc", "d/jump-001.csv"] {
         let verify = ["verify", "d/jump-001.take", "--against", export, "--json"];
         let report = folder.run(&verify).with_code(0).json();
         assert_eq!(report["against"]["bits_differing"], 0, "{export}");
         assert_eq!(report["against"]["frames"], 240, "{export}");
     }
-    // Again: beside the first, also where only an export of it is left.
+    // A second run takes the next number, even if only an export of the first is left.
     std::fs::remove_file(folder.path("d/jump-001.take")).unwrap();
     let kept = folder.content();
     folder.run(&demo).with_code(0);

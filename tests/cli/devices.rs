@@ -1,4 +1,4 @@
-//! Devices for the program to open: simulated ones, and lines that are worse.
+//! Devices for the program to open: simulated ones, and raw lines.
 
 use std::{
     fs::File,
@@ -26,14 +26,14 @@ use rustix::{
 
 use super::{Folder, Ran};
 
-/// Longer than anything here takes on the slowest machine: a test that waits so long has failed.
+/// Longer than any test takes on the slowest machine; a test that waits this long has failed.
 const GIVE_UP: Duration = Duration::from_secs(60);
 
 /// A simulated device on a pty, until it is dropped.
 pub(crate) struct Simulated {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<SentLog>>,
-    /// Where its link is.
+    /// The folder of its link.
     _place: tempfile::TempDir,
     pub(crate) path: PathBuf,
 }
@@ -43,7 +43,7 @@ impl Simulated {
         Self::at(None, motion, settings, baud)
     }
 
-    /// One that never ends, at a path that its successor can have.
+    /// An endless device, at a path that another can reuse.
     pub(crate) fn endless_at(link: &Path, serial: &str, motion: Motion) -> Self {
         let serial = serial.to_owned();
         let settings = DeviceSettings { looping: true, serial, ..DeviceSettings::default() };
@@ -56,24 +56,24 @@ impl Simulated {
         settings: DeviceSettings,
         baud: Option<u32>,
     ) -> Self {
-        // A machine that is busy with other tests must not make the device drop frames.
+        // A busy machine must not make the device drop frames.
         let settings = DeviceSettings { queue_bytes: Some(64 << 20), ..settings };
         Self::serve_at(link, Device::new(motion, settings).unwrap(), baud)
     }
 
-    /// Any device, as it is.
+    /// Serves any device.
     pub(crate) fn serve(device: impl LineDevice + Send + 'static, baud: Option<u32>) -> Self {
         Self::serve_at(None, device, baud)
     }
 
-    /// The same, at a path that is known before.
+    /// Serves any device at a given path.
     pub(crate) fn serve_at(
         link: Option<PathBuf>,
         mut device: impl LineDevice + Send + 'static,
         baud: Option<u32>,
     ) -> Self {
-        // A name of its own: a terminal's number is given to the next test, whose device a recorder that waits for this one
-        // would take for it.
+        // A unique path: the pty's number is reused by the next test, and a recorder waiting for this device would
+        // take that one for it.
         let place = tempfile::tempdir().unwrap();
         let link = link.unwrap_or_else(|| place.path().join("device"));
         let stop = Arc::new(AtomicBool::new(false));
@@ -81,19 +81,19 @@ impl Simulated {
         let (path_in, path) = crossbeam_channel::bounded(1);
         let serve = move || {
             let options = ServeOptions { baud, ..ServeOptions::default() };
-            let told = |path: &Path| path_in.send(path.to_owned()).unwrap();
-            serve_pty(&mut device, Some(&link), options, &stopped, told).unwrap()
+            let on_ready = |path: &Path| path_in.send(path.to_owned()).unwrap();
+            serve_pty(&mut device, Some(&link), options, &stopped, on_ready).unwrap()
         };
         let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
         Self { stop, thread: Some(thread), _place: place, path: path.recv().unwrap() }
     }
 
-    /// One that plays its motion once.
+    /// A device that plays its motion once.
     pub(crate) fn of(motion: Motion) -> Self {
         Self::start(motion, DeviceSettings::default(), None)
     }
 
-    /// One that never ends.
+    /// An endless device.
     pub(crate) fn endless(motion: Motion) -> Self {
         let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
         Self::start(motion, settings, None)
@@ -103,7 +103,7 @@ impl Simulated {
         format!("serial:{}", self.path.display())
     }
 
-    /// Pulls the plug, and says what was sent until then.
+    /// Pulls the plug; returns what was sent until then.
     pub(crate) fn unplug(mut self) -> SentLog {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.take().unwrap().join().unwrap()
@@ -116,7 +116,7 @@ impl Drop for Simulated {
     }
 }
 
-/// `mocapd record` under way.
+/// A running `mocapd record`.
 pub(crate) struct Recorder {
     child: Child,
 }
@@ -151,15 +151,15 @@ impl Recorder {
         kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Waits until it has told of this.
-    pub(crate) fn hears(&mut self, fact: &str) {
+    /// Waits for a message with this fact on stderr.
+    pub(crate) fn wait_for_message(&mut self, fact: &str) {
         let begun = Instant::now();
-        let mut said = Vec::new();
+        let mut received = Vec::new();
         let mut byte = [0];
-        while !String::from_utf8_lossy(&said).contains(fact) {
+        while !String::from_utf8_lossy(&received).contains(fact) {
             let n = self.child.stderr.as_mut().unwrap().read(&mut byte).unwrap();
-            assert!(n > 0 && begun.elapsed() < GIVE_UP, "{}", String::from_utf8_lossy(&said));
-            said.extend(byte);
+            assert!(n > 0 && begun.elapsed() < GIVE_UP, "{}", String::from_utf8_lossy(&received));
+            received.extend(byte);
         }
     }
 
@@ -197,7 +197,7 @@ impl Drop for Recorder {
     }
 }
 
-/// A pty whose far end the test holds: what is behind it is the test's.
+/// A pty whose master side the test controls.
 pub(crate) struct RawLine {
     pub(crate) master: OwnedFd,
     /// Kept open, so that the line is not hung up between two hosts.

@@ -1,5 +1,5 @@
-//! docs/json.md against what the program prints: every field stands there with its type, every example has
-//! the keys of the real thing.
+//! docs/json.md compared with the program's output: every field is documented with its type, every example has
+//! the keys of real output.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -7,7 +7,7 @@ use std::{
 };
 
 use mocapd_take::{
-    chunk::{self, Front, types},
+    chunk::{self, ChunkParse, types},
     index::Footer,
     record::{Record, Subject},
 };
@@ -17,7 +17,7 @@ use super::{
     Folder,
     devices::{Recorder, Simulated},
 };
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 const DOCUMENT: &str = include_str!("../../docs/json.md");
 
@@ -106,7 +106,7 @@ fn check(heading: &str, real: &[Value]) {
             assert!(known, "{heading}: `{path}` is {kind}, docs/json.md says {types}");
         }
     }
-    // What a healthy machine does not show: lists that stay empty.
+    // Lists that stay empty on a healthy machine.
     documented.retain(|path, _| !(path.ends_with("contradictions[]")));
     assert!(documented.is_empty(), "{heading}: no real document has {:?}", documented.keys());
 }
@@ -140,7 +140,7 @@ fn info_and_verify() {
     let mut bytes = folder.read(take);
     let mut at = chunk::MAGIC.len();
     let mut last = 0;
-    while let Front::Whole { kind, len, .. } = chunk::front(&bytes[at..]) {
+    while let ChunkParse::Whole { kind, len, .. } = chunk::parse(&bytes[at..]) {
         last = if kind == types::STRETCH { at } else { last };
         at += len;
     }
@@ -149,7 +149,7 @@ fn info_and_verify() {
     infos.push(info("hurt.take"));
     folder.run(&["recover", "hurt.take", "-o", "recovered.take"]).with_code(3);
     infos.push(info("recovered.take"));
-    // One that carries its subject, and one whose skeleton is none.
+    // One with a subject, and one with an invalid skeleton.
     folder.write("s.json", super::subjects::skeleton(&jump(1, 120.0, 1.0)));
     folder.write("f.json", super::subjects::FACE);
     let csv = "demo/jump-001.csv";
@@ -189,7 +189,7 @@ fn info_and_verify() {
 
     folder.run(&["import", csv, "-o", "again.take", "--tolerance", "1mm"]).with_code(0);
     let verify = |args: &[&str]| folder.run(&[&["verify", "--json"], args].concat()).json();
-    // A footer that tells of other places, its checksum good.
+    // A footer with wrong offsets and a valid checksum.
     let bytes = folder.read(take);
     let mut broken = bytes[..bytes.len() - Footer::CHUNK_BYTES].to_vec();
     let footer = Footer { index_offset: 8, ledger_offset: 8, n_rows: 120 };
@@ -197,7 +197,7 @@ fn info_and_verify() {
     folder.write("broken.take", broken);
     let other = folder.text(csv).replace("head", "crown");
     folder.write("other.csv", other);
-    // Labels that change places, a limb out of its band, and a bone that no marker is at.
+    // Swapped labels, a limb outside its band, and a bone without markers.
     let mut swapped = jump(1, 120.0, 2.0);
     for row in 30..90 {
         swapped.positions_mm.swap(row * 15 + 5, row * 15 + 8);
@@ -209,7 +209,7 @@ fn info_and_verify() {
     folder.write_motion("swapped.csv", &swapped);
     let args = ["import", "swapped.csv", "-o", "swapped.take", "--skeleton", "s.json"];
     folder.run(&args).with_code(0);
-    // A file that can be read in more than one way.
+    // An ambiguous file.
     let head = "PathFileType\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t2\t2\tmm\nFrame#\tTime\ta\t\t\tb\n";
     folder.write("zeros.trc", format!("{head}1\t0\t1\t2\t3\t9\t9\t9\n2\t0.01\t2\t2\t3\t0\t0\t0\n"));
     folder.run(&["import", "zeros.trc", "-o", "zeros.take"]).with_code(0);
@@ -253,7 +253,7 @@ fn doctor() {
     let is_failure = |finding: &&Value| finding["verdict"] == "failure";
     let n_failures = no_folder.json().as_array().unwrap().iter().filter(is_failure).count();
     assert!(n_failures > 0, "{}", no_folder.stdout);
-    assert_tells(&no_folder.stderr, &[&n_failures.to_string()]);
+    assert_mentions(&no_folder.stderr, &[&n_failures.to_string()]);
     check("`mocapd doctor`", &[no_folder.json(), examined.json()]);
     assert_eq!(folder.path("").read_dir().unwrap().count(), 0);
 }
@@ -344,7 +344,7 @@ fn study() {
 
 #[test]
 fn devices() {
-    // What is attached is this machine's affair; the fields are checked beside the code.
+    // The attached devices depend on the machine; a unit test checks the fields.
     let example = example("`mocapd devices`");
     let real = Folder::new().run(&["devices", "--json"]).with_code(0).json();
     let real = real.as_array().unwrap();

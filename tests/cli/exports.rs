@@ -1,10 +1,10 @@
-//! `export --from --to`: the frames of those times, under their own numbers.
+//! `export`: ranges of time, formats, events, and incompatible options.
 
 use mocapd_acquire::files::NameTaken;
 use mocapd_take::{interchange::Format, motion::MotionEvent, record::EventKind};
 
 use super::Folder;
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 fn folder() -> (Folder, Vec<String>) {
     let folder = Folder::new();
@@ -15,7 +15,7 @@ fn folder() -> (Folder, Vec<String>) {
     (folder, rows)
 }
 
-/// A row without its time, which counts from the first one exported.
+/// A row without its time, which begins at 0 in each export.
 fn untimed(row: &str) -> (&str, &str) {
     let mut cells = row.splitn(3, ',');
     let frame = cells.next().unwrap();
@@ -54,13 +54,13 @@ fn an_empty_part_is_refused() {
         &["--to", "0"],
     ] {
         let line = folder.refuses(&[&["export", "jump.take", "-o", "a.csv"], times].concat(), 2);
-        assert_tells(&line, &["jump.take", "1.000 s", "--from", "--to"]);
+        assert_mentions(&line, &["jump.take", "1.000 s", "--from", "--to"]);
     }
 }
 
-/// What an importer kept belongs to a part as well as to the whole.
+/// An excerpt contains the foreign data as well.
 #[test]
-fn a_part_gets_back_what_was_kept() {
+fn a_part_contains_foreign_data() {
     let folder = Folder::new();
     folder.write_motion("jump.trc", &jump(1, 100.0, 1.0));
     let trc = folder.text("jump.trc").replacen("mocapd.trc", "session 7.trc", 1);
@@ -75,9 +75,9 @@ fn a_part_gets_back_what_was_kept() {
     assert_eq!((&info["frames"], &info["source"]["first_frame"]), (&25.into(), &26.into()));
 }
 
-/// A build without the feature says where it is to be had, and leaves no file.
+/// A build without the feature says how to get it, and leaves no file.
 #[test]
-fn parquet_and_mcap_are_there_or_it_says_how_to_get_them() {
+fn parquet_and_mcap_are_built_in_or_the_error_says_how_to_get_them() {
     let (folder, _) = folder();
     for (output, more) in [("a.parquet", &[][..]), ("wide.parquet", &["--wide"]), ("a.mcap", &[])] {
         let export = [&["export", "jump.take", "-o", output], more].concat();
@@ -86,20 +86,20 @@ fn parquet_and_mcap_are_there_or_it_says_how_to_get_them() {
             assert!(folder.path(output).metadata().unwrap().len() > 1000);
         } else {
             let line = folder.refuses(&export, 1);
-            assert_tells(&line, &["cargo build --release --features full"]);
+            assert_mentions(&line, &["cargo build --release --features full"]);
             assert!(!folder.path(output).exists());
         }
     }
     for output in ["a.csv", "b.mcap"] {
         let line = folder.refuses(&["export", "jump.take", "-o", output, "--wide"], 2);
-        assert_tells(&line, &["--wide", ".parquet"]);
+        assert_mentions(&line, &["--wide", ".parquet"]);
     }
     folder.write("t.parquet", "PAR1");
     let line = folder.refuses(&["import", "t.parquet", "-o", "t.take"], 2);
-    assert_tells(&line, &["t.parquet", ".c3d", ".trc", ".tsv", ".csv"]);
+    assert_mentions(&line, &["t.parquet", ".c3d", ".trc", ".tsv", ".csv"]);
 }
 
-/// Events go with their frames: from a file into the take, into another file, and in a part of it those of the part.
+/// Events stay with their frames: from a file to the take, to another file, and those of an excerpt to the excerpt.
 #[test]
 fn events_go_where_their_frames_go() {
     let folder = Folder::new();
@@ -116,9 +116,9 @@ fn events_go_where_their_frames_go() {
     let events_of = |take: &str| {
         let info = folder.run(&["info", take, "--json"]).with_code(0).json();
         let events = info["events"].as_array().unwrap().clone();
-        let told =
+        let fields =
             |e: &serde_json::Value| (e["kind"].clone(), e["frame"].clone(), e["text"].clone());
-        events.iter().map(told).collect::<Vec<_>>()
+        events.iter().map(fields).collect::<Vec<_>>()
     };
     let trigger = |frame: u64| ("trigger".into(), frame.into(), "input 1".into());
     assert_eq!(events_of("jump.take"), [("mark".into(), 10.into(), "ready".into()), trigger(60)]);
@@ -127,10 +127,10 @@ fn events_go_where_their_frames_go() {
     folder.run(&["import", "part.c3d", "-o", "part.take"]).with_code(0);
     assert_eq!(events_of("part.take"), [trigger(10)]);
     let line = folder.run(&["export", "jump.take", "-o", "jump.csv"]).with_code(0).stderr;
-    assert_tells(&line, &["jump.csv", "2 events"]);
+    assert_mentions(&line, &["jump.csv", "2 events"]);
 }
 
-/// A format by its name, and a folder that appears whole.
+/// Formats chosen by name, and a folder that is created atomically.
 #[test]
 fn formats_by_name() {
     let (folder, _) = folder();
@@ -150,15 +150,15 @@ fn formats_by_name() {
 }
 
 #[test]
-fn what_does_not_go_together_is_refused() {
+fn incompatible_options_are_refused() {
     let (folder, _) = folder();
     for (args, facts) in [
         (&["-o", "a.c3d", "--layout", "long"][..], ["--layout long", "csv"]),
         (&["-o", "a.c3d", "--subject", "1"], ["--subject", "--format bids"]),
-        (&["-o", "a", "--format", "bids", "--task", "a b"], ["a b", "bids"]),
+        (&["-o", "a", "--format", "bids", "--task", "a b"], ["a b", "BIDS"]),
         (&["-o", "a"], [".c3d", "--format"]),
         (&["-o", "a.c3d", "--format", "hdf5"], ["hdf5", "--format"]),
     ] {
-        assert_tells(&folder.refuses(&[&["export", "jump.take"], args].concat(), 2), &facts);
+        assert_mentions(&folder.refuses(&[&["export", "jump.take"], args].concat(), 2), &facts);
     }
 }

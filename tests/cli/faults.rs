@@ -1,4 +1,4 @@
-//! Every fault script that ships, through a pty into the program: its ledger against the device's own log, exactly.
+//! Every shipped fault script, recorded over a pty: the ledger must equal the device's own log.
 
 mod expected;
 pub(super) mod played;
@@ -6,7 +6,7 @@ pub(super) mod played;
 use std::fs;
 
 use mocapd_acquire::verdict::Finding;
-use mocapd_simulator::faults::{Agreement, Expect, Fate, Script};
+use mocapd_simulator::faults::{ExpectedRecording, Fate, LedgerMatch, Script};
 use serde_json::Value;
 
 use self::{
@@ -14,11 +14,11 @@ use self::{
     played::{Played, play, sent_frames},
 };
 use super::Folder;
-use crate::support::{assert_tells, chunks, rows, tells};
+use crate::support::{assert_mentions, chunks, mentions, rows};
 
 const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/simulator/faults");
 
-/// One test a script, so that they run beside each other.
+/// One test per script, so that they run in parallel.
 macro_rules! scripts {
     ($($test:ident $name:literal)*) => {
         const NAMES: &[&str] = &[$($name),*];
@@ -70,32 +70,32 @@ fn agrees(name: &str) {
     let expect = script.expect.clone().expect("a script that ships says what it comes to");
     let folder = Folder::new();
     let played = play(&folder, &script);
-    let told = format!("{:#}\n{}", played.report["ledger"], played.ran.stderr);
-    assert_eq!(played.ran.code, Some(i32::from(expect.exit)), "{told}");
-    ledger_agrees(&played, &expect, &told);
-    // Whatever it does to frames, the totals say that it was there.
+    let output = format!("{:#}\n{}", played.report["ledger"], played.ran.stderr);
+    assert_eq!(played.ran.code, Some(i32::from(expect.exit)), "{output}");
+    ledger_agrees(&played, &expect, &output);
+    // The totals show the fault, whatever it does to frames.
     let totals = played.sent.faults.as_ref().unwrap();
     for windowed in &script.faults {
         let kind = windowed.fault.kind();
-        assert!(totals.parts.of(kind) > 0, "{}: {}", kind.name(), totals.words());
+        assert!(totals.counts.of(kind) > 0, "{}: {}", kind.name(), totals.summary());
     }
-    words_agree(&played.report["ledger"], &played.info, &expect);
+    texts_agree(&played.report["ledger"], &played.info, &expect);
     take_holds_what_was_sent(&folder, &script, &played);
-    contradictions_are_told(&folder, &played, &expect);
+    contradictions_are_reported(&folder, &played, &expect);
 }
 
-/// An exit code of 3 is explained, and whoever looks at the take is told, too; of a ledger that closes nobody is told
-/// that it does not.
-fn contradictions_are_told(folder: &Folder, played: &Played, expect: &Expect) {
+/// An exit code of 3 is explained, and so is it by commands that read the take; a ledger that closes causes no such
+/// message.
+fn contradictions_are_reported(folder: &Folder, played: &Played, expect: &ExpectedRecording) {
     let (verify, info) = (folder.run(&["verify", "a.take"]), folder.run(&["info", "a.take"]));
     let open = Finding::LedgerOpen.to_string();
-    for told in [&played.ran.stderr, &verify.stderr, &info.stderr] {
-        assert_eq!(tells(told, &open), !expect.contradictions.is_empty(), "{told}");
+    for output in [&played.ran.stderr, &verify.stderr, &info.stderr] {
+        assert_eq!(mentions(output, &open), !expect.contradictions.is_empty(), "{output}");
     }
     for contradiction in contradictions(&played.report["ledger"]) {
-        assert_tells(&played.ran.stderr, &[&contradiction]);
-        assert_tells(&verify.stderr, &["a.take", &contradiction]);
-        assert_tells(&info.stdout, &[&contradiction]);
+        assert_mentions(&played.ran.stderr, &[&contradiction]);
+        assert_mentions(&verify.stderr, &["a.take", &contradiction]);
+        assert_mentions(&info.stdout, &[&contradiction]);
     }
 }
 
@@ -103,33 +103,33 @@ fn contradictions(ledger: &Value) -> Vec<String> {
     serde_json::from_value(ledger["contradictions"].clone()).unwrap()
 }
 
-fn ledger_agrees(played: &Played, expect: &Expect, told: &str) {
+fn ledger_agrees(played: &Played, expect: &ExpectedRecording, output: &str) {
     let ledger = &played.report["ledger"];
     let expected = expected(&played.fates);
-    assert_eq!(ledger["frame_balance"], 0, "{told}");
-    // A ledger with a contradiction adds up, and does not close.
-    assert_eq!(ledger["closes"], expect.contradictions.is_empty(), "{told}");
-    assert_eq!(ledger["finished"], true, "{told}");
+    assert_eq!(ledger["frame_balance"], 0, "{output}");
+    // A ledger with a contradiction is balanced, but does not close.
+    assert_eq!(ledger["closes"], expect.contradictions.is_empty(), "{output}");
+    assert_eq!(ledger["finished"], true, "{output}");
     let count = |key: &str| ledger[key].as_u64().unwrap();
-    assert_eq!(count("recorded"), expected.recorded, "recorded: {told}");
-    assert_eq!(count("duplicates"), expected.duplicates, "duplicates: {told}");
-    assert_eq!(count("dropped_by_device"), expected.dropped, "dropped: {told}");
-    assert_eq!(count("lost_on_link"), expected.lost_on_link, "lost: {told}");
+    assert_eq!(count("recorded"), expected.recorded, "recorded: {output}");
+    assert_eq!(count("duplicates"), expected.duplicates, "duplicates: {output}");
+    assert_eq!(count("dropped_by_device"), expected.dropped, "dropped: {output}");
+    assert_eq!(count("lost_on_link"), expected.lost_on_link, "lost: {output}");
     match expect.ledger {
-        Agreement::Exact => {
-            assert_eq!(count("unknown_after_disconnect"), expected.unknown, "unknown: {told}");
-            assert_eq!(count("frames_sent"), played.fates.len() as u64, "sent: {told}");
+        LedgerMatch::Exact => {
+            assert_eq!(count("unknown_after_disconnect"), expected.unknown, "unknown: {output}");
+            assert_eq!(count("frames_sent"), played.fates.len() as u64, "sent: {output}");
             assert_eq!(count("frames_sent"), played.sent.total.frames_produced);
         }
-        Agreement::ByHostClock => {
-            // What the host's clock says of the frames that were due, to half a second of a busy machine.
+        LedgerMatch::ByHostClock => {
+            // The frames due by the host's clock, within half a second on a busy machine.
             let unknown = count("unknown_after_disconnect") as f64 / played::RATE_HZ;
-            assert!((unknown - expected.away_s).abs() < 0.5, "{unknown} s: {told}");
+            assert!((unknown - expected.away_s).abs() < 0.5, "{unknown} s: {output}");
         }
     }
     let missing = count("frames_sent") - count("recorded") + count("duplicates");
-    assert!(missing >= expect.at_least, "{missing} frames: {told}");
-    // The totals say what the lines say.
+    assert!(missing >= expect.at_least, "{missing} frames: {output}");
+    // The totals agree with the lines.
     let totals = played.sent.faults.as_ref().unwrap();
     let with = |fate| played.fates.iter().filter(|f| f.fate == fate).count() as u64;
     for fate in [Fate::Whole, Fate::Late, Fate::Damaged, Fate::Lost] {
@@ -142,8 +142,8 @@ fn ledger_agrees(played: &Played, expect: &Expect, told: &str) {
     assert_eq!(unexplained.count(), 0, "damaged by nothing");
 }
 
-/// What a recording says in words is what its script expects, in that order.
-pub(super) fn words_agree(ledger: &Value, info: &Value, expect: &Expect) {
+/// The texts of a recording contain those that its script expects, in order.
+pub(super) fn texts_agree(ledger: &Value, info: &Value, expect: &ExpectedRecording) {
     let events = info["events"].as_array().unwrap().iter();
     let events = events.map(|event| event["text"].as_str().unwrap().to_owned()).collect();
     for (what, found, wanted) in [
@@ -157,7 +157,7 @@ pub(super) fn words_agree(ledger: &Value, info: &Value, expect: &Expect) {
     }
 }
 
-/// Every recorded row has the ticks and, bit for bit, the positions of the frame that went whole in its turn.
+/// Every recorded row has the ticks and, bit for bit, the positions of the intact frame of its turn.
 fn take_holds_what_was_sent(folder: &Folder, script: &Script, played: &Played) {
     let take = folder.read("a.take");
     let found = chunks(&take);

@@ -1,4 +1,4 @@
-//! A folder of its own for every test, and the program run in it.
+//! A temporary folder for each test, and the program run in it.
 
 use std::{
     collections::BTreeMap,
@@ -15,7 +15,7 @@ use mocapd_take::{
     motion::{Motion, MotionFrames},
 };
 
-/// What a run of the program came to.
+/// The result of a run of the program.
 #[derive(Debug)]
 pub(crate) struct Ran {
     pub(crate) code: Option<i32>,
@@ -35,14 +35,14 @@ impl From<Output> for Ran {
 }
 
 impl Ran {
-    /// Itself, when it ended with `code`.
+    /// Asserts the exit code.
     #[track_caller]
     pub(crate) fn with_code(self, code: i32) -> Self {
         assert_eq!(self.code, Some(code), "{}{}", self.stdout, self.stderr);
         self
     }
 
-    /// Its standard output as the one JSON document that it is.
+    /// Standard output parsed as one JSON document.
     #[track_caller]
     pub(crate) fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.stdout))
@@ -74,12 +74,12 @@ impl Folder {
         String::from_utf8(self.read(name)).unwrap()
     }
 
-    /// Writes a motion in the format that the name's ending says.
+    /// Writes a motion in the format of the name's extension.
     pub(crate) fn write_motion(&self, name: &str, motion: &Motion) {
         self.write(name, file_of(Path::new(name), motion));
     }
 
-    /// The program, to be run here.
+    /// A command that runs the program in this folder.
     pub(crate) fn command<S: AsRef<OsStr>>(&self, args: &[S]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
         command.args(args).current_dir(self.0.path());
@@ -91,31 +91,31 @@ impl Folder {
         self.command(args).output().unwrap().into()
     }
 
-    /// Runs what must fail: with `code`, nothing on stdout, one line on stderr, and the folder untouched.
+    /// Runs a command that must fail: with `code`, nothing on stdout, one line on stderr, and the folder unchanged.
     /// Returns the line.
     #[track_caller]
     pub(crate) fn refuses(&self, args: &[&str], code: i32) -> String {
         self.refused(self.command(args), code)
     }
 
-    /// The same of a command that is not just the program.
+    /// Runs any command that must fail in this way.
     #[track_caller]
     pub(crate) fn refused(&self, mut command: Command, code: i32) -> String {
         let before = self.content();
         let ran: Ran = command.output().unwrap().into();
-        let words = ran.stderr.clone();
-        assert_eq!(ran.code, Some(code), "{command:?}: {}{words}", ran.stdout);
+        let message = ran.stderr.clone();
+        assert_eq!(ran.code, Some(code), "{command:?}: {}{message}", ran.stdout);
         assert_eq!(ran.stdout, "", "{command:?} printed on stdout");
-        assert_eq!(words.lines().count(), 1, "{command:?}: not one line: {words}");
-        let line = words.strip_prefix("mocapd: ").and_then(|rest| rest.strip_suffix('\n'));
-        let line = line.unwrap_or_else(|| panic!("{command:?}: {words:?}"));
+        assert_eq!(message.lines().count(), 1, "{command:?}: not one line: {message}");
+        let line = message.strip_prefix("mocapd: ").and_then(|rest| rest.strip_suffix('\n'));
+        let line = line.unwrap_or_else(|| panic!("{command:?}: {message:?}"));
         assert!(!line.ends_with('.') && !line.is_empty(), "{command:?}: {line}");
         let after = self.content();
         assert!(before == after, "{command:?}: {:?} became {:?}", before.keys(), after.keys());
         line.to_owned()
     }
 
-    /// Every name, hidden ones too, with its bytes; a folder or a link has its kind instead.
+    /// Every file, hidden ones included, with its bytes; for a folder or a link its kind instead.
     pub(crate) fn content(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut content = BTreeMap::new();
         let mut folders = vec![self.0.path().to_owned()];
@@ -139,7 +139,7 @@ impl Folder {
     }
 }
 
-/// A motion in the format that a name's ending says.
+/// A motion in the format of a name's extension.
 fn file_of(name: &Path, motion: &Motion) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     let format = Format::from_extension(name).expect("an ending that is known");

@@ -1,9 +1,9 @@
-//! Recording on a real file system that is small: a tmpfs in a name space of its own.
+//! Recording on a small real file system: a tmpfs in its own mount namespace.
 
 use std::process::{Command, Stdio};
 
 use super::{Folder, Ran, devices::Simulated};
-use crate::support::{assert_tells, crowd};
+use crate::support::{assert_mentions, crowd};
 
 /// Runs a script in `folder`, where `disk` is a file system of so many bytes; `None`, with the reason printed, where
 /// none can be mounted. The program is `$mocapd`, the device `$device`.
@@ -51,13 +51,13 @@ fn a_take_is_closed_before_the_disk_is_full_and_the_next_is_refused() {
 
     assert_eq!(second.code, Some(1), "{}", second.stderr);
     let line = second.stderr.lines().last().unwrap();
-    assert_tells(line, &["disk/b.take", "4 MB", "--keep-free"]);
+    assert_mentions(line, &["disk/b.take", "4 MB", "--keep-free"]);
 }
 
 #[test]
 fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
     let (folder, device) = (Folder::new(), device());
-    // All but what the take holds is gone between two looks at the disk.
+    // Another program fills the rest of the disk between two polls.
     let script = "
         $mocapd record --device $device -o disk/a.take --keep-free 64KiB --seconds 60s --json > a.json 2> a.err &
         recorder=$!

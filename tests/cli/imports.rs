@@ -9,7 +9,7 @@ use mocapd_take::{
 use serde_json::Value;
 
 use super::Folder;
-use crate::support::{assert_tells, chunks, crowd, jump};
+use crate::support::{assert_mentions, chunks, crowd, jump};
 
 fn samples(motion: &Motion) -> u64 {
     motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
@@ -28,7 +28,7 @@ fn header(take: &[u8]) -> Header {
 }
 
 #[test]
-fn every_resampler_keeps_its_bound_and_tells_what_it_did() {
+fn every_resampler_respects_its_bound_and_reports_its_results() {
     let folder = Folder::new();
     let motion = jump(7, 60.0, 2.0);
     let n_samples = samples(&motion);
@@ -101,7 +101,7 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
     let motion = jump(12, 60.0, 1.0);
     folder.write_motion("jump.c3d", &motion);
     folder.write("same.c3d", folder.read("jump.c3d"));
-    // The samples stay: what differs is a byte that nobody reads.
+    // The samples are the same; the extra byte is not read.
     folder.write("longer.c3d", [folder.read("jump.c3d"), vec![0]].concat());
     folder.write_motion("jump.csv", &motion);
     let mut n_takes = 0;
@@ -128,12 +128,12 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
         assert!(!ids.contains(&other), "{file} {more:?}");
         ids.push(other);
     }
-    // A UUID of version 8, and no time: neither when it was imported, nor when the file was written.
+    // A UUID of version 8, without any time of the import or of the file.
     assert!(ids.iter().all(|id| id[6] >> 4 == 8 && id[8] >> 6 == 2));
     assert_eq!(header(&plain).created_unix_ms, 0);
     assert_eq!(folder.run(&["info", "1.take", "--json"]).json()["created"], Value::Null);
-    let words = folder.run(&["info", "1.take"]).with_code(0).stdout;
-    assert_tells(&words, &[concat!("mocapd ", env!("CARGO_PKG_VERSION"))]);
+    let printed = folder.run(&["info", "1.take"]).with_code(0).stdout;
+    assert_mentions(&printed, &[concat!("mocapd ", env!("CARGO_PKG_VERSION"))]);
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn every_format_comes_back_to_the_bit() {
         folder.run(&["export", &take, "-o", &back]).with_code(0);
         assert!(folder.text(&back) == folder.text("original.csv"), "{format}");
     }
-    // Once more around: a file that mocapd wrote is written again byte for byte.
+    // A second round trip: a file written by mocapd is reproduced byte for byte.
     for (file, take, again) in [("a.c3d", "c3d.take", "b.c3d"), ("a.trc", "trc.take", "b.trc")] {
         folder.run(&["export", take, "-o", again]).with_code(0);
         assert!(folder.read(again) == folder.read(file), "{file}");
@@ -171,38 +171,38 @@ fn a_take_that_differs_fails_and_says_where() {
     folder.write_motion("b.csv", &motion);
     let ran = folder.run(&["verify", "a.take", "--against", "b.csv", "--json"]).with_code(1);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["a.take", "b.csv"]);
+    assert_mentions(&ran.stderr, &["a.take", "b.csv"]);
     let against = &ran.json()["against"];
     assert_eq!(against["within_tolerance"], false);
     assert_eq!((&against["worst_frame"], &against["worst_marker"]), (&31.into(), &marker.into()));
     let error = against["max_error_mm"].as_f64().unwrap();
     assert!((error - 50.0).abs() < 0.6, "{error}");
     assert_eq!(against["labels_differing"][0], "crown");
-    let words = folder.run(&["verify", "a.take", "--against", "b.csv"]).with_code(1).stdout;
-    assert_tells(&words, &["0.5 mm", "crown"]);
+    let printed = folder.run(&["verify", "a.take", "--against", "b.csv"]).with_code(1).stdout;
+    assert_mentions(&printed, &["0.5 mm", "crown"]);
 }
 
 #[test]
-fn foreign_parts_are_kept_told_and_left_out_when_asked() {
+fn foreign_parts_are_kept_reported_and_dropped_on_request() {
     let folder = Folder::new();
     folder.write_motion("a.c3d", &jump(11, 60.0, 0.5));
     folder.run(&["import", "a.c3d", "-o", "kept.take"]).with_code(0);
     let info = folder.run(&["info", "kept.take"]).with_code(0).stdout;
-    assert_tells(&info, &["c3d/parameters"]);
+    assert_mentions(&info, &["c3d/parameters"]);
     let ran = folder.run(&["import", "a.c3d", "-o", "bare.take", "--drop-foreign", "--json"]);
     let ran = ran.with_code(0);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["a.c3d", "c3d/parameters"]);
+    assert_mentions(&ran.stderr, &["a.c3d", "c3d/parameters"]);
     assert_eq!(ran.json()["foreign_dropped"], serde_json::json!(["c3d/parameters"]));
     let info = folder.run(&["info", "bare.take", "--json"]).with_code(0).json();
     assert_eq!(info["foreign_parts"], serde_json::json!([]));
-    // With nothing to leave out there is nothing to say.
+    // Nothing was left out, so there is no message.
     folder.write("b.csv", "time_s,head.x,head.y,head.z\n0,1,2,3\n0.01,1,2,3\n");
     let ran = folder.run(&["import", "b.csv", "-o", "b.take", "--drop-foreign"]).with_code(0);
     assert_eq!(ran.stderr, "");
-    // Another format cannot take them: that is said, too.
+    // Another format cannot store them, and the export reports it.
     let ran = folder.run(&["export", "kept.take", "-o", "kept.csv"]).with_code(0);
     assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["kept.csv", "c3d/parameters", "z"]);
+    assert_mentions(&ran.stderr, &["kept.csv", "c3d/parameters", "z"]);
     assert_eq!(folder.run(&["export", "kept.take", "-o", "kept.c3d"]).with_code(0).stderr, "");
 }

@@ -1,5 +1,5 @@
-//! The command line, run as the program it is: exit codes, one line on stderr for what is refused, and a
-//! folder that looks as before when nothing was to be written.
+//! The command line, run as a program: exit codes, one line on stderr for each error, and an unchanged
+//! folder if nothing was to be written.
 
 mod arguments;
 mod bad_devices;

@@ -1,4 +1,4 @@
-//! An NDI system: found, recorded, and held against what it sent.
+//! An NDI system: detected, recorded, and compared with what it sent.
 
 use mocapd_simulator::{
     device::SentCounters,
@@ -7,10 +7,10 @@ use mocapd_simulator::{
 use mocapd_take::motion::Motion;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
-/// How often an answer may come too late before that is no accident: a machine that is busy with other tests may wake
-/// the system late.
+/// How many late answers are tolerated: a busy machine may wake
+/// the simulated system late.
 const TRIES: usize = 5;
 
 fn system(motion: &Motion, tools: &[&str]) -> NdiSettings {
@@ -20,7 +20,7 @@ fn system(motion: &Motion, tools: &[&str]) -> NdiSettings {
 }
 
 #[test]
-fn a_recording_is_what_was_sent() {
+fn a_recording_equals_what_was_sent() {
     let folder = Folder::new();
     let motion = jump(5, 60.0, 3.0);
     folder.write_motion("sent.csv", &motion);
@@ -31,7 +31,7 @@ fn a_recording_is_what_was_sent() {
         let ran = folder.run(&["record", "-d", &uri, "-o", name, "--lossless", "--json"]);
         let sent = device.unplug();
         let report = ran.json();
-        // Whatever was missed is on the account, and the system's own log says the same.
+        // Missed frames are on the ledger, in agreement with the system's own log.
         let was_late = agree(&report["ledger"], &sent.run);
         assert!(was_late || report["samples"] == sent.run.samples, "{report}");
         let recorded = report["frames"].as_u64().unwrap();
@@ -47,8 +47,8 @@ fn a_recording_is_what_was_sent() {
             (&channels[0]["label"], &channels[1]["label"]),
             (&"head".into(), &"pelvis".into())
         );
-        // A stray may change its number where it was hidden; none may be lost. Such a system keeps one frame, and on a
-        // busy machine some are missed: those are rows without a position.
+        // A stray may change its number after an occlusion, but none may be lost. Such a system keeps one frame, and on
+        // a busy machine some are missed: those are rows without a position.
         folder.run(&["export", name, "-o", "out.csv"]);
         let [sent, found] = ["sent.csv", "out.csv"].map(|file| samples_by_row(&folder.text(file)));
         assert_eq!(found.len(), sent.len());
@@ -63,8 +63,8 @@ fn a_recording_is_what_was_sent() {
     }
 }
 
-/// The account of a take says what the system's own log says. On a machine that is so busy that an answer comes
-/// after its time the host cannot tell what it missed then from what was lost on the way: `true`.
+/// The ledger of a take agrees with the system's own log. If a machine is so busy that an answer arrives
+/// late, the host cannot distinguish missed frames from lost ones: `true`.
 #[track_caller]
 fn agree(ledger: &serde_json::Value, sent: &SentCounters) -> bool {
     let of = |name: &str| ledger[name].as_u64().unwrap();
@@ -90,7 +90,7 @@ fn samples_by_row(table: &str) -> Vec<Vec<[String; 3]>> {
     rows.map(row).collect()
 }
 
-/// On a line that carries a fourth of the frames, to the end of the motion and stopped before it.
+/// On a line that carries a quarter of the frames, to the end of the motion and stopped before it.
 #[test]
 fn what_a_slow_line_misses_is_on_both_accounts_the_same() {
     let folder = Folder::new();
@@ -102,7 +102,7 @@ fn what_a_slow_line_misses_is_on_both_accounts_the_same() {
     }
 }
 
-/// `false` when this machine was too busy to tell.
+/// `false` if this machine was too busy to decide.
 fn slow_line(
     folder: &Folder,
     motion: &Motion,
@@ -120,15 +120,15 @@ fn slow_line(
         record.extend(["--seconds", "2s"]);
     }
     let ran = folder.run(&record).with_code(3);
-    assert_tells(&ran.stderr, &["57600", "60 Hz", "@230400"]);
+    assert_mentions(&ran.stderr, &["57600", "60 Hz", "@230400"]);
     let report = ran.json();
     if !looping {
-        // A run of its own, for people: the first one is over.
+        // A second run, with text output.
         let record = ["record", "-d", &uri, "-o", &words];
-        let said = folder.run(&record).with_code(3).stdout;
+        let printed = folder.run(&record).with_code(3).stdout;
         let info = folder.run(&["info", &words, "--json"]).json();
         let appeared = info["channels"].as_array().unwrap().len() - tools.len();
-        assert_tells(&said, &[&tools.len().to_string(), &appeared.to_string()]);
+        assert_mentions(&printed, &[&tools.len().to_string(), &appeared.to_string()]);
     }
     let log = device.unplug();
     // Of the last run, or of the only one.
@@ -156,14 +156,14 @@ fn slow_line(
 }
 
 #[test]
-fn what_it_refuses_is_said_with_what_to_do() {
+fn refusals_say_what_to_do() {
     let folder = Folder::new();
     let motion = jump(5, 60.0, 1.0);
     let settings = NdiSettings { bx2: false, ..system(&motion, &[]) };
     let device = Simulated::serve(NdiDevice::new(motion, settings).unwrap(), None);
     let uri = format!("{}?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &uri, "-o", "a.take"], 1);
-    assert_tells(&line, &["NDI", "tool"]);
+    assert_mentions(&line, &["NDI", "tool"]);
 }
 
 #[test]
@@ -175,11 +175,11 @@ fn a_line_too_slow_for_its_tools_is_refused_and_a_rate_cannot_be_set() {
         Simulated::serve(NdiDevice::new(motion.clone(), system(&motion, &tools)).unwrap(), None);
     let slow = format!("{}@9600?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &slow, "-o", "a.take"], 1);
-    assert_tells(&line, &["4 tools", "9600", "60 Hz", "@230400"]);
-    assert!(!tells(&line, "USB"), "{line}");
+    assert_mentions(&line, &["4 tools", "9600", "60 Hz", "@230400"]);
+    assert!(!mentions(&line, "USB"), "{line}");
     let uri = format!("{}?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &uri, "-o", "a.take", "--rate", "120"], 1);
-    assert_tells(&line, &["120 Hz", "60 Hz", "--rate"]);
+    assert_mentions(&line, &["120 Hz", "60 Hz", "--rate"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What lies there is not overwritten, and what fails leaves nothing behind.
+//! Existing files are not overwritten, and failed commands leave nothing behind.
 
 use std::{
     os::unix::fs::symlink,
@@ -12,7 +12,7 @@ use mocapd_simulator::generator::JumpSpec;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::{Folder, unprivileged};
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 fn folder() -> Folder {
     let folder = Folder::new();
@@ -22,7 +22,7 @@ fn folder() -> Folder {
 }
 
 #[test]
-fn what_exists_is_not_overwritten() {
+fn existing_files_are_not_overwritten() {
     let folder = folder();
     folder.write("mine.take", "mine");
     folder.write("mine.csv", "mine");
@@ -32,7 +32,7 @@ fn what_exists_is_not_overwritten() {
     for file in ["mine.take", "link.take", "folder.take"] {
         let expected = exists(file);
         assert_eq!(folder.refuses(&["import", "jump.csv", "-o", file], 1), expected);
-        // Before the device is looked at, which is none.
+        // Checked before the (invalid) device is opened.
         let record = ["record", "-d", "serial:/dev/null", "-o", file];
         assert_eq!(folder.refuses(&record, 1), expected);
     }
@@ -43,13 +43,13 @@ fn what_exists_is_not_overwritten() {
     assert_eq!(folder.refuses(&import, 1), exists("jump.take"));
 }
 
-/// What is said of a file that lies where one is to be written.
+/// The error about an existing file.
 fn exists(file: &str) -> String {
     NameTaken { path: file.into() }.to_string()
 }
 
 #[test]
-fn a_missing_folder_is_not_made() {
+fn a_missing_folder_is_not_created() {
     let folder = folder();
     let expected = FileError::NoFolder("no/such".into()).to_string();
     for args in [
@@ -59,12 +59,12 @@ fn a_missing_folder_is_not_made() {
     ] {
         assert_eq!(folder.refuses(args, 1), expected, "{args:?}");
     }
-    assert_tells(&folder.refuses(&["bench", "pipeline", "--dir", "no/such"], 1), &["no/such"]);
+    assert_mentions(&folder.refuses(&["bench", "pipeline", "--dir", "no/such"], 1), &["no/such"]);
     folder.write("file", "");
     let line = folder.refuses(&["import", "jump.csv", "-o", "file/new.take"], 1);
-    assert_tells(&line, &["file/new.take"]);
+    assert_mentions(&line, &["file/new.take"]);
     let line = folder.refuses(&["demo", "--seconds", "1", "--out", "file"], 1);
-    assert_tells(&line, &["file"]);
+    assert_mentions(&line, &["file"]);
 }
 
 #[test]
@@ -82,18 +82,18 @@ fn a_folder_that_may_not_be_written_to() {
     }
 }
 
-/// A resampler that refuses the motion after the output was begun.
+/// The resampler refuses the motion after the output was opened.
 #[test]
 fn an_import_that_fails_leaves_nothing() {
     let folder = Folder::new();
     let spec = JumpSpec { seconds: Some(15.0), ..JumpSpec::new(1, 120.0) };
     folder.write_motion("long.csv", &spec.generate().unwrap().motion);
     let import = ["import", "long.csv", "-o", "new.take", "--resampler", "spline:exhaustive"];
-    assert_tells(&folder.refuses(&import, 1), &["new.take", "1024", "1800", ":worst-sample"]);
+    assert_mentions(&folder.refuses(&import, 1), &["new.take", "1024", "1800", ":worst-sample"]);
 }
 
 #[test]
-fn a_reader_that_has_seen_enough_is_no_failure() {
+fn a_closed_pipe_is_no_failure() {
     let folder = folder();
     for args in [
         &["info", "jump.take"][..],
@@ -112,7 +112,7 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
 }
 
 #[test]
-fn labels_give_the_terminal_no_orders() {
+fn labels_do_not_control_the_terminal() {
     let folder = Folder::new();
     folder.write(
         "a.csv",
@@ -127,15 +127,15 @@ fn labels_give_the_terminal_no_orders() {
     assert_eq!(report["channels"][0]["label"], "\x1b[31mhead\x07");
 }
 
-/// Ended while samples are being coded, as by Ctrl-C: the output was begun, and has no name yet. (A test that a shell
-/// runs in the background would have its children ignore a Ctrl-C.)
+/// Interrupted while coding, as by Ctrl-C: the output is open, but has no name yet. (If a shell runs a test in the
+/// background, its children ignore Ctrl-C.)
 #[test]
 fn an_import_that_is_interrupted_leaves_nothing() {
     let folder = Folder::new();
     let spec = JumpSpec { seconds: Some(8.0), ..JumpSpec::new(1, 120.0) };
     folder.write_motion("long.csv", &spec.generate().unwrap().motion);
     let before = folder.content();
-    // Minutes of work, so that it is surely not done.
+    // Minutes of work, so that it cannot be done yet.
     let import = ["import", "long.csv", "-o", "new.take", "--resampler", "spline:exhaustive"];
     let mut child = folder.command(&import).spawn().unwrap();
     let begun = Instant::now();
@@ -149,7 +149,7 @@ fn an_import_that_is_interrupted_leaves_nothing() {
     assert!(folder.content() == before, "{:?}", folder.content().keys());
 }
 
-/// Whether a process has a file open in the folder beside the motion that it reads.
+/// Whether a process has another file open in the folder than the motion that it reads.
 fn has_begun(folder: &Folder, process: u32) -> bool {
     let open = std::fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten();
     let open = open.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());

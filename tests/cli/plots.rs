@@ -1,11 +1,11 @@
-//! `plot`: pictures of good takes and of odd ones.
+//! `plot`: plots of normal and unusual takes.
 
 use mocapd_acquire::files::{FileError, NameTaken};
 use mocapd_simulator::generator::JumpSpec;
 use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo};
 
 use super::Folder;
-use crate::support::{assert_tells, tells};
+use crate::support::{assert_mentions, mentions};
 
 fn folder() -> Folder {
     let folder = Folder::new();
@@ -14,7 +14,7 @@ fn folder() -> Folder {
     folder
 }
 
-/// A take of a motion that is made here.
+/// Writes a take of a synthetic motion.
 fn take_of(
     folder: &Folder,
     name: &str,
@@ -31,13 +31,13 @@ fn take_of(
     };
     let rows = (0..n_frames).flat_map(|row| (0..n_markers).map(move |marker| (row, marker)));
     let positions_mm = rows.map(|(row, marker)| at(row, marker)).collect();
-    // The times of a CSV tell its rate where there are two of them.
+    // A CSV file needs two times to state its rate.
     let file = if n_frames > 1 { "made.csv" } else { "made.trc" };
     folder.write_motion(file, &Motion { info, positions_mm });
     folder.run(&["import", file, "-o", name]).with_code(0);
 }
 
-/// Draws it, and gives the SVG: well formed, with numbers only.
+/// Draws a plot and returns the SVG: well-formed, and with finite numbers only.
 fn drawn(folder: &Folder, args: &[&str]) -> String {
     let args = [&["plot"], args, &["-o", "new.svg"]].concat();
     let ran = folder.run(&args).with_code(0);
@@ -50,7 +50,7 @@ fn drawn(folder: &Folder, args: &[&str]) -> String {
     svg
 }
 
-/// What is written in a picture.
+/// The texts in a picture.
 fn texts(svg: &str) -> Vec<String> {
     let document = roxmltree::Document::parse(svg).unwrap();
     let texts =
@@ -59,7 +59,7 @@ fn texts(svg: &str) -> Vec<String> {
 }
 
 #[test]
-fn every_picture_in_both_formats() {
+fn every_plot_in_both_formats() {
     let folder = folder();
     for args in [
         &[
@@ -95,7 +95,7 @@ fn a_trajectory_has_its_samples_and_its_tolerance() {
     let args =
         ["trajectory", "jump.take", "--marker", "r_wrist", "--against", "jump.csv", "--to", "2s"];
     let svg = drawn(&folder, &args);
-    // Each of 120 samples in space and against three axes, and one in the legend.
+    // 120 samples in space and on each of three axes, and one circle in the legend.
     let circles = |start: &str| {
         svg.match_indices("<circle")
             .filter(|(at, _)| svg[*at..].split("/>").next().unwrap().contains(start))
@@ -104,14 +104,14 @@ fn a_trajectory_has_its_samples_and_its_tolerance() {
     assert_eq!(circles("fill=\"none\""), 4 * 120 + 1);
     let kept = circles("fill=\"#D55E00\"");
     assert!(kept > 4 * 3 && kept % 4 == 1, "{kept}");
-    assert_tells(&svg, &["x (mm)", "z (mm)", "(s)", "5 mm", "r_wrist", "jump.take"]);
-    // An original gives errors, and an axis for them.
+    assert_mentions(&svg, &["x (mm)", "z (mm)", "(s)", "5 mm", "r_wrist", "jump.take"]);
+    // With an original there is an error axis.
     let axes = |svg: &str| svg.matches("(mm)").count();
     assert_eq!(axes(&svg), axes(&drawn(&folder, &args[..4])) + 1);
 }
 
 #[test]
-fn odd_takes_give_pictures_or_reasons() {
+fn unusual_takes_give_plots_or_reasons() {
     let folder = Folder::new();
     take_of(&folder, "one.take", 1, 1, |_, _| [1.0, 2.0, 3.0]);
     take_of(&folder, "still.take", 50, 3, |_, _| [0.0; 3]);
@@ -130,7 +130,7 @@ fn odd_takes_give_pictures_or_reasons() {
         folder.refuses(&[&["plot"], args, &["-o", "new.svg"]].concat(), code)
     };
     drawn(&folder, &["quality", "gaps.take"]);
-    assert_tells(&refuses(&["trajectory", "gaps.take"], 1), &["m<1>&"]);
+    assert_mentions(&refuses(&["trajectory", "gaps.take"], 1), &["m<1>&"]);
     refuses(&["pose", "gaps.take"], 1);
     let thirteen = vec!["1s"; 13].join(",");
     for (args, code, facts) in [
@@ -140,19 +140,19 @@ fn odd_takes_give_pictures_or_reasons() {
         (&["pose", "half.take", "--at", &thirteen], 1, &["13", "1", "12"]),
         (&["sizes", "a", "b", "c", "d", "e", "f", "g"], 2, &["7"]),
     ] {
-        assert_tells(&refuses(args, code), facts);
+        assert_mentions(&refuses(args, code), facts);
     }
     let absent = FileError::NotFound("none.take".into()).to_string();
     assert_eq!(refuses(&["quality", "none.take"], 1), absent);
     let plot = |output: &'static str| ["plot", "quality", "one.take", "-o", output];
-    assert_tells(&folder.refuses(&plot("q.gif"), 2), &["q.gif", ".svg", ".png"]);
+    assert_mentions(&folder.refuses(&plot("q.gif"), 2), &["q.gif", ".svg", ".png"]);
     folder.write("there.svg", "mine");
     let exists = NameTaken { path: "there.svg".into() }.to_string();
     assert_eq!(folder.refuses(&plot("there.svg"), 1), exists);
 }
 
 #[test]
-fn ten_thousand_markers_are_a_picture_too() {
+fn ten_thousand_markers_can_be_plotted() {
     let folder = Folder::new();
     take_of(&folder, "many.take", 4, 10_000, |row, marker| {
         [marker as f32, row as f32, (marker % 97) as f32]
@@ -162,16 +162,16 @@ fn ten_thousand_markers_are_a_picture_too() {
     }
     let pose = texts(&drawn(&folder, &["pose", "many.take"]));
     let quality = texts(&drawn(&folder, &["quality", "many.take"]));
-    // How many of them are shown is said, and is so.
+    // The caption states how many markers are shown.
     for (picture, n_shown) in [(&pose, "500"), (&quality, "60")] {
-        let is_said = |text: &String| tells(text, n_shown) && tells(text, "10000");
-        assert!(picture.iter().any(is_said), "{picture:?}");
+        let is_stated = |text: &String| mentions(text, n_shown) && mentions(text, "10000");
+        assert!(picture.iter().any(is_stated), "{picture:?}");
     }
     assert_eq!(quality.iter().filter(|text| text.starts_with("m<")).count(), 60, "{quality:?}");
 }
 
 #[test]
-fn a_skeleton_file_says_which_markers_are_joined() {
+fn a_skeleton_file_defines_the_lines() {
     let folder = Folder::new();
     take_of(&folder, "m.take", 10, 3, |row, marker| [marker as f32 * 100.0, row as f32, 50.0]);
     let lines = |args: &[&str]| drawn(&folder, args).matches("<polyline").count();
@@ -180,5 +180,8 @@ fn a_skeleton_file_says_which_markers_are_joined() {
     assert_eq!(lines(&["pose", "m.take", "--at", "0s", "--skeleton", "bones.csv"]), none + 2);
     folder.write("bones.csv", "m<0>&,toe\n");
     let args = ["plot", "pose", "m.take", "-o", "new.svg", "--skeleton", "bones.csv"];
-    assert_tells(&folder.refuses(&args, 2), &["bones.csv", "line 1", "toe", "mocapd subject body"]);
+    assert_mentions(
+        &folder.refuses(&args, 2),
+        &["bones.csv", "line 1", "toe", "mocapd subject body"],
+    );
 }

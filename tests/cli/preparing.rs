@@ -1,4 +1,4 @@
-//! A subject before a capture: a scan to a skeleton, a photograph to a face.
+//! Preparing a subject: a skeleton from scans, a face from a photograph.
 
 use std::fmt::Write;
 
@@ -6,11 +6,11 @@ use mocapd_body::{Joint, Joints, Mesh, Side, skeleton::Skeleton};
 use mocapd_face::{fit::NoFace, fitted::FittedFace};
 use mocapd_testkit::{
     photograph::Scene,
-    synthetic_body::{Options, Pose, body},
+    synthetic_body::{BodyOptions, Pose, body},
 };
 
 use super::Folder;
-use crate::support::{assert_tells, tells};
+use crate::support::{assert_mentions, mentions};
 
 fn obj(mesh: &Mesh) -> String {
     let mut text = String::new();
@@ -31,40 +31,40 @@ fn length_mm(joints: &Joints, from: Joint, to: Joint) -> f64 {
 }
 
 #[test]
-fn scans_of_one_person_become_a_skeleton_and_a_picture() {
+fn scans_of_one_person_give_a_skeleton_and_a_picture() {
     let folder = Folder::new();
-    let options = Options { n_faces: 6000, turned: true };
+    let options = BodyOptions { n_faces: 6000, turned: true };
     let (mesh, truth) = body(7, Pose::A, options);
     folder.write("a.obj", obj(&mesh));
     folder.write("walk.obj", obj(&body(7, Pose::Walk, options).0));
     let args = ["subject", "body", "a.obj", "walk.obj", "-o", "s.json", "--picture", "p.svg"];
     let ran = folder.run(&args).with_code(0);
-    assert_tells(&ran.stdout, &["l_upper_arm", "2 scans"]);
+    assert_mentions(&ran.stdout, &["l_upper_arm", "2 scans"]);
     let skeleton = Skeleton::from_json(&folder.read("s.json")).unwrap();
     assert_eq!(skeleton.sources.len(), 2);
     assert!(skeleton.sources.iter().all(|source| source.unit.as_deref() == Some("m") && source.unit_inferred == Some(true)));
-    // Bodies of capsules are none that the method has learned from: a quarter is what may be expected.
+    // The method was not trained on bodies of capsules, so errors of up to a quarter are accepted.
     let thigh_mm = length_mm(&truth, Joint::Hip(Side::Left), Joint::Knee(Side::Left));
     let found_mm = skeleton.symmetric_length("thigh").unwrap().mm;
     assert!((found_mm / thigh_mm - 1.0).abs() < 0.25, "{found_mm} of {thigh_mm} mm");
-    // Nothing is written where no bone has a body's length, or two outputs are one file.
+    // Nothing is written if no bone has a plausible length, or two outputs are the same file.
     let ran =
         folder.run(&["subject", "body", "a.obj", "--unit", "mm", "-o", "mm.json"]).with_code(1);
-    assert_tells(&ran.stderr, &["a.obj", "2 mm", "--unit"]);
+    assert_mentions(&ran.stderr, &["a.obj", "2 mm", "--unit"]);
     assert!(!folder.path("mm.json").exists());
     folder.run(&["subject", "body", "a.obj", "-o", "x.svg", "--picture", "x.svg"]).with_code(2);
     let picture = String::from_utf8(folder.read("p.svg")).unwrap();
     assert!(picture.starts_with("<svg"), "{picture}");
-    assert_tells(&picture, &["knee"]);
+    assert_mentions(&picture, &["knee"]);
 
-    // A pipe has the skeleton alone, and people the table beside it; nothing is called -.
+    // With -, stdout has only the skeleton, stderr the table, and no file is called -.
     let ran = folder.run(&["subject", "body", "a.obj", "walk.obj", "-o", "-"]).with_code(0);
     assert_eq!(ran.stdout.as_bytes(), folder.read("s.json"));
     assert!(ran.stderr.contains("l_upper_arm") && !folder.path("-").exists(), "{}", ran.stderr);
     let refused = ["subject", "body", "a.obj", "--picture", "-"];
     folder.run(&refused).with_code(2);
 
-    // What a take carries is what was written.
+    // The take contains the skeleton that was written.
     folder.write_motion("jump.csv", &crate::support::jump(1, 60.0, 1.0));
     let import = ["import", "jump.csv", "-o", "t.take", "--skeleton", "s.json"];
     folder.run(&import).with_code(0);
@@ -72,7 +72,7 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
 }
 
 #[test]
-fn what_is_no_body_is_refused_with_a_reason() {
+fn other_meshes_than_bodies_are_refused_with_a_reason() {
     let folder = Folder::new();
     folder.write("empty.obj", "");
     folder.write("words.ply", "ply\nformat ascii 1.0\nelement vertex many\n");
@@ -80,8 +80,8 @@ fn what_is_no_body_is_refused_with_a_reason() {
     folder.write("solid.obj", tetrahedron);
     folder.write("nan.obj", tetrahedron.replace("v 1 0 0", "v nan 0 0"));
     folder.write("short.stl", [0; 83]);
-    // What stood in one camera's view: up to the waist.
-    let mut half = body(7, Pose::A, Options { n_faces: 3000, turned: false }).0;
+    // A scan up to the waist.
+    let mut half = body(7, Pose::A, BodyOptions { n_faces: 3000, turned: false }).0;
     let is_low = |corner: &u32| half.positions[*corner as usize][1] < 0.9;
     half.triangles = half.triangles.iter().copied().filter(|t| t.iter().all(is_low)).collect();
     folder.write("half.obj", obj(&half));
@@ -94,13 +94,13 @@ fn what_is_no_body_is_refused_with_a_reason() {
         ("half.obj", &["%"]),
     ] {
         let ran = folder.run(&["subject", "body", name, "-o", "s.json"]).with_code(1);
-        assert_tells(&ran.stderr, &[&[name], facts].concat());
+        assert_mentions(&ran.stderr, &[&[name], facts].concat());
         assert!(!folder.path("s.json").exists());
     }
 }
 
 #[test]
-fn a_photograph_becomes_a_face() {
+fn a_photograph_gives_a_face() {
     let folder = Folder::new();
     let picture = Scene::portrait(3, 90.0, 0.0).render().unwrap();
     let mut ppm =
@@ -110,7 +110,7 @@ fn a_photograph_becomes_a_face() {
     let args = ["subject", "face", "a.ppm", "--largest", "-o", "f.json", "--obj", "f.obj"];
     let ran = folder.run(&[&args[..], &["--overlay", "o.png", "--views", "v.svg"]].concat());
     let ran = ran.with_code(0);
-    assert_tells(&ran.stdout, &["1 face", "of 53"]);
+    assert_mentions(&ran.stdout, &["1 face", "of 53"]);
     let face = FittedFace::from_json(&folder.read("f.json")).unwrap();
     let truth = &picture.faces[0];
     let off = |point: &mocapd_face::model::Landmark| {
@@ -120,7 +120,7 @@ fn a_photograph_becomes_a_face() {
     let mut off: Vec<f64> = face.points.iter().map(off).collect();
     off.sort_by(f64::total_cmp);
     assert!(off[off.len() / 2] < 0.1, "{off:?}");
-    // Hair is no forehead: it is as wide as the eyes, and more.
+    // The hairline is wider than the distance of the eyes.
     let hairline = face.points.iter().filter(|point| point.id.is_hairline());
     let hairline: Vec<f64> = hairline.map(|point| point.xy_px[0]).collect();
     assert!(hairline[1] - hairline[0] > 90.0, "{hairline:?}");
@@ -133,7 +133,7 @@ fn a_photograph_becomes_a_face() {
 
     let ran = folder.run(&["subject", "face", "a.ppm", "--largest", "-o", "-"]).with_code(0);
     assert_eq!(ran.stdout.trim_end().as_bytes(), folder.read("f.json").trim_ascii_end());
-    assert_tells(&ran.stderr, &["1 face", "of 53"]);
+    assert_mentions(&ran.stderr, &["1 face", "of 53"]);
     for option in ["--overlay", "--obj", "--views"] {
         let ran = folder.run(&["subject", "face", "a.ppm", option, "-"]).with_code(2);
         assert!(ran.stderr.contains("-") && ran.stdout.is_empty(), "{}", ran.stderr);
@@ -146,7 +146,7 @@ fn a_photograph_becomes_a_face() {
 }
 
 #[test]
-fn a_face_that_is_turned_far_is_said_to_be_guessed() {
+fn a_face_turned_far_gets_a_warning() {
     let folder = Folder::new();
     for (name, yaw_deg) in [("front", 5.0), ("side", 42.0)] {
         let picture = Scene::portrait(3, 90.0, yaw_deg).render().unwrap();
@@ -155,21 +155,21 @@ fn a_face_that_is_turned_far_is_said_to_be_guessed() {
         ppm.extend_from_slice(picture.image.as_raw());
         folder.write(&format!("{name}.ppm"), ppm);
         let ran = folder.run(&["subject", "face", &format!("{name}.ppm")]).with_code(0);
-        // The face, and from what angle on half of it is guessed.
-        let is_said = tells(&ran.stderr, "face 1") && tells(&ran.stderr, "35");
-        assert_eq!(is_said, name == "side", "{} {}", ran.stdout, ran.stderr);
+        // The warning names the face and the angle beyond which its far side is unreliable.
+        let is_warned = mentions(&ran.stderr, "face 1") && mentions(&ran.stderr, "35");
+        assert_eq!(is_warned, name == "side", "{} {}", ran.stdout, ran.stderr);
     }
 }
 
 #[test]
-fn a_photograph_without_a_face_is_said_to_be_so() {
+fn a_photograph_without_a_face_is_an_error() {
     let folder = Folder::new();
     let mut ppm = b"P6\n64 64\n255\n".to_vec();
     ppm.extend((0..64 * 64 * 3).map(|i| (i / 48) as u8));
     folder.write("a.ppm", &ppm);
     folder.write("cut.ppm", &ppm[..2000]);
     let ran = folder.run(&["subject", "face", "a.ppm", "-o", "f.json"]).with_code(1);
-    assert_tells(&ran.stderr, &["a.ppm", &NoFace::NotFound.to_string()]);
+    assert_mentions(&ran.stderr, &["a.ppm", &NoFace::NotFound.to_string()]);
     let ran = folder.run(&["subject", "face", "cut.ppm", "-o", "f.json"]).with_code(1);
     assert!(ran.stderr.contains("cut.ppm"), "{}", ran.stderr);
     assert!(!folder.path("f.json").exists());

@@ -14,15 +14,15 @@ use super::{
     Folder,
     devices::{Recorder, Simulated, frames_in},
 };
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 #[test]
-fn a_recording_is_what_was_sent() {
+fn a_recording_equals_what_was_sent() {
     let folder = Folder::new();
     let motion = jump(5, 120.0, 2.0);
     folder.write_motion("sent.csv", &motion);
     for codec in [&["--tolerance", "1mm"][..], &["--resampler", "fast"], &["--lossless"]] {
-        // Four times as fast as it was "recorded".
+        // Played at four times its speed.
         let settings = DeviceSettings { speed: 4.0, ..DeviceSettings::default() };
         let device = Simulated::start(motion.clone(), settings, None);
         let uri = device.uri();
@@ -50,16 +50,19 @@ fn a_recording_is_what_was_sent() {
 }
 
 #[test]
-fn the_words_say_what_the_numbers_say() {
+fn the_text_has_the_figures_of_the_report() {
     let folder = Folder::new();
     let device = Simulated::of(jump(6, 240.0, 0.5));
     let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take"]).with_code(0);
-    assert_tells(&ran.stdout, &["a.take", "120 frames", "15 markers", "240 Hz", "ledger closes"]);
+    assert_mentions(
+        &ran.stdout,
+        &["a.take", "120 frames", "15 markers", "240 Hz", "ledger closes"],
+    );
     assert_eq!(ran.stderr, "");
 }
 
 #[test]
-fn it_stops_when_the_time_is_up() {
+fn a_recording_stops_when_its_time_is_up() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let record = ["record", "-d", &device.uri(), "-o", "a.take", "--seconds", "500ms", "--json"];
@@ -90,9 +93,10 @@ fn a_signal_finishes_the_take() {
     }
 }
 
-/// `timeout` signals the process and then its group. The device confirms no stop, which is waited for for two seconds.
+/// `timeout` signals the process and then its group. The device does not confirm the stop, for which the recorder waits
+/// 2 s.
 #[test]
-fn a_signal_that_comes_twice_is_one_and_a_later_one_ends_it_at_once() {
+fn a_doubled_signal_counts_once_and_a_later_one_ends_the_program_at_once() {
     let script = "seed = 1\n[[fault]]\nkind = 'stall'\nat_s = 1\nfor_s = 100";
     let script = Arc::new(Script::parse("stall", script).unwrap());
     for (pause_ms, code) in [(100, 0), (900, 1)] {
@@ -117,7 +121,7 @@ fn a_signal_that_comes_twice_is_one_and_a_later_one_ends_it_at_once() {
 }
 
 #[test]
-fn a_pulled_plug_leaves_a_take_that_can_be_read() {
+fn a_pulled_plug_leaves_a_readable_take() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let options = ["--json", "--reconnect", "0s"];
@@ -130,15 +134,15 @@ fn a_pulled_plug_leaves_a_take_that_can_be_read() {
     assert_eq!(report["ledger"]["closes"], true, "{report}");
     let recorded = report["frames"].as_u64().unwrap();
     assert!(recorded > 0 && recorded <= sent.run.frames_produced, "{recorded} of {sent:?}");
-    // The take is whole as far as it goes, and says how it ended.
+    // The take is intact, and states how it ended.
     let info = folder.run(&["info", "a.take", "--json"]).json();
     assert_eq!(info["finished"], true);
-    // What was due until somebody noticed is a row, too.
+    // Frames that were due before the disconnection was noticed are rows, too.
     assert_eq!(info["ledger"], report["ledger"]);
     assert_eq!(info["frames"], report["ledger"]["frames_sent"]);
     assert_eq!(info["events"][0]["kind"], "host");
     let event = info["events"][0]["text"].as_str().unwrap();
-    assert_tells(&folder.run(&["info", "a.take"]).stdout, &[event]);
+    assert_mentions(&folder.run(&["info", "a.take"]).stdout, &[event]);
     folder.run(&["export", "a.take", "-o", "a.csv"]).with_code(0);
     assert_eq!(folder.text("a.csv").lines().count() as u64, 1 + info["frames"].as_u64().unwrap());
 }
@@ -151,10 +155,10 @@ fn a_device_that_comes_back_is_recorded_again() {
     let device = Simulated::endless_at(&link, "SIM0001", motion.clone());
     let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
     device.unplug();
-    recorder.hears("60 s");
-    // Another one at the same place is not taken for it.
+    recorder.wait_for_message("60 s");
+    // Another device at the same path is not mistaken for it.
     let other = Simulated::endless_at(&link, "SIM0002", motion.clone());
-    recorder.hears("SIM0002");
+    recorder.wait_for_message("SIM0002");
     let sent = other.unplug();
     assert_eq!(sent.starts, 0, "the other device was started");
     let device = Simulated::endless_at(&link, "SIM0001", motion);
@@ -173,7 +177,7 @@ fn a_device_that_comes_back_is_recorded_again() {
     let verified = folder.run(&["verify", "a.take", "--json"]).json();
     assert_eq!(verified["contradictions"], serde_json::json!([]), "{verified}");
     assert_eq!(verified["intact"], true, "{verified}");
-    // The other life's counter says nothing of the time between: the host's clock does.
+    // The counter restarted, so the host's clock measures the outage.
     let outages = &report["outages"];
     assert_eq!((&outages["count"], &info["outages"]), (&serde_json::json!(1), outages));
     assert_eq!(outages["frames"], report["ledger"]["unknown_after_disconnect"]);
@@ -181,7 +185,7 @@ fn a_device_that_comes_back_is_recorded_again() {
     assert!((0.1..60.0).contains(&away_s), "{outages}");
     let [gone, back] = &info["events"].as_array().unwrap()[..] else { panic!("{info}") };
     assert_eq!((&gone["kind"], &back["kind"]), (&"host".into(), &"host".into()));
-    assert_tells(back["text"].as_str().unwrap(), &[&outages["frames"].to_string()]);
+    assert_mentions(back["text"].as_str().unwrap(), &[&outages["frames"].to_string()]);
 }
 
 #[test]
@@ -194,9 +198,9 @@ fn a_killed_recording_is_a_take_with_a_ledger() {
     let info = folder.run(&["info", "a.take", "--json"]).with_code(3).json();
     assert_eq!(info["finished"], false);
     assert!(info["frames"].as_u64().unwrap() > 0);
-    let words = folder.run(&["info", "a.take"]).with_code(3);
-    assert_tells(&words.stderr, &["a.take", &Problem::CutOff.to_string()]);
-    // The port is free again, and the take's name is not.
+    let printed = folder.run(&["info", "a.take"]).with_code(3);
+    assert_mentions(&printed.stderr, &["a.take", &Problem::CutOff.to_string()]);
+    // The port is free again, but the take exists.
     let record = ["record", "-d", &device.uri(), "-o", "a.take"];
     let exists = NameTaken { path: "a.take".into() }.to_string();
     assert_eq!(folder.refuses(&record, 1), exists);

@@ -1,14 +1,14 @@
-//! `recover`, run as the program it is.
+//! `recover`, run as a program.
 
 use mocapd_acquire::files::{FileError, NameTaken};
-use mocapd_take::{NotATake, damage::Problem, recovery::Survey};
+use mocapd_take::{NotATake, damage::Problem, recovery::RecoveryScan};
 use rustix::process::Signal;
 
 use super::{
     Folder,
     devices::{Recorder, Simulated},
 };
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 #[test]
 fn a_killed_recording_is_recovered() {
@@ -20,17 +20,17 @@ fn a_killed_recording_is_recovered() {
     recorder.wait();
     let killed = folder.read("killed.take");
     let ran = folder.run(&["recover", "killed.take", "-o", "new.take"]).with_code(3);
-    assert_tells(&ran.stdout, &["new.take"]);
-    let losses = Survey::read(&killed[..]).unwrap().losses_in_words();
-    assert_tells(&ran.stderr, &["killed.take", &Problem::CutOff.to_string(), &losses]);
+    assert_mentions(&ran.stdout, &["new.take"]);
+    let losses = RecoveryScan::read(&killed[..]).unwrap().loss_summary();
+    assert_mentions(&ran.stderr, &["killed.take", &Problem::CutOff.to_string(), &losses]);
     assert_eq!(folder.read("killed.take"), killed, "it is only read");
     let verified = folder.run(&["verify", "new.take", "--json"]).with_code(3).json();
-    // Nothing is wrong with it, and what stood behind the cut nobody can count.
+    // The new take is intact; the frames behind the cut cannot be counted.
     assert_eq!((&verified["intact"], &verified["health"]), (&true.into(), &"lossy".into()));
-    // Whoever looks at it is told.
+    // The other commands point to `recover`.
     for command in ["info", "verify"] {
         let ran = folder.run(&[command, "killed.take"]).with_code(3);
-        assert_tells(&ran.stderr, &["mocapd recover killed.take -o NEW.take"]);
+        assert_mentions(&ran.stderr, &["mocapd recover killed.take -o NEW.take"]);
         let again = folder.run(&[command, "new.take"]).stderr;
         assert!(!again.contains("mocapd recover"), "{command}: {again}");
     }
@@ -43,12 +43,12 @@ fn a_killed_recording_is_recovered() {
     assert_eq!(info["ledger"]["closes"], true);
     assert_eq!(info["ledger"]["recorded"], info["frames"]);
     let recovered = info["recovered"].as_str().unwrap();
-    assert_tells(recovered, &["mocapd", &losses]);
-    assert_tells(&folder.run(&["info", "new.take"]).with_code(3).stdout, &[recovered]);
+    assert_mentions(recovered, &["mocapd", &losses]);
+    assert_mentions(&folder.run(&["info", "new.take"]).with_code(3).stdout, &[recovered]);
 }
 
 #[test]
-fn what_is_whole_is_copied_and_says_so() {
+fn intact_takes_are_copied_and_reported() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &jump(2, 60.0, 12.0));
     folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
@@ -58,7 +58,7 @@ fn what_is_whole_is_copied_and_says_so() {
     assert_eq!(report["lost"], false);
     assert_eq!(report["frames_recovered"], 720);
     folder.run(&["verify", "new.take", "--against", "jump.csv"]).with_code(0);
-    // Without index and footer nothing is lost either.
+    // Without index and footer nothing is lost.
     let take = folder.read("jump.take");
     folder.write("cut.take", &take[..take.len() - 35]);
     let report = folder.run(&["recover", "cut.take", "-o", "mended.take", "--json"]).json();
@@ -77,30 +77,30 @@ fn nothing_is_overwritten_and_nothing_left_behind() {
         assert_eq!(line, NameTaken { path: file.into() }.to_string());
     }
     let line = folder.refuses(&["recover", "jump.take", "-o", "new.csv"], 2);
-    assert_tells(&line, &["new.csv", ".take"]);
+    assert_mentions(&line, &["new.csv", ".take"]);
     let line = folder.refuses(&["recover", "no.take", "-o", "new.take"], 1);
     assert_eq!(line, FileError::NotFound("no.take".into()).to_string());
     let line = folder.refuses(&["recover", "jump.csv", "-o", "new.take"], 1);
-    assert_tells(&line, &["jump.csv", &NotATake::OtherMagic.to_string()]);
-    // Half of a header is none.
+    assert_mentions(&line, &["jump.csv", &NotATake::OtherMagic.to_string()]);
+    // Half a header cannot be recovered.
     let take = folder.read("jump.take");
     folder.write("head.take", &take[..60]);
     let line = folder.refuses(&["recover", "head.take", "-o", "new.take"], 1);
-    assert_tells(&line, &["head.take", &NotATake::HeaderCut.to_string()]);
-    // Nor is one of which two bytes are wrong; a recovery does not send people to a recovery.
+    assert_mentions(&line, &["head.take", &NotATake::HeaderCut.to_string()]);
+    // Nor can one with two wrong bytes; `recover` does not recommend itself.
     let mut bad = take.clone();
     bad[40] ^= 0x20;
     bad[50] ^= 0x20;
     folder.write("bad.take", &bad);
     let line = folder.refuses(&["recover", "bad.take", "-o", "new.take"], 1);
-    assert_tells(&line, &["bad.take", &NotATake::HeaderLost.to_string()]);
+    assert_mentions(&line, &["bad.take", &NotATake::HeaderLost.to_string()]);
     for line in [folder.refuses(&["info", "head.take"], 1), line] {
         assert!(!line.contains("mocapd recover"), "{line}");
     }
 }
 
 #[test]
-fn a_wrong_byte_of_the_header_is_put_right() {
+fn a_wrong_byte_of_the_header_is_corrected() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &jump(2, 60.0, 1.0));
     folder.run(&["import", "jump.csv", "-o", "jump.take", "--lossless"]).with_code(0);
@@ -108,7 +108,7 @@ fn a_wrong_byte_of_the_header_is_put_right() {
     take[40] ^= 0x20;
     folder.write("bad.take", &take);
     let line = folder.refuses(&["info", "bad.take"], 1);
-    assert_tells(&line, &["bad.take", &NotATake::HeaderDamaged.to_string(), "mocapd recover"]);
+    assert_mentions(&line, &["bad.take", &NotATake::HeaderDamaged.to_string(), "mocapd recover"]);
     let ran = folder.run(&["recover", "bad.take", "-o", "new.take"]).with_code(0);
     assert_eq!(ran.stderr, format!("mocapd: bad.take: {}\n", Problem::HeaderByte(40)));
     folder.run(&["verify", "new.take", "--against", "jump.csv"]).with_code(0);

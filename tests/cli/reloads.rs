@@ -1,4 +1,4 @@
-//! What a running service does with another configuration, for every key that the table says is taken over at once.
+//! Reloading the configuration of a running service, for every key that the table says applies at once.
 
 use std::{
     collections::BTreeSet,
@@ -7,24 +7,24 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_service::config::{When, keys::KEYS};
+use mocapd_service::config::{ReloadPolicy, keys::KEYS};
 use mocapd_simulator::generator::JumpSpec;
 
 use super::{Folder, devices::Simulated, service::Service};
 
-/// Longer than anything here takes on the slowest machine.
+/// Longer than any step takes on the slowest machine.
 const GIVE_UP: Duration = Duration::from_secs(30);
 
-/// How long is waited for what must not happen.
+/// How long to wait for something that must not happen.
 const QUIET: Duration = Duration::from_millis(300);
 
 struct Scene {
     folder: Folder,
     service: Service,
     http: SocketAddr,
-    /// Where triggers are heard.
+    /// The address of the trigger listener.
     triggers: SocketAddr,
-    /// Another program, which sends triggers and is told of ours.
+    /// Another program, which sends triggers and receives ours.
     peer: UdpSocket,
     takes: u32,
 }
@@ -50,7 +50,7 @@ impl Scene {
         self.service.wait_until("the end", |status| status["state"] == "armed");
     }
 
-    /// Whether a start that comes over the network, and asks for a delay, begins a take.
+    /// Whether a start trigger with a delay, from the network, starts a take.
     fn is_triggered(&mut self, delay_ms: u32) -> bool {
         let name = self.next_take();
         let datagram = format!(
@@ -71,18 +71,18 @@ impl Scene {
         false
     }
 
-    /// What the peer is told of a take.
+    /// What the peer receives about a take.
     fn announced(&mut self) -> String {
         self.start();
         self.stop();
-        let (mut told, mut bytes) = (String::new(), [0; 4096]);
+        let (mut received, mut bytes) = (String::new(), [0; 4096]);
         while let Ok(n) = self.peer.recv(&mut bytes) {
-            told += &String::from_utf8_lossy(&bytes[..n]);
+            received += &String::from_utf8_lossy(&bytes[..n]);
         }
-        told
+        received
     }
 
-    /// The status of an answer to whoever calls the service `name`.
+    /// The HTTP status of a request with the host name `name`.
     fn called(&self, name: &str) -> String {
         let mut stream = TcpStream::connect(self.http).unwrap();
         write!(stream, "GET /v1/status HTTP/1.1\r\nhost: {name}\r\nconnection: close\r\n\r\n")
@@ -93,7 +93,7 @@ impl Scene {
     }
 }
 
-/// A key with another value, and whether the service does as it says. Each begins with all other keys as they were.
+/// A key with another value, and a check that the service applies it. All other keys keep their values.
 struct Row {
     key: &'static str,
     value: String,
@@ -156,12 +156,12 @@ fn config(base: &str, row: &Row, has_value: bool) -> String {
 }
 
 #[test]
-fn what_the_table_says_is_taken_over_at_once_is() {
+fn keys_that_apply_at_once_do() {
     let free = || UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let (triggers, peer) = (free(), UdpSocket::bind("127.0.0.1:0").unwrap());
     peer.set_read_timeout(Some(QUIET)).unwrap();
     let rows = rows(triggers, peer.local_addr().unwrap());
-    let at_once = KEYS.iter().filter(|key| key.when == When::Now).map(|key| key.path);
+    let at_once = KEYS.iter().filter(|key| key.when == ReloadPolicy::Now).map(|key| key.path);
     let tried: BTreeSet<_> = rows.iter().map(|row| row.key).collect();
     assert_eq!(tried, at_once.collect(), "each key that is taken over at once has a row here");
 
@@ -182,8 +182,8 @@ fn what_the_table_says_is_taken_over_at_once_is() {
             scene.service.reload(&scene.folder, &config(&base, row, has_value));
             let begun = Instant::now();
             while (row.is_so)(&mut scene) != has_value {
-                let words = if has_value { "is not taken over" } else { "does nothing" };
-                assert!(begun.elapsed() < GIVE_UP, "{} {words}", row.key);
+                let effect = if has_value { "is not taken over" } else { "does nothing" };
+                assert!(begun.elapsed() < GIVE_UP, "{} {effect}", row.key);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! `mocapd run` as the program it is, with a simulated device, asked over its socket.
+//! `mocapd run` as a program, with a simulated device, controlled over its socket.
 
 use std::{
     io::{Read, Write},
@@ -12,10 +12,10 @@ use serde_json::Value;
 
 use super::{Folder, devices::Simulated};
 
-/// Longer than anything here takes on the slowest machine.
+/// Longer than any step takes on the slowest machine.
 const GIVE_UP: Duration = Duration::from_secs(60);
 
-/// A service whose takes lie in `takes`, until it is dropped.
+/// A running service with its takes in `takes`, stopped when dropped.
 pub(crate) struct Service {
     child: Child,
     socket: std::path::PathBuf,
@@ -35,7 +35,7 @@ impl Service {
         Self::run(folder, &config, shell)
     }
 
-    /// The same with a whole configuration, whose socket is `rig.sock` in the folder.
+    /// Starts a service with a given configuration, whose socket is `rig.sock` in the folder.
     pub(crate) fn run(folder: &Folder, config: &str, shell: &str) -> Self {
         folder.write("rig.toml", config);
         let child = Command::new("sh")
@@ -56,13 +56,13 @@ impl Service {
         self.child.id()
     }
 
-    /// Has it read another configuration.
+    /// Makes the service read another configuration.
     pub(crate) fn reload(&self, folder: &Folder, config: &str) {
         folder.write("rig.toml", config);
         kill_process(Pid::from_child(&self.child), Signal::HUP).unwrap();
     }
 
-    /// Status and document of an answer; `None` where nobody answers.
+    /// Status and document of a response; `None` without a connection.
     fn ask(&self, head: &str, body: &str) -> Option<(u16, Value)> {
         let mut stream = UnixStream::connect(&self.socket).ok()?;
         let length = body.len();

@@ -1,4 +1,4 @@
-//! `study`, and the errors of derivatives that `verify` tells.
+//! `study`, and the derivative errors of `verify`.
 
 use mocapd_acquire::files::{FileError, NameTaken};
 use mocapd_report::phases::NoJump;
@@ -6,7 +6,7 @@ use mocapd_simulator::generator::JumpSpec;
 use serde_json::Value;
 
 use super::Folder;
-use crate::support::{assert_tells, jump};
+use crate::support::{assert_mentions, jump};
 
 /// One generated trial at 60 Hz, without gaps.
 fn folder() -> Folder {
@@ -48,7 +48,7 @@ fn the_figures_are_those_of_info() {
         let knots: u64 =
             info["channels"].as_array().unwrap().iter().map(|c| c["knots"].as_u64().unwrap()).sum();
         assert_eq!(whole["kept"], knots);
-        // An import also says its file's name, its warnings and its id.
+        // An import also stores the name of its file, its warnings and its id.
         let (here, there) =
             (whole["file_bytes"].as_u64().unwrap(), info["file_bytes"].as_u64().unwrap());
         assert!(here.abs_diff(there) < 200, "{here} {there}");
@@ -65,18 +65,18 @@ fn the_figures_are_those_of_info() {
 }
 
 #[test]
-fn its_folder_has_tables_figures_and_phases_that_can_be_given_back() {
+fn its_folder_has_tables_figures_and_reusable_phases() {
     let folder = folder();
     let args = ["study", "jump.c3d", "--tolerances", "10mm", "--exhaustive", "0"];
-    let words = folder.run(&[&args[..], &["--out", "out"]].concat()).with_code(0).stdout;
-    assert_eq!(folder.text("out/study.md"), words);
+    let printed = folder.run(&[&args[..], &["--out", "out"]].concat()).with_code(0).stdout;
+    assert_eq!(folder.text("out/study.md"), printed);
     for name in
         ["study.csv", "trials.csv", "sr2-by-phase.svg", "figure-2-take-off.svg", "figure-3.svg"]
     {
         assert!(folder.read(&format!("out/{name}")).len() > 500, "{name}");
     }
     let with = [&args[..], &["--phases", "out/phases.csv", "--threads", "2"]].concat();
-    assert_eq!(folder.run(&with).with_code(0).stdout, words, "the same phases, the same tables");
+    assert_eq!(folder.run(&with).with_code(0).stdout, printed, "the same phases, the same tables");
     let exists = NameTaken { path: "out".into() }.to_string();
     assert_eq!(folder.refuses(&[&args[..], &["--out", "out"]].concat(), 1), exists);
 
@@ -84,33 +84,33 @@ fn its_folder_has_tables_figures_and_phases_that_can_be_given_back() {
     let few = [&args[..], &["--phases", "few.csv", "--json"]].concat();
     let few = folder.run(&few).with_code(0).json();
     assert_eq!(few["takes"][0]["phases"][0]["first_frame"], 300);
-    assert_eq!(few["claims"][0]["holds"], Value::Null, "without a take-off nothing can be told");
+    assert_eq!(few["claims"][0]["holds"], Value::Null, "undecided without a take-off");
 }
 
 #[test]
-fn what_cannot_be_studied_says_why() {
+fn invalid_studies_are_refused() {
     let folder = folder();
     folder.write("bad.csv", "file,phase,first_frame\nother.c3d,walking,3\n");
     let refused = folder.refuses(&["study", "jump.c3d", "--phases", "bad.csv"], 2);
-    assert_tells(&refused, &["other.c3d"]);
+    assert_mentions(&refused, &["other.c3d"]);
     folder.write("bad.csv", "file,phase,first_frame\njump.c3d,diving,3\n");
     let refused = folder.refuses(&["study", "jump.c3d", "--phases", "bad.csv"], 2);
-    assert_tells(&refused, &["bad.csv", "line 2", "diving", "walking"]);
+    assert_mentions(&refused, &["bad.csv", "line 2", "diving", "walking"]);
     let absent = FileError::NotFound("none.c3d".into()).to_string();
     assert_eq!(folder.refuses(&["study", "none.c3d"], 1), absent);
     let refused = folder.refuses(&["study", "jump.c3d", "--cutoff", "0"], 2);
-    assert_tells(&refused, &["--cutoff", "0", "6Hz"]);
+    assert_mentions(&refused, &["--cutoff", "0", "6Hz"]);
     let refused = folder.refuses(&["study", "jump.c3d", "--tolerances", "1mm,0"], 2);
-    assert_tells(&refused, &["--tolerances", "0", "--lossless"]);
-    // Standing still is no jump: it is said, and the whole is studied.
+    assert_mentions(&refused, &["--tolerances", "0", "--lossless"]);
+    // Without a jump the take is studied as a whole, with a warning.
     folder.write_motion("still.csv", &jump(1, 60.0, 0.8));
     let still = folder.run(&["study", "still.csv", "--tolerances", "10mm"]).with_code(0);
-    assert_tells(&still.stderr, &["still.csv", &NoJump::NeverInFlight.to_string()]);
+    assert_mentions(&still.stderr, &["still.csv", &NoJump::NeverInFlight.to_string()]);
     assert!(still.stdout.contains("| 10 mm |"), "{}", still.stdout);
 }
 
 #[test]
-fn verify_tells_what_a_tolerance_does_to_derivatives() {
+fn verify_reports_the_errors_of_derivatives() {
     let folder = folder();
     let rms = |tolerance: &str| {
         let take = format!("{tolerance}.take");
@@ -119,7 +119,7 @@ fn verify_tells_what_a_tolerance_does_to_derivatives() {
         let found = folder.run(&verify).with_code(0).json();
         assert_eq!(found["derivatives"]["markers"].as_array().unwrap().len(), 15);
         let all = &found["derivatives"]["all"];
-        // The motion's own is the same whatever the tolerance is.
+        // The velocity of the original does not depend on the tolerance.
         assert!(
             (3000.0..15000.0).contains(&all["original_velocity_max_mm_s"].as_f64().unwrap()),
             "{all}"
@@ -129,11 +129,11 @@ fn verify_tells_what_a_tolerance_does_to_derivatives() {
     let [fine, coarse] = [rms("0.1mm"), rms("5mm")];
     assert!(fine[0] > 0.0 && fine[0] < 2.0 && coarse[0] > 5.0 * fine[0], "{fine:?} {coarse:?}");
     assert!(coarse[1] > 5.0 * fine[1], "{fine:?} {coarse:?}");
-    let words = folder.run(&["verify", "5mm.take", "--against", "jump.c3d", "--cutoff", "6Hz"]);
-    assert_tells(&words.with_code(0).stdout, &["mm/s^2"]);
+    let printed = folder.run(&["verify", "5mm.take", "--against", "jump.c3d", "--cutoff", "6Hz"]);
+    assert_mentions(&printed.with_code(0).stdout, &["mm/s^2"]);
     let refused =
         folder.refuses(&["verify", "5mm.take", "--against", "jump.c3d", "--cutoff", "30Hz"], 2);
-    assert_tells(&refused, &["30 Hz", "60 Hz"]);
+    assert_mentions(&refused, &["30 Hz", "60 Hz"]);
     let refused = folder.refuses(&["verify", "5mm.take", "--cutoff", "6Hz"], 2);
-    assert_tells(&refused, &["--against"]);
+    assert_mentions(&refused, &["--against"]);
 }

@@ -1,4 +1,4 @@
-//! Who is captured: carried by takes, shown, drawn, and held against what was recorded.
+//! Subjects: stored in takes, shown, plotted, and compared with the recording.
 
 use std::fmt::Write;
 
@@ -13,19 +13,20 @@ use mocapd_testkit::recorded::RecordedData;
 use serde_json::Value;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, places, tells};
+use crate::support::{assert_mentions, jump, mentions, places};
 
 pub(super) const FACE: &str = r#"{"format":"mocapd-face","version":1,"method":"default","source":{"name":"a.jpg","sha256":"7f"},"vertices_mm":[[0,0,0],[9,0,0],[0,9,0]],
 "lines":[[0,1],[1,2]],"features":{"nose":0}}"#;
 
-/// Which marker sits where on it.
+/// The mapping of markers to the face.
 pub(super) const MARKERS: &str = r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"head","at":"nose"},{"label":"throat","at":2}]}"#;
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {
     (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// The bones of a motion of 15 sites as a scan would have them: their median lengths, each off by a few per cent.
+/// The skeleton of a motion of 15 sites as a scan would give it: median bone lengths, each with an error of a few per
+/// cent.
 pub(crate) fn skeleton(motion: &Motion) -> String {
     let mut joints = String::new();
     for site in SITES {
@@ -70,7 +71,7 @@ fn import(folder: &Folder, take: &str, more: &[&str]) {
 }
 
 #[test]
-fn imports_carry_it_and_info_shows_it() {
+fn imports_store_the_subject_and_info_shows_it() {
     let folder = folder(&jump(2, 60.0, 2.0));
     import(&folder, "with.take", &SUBJECT);
     import(&folder, "again.take", &SUBJECT);
@@ -81,9 +82,9 @@ fn imports_carry_it_and_info_shows_it() {
     assert_eq!(kinds, [types::HEADER, types::SUBJECT]);
     let without = folder.read("without.take");
     assert!(places(&without).iter().all(|place| place.0 != types::SUBJECT));
-    // Another subject is another import: the ids differ, which stand in the first 60 bytes.
+    // Another subject makes it another import, with another id in the first 60 bytes.
     assert!(with[..60] != without[..60]);
-    // The motion is the same, and so is what else reads it.
+    // The motion is the same.
     folder.run(&["verify", "with.take", "--against", "without.take"]).with_code(0);
 
     let info = folder.run(&["info", "with.take", "--json"]).with_code(0).json();
@@ -95,23 +96,23 @@ fn imports_carry_it_and_info_shows_it() {
     assert_eq!(subject["face"]["vertices"], 3);
     assert_eq!(subject["documents"][1]["bytes"], FACE.len());
     assert!(info["bytes"]["subject"].as_u64().unwrap() > 300);
-    let words = folder.run(&["info", "with.take"]).with_code(0).stdout;
+    let printed = folder.run(&["info", "with.take"]).with_code(0).stdout;
     let facts = ["S 01", "1712 mm", "15 joints", "14 bones", "SHA-256 00ab", "3 vertices"];
-    assert_tells(&words, &facts);
+    assert_mentions(&printed, &facts);
     assert_eq!(folder.run(&["info", "without.take", "--json"]).json()["subject"], Value::Null);
 
-    // It outlives damage elsewhere.
+    // The subject survives damage elsewhere in the take.
     let mut hurt = with.clone();
     let last = hurt.len() - 60;
     hurt[last] ^= 1;
     folder.write("hurt.take", &hurt);
-    folder.run(&["recover", "hurt.take", "-o", "mended.take"]);
-    let mended = folder.run(&["info", "mended.take", "--json"]).json();
-    assert_eq!(mended["subject"], *subject);
+    folder.run(&["recover", "hurt.take", "-o", "recovered.take"]);
+    let recovered = folder.run(&["info", "recovered.take", "--json"]).json();
+    assert_eq!(recovered["subject"], *subject);
 }
 
 #[test]
-fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
+fn invalid_documents_are_refused_before_anything_is_written() {
     let folder = folder(&jump(2, 60.0, 1.0));
     folder.write("large.json", vec![b' '; (1 << 20) + 1]);
     let refused = |more: &[&str]| {
@@ -120,30 +121,30 @@ fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
     let absent = FileError::NotFound("none.json".into()).to_string();
     assert_eq!(refused(&["--skeleton", "none.json"]), absent);
     let no_skeleton = ["f.json", "mocapd-skeleton", "mocapd subject body -o"];
-    assert_tells(&refused(&["--skeleton", "f.json"]), &no_skeleton);
+    assert_mentions(&refused(&["--skeleton", "f.json"]), &no_skeleton);
     let facts = ["jump.csv", "JSON", "mocapd-face", "mocapd subject face -o", "line 1"];
-    assert_tells(&refused(&["--face", "jump.csv"]), &facts);
+    assert_mentions(&refused(&["--face", "jump.csv"]), &facts);
     let facts = ["jump.csv", "line 1", "mocapd-face-mapping", "singing-face-mapping.json"];
-    assert_tells(&refused(&["--face", "f.json", "--face-markers", "jump.csv"]), &facts);
+    assert_mentions(&refused(&["--face", "f.json", "--face-markers", "jump.csv"]), &facts);
     folder.run(&["import", "jump.csv", "-o", "a.take"]).with_code(0);
     folder.write("scan.ply", b"ply\nformat binary_little_endian 1.0\n\xff\xfe");
     let drawn = |with: &str| {
         let args = ["plot", "pose", "a.take", "-o", "p.svg", "--skeleton", with];
         let why = folder.run(&args).stderr;
         assert!(!folder.path("p.svg").exists());
-        assert_tells(&why, &[with, "mocapd subject body -o"]);
+        assert_mentions(&why, &[with, "mocapd subject body -o"]);
     };
     ["f.json", "scan.ply", "jump.csv"].into_iter().for_each(drawn);
-    assert_tells(&refused(&["--face", "large.json"]), &["large.json", "1048576 bytes"]);
+    assert_mentions(&refused(&["--face", "large.json"]), &["large.json", "1048576 bytes"]);
     let long = "S".repeat(129);
     folder.refuses(&["import", "jump.csv", "-o", "new.take", "--subject", &long], 2);
-    // Nor is a device opened for it.
+    // No device is opened either.
     let args = ["record", "-d", "serial:/dev/none", "-o", "new.take", "--skeleton", "f.json"];
-    assert_tells(&folder.refuses(&args, 1), &no_skeleton);
+    assert_mentions(&folder.refuses(&args, 1), &no_skeleton);
 }
 
 #[test]
-fn recordings_carry_it() {
+fn recordings_store_the_subject() {
     let folder = folder(&jump(3, 120.0, 2.0));
     let device = Simulated::of(jump(3, 120.0, 1.0));
     let uri = device.uri();
@@ -160,7 +161,7 @@ fn recordings_carry_it() {
 }
 
 #[test]
-fn recordings_of_other_markers_tell_so_when_they_begin() {
+fn recordings_of_other_markers_begin_with_a_warning() {
     let motion = jump(3, 120.0, 0.5);
     let folder = folder(&motion);
     let of = |motion: Motion, take: &str| {
@@ -171,7 +172,7 @@ fn recordings_of_other_markers_tell_so_when_they_begin() {
     assert_eq!(of(motion.clone(), "same.take"), "");
     let mut other = motion;
     other.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
-    assert_tells(&of(other, "other.take"), &["skeleton"]);
+    assert_mentions(&of(other, "other.take"), &["skeleton"]);
 }
 
 #[test]
@@ -190,17 +191,17 @@ fn a_pose_has_the_skeletons_bones_and_their_lengths() {
     };
     let (own, _) = drawn(&["with.take"]);
     let (by_file, _) = drawn(&["without.take", "--skeleton", "s.json"]);
-    let (plain, said) = drawn(&["without.take"]);
-    assert!(!said.contains("face"), "{said}");
-    // A face without a mapping is none that can be drawn: what names one is said.
-    let (_, said) = drawn(&["with.take"]);
-    assert_tells(&said, &["--face-markers", "singing-face-mapping.json"]);
+    let (plain, message) = drawn(&["without.take"]);
+    assert!(!message.contains("face"), "{message}");
+    // A face without a mapping cannot be drawn: the message says how to give one.
+    let (_, message) = drawn(&["with.take"]);
+    assert_mentions(&message, &["--face-markers", "singing-face-mapping.json"]);
     let lines = |svg: &str| svg.matches("<polyline").count() + svg.matches("<line").count();
     assert_eq!(lines(&own), lines(&by_file));
     for name in ["to_l_elbow", "to_r_ankle", "to_head"] {
         assert!(own.contains(name) && by_file.contains(name) && !plain.contains(name), "{name}");
     }
-    // A skeleton of somebody else is red, in every bone and every row of the table.
+    // With the skeleton of another person every bone and every row of the table is red.
     let grown = skeleton(&motion).replace("\"length_mm\":", "\"length_mm\":9");
     folder.write("grown.json", grown);
     let red = |svg: &str| svg.matches("#D55E00").count();
@@ -209,8 +210,8 @@ fn a_pose_has_the_skeletons_bones_and_their_lengths() {
 }
 
 #[test]
-fn a_pose_has_the_face_from_in_front() {
-    // The face looks along -y of the take, whose x points to its right; nothing says which way is up.
+fn a_pose_shows_the_face_from_the_front() {
+    // The face looks along -y of the take, whose x points to its right; the up axis is unknown.
     let folder = Folder::new();
     folder.write(
         "f.json",
@@ -241,18 +242,18 @@ fn a_pose_has_the_face_from_in_front() {
     let subject = ["--face", "f.json", "--face-markers", "few.json"];
     folder.run(&[&["import", "a.csv", "-o", "few.take"], &subject[..]].concat()).with_code(0);
     let ran = folder.run(&["plot", "pose", "few.take", "-o", "few.svg"]).with_code(0);
-    assert_tells(&ran.stderr, &["face", "--face-markers"]);
+    assert_mentions(&ran.stderr, &["face", "--face-markers"]);
     let exported = folder.run(&["export", "a.take", "-o", "a.trc"]).with_code(0);
-    assert_tells(&exported.stderr, &["a.trc", "face", "face-markers"]);
+    assert_mentions(&exported.stderr, &["a.trc", "face", "face-markers"]);
     folder.write("five.json", folder.text("m.json").replace("]}", r#",{"label":"chin","at":3}]}"#));
     let subject = ["--face", "f.json", "--face-markers", "five.json"];
     let ran = folder.run(&[&["import", "a.csv", "-o", "five.take"], &subject[..]].concat());
-    assert_tells(&ran.with_code(0).stderr, &["a.csv", "4", "5"]);
+    assert_mentions(&ran.with_code(0).stderr, &["a.csv", "4", "5"]);
     folder.write("nowhere.json", folder.text("m.json").replace("\"at\":3", "\"at\":\"snout\""));
     let subject = ["--face", "f.json", "--face-markers", "nowhere.json"];
     let ran = folder.run(&[&["import", "a.csv", "-o", "no.take"], &subject[..]].concat());
     let why = &ran.with_code(1).stderr;
-    assert_tells(why, &["nowhere.json", "nose", "snout"]);
+    assert_mentions(why, &["nowhere.json", "nose", "snout"]);
     let svg = roxmltree::Document::parse(&svg).unwrap();
     let lines = svg.descendants().filter(|node| node.has_tag_name("polyline")).count();
     assert!(lines >= 5, "four of the face and the floor: {lines}");
@@ -270,16 +271,16 @@ fn without_a_skeleton_or_joints_verify_says_what_to_do() {
     let folder = folder(&jump(4, 60.0, 1.0));
     import(&folder, "without.take", &[]);
     let why = folder.refuses(&["verify", "without.take", "--skeleton"], 2);
-    assert_tells(&why, &["without.take", "--skeleton"]);
+    assert_mentions(&why, &["without.take", "--skeleton"]);
     let mut motion = jump(4, 60.0, 1.0);
     motion.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
     folder.write_motion("unnamed.csv", &motion);
     folder.run(&["import", "unnamed.csv", "-o", "unnamed.take"]).with_code(0);
     let why = folder.refuses(&["verify", "unnamed.take", "--skeleton", "s.json"], 1);
-    assert_tells(&why, &SITES);
+    assert_mentions(&why, &SITES);
 }
 
-/// Jumps of many styles at rates of rigs, walking and swinging arms: no frame of them is a swap.
+/// Jumps of many styles at typical rates, with walking and swinging arms: no frame is a swap.
 #[test]
 fn generated_jumps_have_no_swaps() {
     let folder = Folder::new();
@@ -298,7 +299,7 @@ fn generated_jumps_have_no_swaps() {
 }
 
 #[test]
-fn swaps_in_a_take_are_told_with_their_markers_and_times() {
+fn swaps_in_a_take_are_reported_with_their_markers_and_times() {
     let (rate_hz, n_swaps) = (120.0, 20);
     let spec = JumpSpec { seconds: Some(24.0), ..JumpSpec::new(7, rate_hz) };
     let clean = spec.generate().unwrap().motion;
@@ -339,13 +340,13 @@ fn swaps_in_a_take_are_told_with_their_markers_and_times() {
         assert!((from_s - from as f64 / rate_hz).abs() < 1e-6, "{swap}");
     }
     eprintln!("{} of {n_swaps} swaps found, {exact} to the frame", found.len());
-    // Left and right hip of a body that stands are as far from both knees: such a swap shows in no limb.
+    // The hips of a standing body are equally far from both knees: no limb reveals such a swap.
     assert!(found.len() >= n_swaps - 3 && exact >= n_swaps - 5, "{found:#?}");
-    let words = folder.run(&["verify", "swapped.take", "--skeleton"]).with_code(3).stdout;
-    assert_eq!(words.matches("SWAPPED: ").count(), found.len(), "{words}");
+    let printed = folder.run(&["verify", "swapped.take", "--skeleton"]).with_code(3).stdout;
+    assert_eq!(printed.matches("SWAPPED: ").count(), found.len(), "{printed}");
 }
 
-/// The simulator's own fault, over a line and through the recorder.
+/// The simulator's fault `swaps`, recorded over a line.
 #[test]
 fn swaps_of_a_device_are_found() {
     let script = "seed = 3\n[[fault]]\nkind = \"swaps\"\nevery_s = 0.5\nfor_s = 0.2\n";
@@ -358,11 +359,11 @@ fn swaps_of_a_device_are_found() {
     folder.run(&args).with_code(0);
     let ran = folder.run(&["verify", "live.take", "--skeleton", "--json"]).with_code(3);
     let n = ran.json()["limbs"]["swaps"].as_array().unwrap().len();
-    // Eight were made, of any two markers.
+    // The script made eight swaps of any two markers.
     assert!((5..=8).contains(&n), "{n}: {}", ran.stdout);
 }
 
-/// Recorded jumps, if there are any: measured bodies bend and bounce, and are no swaps.
+/// Recorded jumps, if available: real bodies bend and bounce without looking like swaps.
 #[test]
 fn recorded_jumps_have_no_swaps() {
     let Some(takes) = RecordedData::Takes.folder() else { return };
@@ -377,7 +378,7 @@ fn recorded_jumps_have_no_swaps() {
         let bytes = std::fs::read(&path).unwrap();
         let motion = mocapd_take::interchange::Format::Csv.read(&bytes).unwrap();
         let take = format!("{name}.take");
-        // What these files call the throat is the neck, and what they have is in another order.
+        // These files call the throat neck, and have another marker order.
         folder.write("s.json", skeleton(&in_order(&motion)));
         folder.run(&["import", path.to_str().unwrap(), "-o", &take]).with_code(0);
         let ran = folder.run(&["verify", &take, "--skeleton", "s.json", "--json"]).with_code(0);
@@ -390,7 +391,7 @@ fn recorded_jumps_have_no_swaps() {
     assert!(n > 0, "MOCAPD_TAKES has no cmu_*.csv");
 }
 
-/// The same with its markers in the order of [`SITES`].
+/// The motion with its markers in the order of [`SITES`].
 fn in_order(motion: &Motion) -> Motion {
     let column = |site: &&str| {
         let name = if *site == "throat" { "neck" } else { site };
@@ -405,7 +406,7 @@ fn in_order(motion: &Motion) -> Motion {
 }
 
 #[test]
-fn a_skeleton_and_a_face_of_other_markers_are_told() {
+fn a_skeleton_and_a_face_of_other_markers_get_a_warning() {
     let folder = Folder::new();
     let motion = jump(1, 60.0, 0.5);
     folder.write("s.json", skeleton(&motion));
@@ -415,13 +416,13 @@ fn a_skeleton_and_a_face_of_other_markers_are_told() {
     let with = ["--skeleton", "s.json", "--face", "f.json", "--face-markers", "m.json"];
     let ran =
         folder.run(&[&["import", "jump.csv", "-o", "a.take"], &with[..]].concat()).with_code(0);
-    assert!(!tells(&ran.stderr, "skeleton"), "{}", ran.stderr);
-    assert_tells(&ran.stderr, &["jump.csv", "face", "1", "2", "4"]);
+    assert!(!mentions(&ran.stderr, "skeleton"), "{}", ran.stderr);
+    assert_mentions(&ran.stderr, &["jump.csv", "face", "1", "2", "4"]);
 
     let text = String::from_utf8(folder.read("jump.csv")).unwrap();
     let strange =
         SITES.iter().fold(text, |text, site| text.replace(site, &format!("x{}", site.len())));
     folder.write("strange.csv", strange);
     let ran = folder.run(&["import", "strange.csv", "-o", "b.take", "--skeleton", "s.json"]);
-    assert_tells(&ran.with_code(0).stderr, &["strange.csv", "skeleton"]);
+    assert_mentions(&ran.with_code(0).stderr, &["strange.csv", "skeleton"]);
 }

@@ -14,9 +14,9 @@ use mocapd_simulator::{
 use mocapd_take::motion::Motion;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
-/// A device that has trouble so long after it was first asked for something.
+/// A device whose trouble begins some time after its first command.
 struct Troubled<D> {
     device: D,
     trouble: Option<Trouble<D>>,
@@ -24,11 +24,11 @@ struct Troubled<D> {
 }
 
 enum Trouble<D> {
-    /// It does nothing for a while.
+    /// It stalls.
     Stalls(Duration),
-    /// It is reset as by a break.
+    /// It is reset, as by a break.
     IsReset,
-    /// From then on it is this one.
+    /// It is replaced by this device.
     IsAnother(Box<D>),
 }
 
@@ -58,7 +58,7 @@ impl<D: LineDevice> LineDevice for Troubled<D> {
             Some(Trouble::IsReset) => self.device.on_break(now_ns),
             Some(Trouble::IsAnother(other)) => self.device = *other,
         }
-        // Looked at often enough for the trouble to come in time.
+        // Polled often enough for the trouble to begin in time.
         self.device.poll(now_ns).min(now_ns + 10_000_000)
     }
 
@@ -91,7 +91,7 @@ impl<D: LineDevice> LineDevice for Troubled<D> {
     }
 }
 
-/// Records for `seconds`: the ledger closes, the take is as long as it lasted, and has frames to its end.
+/// Records for `seconds`: the ledger closes, the take has that length, and frames to its end.
 fn recorded(device: &Simulated, driver: &str, seconds: f64) -> serde_json::Value {
     let folder = Folder::new();
     let uri = format!("{}{driver}", device.uri());
@@ -115,14 +115,14 @@ fn recorded(device: &Simulated, driver: &str, seconds: f64) -> serde_json::Value
     info
 }
 
-/// The device was away once, and an event tells how many frames that cost.
+/// The device was away once, and an event states the missing frames.
 #[track_caller]
 fn assert_away_once(info: &serde_json::Value) {
     assert_eq!(info["outages"]["count"], 1, "{info}");
     let n_lost = info["outages"]["frames"].to_string();
     let mut events = info["events"].as_array().unwrap().iter();
     let is_told = |event: &serde_json::Value| {
-        event["kind"] == "host" && tells(event["text"].as_str().unwrap(), &n_lost)
+        event["kind"] == "host" && mentions(event["text"].as_str().unwrap(), &n_lost)
     };
     assert!(events.any(is_told), "{n_lost} frames: {}", info["events"]);
 }
@@ -162,7 +162,8 @@ fn a_device_that_loses_its_power_behind_a_line_that_stays_is_started_again() {
     assert_away_once(&recorded(&device, "", 16.0));
 }
 
-/// Frames that a line loses are no reason to start the device over and over: it is asked seldom, and the take keeps time.
+/// Frames lost on the line do not restart the device over and over: it is started rarely, and the take keeps
+/// time.
 #[test]
 fn a_line_that_loses_every_frame_for_long_costs_those_frames_and_a_start() {
     let text = "seed = 1\n[[fault]]\nkind = \"lost-frames\"\nrate = 1\nfrom_s = 1\nto_s = 13\n";
@@ -181,7 +182,7 @@ fn a_line_that_loses_every_frame_for_long_costs_those_frames_and_a_start() {
     assert_away_once(&info);
 }
 
-/// A device on a line that spoils the end of its stream, and so many of the reports that it gives when it is asked.
+/// A device on a line that damages the end of its stream, and a number of its reports.
 struct Spoilt {
     device: Device,
     reader: HostLink,
@@ -216,7 +217,7 @@ impl Spoilt {
             });
             let spoils_report = is_report && self.has_ended && self.reports > 0;
             self.has_run |= is_frame;
-            // Not what answers a Stop, before the run or after it: whether that is read, and counted, is luck.
+            // Replies to a Stop are exempt: whether they are read and counted depends on timing.
             let spoils_end = is_end && self.has_run && !self.has_ended;
             if spoils_end || spoils_report {
                 self.has_ended = true;
@@ -263,9 +264,9 @@ impl LineDevice for Spoilt {
     }
 }
 
-/// It is not played again: a host that hears nothing asks, and hears that all of the motion was sent.
+/// A silent host asks, and learns that the whole motion was sent; it is not played again.
 #[test]
-fn a_stream_whose_end_is_lost_ends_all_the_same() {
+fn a_stream_ends_even_if_its_end_is_lost() {
     std::thread::scope(|scope| {
         for reports in [0, 1] {
             scope.spawn(move || {
@@ -283,10 +284,10 @@ fn a_stream_whose_end_is_lost_ends_all_the_same() {
                 assert_eq!(info["outages"]["count"], 0, "{info}");
                 let event = &info["events"][0];
                 assert_eq!(event["kind"], "host", "{info}");
-                // Whoever records it is told the same.
+                // The recorder is notified as well.
                 let event = event["text"].as_str().unwrap();
-                assert_tells(event, &["end of the stream"]);
-                assert_tells(&ran.stderr, &[event]);
+                assert_mentions(event, &["end of the stream"]);
+                assert_mentions(&ran.stderr, &[event]);
             });
         }
     });

@@ -1,4 +1,4 @@
-//! The program run by somebody who may not do everything: root may.
+//! The program run without root's privileges.
 
 use std::{
     fs::{Permissions, set_permissions},
@@ -10,13 +10,13 @@ use std::{
 use super::Folder;
 
 /// Makes commands that run the program in `folder` without root's rights; `None`, with the reason printed,
-/// where that cannot be had.
+/// if that is impossible.
 #[expect(clippy::print_stderr, reason = "a test that is skipped says why")]
 pub(super) fn command_in(folder: &Folder) -> Option<impl Fn(&[&str]) -> Command> {
     let is_root = rustix::process::geteuid().is_root();
     let folder = folder.path("");
     if is_root {
-        // Others must reach the folder and create files in it.
+        // Other users must be able to create files in the folder.
         set_permissions(&folder, Permissions::from_mode(0o777)).unwrap();
     }
     let command = move |args: &[&str]| {
@@ -36,7 +36,7 @@ pub(super) fn command_in(folder: &Folder) -> Option<impl Fn(&[&str]) -> Command>
     None
 }
 
-/// Takes every right to a file or folder away from everybody but root.
+/// Removes all permissions of a file or folder.
 pub(super) fn forbid(path: &Path) {
     set_permissions(path, Permissions::from_mode(0o000)).unwrap();
 }

@@ -1,19 +1,19 @@
-//! `verify` of takes that are whole, and say of themselves what is not so.
+//! `verify` of intact takes whose statements about themselves are wrong.
 
 use mocapd_take::{
-    chunk::{self, Front, types},
+    chunk::{self, ChunkParse, types},
     index::{Footer, parse_index},
     record::{Clock, Ledger, Record},
 };
 
 use super::{Folder, devices::Simulated};
-use crate::support::{assert_tells, jump, tells};
+use crate::support::{assert_mentions, jump, mentions};
 
-/// A take again, with the payloads of the last chunk of `kind` changed and its checksum good.
+/// A copy of a take with the payload of the last chunk of `kind` changed, and valid checksums.
 pub(super) fn changed(take: &[u8], kind: u8, change: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let mut chunks = Vec::new();
     let mut rest = &take[chunk::MAGIC.len()..];
-    while let Front::Whole { kind, payload, len } = chunk::front(rest) {
+    while let ChunkParse::Whole { kind, payload, len } = chunk::parse(rest) {
         chunks.push((kind, payload));
         rest = &rest[len..];
     }
@@ -65,9 +65,9 @@ fn a_take_that_contradicts_itself_fails() {
         mocapd_take::index::index_payload(&entries)
     });
     let present = ok["samples"].as_u64().unwrap();
-    let (present_told, present) = ((present + 7).to_string(), present.to_string());
+    let (present_stated, present) = ((present + 7).to_string(), present.to_string());
     for (take, facts) in [
-        // They still close: only what is in the take tells.
+        // These ledgers still close; only the contents of the take reveal them.
         (
             ledger(|ledger| {
                 ledger.recorded -= 1;
@@ -80,7 +80,7 @@ fn a_take_that_contradicts_itself_fails() {
                 ledger.samples_present += 7;
                 ledger.samples_occluded -= 7;
             }),
-            [present_told.as_str(), present.as_str()],
+            [present_stated.as_str(), present.as_str()],
         ),
         (
             ledger(|ledger| {
@@ -101,22 +101,22 @@ fn a_take_that_contradicts_itself_fails() {
         assert_eq!(report["intact"], true, "{report}");
         let is_of_clocks = facts == ["us", "ppm"];
         assert_eq!(report["clock"]["agrees"], !is_of_clocks, "{report}");
-        let told: Vec<String> = serde_json::from_value(report["contradictions"].clone()).unwrap();
-        let tells_all = |told: &String| facts.iter().all(|fact| tells(told, fact));
-        assert!(told.iter().any(tells_all), "{facts:?}: {told:?}");
-        assert_tells(&ran.stderr, &["bad.take", &told[0]]);
+        let found: Vec<String> = serde_json::from_value(report["contradictions"].clone()).unwrap();
+        let tells_all = |found: &String| facts.iter().all(|fact| mentions(found, fact));
+        assert!(found.iter().any(tells_all), "{facts:?}: {found:?}");
+        assert_mentions(&ran.stderr, &["bad.take", &found[0]]);
     }
 }
 
 #[test]
-fn what_is_lost_is_no_difference_and_what_is_wrong_is() {
+fn lost_frames_are_no_difference_and_wrong_samples_are() {
     let folder = Folder::new();
     let motion = jump(1, 30.0, 30.0);
     folder.write_motion("jump.csv", &motion);
     folder.run(&["import", "jump.csv", "-o", "jump.take", "--tolerance", "1mm"]).with_code(0);
     let take = folder.read("jump.take");
 
-    // A stretch of ten seconds less, or the end: data is missing, and what is there is right.
+    // Without one stretch of ten seconds, or without the end: data is missing, but the rest is correct.
     let mut hurt = take.clone();
     hurt[take.len() / 2] ^= 1;
     folder.write("hurt.take", &hurt);
@@ -129,7 +129,7 @@ fn what_is_lost_is_no_difference_and_what_is_wrong_is() {
         assert_eq!(report["against"]["frames"], 600, "{report}");
         assert_eq!(report["against"]["beyond_stated"], 0, "{report}");
     }
-    // The same of what is recovered from them.
+    // The takes recovered from them are correct as well.
     for (name, lost) in [("hurt.take", 300), ("cut.take", 0)] {
         folder.run(&["recover", name, "-o", "new.take"]).with_code(3);
         let report = folder.run(&["verify", "new.take", "--json"]).json();
@@ -137,7 +137,7 @@ fn what_is_lost_is_no_difference_and_what_is_wrong_is() {
         assert_eq!(report["markers"][0]["frames_damaged"], lost, "{report}");
         std::fs::remove_file(folder.path("new.take")).unwrap();
     }
-    // An original that is a little elsewhere, within the tolerance but not within what the blocks state.
+    // An original that is displaced within the tolerance, but beyond the bounds stated by the blocks.
     let mut moved = motion;
     for position in &mut moved.positions_mm {
         position[0] += 0.9;
@@ -146,7 +146,7 @@ fn what_is_lost_is_no_difference_and_what_is_wrong_is() {
     let ran = folder.run(&["verify", "jump.take", "--against", "moved.csv", "--json"]).with_code(1);
     let against = &ran.json()["against"];
     assert!(against["beyond_stated"].as_u64().unwrap() > 0, "{against}");
-    // Of a take that is not exact nobody can tell.
+    // A lossy original does not allow this check.
     folder.run(&["import", "jump.csv", "-o", "other.take", "--tolerance", "2mm"]).with_code(0);
     let verify = ["verify", "jump.take", "--against", "other.take", "--json"];
     let other = folder.run(&verify).json();

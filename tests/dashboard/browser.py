@@ -1,4 +1,4 @@
-"""A browser to test with: Debian's chromium, alone, with a profile that is thrown away."""
+"""A browser for the tests: Debian's chromium, headless, with a temporary profile."""
 
 import base64
 import json
@@ -63,19 +63,19 @@ class Browser:
     def click(self, name):
         self.js("document.getElementById(arguments[0]).click()", name)
 
-    def type(self, name, words):
-        """As a person does it: into the field, in place of what stands there."""
+    def type(self, name, text):
+        """Replaces the text of a field, by key presses."""
         field = self.driver.find_element("id", name)
         field.clear()
-        field.send_keys(words)
+        field.send_keys(text)
 
     def keys(self, keys):
-        """To whatever has the focus: nothing has."""
+        """Presses keys while no element has the focus."""
         self.js("document.activeElement?.blur()")
         ActionChains(self.driver).send_keys(keys).perform()
 
     def wait(self, what, condition, seconds=8.0):
-        """Until it is so; `condition` is a function, or a script that returns something true."""
+        """Waits until `condition`, a function or a script, returns a true value, and returns that value."""
         until = time.monotonic() + seconds
         while True:
             found = condition() if callable(condition) else self.js(condition)
@@ -89,18 +89,18 @@ class Browser:
         self.wait(f"state {state} (it is {self.state()}; {self.text('answer')})", lambda: self.state() == state, seconds)
 
     def picture(self, name, whole=False):
-        """What is seen, kept for people to look at."""
+        """Saves a screenshot."""
         data = self.devtools("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
         path = self.pictures / f"{name}.png"
         path.write_bytes(base64.b64decode(data))
         return path
 
-    def complaints(self):
-        """What the browser complained about since it was asked last: errors of scripts, broken rules of CSP."""
-        said = [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
-        return [words for words in said if "favicon.ico" not in words]
+    def errors(self):
+        """Errors that the browser logged since the last call: scripts, and violations of the CSP."""
+        errors = [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+        return [message for message in errors if "favicon.ico" not in message]
 
     def json(self, url):
-        """An answer of the service as the page would get it."""
+        """A JSON response of the service, fetched by the page."""
         return json.loads(self.driver.execute_async_script(
             "const done = arguments[1]; fetch(arguments[0]).then((r) => r.text()).then(done)", url))

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""The dashboard in a real browser: against the mock, and against the daemon with a simulated device.
+"""Tests the dashboard in a real browser: against the mock, and against the daemon with a simulated device.
 
     tests/dashboard/check.py                               # the page alone
     tests/dashboard/check.py --mocapd target/release/mocapd --mocapd-sim target/release/mocapd-sim
-    tests/dashboard/check.py --only phone                  # a part of a check's name
+    tests/dashboard/check.py --only phone                  # checks whose name contains this
 
-Needs requirements.txt, and Debian's chromium with chromium-driver. Pictures go to the folder of `--pictures`. The last
-line says how many checks passed and failed.
+Needs requirements.txt, and Debian's chromium with chromium-driver. Screenshots go to the folder of `--pictures`. The
+last line counts the checks that passed and failed.
 """
 
 import argparse
@@ -27,13 +27,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--chromium", default=shutil.which("chromium"))
     parser.add_argument("--chromedriver", default=shutil.which("chromedriver"))
-    parser.add_argument("--pictures", type=Path, help="folder for what was seen; without it they are thrown away")
+    parser.add_argument("--pictures", type=Path, help="folder for the screenshots; without it they are discarded")
     parser.add_argument("--mocapd", type=Path, help="the daemon; without it only the page is tested")
     parser.add_argument("--mocapd-sim", type=Path, help="the simulated device")
-    parser.add_argument("--drawn-subject", type=Path, help="what the example drawn_subject of mocapd-testkit wrote")
-    parser.add_argument("--takes", type=Path, help="recorded takes; without them there is no face with markers on it")
-    parser.add_argument("--picture", type=Path, help="write the picture of the documentation there")
-    parser.add_argument("--only", default="", help="checks whose name has this in it")
+    parser.add_argument("--drawn-subject", type=Path, help="folder of the example drawn_subject of mocapd-testkit")
+    parser.add_argument("--takes", type=Path, help="folder of recorded takes; without it no face is checked")
+    parser.add_argument("--picture", type=Path, help="write the screenshot of the documentation to this file")
+    parser.add_argument("--only", default="", help="run only the checks whose name contains this")
     args = parser.parse_args()
     if not args.chromium or not args.chromedriver:
         parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
@@ -46,10 +46,10 @@ def main():
             checks += checks_subject.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(),
                                             args.drawn_subject.resolve(), args.takes)
     passed, failed = 0, 0
-    with tempfile.TemporaryDirectory(prefix="mocapd-dashboard-") as folder:
-        pictures, downloads = args.pictures or Path(folder) / "pictures", Path(folder) / "downloads"
-        for place in (pictures, downloads):
-            place.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="mocapd-dashboard-") as temporary:
+        pictures, downloads = args.pictures or Path(temporary) / "pictures", Path(temporary) / "downloads"
+        for folder in (pictures, downloads):
+            folder.mkdir(parents=True, exist_ok=True)
         browser = Browser(args.chromium, args.chromedriver, pictures.resolve(), downloads.resolve())
         browser.media(prefers_color_scheme="dark")
         try:
@@ -57,14 +57,14 @@ def main():
                 if args.only not in name:
                     continue
                 began = time.monotonic()
-                # What the page before said when its service was stopped.
+                # Drop the messages of the previous page, whose service was stopped.
                 browser.open("about:blank")
-                browser.complaints()
+                browser.errors()
                 try:
-                    check(browser, lambda words: print(f"    {words}", flush=True))
+                    check(browser, lambda text: print(f"    {text}", flush=True))
                     passed += 1
                     print(f"ok      {name} ({time.monotonic() - began:.1f} s)", flush=True)
-                except Exception:  # One that fails must not hide the others.
+                except Exception:  # A failed check must not hide the others.
                     failed += 1
                     traceback.print_exc()
                     browser.picture(f"failed-{failed}")

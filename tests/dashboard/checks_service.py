@@ -12,21 +12,21 @@ import time
 import urllib.request
 from pathlib import Path
 
-#: What the page has to keep up with.
+#: The load of the page: markers and frame rate.
 MARKERS, RATE_HZ = 200, 120
-#: What the simulated device plays.
+#: The motion of the simulated device.
 JUMPS = ("--generate", "jump:3", "--seconds", "60", "--markers", MARKERS, "--rate", RATE_HZ, "--occlusion", "0.03")
-#: Shown some thirty times a second; a frame now and then may come a refresh later.
+#: The page draws some thirty frames per second; a frame may be a refresh late.
 DRAWN_HZ_MIN = 27
-#: From a frame's last byte at the host to the script in the browser.
+#: From a frame's last byte at the host to the script in the browser, ms.
 LATENCY_P95_MS_MAX = 100
-#: Threads that stand between a device and the disk.
+#: Threads between the device and the disk.
 DATA_PLANE = ("mocapd-rig", "mocapd-work", "mocapd-write")
 
 
 class Rig:
-    """A simulated device and the service that records it, in a folder of their own. `motion` is what the device is told
-    to play, `subject` what stands in the service's [subject]."""
+    """A simulated device and the service that records it, in a temporary folder. `motion` holds the arguments of the
+    simulator, `subject` the [subject] section of the service's configuration."""
 
     def __init__(self, mocapd, mocapd_sim, token=None, motion=JUMPS, subject=None):
         self.mocapd, self.folder = mocapd, Path(tempfile.mkdtemp(prefix="rig-"))
@@ -61,26 +61,26 @@ listen = "127.0.0.1:{port}"
             with config.open("a") as more:
                 more.write(f'token_file = "{secret}"\n')
         if subject:
-            # A JSON string is one of TOML, too.
+            # A JSON string is a TOML string, too.
             lines = [f"{key} = {json.dumps(str(value))}\n" for key, value in subject.items()]
             with config.open("a") as more:
                 more.write("".join(["[subject]\n", *lines]))
         self.config, self.url = config, f"http://127.0.0.1:{port}/"
         until = time.monotonic() + 20
         while not line.exists():
-            assert time.monotonic() < until, self.words()
+            assert time.monotonic() < until, self.logs()
             time.sleep(0.05)
-        self.again()
+        self.start_service()
 
-    def again(self):
-        """Starts the service, and waits until it answers."""
+    def start_service(self):
+        """Starts the service and waits until it answers."""
         self.service = self._run([self.mocapd, "run", "--config", self.config], "service")
         until = time.monotonic() + 20
         while True:
             try:
                 return urllib.request.urlopen(f"{self.url}healthz", timeout=2).close()
             except OSError:
-                assert time.monotonic() < until and self.service.poll() is None, self.words()
+                assert time.monotonic() < until and self.service.poll() is None, self.logs()
                 time.sleep(0.05)
 
     def _run(self, command, name):
@@ -90,8 +90,8 @@ listen = "127.0.0.1:{port}"
         self.running.callback(process.kill)
         return process
 
-    def words(self):
-        """What both said, for a check that failed."""
+    def logs(self):
+        """The logs of both programs, for a failed check."""
         return "".join(path.read_text(errors="replace")[-2000:] for path in sorted(self.folder.glob("*.log")))
 
     def close(self):
@@ -99,7 +99,7 @@ listen = "127.0.0.1:{port}"
         shutil.rmtree(self.folder)
 
     def cpu(self, seconds):
-        """Parts of one processor that the data plane and the rest took meanwhile."""
+        """CPU use of the data plane and of the other threads over `seconds`, in cores."""
         before, began = self._cpu_s(), time.monotonic()
         time.sleep(seconds)
         after, took = self._cpu_s(), time.monotonic() - began
@@ -108,7 +108,7 @@ listen = "127.0.0.1:{port}"
         return plane, sum(shares.values()) - plane
 
     def _cpu_s(self):
-        """By thread, from /proc."""
+        """CPU time in seconds by thread name, from /proc."""
         found = {}
         for task in Path(f"/proc/{self.service.pid}/task").iterdir():
             with contextlib.suppress(OSError):
@@ -119,13 +119,13 @@ listen = "127.0.0.1:{port}"
 
 
 def checks(mocapd, mocapd_sim, picture):
-    """What the check program runs, each with its name."""
+    """The checks, each with its name."""
     return [("the daemon: a take from the first click to its verification",
              lambda browser, log: a_take(browser, log, mocapd, mocapd_sim, picture)),
-            ("the daemon: killed, it is missed at once, and found again when it is back",
+            ("the daemon: killed, the page shows it at once, and reconnects when it is back",
              lambda browser, log: killed(browser, log, mocapd, mocapd_sim)),
-            ("the daemon: its token lets the page in, at the door and when a session has ended",
-             lambda browser, _log: let_in(browser, mocapd, mocapd_sim))]
+            ("the daemon: login with the token, on the login page and when a session has ended",
+             lambda browser, _log: login(browser, mocapd, mocapd_sim))]
 
 
 def a_take(browser, log, mocapd, mocapd_sim, picture):
@@ -135,22 +135,22 @@ def a_take(browser, log, mocapd, mocapd_sim, picture):
         browser.wait_state("armed", 20)
         browser.wait("frames", lambda: browser.stats()["frames"] > 30)
         assert browser.stats()["markers"] == MARKERS, browser.stats()
-        look = "return document.getElementById('view').toDataURL()"
-        before = browser.js(look)
-        browser.wait("markers that move", lambda: browser.js(look) != before)
+        image = "return document.getElementById('view').toDataURL()"
+        before = browser.js(image)
+        browser.wait("moving markers", lambda: browser.js(image) != before)
         browser.type("name", "jump-001")
         browser.type("notes", "barefoot")
         browser.keys("r")
         browser.wait("the first frame on disk", lambda: "Its first frame is on disk" in browser.text("answer"), 15)
         browser.wait_state("recording")
-        watched(browser, log, rig)
+        with_viewer(browser, log, rig)
         if picture:
             shutil.move(browser.picture("dashboard"), picture)
         browser.type("mark-text", "heel strike")
         browser.keys("m")
-        browser.wait("the mark's row", lambda: browser.text("answer").startswith("Done: Marked at row"))
+        browser.wait("the row of the mark", lambda: browser.text("answer").startswith("Done: Marked at row"))
         browser.wait("its event", "return document.getElementById('events').textContent.includes('heel strike')")
-        browser.wait("figures of the take", lambda: "closes" in browser.text("tile-ledger"))
+        browser.wait("metrics of the take", lambda: "closes" in browser.text("tile-ledger"))
         browser.picture("daemon-recording")
         browser.keys("s")
         browser.wait("the ledger on disk", lambda: "jump-001 is on disk" in browser.text("answer"), 15)
@@ -158,44 +158,44 @@ def a_take(browser, log, mocapd, mocapd_sim, picture):
         assert "no frame lost, the ledger closes" in browser.text("answer"), browser.text("answer")
         browser.wait_state("armed")
         downloaded(browser, rig)
-        assert browser.complaints() == []
-        unwatched(browser, log, rig)
+        assert browser.errors() == []
+        without_viewer(browser, log, rig)
     except AssertionError as error:
-        raise AssertionError(f"{error}\n{rig.words()}") from error
+        raise AssertionError(f"{error}\n{rig.logs()}") from error
     finally:
         browser.open("about:blank")
         rig.close()
 
 
-def watched(browser, log, rig):
-    """Frames and their latency, while somebody looks and a take is written. Others may use the machine for a while: it
-    counts what it can do once in three times."""
-    # Not those from before the take, when all threads were beginning.
+def with_viewer(browser, log, rig):
+    """Frame rate and latency in the browser while a take is recorded. Other programs may load the machine for a while:
+    one of three measurements must pass."""
+    # Skip the start of the take, when all threads were starting.
     time.sleep(2)
     for last in (False, False, True):
-        plane, rest = rig.cpu(8)
+        plane, others = rig.cpu(8)
         stats = browser.stats()
-        log(f"{MARKERS} markers: {stats['received_hz']:.1f} frames/s came, {stats['drawn_hz']:.1f} were drawn; from the "
+        log(f"{MARKERS} markers: {stats['received_hz']:.1f} frames/s received, {stats['drawn_hz']:.1f} drawn; from the "
             f"last byte to the browser {stats['latency_p50_ms']:.1f} ms (p50), {stats['latency_p95_ms']:.1f} ms (p95), to "
             f"the screen {stats['drawn_p95_ms']:.1f} ms (p95)")
-        log(f"with a viewer: data plane {100 * plane:.1f} % of a processor, the rest {100 * rest:.1f} %")
+        log(f"with a viewer: data plane {100 * plane:.1f} % of a core, other threads {100 * others:.1f} %")
         if stats["drawn_hz"] >= DRAWN_HZ_MIN and stats["latency_p95_ms"] < LATENCY_P95_MS_MAX:
             return
         assert not last, stats
 
 
-def unwatched(browser, log, rig):
-    """The same service without a viewer."""
+def without_viewer(browser, log, rig):
+    """CPU use of the same service without a viewer."""
     browser.keys("r")
     browser.wait_state("recording", 15)
     browser.open("about:blank")
     time.sleep(2)
-    plane, rest = rig.cpu(8)
-    log(f"without one: data plane {100 * plane:.1f} % of a processor, the rest {100 * rest:.1f} %")
+    plane, others = rig.cpu(8)
+    log(f"without a viewer: data plane {100 * plane:.1f} % of a core, other threads {100 * others:.1f} %")
 
 
 def downloaded(browser, rig):
-    """The take as the browser gets it is the one on disk, and is what it says; and the page finds so, too."""
+    """The downloaded take equals the one on disk, and passes `mocapd verify` and the verification of the page."""
     row = "document.querySelector('[data-take=\"jump-001\"]')"
     browser.wait("the take in the list", f"return {row}")
     browser.js(f"{row}.querySelector('a').click()")
@@ -204,10 +204,10 @@ def downloaded(browser, rig):
     original = rig.takes / "jump-001.take"
     digest = [hashlib.sha256(path.read_bytes()).digest() for path in (original, file)]
     assert digest[0] == digest[1], f"{file.stat().st_size} of {original.stat().st_size} bytes"
-    said = subprocess.run([rig.mocapd, "verify", file], capture_output=True, text=True, check=False)
-    assert said.returncode == 0, said.stdout + said.stderr
+    verified = subprocess.run([rig.mocapd, "verify", file], capture_output=True, text=True, check=False)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
     browser.js(f"{row}.querySelector('button').click()")
-    browser.wait("what the check found", f"return {row}.textContent.includes('Verified: complete')", 20)
+    browser.wait("the result of the verification", f"return {row}.textContent.includes('Verified: complete')", 20)
     assert "heel strike" in subprocess.run([rig.mocapd, "info", "--json", file], capture_output=True, text=True, check=True).stdout
 
 
@@ -220,10 +220,10 @@ def killed(browser, log, mocapd, mocapd_sim):
         began = time.monotonic()
         rig.service.kill()
         browser.wait_state("lost", 6)
-        log(f"missed after {time.monotonic() - began:.1f} s")
+        log(f"noticed after {time.monotonic() - began:.1f} s")
         assert browser.text("timer") == "" and browser.text("tile-rate").startswith("Frame rate–")
         before = browser.stats()["frames"]
-        rig.again()
+        rig.start_service()
         browser.wait_state("armed", 20)
         browser.wait("frames again", lambda: browser.stats()["frames"] > before + 30)
     finally:
@@ -231,30 +231,30 @@ def killed(browser, log, mocapd, mocapd_sim):
         rig.close()
 
 
-def let_in(browser, mocapd, mocapd_sim):
+def login(browser, mocapd, mocapd_sim):
     token = "0123456789abcdef"
     rig = Rig(mocapd, mocapd_sim, token)
     try:
         browser.open(rig.url)
         assert browser.driver.current_url.endswith("/login"), browser.driver.current_url
-        assert browser.complaints() == []
+        assert browser.errors() == []
         browser.picture("daemon-login")
-        # A wrong one brings the form again.
+        # A wrong token shows the form again.
         browser.driver.find_element("name", "token").send_keys("0123456789abcdee\n")
         alert = "return document.querySelector('form [role=alert]')?.textContent"
-        assert browser.wait("that it is wrong", alert) == "Wrong token."
+        assert browser.wait("the message", alert) == "Wrong token."
         browser.picture("daemon-login-wrong")
-        browser.complaints()
+        browser.errors()
         browser.driver.find_element("name", "token").send_keys(f"{token}\n")
         browser.wait_state("armed", 20)
         browser.driver.delete_all_cookies()
-        browser.wait("the question", "return document.getElementById('login').open")
+        browser.wait("the dialog", "return document.getElementById('login').open")
         browser.type("token", "0123456789abcdee\n")
-        browser.wait("that it is wrong", lambda: browser.text("login-answer") == "Wrong token.")
+        browser.wait("the message", lambda: browser.text("login-answer") == "Wrong token.")
         browser.type("token", f"{token}\n")
-        browser.wait("no question", "return !document.getElementById('login').open")
+        browser.wait("the dialog to close", "return !document.getElementById('login').open")
         browser.wait_state("armed")
-        browser.complaints()
+        browser.errors()
     finally:
         browser.open("about:blank")
         rig.close()

@@ -1,4 +1,4 @@
-// Every text that is seen, with its contrast to what lies behind it, where that is less than WCAG 2 AA asks for.
+// The visible texts whose contrast with their background is below WCAG 2 AA, with that contrast.
 const luminance = ([r, g, b]) => [r, g, b].map((value) => {
   const part = value / 255;
   return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""The service's HTTP API without a rig: for work on the page, and for its tests. Plain Python, nothing to install.
+"""A mock of the service's HTTP API, for work on the page and for its tests. Plain Python, nothing to install.
 
     tests/dashboard/mock.py                                # http://127.0.0.1:8820, 200 markers, armed
     tests/dashboard/mock.py --scenario lossy --markers 39
-    tests/dashboard/mock.py --token secret                 # asks who is there
+    tests/dashboard/mock.py --token secret                 # requires a login
 
-`POST /mock` with JSON sets what goes wrong (see FAULTS in mock_rig.py) or the state (`{"fail": "why"}`).
+`POST /mock` with JSON sets faults (see FAULTS in mock_rig.py) or the state (`{"fail": "reason"}`).
 """
 
 import argparse
@@ -23,7 +23,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 from mock_rig import FAULTS, Refused, Rig
 
 HERE = Path(__file__).resolve().parent
-#: What is served, by the folder that the path names: the page, and the tests of its modules.
+#: The folders served, by path: the page, and the tests of its modules.
 FOLDERS = {"/": HERE.parents[1] / "web", "/units/": HERE / "units"}
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8",
          ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml", ".png": "image/png"}
@@ -42,11 +42,11 @@ class Handler(BaseHTTPRequestHandler):
         pass
 
     def handle(self):
-        """A browser that goes away in the middle is no error."""
+        """Ignores a browser that disconnects."""
         with contextlib.suppress(ConnectionError):
             super().handle()
 
-    def answer(self, code, body, kind="application/json", extra=()):
+    def reply(self, code, body, kind="application/json", extra=()):
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         self.send_response(code)
         for name, value in (("Content-Type", kind), ("Content-Length", str(len(data))), ("Cache-Control", "no-store"),
@@ -55,40 +55,40 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(data)
 
-    def is_known(self):
+    def is_authorized(self):
         return self.token is None or f"mocapd_session={self.rig.cookie}" in self.headers.get("Cookie", "")
 
     def do_GET(self):
         url = urlsplit(self.path)
         if url.path == "/login":
-            return self.answer(200, LOGIN, "text/html; charset=utf-8")
-        if not self.is_known() and "text/html" in self.headers.get("Accept", ""):
-            return self.answer(303, b"", extra=[("Location", "/login")])
+            return self.reply(200, LOGIN, "text/html; charset=utf-8")
+        if not self.is_authorized() and "text/html" in self.headers.get("Accept", ""):
+            return self.reply(303, b"", extra=[("Location", "/login")])
         if not url.path.startswith("/v1/"):
             folder, _, name = url.path.rpartition("/")
             file = FOLDERS.get(folder + "/", HERE / "nowhere") / (name or "index.html")
             if file.is_file():
-                return self.answer(200, file.read_bytes(), TYPES.get(file.suffix, "application/octet-stream"))
-            return self.answer(404, {"kind": "not_found", "message": f"there is no {url.path}"})
-        if not self.is_known():
-            return self.answer(401, {"kind": "unauthorized", "message": "who is there? log in with the token"})
+                return self.reply(200, file.read_bytes(), TYPES.get(file.suffix, "application/octet-stream"))
+            return self.reply(404, {"kind": "not_found", "message": f"there is no {url.path}"})
+        if not self.is_authorized():
+            return self.reply(401, {"kind": "unauthorized", "message": "no valid session or token: log in"})
         if url.path == "/v1/live":
             return self.live()
         if url.path == "/v1/events":
             return self.events()
         with self.rig.lock:
             if url.path == "/v1/status":
-                return self.answer(200, self.rig.status())
+                return self.reply(200, self.rig.status())
             if url.path == "/v1/quality":
-                return self.answer(200, self.rig.quality())
+                return self.reply(200, self.rig.quality())
             if url.path == "/v1/takes":
                 limit = int(parse_qs(url.query).get("limit", ["50"])[0])
-                return self.answer(200, self.rig.takes[:limit])
+                return self.reply(200, self.rig.takes[:limit])
         if url.path.startswith("/v1/takes/") and url.path.endswith("/download"):
             name = unquote(url.path.split("/")[3])
-            return self.answer(200, b"mock take\n", "application/octet-stream",
+            return self.reply(200, b"mock take\n", "application/octet-stream",
                                [("Content-Disposition", f'attachment; filename="{name}.take"')])
-        return self.answer(404, {"kind": "not_found", "message": f"there is no {url.path}"})
+        return self.reply(404, {"kind": "not_found", "message": f"there is no {url.path}"})
 
     def do_POST(self):
         data = self.rfile.read(int(self.headers.get("Content-Length") or 0))
@@ -103,24 +103,24 @@ class Handler(BaseHTTPRequestHandler):
                 if body.pop("log_out", False):
                     rig.cookie = secrets.token_hex(8)
                 rig.set_faults({key: value for key, value in body.items() if key in FAULTS})
-            return self.answer(200, {})
-        if not self.is_known():
-            return self.answer(401, {"kind": "unauthorized", "message": "who is there? log in with the token"})
+            return self.reply(200, {})
+        if not self.is_authorized():
+            return self.reply(401, {"kind": "unauthorized", "message": "no valid session or token: log in"})
         time.sleep(rig.faults["delay_s"])
         with rig.lock:
             key = body.get("request_id")
-            if key not in rig.answers:
-                rig.answers[key] = self.carry_out(path, body)
-            if rig.faults["lose_answers"] > 0:
-                rig.faults["lose_answers"] -= 1
-                return self.cut_answer()
-            code, answer = rig.answers[key]
+            if key not in rig.replies:
+                rig.replies[key] = self.execute(path, body)
+            if rig.faults["lose_responses"] > 0:
+                rig.faults["lose_responses"] -= 1
+                return self.truncate_reply()
+            code, answer = rig.replies[key]
             if answer.get("kind") == "unavailable":
-                del rig.answers[key]
-            return self.answer(code, answer)
+                del rig.replies[key]
+            return self.reply(code, answer)
 
-    def cut_answer(self):
-        """One that breaks off. Where nothing at all comes back, browsers ask again by themselves."""
+    def truncate_reply(self):
+        """Sends a truncated response: without any response browsers repeat the request by themselves."""
         self.send_response(200)
         self.send_header("Content-Length", "1000")
         self.end_headers()
@@ -128,11 +128,11 @@ class Handler(BaseHTTPRequestHandler):
 
     def login(self, token):
         if token != self.token:
-            return self.answer(401, {"kind": "unauthorized", "message": "wrong token"})
+            return self.reply(401, {"kind": "unauthorized", "message": "wrong token"})
         cookie = f"mocapd_session={self.rig.cookie}; Path=/; HttpOnly; SameSite=Strict"
-        return self.answer(303, b"", extra=[("Set-Cookie", cookie), ("Location", "/")])
+        return self.reply(303, b"", extra=[("Set-Cookie", cookie), ("Location", "/")])
 
-    def carry_out(self, path, body):
+    def execute(self, path, body):
         rig = self.rig
         calls = {"/v1/arm": rig.arm, "/v1/disarm": rig.disarm, "/v1/start": rig.start, "/v1/stop": rig.stop,
                  "/v1/mark": rig.mark, "/v1/save-last": rig.save_last}
@@ -197,7 +197,7 @@ class Handler(BaseHTTPRequestHandler):
             pass
 
     def events(self):
-        """As the service does it: ids are `RUN-NUMBER`, and one of another run is told as `missed`."""
+        """Events as the service sends them: ids are `RUN-NUMBER`; an id of another run leads to `missed`."""
         rig, started = self.rig, time.time()
         run, _, number = self.headers.get("Last-Event-ID", "").rpartition("-")
         seen = int(number) if number and run == rig.session else 0
@@ -221,11 +221,11 @@ class Handler(BaseHTTPRequestHandler):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--port", type=int, default=8820, help="0: one that is free")
+    parser.add_argument("--port", type=int, default=8820, help="0: any free port")
     parser.add_argument("--markers", type=int, default=200)
     parser.add_argument("--rate", type=float, default=120.0)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--token", help="asked for before anything is told")
+    parser.add_argument("--token", help="require this token")
     parser.add_argument("--scenario", default="armed",
                         choices=["idle", "armed", "recording", "lossy", "absent", "silent", "armed-absent", "recording-absent", "failed"])
     args = parser.parse_args()

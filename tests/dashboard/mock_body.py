@@ -1,6 +1,6 @@
 """A body that walks in a circle, for the mock: a function of the seed and the time, in plain Python.
 
-It only has to look like somebody; the generator of mocapd-sim is the one that is measured with.
+It only has to look like a person; measurements use the generator of mocapd-sim.
 """
 
 import math
@@ -16,36 +16,36 @@ SEGMENTS = [("trunk", 2, 1, 130), ("l_thigh", 9, 10, 75), ("r_thigh", 12, 13, 75
 
 
 class Body:
-    """`n` markers: the 15 sites, then clusters on the segments, then strays that nobody labelled."""
+    """`n` markers: the 15 sites, then clusters on the segments, then unlabelled strays."""
 
     def __init__(self, n, seed, strays=0):
         draw = random.Random(seed)
         self.labels = SITES[:n]
-        self.stuck = []
+        self.clusters = []
         for i in range(max(0, n - len(SITES) - strays)):
             name, a, b, radius = SEGMENTS[i % len(SEGMENTS)]
             self.labels.append(f"{name}_{i // len(SEGMENTS) + 1}")
-            self.stuck.append((a, b, radius, draw.uniform(0.1, 0.9), draw.uniform(0, 2 * math.pi)))
+            self.clusters.append((a, b, radius, draw.uniform(0.1, 0.9), draw.uniform(0, 2 * math.pi)))
         n_known = len(self.labels)
         self.labels += [f"u{slot + 1:03}" for slot in range(n_known, n)]
         self.labelled = [slot < n_known for slot in range(n)]
         self.strays = [(draw.uniform(-1500, 1500), draw.uniform(-1500, 1500), draw.uniform(20, 1900))
                        for _ in range(n - n_known)]
         self.bones = [bone for bone in BONES if max(bone) < n]
-        # Some markers are worse seen than others: when and how long each vanishes.
-        self.habits = [(draw.uniform(4, 30), draw.uniform(0, 30), draw.choice([0, 0, 0, 0.15, 0.4, 1.2, 2.5]))
+        # Some markers are occluded more often: period, phase and duration of the occlusions of each.
+        self.occlusions = [(draw.uniform(4, 30), draw.uniform(0, 30), draw.choice([0, 0, 0, 0.15, 0.4, 1.2, 2.5]))
                        for _ in range(n)]
         self.noise = draw
 
-    def seen(self, slot, t):
-        period, phase, gap = self.habits[slot]
+    def is_visible(self, slot, t):
+        period, phase, gap = self.occlusions[slot]
         return (t + phase) % period >= gap
 
     def positions(self, t):
-        """Millimetres by slot, z up, or None where the marker is not seen."""
+        """Positions by slot in millimetres, z up; None if occluded."""
         sites = _pose(t)[:len(self.labels)]
         out = list(sites)
-        for a, b, radius, along, turn in self.stuck:
+        for a, b, radius, along, turn in self.clusters:
             (ax, ay, az), (bx, by, bz) = sites[a], sites[b]
             heading = 0.35 * t
             side, front = radius * math.cos(turn), radius * math.sin(turn)
@@ -53,13 +53,13 @@ class Body:
                         ay + (by - ay) * along + front * math.sin(heading) + side * math.cos(heading),
                         az + (bz - az) * along))
         out += [(x + 30 * math.sin(t + x), y + 30 * math.cos(t + y), z) for x, y, z in self.strays]
-        shake = self.noise.gauss
-        return [(x + shake(0, .1), y + shake(0, .1), z + shake(0, .1)) if self.seen(slot, t) else None
+        jitter = self.noise.gauss
+        return [(x + jitter(0, .1), y + jitter(0, .1), z + jitter(0, .1)) if self.is_visible(slot, t) else None
                 for slot, (x, y, z) in enumerate(out)]
 
 
 def _pose(t):
-    """The sites of a walk round the middle of the room, two steps a second and a bit."""
+    """The sites of a body walking round the centre of the room, at slightly under two steps per second."""
     step = 2 * math.pi * 0.9 * t
     heading = 0.35 * t + math.pi / 2
     forward = (math.cos(heading), math.sin(heading))

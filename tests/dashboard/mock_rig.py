@@ -1,4 +1,4 @@
-"""What the mock knows: states, takes, events and figures that move as a service's would. Nothing is recorded."""
+"""The state of the mock: takes, events and metrics that change as those of a service. Nothing is recorded."""
 
 import random
 import secrets
@@ -8,10 +8,10 @@ import uuid
 
 from mock_body import Body
 
-#: What can be set: `lose_answers` carries out so many orders and closes the connection; `cut_streams` ends the streams
-#: that were begun before that time.
+#: Faults: `lose_responses` executes that many commands without a response; `cut_streams` ends the streams opened before
+#: that time.
 FAULTS = {"presence": "streaming", "obstacle": None, "lossy": False, "frozen": False, "delay_s": 0.0, "refuse": None,
-          "free_bytes": 412_000_000_000, "lose_answers": 0, "cut_streams": 0.0}
+          "free_bytes": 412_000_000_000, "lose_responses": 0, "cut_streams": 0.0}
 
 
 class Refused(Exception):
@@ -29,11 +29,11 @@ class Rig:
         self.body = Body(markers, seed, strays=markers // 12)
         self.draw = random.Random(seed)
         self.state, self.failure, self.armed_at, self.take = "idle", None, None, None
-        self.lost, self.causes, self.outages, self.last_look = 0, [0, 0, 0, 0], 0, time.time()
+        self.lost, self.causes, self.outages, self.last_step = 0, [0, 0, 0, 0], 0, time.time()
         self.faults = dict(FAULTS)
         self.gone_at, self.missed_s = None, 0.0
         self.session, self.cookie = secrets.token_hex(4), secrets.token_hex(8)
-        self.events, self.answers = [], {}
+        self.events, self.replies = [], {}
         now = int(time.time() * 1000)
         self.takes = [self._take(f"jump-{n:03}", now - (6 - n) * 420_000, 8.4 + 3 * n, health) for n, health in
                       [(5, "unknown"), (4, "complete"), (3, "lossy"), (2, "cut off"), (1, "complete")]]
@@ -50,18 +50,18 @@ class Rig:
             self.disarm()
             self.faults.update(presence="absent", obstacle="/dev/ttyUSB0 does not exist: is the device plugged in?")
         elif scenario == "failed":
-            self.fail("the disk failed while jump-006 was written (EIO): the take holds 41.5 s; "
-                      "look at the disk, then arm again")
+            self.fail("the disk failed while jump-006 was written (EIO): the take contains 41.5 s; "
+                      "check the disk, then arm again")
         elif scenario in ("recording", "recording-absent"):
             self.start({"name": "jump-006"})
         if scenario in ("armed-absent", "recording-absent"):
             self.set_faults({"presence": "absent", "obstacle":
-                             "the device is away: plug it in or switch it on, and it goes on by itself"})
+                             "the device is absent: plug it in or switch it on; recording continues by itself"})
         elif scenario == "silent":
             self.set_faults({"presence": "silent"})
 
     def set_faults(self, faults):
-        """A device that goes away counts the time from then on; one that comes back has had an outage."""
+        """Sets faults; an outage begins when the device goes absent or silent, and ends when it is back."""
         self.faults.update(faults)
         is_gone = self.armed_at is not None and self.faults["presence"] != "streaming"
         if is_gone and self.gone_at is None:
@@ -93,10 +93,10 @@ class Rig:
                 "markers": len(self.body.labels) if known else 0, "take_id": uuid.uuid4().hex if known else ""}
 
     def step(self):
-        """Losses since it was looked at last."""
+        """Adds the frames lost since the last step."""
         now = time.time()
-        n_frames = (now - self.last_look) * self.rate_hz
-        self.last_look = now
+        n_frames = (now - self.last_step) * self.rate_hz
+        self.last_step = now
         if self.faults["lossy"] and self.armed_at:
             for cause, share in enumerate([0.012, 0.002, 0.004, 0.0]):
                 n = int(n_frames * share * self.draw.uniform(0, 2) + self.draw.random())
@@ -105,11 +105,11 @@ class Rig:
 
     def arm(self, _body=None):
         if self.faults["presence"] == "absent":
-            raise Refused("device", "the device is not there: " + self.faults["obstacle"])
+            raise Refused("device", "the device is absent: " + self.faults["obstacle"])
         if self.state in ("idle", "failed"):
             self.state, self.failure, self.armed_at = "armed", None, time.time()
             self.lost, self.causes = 0, [0, 0, 0, 0]
-            self.event("state", "armed: 10 s are kept")
+            self.event("state", "armed: 10 s of pre-roll")
 
     def disarm(self, _body=None):
         if self.state == "recording":
@@ -129,8 +129,8 @@ class Rig:
         self.take = {"take_id": uuid.uuid4().hex, "name": name, "path": f"/var/lib/mocapd/{name}.take", "held": held,
                      "started": time.time()}
         self.causes = [0, 0, 0, 0]
-        self.event("take-started", f"{name} begins {held:.2f} s before it was asked for")
-        remarks = [f"the pre-roll is {held:.1f} s long: not more was held"] if held < 9.9 else []
+        self.event("take-started", f"{name} starts {held:.2f} s before the request")
+        remarks = [f"the pre-roll is {held:.1f} s long: no more was held"] if held < 9.9 else []
         return {**{key: self.take[key] for key in ("take_id", "name", "path")}, "remarks": remarks,
                 "first_frame": {"device_ticks": 1, "arrival_ns": 1, "before_request_s": held}}
 
@@ -153,7 +153,7 @@ class Rig:
 
     def save_last(self, body):
         if self.armed_at is None:
-            raise Refused("conflict", "not armed: nothing is held; arm first")
+            raise Refused("conflict", "not armed: the pre-roll is empty")
         seconds = min(body["seconds"], 10.0, time.time() - self.armed_at)
         name = body.get("name") or f"last-{len(self.takes) + 1:03}"
         take = self._take(name, int(time.time() * 1000), seconds, "complete")
@@ -162,7 +162,7 @@ class Rig:
         return {"take_id": take["take_id"], "name": name, "path": f"/var/lib/mocapd/{name}.take",
                 "rows": int(seconds * self.rate_hz), "seconds": seconds, "bytes": take["bytes"], "ending": "saved",
                 "short_by_s": body["seconds"] - seconds, "ledger": self.ledger(int(seconds * self.rate_hz)),
-                "remarks": [f"{seconds:.1f} s were held, not the {body['seconds']:.1f} s that were asked for"]
+                "remarks": [f"only {seconds:.1f} s of the requested {body['seconds']:.1f} s were held"]
                 if body["seconds"] > seconds + 0.1 else []}
 
     def ledger(self, rows):
@@ -189,36 +189,36 @@ class Rig:
 
     def status(self):
         self.step()
-        faults, now, runs = self.faults, time.time(), self.armed_at is not None
-        there = faults["presence"] != "absent"
-        # Who an armed device is stays known while it is away.
-        known = there or runs
-        held = min(10.0, now - self.armed_at) if runs else 0.0
+        faults, now, is_armed = self.faults, time.time(), self.armed_at is not None
+        is_present = faults["presence"] != "absent"
+        # The identity of an armed device stays known while it is absent.
+        is_known = is_present or is_armed
+        held = min(10.0, now - self.armed_at) if is_armed else 0.0
         wobble = self.draw.gauss(0, 0.02)
-        measured = (self.rate_hz * (0.982 if faults["lossy"] else 1) + wobble) if runs and faults["presence"] == "streaming" else 0.0
+        measured = (self.rate_hz * (0.982 if faults["lossy"] else 1) + wobble) if is_armed and faults["presence"] == "streaming" else 0.0
         return {
             "rig": "jump lab", "state": self.state, "failure": self.failure, "software": "mocapd mock",
             "uptime_s": now - self.born,
-            "device": {"uri": "serial:/dev/ttyUSB0", "presence": "present" if there and not runs else faults["presence"],
-                       "model": "DVMC-8820" if known else "", "serial": "SIM-0001" if known else "",
-                       "firmware": "1.4" if known else "", "driver": "dvmc", "rate_hz": self.rate_hz if known else 0.0,
-                       "markers": len(self.body.labels) if known else 0, "obstacle": faults["obstacle"],
-                       "outages": self.outages, "is_awaited": not there and runs, "outage": self.outage()},
-            "input": {"frames": int(((self.gone_at or now) - self.armed_at - self.missed_s) * self.rate_hz) if runs else 0,
+            "device": {"uri": "serial:/dev/ttyUSB0", "presence": "present" if is_present and not is_armed else faults["presence"],
+                       "model": "DVMC-8820" if is_known else "", "serial": "SIM-0001" if is_known else "",
+                       "firmware": "1.4" if is_known else "", "driver": "dvmc", "rate_hz": self.rate_hz if is_known else 0.0,
+                       "markers": len(self.body.labels) if is_known else 0, "obstacle": faults["obstacle"],
+                       "outages": self.outages, "is_awaited": not is_present and is_armed, "outage": self.outage()},
+            "input": {"frames": int(((self.gone_at or now) - self.armed_at - self.missed_s) * self.rate_hz) if is_armed else 0,
                       "lost": self.lost,
-                      "measured_hz": measured, "ring_fill": (0.31 if faults["lossy"] else 0.02) if runs else 0.0,
-                      "ring_latency_p99_us": 46 if runs else 0, "jitter_p99_us": 212 if runs else 0,
-                      "drift_ppm": 11.8, "cpu_cores": 0.07 if runs else 0.0},
+                      "measured_hz": measured, "ring_fill": (0.31 if faults["lossy"] else 0.02) if is_armed else 0.0,
+                      "ring_latency_p99_us": 46 if is_armed else 0, "jitter_p99_us": 212 if is_armed else 0,
+                      "drift_ppm": 11.8, "cpu_cores": 0.07 if is_armed else 0.0},
             "pre_roll": {"wanted_s": 10.0, "held_s": held, "held_bytes": int(held * 61_000), "is_cut": False},
             "take": self.take_status(), "last_take": self.takes[0] if self.takes else None,
             "disk": {"directory": "/var/lib/mocapd", "free_bytes": faults["free_bytes"],
-                     "keep_free_bytes": 268_435_456, "left_s": int(faults["free_bytes"] / 12_000) if runs else None},
+                     "keep_free_bytes": 268_435_456, "left_s": int(faults["free_bytes"] / 12_000) if is_armed else None},
         }
 
     def quality(self):
         runs_s = time.time() - self.armed_at if self.armed_at else 0.0
         rows = []
-        for slot, (label, (period, _, gap)) in enumerate(zip(self.body.labels, self.body.habits)):
+        for slot, (label, (period, _, gap)) in enumerate(zip(self.body.labels, self.body.occlusions)):
             rows.append({"label": label, "labelled": self.body.labelled[slot],
                          "visible": 1 - gap / period if runs_s else 0.0, "gaps": int(runs_s / period) if gap else 0,
                          "longest_gap_s": gap if runs_s > period else 0.0,

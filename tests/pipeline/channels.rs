@@ -46,7 +46,7 @@ fn a_marker_that_appears_becomes_a_channel() {
     }
 }
 
-/// A second group of channels begins in the middle, and not with a key stretch.
+/// A second group of channels starts in the middle of the take, without a key stretch.
 #[test]
 fn markers_that_appear_may_need_another_group() {
     for codec in [dense(0.5), fast(0.5), lossless()] {
@@ -86,7 +86,7 @@ fn markers_that_appear_may_need_another_group() {
 }
 
 #[test]
-fn beyond_the_pool_samples_are_dropped_and_counted() {
+fn samples_beyond_the_pool_are_dropped_and_counted() {
     let motion = jump(2, 100.0, 0.5);
     let config =
         mocapd_acquire::pipeline::PipelineConfig { reserve: 1, ..config(&motion, dense(0.5)) };
@@ -106,13 +106,13 @@ fn beyond_the_pool_samples_are_dropped_and_counted() {
 }
 
 #[test]
-fn a_device_that_announces_nothing_is_recorded_all_the_same() {
+fn a_device_that_announces_nothing_is_still_recorded() {
     let motion = jump(3, 100.0, 1.0);
     let mut config = config(&motion, dense(0.5));
     config.channels.clear();
     let (mut intake, pipeline) = start(&config, Vec::new());
     for seq in 0..100 {
-        // The first frames see nobody.
+        // The first frames have no markers.
         let markers = if seq < 10 { Vec::new() } else { samples(motion.frame(seq)) };
         feed_samples(&mut intake, 100.0, seq, &markers);
     }
@@ -127,7 +127,7 @@ fn a_device_that_announces_nothing_is_recorded_all_the_same() {
 }
 
 #[test]
-fn an_id_that_stands_for_another_marker_is_not_stored_under_the_old_name() {
+fn an_id_reused_for_another_marker_is_not_stored_under_the_old_name() {
     let motion = jump(4, 100.0, 1.0);
     let config =
         mocapd_acquire::pipeline::PipelineConfig { reserve: 0, ..config(&motion, dense(0.5)) };
@@ -162,16 +162,16 @@ fn a_table_that_is_announced_again_opens_no_channel() {
     assert_eq!(chunks(&take).labels.len(), 15);
 }
 
-/// A device that is plugged in again may number its markers in another way, in a table of several messages.
+/// After a replug, a device may number its markers differently, in a table of several messages.
 #[test]
-fn names_that_change_their_numbers_keep_their_channels() {
+fn markers_that_change_their_ids_keep_their_channels() {
     let motion = jump(7, 100.0, 4.0);
     let n = motion.info.markers.len();
     let label = |column: usize| motion.info.markers[column].label.clone();
     for (turn, per_message) in [(1, n), (n - 1, n), (3, 2), (n / 2, 1)] {
         let (mut intake, pipeline) = start(&config(&motion, lossless()), Vec::new());
         for seq in 0..400 {
-            // From 200 on the marker of a column has another id.
+            // From frame 200 on, the marker of a column has another id.
             let id = |column: usize| if seq < 200 { column } else { (column + turn) % n };
             if seq == 200 {
                 let infos: Vec<MarkerInfo> = (0..n)

@@ -1,16 +1,16 @@
-//! What a take tells of the clocks.
+//! What a take stores about the clocks.
 
 use mocapd_acquire::clock::fit;
 use mocapd_drivers::device::Frame;
 use mocapd_take::record::{Event, EventKind};
 
-use crate::support::{TICK_HZ, assert_tells, chunks, config, dense, jump, samples, start};
+use crate::support::{TICK_HZ, assert_mentions, chunks, config, dense, jump, samples, start};
 
-/// Records 120 frames a second; `ticks` gives each one's device time, by its true time in microseconds.
+/// Records 120 frames per second; `ticks` maps a frame's true time in microseconds to device time.
 fn record(
     seconds: u64,
     ticks: impl Fn(u64) -> u64,
-) -> (Vec<u8>, mocapd_acquire::pipeline::Written) {
+) -> (Vec<u8>, mocapd_acquire::pipeline::TakeAccount) {
     let motion = jump(8, 120.0, 2.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
     for seq in 0..120 * seconds {
@@ -21,13 +21,13 @@ fn record(
         let markers = samples(motion.frame(seq as usize % 240));
         let frame =
             Frame { seq: seq as u32, device_ticks: ticks(us), timecode: None, markers: &markers };
-        // Late by 0.1 ms, and some by up to 8 ms more.
+        // Late by 0.1 ms, and some frames by up to 8 ms more.
         let late_us = 100 + if seq % 7 == 0 { seq % 13 * 600 } else { 0 };
         intake.frame(&frame, (1_000_000_000 + us + late_us) * 1000);
         if seq % 120 < 8 {
-            let asked_us = 1_000_000_000 + us + 2_000;
-            let heard = ticks(us + 2_000 + 50);
-            intake.probe(heard, asked_us * 1000, (asked_us + 100 + seq % 3) * 1000);
+            let sent_us = 1_000_000_000 + us + 2_000;
+            let pong_ticks = ticks(us + 2_000 + 50);
+            intake.probe(pong_ticks, sent_us * 1000, (sent_us + 100 + seq % 3) * 1000);
         }
     }
     intake.finish();
@@ -41,7 +41,7 @@ fn events(take: &[u8]) -> Vec<Event> {
 
 #[test]
 fn the_round_trips_and_the_earliest_frames_are_in_the_take() {
-    // The device loses 100 ppm.
+    // The device's clock loses 100 ppm.
     let (take, written) = record(30, |us| 40_000_000 + us - us / 10_000);
     let found = chunks(&take);
     let probes: Vec<_> = found.clocks.iter().flat_map(|clock| clock.probes.clone()).collect();
@@ -64,7 +64,7 @@ fn the_round_trips_and_the_earliest_frames_are_in_the_take() {
     assert!((6_000..7_500).contains(&clock.jitter.p99_us), "{:?}", clock.jitter);
     assert!((7_200..7_500).contains(&clock.jitter.max_us), "{:?}", clock.jitter);
 
-    // Arrivals alone, laid again from the take: late by what every frame is.
+    // Arrivals alone, refitted from the take: late by the shortest delay of the frames.
     let (alone, _) = fit(&points, &[], TICK_HZ as f64).unwrap();
     assert!((alone.drift_ppm - 100.0).abs() < 2.0, "{alone:?}");
     assert_eq!(found.bytes.sum(), take.len() as u64);
@@ -78,12 +78,12 @@ fn a_jump_is_an_event_and_a_segment_and_loses_no_frame() {
     assert!(written.ledger.closes(), "{:?}", written.ledger);
     let [event] = &events(&take)[..] else { panic!("{:?}", events(&take)) };
     assert_eq!(event.kind, EventKind::Host);
-    assert_tells(&event.text, &["5.000 s"]);
+    assert_mentions(&event.text, &["5.000 s"]);
     assert!((1800..1810).contains(&event.row), "{event:?}");
     let clocks = chunks(&take).clocks;
     let segments: Vec<_> = clocks.iter().map(|clock| clock.segment).collect();
     assert_eq!(segments, [0, 1]);
-    // Both lines are told of, each true on its side.
+    // Both lines are reported, each true in its segment.
     let lines: Vec<_> = clocks.iter().map(|clock| (clock.segment, clock.line.unwrap())).collect();
     assert_eq!(written.clock_lines, lines);
     assert_eq!(mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().take.clock_lines, lines);
@@ -98,9 +98,9 @@ fn a_jump_is_an_event_and_a_segment_and_loses_no_frame() {
 fn a_long_silence_is_an_event_at_the_frame_that_ends_it() {
     let motion = jump(9, 120.0, 2.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
-    // Held up for 2.5 s after the hundredth frame, and none is lost; 0.9 s are nothing to tell.
+    // Held up for 2.5 s after frame 100, without loss; a pause of 0.9 s later is no event.
     for seq in 0..240_u64 {
-        let held_ns = match seq {
+        let delay_ns = match seq {
             ..100 => 0,
             100..200 => 2_500_000_000,
             _ => 3_400_000_000,
@@ -108,18 +108,18 @@ fn a_long_silence_is_an_event_at_the_frame_that_ends_it() {
         let device_ticks = seq * TICK_HZ / 120;
         let markers = &samples(motion.frame(seq as usize));
         let frame = Frame { seq: seq as u32, device_ticks, timecode: None, markers };
-        intake.frame(&frame, 1_000_000_000 + device_ticks * 1000 + held_ns);
+        intake.frame(&frame, 1_000_000_000 + device_ticks * 1000 + delay_ns);
     }
     intake.finish();
     let (written, take) = pipeline.finish().unwrap();
     assert!(written.ledger.closes(), "{:?}", written.ledger);
     let [event] = &events(&take)[..] else { panic!("{:?}", events(&take)) };
     assert_eq!((event.row, event.kind), (100, EventKind::Host));
-    assert_tells(&event.text, &["2.508 s"]);
+    assert_mentions(&event.text, &["2.508 s"]);
 }
 
 #[test]
-fn a_clock_that_jumps_with_every_frame_is_told_of_and_does_not_flood_the_take() {
+fn a_clock_that_jumps_with_every_frame_is_reported_and_does_not_flood_the_take() {
     let noise = |us: u64| us.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 20;
     let (take, written) = record(10, noise);
     assert_eq!(written.ledger.recorded, 1200);

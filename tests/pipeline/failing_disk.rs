@@ -11,10 +11,10 @@ use mocapd_take::motion::is_gap;
 
 use crate::support::{Seeded, config, dense, feed, io_error_of, jump, rows, start};
 
-/// Disks that are tried. `MOCAPD_SEED` tries one of them.
+/// Number of seeded disks. `MOCAPD_SEED` selects a single one.
 const SEEDS: u64 = 300;
 
-/// What goes wrong for good, at the n-th call of its kind.
+/// A permanent fault from the n-th call of its kind on.
 #[derive(Debug, Clone, Copy)]
 enum Fault {
     Write(usize, ErrorKind),
@@ -22,13 +22,13 @@ enum Fault {
     Nothing,
 }
 
-/// Writes short, is interrupted and stalls by its seed, and has one lasting fault.
+/// Writes short, is interrupted and stalls at random by its seed, and has one permanent fault.
 struct Failing {
     random: Seeded,
     fault: Fault,
     writes: usize,
     syncs: usize,
-    held: Arc<Mutex<Vec<u8>>>,
+    content: Arc<Mutex<Vec<u8>>>,
 }
 
 impl Write for Failing {
@@ -49,7 +49,7 @@ impl Write for Failing {
             _ => bytes.len(),
         };
         let n = n.min(bytes.len());
-        self.held.lock().unwrap().extend_from_slice(&bytes[..n]);
+        self.content.lock().unwrap().extend_from_slice(&bytes[..n]);
         Ok(n)
     }
 
@@ -79,30 +79,30 @@ fn fault(random: &mut Seeded) -> Fault {
     }
 }
 
-/// How many rows could be read where the disk failed; `None` where it did not.
+/// Number of rows that could be read if the disk failed; `None` if it did not.
 fn try_disk(seed: u64) -> Option<usize> {
     let motion = jump(22, 200.0, 2.0);
     let mut random = Seeded::new(seed);
     let fault = fault(&mut random);
-    let held = Arc::default();
-    let disk = Failing { random, fault, writes: 0, syncs: 0, held: Arc::clone(&held) };
+    let content = Arc::default();
+    let disk = Failing { random, fault, writes: 0, syncs: 0, content: Arc::clone(&content) };
     let config = PipelineConfig {
         stretch: Duration::from_millis(100),
         sync_every: Duration::ZERO,
         ..config(&motion, dense(1.0))
     };
     let (mut intake, pipeline) = start(&config, disk);
-    let begun = Instant::now();
+    let since = Instant::now();
     for seq in 0..motion.n_frames() {
         while intake.is_full() && !intake.has_failed() {
-            assert!(begun.elapsed() < Duration::from_secs(60), "it hangs");
+            assert!(since.elapsed() < Duration::from_secs(60), "it hangs");
             std::thread::yield_now();
         }
         feed(&mut intake, &motion, seq);
     }
     intake.finish();
     let finished = pipeline.finish();
-    let bytes = held.lock().unwrap().clone();
+    let bytes = content.lock().unwrap().clone();
     let (found, problems) = rows(&bytes);
     let has_failed = finished.is_err();
     match finished {
@@ -129,7 +129,7 @@ fn try_disk(seed: u64) -> Option<usize> {
 }
 
 #[test]
-fn whatever_a_disk_does_the_part_before_it_is_a_take() {
+fn after_any_disk_fault_the_part_before_it_is_a_take() {
     let one = std::env::var("MOCAPD_SEED").ok().and_then(|seed| seed.parse::<u64>().ok());
     let mut read = Vec::new();
     for seed in one.map_or(0..SEEDS, |seed| seed..seed + 1) {
@@ -137,7 +137,7 @@ fn whatever_a_disk_does_the_part_before_it_is_a_take() {
         let Ok(rows) = tried else { panic!("run it again with MOCAPD_SEED={seed}") };
         read.extend(rows);
     }
-    // Disks fail at any time of two seconds, so half of what was sent is there on the average.
+    // The disks fail at any time within two seconds: on average half of the rows should be there.
     let mean = read.iter().sum::<usize>() as f64 / read.len().max(1) as f64;
     assert!(one.is_some() || mean > 60.0, "{mean} rows of {} failures", read.len());
 }

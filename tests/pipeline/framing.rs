@@ -1,4 +1,4 @@
-//! What a live take costs beside its blocks.
+//! The framing overhead of a live take.
 
 use mocapd_drivers::device::Frame;
 use mocapd_simulator::generator::JumpSpec;
@@ -10,10 +10,10 @@ use mocapd_testkit::random::Random;
 
 use crate::support::{TICK_HZ, chunks, config, dense, samples, start};
 
-/// Frames of a minute.
+/// Length of the recording.
 const SECONDS: f64 = 60.0;
 
-/// How late frames come: some tens of microseconds, half a percent of them up to four milliseconds.
+/// Lateness of frames: some tens of microseconds, and up to four milliseconds for half a percent of them.
 struct Lateness(Random);
 
 impl Lateness {
@@ -25,7 +25,7 @@ impl Lateness {
     }
 }
 
-/// A minute of `n_markers`, without waiting for it: what its take takes.
+/// A take of a minute with `n_markers`, recorded faster than real time.
 fn a_minute(n_markers: usize, rate_hz: f64) -> Vec<u8> {
     let spec = JumpSpec { seconds: Some(SECONDS), n_markers, ..JumpSpec::new(1, rate_hz) };
     let motion = spec.generate().unwrap().motion;
@@ -35,7 +35,7 @@ fn a_minute(n_markers: usize, rate_hz: f64) -> Vec<u8> {
         while intake.is_full() {
             std::thread::yield_now();
         }
-        // The counter began before the recording did, and the clocks differ by 20 ppm.
+        // The counter started before the recording, and the clocks differ by 20 ppm.
         let seconds = (seq + 9_999) as f64 / rate_hz;
         let markers = samples(motion.frame(seq));
         let frame = Frame {
@@ -51,9 +51,9 @@ fn a_minute(n_markers: usize, rate_hz: f64) -> Vec<u8> {
     pipeline.finish().unwrap().1
 }
 
-/// The limits are absolute: a tenth of the file is what they are at 1 mm.
+/// The limits are absolute: a tenth of the file at 1 mm.
 #[test]
-fn the_time_line_and_the_framing_of_a_minute_are_small() {
+fn the_timeline_and_the_framing_of_a_minute_are_small() {
     for (n_markers, rate_hz, most) in [(15, 60.0, 12.0), (64, 240.0, 25.0)] {
         let take = a_minute(n_markers, rate_hz);
         let found = chunks(&take);
@@ -65,7 +65,7 @@ fn the_time_line_and_the_framing_of_a_minute_are_small() {
         );
         assert!(each <= most, "{n_markers} at {rate_hz} Hz: {each} bytes a stretch");
 
-        // Ledgers of a real minute: at 0, 5, 10, 20 and 40 s, and the last.
+        // The ledgers of a real minute: at 0, 5, 10, 20 and 40 s, and the last one.
         let ledger = found.ledgers.last().unwrap().to_payload().unwrap().len() as u64 + 7;
         let labels: usize = found.labels.iter().map(String::len).sum();
         let rest = bytes.header + bytes.index + 6 * ledger - labels as u64;
@@ -74,7 +74,7 @@ fn the_time_line_and_the_framing_of_a_minute_are_small() {
 }
 
 #[test]
-fn a_take_of_an_older_development_version_is_refused_in_words() {
+fn a_take_of_an_older_development_version_is_refused() {
     let mut header = mocapd_acquire::header::new(&dense(1.0), 60.0).unwrap();
     header.codec_version = 1;
     let mut take = mocapd_take::chunk::MAGIC.to_vec();

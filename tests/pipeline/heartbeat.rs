@@ -1,4 +1,4 @@
-//! What the watchdog sees of a pipeline: who moves, who waits, and who has hung.
+//! What the watchdog finds in a pipeline: threads that work, threads that wait, and threads that hang.
 
 use std::{
     io::{self, Write},
@@ -7,48 +7,48 @@ use std::{
 };
 
 use mocapd_acquire::{
-    heartbeat::{Watch, Who},
+    heartbeat::{ThreadRole, Watchdog},
     pipeline::TakeOutput,
 };
 
 use crate::support::{config, fast, feed, jump, start};
 
 /// Longer than the writer waits for parts.
-const A_WHILE: Duration = Duration::from_millis(1200);
+const PAUSE: Duration = Duration::from_millis(1200);
 
 const LIMIT: Duration = Duration::from_secs(10);
 
-/// Whether somebody is overdue after `seconds` of silence from now on.
-fn overdue_after(watch: &mut Watch, seconds: u64) -> Option<Who> {
-    // What moved until now is seen, and whoever moves meanwhile is alive.
+/// The role of a thread that is overdue after `seconds` of silence from now on.
+fn overdue_after(watch: &mut Watchdog, seconds: u64) -> Option<ThreadRole> {
+    // Registers all heartbeats so far; a thread that moves during the pause is alive.
     watch.overdue(Instant::now(), LIMIT);
-    std::thread::sleep(A_WHILE);
+    std::thread::sleep(PAUSE);
     let later = Instant::now() + Duration::from_secs(seconds);
-    watch.overdue(later, LIMIT).map(|overdue| overdue.who)
+    watch.overdue(later, LIMIT).map(|overdue| overdue.role)
 }
 
 #[test]
-fn a_reader_that_hangs_is_seen_and_workers_without_work_are_not() {
+fn a_hung_reader_is_overdue_and_idle_workers_are_not() {
     let motion = jump(31, 100.0, 2.0);
     let config = config(&motion, fast(1.0));
-    let mut watch = config.heartbeat.watch(Instant::now());
+    let mut watch = config.heartbeat.watchdog(Instant::now());
     let (mut intake, pipeline) = start(&config, Vec::new());
     for seq in 0..100 {
         feed(&mut intake, &motion, seq);
     }
-    assert_eq!(overdue_after(&mut watch, 20), Some(Who::Reader));
-    // A device that sends nothing is read all the same, and the writer moves by itself.
-    std::thread::sleep(A_WHILE);
+    assert_eq!(overdue_after(&mut watch, 20), Some(ThreadRole::Reader));
+    // The reader ticks although the device sends nothing, and the writer moves by itself.
+    std::thread::sleep(PAUSE);
     intake.tick(0);
     assert_eq!(watch.overdue(Instant::now() + LIMIT, LIMIT), None);
     intake.finish();
     pipeline.finish().unwrap();
-    assert_eq!(overdue_after(&mut watch, 1000), None, "who has ended is forgotten");
+    assert_eq!(overdue_after(&mut watch, 1000), None, "ended threads are forgotten");
 }
 
-/// A disk that takes the header, and nothing more until it is told.
+/// A disk that accepts the header, and blocks later writes until it is released.
 struct Stalling {
-    begins: Receiver<()>,
+    gate: Receiver<()>,
     writes: usize,
 }
 
@@ -56,7 +56,7 @@ impl Write for Stalling {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.writes += 1;
         if self.writes == 3 {
-            self.begins.recv().ok();
+            self.gate.recv().ok();
         }
         Ok(bytes.len())
     }
@@ -73,12 +73,12 @@ impl TakeOutput for Stalling {
 }
 
 #[test]
-fn a_disk_may_stall_for_as_long_as_memory_lasts_and_then_the_writer_has_hung() {
+fn a_stalled_disk_is_tolerated_while_memory_lasts_and_then_the_writer_has_hung() {
     let motion = jump(32, 100.0, 2.0);
     let config = config(&motion, fast(1.0));
-    let mut watch = config.heartbeat.watch(Instant::now());
-    let (goes_on, begins) = sync_channel(1);
-    let (mut intake, pipeline) = start(&config, Stalling { begins, writes: 0 });
+    let mut watch = config.heartbeat.watchdog(Instant::now());
+    let (release, gate) = sync_channel(1);
+    let (mut intake, pipeline) = start(&config, Stalling { gate, writes: 0 });
     for seq in 0..100 {
         feed(&mut intake, &motion, seq);
     }
@@ -86,11 +86,11 @@ fn a_disk_may_stall_for_as_long_as_memory_lasts_and_then_the_writer_has_hung() {
     let mut reader_alive = |seconds| {
         intake.tick(0);
         let later = Instant::now() + Duration::from_secs(seconds);
-        watch.overdue(later, LIMIT).map(|overdue| overdue.who)
+        watch.overdue(later, LIMIT).map(|overdue| overdue.role)
     };
     assert_eq!(reader_alive(32), None, "no frame is lost yet, and a restart would lose some");
-    assert_eq!(reader_alive(80), Some(Who::Writer));
-    goes_on.send(()).unwrap();
+    assert_eq!(reader_alive(80), Some(ThreadRole::Writer));
+    release.send(()).unwrap();
     intake.finish();
     pipeline.finish().unwrap();
 }

@@ -1,4 +1,4 @@
-//! Hours of recording in minutes, and a stall at full load: run by name, with the figures printed
+//! Hours of recording in minutes, and a stall at full load. Run by name; they print their figures
 //! (docs/reliability.md has the commands).
 
 use std::{
@@ -13,7 +13,7 @@ use mocapd_simulator::generator::{JumpSpec, Occlusion};
 
 use crate::support::{TICK_HZ, config, dense, lossless, samples, start};
 
-/// Memory resident now, and the most there was, in bytes.
+/// Resident memory now, and its peak, in bytes.
 fn resident_bytes() -> (u64, u64) {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let of = |name: &str| {
@@ -23,7 +23,7 @@ fn resident_bytes() -> (u64, u64) {
     (of("VmRSS:"), of("VmHWM:"))
 }
 
-/// Ten seconds of a crowd, a frame's samples each, played to and fro so that nothing jumps.
+/// Ten seconds of a crowd as samples per frame, played forwards and backwards so that nothing jumps.
 struct Frames {
     rate_hz: f64,
     frames: Vec<Vec<MarkerSample>>,
@@ -52,7 +52,7 @@ impl Frames {
     }
 }
 
-/// Counts bytes; from the second write on a write waits while the gate is shut.
+/// Counts bytes. From the second write on, each write waits for the gate.
 struct Gated {
     gate: Option<Receiver<()>>,
     writes: usize,
@@ -82,7 +82,8 @@ impl TakeOutput for Gated {
     }
 }
 
-/// Waits for room, a second at most: then a queue is full, and not the workers late.
+/// Waits for space in the rings for at most a second: after that a queue is full, and it is not the workers that are
+/// late.
 fn wait_for_room(intake: &mut Intake) {
     let since = Instant::now();
     while intake.is_full() && since.elapsed() < Duration::from_secs(1) {
@@ -142,7 +143,7 @@ fn a_day_of_64_markers_at_240_hz_in_compressed_time() {
             std::thread::yield_now();
         }
         frames.feed(&mut intake, seq);
-        // Each minute of the recording.
+        // Every minute of the recording.
         if seq % (240 * 60) == 0 {
             let now = resident_bytes().0;
             most = most.max(now);

@@ -1,19 +1,19 @@
-//! Frames that do not come, come twice, or come with a counter that lies.
+//! Frames that are lost, repeated, or sent with a wrong counter.
 
 use mocapd_drivers::device::Status;
 use mocapd_take::{
     motion::is_gap,
-    timeline::{Causes, Run},
+    timeline::{LossCauses, RowRun},
 };
 
 use crate::support::{
-    assert_tells, chunks, config, dense, feed, feed_samples, jump, record, rows, samples, start,
+    assert_mentions, chunks, config, dense, feed, feed_samples, jump, record, rows, samples, start,
 };
 
 #[test]
 fn lost_frames_are_empty_rows_with_their_cause() {
     let motion = jump(1, 100.0, 6.0);
-    // A few, many, and more than a whole stretch.
+    // A few frames, many, and more than a whole stretch.
     let lost =
         |seq: &usize| (20..22).contains(seq) || (70..99).contains(seq) || (200..400).contains(seq);
     let kept: Vec<_> = (0..motion.n_frames()).filter(|seq| !lost(seq)).collect();
@@ -28,14 +28,14 @@ fn lost_frames_are_empty_rows_with_their_cause() {
     let (rows, problems) = rows(&take);
     assert!(problems.is_empty(), "{problems:?}");
     for (seq, row) in rows.iter().enumerate() {
-        for (&got, &wanted) in row.iter().zip(motion.frame(seq)) {
-            assert_eq!(is_gap(got), lost(&seq) || is_gap(wanted), "{seq}");
+        for (&got, &expected) in row.iter().zip(motion.frame(seq)) {
+            assert_eq!(is_gap(got), lost(&seq) || is_gap(expected), "{seq}");
         }
     }
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
     let not_received: Vec<_> = runs
         .iter()
-        .filter(|run| run.lost == Some(Causes::NOT_RECEIVED))
+        .filter(|run| run.lost == Some(LossCauses::NOT_RECEIVED))
         .map(|run| run.rows)
         .collect();
     assert_eq!(not_received, [2, 29, 200]);
@@ -43,7 +43,7 @@ fn lost_frames_are_empty_rows_with_their_cause() {
 }
 
 #[test]
-fn frames_that_come_again_or_late_are_counted_and_not_recorded() {
+fn repeated_and_late_frames_are_counted_and_not_recorded() {
     let motion = jump(2, 100.0, 1.0);
     let order = [0, 1, 2, 2, 1, 3, 6, 5, 4, 7].into_iter().chain(8..100);
     let (written, take, _) = record(&motion, &config(&motion, dense(0.5)), order);
@@ -54,7 +54,7 @@ fn frames_that_come_again_or_late_are_counted_and_not_recorded() {
 }
 
 #[test]
-fn what_the_device_dropped_is_told_from_what_the_link_lost() {
+fn drops_of_the_device_are_distinguished_from_loss_on_the_link() {
     let motion = jump(3, 100.0, 1.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     for seq in (5..95).filter(|seq| seq % 10 != 0) {
@@ -67,14 +67,14 @@ fn what_the_device_dropped_is_told_from_what_the_link_lost() {
     assert!(ledger.closes(), "{ledger:?}");
     assert_eq!((ledger.frames_sent, ledger.recorded), (100, 81));
     assert_eq!((ledger.dropped_by_device, ledger.lost_on_link), (8, 11));
-    // Those before the first frame have no row: nobody knows when they were.
+    // Frames lost before the first one have rows at the end: their position is unknown.
     assert_eq!(rows(&take).0.len(), 100);
 }
 
 #[test]
 fn counters_that_contradict_each_other_are_flagged() {
     let motion = jump(4, 100.0, 1.0);
-    // What it reports, and what there is.
+    // The device's report, and the facts in the contradiction.
     for (frames_produced, frames_dropped, facts) in [(50, 0, ["50", "100"]), (100, 3, ["3", "0"])] {
         let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
         (0..100).for_each(|seq| feed(&mut intake, &motion, seq));
@@ -83,13 +83,13 @@ fn counters_that_contradict_each_other_are_flagged() {
         let ledger = pipeline.finish().unwrap().0.ledger;
         assert!(!ledger.closes());
         let [contradiction] = &ledger.contradictions[..] else { panic!("{ledger:?}") };
-        assert_tells(contradiction, &facts);
+        assert_mentions(contradiction, &facts);
         assert_eq!(ledger.frame_balance(), 0);
     }
 }
 
 #[test]
-fn a_counter_that_begins_anew_loses_no_frame_and_is_flagged() {
+fn a_counter_that_restarts_loses_no_frame_and_is_flagged() {
     let motion = jump(5, 100.0, 1.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     for i in 0..100_usize {
@@ -107,7 +107,7 @@ fn a_counter_that_begins_anew_loses_no_frame_and_is_flagged() {
 }
 
 #[test]
-fn what_is_not_finite_is_a_gap_and_counted() {
+fn non_finite_samples_are_gaps_and_counted() {
     let motion = jump(6, 100.0, 0.5);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     let mut present = 0;
@@ -126,7 +126,7 @@ fn what_is_not_finite_is_a_gap_and_counted() {
 }
 
 #[test]
-fn a_device_whose_counter_and_clock_begin_anew_is_recorded_on() {
+fn a_device_whose_counter_and_clock_restart_is_still_recorded() {
     let motion = jump(7, 100.0, 1.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     for i in (0..500).chain(0..400) {
@@ -160,7 +160,7 @@ fn frames_that_were_reported_before_the_device_went_away_are_on_the_ledger() {
 }
 
 #[test]
-fn a_number_of_frames_that_no_device_reaches_is_a_contradiction_and_no_rows() {
+fn an_impossible_number_of_frames_is_a_contradiction_without_rows() {
     let motion = jump(9, 100.0, 1.0);
     for frames_produced in [1 << 62, u64::MAX] {
         let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
@@ -170,7 +170,7 @@ fn a_number_of_frames_that_no_device_reaches_is_a_contradiction_and_no_rows() {
         let (written, take) = pipeline.finish().unwrap();
         assert_eq!(written.ledger.frames_sent, 100);
         let [contradiction] = &written.ledger.contradictions[..] else { panic!() };
-        assert_tells(contradiction, &[&frames_produced.to_string()]);
+        assert_mentions(contradiction, &[&frames_produced.to_string()]);
         assert_eq!(rows(&take).0.len(), 100);
     }
 }

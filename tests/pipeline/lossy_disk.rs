@@ -1,5 +1,5 @@
-//! The writer on a disk that forgets: after a power cut any write that was not synced may be gone, whole or in part, in
-//! any order, and any sync before it holds. What was synced must come back, and nothing that was not sent.
+//! The writer on a disk that forgets: after a power cut any unsynced write may be missing, completely or in part, in
+//! any order. Everything synced must be read back, and nothing that was not sent.
 
 use std::{
     io::{self, Write},
@@ -13,23 +13,23 @@ use mocapd_take::motion::{Motion, Position, is_gap};
 
 use crate::support::{Seeded, config, dense, fast, feed, jump, lossless, rows, start};
 
-/// What a disk writes at once, or not at all.
+/// The unit that a disk writes completely or not at all.
 const SECTOR_BYTES: usize = 512;
 
-/// Schedules of a run. `MOCAPD_SEED` runs one of them.
+/// Number of seeded power cuts. `MOCAPD_SEED` selects a single one.
 const SEEDS: u64 = 4_000;
 
-/// What was written, where writes ended, and how many writes and bytes there were at each sync.
+/// Everything written, the ends of the writes, and the number of writes and bytes at each sync.
 #[derive(Debug, Default, Clone)]
-struct Written {
+struct WriteLog {
     bytes: Vec<u8>,
     ends: Vec<usize>,
     syncs: Vec<(usize, usize)>,
 }
 
-/// Every write and sync, in order.
+/// Records every write and sync in order.
 #[derive(Debug, Default, Clone)]
-struct Journal(Arc<Mutex<Written>>);
+struct Journal(Arc<Mutex<WriteLog>>);
 
 impl Write for Journal {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -54,13 +54,13 @@ impl TakeOutput for Journal {
     }
 }
 
-/// A recording, and its rows.
+/// A recording and its rows.
 struct Recorded {
-    written: Written,
+    written: WriteLog,
     rows: Vec<Vec<Position>>,
 }
 
-/// Records with losses, markers that come and go, and a sync now and then.
+/// Records with losses, markers that come and go, and regular syncs.
 fn recorded(codec: Settings, sync_every: Duration, motion: &Motion) -> Recorded {
     let journal = Journal::default();
     let config = PipelineConfig {
@@ -86,15 +86,15 @@ fn recorded(codec: Settings, sync_every: Duration, motion: &Motion) -> Recorded 
 }
 
 impl Recorded {
-    /// What a disk may hold after its power was cut, and how many bytes of it were synced.
+    /// The possible content of a disk after a power cut, and the number of bytes that were synced.
     fn cut(&self, random: &mut Seeded) -> (Vec<u8>, usize) {
-        let Written { bytes, ends, syncs } = &self.written;
+        let WriteLog { bytes, ends, syncs } = &self.written;
         let writes = random.below(ends.len() + 1);
         let written = if writes == 0 { 0 } else { ends[writes - 1] };
         let synced = syncs.iter().rfind(|sync| sync.0 <= writes).map_or(0, |sync| sync.1);
-        // Of the last write a part may have been on its way.
+        // The last write may be torn.
         let torn = ends.get(writes).map_or(written, |end| written + random.below(end - written));
-        // The length is one thing, and what stands there another.
+        // The length of the file and its content are lost independently.
         let len = synced + random.below(torn - synced + 1);
         let mut disk = bytes[..len].to_vec();
         let kept_of_ten = random.below(11);
@@ -110,7 +110,7 @@ impl Recorded {
     }
 
     fn check(&self, disk: &[u8], synced: usize) {
-        // Before the first sync nothing is promised, and a file that is no take says so.
+        // Before the first sync nothing is promised, and the file may not open as a take.
         if mocapd_take::TakeFrames::open(io::Cursor::new(disk)).is_err() {
             assert_eq!(synced, 0, "a synced take cannot be opened");
             return;
@@ -120,10 +120,10 @@ impl Recorded {
         assert!(found.len() >= n_promised, "{} of {n_promised} rows", found.len());
         assert!(found.len() <= self.rows.len());
         for (index, (row, sent)) in found.iter().zip(&self.rows).enumerate() {
-            for (&position, &wanted) in row.iter().zip(sent) {
-                let is_same = position == wanted || (is_gap(position) && is_gap(wanted));
+            for (&position, &expected) in row.iter().zip(sent) {
+                let is_same = position == expected || (is_gap(position) && is_gap(expected));
                 assert!(is_same || is_gap(position), "{index}: {position:?} was never sent");
-                assert!(is_same || index >= n_promised, "{index}: synced, and {wanted:?} is gone");
+                assert!(is_same || index >= n_promised, "{index}: {expected:?} was synced");
             }
         }
         assert!(problems.is_empty() == (disk == self.written.bytes), "{problems:?}");
@@ -131,7 +131,7 @@ impl Recorded {
 }
 
 #[test]
-fn what_was_synced_comes_back_and_nothing_else_is_made_up() {
+fn what_was_synced_is_read_back_and_nothing_is_invented() {
     let motion = jump(21, 200.0, 3.0);
     let recordings: Vec<Recorded> = [
         (dense(1.0), Duration::ZERO),

@@ -1,4 +1,4 @@
-//! The pipeline in memory: what goes in as frames stands in the take, or on the account.
+//! The pipeline in memory: every frame that goes in is in the take, or counted as lost.
 
 mod channels;
 mod clocks;
@@ -31,9 +31,9 @@ fn every_sample_is_within_the_tolerance_and_every_gap_in_place() {
         assert!(problems.is_empty(), "{problems:?}");
         assert_eq!(rows.len(), motion.n_frames());
         for (index, row) in rows.iter().enumerate() {
-            for (&got, &wanted) in row.iter().zip(motion.frame(index)) {
-                assert_eq!(is_gap(got), is_gap(wanted));
-                assert!(is_gap(got) || distance_mm(got, wanted) <= bound_mm);
+            for (&got, &expected) in row.iter().zip(motion.frame(index)) {
+                assert_eq!(is_gap(got), is_gap(expected));
+                assert!(is_gap(got) || distance_mm(got, expected) <= bound_mm);
             }
         }
     }
@@ -65,7 +65,7 @@ fn stretches_are_short_at_first_and_keys_come_every_ten_seconds() {
 }
 
 #[test]
-fn the_time_line_keeps_ticks_and_arrivals() {
+fn the_timeline_keeps_ticks_and_arrivals() {
     let motion = jump(4, 120.0, 2.0);
     let found = chunks(&record(&motion, &config(&motion, dense(1.0)), 0..motion.n_frames()).1);
     let times: Vec<_> =
@@ -81,14 +81,14 @@ fn the_time_line_keeps_ticks_and_arrivals() {
 }
 
 #[test]
-fn a_stretch_a_row_hands_every_group_from_worker_to_worker_and_none_is_forgotten() {
+fn stretches_of_one_row_pass_every_group_between_workers_and_lose_none() {
     let motion = jump(5, 1000.0, 20.0);
     let config = mocapd_acquire::pipeline::PipelineConfig {
         workers: 5,
         stretch: std::time::Duration::ZERO,
         ..config(&motion, dense(1.0))
     };
-    // A wake that got lost would leave a group asleep and the recording standing.
+    // A lost wake-up would leave a group asleep and stop the recording.
     let (written, take, _) = record(&motion, &config, 0..motion.n_frames());
     assert_eq!(written.ledger.recorded, 20_000);
     assert_eq!(chunks(&take).keys.len(), 20_000);

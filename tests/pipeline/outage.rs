@@ -1,20 +1,20 @@
-//! A device that goes away and comes back.
+//! A device that is disconnected and comes back.
 
 use mocapd_acquire::pipeline::Intake;
 use mocapd_drivers::device::{Frame, Status};
 use mocapd_take::{
     motion::{Motion, is_gap},
     record::Ledger,
-    timeline::{Causes, Run},
+    timeline::{LossCauses, RowRun},
 };
 
 use crate::support::{
     TICK_HZ, chunks, config, dense, feed, feed_samples, jump, rows, samples, start,
 };
 
-/// Gives these frames to the pipeline, waiting for full rings.
-fn feed_all(intake: &mut Intake, motion: &Motion, wanted: impl Iterator<Item = usize>) {
-    for seq in wanted {
+/// Feeds these frames to the pipeline, waiting while the rings are full.
+fn feed_all(intake: &mut Intake, motion: &Motion, seqs: impl Iterator<Item = usize>) {
+    for seq in seqs {
         while intake.is_full() {
             std::thread::yield_now();
         }
@@ -26,25 +26,25 @@ fn status(frames_produced: u64, frames_dropped: u64) -> Status {
     Status { frames_produced, frames_dropped, ..Status::default() }
 }
 
-fn closes(ledger: &Ledger) {
+fn assert_closes(ledger: &Ledger) {
     assert!(ledger.closes() && ledger.contradictions.is_empty(), "{ledger:?}");
 }
 
 #[test]
-fn what_the_counter_skipped_is_unknown_and_has_its_rows() {
+fn frames_skipped_by_the_counter_are_unknown_and_have_rows() {
     let motion = jump(1, 100.0, 6.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     feed_all(&mut intake, &motion, (0..200).filter(|seq| *seq != 100));
     intake.status(status(150, 1), false);
     intake.rejoin();
-    // Its reports begin anew with Start, and the first may come before a frame.
+    // Its reports restart with Start, and the first one may come before a frame.
     intake.status(status(0, 0), false);
     feed_all(&mut intake, &motion, (350..600).filter(|seq| *seq != 400));
     intake.status(status(250, 1), true);
     intake.finish();
     let (written, take) = pipeline.finish().unwrap();
     let ledger = written.ledger;
-    closes(&ledger);
+    assert_closes(&ledger);
     assert_eq!((ledger.frames_sent, ledger.recorded), (600, 448));
     assert_eq!(ledger.unknown_after_disconnect, 150);
     assert_eq!((ledger.dropped_by_device, ledger.lost_on_link), (2, 0));
@@ -54,18 +54,18 @@ fn what_the_counter_skipped_is_unknown_and_has_its_rows() {
     assert_eq!(rows.len(), 600);
     let is_lost = |seq| (200..350).contains(&seq) || seq == 100 || seq == 400;
     for (seq, row) in rows.iter().enumerate() {
-        for (&got, &wanted) in row.iter().zip(motion.frame(seq)) {
-            assert_eq!(is_gap(got), is_lost(seq) || is_gap(wanted), "{seq}");
+        for (&got, &expected) in row.iter().zip(motion.frame(seq)) {
+            assert_eq!(is_gap(got), is_lost(seq) || is_gap(expected), "{seq}");
         }
     }
-    let gone = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let gone = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
     let rows_gone = runs.iter().filter(|run| run.lost == Some(gone)).map(|run| run.rows);
     assert_eq!(rows_gone.sum::<u64>(), 150);
 }
 
-/// A frame of a device that begins its counter and clock anew, `later_s` after it was first switched on.
-fn feed_anew(intake: &mut Intake, motion: &Motion, seq: usize, later_s: f64) {
+/// A frame of a device whose counter and clock restarted, `later_s` after it was first switched on.
+fn feed_restarted(intake: &mut Intake, motion: &Motion, seq: usize, later_s: f64) {
     while intake.is_full() {
         std::thread::yield_now();
     }
@@ -76,19 +76,19 @@ fn feed_anew(intake: &mut Intake, motion: &Motion, seq: usize, later_s: f64) {
 }
 
 #[test]
-fn a_device_that_lost_its_power_goes_on_from_zero_and_the_take_keeps_time() {
+fn a_device_that_lost_its_power_restarts_at_zero_and_the_take_keeps_time() {
     let motion = jump(2, 100.0, 4.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     feed_all(&mut intake, &motion, 0..30);
     intake.rejoin();
-    // As early as those before by its counter and clock: no frame of them is a late one. By the host's clock the first
-    // comes 2.71 s after the last before: 270 were due.
-    (0..200).for_each(|seq| feed_anew(&mut intake, &motion, seq, 3.0));
+    // Counter and clock values repeat earlier ones, but none of these frames is a late one. By the host's clock the
+    // first frame comes 2.71 s after the last one before the outage: 270 were due.
+    (0..200).for_each(|seq| feed_restarted(&mut intake, &motion, seq, 3.0));
     intake.status(status(200, 0), true);
     intake.finish();
     let (written, take) = pipeline.finish().unwrap();
     let ledger = written.ledger;
-    closes(&ledger);
+    assert_closes(&ledger);
     assert_eq!((ledger.frames_sent, ledger.recorded, ledger.duplicates), (500, 230, 0));
     assert_eq!((ledger.unknown_after_disconnect, ledger.lost_on_link), (270, 0));
     let (rows, problems) = rows(&take);
@@ -96,33 +96,33 @@ fn a_device_that_lost_its_power_goes_on_from_zero_and_the_take_keeps_time() {
     assert_eq!(rows.len(), 500);
     assert!(rows[30..300].iter().flatten().all(|&position| is_gap(position)));
     assert!(rows[300..].iter().flatten().any(|&position| !is_gap(position)));
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
-    let gone = runs.iter().filter(|run| run.lost == Some(Causes::DISCONNECTED));
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let gone = runs.iter().filter(|run| run.lost == Some(LossCauses::DISCONNECTED));
     assert_eq!(gone.map(|run| run.rows).sum::<u64>(), 270);
 }
 
 #[test]
 fn frames_lost_between_its_start_and_its_first_frame_are_counted_once() {
     let motion = jump(5, 100.0, 6.0);
-    for (anew, rows_sent) in [(false, 600), (true, 600)] {
+    for (restarted, rows_sent) in [(false, 600), (true, 600)] {
         let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
         feed_all(&mut intake, &motion, 0..200);
         intake.rejoin();
-        // Started at frame 350 or anew, and five of its frames are lost before one comes through.
-        let first = if anew { 0 } else { 350 };
-        let feed_one = |intake: &mut Intake, seq| match anew {
-            true => feed_anew(intake, &motion, seq, 3.5),
+        // Its counter continues at frame 350 or restarts; five of its frames are lost before the first one arrives,
+        let first = if restarted { 0 } else { 350 };
+        let feed_one = |intake: &mut Intake, seq| match restarted {
+            true => feed_restarted(intake, &motion, seq, 3.5),
             false => feed_all(intake, &motion, seq..seq + 1),
         };
         (first + 5..first + 100).for_each(|seq| feed_one(&mut intake, seq));
         intake.status(status(100, 0), false);
         (first + 100..first + 247).for_each(|seq| feed_one(&mut intake, seq));
-        // And three at the end.
+        // and three at the end.
         intake.status(status(250, 0), true);
         intake.finish();
         let (written, take) = pipeline.finish().unwrap();
         let ledger = written.ledger;
-        closes(&ledger);
+        assert_closes(&ledger);
         assert_eq!((ledger.frames_sent, ledger.recorded), (rows_sent, 442), "{ledger:?}");
         assert_eq!((ledger.unknown_after_disconnect, ledger.lost_on_link), (155, 3), "{ledger:?}");
         assert_eq!(rows(&take).0.len(), 600);
@@ -139,10 +139,10 @@ fn an_outage_of_an_hour_has_its_rows_too() {
     (3_600_000..3_600_050).for_each(|seq| feed_samples(&mut intake, 1000.0, seq, &frame));
     intake.finish();
     let (written, take) = pipeline.finish().unwrap();
-    closes(&written.ledger);
+    assert_closes(&written.ledger);
     assert_eq!((written.ledger.recorded, written.ledger.frames_sent), (100, 3_600_050));
     assert_eq!(written.ledger.unknown_after_disconnect, 3_599_950);
-    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let runs: Vec<RowRun> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
     assert_eq!(runs.iter().map(|run| run.rows).sum::<u64>(), 3_600_050);
 }
 

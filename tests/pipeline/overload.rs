@@ -12,12 +12,12 @@ use mocapd_take::{
     TakeFrames,
     damage::Problem,
     motion::{FrameSource, GAP, is_gap},
-    timeline::Causes,
+    timeline::LossCauses,
 };
 
 use crate::support::{chunks, config, dense, fast, feed, io_error_of, jump, rows, start};
 
-/// Writes to memory, but from the second write on only after the gate was opened.
+/// Writes to memory. From the second write on, each write waits for the gate.
 struct Gated {
     gate: Receiver<()>,
     writes: usize,
@@ -28,7 +28,7 @@ impl Write for Gated {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.writes += 1;
         if self.writes > 1 {
-            // Disconnected: open for good.
+            // Disconnected: the gate stays open.
             self.gate.recv().ok();
         }
         self.bytes.extend_from_slice(bytes);
@@ -53,8 +53,8 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
     let (open, gate) = bounded(0);
     let (mut intake, pipeline) =
         start(&config(&motion, dense(1.0)), Gated { gate, writes: 0, bytes: Vec::new() });
-    // Faster than real time: the rings must be emptied before a loss can mean a full queue.
-    let has_room_within_a_second = |intake: &mut mocapd_acquire::pipeline::Intake| {
+    // Feeding is faster than real time: only rings that stay full mean a full queue.
+    let has_space_within_a_second = |intake: &mut mocapd_acquire::pipeline::Intake| {
         let since = Instant::now();
         while intake.is_full() && since.elapsed() < Duration::from_secs(1) {
             std::thread::sleep(Duration::from_millis(1));
@@ -70,22 +70,22 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
         );
     };
     for seq in 0..6_000 {
-        has_room_within_a_second(&mut intake);
+        has_space_within_a_second(&mut intake);
         frame(&mut intake, seq);
     }
     assert_eq!(intake.counts().ring_full, 0, "30 s fit into memory");
     let mut seq = 6_000;
-    // What has been full for a second stays full until the disk goes on.
-    let mut has_room = true;
+    // Rings that have been full for a second stay full until the disk continues.
+    let mut has_space = true;
     while intake.counts().ring_full < 100 {
         assert!(seq < 20_000, "the queues have no bound");
-        has_room = has_room && has_room_within_a_second(&mut intake);
+        has_space = has_space && has_space_within_a_second(&mut intake);
         frame(&mut intake, seq);
         seq += 1;
     }
     drop(open);
     for _ in 0..400 {
-        has_room_within_a_second(&mut intake);
+        has_space_within_a_second(&mut intake);
         frame(&mut intake, seq);
         seq += 1;
     }
@@ -98,9 +98,9 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
     let found = chunks(&output.bytes);
     let runs: Vec<_> = found.timelines.iter().flat_map(|t| &t.runs).collect();
     let lost: u64 =
-        runs.iter().filter(|run| run.lost == Some(Causes::RING_FULL)).map(|run| run.rows).sum();
+        runs.iter().filter(|run| run.lost == Some(LossCauses::RING_FULL)).map(|run| run.rows).sum();
     assert_eq!(lost, 100);
-    // A frame is there whole or not at all.
+    // Each frame is complete or missing.
     let recorded: std::collections::HashSet<u64> = found
         .timelines
         .iter()
@@ -114,8 +114,8 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
     }
 }
 
-/// Frames as fast as they can be given, whatever the rings say, while nothing can be written; then, when that has
-/// passed, some that are waited for.
+/// Feeds frames as fast as possible, even into full rings, while nothing can be written; then some more, waiting for
+/// space.
 fn flooded(n_markers: usize, rate_hz: f64, n_flood: usize) -> u64 {
     let n_after = 50;
     let spec = JumpSpec { n_markers, seconds: Some(0.5), ..JumpSpec::new(6, rate_hz.min(1000.0)) };
@@ -141,7 +141,7 @@ fn flooded(n_markers: usize, rate_hz: f64, n_flood: usize) -> u64 {
     assert!(ledger.closes(), "{ledger:?}");
     assert_eq!(ledger.frames_sent, (n_flood + n_after) as u64);
     assert_eq!(ledger.recorded + ledger.lost_ring_full, ledger.frames_sent);
-    // Whole, or not at all; and when it has passed all are there.
+    // Frames are complete or missing, and after the overload all are there.
     let mut frames = TakeFrames::open(io::Cursor::new(&take.bytes[..])).unwrap();
     let mut row = vec![GAP; n_markers];
     let (mut seq, mut n_whole) = (0, 0);
@@ -159,28 +159,28 @@ fn flooded(n_markers: usize, rate_hz: f64, n_flood: usize) -> u64 {
 
 #[test]
 fn frames_at_100_khz_are_dropped_whole_and_counted() {
-    // Half a minute fits into the queues.
+    // The queues hold half a minute.
     assert!(flooded(2, 100_000.0, 3_600_000) > 0, "no overload");
 }
 
 #[test]
-fn of_ten_thousand_markers_frames_are_whole_or_dropped() {
+fn frames_of_ten_thousand_markers_are_whole_or_dropped() {
     flooded(10_000, 240.0, 600);
 }
 
-/// A disk that is full after so many bytes.
+/// A disk that is full after a given number of bytes.
 struct Full {
-    room: usize,
+    space: usize,
     bytes: std::sync::Arc<std::sync::Mutex<Vec<u8>>>,
 }
 
 impl Write for Full {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let n = bytes.len().min(self.room);
+        let n = bytes.len().min(self.space);
         if n == 0 {
             return Err(io::ErrorKind::StorageFull.into());
         }
-        self.room -= n;
+        self.space -= n;
         self.bytes.lock().unwrap().extend_from_slice(&bytes[..n]);
         Ok(n)
     }
@@ -200,7 +200,7 @@ impl TakeOutput for Full {
 fn a_full_disk_is_an_error_and_what_was_written_can_be_read() {
     let motion = jump(2, 200.0, 10.0);
     let bytes = std::sync::Arc::default();
-    let full = Full { room: 4_000, bytes: std::sync::Arc::clone(&bytes) };
+    let full = Full { space: 4_000, bytes: std::sync::Arc::clone(&bytes) };
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), full);
     for seq in 0..motion.n_frames() {
         while intake.is_full() {
@@ -212,7 +212,7 @@ fn a_full_disk_is_an_error_and_what_was_written_can_be_read() {
     while !intake.has_failed() && since.elapsed() < Duration::from_secs(20) {
         std::thread::yield_now();
     }
-    assert!(intake.has_failed(), "nobody was told");
+    assert!(intake.has_failed(), "the failure was not reported");
     intake.finish();
     let failed = pipeline.finish().err().unwrap();
     assert_eq!(io_error_of(&failed), Some(io::ErrorKind::StorageFull), "{failed:#}");
@@ -222,12 +222,12 @@ fn a_full_disk_is_an_error_and_what_was_written_can_be_read() {
 }
 
 #[test]
-fn frames_that_come_slowly_go_to_disk_by_the_clock() {
+fn slow_frames_go_to_disk_by_the_clock() {
     let motion = jump(3, 100.0, 1.0);
     let bytes = std::sync::Arc::default();
-    let unlimited = Full { room: usize::MAX, bytes: std::sync::Arc::clone(&bytes) };
+    let unlimited = Full { space: usize::MAX, bytes: std::sync::Arc::clone(&bytes) };
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), unlimited);
-    // Ten frames make the first stretch, nine more wait for a full one that does not come.
+    // Ten frames form the first stretch; nine more wait for a full stretch that does not come.
     for seq in 0..19 {
         feed(&mut intake, &motion, seq);
     }
@@ -245,7 +245,7 @@ fn frames_that_come_slowly_go_to_disk_by_the_clock() {
 }
 
 #[test]
-fn a_reader_that_is_dropped_in_the_middle_leaves_a_whole_take() {
+fn a_reader_that_is_dropped_early_leaves_a_whole_take() {
     let motion = jump(4, 100.0, 1.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
     (0..57).for_each(|seq| feed(&mut intake, &motion, seq));

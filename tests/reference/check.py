@@ -4,18 +4,18 @@
         [--tolerances 0.1,0.5,1,5,10,20] [--resamplers dense,fast,lossless]
     python tests/reference/check.py
 
-The golden takes of this format's version (take/tests/golden) are decoded, and the digests compared with what
-expected.txt says of them. Without a folder of takes that is all, and mocapd need not be built.
+The golden takes of this format version (take/tests/golden) are decoded, and their digests are compared with
+expected.txt. Without a folder of takes nothing else is done, and mocapd need not be built.
 
 Every file of the folder is imported at 1 mm with `dense`; the two smallest ones also at every tolerance with every
-live resampler, and at 5 mm with `spline` and `sync`. `--all` does with every file what is done with the smallest
-(but `spline` and `sync`, which are for short takes). What --tolerances or --resamplers name is done with every file.
+live resampler, and at 5 mm with `spline` and `sync`. `--all` treats every file like the smallest ones (without
+`spline` and `sync`, which are for short takes). --tolerances and --resamplers apply to every file.
 Takes (.take) in the folder, recordings for instance, are compared as they are.
 
-mocapd's side is its CSV export, which has the fewest digits that bring back each float32, and `info --json`: the
-samples and the kept samples of each channel, and SR1, which tells in which rows samples were kept.
+The results of mocapd are its CSV export, which has the fewest digits that restore each float32, `info --json` for
+the numbers of samples and kept samples of each channel, and SR1 for the rows in which samples were kept.
 
-One line for each; the last line is `N passed, N failed`; exit code 1 when one failed.
+Prints one line per comparison, then `N passed, N failed`; the exit code is 1 if one failed.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def run(*command):
 
 
 def compare_positions(take, path):
-    """The first complaint about a sample, or none."""
+    """The first difference between the samples, or None."""
     with open(path, newline="", encoding="utf-8") as file:
         table = csv.reader(file)
         columns = (len(next(table)) - 2) // 3
@@ -94,7 +94,7 @@ def compare_counts(take, info):
 
 
 def check(mocapd, path, resampler, tolerance_mm):
-    """One file: its line, and whether it passed."""
+    """Checks one file and returns its output line and whether it passed."""
     name = f"{path.name} {resampler} {tolerance_mm} mm" if resampler else path.name
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -111,7 +111,7 @@ def check(mocapd, path, resampler, tolerance_mm):
             take = read_take(recorded.read_bytes())
             seconds = time.perf_counter() - start
             complaint = compare_positions(take, table) or compare_counts(take, info)
-    except Exception as problem:  # any failure is this file's, the others still count
+    except Exception as problem:  # any failure belongs to this file, and the others still count
         return f"FAIL {name}: {type(problem).__name__}: {problem}", False
     if complaint:
         return f"FAIL {name}: {complaint}", False
@@ -126,7 +126,7 @@ def digest(parts):
 
 
 def golden_words(take):
-    """What expected.txt says of a take, but for what this decoder passes over: stretches, events, ledgers."""
+    """The contents of expected.txt for a take, except what this decoder skips: stretches, events, ledgers."""
     markers = (f"{m['marker_id']} {m['label']} {int(m['labelled'])}\n".encode() for m in take.channels)
     yield f"rows {take.n_rows}, stated {take.stated_mm} mm"
     yield f"{len(take.channels)} markers, {digest(markers)}"
@@ -146,13 +146,13 @@ def golden_words(take):
 
 
 def check_golden(path, words):
-    """One golden take: its line, and whether it passed."""
+    """Checks one golden take and returns its output line and whether it passed."""
     passed_over = ("stretch ", "event ", "ledger ")
     expected = [line for line in words.splitlines() if line and not line.startswith(passed_over)]
     name = f"golden {path.name} of version {CODEC_VERSION}"
     try:
         found = list(golden_words(read_take(path.read_bytes())))
-    except Exception as problem:  # any failure is this file's, the others still count
+    except Exception as problem:  # any failure belongs to this file, and the others still count
         return f"FAIL {name}: {type(problem).__name__}: {problem}", False
     if found != expected:
         differing = [line for line in expected if line not in found] or ["more than is expected"]
@@ -161,14 +161,14 @@ def check_golden(path, words):
 
 
 def plan_goldens():
-    """(file, what is expected of it)"""
+    """(file, expected contents)"""
     sections = (GOLDENS / "expected.txt").read_text(encoding="utf-8").split("\ntake ")[1:]
     pairs = (section.split("\n", 1) for section in sections)
     return [(GOLDENS / name, words) for name, words in pairs]
 
 
 def plan(files, arguments):
-    """(file, resampler, tolerance), the longest first."""
+    """(file, resampler, tolerance), the slowest first."""
     named = arguments.tolerances or arguments.resamplers
     tolerances = arguments.tolerances or TOLERANCES_MM
     resamplers = arguments.resamplers or LIVE

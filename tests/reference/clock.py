@@ -1,11 +1,11 @@
-"""Lays the line of a take's clocks again, from its round trips and earliest frames, and compares it with the stored one.
+"""Fits a take's clock line again, to its round trips and earliest frames, and compares it with the stored one.
 
     python tests/reference/clock.py TAKE [--sent LOG]
 
-With the simulator's log (mocapd-sim serve --log), also says how far the stored line is from the truth.
-Exit code 1 when the two lines are further apart than 20 us and a quarter of the bound, or the rates than 2 ppm and
-a quarter of theirs: the first recorders chose the best round trip of a burst with the rate known then, and here it is
-the last one.
+With the simulator's log (mocapd-sim serve --log), also prints the error of the stored line.
+The exit code is 1 if the two lines differ by more than 20 us and a quarter of the bound, or the rates by more than
+2 ppm and a quarter of theirs. They may differ because early recorders selected the best round trip of a burst with the
+rate known at that time, whereas this script uses the final rate.
 """
 
 import argparse

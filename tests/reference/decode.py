@@ -1,4 +1,4 @@
-"""Decodes a take in plain Python: slow, and in the steps of docs/take-format.md and docs/codec.md.
+"""Decodes a take in plain Python, slowly, in the steps of docs/take-format.md and docs/codec.md.
 
     python tests/reference/decode.py TAKE [--raw OUT]
 

@@ -35,7 +35,7 @@ fn analog(frame: usize, sample: usize) -> f32 {
     ((frame * 31 + sample * 17) % 97) as f32 * 20.0 - 900.0
 }
 
-/// What a file says of itself beside its header.
+/// The parameters of a file.
 #[derive(Clone, Copy)]
 struct Figures {
     points_used: usize,
@@ -149,7 +149,7 @@ fn points_are_counted_by_what_accounts_for_the_bytes() {
 }
 
 #[test]
-fn where_all_figures_are_wrong_the_size_tells() {
+fn if_all_figures_are_wrong_the_size_decides() {
     // Header and parameters agree on analog samples that the file does not have.
     let mut bytes = file(Order::Intel, -1.0, 0, TRUE);
     put(&mut bytes, Order::Intel, HEADER_ANALOG, CHANNELS * RATIO);
@@ -159,7 +159,7 @@ fn where_all_figures_are_wrong_the_size_tells() {
 }
 
 #[test]
-fn what_nothing_accounts_for_is_refused_with_its_figures() {
+fn unexplained_sizes_are_refused_with_their_figures() {
     let mut bytes = file(Order::Intel, -1.0, CHANNELS, TRUE);
     put(&mut bytes, Order::Intel, HEADER_ANALOG, 77);
     put(&mut bytes, Order::Intel, HEADER_RATIO, 7);
@@ -184,7 +184,7 @@ fn what_nothing_accounts_for_is_refused_with_its_figures() {
 }
 
 #[test]
-fn a_cut_file_is_read_as_far_as_it_goes_whether_its_figures_agree_or_not() {
+fn a_truncated_file_is_read_to_its_end_whether_its_figures_agree_or_not() {
     for disagrees in [false, true] {
         let mut bytes = file(Order::Intel, -1.0, CHANNELS, TRUE);
         if disagrees {
@@ -200,7 +200,7 @@ fn a_cut_file_is_read_as_far_as_it_goes_whether_its_figures_agree_or_not() {
 }
 
 #[test]
-fn a_cut_file_whose_header_alone_claims_analog_samples_is_read_by_its_motion() {
+fn a_truncated_file_with_analog_samples_only_in_its_header_is_read_by_its_motion() {
     let frame = |frame| (0..POINTS).flat_map(move |p| position(frame, p).into_iter().chain([0.0]));
     let frames = (0..FRAMES).map(|i| frame(i).collect()).collect();
     let mut bytes = C3dFile::new(POINTS, frames).bytes();
@@ -211,7 +211,7 @@ fn a_cut_file_whose_header_alone_claims_analog_samples_is_read_by_its_motion() {
     assert_eq!(motion.frame(39)[4], position(39, 4));
 }
 
-/// What the points and the analog samples of an honest file are.
+/// The points and analog samples of a consistent file.
 #[derive(Debug, Clone, Copy)]
 enum Content {
     Moving,
@@ -289,7 +289,7 @@ fn an_honest_file_that_was_cut_off_keeps_its_stride() {
 }
 
 #[test]
-fn verify_says_that_the_file_can_be_read_in_another_way() {
+fn verify_reports_ambiguities_of_the_file() {
     let folder = Folder::new();
     let mut bytes = file(Order::Intel, -1.0, CHANNELS, TRUE);
     put(&mut bytes, Order::Intel, HEADER_ANALOG, 0);

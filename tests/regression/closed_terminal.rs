@@ -1,4 +1,4 @@
-//! A closed terminal or a dropped SSH connection ends a recording as Ctrl-C does, with a whole take.
+//! A closed terminal or a dropped SSH connection ends a recording like Ctrl-C, with an intact take.
 
 use rustix::process::Signal;
 
@@ -10,7 +10,7 @@ use crate::{
     support::jump,
 };
 
-/// Whether what this test starts ignores SIGHUP, as under `nohup`.
+/// Whether the processes of this test ignore SIGHUP, as under `nohup`.
 fn is_hangup_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();

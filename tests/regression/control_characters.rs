@@ -1,4 +1,4 @@
-//! A mark with a newline wrote a line of its own into the log; labels and names of files could command a terminal.
+//! A mark with a newline wrote a separate line into the log; labels and file names could control a terminal.
 
 use std::{
     fs::File,
@@ -114,7 +114,7 @@ fn events_are_exact_and_command_no_terminal(folder: &Folder) {
     let _follow = Service { child: follow };
     let began = Instant::now();
     let line = loop {
-        // It hears what happens once it is connected.
+        // It receives events once it is connected.
         ctl(folder, &["mark", HOSTILE]).with_code(0);
         let text = folder.text("events");
         if let Some(line) = text.lines().find(|line| line.contains("forged") && line.ends_with('}'))
@@ -130,7 +130,7 @@ fn events_are_exact_and_command_no_terminal(folder: &Folder) {
 }
 
 #[test]
-fn names_of_files_and_labels_command_no_terminal() {
+fn names_of_files_and_labels_do_not_control_the_terminal() {
     let folder = Folder::new();
     let mut motion = jump(1, 60.0, 0.5);
     motion.info.markers[0].label = HOSTILE.to_owned();
@@ -154,7 +154,7 @@ fn names_of_files_and_labels_command_no_terminal() {
             assert!(!text.lines().any(|line| line.starts_with("2026-01-01")), "{args:?}: {text:?}");
         }
     }
-    // JSON escapes in its own way, and is exact.
+    // JSON escapes them, and keeps the exact text.
     let ran = folder.run(&["info", &name, "--json"]).with_code(0);
     assert_eq!(unsafe_characters(&ran.stdout), [], "{ran:?}");
     assert_eq!(ran.json()["channels"][0]["label"], HOSTILE);

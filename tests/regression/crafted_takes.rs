@@ -1,14 +1,14 @@
-//! Takes whose checksums are right and whose content nobody would write.
+//! Crafted takes: valid checksums and malicious contents.
 
 use mocapd_take::{
     TakeWriter,
-    damage::{Counts, Problem},
+    damage::{LedgerTotals, Problem},
     record::{CODEC_VERSION, Channel, Header, Ledger},
     stretch::{CHANNELS_MAX, Span},
 };
 
 use super::sparse_files::{assert_small, run};
-use crate::{cli::Folder, support::assert_tells};
+use crate::{cli::Folder, support::assert_mentions};
 
 fn header() -> Header {
     Header {
@@ -34,7 +34,7 @@ fn take(fill: impl FnOnce(&mut TakeWriter<Vec<u8>>)) -> Vec<u8> {
     take.finish(&Ledger { finished: true, ..Ledger::default() }).unwrap().0
 }
 
-/// Every command that reads it ends, says that something is wrong, and holds little.
+/// Every command that reads the take ends, reports a problem, and uses little memory.
 fn assert_survived(bytes: &[u8]) {
     let folder = Folder::new();
     folder.write("a.take", bytes);
@@ -80,7 +80,7 @@ fn more_markers_than_a_take_has_are_refused_by_an_import() {
     assert_eq!(verify["samples"], 2 * CHANNELS_MAX as u64);
     folder.write("more.csv", csv(CHANNELS_MAX + 1));
     let ran = folder.run(&["import", "more.csv", "-o", "more.take"]).with_code(1);
-    assert_tells(&ran.stderr, &[&CHANNELS_MAX.to_string()]);
+    assert_mentions(&ran.stderr, &[&CHANNELS_MAX.to_string()]);
     assert!(!folder.path("more.take").exists());
 }
 
@@ -100,7 +100,7 @@ fn a_label_as_long_as_a_book_is_shown() {
 }
 
 #[test]
-fn a_ledger_that_tells_of_more_than_is_there_is_counted_again() {
+fn a_ledger_with_more_frames_than_the_take_is_counted_again() {
     let folder = Folder::new();
     let mut writer = TakeWriter::new(Vec::new(), &header()).unwrap();
     let span = Span { first_row: 0, n_rows: 0, key: true, number: 0 };
@@ -111,11 +111,11 @@ fn a_ledger_that_tells_of_more_than_is_there_is_counted_again() {
     folder.run(&["verify", "a.take"]).with_code(1);
     let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
     let recounted = Problem::LedgerCounts {
-        told: Counts { frames: n, samples: 0 },
-        found: Counts { frames: 0, samples: 0 },
+        stated: LedgerTotals { frames: n, samples: 0 },
+        found: LedgerTotals { frames: 0, samples: 0 },
     };
-    assert_tells(&ran.stderr, &["a.take", &recounted.to_string()]);
-    // What is left does not contradict itself.
+    assert_mentions(&ran.stderr, &["a.take", &recounted.to_string()]);
+    // The rest is consistent.
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
     assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");
 }

@@ -1,5 +1,5 @@
-//! What `ctl` and `config check` answer: a save that is short, the warnings of `run`, the figures while armed, and the
-//! stop of a take that has failed.
+//! Output of `ctl` and `config check`: a short save, the warnings of `run`, the figures while armed, and the
+//! stop of a failed take.
 
 use std::{
     io::{BufRead, BufReader},
@@ -13,17 +13,17 @@ use serde_json::Value;
 use crate::{
     cli::{Folder, Ran, devices::Simulated},
     service::engine::wait_until,
-    support::{assert_tells, jump, tells},
+    support::{assert_mentions, jump, mentions},
 };
 
-/// `mocapd run`, and `ctl` to ask it.
+/// `mocapd run`, and `ctl` to control it.
 struct Service<'a> {
     folder: &'a Folder,
     child: Child,
 }
 
 impl<'a> Service<'a> {
-    /// Under a shell's limits, and with what it says on standard error.
+    /// Runs it under limits of the shell; also returns its standard error.
     fn run(folder: &'a Folder, limits: &str, device: &Path, config: &str) -> Self {
         let device = device.display();
         let config = format!(
@@ -64,7 +64,7 @@ impl Drop for Service<'_> {
 const ALONE: &str = "[http]\nsocket = 'rig.sock'\nlisten = ''\n";
 
 #[test]
-fn a_save_of_more_than_is_held_says_so_and_the_watch_shows_what_is_held() {
+fn a_save_of_more_than_the_pre_roll_has_says_so_and_the_watch_shows_the_pre_roll() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 3.0));
     let service = Service::run(&folder, "", &device.path, ALONE);
@@ -88,7 +88,7 @@ fn a_save_of_more_than_is_held_says_so_and_the_watch_shows_what_is_held() {
     BufReader::new(watch.stdout.take().unwrap()).read_line(&mut line).unwrap();
     watch.kill().unwrap();
     watch.wait().unwrap();
-    assert_tells(&line, &["armed", "lost", "Hz", "pre-roll", "free"]);
+    assert_mentions(&line, &["armed", "lost", "Hz", "pre-roll", "free"]);
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn config_check_warns_of_what_run_warns_of() {
     let config = "[http]\nsocket = 'nowhere/rig.sock'\nlisten = '127.0.0.1:0'\n\
                   [trigger]\nlisten = '0.0.0.0:0'\n";
     let mut service = Service::run(&folder, "", &device.path, config);
-    // Warnings come before it says where the dashboard is.
+    // Warnings precede the address of the dashboard.
     let lines = BufReader::new(service.child.stderr.take().unwrap()).lines().map(Result::unwrap);
     let lines: Vec<_> = lines.take_while(|line| !line.contains("http://")).collect();
     let warned: Vec<_> = lines.iter().filter_map(|line| line.split_once(" WARN ")).collect();
@@ -127,6 +127,6 @@ fn a_stop_of_a_take_that_has_failed_says_why() {
     let failure = service.status()["failure"].as_str().unwrap().to_owned();
     let refused = service.ctl(&["stop"]).with_code(1);
     assert!(failure.contains("fails") && refused.stderr.contains(&failure), "{}", refused.stderr);
-    // What was true of the take before is not the answer.
-    assert!(!tells(&refused.stderr, "before"), "{}", refused.stderr);
+    // The answer is not about the take before.
+    assert!(!mentions(&refused.stderr, "before"), "{}", refused.stderr);
 }

@@ -1,28 +1,28 @@
-//! A limb that is cut off is left out, or its joints state how uncertain they are.
+//! A missing limb is left out, or its joints state their uncertainty.
 
 use mocapd_body::{
-    Joint, Joints, Mesh, Refusal, Side, Survey,
+    Joint, Joints, Mesh, Refusal, ScanAnalysis, Side,
     read::{Format, Scan},
     repair::repair,
     skeleton::Method,
 };
-use mocapd_testkit::synthetic_body::{Cut, Options, Part, Pose, body, cut_limb};
+use mocapd_testkit::synthetic_body::{BodyOptions, LimbCut, LimbPart, Pose, body, cut_limb};
 
-/// No joint may be so far off, in parts of stature, whose stated standard deviation is below [`SURE`].
+/// Largest error of a joint whose stated standard deviation is below [`SURE`], as a fraction of stature.
 const FAR: f64 = 0.1;
 const SURE: f64 = 0.03;
 const NOTICED: &str = "limb-cut-off";
 
-fn survey(mesh: Mesh) -> Result<Survey, Refusal> {
+fn analyse(mesh: Mesh) -> Result<ScanAnalysis, Refusal> {
     let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
-    Survey::new(&repair(scan, None).unwrap().mesh, Method::Default)
+    ScanAnalysis::new(&repair(scan, None).unwrap().mesh, Method::Default)
 }
 
-fn notices(survey: &Survey) -> bool {
-    survey.notes.iter().any(|note| note.code == NOTICED)
+fn has_notice(analysis: &ScanAnalysis) -> bool {
+    analysis.notes.iter().any(|note| note.code == NOTICED)
 }
 
-fn far_and_sure(survey: &Survey, truth: &Joints, stature: f64) -> Vec<(Joint, f64)> {
+fn far_and_sure(analysis: &ScanAnalysis, truth: &Joints, stature: f64) -> Vec<(Joint, f64)> {
     let other = |side| if side == Side::Left { Side::Right } else { Side::Left };
     let of = |joint: Joint| match joint {
         Joint::Shoulder(side) => Joint::Shoulder(other(side)),
@@ -34,7 +34,7 @@ fn far_and_sure(survey: &Survey, truth: &Joints, stature: f64) -> Vec<(Joint, f6
         joint => joint,
     };
     let errors = |swapped: bool| {
-        let found = survey.joints.estimates.iter();
+        let found = analysis.joints.estimates.iter();
         let error = move |(joint, found): (&Joint, &mocapd_body::Estimate)| {
             let joint = if swapped { of(*joint) } else { *joint };
             let [a, b] = [truth.estimates[&joint].position, found.position];
@@ -45,32 +45,32 @@ fn far_and_sure(survey: &Survey, truth: &Joints, stature: f64) -> Vec<(Joint, f6
     };
     let sum = |errors: &[(Joint, f64, f64)]| errors.iter().map(|(_, error, _)| error).sum::<f64>();
     let (straight, crossed) = (errors(false), errors(true));
-    // Where the sides are not told, nobody said which is which.
-    let crossed_fits = !survey.joints.sides_told && sum(&crossed) < sum(&straight);
+    // If the sides are uncertain, either assignment is accepted.
+    let crossed_fits = !analysis.joints.sides_told && sum(&crossed) < sum(&straight);
     let fitting = if crossed_fits { crossed } else { straight };
     let far = fitting.into_iter().filter(|(_, error, sigma)| *error > FAR && *sigma < SURE);
     far.map(|(joint, error, _)| (joint, error)).collect()
 }
 
 #[test]
-fn no_joint_of_a_body_with_a_limb_cut_off_is_far_off_and_sure() {
-    let mut seen: Vec<(Cut, bool)> = Vec::new();
+fn no_joint_of_a_body_with_a_missing_limb_is_wrong_and_confident() {
+    let mut seen: Vec<(LimbCut, bool)> = Vec::new();
     for (at, pose) in (0..).zip([Pose::A, Pose::Walk, Pose::Down]) {
-        let (mesh, truth) = body(at, pose, Options::default());
-        let crown = body(at, Pose::A, Options { n_faces: 500, turned: false }).1;
+        let (mesh, truth) = body(at, pose, BodyOptions::default());
+        let crown = body(at, Pose::A, BodyOptions { n_faces: 500, turned: false }).1;
         let stature = crown.estimates[&Joint::Head].position[1];
-        let whole = survey(mesh.clone()).unwrap();
-        assert!(!notices(&whole), "{pose:?}: {:?}", whole.notes);
+        let whole = analyse(mesh.clone()).unwrap();
+        assert!(!has_notice(&whole), "{pose:?}: {:?}", whole.notes);
         for seed in 0..8 {
             let Some((rest, cut)) = cut_limb(&mesh, &truth, 8 * at + seed) else { continue };
-            let Ok(found) = survey(rest) else { continue };
+            let Ok(found) = analyse(rest) else { continue };
             let far = far_and_sure(&found, &truth, stature);
             assert!(far.is_empty(), "{pose:?}, {cut:?}: {far:?}");
-            seen.push((cut, notices(&found)));
+            seen.push((cut, has_notice(&found)));
         }
     }
     assert!(seen.len() >= 12, "only {} cuts are no reason to refuse a scan", seen.len());
-    let legs = [Part::Foot, Part::HalfShank, Part::Shank, Part::Knee];
+    let legs = [LimbPart::Foot, LimbPart::HalfShank, LimbPart::Shank, LimbPart::Knee];
     let unnoticed = seen.iter().filter(|(cut, noticed)| legs.contains(&cut.part) && !noticed);
     let unnoticed: Vec<_> = unnoticed.collect();
     assert!(unnoticed.len() <= 1, "{unnoticed:?}");
@@ -78,13 +78,13 @@ fn no_joint_of_a_body_with_a_limb_cut_off_is_far_off_and_sure() {
 
 #[test]
 fn what_is_cut_off_is_left_out_and_the_other_side_keeps_its_place() {
-    let (mesh, truth) = body(0, Pose::A, Options::default());
+    let (mesh, truth) = body(0, Pose::A, BodyOptions::default());
     // A shank: neither its ankle nor its foot is in the scan.
     let cuts = (0..64).map(|turn| 8 * turn + 1).filter_map(|seed| cut_limb(&mesh, &truth, seed));
-    let (rest, cut) = cuts.into_iter().find(|(_, cut)| cut.part == Part::HalfShank).unwrap();
-    let found = survey(rest).unwrap();
+    let (rest, cut) = cuts.into_iter().find(|(_, cut)| cut.part == LimbPart::HalfShank).unwrap();
+    let found = analyse(rest).unwrap();
     let other = if cut.side == Side::Left { Side::Right } else { Side::Left };
-    assert!(notices(&found) && found.joints.sides_told, "{:?}", found.notes);
+    assert!(has_notice(&found) && found.joints.sides_told, "{:?}", found.notes);
     assert!(!found.joints.estimates.contains_key(&Joint::Ankle(cut.side)));
     for joint in [Joint::Ankle(other), Joint::Knee(other)] {
         let estimate = &found.joints.estimates[&joint];

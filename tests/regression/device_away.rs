@@ -13,11 +13,11 @@ use mocapd_service::{
 use crate::{
     cli::{Folder, devices::Simulated},
     service::engine::{named, options, wait_until},
-    support::{assert_tells, jump},
+    support::{assert_mentions, jump},
 };
 
 #[test]
-fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
+fn a_recording_without_its_device_is_not_shown_as_healthy() {
     let folder = Folder::new();
     let link = folder.path("device");
     let motion = jump(1, 120.0, 3.0);
@@ -45,19 +45,19 @@ fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
     assert_eq!((status.state, status.device.is_awaited), (State::Recording, true));
     assert_eq!(outage.frames, (outage.seconds * status.device.rate_hz) as u64);
     assert!((590.0..600.0).contains(&outage.ends_in_s.unwrap()), "{outage:?}");
-    // What systemd shows, and the first line of `ctl status`, begin with it.
-    assert!(status.words().starts_with("no device for "), "{}", status.words());
-    let said = ctl(&["status"]).with_code(0).stdout;
-    let first = said.lines().next().unwrap();
+    // The systemd status and the first line of `ctl status` begin with it.
+    assert!(status.summary().starts_with("no device for "), "{}", status.summary());
+    let printed = ctl(&["status"]).with_code(0).stdout;
+    let first = printed.lines().next().unwrap();
     // For how long the take still waits for it.
-    assert_tells(first, &["test", "9 min"]);
+    assert_mentions(first, &["test", "9 min"]);
     let json = ctl(&["status", "--json"]).with_code(0).json();
     assert!(json["device"]["outage"]["frames"].as_u64().unwrap() >= outage.frames);
 
     let _device = Simulated::endless_at(&link, "A", motion);
     wait_until("its return", || engine.status().device.outage.is_none());
     assert_eq!(engine.status().device.outages, 1);
-    assert_tells(&ctl(&["status"]).stdout, &["test", "recording", "walk"]);
+    assert_mentions(&ctl(&["status"]).stdout, &["test", "recording", "walk"]);
     let stopped = engine.stop(&Request::default()).unwrap();
     assert!(stopped.ledger.unknown_after_disconnect >= 60, "{stopped:?}");
 }

@@ -4,7 +4,7 @@ use mocapd_take::interchange::Format;
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, jump},
+    support::{assert_mentions, jump},
 };
 
 #[test]
@@ -23,9 +23,9 @@ fn info_numbers_the_frame_of_an_event_as_the_files_do() {
     assert!(String::from_utf8_lossy(&tsv).contains("EVENT\ttoe off\t735\t0.4"));
     folder.write("a.tsv", tsv);
     folder.run(&["import", "a.tsv", "-o", "a.take"]).with_code(0);
-    let said = folder.run(&["info", "a.take"]).with_code(0).stdout;
-    let line = said.lines().find(|line| line.contains("toe off")).unwrap();
-    assert_tells(line, &["frame 735", "0.400 s", "mark"]);
+    let printed = folder.run(&["info", "a.take"]).with_code(0).stdout;
+    let line = printed.lines().find(|line| line.contains("toe off")).unwrap();
+    assert_mentions(line, &["frame 735", "0.400 s", "mark"]);
     folder.run(&["export", "a.take", "-o", "b.tsv"]).with_code(0);
     assert!(folder.text("b.tsv").contains("EVENT\ttoe off\t735\t0.4"));
 }

@@ -1,4 +1,4 @@
-//! C3D files that other readers open: what they need stands in the file (`tests/oracle/check_foreign.py` opens them).
+//! C3D files for other readers: they contain what these need (`tests/oracle/check_foreign.py` opens them).
 
 use mocapd_take::{
     interchange::Format,

@@ -1,4 +1,4 @@
-//! Takes whose checksums are right and whose ledgers are not of their frames.
+//! Takes with valid checksums whose ledgers do not match their frames.
 
 use std::io::Cursor;
 
@@ -6,16 +6,16 @@ use mocapd_acquire::{health::TakeHealth, inspect::Summary};
 use mocapd_take::{
     TakeEvent, TakeMap, TakeWriter,
     chunk::{self, MAGIC, types},
-    damage::{Counts, Problem},
+    damage::{LedgerTotals, Problem},
     index::Footer,
     reader::read_events,
     record::Ledger,
-    recovery::Survey,
+    recovery::RecoveryScan,
 };
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, config, dense, jump, places, record},
+    support::{assert_mentions, config, dense, jump, places, record},
 };
 
 /// A recording of 180 rows, two of which were lost.
@@ -25,7 +25,7 @@ fn lossy() -> Vec<u8> {
 }
 
 fn payload(take: &[u8], place: std::ops::Range<usize>) -> &[u8] {
-    let chunk::Front::Whole { payload, .. } = chunk::front(&take[place]) else { panic!() };
+    let chunk::ChunkParse::Whole { payload, .. } = chunk::parse(&take[place]) else { panic!() };
     payload
 }
 
@@ -68,7 +68,7 @@ fn with_chunks(take: &[u8], of: u8, forged: impl Fn(&[u8]) -> (u8, Vec<u8>)) -> 
 }
 
 #[test]
-fn losses_in_the_time_line_are_held_against_every_ledger() {
+fn losses_in_the_time_line_are_compared_with_every_ledger() {
     let take = lossy();
     let honest = Summary::read(&with_ledgers(&take, None, |ledger| ledger)[..]).unwrap();
     assert_eq!((honest.contradictions(), honest.health()), (&[][..], TakeHealth::Lossy));
@@ -93,7 +93,7 @@ fn a_take_without_a_ledger_is_the_same_to_every_command() {
         (&["recover", "a.take", "-o", "b.take"], 3),
     ] {
         let ran = folder.run(args).with_code(code);
-        assert_tells(&ran.stderr, &["a.take", &Problem::NoLedger.to_string()]);
+        assert_mentions(&ran.stderr, &["a.take", &Problem::NoLedger.to_string()]);
     }
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
     let none = serde_json::json!([]);
@@ -101,20 +101,20 @@ fn a_take_without_a_ledger_is_the_same_to_every_command() {
 }
 
 #[test]
-fn a_recovery_leaves_no_ledger_that_is_not_true() {
+fn a_recovery_leaves_no_wrong_ledger() {
     let folder = Folder::new();
     let early = Ledger { frames_sent: 7, recorded: 7, ..Ledger::default() };
     let take = with_ledgers(&lossy(), Some(&early), |ledger| ledger);
-    let problems = Survey::read(&take[..]).unwrap().problems;
-    let [wrong @ Problem::LedgerCounts { told, found }] = &problems[..] else { panic!() };
-    assert_eq!(*told, Counts { frames: 7, samples: 0 });
+    let problems = RecoveryScan::read(&take[..]).unwrap().problems;
+    let [wrong @ Problem::LedgerCounts { stated, found }] = &problems[..] else { panic!() };
+    assert_eq!(*stated, LedgerTotals { frames: 7, samples: 0 });
     assert!(found.frames > 7 && found.samples > 0, "{found:?}");
     folder.write("a.take", take);
     folder.run(&["verify", "a.take"]).with_code(1);
     let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
     // The names are all there.
-    assert_tells(&ran.stderr, &["a.take", &wrong.to_string(), "ledger was missing or wrong"]);
-    assert!(!ran.stderr.contains("names of markers"), "{}", ran.stderr);
+    assert_mentions(&ran.stderr, &["a.take", &wrong.to_string(), "ledger was missing or wrong"]);
+    assert!(!ran.stderr.contains("marker names"), "{}", ran.stderr);
     let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
     assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");
 }

@@ -19,7 +19,7 @@ use crate::service::{
 /// Places of each listener.
 const CONNECTIONS_MAX: usize = 8;
 
-/// Connections that want nothing: several times as many.
+/// Idle connections: several times as many.
 const STRANGERS: usize = 40;
 
 const TOKEN: &str = "correct-horse-battery-staple";
@@ -35,7 +35,7 @@ impl Rig {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let socket = folder.path().join("rig.sock");
-        // Nobody is cut off by time while a test runs: places alone decide.
+        // No time-outs during a test: only the number of places counts.
         let long = Duration::from_secs(600);
         let limits = TimeLimits { head: long, body: long, stall: long, ..TimeLimits::default() };
         let options = HttpOptions {
@@ -81,7 +81,7 @@ impl Rig {
         loop {
             let [refused, evicted] = ["refused", "evicted"]
                 .map(|which| self.figure(&format!("mocapd_http_connections_{which}_total")));
-            // The one that asks is open as well.
+            // The connection of this request is open as well.
             let open = self.figure("mocapd_http_connections") - 1;
             if open + refused + evicted >= made as u64 {
                 return;
@@ -108,7 +108,7 @@ fn idle_and_dripping_strangers_on_tcp_leave_the_socket_alone() {
     let strangers: Vec<_> = (0..STRANGERS)
         .map(|n| {
             let mut stream = connect(rig.tcp);
-            // One in two says nothing, the others begin a request, or a login that is wrong.
+            // Every second one is silent; the others begin a request or a wrong login.
             match n % 4 {
                 1 => stream.write_all(b"GET /v1/st").unwrap(),
                 3 => {
@@ -124,10 +124,10 @@ fn idle_and_dripping_strangers_on_tcp_leave_the_socket_alone() {
     let answered: Vec<u16> = (0..50).map(|_| rig.over_unix("/v1/status").status).collect();
     assert_eq!(answered, [200; 50]);
     rig.settled(STRANGERS);
-    // Whoever knows the token gets in over TCP, too: strangers make room.
+    // Requests with the token are served over TCP as well: idle connections are closed for them.
     let answered: Vec<u16> = (0..20).map(|_| rig.over_tcp("/v1/status").status).collect();
     assert_eq!(answered, [200; 20]);
-    // No more than fit hold a place, and each of the others is told why, unless it had its answer.
+    // Only as many as there are places stay open; each of the others gets a reason, unless it had its answer.
     let open = rig.figure("mocapd_http_connections") as usize - 1;
     assert!(open <= CONNECTIONS_MAX, "{open}");
     rig.end();
@@ -148,14 +148,14 @@ fn idle_and_dripping_strangers_on_tcp_leave_the_socket_alone() {
 #[test]
 fn slow_clients_of_the_socket_shut_out_neither_tcp_nor_one_another() {
     let rig = Rig::start();
-    // More than it has places, some of which are for what is being carried out.
+    // More connections than places, some of which are reserved for requests in progress.
     let slow: Vec<_> = (0..3 * STRANGERS)
         .map(|n| {
             let mut stream = rig.connect_unix();
             let begun: &[u8] = match n % 3 {
                 0 => b"",
                 1 => b"GET /v1/st",
-                // The head is whole, the body is not.
+                // The header is complete, the body is not.
                 _ => &request("POST", "/v1/mark", &[("content-length", "100")], "{"),
             };
             stream.write_all(begun).unwrap();
@@ -171,7 +171,7 @@ fn slow_clients_of_the_socket_shut_out_neither_tcp_nor_one_another() {
 }
 
 #[test]
-fn strangers_do_not_end_what_is_being_answered() {
+fn other_connections_do_not_end_a_request_in_progress() {
     let rig = Rig::start();
     let mut stream = connect(rig.tcp);
     let bearer = format!("Bearer {TOKEN}");

@@ -1,12 +1,12 @@
-//! Text files of spreadsheets: times that are rounded, lines that are missing, a last number that is cut off, decimal
-//! commas, and a unit that is stated and wrong.
+//! Text files of spreadsheets: rounded times, missing lines, a truncated last number, decimal
+//! commas, and a wrong unit.
 
 use mocapd_take::{
     interchange::Format,
     motion::{Motion, is_gap},
 };
 
-use crate::{cli::Folder, support::tells};
+use crate::{cli::Folder, support::mentions};
 
 /// Two markers at 120 Hz, in metres or whatever `mm` of them make one.
 fn csv(frames: impl Iterator<Item = usize>, mm: f64) -> String {
@@ -43,7 +43,7 @@ fn rounded_times_tell_the_rate_and_missing_lines_keep_their_time() {
     assert_eq!((motion.info.rate_hz, motion.info.n_frames), (120.0, 600));
     assert_eq!(rows_with_gaps(&motion), [100, 101, 102, 300]);
     assert_eq!(motion.frame(599), whole.frame(599));
-    assert!(motion.info.source.warnings.iter().any(|warning| tells(warning, "4 frames")));
+    assert!(motion.info.source.warnings.iter().any(|warning| mentions(warning, "4 frames")));
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn a_number_that_may_be_cut_off_is_no_coordinate() {
 }
 
 #[test]
-fn spreadsheets_of_every_country_are_read() {
+fn spreadsheets_of_all_locales_are_read() {
     let expected = read(Format::Csv, &csv(0..10, 1.0));
     let commas = csv(0..10, 1.0);
     let quoted: String =

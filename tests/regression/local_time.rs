@@ -1,4 +1,4 @@
-//! Names of takes were in local time, lists and logs in UTC.
+//! Names of takes used local time, lists and logs UTC.
 
 use jiff::{Timestamp, Unit, civil::DateTime};
 
@@ -13,7 +13,7 @@ const ZONE: (&str, &str) = ("TZ", "XYZ-05:45");
 const OFFSET: &str = "+05:45";
 
 #[test]
-fn times_for_people_are_local_and_say_so() {
+fn times_for_people_are_local_and_state_their_zone() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 3.0));
     let mut service = Service::start(&folder, &device, &[ZONE]);

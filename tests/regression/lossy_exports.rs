@@ -1,8 +1,8 @@
-//! A format in which lost frames look like hidden markers does not make them so: `export` says how many were lost.
+//! In some formats lost frames look like occluded markers: `export` reports how many were lost.
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, config, dense, jump, record},
+    support::{assert_mentions, config, dense, jump, record},
 };
 
 #[test]
@@ -13,7 +13,7 @@ fn an_export_says_how_many_frames_the_recording_lost() {
     let lossy = (0..motion.n_frames()).filter(|seq| seq % 50 != 20);
     folder.write("lossy.take", record(&motion, &config, lossy).1);
     folder.write("whole.take", record(&motion, &config, 0..motion.n_frames()).1);
-    let said = folder.run(&["export", "lossy.take", "-o", "lossy.c3d"]).with_code(0).stderr;
-    assert_tells(&said, &["lossy.take", "4 frames"]);
+    let message = folder.run(&["export", "lossy.take", "-o", "lossy.c3d"]).with_code(0).stderr;
+    assert_mentions(&message, &["lossy.take", "4 frames"]);
     assert_eq!(folder.run(&["export", "whole.take", "-o", "whole.c3d"]).with_code(0).stderr, "");
 }

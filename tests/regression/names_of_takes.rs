@@ -23,7 +23,7 @@ fn an_ending_is_added_once_and_a_listed_name_is_that_take() {
     let started = engine.start(&named("x.take.TAKE")).unwrap();
     assert_eq!(started.name, "x");
     engine.stop(&Request::default()).unwrap();
-    // Somebody else may call a file so.
+    // Another program may use this name.
     fs::copy(folder.path("x.take"), folder.path("x.take.take")).unwrap();
     let names: Vec<String> = engine.takes(9).unwrap().into_iter().map(|take| take.name).collect();
     assert!(names.contains(&"x.take".to_owned()), "{names:?}");
@@ -77,7 +77,7 @@ fn a_name_that_is_not_utf_8_is_a_name() {
     run(&[os("verify"), name, os("--json")], 0);
     let other = OsStr::from_bytes(b"z\xff.take");
     run(&[os("recover"), name, os("-o"), other, os("--json")], 0);
-    // A live take that somebody renames so is closed like any other.
+    // A take that is renamed in this way while recording is closed like any other.
     let device = Simulated::endless(jump(1, 120.0, 2.0));
     let mut service = Service::start(&folder, &device, "", "");
     service.post("/v1/start", r#"{"name": "live"}"#);

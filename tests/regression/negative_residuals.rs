@@ -1,7 +1,7 @@
-//! Fourth words that all say "missing" over real coordinates; and coordinates where only some say so.
+//! Fourth words that all say "missing" for real coordinates, and coordinates for which only some do.
 
 use mocapd_take::{
-    interchange::{Format, Turned},
+    interchange::{Format, RotatedFrames},
     motion::{Ambiguity, Motion, MotionFrames, UpAxis, is_gap},
 };
 
@@ -48,7 +48,7 @@ fn coordinates_are_samples_where_every_fourth_word_is_negative() {
         assert_eq!(gaps, [6], "zeros are a missing sample");
         assert_eq!(motion.frame(9)[1], [109.25, 20.0, 1000.5]);
         assert_eq!(motion.info.source.ambiguities, [Ambiguity::FourthWords { samples: 19 }]);
-        // To others they are samples, too, once they are written again.
+        // Written again, they are samples for other readers as well.
         let back = Format::C3d.read(&write(&motion)).unwrap();
         assert_eq!(back.frame(9), motion.frame(9));
         assert_eq!(back.info.source.ambiguities, []);
@@ -119,7 +119,7 @@ fn coordinates_under_gaps_are_scaled_and_turned_with_the_others() {
             |bytes: &[u8]| words(bytes, 8).into_iter().map(f32::from_bits).collect::<Vec<_>>();
         assert_eq!(floats(&write(&motion)), [50.0, 100.0, 150.0, 0.0, 55.0, 105.0, 155.0, -1.0]);
         let mut frames = MotionFrames::new(&motion);
-        let mut turned = Turned::new(&mut frames, UpAxis::Y).unwrap().unwrap();
+        let mut turned = RotatedFrames::new(&mut frames, UpAxis::Y).unwrap().unwrap();
         let mut bytes = Vec::new();
         Format::C3d.write(&mut turned, &mut bytes).unwrap();
         assert_eq!(floats(&bytes), [50.0, 150.0, -100.0, 0.0, 55.0, 155.0, -105.0, -1.0]);

@@ -1,9 +1,9 @@
-//! Noise is one estimate, the same everywhere: that of fourth differences, on one axis.
+//! The noise estimate is the same everywhere: that of fourth differences, on one axis.
 
 use mocapd_codec::Settings;
 use mocapd_report::{
-    coded::Coded,
-    plot::{MarkerQuality, Quality},
+    decoded::DecodedTake,
+    plot::{MarkerQuality, QualityPlot},
 };
 use mocapd_service::control::Control;
 use mocapd_take::motion::Motion;
@@ -49,17 +49,17 @@ fn noisy() -> Motion {
     motion
 }
 
-/// What `plot quality` shows of a take.
+/// The noise that `plot quality` shows.
 fn shown(
     motion: &Motion,
     settings: Settings,
     original: Option<(&Motion, Option<Settings>)>,
 ) -> Vec<Option<f64>> {
     let take = record(motion, &config(motion, settings), 0..motion.n_frames()).1;
-    let coded = Coded::read(&take[..]).unwrap();
-    let all = MarkerQuality::all(&Quality {
+    let decoded = DecodedTake::read(&take[..]).unwrap();
+    let all = MarkerQuality::all(&QualityPlot {
         name: "noisy",
-        coded: &coded,
+        take: &decoded,
         original: original.map(|(motion, _)| motion),
         original_settings: original.and_then(|(_, settings)| settings),
     });
@@ -82,9 +82,9 @@ fn the_noise_of_a_take_is_that_of_its_markers_or_is_not_shown() {
     assert_near(&shown(&motion, lossless(), None), 0.1);
     assert_near(&shown(&motion, dense(1.0), Some((&motion, None))), 0.1);
     assert_eq!(shown(&motion, dense(1.0), Some((&motion, Some(dense(1.0))))), [None; 15]);
-    // What a tolerance of ten times the noise left of it is not the noise.
+    // With a tolerance of ten times the noise there is no estimate.
     assert_eq!(shown(&motion, dense(1.0), None), [None; 15]);
-    // Beyond a fine tolerance it is still to be seen.
+    // With a fine tolerance there still is one.
     assert_near(&shown(&motion, dense(0.02), None), 0.1);
 }
 

@@ -1,11 +1,11 @@
-//! A comparison of takes without a frame in common says so, and lists few labels.
+//! A comparison of takes without a common frame is an error, and lists few labels.
 
 use mocapd::compare::{CompareError, FrameNumbers, compare};
 use mocapd_take::motion::{Marker, Motion, MotionFrames, MotionInfo, Source};
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, tells},
+    support::{assert_mentions, mentions},
 };
 
 fn motion(first_frame: u64, n_frames: u64, n_markers: usize, prefix: &str) -> Motion {
@@ -21,7 +21,7 @@ fn motion(first_frame: u64, n_frames: u64, n_markers: usize, prefix: &str) -> Mo
 }
 
 #[test]
-fn no_frame_in_common_is_an_error_of_its_own() {
+fn no_frame_in_common_is_a_specific_error() {
     let (take, original) = (motion(1, 10, 2, "m"), motion(100, 20, 2, "m"));
     let found = compare(MotionFrames::new(&take), MotionFrames::new(&original)).unwrap_err();
     let CompareError::NoFrameInCommon { take: ours, original: theirs } = &found else {
@@ -34,7 +34,7 @@ fn no_frame_in_common_is_an_error_of_its_own() {
     folder.write_motion("b.c3d", &original);
     folder.run(&["import", "a.c3d", "-o", "a.take"]).with_code(0);
     let line = folder.refuses(&["verify", "a.take", "--against", "b.c3d"], 1);
-    assert_tells(&line, &["a.take", "b.c3d", &found.to_string()]);
+    assert_mentions(&line, &["a.take", "b.c3d", &found.to_string()]);
 }
 
 #[test]
@@ -43,10 +43,10 @@ fn at_most_ten_labels_are_listed() {
     folder.write_motion("a.csv", &motion(1, 10, 40, "a"));
     folder.write_motion("b.csv", &motion(1, 10, 40, "b"));
     folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
-    let words = folder.run(&["verify", "a.take", "--against", "b.csv"]).with_code(1).stdout;
-    let line = words.lines().find(|line| tells(line, "b9")).unwrap();
-    assert_tells(line, &["b0", "30"]);
-    assert!(!tells(line, "b10"), "{line}");
+    let printed = folder.run(&["verify", "a.take", "--against", "b.csv"]).with_code(1).stdout;
+    let line = printed.lines().find(|line| mentions(line, "b9")).unwrap();
+    assert_mentions(line, &["b0", "30"]);
+    assert!(!mentions(line, "b10"), "{line}");
     let ran = folder.run(&["verify", "a.take", "--against", "b.csv", "--json"]).with_code(1);
     assert_eq!(ran.json()["against"]["labels_differing"].as_array().unwrap().len(), 40);
 }

@@ -7,7 +7,7 @@ use crate::{
         Folder,
         devices::{Recorder, Simulated},
     },
-    support::{jump, rows, tells},
+    support::{jump, mentions, rows},
 };
 
 #[test]
@@ -25,9 +25,9 @@ fn every_command_names_the_same_places() {
     assert!(expected.len() > 2, "{problems:?}");
     assert!(expected.windows(2).all(|pair| pair[0] != pair[1]), "{expected:?}");
     let places = |args: &[&str]| {
-        let said = folder.run(args).with_code(3).stderr;
+        let message = folder.run(args).with_code(3).stderr;
         // In any order.
-        expected.iter().filter(|place| tells(&said, place)).cloned().collect::<Vec<_>>()
+        expected.iter().filter(|place| mentions(&message, place)).cloned().collect::<Vec<_>>()
     };
     for args in [
         &["info", "bad.take"][..],

@@ -1,6 +1,6 @@
-//! Of two markers with one label each can be had by name: by the one that exports give it.
+//! Two markers with the same label can be chosen by the names that exports give them.
 
-use crate::{cli::Folder, support::assert_tells};
+use crate::{cli::Folder, support::assert_mentions};
 
 #[test]
 fn the_second_of_two_is_plotted_by_its_exported_name() {
@@ -17,5 +17,5 @@ fn the_second_of_two_is_plotted_by_its_exported_name() {
     };
     plot(&second, "second.svg").with_code(0);
     let refused = plot("K#3", "third.svg").with_code(2);
-    assert_tells(&refused.stderr, &["K#3", &second]);
+    assert_mentions(&refused.stderr, &["K#3", &second]);
 }

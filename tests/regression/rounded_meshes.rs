@@ -1,12 +1,12 @@
 //! A closed body stays a body when its vertices are rounded, or lie in one place.
 
 use mocapd_body::{
-    Mesh, Survey,
+    Mesh, ScanAnalysis,
     read::{Format, Scan},
     repair::{RepairError, Repaired, repair},
     skeleton::Method,
 };
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn repaired(mesh: Mesh) -> Result<Repaired, RepairError> {
     repair(Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() }, None)
@@ -23,7 +23,7 @@ fn rounded(mesh: &Mesh, decimals: i32) -> Mesh {
 fn rounding_the_vertices_refuses_no_body() {
     let poses = [(1, Pose::A, 5000), (2, Pose::Squat, 40_000), (3, Pose::Walk, 20_000)];
     for (seed, pose, n_faces) in poses {
-        let (mesh, _) = body(seed, pose, Options { n_faces, turned: true });
+        let (mesh, _) = body(seed, pose, BodyOptions { n_faces, turned: true });
         for decimals in [2, 3, 4, 5] {
             let rounded = rounded(&mesh, decimals);
             let found = repaired(rounded.clone()).unwrap();
@@ -31,7 +31,7 @@ fn rounding_the_vertices_refuses_no_body() {
             // What hangs together is not taken apart, wherever it lies.
             assert!(found.mesh == rounded, "{pose:?} in {decimals} decimals");
             if decimals > 2 {
-                Survey::new(&found.mesh, Method::Default).unwrap();
+                ScanAnalysis::new(&found.mesh, Method::Default).unwrap();
             }
         }
     }
@@ -39,7 +39,7 @@ fn rounding_the_vertices_refuses_no_body() {
 
 #[test]
 fn lips_that_touch_stay_apart() {
-    let (mut mesh, _) = body(4, Pose::Down, Options { n_faces: 6000, turned: false });
+    let (mut mesh, _) = body(4, Pose::Down, BodyOptions { n_faces: 6000, turned: false });
     // Two triangles that share nothing, corner on corner: an upper lip upon a lower one.
     let upper = mesh.triangles[100];
     let far = |corners: &[u32; 3]| corners.iter().all(|corner| !upper.contains(corner));

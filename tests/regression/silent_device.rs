@@ -1,4 +1,4 @@
-//! A device that sends nothing when its take ends: what was due is on the ledger, and the take is not called complete.
+//! A device that is silent when its take ends: the frames due are on the ledger, and the take is not complete.
 
 use std::{path::PathBuf, sync::Arc};
 
@@ -36,14 +36,14 @@ fn falls_silent(at: Option<PathBuf>) -> Simulated {
 }
 
 #[test]
-fn what_was_due_in_a_silence_at_the_end_is_lost() {
+fn frames_due_in_a_silence_at_the_end_are_lost() {
     let folder = Folder::new();
     let device = falls_silent(None);
     let ran = Recorder::start(&folder, &device, "a.take", &["--json", "--seconds", "4s"]).wait();
     let report = ran.with_code(3).json();
     let ledger = &report["ledger"];
     assert_eq!(ledger["closes"], true, "{ledger}");
-    // Three of the four seconds, and no more than there were in them.
+    // The frames of three of the four seconds, and no more.
     let lost = ledger["unknown_after_disconnect"].as_u64().unwrap();
     assert!((300..=370).contains(&lost), "{ledger}");
     let info = folder.run(&["info", "a.take", "--json"]).with_code(3).json();

@@ -1,4 +1,4 @@
-//! A file that claims more than it holds costs neither memory nor time, and one that holds much no memory.
+//! A sparse file that claims a huge size costs neither memory nor time, and a large file costs no memory.
 //!
 //! Each `cargo test` does it with half a gigabyte; docs/reliability.md has the command for more.
 
@@ -17,20 +17,20 @@ use serde_json::Value;
 use super::negative_residuals::words;
 use crate::{
     cli::{Folder, Ran, devices::Simulated, service::Service},
-    support::{assert_tells, c3d_file::C3dFile, config, dense, jump, places, record},
+    support::{assert_mentions, c3d_file::C3dFile, config, dense, jump, places, record},
 };
 
 /// Places that are damaged.
 const DAMAGED: usize = 20;
 
-/// What a file claims, by its holes.
+/// The size that a file claims, with its holes.
 fn claimed_bytes() -> u64 {
     let mib = std::env::var("MOCAPD_SPARSE_MIB").ok().and_then(|mib| mib.parse().ok());
     mib.unwrap_or(512_u64) << 20
 }
 
-/// Address space of the program, which has libraries, stacks of threads and a binary with all that tests need in it: far
-/// less than the file claims.
+/// Address space of the program, which has libraries, stacks of threads and a binary with all that tests need in it:
+/// far less than the file claims.
 const ADDRESSES_KIB: u64 = 400 << 10;
 
 /// What it may have in memory at most, all of it: the decoders of fifteen markers take next to nothing.
@@ -64,15 +64,15 @@ fn write_sparse(path: &Path, take: &[u8], seed: u64) {
     file.write_all(&take[from..]).unwrap();
 }
 
-/// The program with little room, and the most memory that it was seen with.
+/// Runs the program with little memory; also returns its peak memory.
 pub(super) fn run(folder: &Folder, args: &[&str]) -> (Ran, u64) {
     let child = limited(folder, args);
     let pid = child.id();
-    // What it says may be more than a pipe holds.
+    // Its output may exceed the buffer of a pipe.
     std::thread::scope(|scope| {
-        let said = scope.spawn(|| child.wait_with_output().unwrap());
+        let output = scope.spawn(|| child.wait_with_output().unwrap());
         let resident = watch(pid, || false);
-        (said.join().unwrap().into(), resident)
+        (output.join().unwrap().into(), resident)
     })
 }
 
@@ -85,7 +85,7 @@ fn limited(folder: &Folder, args: &[&str]) -> Child {
     command.spawn().unwrap()
 }
 
-/// Looks at a process until it ends or `is_done`.
+/// Polls a process until it ends or `is_done`.
 fn watch(pid: u32, mut is_done: impl FnMut() -> bool) -> u64 {
     let status = format!("/proc/{pid}/status");
     let mut most = 0;
@@ -109,7 +109,7 @@ pub(super) fn assert_small(what: &str, resident: u64) {
 }
 
 #[test]
-fn holes_cost_no_memory_and_what_lies_between_them_is_found() {
+fn holes_cost_no_memory_and_the_data_between_them_is_found() {
     let folder = Folder::new();
     let take = recording();
     folder.write("whole.take", &take);
@@ -142,8 +142,8 @@ fn holes_cost_no_memory_and_what_lies_between_them_is_found() {
     );
 }
 
-/// A file with more analog samples than the program may hold: 5 points, of which one is no marker and one has residuals,
-/// and at times coordinates under gaps.
+/// A file with more analog samples than the program may hold: 5 points, of which one is no marker and one has
+/// residuals, and at times coordinates under gaps.
 fn file_with_analog_samples() -> C3dFile {
     const ANALOG: (usize, usize) = (64, 100);
     let n_frames = (3 * RESIDENT_MAX_BYTES as usize / 2).div_ceil(ANALOG.0 * ANALOG.1 * 4);
@@ -180,13 +180,13 @@ fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
     assert_small("export with analog samples", resident);
     export.with_code(0);
     assert!(words(&folder.read("b.c3d"), n_words) == source, "the words are not the same");
-    // Without room for the rest, it is said where there is none, and the take is not blamed.
+    // If the disk is full, the message names the disk and not the take.
     let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
     command.args(["export", "a.take", "-o", "d.c3d"]).env("TMPDIR", folder.path("nowhere"));
     command.current_dir(folder.path("."));
     let line = folder.refused(command, 1);
     let nowhere = folder.path("nowhere").display().to_string();
-    assert_tells(&line, &[&nowhere, "TMPDIR"]);
+    assert_mentions(&line, &[&nowhere, "TMPDIR"]);
     // From the middle on, and turned.
     let part = ["export", "a.take", "-o", "c.c3d", "--from", "0.5s", "--up", "y"];
     let (export, resident) = run(&folder, &part);
@@ -203,7 +203,7 @@ fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
     assert_ne!(part[..20], source[50 * frame_words..][..20]);
 }
 
-/// A whole header, and a hole: it killed the service, at each start again.
+/// An intact header and a hole: it killed the service, again at each start.
 #[test]
 fn the_service_starts_where_a_file_is_a_header_and_a_hole() {
     let folder = Folder::new();
@@ -228,8 +228,8 @@ fn the_service_starts_where_a_file_is_a_header_and_a_hole() {
     let resident =
         watch(child.id(), || recovered.exists() || begun.elapsed() > Duration::from_secs(120));
     child.kill().ok();
-    let said: Ran = child.wait_with_output().unwrap().into();
-    assert!(recovered.exists(), "{}{}", said.stdout, said.stderr);
+    let ran: Ran = child.wait_with_output().unwrap().into();
+    assert!(recovered.exists(), "{}{}", ran.stdout, ran.stderr);
     assert_small("the service", resident);
     let name = "takes/hole.recovered.take";
     let verify = folder.run(&["verify", name, "--json"]).with_code(3).json();
@@ -253,6 +253,6 @@ fn the_service_verifies_a_take_without_reading_its_holes() {
     let (status, check) = service.post("/v1/takes/holes/verify", "{}");
     assert_eq!((status, &check["health"]), (200, &"damaged".into()), "{check}");
     let read = read_bytes(service.pid()) - before;
-    // What the device sends and the service looks at meanwhile is read, too.
+    // Data from the device, and other reads of the service, count as well.
     assert!(read < claimed_bytes() / 8, "{read} bytes were read");
 }

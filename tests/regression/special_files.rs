@@ -1,4 +1,4 @@
-//! What is named as a file and is none, a pipe or a device, is refused at once instead of being waited for.
+//! A path to a pipe or a device is refused at once; the program does not wait for it.
 
 use std::{
     os::unix::{fs::symlink, net::UnixListener},
@@ -10,10 +10,10 @@ use mocapd_drivers::plain_file::NotAFile;
 
 use crate::cli::{Folder, Ran};
 
-/// Far longer than a refusal takes on any machine: what waits for a pipe waits forever.
+/// Far longer than a refusal takes on any machine; a read from the pipe would block forever.
 const WITHIN: Duration = Duration::from_secs(60);
 
-/// Ends a program that would not end.
+/// Kills a program that does not end.
 fn ended(mut child: Child) -> Option<Ran> {
     let begun = Instant::now();
     while begun.elapsed() < WITHIN {
@@ -27,7 +27,7 @@ fn ended(mut child: Child) -> Option<Ran> {
     None
 }
 
-/// A folder where every ending leads to something else than a file.
+/// A folder in which each extension leads to something other than a file.
 fn folder() -> (Folder, UnixListener) {
     let folder = Folder::new();
     for ending in ["take", "c3d", "csv", "toml", "json", "obj", "png", "token"] {

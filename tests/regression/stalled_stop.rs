@@ -1,14 +1,15 @@
-//! A take that is stopped in a stall does not contradict itself: its clock line, the observations that it stores and its
-//! ledger are of one moment, however late the writer comes to it. Ten stalls in real time:
+//! A take that is stopped in a stall does not contradict itself: its clock line, the observations that it stores and
+//! its ledger are of one moment, however late the writer comes to it. Ten stalls in real time:
 //!
 //! ```text
-//! cargo test --release --features fault-hooks --test integration -- --ignored --nocapture regression::stalled_stop::ten
+//! cargo test --release --features fault-hooks --test integration -- --ignored --nocapture
+//! regression::stalled_stop::ten
 //! ```
 
 mod real;
 mod world;
 
-use mocapd_acquire::{clock::Apart, inspect::Summary};
+use mocapd_acquire::{clock::LineDeviation, inspect::Summary};
 
 use self::world::{Ended, Stalled, World};
 use crate::support::chunks;
@@ -16,7 +17,7 @@ use crate::support::chunks;
 /// Seeded instants that a stall is tried at.
 const INSTANTS: u64 = 100;
 
-/// What the take says that something else in it denies.
+/// The contradictions in a take.
 fn contradictions(ended: &Ended) -> Vec<String> {
     let Ended { take, written, until_ns, .. } = ended;
     let summary = Summary::read(&take[..]).unwrap();
@@ -26,12 +27,13 @@ fn contradictions(ended: &Ended) -> Vec<String> {
     if !ledger.closes() || !ledger.finished {
         found.push(format!("{ledger:?}"));
     }
-    // Not just as near as takes of earlier versions are: the same line.
-    let is_same = |apart: &Apart| apart.offset_us.abs() < 0.1 && apart.drift_ppm.abs() < 0.01;
-    let apart = summary.clock_apart().filter(|apart| !apart.agrees || !is_same(apart));
+    // Not merely within the limits for earlier versions: the same line.
+    let is_same =
+        |apart: &LineDeviation| apart.offset_us.abs() < 0.1 && apart.drift_ppm.abs() < 0.01;
+    let apart = summary.clock_deviation().filter(|apart| !apart.agrees || !is_same(apart));
     found.extend(apart.map(|apart| format!("{apart:?}")));
 
-    // What is stored was seen before the take ended, and the line is the one that was known then.
+    // The stored observations are from before the end of the take, and the line is the one known then.
     let clocks = chunks(take).clocks;
     let answered = clocks.iter().flat_map(|clock| &clock.probes);
     let answered_us = answered.map(|probe| probe.sent_us + probe.round_trip_us);
@@ -58,10 +60,10 @@ fn no_take_around_a_stall_contradicts_itself() {
     for seed in 0..INSTANTS {
         let world = World::of(seed);
         for ended in world.run() {
-            let said = contradictions(&ended);
+            let contradicted = contradictions(&ended);
             lines += usize::from(ended.written.clock.line.is_some());
-            if !said.is_empty() {
-                found.push(format!("{} of {world:?}: {said:?}", ended.name));
+            if !contradicted.is_empty() {
+                found.push(format!("{} of {world:?}: {contradicted:?}", ended.name));
             }
         }
     }
@@ -69,7 +71,7 @@ fn no_take_around_a_stall_contradicts_itself() {
     assert!(lines > INSTANTS as usize, "{lines}");
 }
 
-/// The shortest way to it: the disk stalls when the take is stopped, and round trips go on meanwhile.
+/// The simplest case: the disk stalls when the take is stopped, while round trips continue.
 #[test]
 fn a_disk_that_stalls_at_the_stop_leaves_out_what_came_after_it() {
     let world =
@@ -84,7 +86,7 @@ fn a_disk_that_stalls_at_the_stop_leaves_out_what_came_after_it() {
 fn observations_that_find_no_room_are_left_out_of_the_line_as_well() {
     let (take, written) = world::flooded();
     let summary = Summary::read(&take[..]).unwrap();
-    let apart = summary.clock_apart().unwrap();
+    let apart = summary.clock_deviation().unwrap();
     assert!(apart.agrees && apart.offset_us.abs() < 0.1, "{apart:?}");
     let ledger = summary.take.ledger.as_ref().unwrap();
     assert_eq!(ledger.contradictions, [] as [String; 0]);

@@ -1,4 +1,4 @@
-//! A take keeps its health and how it ended, whatever is recorded after it.
+//! A take keeps its health and ending, whatever is recorded after it.
 
 use std::{fs, path::Path, time::Duration};
 
@@ -19,7 +19,7 @@ use crate::{
     support::{config, dense, jump, places, record},
 };
 
-/// A service that never sees its device: it has a folder.
+/// A service with a folder of takes, whose device is never connected.
 fn service_of(folder: &Path) -> Engine {
     Engine::start(options(folder, &folder.join("no-device")), &Heartbeat::default()).unwrap()
 }
@@ -33,7 +33,7 @@ fn listed(engine: &Engine) -> Value {
     takes.as_array().unwrap().iter().map(of).collect()
 }
 
-/// The same as `info --json` has it.
+/// Health and ending by `info --json`.
 fn told_by_info(folder: &Folder, name: &str) -> Value {
     let info = folder.run(&["info", &format!("{name}.take"), "--json"]).json();
     json!([info["health"], info["ending"].as_str().unwrap_or_default()])
@@ -51,7 +51,7 @@ fn losses_come_from_the_last_ledger() {
     folder.write("lossy.take", &lossy);
     folder.write("cut.take", &lossy[..lossy.len() - 1]);
     folder.write("noise.take", [7; 3000]);
-    // One whose footer tells of a ledger that is damaged.
+    // One whose footer points to a damaged ledger.
     let (_, ledger) = places(&lossy).into_iter().rfind(|(kind, _)| *kind == types::LEDGER).unwrap();
     let mut damaged = lossy.clone();
     damaged[ledger.start + 5] ^= 1;
@@ -61,7 +61,7 @@ fn losses_come_from_the_last_ledger() {
     for (_, place) in places(&lossy).iter().filter(|(kind, _)| *kind != 0x8d) {
         old.extend_from_slice(&lossy[place.clone()]);
     }
-    // Its footer has to tell where the index is.
+    // Its footer must have the offset of the index.
     let index = places(&old).into_iter().find(|(kind, _)| *kind == types::INDEX).unwrap().1.start;
     let ledger =
         places(&old).into_iter().rfind(|(kind, _)| *kind == types::LEDGER).unwrap().1.start;
@@ -85,7 +85,7 @@ fn losses_come_from_the_last_ledger() {
         assert_eq!(told_by_info(&folder, name), takes[name], "{name}");
     }
     assert_eq!(told_by_info(&folder, "damaged")[0], "damaged");
-    // The list remembers, and looks again when a file is another one.
+    // The list is cached, and updated when a file changes.
     assert_eq!(listed(&engine), takes);
     fs::copy(folder.path("whole.take"), folder.path("cut.take")).unwrap();
     assert_eq!(listed(&engine)["cut"], takes["whole"]);

@@ -1,4 +1,4 @@
-//! TRC with zeros for what is missing, TRC between spaces and commas, Motive's CSV, and a CSV of one frame.
+//! TRC with zeros for gaps, TRC separated by spaces and commas, Motive's CSV, and a CSV of one frame.
 
 use mocapd_take::{
     interchange::Format,
@@ -150,10 +150,11 @@ fn motive_exports_are_read() {
         assert_eq!(motion.frame(0)[..2], [[100.0, 200.0, 300.0], [1500.0, 250.0, -500.0]]);
         let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
         assert_eq!(gaps, [false, false, true, false, true, false, true, false, false]);
-        // Twice there, a body's position, and what is left out: each is said.
-        let said = |start: &str| source.warnings.iter().any(|warning| warning.starts_with(start));
+        // Twice there, a body's position, and what is left out: each is has_warning.
+        let has_warning =
+            |start: &str| source.warnings.iter().any(|warning| warning.starts_with(start));
         assert_eq!(source.warnings.len(), 3, "{:?}", source.warnings);
-        assert!(said("1 markers") && said("6 columns"), "{:?}", source.warnings);
+        assert!(has_warning("1 marker") && has_warning("6 columns"), "{:?}", source.warnings);
     }
     let folder = Folder::new();
     folder.write("motive.csv", motive(true, &columns, &rows));
@@ -178,7 +179,7 @@ fn a_csv_of_one_frame_of_our_own_is_read() {
 }
 
 #[test]
-fn samples_of_a_long_csv_before_the_first_and_behind_the_last_time_are_kept() {
+fn samples_of_a_long_csv_before_the_first_and_after_the_last_time_are_kept() {
     let head = "frame,time_s,label,x_mm,y_mm,z_mm\n";
     let rows =
         "2,,a,2,0,0\n3,,a,3,0,0\n4,0.04,a,4,0,0\n5,0.05,a,5,0,0\n6,0.06,a,6,0,0\n8,,a,8,0,0\n";
@@ -195,7 +196,7 @@ fn samples_of_a_long_csv_before_the_first_and_behind_the_last_time_are_kept() {
 }
 
 #[test]
-fn a_csv_whose_missing_markers_are_zeros_is_pointed_out() {
+fn a_csv_with_zeros_for_missing_markers_gets_a_warning() {
     let rows: String = (0..20)
         .map(|i| {
             let a = if i % 7 == 3 { "0,0,0".to_owned() } else { format!("{},500,900", 100 + i) };

@@ -1,10 +1,10 @@
-//! A take that fails before its first frame is on disk leaves no file, and nobody is sent to recover it.
+//! A take that fails before its first frame is on disk leaves no file, and no hint to recover it.
 
 use mocapd_acquire::pipeline::NothingRecorded;
 
 use crate::{
     cli::{Folder, devices::Simulated, service::Service},
-    support::{assert_tells, jump, tells},
+    support::{assert_mentions, jump, mentions},
 };
 
 /// No file may be longer than this: 512 or 1024 bytes, as the shell counts.
@@ -25,7 +25,7 @@ fn with_long_stretches() -> Simulated {
 }
 
 #[test]
-fn the_service_removes_it_and_says_what_is_so() {
+fn the_service_removes_it_and_says_so() {
     for device in [with_long_header(), with_long_stretches()] {
         let folder = Folder::new();
         let service = Service::start(&folder, &device, "lossless = true", SHORT_FILES);
@@ -34,7 +34,7 @@ fn the_service_removes_it_and_says_what_is_so() {
             let (status, problem) = service.post("/v1/start", r#"{"name": "torn"}"#);
             assert_eq!((status, problem["kind"].as_str()), (507, Some("disk")), "{problem}");
             let message = problem["message"].as_str().unwrap();
-            assert!(!message.contains("recover") && tells(message, "torn"), "{message}");
+            assert!(!message.contains("recover") && mentions(message, "torn"), "{message}");
             assert_eq!(folder.path("takes").read_dir().unwrap().count(), 0);
             assert_eq!(service.get("/v1/status")["failure"], message);
         }
@@ -42,7 +42,7 @@ fn the_service_removes_it_and_says_what_is_so() {
 }
 
 #[test]
-fn record_removes_it_too() {
+fn record_removes_the_file_as_well() {
     for device in [with_long_header(), with_long_stretches()] {
         let folder = Folder::new();
         let line = folder.refused(
@@ -56,7 +56,7 @@ fn record_removes_it_too() {
             },
             1,
         );
-        assert_tells(&line, &[&NothingRecorded.to_string()]);
+        assert_mentions(&line, &[&NothingRecorded.to_string()]);
         assert!(!line.contains("mocapd recover"), "{line}");
     }
 }

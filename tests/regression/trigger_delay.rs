@@ -1,4 +1,4 @@
-//! A trigger with a delay held up every later trigger, and what is announced to others, by up to a minute.
+//! A trigger with a delay blocked every later trigger, and announcements to others, for up to a minute.
 
 use std::{
     collections::HashMap,
@@ -11,7 +11,8 @@ use mocapd_service::{
     config::TriggerConfig,
     control::{Control, Start},
     trigger::{
-        DELAYED_OTHERS_MAX, Heard, Listener, Network, Received, Refusal, Trigger, Waiting, parse,
+        DELAYED_OTHERS_MAX, Incoming, Listener, Network, PendingTriggers, ReceivedTrigger, Trigger,
+        TriggerError, parse,
     },
     triggered::Triggers,
 };
@@ -33,7 +34,7 @@ fn datagram(element: &str, name: &str, delay_ms: u64, packet: u64) -> Vec<u8> {
 /// The service's side in virtual time.
 struct Desk {
     listener: Listener,
-    waiting: Waiting,
+    waiting: PendingTriggers,
     refused: HashMap<&'static str, usize>,
     most_waiting: usize,
 }
@@ -43,26 +44,26 @@ impl Desk {
         let networks = allow_from.iter().map(|text| text.parse::<Network>().unwrap()).collect();
         Self {
             listener: Listener::new(networks, DELAY_MAX, 7),
-            waiting: Waiting::default(),
+            waiting: PendingTriggers::default(),
             refused: HashMap::new(),
             most_waiting: 0,
         }
     }
 
-    fn hear(&mut self, from: IpAddr, bytes: &[u8], now: Duration) {
-        let heard = self.listener.hear(from, bytes, now, &|_| false);
+    fn receive(&mut self, from: IpAddr, bytes: &[u8], now: Duration) {
+        let heard = self.listener.receive(from, bytes, now, &|_| false);
         let accepted = heard.and_then(|heard| {
-            let Heard::Trigger(trigger) = heard else { panic!("{heard:?}") };
+            let Incoming::Trigger(trigger) = heard else { panic!("{heard:?}") };
             let is_known = self.listener.is_known(from);
             let from = SocketAddr::new(from, 8989);
-            self.waiting.push(Received { from, trigger, is_known, recording: None }, now)
+            self.waiting.push(ReceivedTrigger { from, trigger, is_known, recording: None }, now)
         });
         let Err(refusal) = accepted else { return };
         let why = match refusal {
-            Refusal::NotAllowed(_) => "not allowed",
-            Refusal::DelayTooLong { .. } => "too long",
-            Refusal::TooManyOfSender { .. } => "too many of one",
-            Refusal::TooMany(_) => "too many",
+            TriggerError::NotAllowed(_) => "not allowed",
+            TriggerError::DelayTooLong { .. } => "too long",
+            TriggerError::TooManyOfSender { .. } => "too many of one",
+            TriggerError::TooMany(_) => "too many",
             other => panic!("{other}"),
         };
         *self.refused.entry(why).or_default() += 1;
@@ -84,14 +85,14 @@ fn two_minutes(desk: &mut Desk, hostile: u8) -> Vec<Duration> {
                     _ => ("CaptureStop", 4000),
                 };
                 let bytes = datagram(element, "disturb", delay_ms, ms);
-                desk.hear(IpAddr::from([198, 51, 100, n]), &bytes, now);
+                desk.receive(IpAddr::from([198, 51, 100, n]), &bytes, now);
             }
         }
         match ms % 2000 {
-            300 => desk.hear(known, &datagram("CaptureStart", "walk", 33, ms), now),
+            300 => desk.receive(known, &datagram("CaptureStart", "walk", 33, ms), now),
             1700 => {
                 sent.insert(ms, now);
-                desk.hear(known, &datagram("CaptureStop", "walk", 0, ms), now);
+                desk.receive(known, &datagram("CaptureStop", "walk", 0, ms), now);
             }
             _ => {}
         }
@@ -118,7 +119,7 @@ fn every_stop_acts_at_once_beside_hostile_senders_in_virtual_time() {
     assert_eq!(two_minutes(&mut desk, 1), alone);
     assert_eq!(desk.refused, HashMap::from([("not allowed", 120)]));
 
-    // Nobody is named: everybody is heard, and has one place.
+    // Without an allow list every sender is accepted, with one place each.
     let mut desk = Desk::new(&[]);
     assert_eq!(two_minutes(&mut desk, 1), alone);
     assert_eq!((desk.refused["too long"], desk.refused.get("too many")), (40, None));
@@ -132,7 +133,7 @@ fn every_stop_acts_at_once_beside_hostile_senders_in_virtual_time() {
     assert_eq!(desk.most_waiting, DELAYED_OTHERS_MAX);
 }
 
-/// Takes announced to `peer`, triggers heard at `at`.
+/// Announces takes to `peer`, and listens for triggers at `at`.
 struct Served {
     fake: Arc<Fake>,
     triggers: Option<Triggers>,
@@ -190,12 +191,12 @@ impl Drop for Served {
 fn a_delayed_trigger_holds_up_neither_stops_nor_announcements() {
     let served = Served::start();
     served.send("CaptureStart", "later", 5000, 1);
-    // It has been heard when this one is, which comes behind it.
+    // It was received before this one, which was sent after it.
     served.send("CaptureStart", "soon", 0, 2);
     served.until_recording(Some("soon"));
     served.send("CaptureStop", "soon", 0, 3);
     served.until_recording(None);
-    // What others are to hear of leaves at once, too.
+    // Announcements to others are sent at once, too.
     served.fake.start(&Start { name: Some("ours".to_owned()), ..Start::default() }).unwrap();
     let mut bytes = [0; 4096];
     let n = served.peer.recv(&mut bytes).unwrap();
@@ -204,7 +205,7 @@ fn a_delayed_trigger_holds_up_neither_stops_nor_announcements() {
 }
 
 #[test]
-fn a_delay_is_kept_a_longer_one_is_refused_and_a_stop_cancels_it() {
+fn a_delay_is_respected_a_longer_one_refused_and_a_stop_cancels_it() {
     let served = Served::start();
     let sent = Instant::now();
     served.send("CaptureStart", "refused", 5001, 1);
@@ -220,7 +221,7 @@ fn a_delay_is_kept_a_longer_one_is_refused_and_a_stop_cancels_it() {
 }
 
 #[test]
-fn a_stop_without_a_name_that_came_before_a_take_ends_it_only_for_its_own_sender() {
+fn an_early_stop_without_a_name_ends_a_take_only_for_its_own_sender() {
     const STOP: &[u8] = b"<CaptureStop><Delay VALUE=\"200\"/><PacketID VALUE=\"1\"/></CaptureStop>";
     let named_stop_ms = 800;
     let served = Served::start();
@@ -231,10 +232,10 @@ fn a_stop_without_a_name_that_came_before_a_take_ends_it_only_for_its_own_sender
     served.send("CaptureStop", "walk", named_stop_ms, 2);
     served.send("CaptureStart", "walk", 0, 3);
     served.until_recording(Some("walk"));
-    // It lasts until its own stop, and not until the one that came before it from elsewhere.
+    // It lasts until its own stop; an earlier stop from another sender does not end it.
     served.until_recording(None);
     assert!(sent.elapsed() >= Duration::from_millis(named_stop_ms), "{:?}", sent.elapsed());
-    // The sender of the start may send its stop before the start is carried out.
+    // The sender of the start may send its stop before the start is executed.
     served.peer.send_to(STOP, served.at).unwrap();
     served.send("CaptureStart", "own", 0, 4);
     let began = Instant::now();
@@ -245,7 +246,7 @@ fn a_stop_without_a_name_that_came_before_a_take_ends_it_only_for_its_own_sender
 }
 
 #[test]
-fn a_flood_of_triggers_that_change_nothing_is_a_few_lines_of_the_log() {
+fn a_flood_of_triggers_without_effect_is_a_few_lines_in_the_log() {
     let served = Served::start();
     served.send("CaptureStart", "walk", 0, 1);
     served.until_recording(Some("walk"));

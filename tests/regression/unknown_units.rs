@@ -1,4 +1,4 @@
-//! A unit that is not known is not taken for millimetres where that would destroy the motion.
+//! An unknown unit is not taken for millimetres if that would destroy the motion.
 
 use mocapd_take::{
     interchange::{Format, LengthUnit, ReadOptions},
@@ -7,7 +7,7 @@ use mocapd_take::{
 
 use crate::{
     cli::Folder,
-    support::{c3d_file::C3dFile, tells},
+    support::{c3d_file::C3dFile, mentions},
 };
 
 /// Three markers of a body that is 1.8 m tall, in a unit of so many millimetres.
@@ -49,7 +49,7 @@ fn odd_spellings_are_known() {
 }
 
 #[test]
-fn an_unknown_unit_is_judged_by_the_size_of_the_motion() {
+fn an_unknown_unit_is_checked_against_the_size_of_the_motion() {
     let folder = Folder::new();
     for (unit, mm, is_refused) in [
         ("furlong", 1000.0, true),
@@ -77,7 +77,7 @@ fn an_unknown_unit_is_judged_by_the_size_of_the_motion() {
 }
 
 #[test]
-fn a_unit_that_is_given_is_taken_kept_and_used_again() {
+fn a_given_unit_is_used_stored_and_used_again() {
     let folder = Folder::new();
     folder.write("a.c3d", file("furlong", 1000.0));
     folder.run(&["import", "a.c3d", "-o", "a.take", "--unit", "m"]).with_code(0);
@@ -88,7 +88,7 @@ fn a_unit_that_is_given_is_taken_kept_and_used_again() {
     let against = folder.run(&verify).with_code(0).json()["against"].clone();
     assert_eq!((&against["within_tolerance"], &against["samples"]), (&true.into(), &150.into()));
     assert_eq!(against["ambiguities"], serde_json::json!([]));
-    // Another unit is another take.
+    // Another unit gives another take.
     folder.run(&["import", "a.c3d", "-o", "b.take", "--unit", "cm"]).with_code(0);
     assert!(folder.read("a.take") != folder.read("b.take"));
     folder.refuses(&["import", "a.c3d", "-o", "c.take", "--unit", "furlong"], 2);
@@ -106,17 +106,17 @@ fn a_unit_that_is_given_is_taken_kept_and_used_again() {
 }
 
 #[test]
-fn a_unit_and_an_axis_that_are_given_count_more_than_the_file() {
+fn a_given_unit_and_axis_override_those_of_the_file() {
     let options = ReadOptions { unit: Some(LengthUnit::Centimetre), up: "-z".parse().ok() };
     let motion = Format::C3d.read_with(&file("mm", 10.0), &options).unwrap();
     assert!((head_mm(&motion) + 1800.0).abs() < 0.01, "{}", head_mm(&motion));
     assert_eq!((motion.info.up, motion.info.source.factor), (UpAxis::Z, 10.0));
     let warnings = &motion.info.source.warnings;
-    let told = |facts: [&str; 2]| {
-        warnings.iter().any(|warning| facts.iter().all(|fact| tells(warning, fact)))
+    let is_warned = |facts: [&str; 2]| {
+        warnings.iter().any(|warning| facts.iter().all(|fact| mentions(warning, fact)))
     };
-    // The unit of the file and the one that was asked for, and the axis.
-    assert!(told(["mm", "cm"]) && told(["z", "up"]), "{warnings:?}");
+    // The unit of the file, the requested one, and the axis.
+    assert!(is_warned(["mm", "cm"]) && is_warned(["z", "up"]), "{warnings:?}");
     let unit = Ambiguity::Unit { stated: String::new(), span: 1.8 };
     assert!(unit.is_destroyed_by(0.5) && !unit.is_destroyed_by(0.0));
 }

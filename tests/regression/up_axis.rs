@@ -1,10 +1,10 @@
-//! Exports say that they leave the up axis out, and turn when asked; pictures agree about what is up.
+//! Exports report a missing up axis and rotate on request; plots agree about the up axis.
 
 use mocapd_take::interchange::{Format, ReadOptions};
 
 use crate::{
     cli::Folder,
-    support::{assert_tells, c3d_file::C3dFile, jump, tells},
+    support::{assert_mentions, c3d_file::C3dFile, jump, mentions},
 };
 
 /// The third column of coordinates of a CSV file's first marker.
@@ -21,22 +21,22 @@ fn folder() -> Folder {
 }
 
 #[test]
-fn what_is_left_out_is_said_and_up_turns() {
+fn omissions_are_reported_and_up_rotates() {
     let folder = folder();
     for ending in ["csv", "trc", "tsv", "xdf"] {
         let plain = ["export", "jump.take", "-o", &format!("plain.{ending}")];
-        let said = folder.run(&plain).with_code(0).stderr;
-        assert_tells(&said, &["z"]);
+        let message = folder.run(&plain).with_code(0).stderr;
+        assert_mentions(&message, &["z"]);
         let turned = ["export", "jump.take", "-o", &format!("turned.{ending}"), "--up", "y"];
-        let said = folder.run(&turned).with_code(0).stderr;
-        assert!(!tells(&said, "z"), "{ending}: {said}");
+        let message = folder.run(&turned).with_code(0).stderr;
+        assert!(!mentions(&message, "z"), "{ending}: {message}");
     }
     let (plain, turned) = (folder.text("plain.csv"), folder.text("turned.csv"));
     assert_eq!(column(&turned, 0), column(&plain, 0));
     assert_eq!(column(&turned, 1), column(&plain, 2), "up is y");
     let behind: Vec<f32> = column(&plain, 1).iter().map(|v| -v).collect();
     assert_eq!(column(&turned, 2), behind, "right-handed");
-    // C3D says it, and back is back.
+    // C3D stores the up axis, and rotating back restores the motion.
     folder.run(&["export", "jump.take", "-o", "y.c3d", "--up", "y"]).with_code(0);
     folder.run(&["import", "y.c3d", "-o", "y.take", "--lossless"]).with_code(0);
     assert_eq!(folder.run(&["info", "y.take", "--json"]).json()["up_axis"], "y");
@@ -47,7 +47,7 @@ fn what_is_left_out_is_said_and_up_turns() {
 }
 
 #[test]
-fn what_is_up_can_be_given_at_import() {
+fn the_up_axis_can_be_given_at_import() {
     let folder = folder();
     folder.run(&["export", "jump.take", "-o", "plain.csv"]).with_code(0);
     folder.run(&["import", "plain.csv", "-o", "none.take", "--lossless"]).with_code(0);
@@ -55,7 +55,7 @@ fn what_is_up_can_be_given_at_import() {
     folder.run(&["import", "plain.csv", "-o", "z.take", "--lossless", "--up", "z"]).with_code(0);
     let info = folder.run(&["info", "z.take", "--json"]).with_code(0).json();
     assert_eq!((&info["up_axis"], &info["source"]["up_given"]), (&"z".into(), &"z".into()));
-    // The way down an axis turns the take by half, and the file is read so again.
+    // A downward axis rotates the take by 180 degrees, and the file is read with it again.
     folder
         .run(&["import", "plain.csv", "-o", "down.take", "--lossless", "--up", "-z"])
         .with_code(0);
@@ -68,7 +68,7 @@ fn what_is_up_can_be_given_at_import() {
 }
 
 #[test]
-fn model_outputs_that_do_not_turn_are_said() {
+fn model_outputs_that_are_not_rotated_are_reported() {
     let warnings = |outputs: &[&str], up: &str| {
         let frames = vec![vec![1.0, 2.0, 3.0, 0.0, 4.0, 5.0, 6.0, 0.0]; 5];
         let mut file = C3dFile::new(2, frames);
@@ -78,27 +78,28 @@ fn model_outputs_that_do_not_turn_are_said() {
         let motion = Format::C3d.read_with(&file.bytes(), &options).unwrap();
         motion.info.source.warnings
     };
-    let says = |warnings: &[String]| warnings.iter().any(|w| w.contains("c3d/model-outputs"));
-    assert!(says(&warnings(&["Knee"], "-z")));
-    // Nothing turns, or there are none.
-    assert!(!says(&warnings(&["Knee"], "z")) && !says(&warnings(&["None"], "-z")));
+    let has_warning =
+        |warnings: &[String]| warnings.iter().any(|w| w.contains("c3d/model-outputs"));
+    assert!(has_warning(&warnings(&["Knee"], "-z")));
+    // Nothing is rotated, or there are no model outputs.
+    assert!(!has_warning(&warnings(&["Knee"], "z")) && !has_warning(&warnings(&["None"], "-z")));
 }
 
 #[test]
-fn pictures_agree_about_what_is_up() {
-    // A body along y whose file does not say what is up: two markers far apart, one of which moves along x.
+fn plots_agree_about_the_up_axis() {
+    // A body along y, without a stated up axis: two markers far apart, one of which moves along x.
     let folder = Folder::new();
     let rows = (0..40).map(|i| format!("{i},{},{},0,0,0,1700,100\n", i as f32 / 100.0, 3 * i));
     let head = "frame,time_s,a.x,a.y,a.z,b.x,b.y,b.z\n".to_owned();
     folder.write("tall.csv", head + &rows.collect::<String>());
     folder.run(&["import", "tall.csv", "-o", "tall.take", "--lossless"]).with_code(0);
-    folder.run(&["import", "tall.csv", "-o", "said.take", "--lossless", "--up", "y"]).with_code(0);
+    folder.run(&["import", "tall.csv", "-o", "given.take", "--lossless", "--up", "y"]).with_code(0);
     for picture in ["trajectory", "pose"] {
         let draw = |take: &str| {
             let svg = format!("{picture}-{take}.svg");
             folder.run(&["plot", picture, take, "-o", &svg]).with_code(0);
             folder.text(&svg).replace(take, "")
         };
-        assert!(draw("tall.take") == draw("said.take"), "{picture}");
+        assert!(draw("tall.take") == draw("given.take"), "{picture}");
     }
 }

@@ -1,5 +1,5 @@
-//! A take that is removed, renamed, cut short or unmounted while it is recorded is no success, and nothing is lost
-//! that can be kept.
+//! Removing, renaming, truncating or unmounting a take while it is recorded is reported as a failure, and nothing is
+//! lost that can be kept.
 
 use std::{fs, path::PathBuf, process::Command};
 
@@ -12,7 +12,7 @@ use crate::{
         devices::{Recorder, Simulated},
         service::Service,
     },
-    support::{assert_tells, jump, tells},
+    support::{assert_mentions, jump, mentions},
 };
 
 /// A folder with one in it for the take, and a device that never ends.
@@ -22,17 +22,17 @@ fn rig() -> (Folder, Simulated) {
     (folder, Simulated::endless(jump(1, 120.0, 1.0)))
 }
 
-/// Records `in/a.take`, does something to it, waits until that was said, and ends the recording as people do.
+/// Records `in/a.take`, does something to it, waits for the message about it, and ends the recording with Ctrl-C.
 fn record(folder: &Folder, device: &Simulated, change: impl FnOnce(&Folder)) -> Value {
     let mut recorder = Recorder::start(folder, device, "in/a.take", &["--json"]);
     change(folder);
-    recorder.hears("/fd/");
+    recorder.wait_for_message("/fd/");
     recorder.signal(Signal::INT);
     recorder.wait().with_code(3).json()
 }
 
 #[test]
-fn record_goes_on_in_a_take_that_was_removed_and_saves_it() {
+fn record_continues_a_removed_take_and_saves_it() {
     let (folder, device) = rig();
     let report = record(&folder, &device, |folder| {
         fs::remove_file(folder.path("in/a.take")).unwrap();
@@ -42,12 +42,12 @@ fn record_goes_on_in_a_take_that_was_removed_and_saves_it() {
     folder.run(&["verify", "in/a.saved.take"]).with_code(0);
     let info = folder.run(&["info", "in/a.saved.take", "--json"]).with_code(0).json();
     assert_eq!(info["ledger"]["recorded"], report["frames"]);
-    assert_tells(info["ending_detail"].as_str().unwrap(), &["removed"]);
+    assert_mentions(info["ending_detail"].as_str().unwrap(), &["removed"]);
     assert!(!folder.path("in/a.take").exists());
 }
 
 #[test]
-fn record_goes_on_in_a_take_that_was_renamed_with_its_folder() {
+fn record_continues_a_take_that_was_renamed_with_its_folder() {
     let (folder, device) = rig();
     let report = record(&folder, &device, |folder| {
         fs::rename(folder.path("in"), folder.path("out")).unwrap();
@@ -64,8 +64,8 @@ fn record_says_when_a_take_is_lost_with_its_folder() {
     let report = record(&folder, &device, |folder| {
         fs::remove_dir_all(folder.path("in")).unwrap();
     });
-    let told = (&report["file_state"], &report["file_path"]);
-    assert_eq!(told, (&"removed".into(), &Value::Null));
+    let state = (&report["file_state"], &report["file_path"]);
+    assert_eq!(state, (&"removed".into(), &Value::Null));
     assert!(folder.content().is_empty(), "no folder is made again");
 }
 
@@ -84,7 +84,7 @@ fn record_ends_a_take_that_was_cut_short() {
     assert_eq!(folder.read("in/a.take").len(), 100, "nothing is written behind the cut");
 }
 
-/// On a tmpfs in a name space of its own: with root, or where users may have one.
+/// On a tmpfs in its own mount namespace: needs root, or user namespaces.
 #[test]
 fn record_ends_a_take_whose_file_system_goes_away() {
     let (folder, device) = rig();
@@ -158,7 +158,7 @@ fn the_service_says_where_a_take_is_that_was_removed_or_renamed() {
     assert_eq!(ran.json()["path"], place("other").to_str().unwrap());
     folder.run(&["verify", "takes/other.take"]).with_code(0);
 
-    // What nobody can save stays open, and is no success.
+    // A take that cannot be saved stays open, and the exit code says so.
     recording(&service, "lost");
     fs::rename(folder.path("takes"), folder.path("old")).unwrap();
     fs::remove_dir_all(folder.path("old")).unwrap();
@@ -190,9 +190,9 @@ fn the_service_ends_a_take_that_was_cut_short() {
     folder.run(&["ctl", "--connect", &socket, "stop"]).with_code(3);
     assert_eq!(file.metadata().unwrap().len(), 150, "nothing is written behind the cut");
     let log = folder.text("rig.log");
-    let is_closing = |line: &str| tells(line, "short") && tells(line, "mocapd recover");
+    let is_closing = |line: &str| mentions(line, "short") && mentions(line, "mocapd recover");
     assert!(log.lines().any(is_closing), "{log}");
-    // The next one is none the worse for it.
+    // The next take is not affected.
     assert_eq!(service.post("/v1/start", r#"{"name": "next"}"#).0, 200);
     let (status, stopped) = service.post("/v1/stop", "{}");
     assert_eq!((status, &stopped["file"]), (200, &"in_place".into()), "{stopped}");
@@ -260,8 +260,8 @@ fn a_removed_take_is_saved_when_its_disk_fails_later() {
     }
     fs::remove_file(folder.path("in/b.take")).unwrap();
     assert_eq!(record.wait().unwrap().code(), Some(1));
-    let said = folder.text("record.log");
-    assert!(said.contains("b.saved.take"), "{said}");
+    let record_log = folder.text("record.log");
+    assert!(record_log.contains("b.saved.take"), "{record_log}");
     let info = folder.run(&["info", "in/b.saved.take", "--json"]).with_code(3).json();
     assert!(info["frames"].as_u64().unwrap() > 0, "{info}");
 }

@@ -1,4 +1,4 @@
-//! A wrong token in the browser brings the form again; programs get the problem in JSON.
+//! After a wrong token a browser gets the form again, and programs get the problem as JSON.
 
 use mocapd_service::http::{HttpOptions, HttpServer};
 

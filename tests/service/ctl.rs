@@ -1,4 +1,4 @@
-//! `mocapd ctl` against a served fake: words, documents, exit codes.
+//! `mocapd ctl` with a fake service: output, JSON, exit codes.
 
 use std::{
     io::{BufRead, BufReader},
@@ -20,7 +20,7 @@ use mocapd_take::record::EndingKind;
 use serde_json::Value;
 
 use super::fake::Fake;
-use crate::{cli::Folder, support::assert_tells};
+use crate::{cli::Folder, support::assert_mentions};
 
 const TOKEN: &str = "correct-horse-battery-staple";
 
@@ -56,19 +56,19 @@ impl Rig {
 #[test]
 fn a_session_from_the_command_line() {
     let rig = rig();
-    let said = |args: &[&str]| rig.ctl(args).with_code(0).stdout;
-    assert_tells(&said(&["status"]), &["fake", "idle"]);
-    assert_tells(&said(&["arm"]), &["armed"]);
-    let started = said(&["start", "--name", "jump", "--notes", "left shoe", "--pre-roll", "5s"]);
-    assert_tells(&started, &["jump.take"]);
-    assert_tells(&said(&["status"]), &["recording", "jump"]);
-    assert_tells(&said(&["mark", "take off"]), &["60"]);
-    assert_tells(&said(&["stop"]), &["120 frames", EndingKind::Stopped.word()]);
-    assert_tells(&said(&["save-last", "30s", "--name", "last"]), &["last.take"]);
-    let takes = said(&["takes"]);
+    let stdout = |args: &[&str]| rig.ctl(args).with_code(0).stdout;
+    assert_mentions(&stdout(&["status"]), &["fake", "idle"]);
+    assert_mentions(&stdout(&["arm"]), &["armed"]);
+    let started = stdout(&["start", "--name", "jump", "--notes", "left shoe", "--pre-roll", "5s"]);
+    assert_mentions(&started, &["jump.take"]);
+    assert_mentions(&stdout(&["status"]), &["recording", "jump"]);
+    assert_mentions(&stdout(&["mark", "take off"]), &["60"]);
+    assert_mentions(&stdout(&["stop"]), &["120 frames", EndingKind::Stopped.name()]);
+    assert_mentions(&stdout(&["save-last", "30s", "--name", "last"]), &["last.take"]);
+    let takes = stdout(&["takes"]);
     assert_eq!(takes.lines().count(), 2, "{takes}");
-    assert_tells(&takes, &["jump", "last"]);
-    said(&["download", "jump"]);
+    assert_mentions(&takes, &["jump", "last"]);
+    stdout(&["download", "jump"]);
     assert_eq!(rig.folder.read("jump.take"), rig.folder.read("takes/jump.take"));
     let again = rig.ctl(&["download", "jump"]).with_code(1);
     let exists = NameTaken { path: "jump.take".into() };
@@ -77,17 +77,17 @@ fn a_session_from_the_command_line() {
     assert_eq!(report["bytes"], rig.folder.read("other.take").len());
     assert_eq!(rig.ctl(&["takes", "--limit", "1", "--json"]).json()[0]["name"], "last");
     assert!(rig.ctl(&["devices", "--json"]).with_code(0).json().is_array());
-    assert_tells(&said(&["disarm"]), &["idle"]);
+    assert_mentions(&stdout(&["disarm"]), &["idle"]);
     assert_eq!(rig.ctl(&["status", "--json"]).json()["state"], "idle");
 }
 
 #[test]
-fn exit_codes_are_those_of_the_rest() {
+fn exit_codes_match_the_other_commands() {
     let rig = rig();
     let refused = rig.ctl(&["stop"]).with_code(1);
-    // The service's own words.
-    let words = rig.fake.stop(&Request::default()).unwrap_err().message;
-    assert_tells(&refused.stderr, &[&words]);
+    // The message of the service.
+    let message = rig.fake.stop(&Request::default()).unwrap_err().message;
+    assert_mentions(&refused.stderr, &[&message]);
     assert_eq!(refused.stdout, "");
     rig.ctl(&["start", "--name", "../x"]).with_code(2);
     rig.ctl(&["save-last", "0"]).with_code(2);
@@ -98,11 +98,11 @@ fn exit_codes_are_those_of_the_rest() {
     rig.fake.lose(3);
     rig.ctl(&["start"]).with_code(0);
     let lossy = rig.ctl(&["stop", "--json"]).with_code(3);
-    assert_tells(&lossy.stderr, &["3 frames"]);
+    assert_mentions(&lossy.stderr, &["3 frames"]);
     assert_eq!(lossy.json()["ledger"]["lost_on_link"], 3);
     let unreachable =
         rig.folder.run(&["ctl", "--connect", "unix:none.sock", "status"]).with_code(1);
-    assert_tells(&unreachable.stderr, &["unix:none.sock"]);
+    assert_mentions(&unreachable.stderr, &["unix:none.sock"]);
     rig.folder.run(&["ctl", "--connect", "ftp://x", "status"]).with_code(2);
 }
 
@@ -112,7 +112,7 @@ fn over_tcp_the_token_is_needed() {
     let address = format!("http://{}", rig.server.tcp_address().unwrap());
     let status =
         |more: &[&str]| rig.folder.run(&[&["ctl", "--connect", &address, "status"], more].concat());
-    assert_tells(&status(&[]).with_code(1).stderr, &[&address, "--token-file"]);
+    assert_mentions(&status(&[]).with_code(1).stderr, &[&address, "--token-file"]);
     rig.folder.write("token", format!("{TOKEN}\n"));
     status(&["--token-file", "token"]).with_code(0);
     rig.folder.write("wrong", "something-else-entirely");
@@ -131,10 +131,10 @@ fn events_are_followed() {
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap());
     let done = AtomicBool::new(false);
-    let told = std::thread::scope(|scope| {
+    let line = std::thread::scope(|scope| {
         scope.spawn(|| {
             while !done.load(Ordering::Relaxed) {
-                rig.fake.feeds.tell(
+                rig.fake.feeds.publish(
                     ServiceEventKind::Mark,
                     "take off".to_owned(),
                     State::Recording,
@@ -150,6 +150,6 @@ fn events_are_followed() {
     });
     child.kill().unwrap();
     child.wait().unwrap();
-    let event: Value = serde_json::from_str(&told).unwrap();
+    let event: Value = serde_json::from_str(&line).unwrap();
     assert_eq!((&event["kind"], &event["message"]), (&"mark".into(), &"take off".into()));
 }

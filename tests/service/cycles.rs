@@ -1,4 +1,4 @@
-//! Takes begun and ended again and again: each is whole, and nothing is left over. A thousand of them:
+//! Repeated takes: each is complete, and no thread, file or memory is leaked. A thousand of them:
 //!
 //! ```text
 //! cargo test --release --test integration -- --ignored --nocapture service::cycles::a_thousand
@@ -13,15 +13,15 @@ use mocapd_service::control::{Control, Request};
 
 use super::engine::{Room, named, read, room, wait_until};
 
-/// Of this process: threads, open files, and resident memory in bytes.
-fn held() -> (usize, usize, u64) {
+/// Resources of this process: threads, open files, and resident memory in bytes.
+fn resources() -> (usize, usize, u64) {
     let count = |folder: &str| fs::read_dir(folder).unwrap().count();
     let statm = fs::read_to_string("/proc/self/statm").unwrap();
     let pages: u64 = statm.split_whitespace().nth(1).unwrap().parse().unwrap();
     (count("/proc/self/task"), count("/proc/self/fd"), pages * 4096)
 }
 
-/// What the process held after each of `n` takes, and how long each start took, in milliseconds, sorted.
+/// The resources after each of `n` takes, and the durations of the starts in milliseconds, sorted.
 fn cycles(n: usize) -> (Vec<(usize, usize, u64)>, Vec<f64>) {
     let Room { directory: _directory, device: _device, engine } =
         room(|options| options.arm.at_start = true);
@@ -29,29 +29,29 @@ fn cycles(n: usize) -> (Vec<(usize, usize, u64)>, Vec<f64>) {
     let mut first_ms = Vec::new();
     let mut all = Vec::new();
     for cycle in 0..n {
-        let asked = Instant::now();
+        let start = Instant::now();
         let started = engine.start(&named(&format!("take-{cycle}"))).unwrap();
-        first_ms.push(asked.elapsed().as_secs_f64() * 1e3);
+        first_ms.push(start.elapsed().as_secs_f64() * 1e3);
         std::thread::sleep(Duration::from_millis(30));
         let stopped = engine.stop(&Request::default()).unwrap();
         assert!(stopped.ledger.closes && stopped.ledger.finished, "{stopped:?}");
         let summary = read(&started.path);
         assert_eq!(summary.take.ledger.unwrap().recorded, stopped.ledger.recorded);
         fs::remove_file(&started.path).unwrap();
-        all.push(held());
+        all.push(resources());
     }
     first_ms.sort_by(f64::total_cmp);
     (all, first_ms)
 }
 
 #[test]
-fn takes_follow_each_other_and_leave_nothing_behind() {
+fn repeated_takes_are_complete() {
     assert_eq!(cycles(10).0.len(), 10);
 }
 
 #[test]
 #[ignore = "minutes: see the command above"]
-fn a_thousand_takes_leave_no_thread_no_file_and_no_memory() {
+fn a_thousand_takes_leak_no_threads_files_or_memory() {
     let (all, first_ms) = cycles(1000);
     println!(
         "1000 takes: start to first durable frame, median {:.0} ms, 99 of 100 within {:.0} ms, at most {:.0} ms",

@@ -1,4 +1,4 @@
-//! The engine's answers are true: what it says is on disk is there, and what it refuses has left nothing behind.
+//! Tests of the engine: data reported as durable is on disk, and a refused command leaves nothing behind.
 
 use std::{io::Write, path::Path, sync::Arc, time::Duration};
 
@@ -14,7 +14,7 @@ use mocapd_take::record::{EndingKind, Subject};
 
 use crate::{
     cli::{devices::Simulated, subjects::skeleton},
-    support::{assert_tells, dense, jump},
+    support::{assert_mentions, dense, jump},
 };
 
 pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
@@ -41,7 +41,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
     }
 }
 
-/// The device at a pty.
+/// A device choice for a pty.
 pub(crate) fn at(device: &Path) -> DeviceChoice {
     DeviceChoice::At(format!("serial:{}", device.display()).parse().unwrap())
 }
@@ -61,7 +61,7 @@ pub(crate) fn room(change: impl FnOnce(&mut EngineOptions)) -> Room {
     Room { directory, device, engine }
 }
 
-/// A skeleton of 14 bones, and a face that four of the markers hold.
+/// A subject with a skeleton of 14 bones, and a face posed by four of the markers.
 fn subject() -> Arc<Subject> {
     let mut subject = Subject { name: "S01".to_owned(), documents: Vec::new() };
     subject.set(Subject::SKELETON, skeleton(&jump(1, 60.0, 1.0)).into_bytes());
@@ -84,7 +84,7 @@ pub(crate) fn named(name: &str) -> Start {
     Start { name: Some(name.to_owned()), ..Start::default() }
 }
 
-/// A whole take that nothing is wrong with.
+/// Reads a take and checks that it is complete and without problems.
 pub(crate) fn read(path: &Path) -> Summary {
     let summary =
         Summary::read(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
@@ -93,24 +93,24 @@ pub(crate) fn read(path: &Path) -> Summary {
     summary
 }
 
-pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+pub(crate) fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     for _ in 0..1500 {
-        if is_so() {
+        if condition() {
             return;
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    panic!("{what} did not come");
+    panic!("timeout: {what}");
 }
 
 #[test]
-fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
+fn a_take_exists_after_start_and_is_complete_after_stop() {
     let Room { directory, device, engine } = room(|options| options.subject = Some(subject()));
     assert_eq!(engine.status().state, State::Idle);
     let started = engine.start(&named("walk")).unwrap();
     assert_eq!(started.path, directory.path().join("walk.take"));
     let half = Summary::read(&std::fs::read(&started.path).unwrap()).unwrap();
-    assert!(half.samples() > 0, "its first frames are in the file");
+    assert!(half.samples() > 0, "the first frames are in the file");
     let status = engine.status();
     assert_eq!((status.state, status.device.presence), (State::Recording, Presence::Streaming));
     assert_eq!(status.take.unwrap().name, "walk");
@@ -128,7 +128,7 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     let mark = summary.take.events.iter().find(|event| event.text == "heel strike").unwrap();
     assert_eq!(mark.row, marked.row);
     assert!(mark.row > 0 && mark.row < stopped.rows);
-    // It goes on from there, at once.
+    // The next take starts at once.
     assert_eq!(engine.status().state, State::Armed);
     assert_eq!(engine.start(&named("walk")).unwrap_err().kind, RefusalKind::Exists);
     let again = engine.start(&Start::default()).unwrap();
@@ -140,11 +140,11 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     assert_eq!(names, ["take-001", "walk"]);
     assert_eq!(engine.disarm(&request()).unwrap().state, State::Idle);
     drop(engine);
-    assert_eq!(device.unplug().starts, 1, "one start of the device for all of it");
+    assert_eq!(device.unplug().starts, 1, "the device was started once");
 }
 
 #[test]
-fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
+fn the_pre_roll_is_in_the_take_and_can_be_saved() {
     let Room { directory: _directory, device: _device, engine } =
         room(|options| options.arm.at_start = true);
     wait_until("the pre-roll", || engine.status().pre_roll.held_s > 4.0);
@@ -168,7 +168,7 @@ fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
 }
 
 #[test]
-fn a_request_that_comes_twice_is_carried_out_once() {
+fn a_repeated_request_is_executed_once() {
     let Room { directory: _directory, device: _device, engine } = room(|_| {});
     let id = |id: &str| Some(id.to_owned());
     let start = Start { request_id: id("a"), ..Start::default() };
@@ -177,7 +177,7 @@ fn a_request_that_comes_twice_is_carried_out_once() {
     let stop = Request { request_id: id("b") };
     let stopped = engine.stop(&stop).unwrap();
     assert_eq!(engine.stop(&stop).unwrap(), stopped);
-    assert_eq!(engine.start(&start).unwrap(), first, "long over, and not begun again");
+    assert_eq!(engine.start(&start).unwrap(), first, "the take is over and not started again");
     assert_eq!(engine.status().state, State::Armed);
     let other = Request { request_id: id("a") };
     assert_eq!(engine.stop(&other).unwrap_err().kind, RefusalKind::Invalid);
@@ -186,7 +186,7 @@ fn a_request_that_comes_twice_is_carried_out_once() {
 }
 
 #[test]
-fn a_device_that_is_absent_is_waited_for_and_one_that_comes_back_goes_on_in_the_take() {
+fn an_absent_device_is_awaited_and_the_take_continues_when_it_is_back() {
     let directory = tempfile::tempdir().unwrap();
     let link = directory.path().join("device");
     let mut options = options(directory.path(), &link);
@@ -213,19 +213,19 @@ fn a_device_that_is_absent_is_waited_for_and_one_that_comes_back_goes_on_in_the_
 }
 
 #[test]
-fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
+fn the_take_is_finished_when_the_service_stops_and_at_its_maximum_length() {
     let Room { directory, device: _device, engine } =
         room(|options| options.take.max_length = Some(Duration::from_millis(800)));
     let events = engine.events();
     let long = engine.start(&named("long")).unwrap();
     wait_until("the end", || engine.status().state == State::Armed);
     assert!(read(&long.path).samples() > 0);
-    let mut told = Vec::new();
+    let mut ended = Vec::new();
     while let Some(event) = events.next(Duration::from_millis(100)) {
-        told.push(event);
+        ended.push(event);
     }
-    let stopped = told.iter().find(|event| event.kind == ServiceEventKind::TakeStopped).unwrap();
-    assert_tells(&stopped.message, &["long", EndingKind::Length.word()]);
+    let stopped = ended.iter().find(|event| event.kind == ServiceEventKind::TakeStopped).unwrap();
+    assert_mentions(&stopped.message, &["long", EndingKind::Length.name()]);
     let open = engine.start(&named("open")).unwrap();
     engine.stop_service();
     assert!(read(&open.path).samples() > 0);
@@ -235,7 +235,7 @@ fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
 }
 
 #[test]
-fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
+fn viewers_get_the_newest_frames_and_a_slow_one_costs_nothing() {
     let Room { directory: _directory, device: _device, engine } = room(|options| {
         options.arm.at_start = true;
         options.subject = Some(subject());
@@ -263,21 +263,21 @@ fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
         }
     }
     assert_eq!((tables, frames), (1, 59));
-    // Markers are occluded now and then, and a face needs three of its four.
+    // Markers are occluded at times, and a face needs three of its four.
     assert!(with_face > frames / 2, "{with_face} of {frames}");
     assert!(matches!(slow.next(Duration::ZERO), Some(LiveMessage::Table(_))));
     let mut newest = 0;
     while let Some(LiveMessage::Frame(frame)) = slow.next(Duration::ZERO) {
         newest = frame.row;
     }
-    assert!(newest + 60 > last, "what waited for it is recent: {newest} of {last}");
+    assert!(newest + 60 > last, "queued frames are recent: {newest} of {last}");
     let quality = engine.quality();
     assert_eq!(quality.len(), 15);
     assert!(quality.iter().all(|marker| marker.visible > 0.5), "{quality:?}");
 }
 
 #[test]
-fn a_take_that_another_recorder_writes_is_left_alone() {
+fn a_take_of_another_recorder_is_left_alone() {
     let Room { directory, device, engine } = room(|_| {});
     let started = engine.start(&named("mine")).unwrap();
     std::thread::sleep(Duration::from_millis(800));
@@ -301,7 +301,7 @@ fn a_take_that_another_recorder_writes_is_left_alone() {
 }
 
 #[test]
-fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
+fn takes_cut_off_by_a_kill_are_recovered_when_the_service_starts() {
     let Room { directory, device, engine } = room(|_| {});
     let started = engine.start(&named("killed")).unwrap();
     std::thread::sleep(Duration::from_millis(1200));
@@ -314,7 +314,7 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
     let recovered = directory.path().join("killed.recovered.take");
     wait_until("the recovery", || recovered.exists());
     assert!(read(&recovered).samples() > 0);
-    assert_eq!(std::fs::read(&started.path).unwrap(), killed, "what was written stays as it is");
+    assert_eq!(std::fs::read(&started.path).unwrap(), killed, "the original file is unchanged");
     let takes = engine.takes(9).unwrap();
     let health = |name: &str| takes.iter().find(|take| take.name == name).unwrap().health;
     assert_eq!(
@@ -326,7 +326,7 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
 }
 
 #[test]
-fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
+fn the_raw_log_lasts_from_arm_to_disarm() {
     let Room { directory, device: _device, engine } = room(|options| options.device.raw_log = true);
     engine.start(&named("logged")).unwrap();
     engine.stop(&request()).unwrap();
@@ -341,18 +341,18 @@ fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
 }
 
 #[test]
-fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
+fn a_full_disk_is_reported_and_nothing_is_left_on_it() {
     let Room { directory, device: _device, engine } =
         room(|options| options.take.keep_free_bytes = u64::MAX / 2);
     let refused = engine.start(&named("full")).unwrap_err();
     assert_eq!(refused.kind, RefusalKind::Disk, "{refused}");
-    assert_tells(&refused.message, &["take.keep_free"]);
+    assert_mentions(&refused.message, &["take.keep_free"]);
     assert_eq!(directory.path().read_dir().unwrap().count(), 0);
     assert_eq!(engine.status().state, State::Idle);
 }
 
 #[test]
-fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_ends() {
+fn frames_missed_during_an_absence_are_in_the_ledger_of_the_take_that_ends() {
     let Room { directory: _directory, device, engine } = room(|_| {});
     let started = engine.start(&named("cut")).unwrap();
     std::thread::sleep(Duration::from_millis(300));
@@ -365,7 +365,7 @@ fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_end
     assert_eq!(ledger.unknown_after_disconnect, stopped.ledger.unknown_after_disconnect);
     assert!(ledger.closes() && ledger.unknown_after_disconnect >= 140, "{ledger:?}");
     assert_eq!(engine.takes(1).unwrap()[0].health, TakeHealth::Lossy);
-    // Nobody waits for a frame that cannot come.
+    // The stop does not wait for a frame that cannot arrive.
     let asked = std::time::Instant::now();
     let refusal = engine.start(&named("next")).unwrap_err();
     assert_eq!(refusal.kind, RefusalKind::Device);

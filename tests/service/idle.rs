@@ -1,4 +1,4 @@
-//! An idle service waits, and wakes rarely.
+//! An idle service wakes rarely.
 
 use std::{fs, time::Duration};
 
@@ -7,14 +7,14 @@ use crate::{
     support::jump,
 };
 
-/// How often the threads of a process have gone to sleep.
-fn sleeps(pid: u32) -> u64 {
+/// Voluntary context switches of all threads of a process.
+fn voluntary_switches(pid: u32) -> u64 {
     let threads = fs::read_dir(format!("/proc/{pid}/task")).unwrap().flatten();
     let of_thread = |status: String| {
         let line = status.lines().find(|line| line.starts_with("voluntary_ctxt_switches"))?;
         line.split_whitespace().last()?.parse::<u64>().ok()
     };
-    // A thread may end meanwhile.
+    // A thread may end in the meantime.
     let status = threads.filter_map(|thread| fs::read_to_string(thread.path().join("status")).ok());
     status.filter_map(of_thread).sum::<u64>()
 }
@@ -28,13 +28,13 @@ fn an_idle_service_wakes_at_most_ten_times_a_second() {
     let mut service = Service::start(&folder, &device, trigger, "");
     assert_eq!(service.post("/v1/disarm", "{}").0, 200);
     service.wait_until("idle", |status| status["state"] == "idle");
-    // What it was doing before comes to its end.
+    // Let the disarm finish.
     std::thread::sleep(Duration::from_secs(1));
-    let before = sleeps(service.pid());
+    let before = voluntary_switches(service.pid());
     std::thread::sleep(Duration::from_secs(SECONDS));
-    let woken = sleeps(service.pid()) - before;
+    let woken = voluntary_switches(service.pid()) - before;
     assert!(woken <= 10 * SECONDS, "{woken} times in {SECONDS} s");
-    // And it is there at once when somebody comes.
+    // It still responds to commands.
     assert_eq!(service.post("/v1/start", r#"{"name": "walk"}"#).0, 200);
     assert_eq!(service.post("/v1/stop", "{}").0, 200);
 }

@@ -1,4 +1,4 @@
-//! The service: an engine with a simulated device on a line, and its API in front of a fake one.
+//! Tests of the service: the engine with a simulated device, and the API with a fake service.
 
 mod ctl;
 mod cycles;

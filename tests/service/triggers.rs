@@ -1,4 +1,4 @@
-//! Triggers over UDP: a capture that another program starts is recorded here, and ours are told to others.
+//! Triggers over UDP: captures of another program start takes, and takes are announced to other programs.
 
 use std::{net::UdpSocket, sync::Arc, time::Duration};
 
@@ -22,7 +22,7 @@ fn datagram(element: &str, name: &str, packet: u32) -> Vec<u8> {
 }
 
 #[test]
-fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
+fn another_program_starts_and_stops_takes_and_gets_triggers_for_ours() {
     let Room { directory, device: _device, engine } = room(|options| options.arm.at_start = true);
     wait_until("the device", || engine.status().state == State::Armed);
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -36,53 +36,55 @@ fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
     };
     let engine: Arc<dyn Control> = Arc::new(engine);
     let triggers = Triggers::open(&config, "test", &engine).unwrap().unwrap();
-    let say = |bytes: &[u8]| peer.send_to(bytes, free).map(drop).unwrap();
-    // Repeats, and a name that is a path.
+    let send = |bytes: &[u8]| peer.send_to(bytes, free).map(drop).unwrap();
+    // Repeated datagrams, and a name that is a path.
     for _ in 0..3 {
-        say(&datagram("CaptureStart", "../Trial 01", 7));
+        send(&datagram("CaptureStart", "../Trial 01", 7));
     }
     wait_until("the take", || engine.status().state == State::Recording);
     let name = engine.status().take.unwrap().name;
     assert!(name.contains("Trial 01") && !name.contains('/'), "{name}");
     std::thread::sleep(Duration::from_millis(300));
-    say(&datagram("CaptureStop", "another", 8));
+    send(&datagram("CaptureStop", "another", 8));
     std::thread::sleep(Duration::from_millis(200));
-    assert_eq!(engine.status().state, State::Recording, "another take is meant");
-    say(&datagram("CaptureStop", "../Trial 01", 9));
+    assert_eq!(engine.status().state, State::Recording, "a stop of another take is ignored");
+    send(&datagram("CaptureStop", "../Trial 01", 9));
     wait_until("the end", || engine.status().state == State::Armed);
     let summary = read(&directory.path().join(format!("{name}.take")));
-    let told: Vec<_> = summary.take.events.iter().map(|event| event.text.as_str()).collect();
+    let texts: Vec<_> = summary.take.events.iter().map(|event| event.text.as_str()).collect();
     assert!(
-        told.iter().any(|text| text.contains("left leg") && text.contains("/etc/passwd")),
-        "{told:?}"
+        texts.iter().any(|text| text.contains("left leg") && text.contains("/etc/passwd")),
+        "{texts:?}"
     );
-    // The same capture again: its name is taken.
+    // The same capture again: the name exists.
     let events = engine.events();
-    say(&datagram("CaptureStart", "../Trial 01", 10));
+    send(&datagram("CaptureStart", "../Trial 01", 10));
     wait_until("the refusal", || {
         events
             .next(Duration::from_millis(10))
             .is_some_and(|event| event.kind == ServiceEventKind::Trigger)
     });
     assert_eq!(engine.status().state, State::Armed);
-    // Ours.
+    // A take of our own is announced.
     engine.start(&named("ours")).unwrap();
-    let heard = || {
+    let receive = || {
         let mut bytes = [0; 4096];
         let n = peer.recv(&mut bytes).unwrap();
         parse(&bytes[..n]).unwrap()
     };
     assert!(
-        matches!(heard(), Trigger::Start(start) if start.name.as_ref().unwrap().text() == "ours")
+        matches!(receive(), Trigger::Start(start) if start.name.as_ref().unwrap().text() == "ours")
     );
-    // It comes back to us, as a broadcast does, and nothing happens.
+    // The announcement comes back, as with a broadcast, and is ignored.
     engine.stop(&Request::default()).unwrap();
-    assert!(matches!(heard(), Trigger::Stop(stop) if stop.name.as_ref().unwrap().text() == "ours"));
-    assert!(matches!(heard(), Trigger::Complete(_)));
+    assert!(
+        matches!(receive(), Trigger::Stop(stop) if stop.name.as_ref().unwrap().text() == "ours")
+    );
+    assert!(matches!(receive(), Trigger::Complete(_)));
     triggers.close();
 }
 
-/// Others know a take by the name that it was started with.
+/// Other programs know a take by the name with which it was started.
 #[test]
 fn a_take_that_was_renamed_is_announced_under_its_first_name() {
     let Room { directory, device: _device, engine } = room(|options| options.arm.at_start = true);
@@ -103,7 +105,7 @@ fn a_take_that_was_renamed_is_announced_under_its_first_name() {
         let path = |name: &str| directory.path().join(format!("{name}.take"));
         std::fs::rename(path(from), path(to)).unwrap();
     };
-    // One that the peer started: it need not be told, whatever the file is called by now.
+    // A take started by the peer is not announced, even if it was renamed.
     peer.send_to(&datagram("CaptureStart", "theirs", 7), free).unwrap();
     wait_until("the take", || engine.status().take.is_some_and(|take| take.rows > 0));
     rename("theirs", "moved");
@@ -113,25 +115,25 @@ fn a_take_that_was_renamed_is_announced_under_its_first_name() {
             .is_some_and(|event| event.kind == ServiceEventKind::Trigger)
     });
     assert_eq!(engine.stop(&Request::default()).unwrap().name, "moved");
-    // One of ours.
+    // A take of our own.
     engine.start(&named("ours")).unwrap();
     rename("ours", "elsewhere");
     assert_eq!(engine.stop(&Request::default()).unwrap().name, "elsewhere");
     assert_eq!(engine.status().last_take.unwrap().name, "elsewhere");
-    let heard = || {
+    let receive = || {
         let mut bytes = [0; 4096];
         let n = peer.recv(&mut bytes).unwrap();
         parse(&bytes[..n]).unwrap()
     };
     let is_ours = |name: &str| assert_eq!(name, "ours");
-    match heard() {
+    match receive() {
         Trigger::Start(start) => is_ours(start.name.as_ref().unwrap().text()),
         other => panic!("{other:?}"),
     }
-    match heard() {
+    match receive() {
         Trigger::Stop(stop) => is_ours(stop.name.as_ref().unwrap().text()),
         other => panic!("{other:?}"),
     }
-    assert!(matches!(heard(), Trigger::Complete(_)));
+    assert!(matches!(receive(), Trigger::Complete(_)));
     triggers.close();
 }

@@ -1,4 +1,4 @@
-//! What several test modules need: generated motion, a pipeline in memory, and takes read back.
+//! Shared test utilities: generated motion, a pipeline in memory, and reading takes back.
 
 use std::{
     any::Any,
@@ -11,7 +11,7 @@ use mocapd_acquire::{
     header,
     inspect::Summary,
     pipeline::{
-        Counts, Intake, NewTake, Pipeline, PipelineConfig, TakeFailed, TakeOutput, Written,
+        Counts, Intake, NewTake, Pipeline, PipelineConfig, TakeAccount, TakeFailed, TakeOutput,
     },
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
@@ -26,15 +26,15 @@ use mocapd_take::{
     timeline::Timeline,
 };
 
-/// C3D files built byte by byte, apart from the project's writer.
+/// C3D files built byte by byte, independently of the project's writer.
 #[path = "../../take/tests/interchange/c3d_file.rs"]
 pub(crate) mod c3d_file;
 
-/// Ticks a second of the test devices.
+/// Clock ticks per second of the test devices.
 pub(crate) const TICK_HZ: u64 = 1_000_000;
 
-/// Whether a message tells of a fact: a name, a number, an option, a command, each as it is and not as a part of another.
-pub(crate) fn tells(message: &str, fact: &str) -> bool {
+/// Whether a message mentions a fact (a name, number, option or command) as a whole, not as part of another word.
+pub(crate) fn mentions(message: &str, fact: &str) -> bool {
     let is_inner = |c: char| c.is_alphanumeric() || c == '_';
     let is_digit = |c: char| c.is_ascii_digit();
     message.match_indices(fact).any(|(at, _)| {
@@ -49,15 +49,15 @@ pub(crate) fn tells(message: &str, fact: &str) -> bool {
     })
 }
 
-/// A message has all that its reader needs to know, in whatever words.
+/// Asserts that a message mentions all facts that its reader needs, whatever its wording.
 #[track_caller]
-pub(crate) fn assert_tells(message: &str, facts: &[&str]) {
+pub(crate) fn assert_mentions(message: &str, facts: &[&str]) {
     for fact in facts {
-        assert!(tells(message, fact), "'{fact}' is not in: {message}");
+        assert!(mentions(message, fact), "'{fact}' is not in: {message}");
     }
 }
 
-/// What the system said, of a take that ended early.
+/// The I/O error that ended a take early.
 pub(crate) fn io_error_of(failed: &TakeFailed) -> Option<io::ErrorKind> {
     match failed.error.downcast_ref() {
         Some(TakeError::Io(error)) => Some(error.kind()),
@@ -72,7 +72,7 @@ pub(crate) fn jump(seed: u64, rate_hz: f64, seconds: f64) -> Motion {
     spec.generate().unwrap().motion
 }
 
-/// The same of more markers than a block has room for.
+/// A generated jump with gaps and more markers than fit into a block.
 pub(crate) fn crowd(seed: u64, rate_hz: f64, seconds: f64) -> Motion {
     let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
     let spec = JumpSpec {
@@ -96,7 +96,7 @@ pub(crate) fn lossless() -> Settings {
     Settings { kind: ResamplerKind::Lossless, ..dense(1.0) }
 }
 
-/// The samples of one frame, as a device lists them.
+/// The samples of one frame as a device sends them.
 pub(crate) fn samples(frame: &[Position]) -> Vec<MarkerSample> {
     let sample = |(id, &position_mm): (usize, &Position)| MarkerSample {
         id: id as u16,
@@ -107,7 +107,7 @@ pub(crate) fn samples(frame: &[Position]) -> Vec<MarkerSample> {
     frame.iter().enumerate().map(sample).collect()
 }
 
-/// Gives frame `seq` of `motion` to the pipeline.
+/// Feeds frame `seq` of `motion` to the pipeline.
 pub(crate) fn feed(intake: &mut Intake, motion: &Motion, seq: usize) {
     feed_samples(intake, motion.info.rate_hz, seq, &samples(motion.frame(seq)));
 }
@@ -128,11 +128,11 @@ pub(crate) fn config(motion: &Motion, codec: Settings) -> PipelineConfig {
     PipelineConfig::new(codec, motion.info.rate_hz, TICK_HZ, channels)
 }
 
-/// A pipeline that writes one take to something of this type.
+/// A pipeline that writes one take to an output of type `W`.
 pub(crate) struct Recording<W>(Pipeline, PhantomData<W>);
 
 impl<W: TakeOutput> Recording<W> {
-    pub(crate) fn finish(self) -> Result<(Written, W), TakeFailed> {
+    pub(crate) fn finish(self) -> Result<(TakeAccount, W), TakeFailed> {
         self.0.finish().map(|(written, output)| (written, output_of(output)))
     }
 }
@@ -151,12 +151,12 @@ pub(crate) fn start<W: TakeOutput>(config: &PipelineConfig, output: W) -> (Intak
     (intake, Recording(pipeline, PhantomData))
 }
 
-/// Records the frames of `motion` that `wanted` names, in that order, waiting for full rings.
+/// Records the frames `wanted` of `motion`, in that order, and waits while the rings are full.
 pub(crate) fn record(
     motion: &Motion,
     config: &PipelineConfig,
     wanted: impl IntoIterator<Item = usize>,
-) -> (Written, Vec<u8>, Counts) {
+) -> (TakeAccount, Vec<u8>, Counts) {
     let (mut intake, pipeline) = start(config, Vec::new());
     for seq in wanted {
         while intake.is_full() {
@@ -171,7 +171,7 @@ pub(crate) fn record(
     (written, take, counts)
 }
 
-/// Rows of a take, and what is missing from it.
+/// The rows of a take, and its problems.
 pub(crate) fn rows(take: &[u8]) -> (Vec<Vec<Position>>, Vec<Problem>) {
     let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
     let mut row = vec![GAP; frames.info().markers.len()];
@@ -182,7 +182,7 @@ pub(crate) fn rows(take: &[u8]) -> (Vec<Vec<Position>>, Vec<Problem>) {
     (rows, frames.problems().to_vec())
 }
 
-/// The chunks of a take that a test looks at.
+/// The contents of a take's chunks that tests check.
 #[derive(Debug, Default)]
 pub(crate) struct Chunks {
     pub(crate) labels: Vec<String>,
@@ -225,11 +225,11 @@ pub(crate) fn chunks(take: &[u8]) -> Chunks {
     found
 }
 
-/// The chunks of a take after its magic: type, and where they lie.
+/// Type and byte range of every chunk after a take's magic.
 pub(crate) fn places(take: &[u8]) -> Vec<(u8, Range<usize>)> {
     let mut at = chunk::MAGIC.len();
     let mut places = Vec::new();
-    while let chunk::Front::Whole { kind, len, .. } = chunk::front(&take[at..]) {
+    while let chunk::ChunkParse::Whole { kind, len, .. } = chunk::parse(&take[at..]) {
         places.push((kind, at..at + len));
         at += len;
     }
@@ -240,7 +240,7 @@ pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
     a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
 }
 
-/// A seeded stream of numbers (`SplitMix64`, Steele et al. 2014).
+/// A seeded stream of random numbers (`SplitMix64`, Steele et al. 2014).
 #[derive(Debug)]
 pub(crate) struct Seeded(u64);
 
@@ -256,7 +256,7 @@ impl Seeded {
         z ^ (z >> 31)
     }
 
-    /// Less than `n`; 0 when that is 0.
+    /// From 0 to `n - 1`; 0 if `n` is 0.
     pub(crate) fn below(&mut self, n: usize) -> usize {
         if n == 0 { 0 } else { (self.next() % n as u64) as usize }
     }

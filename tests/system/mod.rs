@@ -1,4 +1,4 @@
-//! What goes to the system: units, udev rules, users, and the package's list of files.
+//! System files: units, udev rules, users, and the package's list of files.
 
 mod package;
 mod rules;
@@ -12,7 +12,7 @@ fn text(path: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Lines that say something.
+/// Lines that are neither empty nor comments.
 fn lines(text: &str) -> impl Iterator<Item = &str> {
     text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'))
 }

@@ -1,4 +1,4 @@
-//! The Debian package's list in Cargo.toml: everything that is to be installed is, from files that exist.
+//! The Debian package's list in Cargo.toml: it is complete, and its files exist.
 
 use std::{fs, path::Path};
 
@@ -58,7 +58,7 @@ fn its_licence_text_is_the_licence() {
     assert!(copyright.windows(licence.len()).any(|part| part == licence));
 }
 
-/// A shell that stops at the first error, and no command that asks.
+/// Scripts stop at the first error and run no interactive command.
 #[test]
 fn its_scripts_are_scripts() {
     for name in ["postinst", "prerm", "postrm"] {

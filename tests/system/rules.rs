@@ -21,7 +21,7 @@ fn parts(line: &str) -> Vec<(String, &'static str, String)> {
 }
 
 #[test]
-fn they_are_well_formed_and_jumps_have_a_place_to_go() {
+fn units_are_well_formed_and_jumps_have_a_target() {
     let rules = text("systemd/60-mocapd.rules");
     let all: Vec<_> = lines(&rules).flat_map(parts).collect();
     assert!(all.len() > 20);
@@ -38,8 +38,8 @@ fn they_are_well_formed_and_jumps_have_a_place_to_go() {
     }
 }
 
-/// A device chooses its serial number: in a unit's name it must have lost spaces and slashes, with which it would
-/// start any unit of the machine.
+/// A device chooses its serial number: without spaces and slashes in it, the unit's name cannot
+/// start another unit of the machine.
 #[test]
 fn a_serial_number_starts_no_other_unit() {
     let rules = text("systemd/60-mocapd.rules");

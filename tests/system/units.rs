@@ -1,4 +1,4 @@
-//! The unit files: well-formed, what the service relies on, and, where systemd is, what it says of them.
+//! The unit files: well-formed, with what the service relies on, and accepted by systemd where it is installed.
 
 use std::{collections::BTreeMap, fs, process::Command};
 
@@ -6,10 +6,10 @@ use super::{lines, text};
 
 const UNITS: [&str; 2] = ["mocapd@.service", "mocapd-sim@.service"];
 
-/// What the exposure of a unit is at most, times ten, by `systemd-analyze security`; systemd/README.md says it.
+/// Largest exposure of a unit by `systemd-analyze security`, times ten; systemd/README.md states it.
 const EXPOSURE_MAX_TENTHS: &str = "14";
 
-/// By section and key, the values in order.
+/// The values of each section and key, in order.
 type Unit = BTreeMap<(String, String), Vec<String>>;
 
 fn parse(name: &str) -> Unit {
@@ -43,7 +43,7 @@ fn the_service_is_as_the_program_expects_it() {
     assert_eq!(service("StateDirectory"), "mocapd/%i");
     assert_eq!(service("RuntimeDirectory"), "mocapd/%i");
     assert_eq!((service("StateDirectoryMode"), service("UMask")), ("0750", "0027"));
-    // The exit code of a configuration that is refused.
+    // The exit code for an invalid configuration.
     assert_eq!(service("RestartPreventExitStatus"), "2");
     assert!(service("WatchdogSec").ends_with('s'));
     // An unplug must not end a take.
@@ -65,7 +65,7 @@ fn users_and_folders_are_made_before_they_are_needed() {
     }
 }
 
-/// Copies of the units that run a program which is here, and name no manual pages, which are not.
+/// Copies of the units that run an existing program, and without manual pages, which are not installed.
 fn installable() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for name in UNITS {
@@ -79,7 +79,7 @@ fn installable() -> tempfile::TempDir {
     folder
 }
 
-/// What `systemd-analyze` says; `None` on a machine without it.
+/// The output of `systemd-analyze`; `None` on a machine without it.
 fn analyze(arguments: &[&str]) -> Option<(bool, String)> {
     let output = Command::new("systemd-analyze").args(arguments).output().ok()?;
     let both = [output.stdout, output.stderr].concat();
@@ -93,23 +93,23 @@ fn systemd_finds_nothing_wrong_with_them() {
         let path = folder.path().join(name);
         let path = path.to_str().unwrap();
         // Without the option an unknown key is no error.
-        let Some((good, said)) = analyze(&["verify", "--recursive-errors=no", path]) else {
+        let Some((good, report)) = analyze(&["verify", "--recursive-errors=no", path]) else {
             return;
         };
-        assert!(good && said.is_empty(), "{name}: {said}");
+        assert!(good && report.is_empty(), "{name}: {report}");
         let threshold = format!("--threshold={EXPOSURE_MAX_TENTHS}");
         let security = ["security", "--offline=yes", &threshold, path];
-        let Some((good, said)) = analyze(&security) else { return };
-        assert!(good, "{name}: {}", said.lines().last().unwrap_or_default());
-        println!("{name}: {}", said.lines().last().unwrap_or_default());
+        let Some((good, report)) = analyze(&security) else { return };
+        assert!(good, "{name}: {}", report.lines().last().unwrap_or_default());
+        println!("{name}: {}", report.lines().last().unwrap_or_default());
     }
 }
 
 #[test]
-fn the_page_says_the_exposure() {
+fn the_page_states_the_exposure() {
     let (whole, tenth) = EXPOSURE_MAX_TENTHS.split_at(1);
-    let said = format!("systemd/mocapd@.service` says {whole}.{tenth},");
-    assert!(text("systemd/README.md").contains(&said), "systemd/README.md: '{said}'");
+    let report = format!("systemd/mocapd@.service` says {whole}.{tenth},");
+    assert!(text("systemd/README.md").contains(&report), "systemd/README.md: '{report}'");
 }
 
 #[test]
@@ -119,8 +119,8 @@ fn systemd_finds_what_is_planted() {
     let good = fs::read_to_string(&path).unwrap();
     fs::write(&path, good.replace("ProtectSystem=strict", "ProtectSystem=stric")).unwrap();
     let verify = ["verify", "--recursive-errors=no", path.to_str().unwrap()];
-    let Some((passes, said)) = analyze(&verify) else { return };
-    assert!(!passes && said.contains("stric"), "{said}");
+    let Some((passes, report)) = analyze(&verify) else { return };
+    assert!(!passes && report.contains("stric"), "{report}");
     fs::write(&path, good.replace("CapabilityBoundingSet=\n", "")).unwrap();
     let threshold = format!("--threshold={EXPOSURE_MAX_TENTHS}");
     let security = ["security", "--offline=yes", &threshold, path.to_str().unwrap()];

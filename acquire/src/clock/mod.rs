@@ -1,11 +1,11 @@
-//! The device's clock against the host's: a line through what is known of both, laid as frames come.
+//! Relates the device's clock to the host's: a line fitted to observations of both, updated as frames come.
 //!
-//! Two kinds of things are known. A frame cannot arrive before it happened: the device's clock showed its
-//! ticks no later than its arrival. And when a ping was answered, the device's clock showed the pong's ticks
-//! between the two host times. So each observation bounds the line from above or from below, however late
-//! anything came, and the line is laid in the middle of what the bounds leave. docs/clock.md has the method.
+//! There are two kinds of observations. A frame arrives after it was captured, so the device's clock showed its ticks
+//! no later than its arrival. And when a ping is answered, the device's clock showed the pong's ticks between the two
+//! host times. Each observation therefore bounds the line from above or from below, however late it came, and the
+//! line is placed midway between the bounds. docs/clock.md describes the method.
 //!
-//! Sans-io: times and ticks go in. Nothing here allocates after it was made, or reads a clock.
+//! Sans-io: times and ticks are arguments. Nothing here reads a clock, or allocates after construction.
 
 mod fit;
 mod model;
@@ -15,12 +15,12 @@ mod prober;
 mod tests;
 
 pub use fit::{Bound, Burst, Line, fit};
-pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, Store};
-pub use observations::{Apart, LineAgain};
+pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, StoreItem};
+pub use observations::{LineDeviation, LineRefit};
 pub use prober::Prober;
 
-/// What the line is made of is at most so old: over two minutes the oscillator of a device and that of a host
-/// change their rate against each other by some hundredths of a ppm, 5 us.
+/// Longest age of an observation that the line is fitted to: over two minutes the oscillators of a device and of a host
+/// change their relative rate by some hundredths of a ppm, 5 us.
 const WINDOW_US: u64 = 120_000_000;
 
 /// Seconds from `from` to `ticks`, modulo 2^64 as ticks are.

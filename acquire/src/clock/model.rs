@@ -1,4 +1,4 @@
-//! The clock of one recording: its segments, the line of the one that runs, and how late frames come.
+//! The clock model of a recording: segments, the line of the current segment, and the lateness of frames.
 
 use mocapd_take::record::{ClockFit, ClockJitter, ClockLine, ClockPoint, ClockProbe};
 
@@ -7,56 +7,56 @@ use super::{
     observations::{Arrivals, Bursts, lines},
     seconds,
 };
-use crate::latency::Latency;
+use crate::latency::LatencyHistogram;
 
-/// What a take stores of it, as it comes.
+/// An item of the clock model for the take to store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ClockItem {
-    /// The earliest frame of a bin, in the segment.
+    /// The earliest frame of a bin, with the segment's number.
     Point(u32, ClockPoint),
-    /// A round trip, in the segment.
+    /// A round trip, with the segment's number.
     Probe(u32, ClockProbe),
-    /// The segment is over, and this was its line.
+    /// The final line of a segment that is over.
     Line(u32, ClockLine),
 }
 
-/// Takes what a take is to store; `false` when it cannot, and then the line is not laid through it either.
-pub type Store<'a> = dyn FnMut(ClockItem) -> bool + 'a;
+/// Stores an item in the take. Returns `false` when it cannot, and then the line is not fitted to the item either.
+pub type StoreItem<'a> = dyn FnMut(ClockItem) -> bool + 'a;
 
-/// The device's clock did what clocks do not: a new segment begins.
+/// A discontinuity of the device's clock: a new segment begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ClockEvent {
-    /// Its ticks went back, by so many seconds.
+    /// The ticks went back by so many seconds.
     WentBack(f64),
-    /// It counts in 32 bits, and began again at 0.
+    /// A 32-bit counter wrapped to 0.
     Wrapped,
-    /// It is ahead by so many seconds more than before; behind when negative.
+    /// The clock jumped ahead by so many seconds; behind when negative.
     Jumped(f64),
 }
 
-/// How the clocks run, at some moment of a recording.
+/// The state of the clocks at one moment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ClockStatus {
-    /// Which segment, from 0.
+    /// Number of the segment, from 0.
     pub segment: u32,
-    /// Device clock ticks a second.
+    /// Device clock ticks per second.
     pub tick_hz: u64,
     /// The line.
     pub line: Option<ClockLine>,
-    /// How late frames come.
+    /// The lateness of frames.
     pub jitter: ClockJitter,
     /// Round trips so far.
     pub probes: u64,
-    /// Frames that were kept for the line so far.
+    /// Frames kept for the line so far.
     pub points: u64,
     /// Root mean square distance of arrivals from the line, in microseconds.
     pub residual_us: f64,
-    /// Items that were stored by then: the line was laid through these, and through none that came later.
+    /// Items stored so far: the line was fitted to these and to no later ones.
     pub stored: u64,
 }
 
 impl ClockStatus {
-    /// As a ledger stores it.
+    /// The fit as stored in a ledger.
     #[must_use]
     pub fn ledger(&self) -> Option<ClockFit> {
         let line = self.line?;
@@ -71,20 +71,20 @@ impl ClockStatus {
     }
 }
 
-/// Bounded, and fed by one thread.
+/// The clock model. Its memory is bounded, and a single thread feeds it.
 #[derive(Debug)]
 pub struct ClockModel {
     ticks_per_s: u64,
     tick_hz: f64,
     segment: u32,
     begun_us: Option<u64>,
-    /// The frame before: ticks and host microseconds.
+    /// Ticks and host microseconds of the preceding frame.
     last: Option<(u64, u64)>,
     arrivals: Arrivals,
     bursts: Bursts,
-    judge: Judge,
+    gate: OutlierGate,
     line: Option<Line>,
-    lateness: Latency,
+    lateness: LatencyHistogram,
     late_squared: f64,
     probes: u64,
     points: u64,
@@ -92,7 +92,7 @@ pub struct ClockModel {
 }
 
 impl ClockModel {
-    /// Of a device whose clock makes so many ticks a second.
+    /// A model of a device whose clock ticks `tick_hz` times per second.
     #[must_use]
     pub fn new(tick_hz: u64) -> Self {
         Self {
@@ -103,9 +103,9 @@ impl ClockModel {
             last: None,
             arrivals: Arrivals::new(),
             bursts: Bursts::new(),
-            judge: Judge::default(),
+            gate: OutlierGate::default(),
             line: None,
-            lateness: Latency::default(),
+            lateness: LatencyHistogram::default(),
             late_squared: 0.0,
             probes: 0,
             points: 0,
@@ -113,12 +113,12 @@ impl ClockModel {
         }
     }
 
-    /// A frame that arrived.
+    /// Accepts a frame.
     pub fn frame(
         &mut self,
         ticks: u64,
         arrival_ns: u64,
-        store: &mut Store<'_>,
+        store: &mut StoreItem<'_>,
     ) -> Option<ClockEvent> {
         let host_us = arrival_ns.div_ceil(1000);
         let before = self.last;
@@ -131,17 +131,13 @@ impl ClockModel {
         if let Some(line) = self.line {
             let late_us = line.lateness_us(ticks, arrival_ns, self.tick_hz);
             let age_us = host_us.saturating_sub(begun_us);
-            match self.judge.frame(late_us, host_us, age_us, silent_us) {
-                Verdict::Fits => self.count(late_us),
-                // The next one is compared with the one before this.
-                Verdict::Odd => return event,
-                Verdict::Jumped(by_us) => {
-                    self.restart(store);
-                    self.begun_us = Some(host_us);
-                    event = Some(ClockEvent::Jumped(by_us * 1e-6));
-                }
+            match self.gate.frame(late_us, host_us, age_us, silent_us) {
+                Gating::Accepted => self.count(late_us),
+                // The next frame is compared with the one before this.
+                Gating::Outlier => return event,
+                Gating::Jumped(by_us) => event = Some(self.jump(by_us, host_us, store)),
             }
-            self.wants_probes |= self.judge.is_in_doubt();
+            self.wants_probes |= self.gate.is_in_doubt();
         }
         self.last = Some((ticks, host_us));
         let point = ClockPoint { device_ticks: ticks, host_us };
@@ -151,13 +147,13 @@ impl ClockModel {
         event
     }
 
-    /// A ping of `sent_ns` whose pong said `ticks` and arrived at `answered_ns`.
+    /// Accepts a round trip: a ping sent at `sent_ns` whose pong carried `ticks` and arrived at `answered_ns`.
     pub fn probe(
         &mut self,
         ticks: u64,
         sent_ns: u64,
         answered_ns: u64,
-        store: &mut Store<'_>,
+        store: &mut StoreItem<'_>,
     ) -> Option<ClockEvent> {
         let sent_us = sent_ns / 1000;
         let answered_us = answered_ns.div_ceil(1000);
@@ -170,52 +166,48 @@ impl ClockModel {
             let age_us = sent_us.saturating_sub(begun_us);
             let silent_us = self.last.map_or(0, |(_, us)| sent_us.saturating_sub(us));
             let (sent, answered) = (off(sent_ns), off(answered_ns));
-            match self.judge.probe(&line, sent, answered, age_us, silent_us) {
-                Verdict::Fits => {}
-                // Left out of the line, and so of the take: whoever lays it again must not find it.
-                Verdict::Odd => return None,
-                Verdict::Jumped(by_us) => {
-                    self.restart(store);
-                    self.begun_us = Some(sent_us);
-                    event = Some(ClockEvent::Jumped(by_us * 1e-6));
-                }
+            match self.gate.probe(&line, sent, answered, age_us, silent_us) {
+                Gating::Accepted => {}
+                // Left out of the line, and so of the take: a refit must not find it.
+                Gating::Outlier => return None,
+                Gating::Jumped(by_us) => event = Some(self.jump(by_us, sent_us, store)),
             }
         }
         if store(ClockItem::Probe(self.segment, probe)) {
             self.probes += 1;
             self.bursts.add(probe);
-            self.lay();
+            self.refit();
         }
         event
     }
 
-    /// Lays the line through everything there is: at the end of a recording.
-    pub fn close(&mut self, store: &mut Store<'_>) {
+    /// Fits the line to all observations, at the end of a recording.
+    pub fn close(&mut self, store: &mut StoreItem<'_>) {
         if let Some(closed) = self.arrivals.close() {
             self.keep(closed, store);
         }
     }
 
-    fn keep(&mut self, point: ClockPoint, store: &mut Store<'_>) {
+    fn keep(&mut self, point: ClockPoint, store: &mut StoreItem<'_>) {
         if store(ClockItem::Point(self.segment, point)) {
             self.points += 1;
             self.arrivals.keep(point);
-            self.lay();
+            self.refit();
         }
     }
 
-    /// Whether round trips would help now. Said once.
+    /// Whether round trips would help now. Returns `true` once.
     pub fn wants_probes(&mut self) -> bool {
         std::mem::take(&mut self.wants_probes)
     }
 
-    /// The line of the segment that runs.
+    /// The line of the current segment.
     #[must_use]
     pub fn line(&self) -> Option<&Line> {
         self.line.as_ref()
     }
 
-    /// How the clocks run.
+    /// The state of the clocks.
     #[must_use]
     pub fn status(&self) -> ClockStatus {
         let late = &self.lateness;
@@ -239,21 +231,29 @@ impl ClockModel {
         }
     }
 
+    /// Starts a new segment, because the device's clock jumped.
+    fn jump(&mut self, by_us: f64, host_us: u64, store: &mut StoreItem<'_>) -> ClockEvent {
+        self.restart(store);
+        self.begun_us = Some(host_us);
+        ClockEvent::Jumped(by_us * 1e-6)
+    }
+
     fn count(&mut self, late_us: f64) {
         self.lateness.add((late_us.max(0.0) * 1e3) as u64);
         self.late_squared += late_us * late_us;
     }
 
-    fn lay(&mut self) {
-        let laid = lines(self.arrivals.points(), &self.bursts, self.drift_ppm(), self.tick_hz);
-        self.line = laid.last().or(self.line);
+    fn refit(&mut self) {
+        let fits = lines(self.arrivals.points(), &self.bursts, self.drift_ppm(), self.tick_hz);
+        self.line = fits.last().or(self.line);
     }
 
     fn drift_ppm(&self) -> f64 {
         self.line.map_or(0.0, |line| line.drift_ppm)
     }
 
-    /// A clock that counts in 64 bits wraps in ten thousands of years; one of 32 bits does so in minutes.
+    /// Detects a clock that went back. A 64-bit counter wraps after ten thousands of years, a 32-bit one within
+    /// minutes.
     fn went_back(&self, ticks: u64, last: u64, silent_us: u64) -> Option<ClockEvent> {
         let by = last.wrapping_sub(ticks).cast_signed();
         if by <= 0 {
@@ -266,65 +266,66 @@ impl ClockModel {
         Some(if is_wrap { ClockEvent::Wrapped } else { ClockEvent::WentBack(back_s) })
     }
 
-    /// The device was away. Its clock may have gone on or not, and its way here may be another: a new segment.
-    pub fn rejoin(&mut self, store: &mut Store<'_>) {
+    /// Starts a new segment after the device was disconnected: its clock may or may not have continued, and its line to
+    /// the host may be another.
+    pub fn rejoin(&mut self, store: &mut StoreItem<'_>) {
         self.restart(store);
         self.last = None;
     }
 
-    /// A new segment; what is known of the old one is in the take.
-    fn restart(&mut self, store: &mut Store<'_>) {
+    /// Starts a new segment. What is known of the old one is in the take.
+    fn restart(&mut self, store: &mut StoreItem<'_>) {
         // A clock that jumps with every frame leaves nothing worth storing.
         if self.line.is_some() {
             self.close(store);
         }
         if let Some(line) = self.line {
-            // A take that cannot have it has the segment without a line.
+            // If the take cannot store the line, the segment has none.
             store(ClockItem::Line(self.segment, line.stored()));
         }
         self.segment = self.segment.saturating_add(1);
         self.begun_us = None;
         self.arrivals = Arrivals::new();
         self.bursts = Bursts::new();
-        self.judge = Judge::default();
+        self.gate = OutlierGate::default();
         self.line = None;
         self.wants_probes = true;
     }
 }
 
-/// How far off an observation may be beside what is measured: a line of few points, a scheduler.
+/// Tolerance beside the measured one: for a line fitted to few points, and for the scheduler.
 const SLACK_US: f64 = 2_000.0;
 
-/// A segment younger than this has a line that a batch of frames may have turned.
+/// Age below which a batch of frames may have tilted a segment's line.
 const YOUNG_US: u64 = 3_000_000;
 const YOUNG_SLACK_US: f64 = 100_000.0;
 
-/// How fast a line may become wrong where nothing is observed, in microseconds a second: ten times what a
-/// crystal is off.
+/// How fast a line may become wrong without observations, in microseconds per second: ten times the error of
+/// a crystal.
 const STALE_US_PER_S: f64 = 1_000.0;
 
-/// So many times the mean lateness is still usual: batches are late by up to twice their mean.
-const USUAL: f64 = 4.0;
+/// Multiple of the mean lateness that is still normal: batches are late by up to twice their mean.
+const LATENESS_FACTOR: f64 = 4.0;
 
-/// Observations running that must say so before it is a jump: damage that its checksum does not show is single.
-const IN_A_ROW: u32 = 3;
+/// Length of a run of outliers that makes a jump: damage that its checksum does not show is a single one.
+const RUN_MIN: u32 = 3;
 
-/// Frames that stay later than usual for so long are no longer held up: it is the clock that fell behind.
+/// Frames that stay late for this long are not held up any more: the clock fell behind.
 const LATE_FOR_US: u64 = 30_000_000;
 
-/// What an observation says.
+/// How the gate classifies an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Verdict {
-    Fits,
-    /// It cannot be, and is left out; it may be the first after a jump.
-    Odd,
+enum Gating {
+    Accepted,
+    /// An outlier, which is left out; it may be the first observation after a jump.
+    Outlier,
     /// The clock jumped ahead by so many microseconds; back when negative.
     Jumped(f64),
 }
 
-/// Remembers what was odd of a segment.
+/// Separates outliers from jumps of the device's clock, within one segment.
 #[derive(Debug, Default)]
-pub(super) struct Judge {
+struct OutlierGate {
     mean_late_us: f64,
     n_late: u64,
     early: u32,
@@ -333,54 +334,48 @@ pub(super) struct Judge {
     late: u32,
 }
 
-impl Judge {
+impl OutlierGate {
     fn slack_us(&self, age_us: u64, silent_us: u64) -> f64 {
         let young = if age_us < YOUNG_US { YOUNG_SLACK_US } else { 0.0 };
         let stale = silent_us as f64 * 1e-6 * STALE_US_PER_S;
-        SLACK_US + young + stale + USUAL * self.mean_late_us
+        SLACK_US + young + stale + LATENESS_FACTOR * self.mean_late_us
     }
 
-    /// A frame that came so long after the line, at host time `host_us`, in a segment of that age, so long
-    /// after the observation before it.
-    pub(super) fn frame(
-        &mut self,
-        late_us: f64,
-        host_us: u64,
-        age_us: u64,
-        silent_us: u64,
-    ) -> Verdict {
+    /// Classifies a frame: its lateness against the line, its arrival, the age of the segment, and the time since the
+    /// preceding observation.
+    fn frame(&mut self, late_us: f64, host_us: u64, age_us: u64, silent_us: u64) -> Gating {
         let slack_us = self.slack_us(age_us, silent_us);
         if late_us < -slack_us {
             self.early += 1;
-            return if self.early >= IN_A_ROW { Verdict::Jumped(-late_us) } else { Verdict::Odd };
+            return if self.early >= RUN_MIN { Gating::Jumped(-late_us) } else { Gating::Outlier };
         }
         self.early = 0;
         if late_us > slack_us + YOUNG_SLACK_US {
             self.late = self.late.saturating_add(1);
             let since_us = *self.late_since_us.get_or_insert(host_us);
             if host_us.saturating_sub(since_us) > LATE_FOR_US {
-                return Verdict::Jumped(-late_us);
+                return Gating::Jumped(-late_us);
             }
-            return Verdict::Fits;
+            return Gating::Accepted;
         }
         self.late_since_us = None;
         self.late = 0;
         // The mean of the last thousand.
         self.n_late = (self.n_late + 1).min(1000);
         self.mean_late_us += (late_us.max(0.0) - self.mean_late_us) / self.n_late as f64;
-        Verdict::Fits
+        Gating::Accepted
     }
 
-    /// A round trip that began and ended so long after the line.
-    pub(super) fn probe(
+    /// Classifies a round trip, given how late its ping and its pong were against the line.
+    fn probe(
         &mut self,
         line: &Line,
         sent_us: f64,
         answered_us: f64,
         age_us: u64,
         silent_us: u64,
-    ) -> Verdict {
-        let Some(bound) = line.bound else { return Verdict::Fits };
+    ) -> Gating {
+        let Some(bound) = line.bound else { return Gating::Accepted };
         let young = if age_us < YOUNG_US { YOUNG_SLACK_US } else { 0.0 };
         let slack_us =
             SLACK_US + young + bound.offset_us + silent_us as f64 * 1e-6 * STALE_US_PER_S;
@@ -390,16 +385,16 @@ impl Judge {
             -answered_us
         } else {
             self.missed = 0;
-            // What comes late and is asked is late, and not another clock.
+            // Frames that are late together with a round trip that is not show a delay, not another clock.
             self.late_since_us = None;
-            return Verdict::Fits;
+            return Gating::Accepted;
         };
         self.missed += 1;
-        if self.missed >= IN_A_ROW { Verdict::Jumped(off_us) } else { Verdict::Odd }
+        if self.missed >= RUN_MIN { Gating::Jumped(off_us) } else { Gating::Outlier }
     }
 
-    /// Whether a round trip would tell late frames from a clock that fell behind.
-    pub(super) fn is_in_doubt(&self) -> bool {
-        self.late == IN_A_ROW
+    /// Whether a round trip would distinguish late frames from a clock that fell behind.
+    fn is_in_doubt(&self) -> bool {
+        self.late == RUN_MIN
     }
 }

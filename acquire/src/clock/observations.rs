@@ -1,5 +1,5 @@
-//! What the line is laid through: the best bounds of each burst of round trips, and the earliest frame of each bin of
-//! time; the line through all of them; and the line of a take laid again from what it stores of them.
+//! The observations that the line is fitted to: the best bounds of each burst of round trips, and the earliest frame of
+//! each time bin. Also the fit itself, and the refit of a take's line from its stored observations.
 
 use std::collections::VecDeque;
 
@@ -13,28 +13,28 @@ use super::{
     seconds,
 };
 
-/// Round trips that begin within this of the first one are a burst: eight take at most 0.2 s, and the next
+/// Round trips that begin within this time of the first form a burst: eight take at most 0.2 s, and the next
 /// burst begins a second later at the earliest.
 const BURST_US: u64 = 500_000;
 
 const PROBES_MAX: usize = PROBES as usize;
 
-/// The bursts of a segment, oldest first, with all their round trips: which of these are the best depends on the rate
-/// of the line, which is another one with each observation.
+/// The bursts of a segment, oldest first, with all their round trips: which of them are best depends on the rate
+/// of the line, which changes with each observation.
 #[derive(Debug)]
 pub(super) struct Bursts {
-    bursts: [Trips; BURSTS_MAX],
+    bursts: [RoundTrips; BURSTS_MAX],
     n: usize,
 }
 
 /// The round trips of a burst.
 #[derive(Debug, Clone, Copy, Default)]
-struct Trips {
+struct RoundTrips {
     probes: [ClockProbe; PROBES_MAX],
     n: usize,
 }
 
-/// The best bounds of each burst, at some rate.
+/// The best bounds of each burst at one rate.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BestBounds {
     bursts: [Burst; BURSTS_MAX],
@@ -46,8 +46,8 @@ impl BestBounds {
         &self.bursts[..self.n]
     }
 
-    /// Whether these are the same round trips.
-    pub(super) fn are_of(&self, other: &Self) -> bool {
+    /// Whether both select the same round trips.
+    pub(super) fn selects_same(&self, other: &Self) -> bool {
         let same = |(a, b): (&Burst, &Burst)| (a.low, a.high) == (b.low, b.high);
         self.n == other.n && self.all().iter().zip(other.all()).all(same)
     }
@@ -55,7 +55,7 @@ impl BestBounds {
 
 impl Bursts {
     pub(super) fn new() -> Self {
-        Self { bursts: [Trips::default(); BURSTS_MAX], n: 0 }
+        Self { bursts: [RoundTrips::default(); BURSTS_MAX], n: 0 }
     }
 
     pub(super) fn add(&mut self, probe: ClockProbe) {
@@ -63,18 +63,17 @@ impl Bursts {
             && last.n < PROBES_MAX
             && probe.sent_us.abs_diff(last.first_us()) < BURST_US
         {
-            last.add(probe);
-            return;
+            return last.add(probe);
         }
-        let expired = |trips: &&Trips| trips.first_us().saturating_add(WINDOW_US) < probe.sent_us;
+        let expired = |b: &&RoundTrips| b.first_us().saturating_add(WINDOW_US) < probe.sent_us;
         let old = self.bursts[..self.n].iter().take_while(expired).count();
-        self.forget(old.max(usize::from(self.n == BURSTS_MAX)));
-        self.bursts[self.n] = Trips::default();
+        self.drop_oldest(old.max(usize::from(self.n == BURSTS_MAX)));
+        self.bursts[self.n] = RoundTrips::default();
         self.bursts[self.n].add(probe);
         self.n += 1;
     }
 
-    /// The best bounds, when the host's clock runs faster by `drift_ppm`.
+    /// The best bounds if the host's clock runs faster by `drift_ppm`.
     pub(super) fn best(&self, drift_ppm: f64, tick_hz: f64) -> BestBounds {
         let mut best = BestBounds { bursts: [Burst::default(); BURSTS_MAX], n: self.n };
         for (burst, trips) in best.bursts.iter_mut().zip(&self.bursts[..self.n]) {
@@ -83,14 +82,14 @@ impl Bursts {
         best
     }
 
-    /// The oldest ones no longer count.
-    fn forget(&mut self, n: usize) {
+    /// Drops the oldest bursts.
+    fn drop_oldest(&mut self, n: usize) {
         self.bursts.copy_within(n..self.n, 0);
         self.n -= n;
     }
 }
 
-impl Trips {
+impl RoundTrips {
     fn first_us(&self) -> u64 {
         self.probes[0].sent_us
     }
@@ -106,19 +105,15 @@ impl Trips {
             point.host_us.wrapping_sub(than.host_us).cast_signed() as f64
                 - passed_s * (1e6 + drift_ppm)
         };
-        let bounds = self.probes[..self.n].iter().map(|probe| {
+        let mut bounds = self.probes[..self.n].iter().map(|probe| {
             let ClockProbe { sent_us, device_ticks, round_trip_us } = *probe;
             let low = ClockPoint { device_ticks, host_us: sent_us };
             (low, ClockPoint { host_us: sent_us.saturating_add(round_trip_us), ..low })
         });
-        let trip_us = self.probes[0].round_trip_us as f64;
-        let mut best = Burst::default();
-        for (index, (low, high)) in bounds.enumerate() {
-            if index == 0 {
-                let first_us = low.host_us;
-                best = Burst { first_us, low, high, low_next_us: trip_us, high_next_us: trip_us };
-                continue;
-            }
+        let Some((low, high)) = bounds.next() else { return Burst::default() };
+        let (first_us, trip_us) = (low.host_us, self.probes[0].round_trip_us as f64);
+        let mut best = Burst { first_us, low, high, low_next_us: trip_us, high_next_us: trip_us };
+        for (low, high) in bounds {
             let better_us = later_us(low, best.low);
             best.low_next_us = next_us(best.low_next_us, better_us);
             if better_us > 0.0 {
@@ -134,27 +129,27 @@ impl Trips {
     }
 }
 
-/// How far the second best is from the best, after another one that is better by so much, or worse.
+/// Updates the distance of the second best from the best with another candidate, which is better by `better_us`.
 fn next_us(next_us: f64, better_us: f64) -> f64 {
     if better_us > 0.0 { better_us } else { next_us.min(-better_us) }
 }
 
-/// How long a bin is, by the age of the segment: short ones, so that there is a line soon, then as long as a take
+/// Length of a bin, by the age of the segment: short at first, so that there is a line soon, then as long as a take
 /// can afford to store (some six bytes each).
 const BINS_US: [(u64, u64); 4] =
     [(250_000, 250_000), (4_000_000, 1_000_000), (10_000_000, 2_000_000), (u64::MAX, 5_000_000)];
 
-/// The points of a segment, oldest first, and the bin that is filled.
+/// The points of a segment, oldest first, and the open bin.
 #[derive(Debug)]
 pub(super) struct Arrivals {
     points: [ClockPoint; POINTS_MAX],
     n: usize,
     first_us: Option<u64>,
-    open: Option<Open>,
+    open: Option<OpenBin>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Open {
+struct OpenBin {
     since_us: u64,
     earliest: ClockPoint,
 }
@@ -168,7 +163,7 @@ impl Arrivals {
         &self.points[..self.n]
     }
 
-    /// Takes a frame in. Gives the point of a bin that it ended, for [`keep`](Self::keep).
+    /// Accepts a frame. Returns the point of the bin that it closes, for [`keep`](Self::keep).
     pub(super) fn add(
         &mut self,
         frame: ClockPoint,
@@ -177,14 +172,14 @@ impl Arrivals {
     ) -> Option<ClockPoint> {
         let first_us = *self.first_us.get_or_insert(frame.host_us);
         let Some(open) = &mut self.open else {
-            self.open = Some(Open { since_us: frame.host_us, earliest: frame });
+            self.open = Some(OpenBin { since_us: frame.host_us, earliest: frame });
             return None;
         };
         let age_us = open.since_us.saturating_sub(first_us);
         let bin_us = BINS_US.iter().find(|bin| age_us < bin.0).map_or(0, |bin| bin.1);
         if frame.host_us.saturating_sub(open.since_us) >= bin_us {
             let closed = open.earliest;
-            self.open = Some(Open { since_us: frame.host_us, earliest: frame });
+            self.open = Some(OpenBin { since_us: frame.host_us, earliest: frame });
             return Some(closed);
         }
         let passed_s = seconds(frame.device_ticks, open.earliest.device_ticks, tick_hz);
@@ -195,16 +190,15 @@ impl Arrivals {
         None
     }
 
-    /// Ends the bin that is open, and gives its point.
+    /// Closes the open bin and returns its point.
     pub(super) fn close(&mut self) -> Option<ClockPoint> {
         self.open.take().map(|open| open.earliest)
     }
 
-    /// The line is laid through this point, too.
+    /// Adds a point to those that the line is fitted to.
     pub(super) fn keep(&mut self, newest: ClockPoint) {
-        let expired =
-            |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < newest.host_us;
-        let old = self.points().iter().take_while(expired).count();
+        let is_old = |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < newest.host_us;
+        let old = self.points().iter().take_while(is_old).count();
         self.drop_oldest(old.max(usize::from(self.n == POINTS_MAX)));
         self.points[self.n] = newest;
         self.n += 1;
@@ -216,16 +210,16 @@ impl Arrivals {
     }
 }
 
-/// Rounds at most. Two are mostly enough, because a rate hardly changes; where few round trips were held up, the choice
-/// can go on between two or three.
+/// Most rounds. Two are usually enough, because a rate hardly changes; where few round trips were held up, the choice
+/// can cycle between two or three.
 const ROUNDS_MAX: usize = 8;
 
-/// A rate that is so near is the same: within a burst of half a second it is 0.005 us.
+/// Rates this close count as equal: within a burst of half a second the difference is 0.005 us.
 const SAME_PPM: f64 = 0.01;
 
-/// The line through the best round trips at the rate `from_ppm`, then through the best ones at its own rate, and so on
-/// until these are the same: the last one is the line. From its rate on, the same lines come again: so it can be found
-/// from what a take stores.
+/// Fits a line to the best round trips at the rate `from_ppm`, then to the best ones at its own rate, and so on until
+/// the choice is stable: the last line is the result. Started from its rate, the fit yields the same line: this is how
+/// it can be verified from what a take stores.
 pub(super) fn lines(
     points: &[ClockPoint],
     bursts: &Bursts,
@@ -237,36 +231,36 @@ pub(super) fn lines(
         let (ppm, best) = next.take()?;
         let (line, _) = fit(points, best.all(), tick_hz)?;
         let better = bursts.best(line.drift_ppm, tick_hz);
-        let is_same = (line.drift_ppm - ppm).abs() < SAME_PPM && better.are_of(&best);
+        let is_same = (line.drift_ppm - ppm).abs() < SAME_PPM && better.selects_same(&best);
         next = (!is_same).then_some((line.drift_ppm, better));
         Some(line)
     })
 }
 
-/// Round trips that are held: ten a second, which is the link's budget, over the window.
+/// Most round trips to hold: ten per second, which is the link's budget, over the window.
 const STORED_PROBES_MAX: usize = 1200;
 
-/// How far the two lines may lie apart, beside a quarter of the bound: in takes of the first versions, which round trip
-/// of a burst was the best was chosen with the rate known then, and not with the last one as here.
-const APART_US: f64 = 20.0;
-const APART_PPM: f64 = 2.0;
+/// Permitted distance of the two lines, beside a quarter of the bound: the first versions chose the best round trip of
+/// a burst with the rate known at that time, and not with the final one as here.
+const SLACK_US: f64 = 20.0;
+const SLACK_PPM: f64 = 2.0;
 
-/// How far a stored line lies from the one that its observations give.
+/// How far a stored line is from the line refitted to its observations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Apart {
-    /// Where the line is told, in microseconds: the stored one is later when negative.
+pub struct LineDeviation {
+    /// At the reference point, in microseconds: negative when the stored line is later.
     #[serde(rename = "apart_us")]
     pub offset_us: f64,
-    /// Its drift, in parts per million.
+    /// Difference of the drift, in parts per million.
     #[serde(rename = "apart_ppm")]
     pub drift_ppm: f64,
-    /// Whether both are as near as they have to be.
+    /// Whether both are within the permitted distance.
     pub agrees: bool,
 }
 
-/// Takes in a take's CLOCK records, in order; bounded.
+/// Refits a take's clock line from its CLOCK records, added in order. Its memory is bounded.
 #[derive(Debug, Default)]
-pub struct LineAgain {
+pub struct LineRefit {
     segment: u32,
     tick_hz: u64,
     points: VecDeque<ClockPoint>,
@@ -274,8 +268,8 @@ pub struct LineAgain {
     line: Option<ClockLine>,
 }
 
-impl LineAgain {
-    /// The next record.
+impl LineRefit {
+    /// Adds the next record.
     pub fn add(&mut self, clock: &Clock) {
         if clock.segment != self.segment {
             *self = Self { segment: clock.segment, ..Self::default() };
@@ -288,9 +282,9 @@ impl LineAgain {
         self.probes.drain(..self.probes.len().saturating_sub(STORED_PROBES_MAX));
     }
 
-    /// The last record's line against its observations; `None` where there is no line.
+    /// Compares the last record's line with its observations; `None` if there is no line.
     #[must_use]
-    pub fn apart(&self) -> Option<Apart> {
+    pub fn deviation(&self) -> Option<LineDeviation> {
         let stored = self.line?;
         let tick_hz = self.tick_hz.max(1) as f64;
         let stored_ppm = stored.drift_ppb as f64 / 1e3;
@@ -301,19 +295,19 @@ impl LineAgain {
         for &probe in &self.probes {
             bursts.add(probe);
         }
-        // The choice between round trips may go on between a few lines: the stored one is the nearest.
+        // The choice of round trips may cycle between a few lines: take the nearest one.
         let all = lines(&points, &bursts, stored_ppm, tick_hz);
-        let nearest = all.map(|line| apart(&line, &stored, tick_hz)).min_by(|a, b| {
+        let nearest = all.map(|line| deviation(&line, &stored, tick_hz)).min_by(|a, b| {
             let nearer = a.offset_us.abs().total_cmp(&b.offset_us.abs());
             b.agrees.cmp(&a.agrees).then(nearer)
         });
-        // A line of nothing.
-        let nothing = Apart { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
-        Some(nearest.unwrap_or(nothing))
+        // The line has no observations.
+        let [offset_us, drift_ppm] = [f64::INFINITY; 2];
+        Some(nearest.unwrap_or(LineDeviation { offset_us, drift_ppm, agrees: false }))
     }
 }
 
-fn apart(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
+fn deviation(line: &Line, stored: &ClockLine, tick_hz: f64) -> LineDeviation {
     let stored_ppm = stored.drift_ppb as f64 / 1e3;
     let passed_s = seconds(line.at.device_ticks, stored.device_ticks, tick_hz);
     let at_ns = line.at.host_us.wrapping_mul(1000).wrapping_sub(stored.host_ns).cast_signed();
@@ -321,6 +315,6 @@ fn apart(line: &Line, stored: &ClockLine, tick_hz: f64) -> Apart {
     let drift_ppm = line.drift_ppm - stored_ppm;
     let (us, ppm) =
         stored.bound.map_or((0.0, 0.0), |b| (b.offset_us as f64, b.drift_ppb as f64 / 1e3));
-    let agrees = offset_us.abs() <= APART_US + us / 4.0 && drift_ppm.abs() <= APART_PPM + ppm / 4.0;
-    Apart { offset_us, drift_ppm, agrees }
+    let agrees = offset_us.abs() <= SLACK_US + us / 4.0 && drift_ppm.abs() <= SLACK_PPM + ppm / 4.0;
+    LineDeviation { offset_us, drift_ppm, agrees }
 }

@@ -1,50 +1,50 @@
-//! When to ask the device for its clock.
+//! Schedules pings, which ask the device for its clock.
 //!
-//! Round trips come in bursts of eight, of which the best bounds count. On a line that sends what it has once
-//! in a while (an FTDI adapter: every 16 ms), a pong waits for the next sending, and a burst that does not
-//! care when it asks never sees a short way back. So a burst on such a line measures the time between two
-//! sendings and asks shortly before the next one.
+//! Round trips come in bursts of eight, of which the best bounds count. On a line that sends in batches (an FTDI
+//! adapter: every 16 ms), a pong waits for the next batch, and a burst timed at random never sees a short way
+//! back. On such a line a burst therefore measures the batch interval and sends its pings shortly before the next
+//! batch.
 
-/// Round trips of a burst: as in LSL.
+/// Round trips of a burst, as in LSL.
 pub(super) const PROBES: u32 = 8;
 
-/// Between two bursts, in seconds: often at the start, so that there is a rate after four seconds and a good one
-/// after nine, then as often as a take can afford to store (some 50 bytes a burst). A full window holds four.
+/// Seconds between two bursts: short at the start, so that there is a rate after four seconds and a good one
+/// after nine, then as long as a take can afford to store (some 50 bytes a burst). A full window holds four.
 const INTERVALS_S: [u64; 6] = [1, 3, 5, 11, 20, 30];
 
-/// The link's budget has room for ten pongs a second (docs/link-protocol.md), and a clock that jumps with every
-/// frame is not to be asked all the time.
-const HURRY_NS: u64 = 2 * SECOND_NS;
+/// Shortest time between bursts on request. The link's budget allows ten pongs a second (docs/link-protocol.md), and a
+/// clock that jumps with every frame must not be queried all the time.
+const RESTART_AFTER_NS: u64 = 2 * SECOND_NS;
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// An answer that takes longer is no longer waited for.
-const ANSWER_NS: u64 = 500_000_000;
+/// Time to wait for an answer.
+const ANSWER_TIMEOUT_NS: u64 = 500_000_000;
 
-/// A device that left so many without an answer is not asked again, until one comes after all: it was stalled.
+/// Number of unanswered pings in a row after which the device is not queried again until a late answer comes.
 const UNANSWERED_MAX: u32 = 2 * PROBES;
 
-/// Pings that may still be answered.
-const PENDING: usize = 8;
+/// Number of pings that may still be answered.
+const PENDING_MAX: usize = 8;
 
-/// Between two round trips of a burst on a line that sends at once, so that they are not all held up by the
-/// same thing.
-const APART_NS: u64 = 10_000_000;
+/// Time between two round trips of a burst on a line that sends at once, so that one disturbance does not
+/// delay all of them.
+const SPACING_NS: u64 = 10_000_000;
 
-/// A round trip below this did not wait for a sending.
+/// A shorter round trip did not wait for a batch.
 const QUICK_NS: u64 = 400_000;
 
-/// The longest time between two sendings that is waited for: 16 ms, and what a scheduler adds. Nothing can
-/// arrive meanwhile.
+/// Longest batch interval to synchronise with: 16 ms, and what a scheduler adds. Nothing can
+/// arrive during the wait.
 const PERIOD_MAX_NS: u64 = 20_000_000;
 
-/// How long before a sending is asked at least: what a sleep is late by on an idle machine.
-const AHEAD_MIN_NS: u64 = 80_000;
+/// Shortest time from a ping to the batch that answers it: how late a sleep ends on an idle machine.
+const LEAD_MIN_NS: u64 = 80_000;
 
-/// Asked too late so many times in a row: the time between two sendings is measured again.
+/// Number of pings in a row that missed their batch, after which the interval is measured again.
 const MISSES_MAX: u32 = 3;
 
-/// Sans-io: tells when a ping is due, and is told what was sent and answered.
+/// Schedules pings. Sans-io: the caller reports what was sent and answered.
 #[derive(Debug, Default)]
 pub struct Prober {
     off: bool,
@@ -53,40 +53,40 @@ pub struct Prober {
     next_burst_ns: u64,
     left: u32,
     ready_ns: u64,
-    waits: bool,
+    sleeps: bool,
     waiting_since_ns: Option<u64>,
     unanswered: u32,
-    pending: [Option<u64>; PENDING],
-    aim: Aim,
+    pending: [Option<u64>; PENDING_MAX],
+    timing: BatchTiming,
 }
 
 #[derive(Debug, Default)]
-struct Aim {
-    /// Between two sendings; 0 while not known.
+struct BatchTiming {
+    /// The batch interval; 0 while unknown.
     period_ns: u64,
-    ahead_ns: u64,
+    lead_ns: u64,
     misses: u32,
     missed: bool,
-    /// The last pong of this burst came then.
+    /// Arrival of this burst's last pong.
     last_pong_ns: Option<u64>,
-    /// The ping that is under way was sent at its time before a sending.
-    aimed: bool,
+    /// The pending ping was timed to precede a batch.
+    is_timed: bool,
 }
 
 impl Prober {
-    /// A first burst is due at once.
+    /// A prober whose first burst is due at once.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// When the next ping is to be sent, if that is now, or so soon that it is worth sleeping until then.
+    /// When to send the next ping, if that is now, or so soon that the caller should sleep until then.
     pub fn due(&mut self, now_ns: u64) -> Option<u64> {
         if self.off {
             return None;
         }
         if let Some(since_ns) = self.waiting_since_ns {
-            if now_ns.saturating_sub(since_ns) < ANSWER_NS {
+            if now_ns.saturating_sub(since_ns) < ANSWER_TIMEOUT_NS {
                 return None;
             }
             self.waiting_since_ns = None;
@@ -101,7 +101,7 @@ impl Prober {
             self.begin(now_ns);
         }
         let soon =
-            now_ns >= self.ready_ns || (self.waits && self.ready_ns - now_ns <= PERIOD_MAX_NS);
+            now_ns >= self.ready_ns || (self.sleeps && self.ready_ns - now_ns <= PERIOD_MAX_NS);
         (soon && !self.off).then_some(self.ready_ns.max(now_ns))
     }
 
@@ -112,35 +112,35 @@ impl Prober {
         self.burst_began_ns = now_ns;
         self.next_burst_ns = now_ns.saturating_add(interval_s * SECOND_NS);
         self.ready_ns = now_ns;
-        self.waits = false;
-        self.aim.last_pong_ns = None;
-        self.aim.aimed = false;
+        self.sleeps = false;
+        self.timing.last_pong_ns = None;
+        self.timing.is_timed = false;
     }
 
-    /// Something is not as it was: as at the start, but not sooner than links have room for.
-    pub fn hurry(&mut self) {
+    /// Starts the schedule again because the clocks changed, but no sooner than links allow.
+    pub fn restart_schedule(&mut self) {
         if self.bursts > 0 {
             self.bursts = 0;
             self.next_burst_ns =
-                self.next_burst_ns.min(self.burst_began_ns.saturating_add(HURRY_NS));
+                self.next_burst_ns.min(self.burst_began_ns.saturating_add(RESTART_AFTER_NS));
         }
     }
 
-    /// A ping was sent.
+    /// Reports that a ping was sent.
     pub fn sent(&mut self, at_ns: u64) {
         self.left = self.left.saturating_sub(1);
         self.waiting_since_ns = Some(at_ns);
         self.pending.rotate_right(1);
         self.pending[0] = Some(at_ns);
-        self.aim.aimed = std::mem::take(&mut self.waits);
+        self.timing.is_timed = std::mem::take(&mut self.sleeps);
     }
 
-    /// The device cannot be asked.
-    pub fn off(&mut self) {
+    /// Stops probing: the device cannot be queried.
+    pub fn disable(&mut self) {
         self.off = true;
     }
 
-    /// A pong that carries `sent_ns`. Whether it answers one of these pings.
+    /// Reports a pong that carries `sent_ns`. Returns whether it answers one of these pings.
     pub fn answered(&mut self, sent_ns: u64, now_ns: u64) -> bool {
         let Some(ping) = self.pending.iter_mut().find(|ping| **ping == Some(sent_ns)) else {
             return false;
@@ -148,41 +148,41 @@ impl Prober {
         *ping = None;
         self.unanswered = 0;
         self.off = false;
-        // One that came late is as good a bound as any, but says nothing of when to ask.
+        // A late answer is as good a bound as any, but says nothing about when to send.
         if self.waiting_since_ns == Some(sent_ns) {
             self.waiting_since_ns = None;
-            (self.ready_ns, self.waits) = self.aim.next(sent_ns, now_ns);
+            (self.ready_ns, self.sleeps) = self.timing.next(sent_ns, now_ns);
         }
         true
     }
 }
 
-impl Aim {
-    /// A pong that was seen late made the time between two sendings wrong; each pong since shows it again, or
-    /// twice of it.
+impl BatchTiming {
+    /// Corrects the batch interval, which a pong noticed late has made wrong: later pongs show it again, or
+    /// twice its length.
     fn correct(&mut self, now_ns: u64, before_ns: Option<u64>) {
         let passed_ns = now_ns.saturating_sub(before_ns.unwrap_or(now_ns));
         let times = (passed_ns + self.period_ns / 2) / self.period_ns.max(1);
-        if (1..=2).contains(&times) && self.period_ns.abs_diff(passed_ns / times) > self.ahead_ns {
+        if (1..=2).contains(&times) && self.period_ns.abs_diff(passed_ns / times) > self.lead_ns {
             self.period_ns = u64::midpoint(self.period_ns, passed_ns / times);
         }
     }
 
-    /// After a round trip: when to ask next, and whether to sleep until then.
+    /// After a round trip: when to send the next ping, and whether to sleep until then.
     fn next(&mut self, sent_ns: u64, now_ns: u64) -> (u64, bool) {
         let trip_ns = now_ns.saturating_sub(sent_ns);
         let before_ns = self.last_pong_ns.replace(now_ns);
-        if self.aimed {
+        if self.is_timed {
             self.correct(now_ns, before_ns);
             if trip_ns <= self.period_ns / 2 {
                 self.misses = 0;
-                // By half until one came too late, then with care.
-                let less_ns = self.ahead_ns / if self.missed { 4 } else { 2 };
-                self.ahead_ns = (self.ahead_ns - less_ns).max(AHEAD_MIN_NS);
+                // Halve it until a ping was too late, then reduce it carefully.
+                let step_ns = self.lead_ns / if self.missed { 4 } else { 2 };
+                self.lead_ns = (self.lead_ns - step_ns).max(LEAD_MIN_NS);
             } else if trip_ns <= 2 * self.period_ns {
                 self.misses += 1;
                 self.missed = true;
-                self.ahead_ns = self.ahead_ns.saturating_mul(2).min(self.period_ns / 2);
+                self.lead_ns = self.lead_ns.saturating_mul(2).min(self.period_ns / 2);
                 if self.misses >= MISSES_MAX {
                     *self = Self { last_pong_ns: self.last_pong_ns, ..Self::default() };
                     return (now_ns, false);
@@ -190,23 +190,23 @@ impl Aim {
             }
         } else if trip_ns < QUICK_NS {
             self.period_ns = 0;
-            return (now_ns.saturating_add(APART_NS), false);
+            return (now_ns.saturating_add(SPACING_NS), false);
         } else if self.period_ns == 0 {
-            // Sent at once when the pong before came, with a sending, it came with the next one.
+            // A ping sent as soon as the preceding pong came, with a batch, was answered with the next batch.
             if let Some(before_ns) = before_ns
                 && sent_ns.saturating_sub(before_ns) < QUICK_NS
             {
                 self.period_ns = now_ns.saturating_sub(before_ns);
-                self.ahead_ns = (self.period_ns / 16).max(AHEAD_MIN_NS);
+                self.lead_ns = (self.period_ns / 16).max(LEAD_MIN_NS);
                 (self.misses, self.missed) = (0, false);
             } else {
                 return (now_ns, false);
             }
         }
         if (QUICK_NS..=PERIOD_MAX_NS).contains(&self.period_ns) {
-            return (now_ns.saturating_add(self.period_ns - self.ahead_ns), true);
+            return (now_ns.saturating_add(self.period_ns - self.lead_ns), true);
         }
         self.period_ns = 0;
-        (now_ns.saturating_add(APART_NS), false)
+        (now_ns.saturating_add(SPACING_NS), false)
     }
 }

@@ -1,4 +1,4 @@
-//! A device, a line and a host in virtual time: what the model makes of them, against the truth.
+//! Tests of the clock model in virtual time: a simulated device, line and host against the truth.
 
 use mocapd_take::record::{Clock, ClockPoint, ClockProbe};
 use mocapd_testkit::random::Random;
@@ -6,12 +6,12 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Some delay with this mean, and a long tail.
+/// A random delay with this mean and a long tail.
 fn delay_ns(random: &mut Random, mean_ns: f64) -> f64 {
     -mean_ns * (1.0 - random.unit()).max(1e-12).ln()
 }
 
-/// What there is between a device and its host.
+/// A simulated device, line and host.
 #[derive(Debug, Clone, Copy)]
 struct World {
     seed: u64,
@@ -19,25 +19,25 @@ struct World {
     tick_hz: u64,
     drift_ppm: f64,
     batch_ms: f64,
-    /// The least delay of the line, each way, and what a scheduler adds in the mean.
+    /// The shortest delay of the line in each direction, and the mean delay that a scheduler adds.
     line_us: f64,
     jitter_us: f64,
-    /// The part of arrivals that a busy machine sees up to 3 ms later.
+    /// Fraction of arrivals that a busy machine notices up to 3 ms late.
     stalled: f64,
-    /// What a frame takes beside that: exposure, a long message.
+    /// Additional delay of frames: exposure, a long message.
     frame_us: f64,
     lost: f64,
     pongs: Pongs,
     /// At this second the device's clock jumps ahead by so many seconds.
     jump: Option<(f64, f64)>,
-    /// The bits that its clock counts in.
+    /// Width of the device's tick counter in bits.
     bits: u32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Pongs {
     Prompt,
-    /// Half of them so long after the ping, in milliseconds.
+    /// Half of the pongs are late by so many milliseconds.
     Late(f64),
     None,
 }
@@ -58,24 +58,24 @@ const USUAL: World = World {
     bits: 64,
 };
 
-/// The host's clock at the start: a day of uptime.
-const BEGUN_NS: f64 = 86_400e9;
+/// The host's clock at the start: one day of uptime.
+const START_NS: f64 = 86_400e9;
 
-/// What was found of a run.
+/// The results of a simulated run.
 struct Run {
     model: ClockModel,
     items: Vec<ClockItem>,
     events: Vec<(f64, ClockEvent)>,
-    /// By tenth of a second: how far the line was off then, in microseconds; and its bound.
+    /// Every tenth of a second: time, error of the line in microseconds, and its bound.
     errors: Vec<(f64, f64, Option<f64>)>,
-    /// Whenever something was stored: how many items by then, and the line.
+    /// After each stored item: the number of items so far, and the line.
     lines: Vec<(usize, ClockStatus)>,
 }
 
 impl Run {
-    /// How far the line lay from what is stored by then, each time.
-    fn apart(&self) -> Vec<Apart> {
-        let (mut again, mut n) = (LineAgain::default(), 0);
+    /// After each stored item, how far the line was from the line refitted to the stored items.
+    fn apart(&self) -> Vec<LineDeviation> {
+        let (mut refit, mut n) = (LineRefit::default(), 0);
         let each = self.lines.iter().filter_map(|(stored, status)| {
             let &ClockStatus { segment, tick_hz, line, .. } = status;
             let mut clock = Clock { segment, tick_hz, line, ..Clock::default() };
@@ -86,8 +86,8 @@ impl Run {
                     ClockItem::Line(..) => {}
                 }
             }
-            again.add(&clock);
-            again.apart()
+            refit.add(&clock);
+            refit.deviation()
         });
         each.collect()
     }
@@ -99,16 +99,16 @@ impl Run {
 }
 
 impl World {
-    /// What the device's clock shows at a host time.
+    /// The ticks that the device's clock shows at a host time.
     fn ticks(&self, host_ns: f64) -> u64 {
-        let passed_s = (host_ns - BEGUN_NS) * 1e-9;
+        let passed_s = (host_ns - START_NS) * 1e-9;
         let jumped_s = self.jump.filter(|jump| passed_s >= jump.0).map_or(0.0, |jump| jump.1);
         let device_s = 1_000.0 + passed_s / (1.0 + self.drift_ppm * 1e-6) + jumped_s;
         let ticks = (device_s * self.tick_hz as f64).floor() as u64;
         if self.bits == 64 { ticks } else { ticks % (1 << self.bits) }
     }
 
-    /// When what is ready at that time reaches the host.
+    /// When data that is ready at `ready_ns` reaches the host.
     fn arrival(&self, ready_ns: f64, random: &mut Random) -> f64 {
         let batch_ns = self.batch_ms * 1e6;
         let phase_ns = (self.seed % 97) as f64 / 97.0 * batch_ns;
@@ -131,29 +131,29 @@ impl World {
         let period_ns = 1e9 / self.rate_hz * (1.0 + self.drift_ppm * 1e-6);
         let mut in_order_ns = 0.0_f64;
         let mut frames = 0_u32;
-        // What is under way: arrival, ticks, and of a pong the ping's time.
-        let mut under_way: Vec<(f64, u64, Option<u64>)> = Vec::new();
-        let mut now_ns = BEGUN_NS;
-        let mut next_look_s = 0.1;
-        while now_ns < BEGUN_NS + seconds * 1e9 {
-            while let frame_ns = BEGUN_NS + f64::from(frames) * period_ns
+        // Messages in transit: arrival, ticks, and for a pong the time of its ping.
+        let mut in_transit: Vec<(f64, u64, Option<u64>)> = Vec::new();
+        let mut now_ns = START_NS;
+        let mut next_check_s = 0.1;
+        while now_ns < START_NS + seconds * 1e9 {
+            while let frame_ns = START_NS + f64::from(frames) * period_ns
                 && frame_ns < now_ns + 40e6
             {
                 frames += 1;
                 if random.unit() >= self.lost {
-                    // A line does not let one frame overtake another.
+                    // Frames stay in order on the line.
                     let arrival =
                         self.arrival(frame_ns + self.frame_us * 1e3, &mut random).max(in_order_ns);
                     in_order_ns = arrival;
-                    under_way.push((arrival, self.ticks(frame_ns), None));
+                    in_transit.push((arrival, self.ticks(frame_ns), None));
                 }
             }
-            under_way.sort_by(|a, b| a.0.total_cmp(&b.0));
-            // A read waits 20 ms for something.
-            let next = under_way.first().map_or(f64::INFINITY, |next| next.0);
+            in_transit.sort_by(|a, b| a.0.total_cmp(&b.0));
+            // A read waits up to 20 ms for data.
+            let next = in_transit.first().map_or(f64::INFINITY, |next| next.0);
             now_ns = now_ns.max(next.min(now_ns + 20e6));
-            let here = under_way.partition_point(|thing| thing.0 <= now_ns);
-            for (_, ticks, ping) in under_way.drain(..here) {
+            let here = in_transit.partition_point(|thing| thing.0 <= now_ns);
+            for (_, ticks, ping) in in_transit.drain(..here) {
                 let now = now_ns as u64;
                 let mut store = |item| {
                     items.push(item);
@@ -166,10 +166,10 @@ impl World {
                     Some(_) => None,
                     None => model.frame(ticks, now, &mut store),
                 };
-                let at_s = (now_ns - BEGUN_NS) * 1e-9;
+                let at_s = (now_ns - START_NS) * 1e-9;
                 events.extend(event.map(|event| (at_s, event)));
                 if model.wants_probes() {
-                    prober.hurry();
+                    prober.restart_schedule();
                 }
             }
             if let Some(at) = prober.due(now_ns as u64) {
@@ -178,7 +178,7 @@ impl World {
                     now_ns = at as f64 + 50e3 + delay_ns(&mut random, self.jitter_us * 1e3);
                 }
                 prober.sent(now_ns as u64);
-                let heard_ns =
+                let received_ns =
                     now_ns + self.line_us * 1e3 + delay_ns(&mut random, self.jitter_us * 1e3);
                 let extra_ns = match self.pongs {
                     Pongs::Late(ms) if random.unit() < 0.5 => Some(ms * 1e6),
@@ -186,16 +186,16 @@ impl World {
                     _ => Some(0.0),
                 };
                 if let Some(extra_ns) = extra_ns {
-                    let arrival = self.arrival(heard_ns + extra_ns, &mut random);
-                    under_way.push((arrival, self.ticks(heard_ns), Some(now_ns as u64)));
+                    let arrival = self.arrival(received_ns + extra_ns, &mut random);
+                    in_transit.push((arrival, self.ticks(received_ns), Some(now_ns as u64)));
                 }
             }
             if lines.last().is_none_or(|last| items.len() > last.0) {
                 lines.push((items.len(), model.status()));
             }
-            let at_s = (now_ns - BEGUN_NS) * 1e-9;
-            if at_s >= next_look_s {
-                next_look_s += 0.1;
+            let at_s = (now_ns - START_NS) * 1e-9;
+            if at_s >= next_check_s {
+                next_check_s += 0.1;
                 if let Some(line) = model.line() {
                     let tick_us = 0.5e6 / self.tick_hz as f64;
                     let (ticks, tick_hz) = (self.ticks(now_ns), self.tick_hz as f64);
@@ -215,7 +215,7 @@ impl World {
 const DRIFTS_PPM: [f64; 4] = [-200.0, -37.0, 0.0, 200.0];
 const RATES_HZ: [f64; 7] = [5.0, 60.0, 62.5, 100.0, 120.0, 240.0, 1000.0];
 
-/// Every drift, rate and batch, with four seeds.
+/// All drifts, rates and batch intervals, with four seeds.
 fn worlds(usual: World) -> impl Iterator<Item = World> {
     let all = move |drift_ppm: f64, batch_ms: f64, rate_hz: f64, seed: u64| World {
         seed,
@@ -248,7 +248,7 @@ fn worst_us(worlds: impl Iterator<Item = World>, seconds: f64) -> f64 {
     worst.0
 }
 
-/// The promise: whatever the drift, however the line sends, at any rate.
+/// The guarantee of docs/clock.md, at any drift, frame rate and batch interval.
 #[test]
 fn with_round_trips_the_line_is_within_100_us_after_ten_seconds() {
     assert!(worst_us(worlds(USUAL), 60.0) < 100.0);
@@ -258,13 +258,13 @@ fn with_round_trips_the_line_is_within_100_us_after_ten_seconds() {
 fn lost_frames_and_late_pongs_do_no_harm() {
     let lossy = World { lost: 0.3, pongs: Pongs::Late(120.0), ..USUAL };
     assert!(worst_us(worlds(lossy), 35.0) < 250.0);
-    // Beyond what is waited for: an answer all the same.
+    // Later than the prober waits: such an answer still counts.
     let slow = World { pongs: Pongs::Late(800.0), ..USUAL };
     let worlds = [0.0, 16.0].map(|batch_ms| World { batch_ms, ..slow });
     assert!(worst_us(worlds.into_iter(), 60.0) < 500.0);
 }
 
-/// A pong that is seen late says a wrong time of sending, and a wrong time between two.
+/// A pong noticed late gives a wrong send time, and a wrong interval between two.
 #[test]
 fn a_host_that_wakes_up_late_now_and_then_does_no_harm() {
     for (stalled, most_us) in [(0.1, 120.0), (0.3, 500.0)] {
@@ -273,20 +273,20 @@ fn a_host_that_wakes_up_late_now_and_then_does_no_harm() {
     }
 }
 
-/// A long message is late by its length, and a camera by its exposure: round trips are not.
+/// Frames are late by their length and their exposure, but round trips are not.
 #[test]
 fn frames_that_are_always_late_do_not_move_the_line() {
     let late = worlds(USUAL).map(|world| World { frame_us: 9_000.0, ..world });
     assert!(worst_us(late, 35.0) < 100.0);
 }
 
-/// Five times as much jitter on a line of five times the delay: as from a busy machine.
+/// Five times the jitter and five times the delay, as on a busy machine.
 #[test]
 fn the_error_grows_with_the_jitter_and_stays_within_the_bound() {
     for world in worlds(World { line_us: 200.0, jitter_us: 150.0, ..USUAL }) {
         let run = world.run(35.0);
         for (at_s, off_us, bound_us) in &run.errors {
-            // The bound is of the last observation; five seconds at a few ppm may have passed since.
+            // The bound holds at the last observation; five seconds at a few ppm may have passed since.
             let bound_us = bound_us.map_or(f64::INFINITY, |bound_us| bound_us * 1.5 + 50.0);
             assert!(
                 *at_s < 10.0 || off_us.abs() < bound_us,
@@ -296,13 +296,13 @@ fn the_error_grows_with_the_jitter_and_stays_within_the_bound() {
         assert!(run.worst_us(10.0) < 500.0, "{world:?}: {}", run.worst_us(10.0));
         let line = run.model.line().unwrap();
         let off_ppm = (line.drift_ppm - world.drift_ppm).abs();
-        // A tick of a microsecond is as exact as it gets.
+        // A tick of 1 us limits the resolution.
         assert!(off_ppm < line.bound.unwrap().drift_ppm + 0.1, "{world:?}: {line:?}");
     }
 }
 
-/// Without round trips the line is late by the least delay that frames had. On a line that sends at once that
-/// is all; on one that sends in batches it can be some batches, where the rate goes with them.
+/// Without round trips the line is late by the shortest delay of any frame. On a line that sends at once, that is all;
+/// on one that sends in batches it can be several batches, if the estimated rate follows the batches.
 #[test]
 fn without_round_trips_the_line_is_late_by_the_least_delay() {
     let silent = World { pongs: Pongs::None, ..USUAL };
@@ -344,9 +344,9 @@ fn a_clock_that_jumps_begins_a_segment_and_is_followed() {
     }
 }
 
-/// Ticks that go on, but from an earlier time: only round trips tell it from frames that are held up.
+/// Ticks continue from an earlier time: only round trips distinguish that from frames that are held up.
 #[test]
-fn a_clock_that_fell_behind_is_found_by_round_trips() {
+fn a_clock_that_fell_behind_is_detected_by_round_trips() {
     let stalls = World { jump: Some((20.0, -0.3)), rate_hz: 2.0, ..USUAL };
     let run = stalls.run(60.0);
     let [(at_s, ClockEvent::Jumped(by_s))] = run.events[..] else { panic!("{:?}", run.events) };
@@ -364,7 +364,7 @@ fn a_clock_of_32_bits_wraps_without_a_fault() {
     assert!(run.worst_us(13.0) < 100.0, "{}", run.worst_us(13.0));
 }
 
-/// A damaged frame whose checksum matches all the same is one in billions, and must not end a segment.
+/// A damaged frame whose checksum still matches is one in billions, and must not end a segment.
 #[test]
 fn a_single_wrong_time_is_left_out() {
     let mut model = ClockModel::new(1_000_000);
@@ -377,9 +377,9 @@ fn a_single_wrong_time_is_left_out() {
     assert!(line.lateness_us(9_990_000, 9_990_000_000, 1e6).abs() < 1.0, "{line:?}");
 }
 
-/// What a take stores is what the line was made of: whenever the take ends, laid again it is the same line.
+/// A take stores the observations that its line was fitted to: refitted at any time, the line is the same.
 #[test]
-fn the_line_can_be_laid_again_from_what_is_stored_at_any_time() {
+fn the_line_can_be_refitted_from_the_stored_observations_at_any_time() {
     let busy = World { jitter_us: 300.0, stalled: 0.1, ..USUAL };
     let slow = World { pongs: Pongs::Late(400.0), ..busy };
     let swaying = World { jitter_us: 3_000.0, pongs: Pongs::Late(5_000.0), ..USUAL };
@@ -389,7 +389,7 @@ fn the_line_can_be_laid_again_from_what_is_stored_at_any_time() {
         for world in worlds(usual).step_by(13) {
             for apart in world.run(45.0).apart() {
                 assert!(apart.agrees, "{world:?}: {apart:?}");
-                let Apart { offset_us, drift_ppm, .. } = apart;
+                let LineDeviation { offset_us, drift_ppm, .. } = apart;
                 worst = (worst.0.max(offset_us.abs()), worst.1.max(drift_ppm.abs()));
                 n_lines += 1;
             }
@@ -398,9 +398,9 @@ fn the_line_can_be_laid_again_from_what_is_stored_at_any_time() {
     assert!(n_lines > 3_000 && worst.0 < 0.1 && worst.1 < 0.01, "{n_lines} {worst:?}");
 }
 
-/// Pongs of another clock than the frames': the line is that of the frames, and has no bound.
+/// Pongs stamped by another clock than the frames: the line follows the frames and has no bound.
 #[test]
-fn a_pong_that_lies_does_not_move_the_line() {
+fn pongs_of_another_clock_do_not_move_the_line() {
     for wrong in [0, 1 << 40, u64::MAX / 2] {
         let mut model = ClockModel::new(1_000_000);
         for i in 1..3000_u64 {
@@ -417,7 +417,7 @@ fn a_pong_that_lies_does_not_move_the_line() {
 }
 
 #[test]
-fn a_device_without_an_answer_is_left_alone() {
+fn a_device_that_does_not_answer_is_not_pinged_again() {
     let mut prober = Prober::new();
     let (mut now_ns, mut sent) = (0, 0);
     while now_ns < 600_000_000_000 {
@@ -431,9 +431,9 @@ fn a_device_without_an_answer_is_left_alone() {
     assert_eq!(sent, 16);
 }
 
-/// It was switched off and on, or stalled for long: an answer to any of the last pings says that it can be asked.
+/// The device was switched off and on, or stalled: an answer to any of the last pings resumes probing.
 #[test]
-fn a_device_that_answers_late_is_asked_again() {
+fn a_device_that_answers_late_is_pinged_again() {
     let mut prober = Prober::new();
     let mut sent = Vec::new();
     for now_ns in (0..40_000_000_000).step_by(5_000_000) {
@@ -447,7 +447,7 @@ fn a_device_that_answers_late_is_asked_again() {
 }
 
 #[test]
-fn no_more_than_ten_pongs_a_second_are_asked_for() {
+fn at_most_ten_pings_a_second_are_sent() {
     for world in worlds(USUAL).step_by(5) {
         let mut sent_us: Vec<u64> = Vec::new();
         for item in &world.run(60.0).items {
@@ -458,12 +458,12 @@ fn no_more_than_ten_pongs_a_second_are_asked_for() {
         for window in sent_us.windows(11) {
             assert!(window[10] - window[0] >= 1_000_000, "{world:?}: {window:?}");
         }
-        // Eight at 0, 1, 4, 9, 20 and 40 s.
+        // Bursts of eight at 0, 1, 4, 9, 20 and 40 s.
         assert_eq!(sent_us.len(), 48, "{world:?}");
     }
 }
 
-/// Ticks and times that may be anything, mostly near each other.
+/// Arbitrary ticks and times, most of them close together.
 fn times() -> impl Strategy<Value = Vec<(bool, u64, u64, u64)>> {
     let number = prop_oneof![0..1000_u64, 0..10_000_000_000_u64, any::<u64>()];
     let step = (any::<bool>(), number.clone(), number.clone(), number);
@@ -475,7 +475,7 @@ fn is_finite(bound: Bound) -> bool {
 }
 
 proptest! {
-    /// No panic, bounded memory by construction, and numbers that a take can store.
+    /// No panic, memory bounded by construction, and numbers that a take can store.
     #[test]
     fn any_times_give_a_line_of_numbers(
         tick_hz in prop_oneof![Just(0_u64), 1..100_000_000_u64, any::<u64>()],

@@ -1,33 +1,33 @@
-//! What others do to a file while it is written.
+//! Detects what other programs do to a file while it is written.
 
 use std::{fs::File, os::fd::AsRawFd, path::PathBuf};
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What became of the file of a take while it was written.
+/// What happened to the file of a take while it was written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FileState {
-    /// Its name leads to it, and it is as long as what was written.
+    /// The file has its name and the length that was written.
     #[default]
     InPlace,
-    /// It has no name any more; its folder may be gone, too.
+    /// The file has no name any more; its folder may be gone too.
     Removed,
-    /// It, or a folder above it, has another name.
+    /// The file, or a folder above it, was renamed.
     Renamed,
-    /// Another program cut it short.
+    /// Another program truncated it.
     Truncated,
     /// Its file system was unmounted, or another one was mounted over it.
     Unmounted,
 }
 
 impl FileState {
-    /// All of them, by their place in an atomic number.
+    /// All states, indexed by their codes.
     const ALL: [Self; 5] =
         [Self::InPlace, Self::Removed, Self::Renamed, Self::Truncated, Self::Unmounted];
 
-    /// Whether a take that is written there ends for it: the others can be written on.
+    /// Whether a take in this file has to end: in the other states writing continues.
     #[must_use]
     pub fn ends_take(self) -> bool {
         matches!(self, Self::Truncated | Self::Unmounted)
@@ -42,89 +42,89 @@ impl FileState {
     }
 }
 
-/// A file that is not where it was created, or not what was written.
+/// Details of a file that is not where it was created, or not as long as what was written.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Displaced {
+pub struct DisplacedFile {
     /// What happened.
     pub state: FileState,
-    /// The name that it was created under.
+    /// The path at which it was created.
     pub created_as: PathBuf,
-    /// The name that it has now, where that is known.
+    /// Its present path, if known.
     pub now_at: Option<PathBuf>,
-    /// Where everybody who may can open it, as long as this process has it open.
+    /// Path at which users with permission can open it while this process has it open.
     pub open_at: PathBuf,
-    /// Bytes that it has, and bytes that were written.
+    /// Bytes in the file, and bytes written.
     pub bytes: (u64, u64),
 }
 
-impl Displaced {
-    /// What happened and what to do, while the take is recorded.
+impl DisplacedFile {
+    /// What happened and what to do, for a take that is still being recorded.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn message(&self) -> String {
         let Self { created_as, open_at, bytes: (found, written), .. } = self;
         let (take, open_at) = (created_as.display(), open_at.display());
         match self.state {
-            FileState::InPlace => format!("the take {take} is in its place again"),
+            FileState::InPlace => format!("the take {take} is back in its place"),
             FileState::Removed => format!(
-                "the take {take} was removed while it is recorded; the recording goes on in {open_at}, and a copy is saved when it ends, where its folder is still there. To save it before: cp {open_at} NEW.take"
+                "the take {take} was removed during the recording, which continues in {open_at}; a copy is saved at the end, if its folder still exists. To save one now: cp {open_at} NEW.take"
             ),
             FileState::Renamed => format!(
-                "the take {take} was renamed while it is recorded; the recording goes on in {}, which is open as {open_at}. To copy it before it ends: cp {open_at} NEW.take",
+                "the take {take} was renamed during the recording, which continues in {}, open as {open_at}. To copy it before the end: cp {open_at} NEW.take",
                 self.now_at
                     .as_ref()
-                    .map_or("a file of unknown name".into(), |p| p.to_string_lossy())
+                    .map_or("a file whose name is unknown".into(), |p| p.to_string_lossy())
             ),
             FileState::Truncated => format!(
-                "the take {take} was cut short by another program, from {written} to {found} bytes: it ends here; `mocapd recover {take} -o NEW.take` makes a take of what is left, if its header is"
+                "the take {take} was cut short by another program, from {written} to {found} bytes: it ends here; `mocapd recover {take} -o NEW.take` recovers what is left, if its header is intact"
             ),
             FileState::Unmounted => format!(
-                "the file system of the take {take} was unmounted, or another one was mounted over it: the take ends here, and is whole on that file system"
+                "the file system of the take {take} was unmounted, or another one was mounted over it: the take ends here, and is complete on that file system"
             ),
         }
     }
 }
 
-/// Where the file of a take that has ended is.
+/// The file of a take that has ended.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Settled {
+pub struct SettledFile {
     /// What happened to it.
     pub state: FileState,
-    /// Where it is now: a copy of one that was removed. `None` where no name leads to it.
+    /// Where it is now, or where its copy is if it was removed. `None` if it has no name.
     pub path: Option<PathBuf>,
-    /// More about a file that is not in its place.
-    pub displaced: Option<Displaced>,
-    /// Why one that was removed could not be copied.
+    /// Details, if it is not in its place.
+    pub displaced: Option<DisplacedFile>,
+    /// Why a removed file could not be copied.
     pub problem: Option<String>,
 }
 
-impl Settled {
-    /// What happened, in words; `None` when nothing did.
+impl SettledFile {
+    /// What happened; `None` when nothing did.
     #[must_use]
-    pub fn words(&self) -> Option<String> {
+    pub fn message(&self) -> Option<String> {
         let displaced = self.displaced.as_ref()?;
         let take = displaced.created_as.display();
         Some(match (self.state, &self.path, &self.problem) {
             (FileState::Removed, Some(copy), _) => format!(
-                "the take {take} was removed while it was recorded; what was recorded is saved as {}",
+                "the take {take} was removed during the recording, and was saved as {}",
                 copy.display()
             ),
             (FileState::Removed, None, problem) => format!(
-                "the take {take} was removed while it was recorded, and could not be saved: {}",
-                problem.as_deref().unwrap_or("no reason is known")
+                "the take {take} was removed during the recording, and could not be saved: {}",
+                problem.as_deref().unwrap_or("the reason is unknown")
             ),
             (FileState::Renamed, Some(path), _) => format!(
-                "the take {take} was renamed while it was recorded: it is {}",
+                "the take {take} was renamed during the recording: it is now {}",
                 path.display()
             ),
-            (FileState::Renamed, None, _) => format!(
-                "the take {take} was renamed while it was recorded: it has a name that is not known"
-            ),
-            _ => displaced.words(),
+            (FileState::Renamed, None, _) => {
+                format!("the take {take} was renamed during the recording: its new name is unknown")
+            }
+            _ => displaced.message(),
         })
     }
 }
 
-/// Whether it is in the list of what is mounted. Where the kernel tells no such thing it counts as mounted.
+/// Whether the file's mount is in the mount table. Counts as mounted when the kernel does not say.
 pub(super) fn is_mounted(file: &File) -> bool {
     let info = std::fs::read_to_string(format!("/proc/self/fdinfo/{}", file.as_raw_fd()));
     let mounts = std::fs::read_to_string("/proc/self/mountinfo");
@@ -132,12 +132,12 @@ pub(super) fn is_mounted(file: &File) -> bool {
     mount_of(&info).is_none_or(|id| is_listed(id, &mounts))
 }
 
-/// The number of the mount that a file was opened through.
+/// The id of the mount through which the file was opened.
 fn mount_of(fdinfo: &str) -> Option<&str> {
     fdinfo.lines().find_map(|line| line.strip_prefix("mnt_id:")).map(str::trim)
 }
 
-/// Each line begins with the number of a mount.
+/// Whether the mount id begins a line of the mount table.
 fn is_listed(id: &str, mountinfo: &str) -> bool {
     mountinfo.lines().any(|line| line.split(' ').next() == Some(id))
 }

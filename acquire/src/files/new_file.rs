@@ -1,4 +1,4 @@
-//! Files and folders that appear whole or not at all: each gets its name when it is complete.
+//! Files and folders that get their names only when they are complete.
 
 use std::{
     ffi::{OsStr, OsString},
@@ -10,38 +10,37 @@ use std::{
 
 use anyhow::{Context, bail};
 use crossbeam_channel::{Sender, TrySendError, bounded};
-use mocapd_take::interchange::bids::Folder;
+use mocapd_take::interchange::bids::DatasetFolder;
 use rustix::{
     fs::{Advice, AtFlags, CWD, Mode, OFlags, RenameFlags, fadvise, linkat, openat, renameat_with},
     io::Errno,
 };
 
-use super::{cannot_create, exists, folder_of, own_link, sync_name};
+use super::{cannot_create, folder_of, name_taken, proc_link, sync_name};
 use crate::threads;
 
-/// A file that gets its name only when it is complete. Dropped before, it is removed; where the file system
-/// knows files without a name, it is gone as well when the process is killed.
+/// A file that gets its name only when it is complete. Dropping it earlier removes it; on a file system with
+/// unnamed files it also disappears when the process is killed.
 #[derive(Debug)]
 pub struct NewFile {
     file: Option<File>,
-    behind: Behind,
-    /// The name that it has until then, if any.
+    sync: BackgroundSync,
+    /// Its temporary name, if it needs one.
     hidden: Option<PathBuf>,
     path: PathBuf,
 }
 
 impl NewFile {
-    /// Creates a file without a name in the folder of `path`, or a hidden one.
+    /// Creates an unnamed file in the folder of `path`, or a hidden one.
     ///
     /// # Errors
-    /// That `path` exists, or that nothing can be created there.
+    /// When `path` exists, or nothing can be created there.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
-            return Err(exists(path));
+            return Err(name_taken(path));
         }
-        let name =
-            path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
-        if let Some(file) = without_a_name(path)? {
+        let Some(name) = path.file_name() else { bail!("{} is not a file name", path.display()) };
+        if let Some(file) = unnamed_file(path)? {
             return Ok(Self::new(file, None, path));
         }
         let hidden = path.with_file_name(hidden_name(name));
@@ -51,22 +50,22 @@ impl NewFile {
     }
 
     fn new(file: File, hidden: Option<PathBuf>, path: &Path) -> Self {
-        Self { file: Some(file), behind: Behind::default(), hidden, path: path.to_owned() }
+        Self { file: Some(file), sync: BackgroundSync::default(), hidden, path: path.to_owned() }
     }
 
-    /// Gives it its name. Nothing that appeared there meanwhile is overwritten.
+    /// Gives the file its name. A file that appeared there meanwhile is not overwritten.
     ///
     /// # Errors
-    /// That a file of that name appeared, or the disk's.
+    /// When a file of that name appeared, or the disk fails.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let Some(file) = self.file.take() else { return Ok(()) };
-        let synced = self.behind.finish().and_then(|()| file.sync_all());
+        let synced = self.sync.finish().and_then(|()| file.sync_all());
         synced.with_context(|| format!("cannot write {}", self.path.display()))?;
         let named = match &self.hidden {
-            None => linkat(CWD, own_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
+            None => linkat(CWD, proc_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
             Some(hidden) => {
                 match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
-                    // Some network file systems know no such rename: a link refuses to overwrite, too.
+                    // Some network file systems do not support this rename; a link refuses to overwrite as well.
                     Err(Errno::INVAL | Errno::NOSYS) => {
                         linkat(CWD, hidden, CWD, &self.path, AtFlags::empty())
                     }
@@ -75,7 +74,7 @@ impl NewFile {
             }
         };
         match named {
-            Err(Errno::EXIST) => Err(exists(&self.path)),
+            Err(Errno::EXIST) => Err(name_taken(&self.path)),
             Ok(()) => {
                 sync_name(&self.path);
                 Ok(())
@@ -89,7 +88,7 @@ impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let Some(file) = &mut self.file else { return Err(io::ErrorKind::BrokenPipe.into()) };
         let n_bytes = file.write(bytes)?;
-        self.behind.wrote(file, n_bytes)?;
+        self.sync.count(file, n_bytes)?;
         Ok(n_bytes)
     }
 
@@ -107,17 +106,17 @@ impl Seek for NewFile {
 
 impl Drop for NewFile {
     fn drop(&mut self) {
-        // After `keep` it is gone already, or a second link to the kept file.
+        // After `keep` it does not exist, or is a second link to the kept file.
         if let Some(hidden) = &self.hidden {
             fs::remove_file(hidden).ok();
         }
     }
 }
 
-/// A folder that gets its name only when it is complete. Dropped before, it is removed with what is in it.
+/// A folder that gets its name only when it is complete. Dropping it earlier removes it with its content.
 #[derive(Debug)]
 pub struct NewFolder {
-    /// The name that it has until then.
+    /// Its temporary name.
     hidden: Option<PathBuf>,
     path: PathBuf,
     files: Vec<PathBuf>,
@@ -127,21 +126,21 @@ impl NewFolder {
     /// Creates a hidden folder beside `path`.
     ///
     /// # Errors
-    /// That `path` exists, or that nothing can be created there.
+    /// When `path` exists, or nothing can be created there.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
-            return Err(exists(path));
+            return Err(name_taken(path));
         }
-        let Some(name) = path.file_name() else { bail!("{} is no folder's name", path.display()) };
+        let Some(name) = path.file_name() else { bail!("{} is not a folder name", path.display()) };
         let hidden = path.with_file_name(hidden_name(name));
         fs::create_dir(&hidden).map_err(|error| cannot_create(path, &error))?;
         Ok(Self { hidden: Some(hidden), path: path.to_owned(), files: Vec::new() })
     }
 
-    /// Gives it its name, when all that is in it is on the disk. Nothing that appeared there meanwhile is overwritten.
+    /// Gives the folder its name, once its content is on disk. What appeared there meanwhile is not overwritten.
     ///
     /// # Errors
-    /// That something of that name appeared, or the disk's.
+    /// When something of that name appeared, or the disk fails.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let writing = || format!("cannot write {}", self.path.display());
         let Some(hidden) = &self.hidden else { return Ok(()) };
@@ -151,8 +150,8 @@ impl NewFolder {
         }
         match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
             Ok(()) => {}
-            Err(Errno::EXIST) => return Err(exists(&self.path)),
-            // Some network file systems know no such rename. The plain one refuses folders that are not empty.
+            Err(Errno::EXIST) => return Err(name_taken(&self.path)),
+            // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
             Err(Errno::INVAL | Errno::NOSYS) if self.path.symlink_metadata().is_err() => {
                 fs::rename(hidden, &self.path).with_context(writing)?;
             }
@@ -166,7 +165,7 @@ impl NewFolder {
     }
 }
 
-impl Folder for NewFolder {
+impl DatasetFolder for NewFolder {
     fn file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>> {
         let hidden = self.hidden.as_ref().ok_or(io::ErrorKind::NotFound)?;
         let path = hidden.join(path);
@@ -187,7 +186,7 @@ impl Drop for NewFolder {
     }
 }
 
-/// What something is called until it is complete.
+/// The temporary name of an incomplete file or folder.
 fn hidden_name(name: &OsStr) -> OsString {
     let mut hidden = OsString::from(".");
     hidden.push(name);
@@ -195,14 +194,14 @@ fn hidden_name(name: &OsStr) -> OsString {
     hidden
 }
 
-/// A file without a name in the folder of `path`; `None` where there are none.
-fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
+/// Creates an unnamed file in the folder of `path`; `None` where the file system has none.
+fn unnamed_file(path: &Path) -> anyhow::Result<Option<File>> {
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
     match openat(CWD, folder_of(path), flags, Mode::from_raw_mode(0o666)) {
         Ok(file) => {
             let file = File::from(file);
             // Without /proc it could never be named.
-            Ok(own_link(&file).exists().then_some(file))
+            Ok(proc_link(&file).exists().then_some(file))
         }
         // Network file systems, and kernels that take the flag for a folder to be opened.
         Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Ok(None),
@@ -210,72 +209,72 @@ fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
     }
 }
 
-/// How much is written before the disk is told to begin, and between two such calls: half a second of a slow disk, so
-/// that the wait at the end is short, and enough that a call costs nothing beside it.
-const STEP_BYTES: u64 = 32 << 20;
+/// Bytes written between two syncs: half a second of a slow disk, so that the wait at the end is short, and enough to
+/// make the cost of a call negligible.
+const SYNC_STEP_BYTES: u64 = 32 << 20;
 
-/// Syncs a file behind its writer, on a thread of its own, which begins with the first step.
+/// Syncs a file while it is being written, on a thread that starts with the first sync.
 #[derive(Debug, Default)]
-struct Behind {
-    since_bytes: u64,
-    syncer: Option<Syncer>,
+struct BackgroundSync {
+    unsynced_bytes: u64,
+    syncer: Option<SyncThread>,
 }
 
 #[derive(Debug)]
-struct Syncer {
+struct SyncThread {
     wake: Sender<()>,
     thread: JoinHandle<io::Result<()>>,
 }
 
-impl Behind {
-    /// So many bytes more were written to `file`. Never waits for the disk.
+impl BackgroundSync {
+    /// Counts bytes written to `file` and starts a sync when one is due. Never waits for the disk.
     ///
     /// # Errors
-    /// What the disk said to an earlier sync: it says that once only.
-    fn wrote(&mut self, file: &File, n_bytes: usize) -> io::Result<()> {
-        self.since_bytes += n_bytes as u64;
-        if self.since_bytes < STEP_BYTES {
+    /// The error of an earlier sync, which the disk reports once only.
+    fn count(&mut self, file: &File, n_bytes: usize) -> io::Result<()> {
+        self.unsynced_bytes += n_bytes as u64;
+        if self.unsynced_bytes < SYNC_STEP_BYTES {
             return Ok(());
         }
-        self.since_bytes = 0;
+        self.unsynced_bytes = 0;
         if self.syncer.is_none() {
             self.syncer = start(file);
         }
         let gone = match &self.syncer {
-            // Where there is no thread to be had, everything is synced at the end.
+            // Without a thread, everything is synced at the end.
             None => false,
-            // Full: a sync is still to begin, and will take these bytes as well.
+            // Full: a sync has yet to start, and will include these bytes.
             Some(syncer) => matches!(syncer.wake.try_send(()), Err(TrySendError::Disconnected(()))),
         };
         if gone { self.finish() } else { Ok(()) }
     }
 
-    /// Waits for the sync that is under way.
+    /// Waits for the running sync.
     ///
     /// # Errors
-    /// What the disk said to any sync.
+    /// The error of any sync.
     fn finish(&mut self) -> io::Result<()> {
-        let Some(Syncer { wake, thread }) = self.syncer.take() else { return Ok(()) };
+        let Some(SyncThread { wake, thread }) = self.syncer.take() else { return Ok(()) };
         drop(wake);
         threads::join(thread).map_err(io::Error::other)?
     }
 }
 
-/// `None` where the system gives no thread, or no second handle.
-fn start(file: &File) -> Option<Syncer> {
+/// Starts the thread; `None` if the system provides no thread or no second handle.
+fn start(file: &File) -> Option<SyncThread> {
     let file = file.try_clone().ok()?;
-    // One waiting wake is all that can be of use.
-    let (wake, woken) = bounded(1);
-    let sync = move || woken.iter().try_for_each(|()| sync(&file));
+    // One queued wake-up is enough.
+    let (wake, wakes) = bounded(1);
+    let sync = move || wakes.iter().try_for_each(|()| sync(&file));
     let thread = threads::spawn("mocapd-sync", sync).ok()?;
-    Some(Syncer { wake, thread })
+    Some(SyncThread { wake, thread })
 }
 
-/// Puts on the disk what was written, and gives the memory back that held it: a file of gigabytes would take all there
-/// is from the others on the machine, and memory that was just free is written the fastest.
+/// Syncs the data and drops it from the page cache: a file of gigabytes would take that memory from other programs, and
+/// recently freed memory is written fastest.
 fn sync(file: &File) -> io::Result<()> {
     file.sync_data()?;
-    // Whether the system takes advice is its own affair.
+    // The system may ignore the advice.
     fadvise(file, 0, None, Advice::DontNeed).ok();
     Ok(())
 }
@@ -331,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn what_appeared_meanwhile_stays() {
+    fn a_folder_that_appeared_meanwhile_stays() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("set");
         let late = NewFolder::create(&path).unwrap();
@@ -341,26 +340,26 @@ mod tests {
     }
 
     #[test]
-    fn begins_with_the_first_step_and_ends_when_told() {
+    fn the_background_sync_starts_with_the_first_step_and_ends_on_finish() {
         let file = tempfile::tempfile().unwrap();
-        let mut behind = Behind::default();
-        behind.wrote(&file, STEP_BYTES as usize - 1).unwrap();
-        assert!(behind.syncer.is_none());
-        behind.wrote(&file, 1).unwrap();
-        assert!(behind.syncer.is_some());
-        behind.wrote(&file, STEP_BYTES as usize).unwrap();
-        behind.finish().unwrap();
-        assert!(behind.syncer.is_none());
+        let mut sync = BackgroundSync::default();
+        sync.count(&file, SYNC_STEP_BYTES as usize - 1).unwrap();
+        assert!(sync.syncer.is_none());
+        sync.count(&file, 1).unwrap();
+        assert!(sync.syncer.is_some());
+        sync.count(&file, SYNC_STEP_BYTES as usize).unwrap();
+        sync.finish().unwrap();
+        assert!(sync.syncer.is_none());
     }
 
     #[test]
-    fn an_error_of_the_disk_is_told_once_and_not_lost() {
-        // A pipe cannot be synced: the kernel says EINVAL.
+    fn an_error_of_the_disk_is_reported_once_and_not_lost() {
+        // A pipe cannot be synced: the kernel returns EINVAL.
         let (_reader, writer) = io::pipe().unwrap();
         let file = File::from(std::os::fd::OwnedFd::from(writer));
-        let mut behind = Behind::default();
-        behind.wrote(&file, STEP_BYTES as usize).unwrap();
-        assert_eq!(behind.finish().unwrap_err().kind(), io::ErrorKind::InvalidInput);
-        behind.finish().unwrap();
+        let mut sync = BackgroundSync::default();
+        sync.count(&file, SYNC_STEP_BYTES as usize).unwrap();
+        assert_eq!(sync.finish().unwrap_err().kind(), io::ErrorKind::InvalidInput);
+        sync.finish().unwrap();
     }
 }

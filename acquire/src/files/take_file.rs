@@ -1,4 +1,4 @@
-//! The file of a live take: it has its final name from the first byte, and is known by what it is, not by that name.
+//! The file of a live take: it has its final name from the start, and is identified by its inode, not by that name.
 
 use std::{
     any::Any,
@@ -16,9 +16,9 @@ use rustix::{
     io::Errno,
 };
 
-use super::{Displaced, FileState, NewFile, Settled, file_state::is_mounted, own_link};
+use super::{DisplacedFile, FileState, NewFile, SettledFile, file_state::is_mounted, proc_link};
 
-/// Which file something is, whatever it is called.
+/// Identifies a file, whatever its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FileId {
     device: u64,
@@ -26,16 +26,16 @@ pub struct FileId {
 }
 
 impl FileId {
-    /// Of what this metadata is of.
+    /// The identity of the file with this metadata.
     #[must_use]
     pub fn of(file: &Metadata) -> Self {
         Self { device: file.dev(), inode: file.ino() }
     }
 
-    /// Whether the name leads to it.
+    /// Whether `path` leads to the file.
     ///
     /// # Errors
-    /// Why that cannot be known: only a name that does not exist is known to lead nowhere.
+    /// When that cannot be determined. A path that does not exist is no error.
     pub fn is_at(self, path: &Path) -> io::Result<bool> {
         match path.symlink_metadata() {
             Ok(found) => Ok(Self::of(&found) == self),
@@ -46,7 +46,7 @@ impl FileId {
         }
     }
 
-    /// Takes the name away from it; a file of somebody else that has the name by now keeps it.
+    /// Removes `path` if it leads to the file; another file that has this name by now stays.
     ///
     /// # Errors
     /// The disk's.
@@ -55,13 +55,13 @@ impl FileId {
     }
 }
 
-/// Whether a recorder writes it: its lock lasts as long as it does.
+/// Whether a recorder is writing the file, shown by its lock.
 #[must_use]
 pub fn is_being_written(file: &File) -> bool {
     flock(file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK)
 }
 
-/// What a take is written to.
+/// The output of a take.
 pub trait TakeOutput: Any + Write + Send {
     /// Makes everything written so far survive a power cut.
     ///
@@ -69,15 +69,15 @@ pub trait TakeOutput: Any + Write + Send {
     /// The device's.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Makes sure that so many bytes can be written from an offset on, whatever others write to the disk meanwhile.
+    /// Allocates `bytes` from an offset on, so that they can be written even if other programs fill the disk.
     ///
     /// # Errors
-    /// `StorageFull`, `QuotaExceeded` when there is no such room; `Unsupported` where none can be held back.
-    fn hold_back(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
+    /// `StorageFull` or `QuotaExceeded` when there is no space; `Unsupported` when space cannot be allocated ahead.
+    fn allocate(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    /// Gives back what was held and is not needed: the output has so many bytes.
+    /// Releases unused allocated space; the output has `bytes` bytes.
     ///
     /// # Errors
     /// The device's.
@@ -85,29 +85,29 @@ pub trait TakeOutput: Any + Write + Send {
         Ok(())
     }
 
-    /// Free bytes on the disk, without those reserved for root; `None` where the system does not say.
+    /// Free bytes on the disk, without those reserved for root; `None` if the system does not say.
     fn free_bytes(&self) -> Option<u64> {
         None
     }
 
-    /// What others have done to it; at most a moment old.
-    fn look(&mut self) -> FileState {
+    /// The state of the output, at most half a second old.
+    fn poll_state(&mut self) -> FileState {
         FileState::InPlace
     }
 
-    /// The same, as of now.
-    fn look_now(&mut self) -> FileState {
+    /// The state of the output now.
+    fn check_state(&mut self) -> FileState {
         FileState::InPlace
     }
 
-    /// More about that, where something was done.
-    fn displaced(&self) -> Option<Displaced> {
+    /// Details, if the output is not in its place.
+    fn displaced(&self) -> Option<DisplacedFile> {
         None
     }
 
-    /// Where it is, now that the take has ended.
-    fn settle(&mut self) -> Settled {
-        Settled::default()
+    /// Where the output is, after the take has ended. Saves a copy of a removed file.
+    fn settle(&mut self) -> SettledFile {
+        SettledFile::default()
     }
 }
 
@@ -117,54 +117,54 @@ impl fmt::Debug for dyn TakeOutput {
     }
 }
 
-/// Between two looks at what others did to the file: often enough to notice it within a second.
-const LOOK_EVERY: Duration = Duration::from_millis(400);
+/// Time between two checks of the file: short enough to notice changes within a second.
+const POLL_INTERVAL: Duration = Duration::from_millis(400);
 
-/// Names that are tried for the copy of a take that was removed.
+/// Number of names to try for the copy of a removed take.
 const COPIES_MAX: u32 = 100;
 
-/// A new take's file.
+/// The file of a take that is being recorded.
 #[derive(Debug)]
 pub struct TakeFile {
     file: File,
     path: PathBuf,
     id: FileId,
-    /// How the kernel showed it when it was created.
+    /// Its path according to the kernel when it was created.
     link: Option<PathBuf>,
     written: u64,
-    looked: Option<Instant>,
+    last_check: Option<Instant>,
     state: FileState,
 }
 
 impl TakeFile {
-    /// Creates it under a name that must be free, and makes the name survive a power cut.
+    /// Creates the file under a name that must be free, and makes the name survive a power cut.
     ///
     /// # Errors
-    /// That the name is taken, or why it cannot be created.
+    /// When the name is taken, or the file cannot be created.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         let file = super::create_new(path)?;
         let id = FileId::of(&file.metadata()?);
-        // Not every file system has locks; without one other services take it for cut off.
+        // Some file systems have no locks; without one, other services take the file for one that was cut off.
         flock(&file, FlockOperation::NonBlockingLockExclusive).ok();
         super::sync_name(path);
-        let (path, link) = (path.to_owned(), own_link(&file).read_link().ok());
-        Ok(Self { file, path, id, link, written: 0, looked: None, state: FileState::InPlace })
+        let (path, link) = (path.to_owned(), proc_link(&file).read_link().ok());
+        Ok(Self { file, path, id, link, written: 0, last_check: None, state: FileState::InPlace })
     }
 
-    /// Which file it is.
+    /// The file's identity.
     #[must_use]
     pub fn id(&self) -> FileId {
         self.id
     }
 
-    /// What it writes to.
+    /// The open file.
     #[must_use]
     pub fn file(&self) -> &File {
         &self.file
     }
 
-    /// `None` where that cannot be known.
-    fn found(&self) -> Option<FileState> {
+    /// Determines the state; `None` when that is impossible.
+    fn detect_state(&self) -> Option<FileState> {
         let found = self.file.metadata().ok()?;
         if found.len() < self.written {
             return Some(FileState::Truncated);
@@ -175,14 +175,14 @@ impl TakeFile {
         if self.id.is_at(&self.path).ok()? {
             return Some(FileState::InPlace);
         }
-        let link = own_link(&self.file).read_link().ok();
-        // Without a symbolic link: one that leads elsewhere by now is not the file's.
+        let link = proc_link(&self.file).read_link().ok();
+        // Not a symbolic link: one that leads elsewhere by now says nothing of the file.
         if let Some(link) = &link
             && self.id.is_at(link).ok()?
         {
             return Some(FileState::Renamed);
         }
-        // Its own name is as it was, and leads elsewhere: something is mounted over it.
+        // The path according to the kernel is unchanged and leads elsewhere: something is mounted over it.
         let is_covered = link.is_some() && link == self.link;
         if is_covered || !is_mounted(&self.file) {
             return Some(FileState::Unmounted);
@@ -190,18 +190,19 @@ impl TakeFile {
         Some(FileState::Renamed)
     }
 
-    /// Its name, where one leads to it.
-    fn name_now(&self) -> Option<PathBuf> {
-        // Where that cannot be known now, it is where it was at the last look.
+    /// The file's present path, if it has one.
+    fn current_path(&self) -> Option<PathBuf> {
+        // When that cannot be determined, the file is where it was at the last check.
         let was_there = self.state == FileState::InPlace;
         if self.id.is_at(&self.path).unwrap_or(was_there) {
             return Some(self.path.clone());
         }
-        let link = own_link(&self.file).read_link().ok();
+        let link = proc_link(&self.file).read_link().ok();
         link.filter(|path| self.id.is_at(path).unwrap_or(false))
     }
 
-    /// Beside the name that it had, under a free one. The kernel gives no name back to a file that has lost its last.
+    /// Saves a copy beside the original path, under a free name. The kernel cannot give a name to a file that has lost
+    /// its last one.
     fn save_copy(&self) -> anyhow::Result<PathBuf> {
         let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
         let name = |count: u32| match count {
@@ -211,9 +212,9 @@ impl TakeFile {
         let mut names = (1..COPIES_MAX).map(|count| self.path.with_file_name(name(count)));
         let free = names.find(|path| path.symlink_metadata().is_err());
         let path = free.context("every name for a copy is taken")?;
-        let mut input = File::open(own_link(&self.file)).context("cannot be opened again")?;
+        let mut file = File::open(proc_link(&self.file)).context("cannot reopen it")?;
         let mut copy = NewFile::create(&path)?;
-        io::copy(&mut input, &mut copy)
+        io::copy(&mut file, &mut copy)
             .with_context(|| format!("cannot write {}", path.display()))?;
         copy.keep()?;
         Ok(path)
@@ -222,7 +223,7 @@ impl TakeFile {
 
 impl Write for TakeFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        // Behind a cut there would be a hole, and the file as long as ever.
+        // A write behind a cut would leave a hole, and the file would have its full length again.
         if self.file.metadata()?.len() < self.written {
             self.state = FileState::Truncated;
             return Err(io::Error::other("another program cut the file short"));
@@ -242,7 +243,7 @@ impl TakeOutput for TakeFile {
         self.file.sync_data()
     }
 
-    fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
+    fn allocate(&mut self, from: u64, bytes: u64) -> io::Result<()> {
         Ok(fallocate(&self.file, FallocateFlags::KEEP_SIZE, from, bytes)?)
     }
 
@@ -255,47 +256,47 @@ impl TakeOutput for TakeFile {
         let found = self.file.metadata()?.len();
         let left = bytes.min(found);
         self.file.set_len(left)?;
-        // Nobody else did that.
+        // A release truncates the file as well: do not take that for the work of another program.
         if found >= self.written {
             self.written = self.written.min(left);
         }
         Ok(())
     }
 
-    fn look(&mut self) -> FileState {
-        if self.looked.is_none_or(|last| last.elapsed() >= LOOK_EVERY) {
-            self.look_now();
+    fn poll_state(&mut self) -> FileState {
+        if self.last_check.is_none_or(|last| last.elapsed() >= POLL_INTERVAL) {
+            self.check_state();
         }
         self.state
     }
 
-    fn look_now(&mut self) -> FileState {
-        self.looked = Some(Instant::now());
-        // What was cut off does not come back, and what follows would lie behind a hole.
+    fn check_state(&mut self) -> FileState {
+        self.last_check = Some(Instant::now());
+        // What was truncated does not come back, and later data would follow a hole.
         if self.state != FileState::Truncated {
-            self.state = self.found().unwrap_or(self.state);
+            self.state = self.detect_state().unwrap_or(self.state);
         }
         self.state
     }
 
-    fn displaced(&self) -> Option<Displaced> {
+    fn displaced(&self) -> Option<DisplacedFile> {
         if self.state == FileState::InPlace {
             return None;
         }
         let found = self.file.metadata().map_or(0, |found| found.len());
-        Some(Displaced {
+        Some(DisplacedFile {
             state: self.state,
             created_as: self.path.clone(),
-            now_at: self.name_now(),
+            now_at: self.current_path(),
             open_at: format!("/proc/{}/fd/{}", std::process::id(), self.file.as_raw_fd()).into(),
             bytes: (found, self.written),
         })
     }
 
-    fn settle(&mut self) -> Settled {
-        let state = self.look_now();
-        let displaced = self.displaced();
-        let mut settled = Settled { state, path: self.name_now(), displaced, problem: None };
+    fn settle(&mut self) -> SettledFile {
+        let state = self.check_state();
+        let (displaced, path) = (self.displaced(), self.current_path());
+        let mut settled = SettledFile { state, path, displaced, problem: None };
         if state == FileState::Removed {
             match self.save_copy() {
                 Ok(path) => settled.path = Some(path),
@@ -343,19 +344,19 @@ mod tests {
     }
 
     #[test]
-    fn what_others_do_is_noticed_and_what_was_written_is_kept() {
+    fn changes_by_others_are_noticed_and_what_was_written_is_kept() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("takes");
         std::fs::create_dir(&folder).unwrap();
         let path = folder.join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
         take.write_all(b"one").unwrap();
-        assert_eq!((take.look_now(), take.displaced()), (FileState::InPlace, None));
+        assert_eq!((take.check_state(), take.displaced()), (FileState::InPlace, None));
 
         // Renamed, alone and with its folder; and back.
         let other = folder.join("b.take");
         std::fs::rename(&path, &other).unwrap();
-        assert_eq!(take.look_now(), FileState::Renamed);
+        assert_eq!(take.check_state(), FileState::Renamed);
         assert_eq!(take.displaced().unwrap().now_at.as_ref(), Some(&other));
         let moved = dir.path().join("moved");
         std::fs::rename(&folder, &moved).unwrap();
@@ -364,13 +365,13 @@ mod tests {
         assert_eq!((settled.state, settled.path), (FileState::Renamed, Some(moved.join("b.take"))));
         std::fs::rename(&moved, &folder).unwrap();
         std::fs::rename(&other, &path).unwrap();
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
 
-        // Removed: by its name, though another file has that; then with its folder.
+        // Removed, while another file has its name; then with its folder.
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, b"another").unwrap();
         take.write_all(b"three").unwrap();
-        assert_eq!(take.look_now(), FileState::Removed);
+        assert_eq!(take.check_state(), FileState::Removed);
         let open_at = take.displaced().unwrap().open_at;
         assert_eq!(std::fs::read(open_at).unwrap(), b"onetwothree");
         for name in ["a.saved.take", "a.saved-2.take"] {
@@ -399,16 +400,16 @@ mod tests {
         point_to(&real);
         let mut take = TakeFile::create(&link.join("a.take")).unwrap();
         point_to(&other);
-        assert_eq!(take.look_now(), FileState::Renamed);
+        assert_eq!(take.check_state(), FileState::Renamed);
         assert_eq!(take.displaced().unwrap().now_at, Some(real.join("a.take")));
         assert_eq!(take.settle().path, Some(real.join("a.take")));
         point_to(&real);
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
     }
 
-    /// As of a network file system that does not answer, or a folder that may not be searched for a while.
+    /// As on a network file system that does not answer, or in a folder that cannot be searched for a while.
     #[test]
-    fn what_cannot_be_known_changes_nothing() {
+    fn an_unknown_state_changes_nothing() {
         let dir = tempfile::tempdir().unwrap();
         let real = dir.path().join("real");
         std::fs::create_dir(&real).unwrap();
@@ -416,31 +417,31 @@ mod tests {
         std::os::unix::fs::symlink(&real, &link).unwrap();
         let path = link.join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
-        // A link to itself: neither "not found" nor "no folder".
+        // A link to itself: neither "not found" nor "not a directory".
         std::fs::remove_file(&link).unwrap();
         std::os::unix::fs::symlink(&link, &link).unwrap();
         take.id().is_at(&path).unwrap_err();
         take.id().remove(&path).unwrap_err();
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
         let settled = take.settle();
         assert_eq!((settled.state, settled.path), (FileState::InPlace, Some(path)));
     }
 
     #[test]
-    fn half_a_write_is_taken_back_without_a_cut() {
+    fn undoing_half_a_write_is_no_truncation() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
         take.write_all(b"chunk and ha").unwrap();
         take.release(5).unwrap();
-        assert_eq!(take.look_now(), FileState::InPlace);
+        assert_eq!(take.check_state(), FileState::InPlace);
         std::fs::remove_file(&path).unwrap();
         let saved = take.settle().path.unwrap();
         assert_eq!(std::fs::read(saved).unwrap(), b"chunk");
     }
 
     #[test]
-    fn nothing_is_written_behind_a_cut() {
+    fn nothing_is_written_after_a_truncation() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let mut take = TakeFile::create(&path).unwrap();
@@ -448,11 +449,11 @@ mod tests {
         File::options().write(true).open(&path).unwrap().set_len(4).unwrap();
         take.write_all(b"more").unwrap_err();
         take.release(9).unwrap();
-        assert_eq!(take.look_now(), FileState::Truncated);
+        assert_eq!(take.check_state(), FileState::Truncated);
         assert_eq!(take.displaced().unwrap().bytes, (4, 9));
         assert_eq!(std::fs::read(&path).unwrap(), b"some");
-        // It stays so, though the file may become as long again.
+        // Truncation is final, even if the file grows again.
         File::options().write(true).open(&path).unwrap().set_len(40).unwrap();
-        assert_eq!(take.look_now(), FileState::Truncated);
+        assert_eq!(take.check_state(), FileState::Truncated);
     }
 }

@@ -1,9 +1,9 @@
-//! What is asked of a pipeline that runs: takes begun, ended, and saved from its pre-roll, and marks.
+//! Commands to a running pipeline: begin, end and save takes, and set marks.
 //!
-//! A command goes one way. It waits in a bounded mailbox, at which the reader looks between two frames: one load when
-//! there is nothing. A mark becomes an event there, and never waits for the writer. For a take the reader closes the open stretch and sends a boundary,
-//! a stretch without rows, the way that stretches go; the command goes to the writer beside it, with the boundary's
-//! number, and is carried out when the writer meets that: exactly between two frames.
+//! A command goes into a bounded queue that the reader polls between two frames, at the cost of one load when it is
+//! empty. A mark becomes an event there and never waits for the writer. For a take the reader closes the open stretch
+//! and sends a boundary, a stretch without rows, the way of all stretches. The command goes to the writer on a queue of
+//! its own, with the boundary's number, and takes effect when the writer reaches it: exactly between two frames.
 
 use std::{
     fmt,
@@ -20,43 +20,43 @@ use mocapd_take::record::{
     ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, TakeEnding,
 };
 
-use super::{DiskState, TakeOutput};
+use super::{DiskSpace, TakeOutput};
 use crate::clock::ClockStatus;
 
-/// So many commands for takes wait in the mailbox, and so many for the writer, and its disk. One at a time is asked for.
+/// Length of the command queues to the reader and to the writer. Callers send one command at a time.
 pub(super) const TAKE_COMMANDS_MAX: usize = 4;
 
-/// A mark is refused where so much waits for the reader, which looks every 20 ms: that is a client that hammers.
+/// Length of the queue of marks. The reader polls it every 20 ms: only a client that floods it fills it.
 const MARKS_MAX: usize = 16;
 
-/// A take to be written.
+/// A take to write.
 #[derive(Debug)]
 pub struct NewTake {
-    /// What it is written to: empty.
+    /// The output, which is empty.
     pub output: Box<dyn TakeOutput>,
-    /// Its header; the channel table is the pipeline's.
+    /// The header; its channel table is set by the pipeline.
     pub header: Header,
-    /// Who is captured.
+    /// The person who is captured.
     pub subject: Option<Arc<Subject>>,
-    /// How much from before the request belongs to it, as far as it is held.
+    /// How much from before the request to include, as far as the pre-roll buffer holds it.
     pub pre_roll: Duration,
-    /// When it was asked for, by the host's monotonic clock.
-    pub asked_ns: u64,
-    /// Stands in it as its first event.
+    /// When the take was requested, by the host's monotonic clock.
+    pub requested_ns: u64,
+    /// The first event of the take.
     pub notes: Option<Event>,
-    /// Bytes of the disk that stay free.
+    /// Bytes of the disk to leave free.
     pub keep_free_bytes: u64,
 }
 
 impl NewTake {
-    /// One of nobody, that begins when it is asked for.
+    /// A take without subject and pre-roll.
     pub fn new(output: impl TakeOutput, header: Header) -> Self {
         Self {
             output: Box::new(output),
             header,
             subject: None,
             pre_roll: Duration::ZERO,
-            asked_ns: 0,
+            requested_ns: 0,
             notes: None,
             keep_free_bytes: 0,
         }
@@ -66,27 +66,27 @@ impl NewTake {
 /// The first recorded row of a take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FirstRow {
-    /// By the device's clock.
+    /// Time by the device's clock.
     pub device_ticks: u64,
-    /// When it arrived, by the host's monotonic clock.
+    /// Time of arrival by the host's monotonic clock.
     pub arrival_ns: u64,
-    /// The row of the pipeline that is the take's row 0.
+    /// The pipeline's row that is row 0 of the take.
     pub row: u64,
 }
 
-/// Stands in the chain of errors of a take that failed before a frame was in it: its file helps nobody.
+/// Marks the error of a take that failed before its first frame: its file is useless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("nothing was recorded")]
 pub struct NothingRecorded;
 
-/// What a take came to: itself, closed, or why it ends early.
-pub type TakeEnd = Result<(Written, Box<dyn TakeOutput>), TakeFailed>;
+/// The result of a take: its account and its closed output, or why it ended early.
+pub type TakeResult = Result<(TakeAccount, Box<dyn TakeOutput>), TakeFailed>;
 
-/// A take that ends early: what was written before stays, and is worth nothing where that is [`NothingRecorded`].
+/// A take that ended early. What was written before stays, unless the error is [`NothingRecorded`].
 pub struct TakeFailed {
-    /// Why.
+    /// Why it ended.
     pub error: anyhow::Error,
-    /// What was written to, as it is; `None` where nothing of a take is in it.
+    /// The output as it was left; `None` when nothing of the take was written.
     pub output: Option<Box<dyn TakeOutput>>,
 }
 
@@ -109,24 +109,24 @@ impl fmt::Display for TakeFailed {
     }
 }
 
-/// What was written in the end.
+/// The account of a take that was written.
 #[derive(Debug, Clone, Default)]
-pub struct Written {
-    /// The ledger as it stands in the take.
+pub struct TakeAccount {
+    /// The ledger in the take.
     pub ledger: Ledger,
-    /// How it ended, as it stands in the take.
+    /// The ending in the take.
     pub ending: TakeEnding,
-    /// How the clocks ran in the end.
+    /// The final state of the clocks.
     pub clock: ClockStatus,
-    /// By segment, the line of each that had one.
+    /// The clock line of each segment that has one, with the segment's number.
     pub clock_lines: Vec<(u32, ClockLine)>,
-    /// What was left of the disk.
-    pub disk: DiskState,
+    /// The disk space left.
+    pub disk: DiskSpace,
     /// Bytes of the file.
     pub file_bytes: u64,
-    /// Samples in it.
+    /// Samples in the take.
     pub samples: u64,
-    /// Of these, kept ones.
+    /// Samples kept as knots.
     pub kept: u64,
     /// The largest error that an encoder measured, in millimetres.
     pub max_error_mm: f64,
@@ -135,74 +135,74 @@ pub struct Written {
 /// A take that is being written.
 #[derive(Debug)]
 pub struct TakeHandle {
-    /// Told when its first row would survive a power cut.
+    /// Receives the first row when it would survive a power cut.
     pub first: Receiver<FirstRow>,
-    /// Told when it is closed.
-    pub ended: Receiver<TakeEnd>,
+    /// Receives the result when the take is closed.
+    pub ended: Receiver<TakeResult>,
 }
 
-/// Where somebody waits for a take.
+/// The sending ends of a [`TakeHandle`].
 #[derive(Debug, Clone)]
 pub(super) struct Reply {
     pub(super) first: Sender<FirstRow>,
-    pub(super) ended: Sender<TakeEnd>,
+    pub(super) ended: Sender<TakeResult>,
 }
 
-pub(super) fn reply() -> (Reply, TakeHandle) {
-    // One answer each.
+pub(super) fn reply_channel() -> (Reply, TakeHandle) {
+    // One message each.
     let ((first, first_out), (ended, ended_out)) = (bounded(1), bounded(1));
     (Reply { first, ended }, TakeHandle { first: first_out, ended: ended_out })
 }
 
-/// A mark that was asked for. Dropped before it was placed, it is none.
+/// A requested mark. Dropping it before the mark is placed cancels the mark.
 #[derive(Debug)]
-pub struct AskedMark {
-    /// Told the pipeline's row that it stands at.
+pub struct PendingMark {
+    /// Receives the pipeline's row of the mark.
     pub row: Receiver<u64>,
-    _asked: Arc<()>,
+    _request: Arc<()>,
 }
 
-/// A mark, and where its row is told.
+/// A request for a mark, with the channel for its row.
 #[derive(Debug)]
-pub(super) struct NewMark {
+pub(super) struct MarkRequest {
     pub(super) event: Event,
     pub(super) row: Sender<u64>,
-    asked: Weak<()>,
+    request: Weak<()>,
 }
 
-impl NewMark {
-    /// Whether somebody still waits for it: else it is no mark.
-    pub(super) fn is_wanted(&self) -> bool {
-        self.asked.strong_count() > 0
+impl MarkRequest {
+    /// Whether the requester still waits: otherwise the mark is cancelled.
+    pub(super) fn is_awaited(&self) -> bool {
+        self.request.strong_count() > 0
     }
 }
 
-/// What happens between two stretches.
+/// A command for a take, executed between two stretches.
 #[derive(Debug)]
 pub(super) enum TakeCommand {
-    /// The take that is open ends, and this one begins.
+    /// Ends the open take and begins this one.
     Begin(Box<NewTake>, Reply),
     End(EndingKind),
-    /// A take of all that is held, which is closed at once.
+    /// Writes a take of the whole pre-roll and closes it.
     Save(Box<NewTake>, Reply),
 }
 
-/// The reader's end of the mailbox.
+/// The reader's end of the command queues.
 #[derive(Debug)]
-pub(super) struct Mailbox {
-    waiting: Arc<AtomicUsize>,
-    marks: Receiver<NewMark>,
+pub(super) struct CommandReceiver {
+    n_queued: Arc<AtomicUsize>,
+    marks: Receiver<MarkRequest>,
     commands: Receiver<TakeCommand>,
 }
 
-impl Mailbox {
-    /// One load: it is asked with every frame.
+impl CommandReceiver {
+    /// One load, since the reader calls it for every frame.
     pub(super) fn is_empty(&self) -> bool {
-        self.waiting.load(Ordering::Acquire) == 0
+        self.n_queued.load(Ordering::Acquire) == 0
     }
 
     /// The oldest mark.
-    pub(super) fn next_mark(&self) -> Option<NewMark> {
+    pub(super) fn next_mark(&self) -> Option<MarkRequest> {
         self.next(&self.marks)
     }
 
@@ -213,82 +213,82 @@ impl Mailbox {
 
     fn next<T>(&self, queue: &Receiver<T>) -> Option<T> {
         let next = queue.try_recv().ok()?;
-        self.waiting.fetch_sub(1, Ordering::AcqRel);
+        self.n_queued.fetch_sub(1, Ordering::AcqRel);
         Some(next)
     }
 }
 
-/// Asks for takes. One at a time: a take is ended before the next is begun.
+/// Sends commands for takes. One take at a time: each is ended before the next is begun.
 #[derive(Debug)]
-pub struct Takes {
-    waiting: Arc<AtomicUsize>,
-    marks: Sender<NewMark>,
+pub struct CommandSender {
+    n_queued: Arc<AtomicUsize>,
+    marks: Sender<MarkRequest>,
     commands: Sender<TakeCommand>,
 }
 
-pub(super) fn mailbox() -> (Takes, Mailbox) {
-    let (marks_in, marks) = bounded(MARKS_MAX);
-    let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX);
-    let waiting = Arc::new(AtomicUsize::new(0));
-    let takes = Takes { waiting: Arc::clone(&waiting), marks: marks_in, commands: commands_in };
-    (takes, Mailbox { waiting, marks, commands })
+pub(super) fn command_channel() -> (CommandSender, CommandReceiver) {
+    let (marks, marks_out) = bounded(MARKS_MAX);
+    let (commands, commands_out) = bounded(TAKE_COMMANDS_MAX);
+    let n_queued = Arc::new(AtomicUsize::new(0));
+    let takes = CommandSender { n_queued: Arc::clone(&n_queued), marks, commands };
+    (takes, CommandReceiver { n_queued, marks: marks_out, commands: commands_out })
 }
 
-impl Takes {
-    /// Begins a take at the frame that comes next, or at one before it that is held.
+impl CommandSender {
+    /// Begins a take at the next frame, or at an earlier one from the pre-roll.
     ///
     /// # Errors
-    /// When the reader and the writer have not yet done what they were asked before.
+    /// When earlier commands are still waiting.
     pub fn begin(&mut self, take: NewTake) -> anyhow::Result<TakeHandle> {
-        let (reply, handle) = reply();
+        let (reply, handle) = reply_channel();
         self.send_for_take(TakeCommand::Begin(Box::new(take), reply))?;
         Ok(handle)
     }
 
-    /// Ends the take with the frame that came last: [`TakeHandle::ended`] tells when it is closed.
+    /// Ends the take with the last frame that came. [`TakeHandle::ended`] receives the result.
     ///
     /// # Errors
-    /// As [`begin`](Self::begin).
+    /// When earlier commands are still waiting.
     pub fn end(&mut self, ending: EndingKind) -> anyhow::Result<()> {
         self.send_for_take(TakeCommand::End(ending))
     }
 
-    /// Writes a take of what is held, and closes it.
+    /// Writes the pre-roll to a take and closes it.
     ///
     /// # Errors
-    /// As [`begin`](Self::begin).
+    /// When earlier commands are still waiting.
     pub fn save(&mut self, take: NewTake) -> anyhow::Result<TakeHandle> {
-        let (reply, handle) = reply();
+        let (reply, handle) = reply_channel();
         self.send_for_take(TakeCommand::Save(Box::new(take), reply))?;
         Ok(handle)
     }
 
-    /// Puts a mark at the frame that comes next, unless what is returned is dropped before.
+    /// Sets a mark at the next frame. Dropping the returned handle before cancels it.
     ///
     /// # Errors
-    /// When too many wait.
-    pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<AskedMark> {
-        let ((row, row_out), asked) = (bounded(1), Arc::new(()));
+    /// When too many marks wait.
+    pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<PendingMark> {
+        let ((row, row_out), request) = (bounded(1), Arc::new(()));
         let event = Event::new(EventKind::Mark, host_ns, text);
-        let mark = NewMark { event, row, asked: Arc::downgrade(&asked) };
-        ensure!(self.send(&self.marks, mark), "too many marks wait: wait a moment");
-        Ok(AskedMark { row: row_out, _asked: asked })
+        let mark = MarkRequest { event, row, request: Arc::downgrade(&request) };
+        ensure!(self.send(&self.marks, mark), "too many marks are waiting: try again in a moment");
+        Ok(PendingMark { row: row_out, _request: request })
     }
 
     fn send_for_take(&self, command: TakeCommand) -> anyhow::Result<()> {
         let is_sent = self.send(&self.commands, command);
-        ensure!(is_sent, "the writer is still busy with what it was asked before");
+        ensure!(is_sent, "the writer is still busy with earlier commands: try again");
         Ok(())
     }
 
-    /// `false` when the queue is full. Where the reader is gone the take has ended with it: who waits for an answer
-    /// finds that nobody gives one.
+    /// Returns `false` when the queue is full. When the reader is gone, the take has ended with it: the closed reply
+    /// channel tells the caller.
     fn send<T>(&self, queue: &Sender<T>, command: T) -> bool {
-        // Counted before it is there: the reader looks again with the next frame.
-        self.waiting.fetch_add(1, Ordering::AcqRel);
+        // Counted before it is in the queue: then the reader polls again at the next frame.
+        self.n_queued.fetch_add(1, Ordering::AcqRel);
         let sent = queue.try_send(command);
         if sent.is_err() {
-            self.waiting.fetch_sub(1, Ordering::AcqRel);
+            self.n_queued.fetch_sub(1, Ordering::AcqRel);
         }
         !matches!(sent, Err(TrySendError::Full(_)))
     }

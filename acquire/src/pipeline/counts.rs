@@ -1,105 +1,107 @@
-//! The reader's counters, and how they become a ledger.
+//! The reader's counters, and the ledger made from them.
 
 use mocapd_drivers::device::{LinkCounters, Status};
 use mocapd_take::record::Ledger;
 
 use crate::clock::ClockStatus;
 
-/// What the reader counted. `Copy`: a snapshot travels with every stretch, so that a killed take has
-/// a ledger that is true for what it holds.
+/// The reader's counters. `Copy`: a snapshot travels with every stretch, so that the ledger of a killed take is true
+/// for the content of the take.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Counts {
     /// Frames in the rings.
     pub recorded: u64,
-    /// Rows that the device's counter skipped.
+    /// Rows skipped by the device's counter.
     pub not_received: u64,
     /// Frames that arrived when a ring was full.
     pub ring_full: u64,
-    /// Rows missing for the time that the device was away: by its counter, or by the host's clock where that began
-    /// anew.
+    /// Rows missing while the device was disconnected: by its counter, or by the host's clock if the counter started
+    /// again.
     pub lost_in_outages: u64,
-    /// Times that it was away and rows are missing for it.
+    /// Disconnections with missing rows.
     pub outages: u32,
-    /// Frames seen again, or older than the last one.
+    /// Frames received twice, or older than the last one.
     pub duplicates: u64,
-    /// Samples of announced markers in recorded frames, there or not.
+    /// Samples of announced markers in recorded frames, present or not.
     pub samples_announced: u64,
     /// Samples with a position.
     pub samples_present: u64,
-    /// Samples that came as NaN or infinity.
+    /// Samples received as NaN or infinity.
     pub samples_not_finite: u64,
     /// Markers that were not announced at the start, and got a channel when they appeared.
     pub markers_appeared: u64,
     /// Samples of markers beyond the channel pool.
     pub markers_dropped: u64,
-    /// Times that the device's counter jumped as no loss can explain: too far, or further than its own clock allows.
+    /// Jumps of the device's counter that no loss explains: too far, or further than its own clock allows.
     pub counter_jumps: u64,
     /// Times that the device's clock went back.
     pub clock_jumps: u64,
     /// Events that found the writer's queue full.
     pub events_dropped: u64,
-    /// What the link decoder counted.
+    /// Counters of the link decoder.
     pub link: LinkCounters,
-    /// The device's last report, of all its frames: those before an outage too.
+    /// The device's last status report, extended to all its frames, including those before an outage.
     pub status: Option<Status>,
-    /// Frames that its reports leave out: those that its counter told of when it was last started, and those that were due
-    /// in a silence and not produced.
-    pub reports_from: u64,
-    /// Of the rows missing before its first frame since then, those that its reports tell of too: it had begun.
-    pub told_twice: u64,
-    /// Frames dropped inside it before it was last started, by its own account.
+    /// Frames that the device's reports do not include: those counted before it was last started, and those that were
+    /// due in a silence and not produced.
+    pub reports_offset: u64,
+    /// Rows missing before the first frame after an outage that the new reports include as well, because the device was
+    /// already running.
+    pub reported_twice: u64,
+    /// Frames that the device dropped before it was last started, by its own account.
     pub dropped_before: u64,
-    /// Of a take that began while the device ran: frames missing before it that no report had told of by then, so that
-    /// a later one may.
+    /// For a take that began while the device ran: frames missing before it that no report had mentioned by then, so
+    /// that a later report may.
     pub dropped_late_max: u64,
-    /// Whether that was its last word after a stop.
+    /// The device's status is its final one after a stop.
     pub ended: bool,
-    /// Whether no more frames will be taken in.
+    /// No more frames will be accepted.
     pub closed: bool,
-    /// A number of frames produced that no device can have reached.
+    /// A number of produced frames that no device can have reached.
     pub impossible_produced: Option<u64>,
-    /// How its clock runs.
+    /// The state of the clocks.
     pub clock: ClockStatus,
-    /// Of the frames lost, those whose rows come with the next recorded one.
+    /// Lost frames whose rows come with the next recorded one.
     pub pending: PendingRows,
 }
 
-/// Rows lost since the last recorded one, by what counted them.
+/// Rows lost since the last recorded one, by counter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PendingRows {
-    /// Of [`Counts::not_received`].
+    /// Included in [`Counts::not_received`].
     pub not_received: u64,
-    /// Of [`Counts::ring_full`].
+    /// Included in [`Counts::ring_full`].
     pub ring_full: u64,
-    /// Of [`Counts::lost_in_outages`].
+    /// Included in [`Counts::lost_in_outages`].
     pub in_outages: u64,
 }
 
 impl Counts {
-    /// Frames that the device's counter tells of.
+    /// Frames produced according to the device's counter.
     #[must_use]
     pub fn seen(&self) -> u64 {
         self.recorded + self.lost()
     }
 
-    /// Of these, the ones that are not in the take.
+    /// Frames produced that are not in the take.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.not_received + self.ring_full + self.lost_in_outages
     }
 
-    /// The device reports on itself. `early`: before its first frame after an outage, by which alone its account can
-    /// be joined to the one before.
+    /// Accepts a status report. `early`: before the first frame after an outage, which alone connects its numbers to
+    /// the earlier ones.
     ///
-    /// Whether all that it produced is in the rows.
+    /// Returns whether the rows contain all frames that it reports as produced.
     pub(super) fn status(&mut self, status: Status, early: bool) -> bool {
-        let reports_from = if early { self.seen() } else { self.reports_from };
-        let mut frames_produced = status.frames_produced.saturating_add(reports_from);
+        let reports_offset = if early { self.seen() } else { self.reports_offset };
+        let mut frames_produced = status.frames_produced.saturating_add(reports_offset);
         if !early {
-            // What it produced beyond the frames seen was lost before the first of them, or just now: the least that
-            // any report tells of was lost before.
-            self.told_twice = self.told_twice.min(frames_produced.saturating_sub(self.seen()));
-            frames_produced -= self.told_twice;
+            // What it produced beyond the frames seen was lost before the first of them, or just now: the smallest
+            // excess in any report was lost before.
+            self.reported_twice =
+                self.reported_twice.min(frames_produced.saturating_sub(self.seen()));
+            frames_produced -= self.reported_twice;
         }
         self.status = Some(Status {
             frames_produced,
@@ -109,34 +111,32 @@ impl Counts {
         frames_produced <= self.seen()
     }
 
-    /// So many rows are missing for the time that the device was away. How many of them its reports tell of too is
-    /// not known yet.
+    /// Counts rows missing because the device was disconnected. How many of them its reports include is not known yet.
     pub(super) fn lost_to_outage(&mut self, rows: u64) {
-        self.lost_in_outages += rows;
-        self.outages += u32::from(rows > 0);
-        self.told_twice = rows;
+        self.lost_to_silence(rows);
+        self.reported_twice = rows;
     }
 
-    /// So many rows were due in a silence that lasts, by the host's clock.
+    /// Counts rows that were due in a continuing silence, by the host's clock.
     pub(super) fn lost_to_silence(&mut self, rows: u64) {
         self.lost_in_outages += rows;
         self.outages += u32::from(rows > 0);
     }
 
-    /// So many of these were never produced: the device's reports leave them out.
+    /// Counts rows of a silence that were never produced: the device's reports leave them out.
     pub(super) fn not_produced(&mut self, rows: u64) {
-        self.reports_from += rows;
+        self.reports_offset += rows;
     }
 
-    /// The device is started again after an outage, and its reports with it.
+    /// Starts a new series of reports: the device is started again after an outage.
     pub(super) fn rejoin(&mut self) {
         self.dropped_before = self.status.map_or(self.dropped_before, |s| s.frames_dropped);
-        // Frames that it reported and that never came are missing when its counter goes on.
+        // Frames that it reported and that never arrived are missing when its counter continues.
         self.status = None;
     }
 
-    /// The counters of the rows up to the last recorded one: a take that ends here has these, and one that begins here
-    /// has the others.
+    /// The counters of the rows up to the last recorded one: those of a take that ends here. A take that begins here
+    /// has the rest.
     pub(super) fn in_rows(&self) -> Self {
         let PendingRows { not_received, ring_full, in_outages } = self.pending;
         Self {
@@ -149,7 +149,7 @@ impl Counts {
         }
     }
 
-    /// What was counted since `base`, which a take began with.
+    /// The counters since `base`, the counters at the beginning of a take.
     pub(super) fn since(&self, base: &Self) -> Self {
         let dropped_base = base.status.map_or(base.dropped_before, |status| status.frames_dropped);
         let status = self.status.map(|status| Status {
@@ -183,8 +183,8 @@ impl Counts {
                 samples_not_finite: link.samples_not_finite - link_base.samples_not_finite,
             },
             status,
-            reports_from: self.reports_from.saturating_sub(base.seen()),
-            told_twice: self.told_twice,
+            reports_offset: self.reports_offset.saturating_sub(base.seen()),
+            reported_twice: self.reported_twice,
             dropped_before: self.dropped_before.saturating_sub(dropped_base),
             dropped_late_max: missing_base.saturating_sub(dropped_base),
             ended: self.ended,
@@ -195,16 +195,16 @@ impl Counts {
         }
     }
 
-    /// The ledger that these counters make. It closes, or says why not.
+    /// The ledger of these counters. It closes, or states why not.
     #[must_use]
     pub fn ledger(&self, finished: bool) -> Ledger {
         let mut contradictions = Vec::new();
         let seen = self.seen();
-        // A report is older than the frames after it: only the last word is held against the counter.
+        // A report is older than the frames after it: only the final one is compared with the counter.
         let reported = self.status.map_or(0, |status| status.frames_produced);
         if self.ended && self.status.is_some() && reported < seen {
             contradictions.push(format!(
-                "the device reports {reported} frames produced, its frame counter says {seen}"
+                "the device reports {reported} frames produced, but its frame counter shows {seen}"
             ));
         }
         if let Some(produced) = self.impossible_produced {
@@ -212,11 +212,11 @@ impl Counts {
         }
         let unseen = if self.closed { reported.saturating_sub(seen) } else { 0 };
         let frames_sent = seen + unseen;
-        // Without its last word nobody knows whether they were sent, lost or dropped.
+        // Without a final report nobody knows whether they were sent, lost or dropped.
         let unknown_after_disconnect = self.lost_in_outages + if self.ended { 0 } else { unseen };
         let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
         let dropped = self.status.map_or(self.dropped_before, |status| status.frames_dropped);
-        // Of the frames of an outage nobody knows which were dropped.
+        // Nobody knows which frames of an outage were dropped.
         let may_be = missing.saturating_add(self.lost_in_outages);
         if self.ended && dropped > may_be.saturating_add(self.dropped_late_max) {
             contradictions.push(format!(
@@ -225,19 +225,17 @@ impl Counts {
         }
         if self.counter_jumps > 0 {
             contradictions.push(format!(
-                "the device's frame counter jumped {} as no loss explains",
-                times(self.counter_jumps)
+                "the device's frame counter jumped {} in a way that no loss explains",
+                count_text(self.counter_jumps)
             ));
         }
         if self.clock_jumps > 0 {
-            let times = times(self.clock_jumps);
+            let times = count_text(self.clock_jumps);
             contradictions.push(format!("the device's clock went back {times}"));
         }
-        if self.events_dropped > 0 {
-            contradictions.push(format!(
-                "{} events are not in the take: the disk stalled",
-                self.events_dropped
-            ));
+        let n = self.events_dropped;
+        if n > 0 {
+            contradictions.push(format!("{n} events are missing from the take: the disk stalled"));
         }
         let dropped_by_device = dropped.min(missing);
         Ledger {
@@ -266,6 +264,6 @@ impl Counts {
     }
 }
 
-fn times(n: u64) -> String {
+fn count_text(n: u64) -> String {
     if n == 1 { "once".to_owned() } else { format!("{n} times") }
 }

@@ -1,5 +1,5 @@
-//! Room on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
-//! watched, so that it is closed before nothing works any more.
+//! Disk space: a reserve lets a take be closed when other programs fill the disk, and free space is monitored, so that
+//! the take is closed in time.
 
 use std::{
     io,
@@ -10,145 +10,145 @@ use std::{
 
 use rustix::fs::statvfs;
 
-use super::Progress;
+use super::PipelineProgress;
 use crate::{
     files::{TakeOutput, folder_of},
     setting::{Setting, SettingRefused},
 };
 
-/// Held back at least: a ledger, an index of days and a few stretches.
-pub const HELD_MIN_BYTES: u64 = 4 << 20;
+/// The smallest reserve: enough for a ledger, the index of a take of days and a few stretches.
+pub const RESERVE_MIN_BYTES: u64 = 4 << 20;
 
-/// Held back for so much time: what is in memory when the disk was stalled, and what comes until the device stops.
-const HELD_S: f64 = 60.0;
+/// Seconds of data to reserve: the stretches in memory after a stall of the disk, and those until the device stops.
+const RESERVE_S: f64 = 60.0;
 
-/// Time between two looks at the disk.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Time between two checks of the disk.
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// The rate is that of so long.
-const RATE_OF_S: f64 = 30.0;
+/// Time constant of the mean data rate.
+const TAU_S: f64 = 30.0;
 
-/// What the writer knows of its disk.
+/// Disk space allocated ahead of the take's end, and the state of the disk.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct DiskReserve {
     keep_free_bytes: u64,
-    /// The file has room up to here.
-    held_to: u64,
-    /// Not every file system can hold room back.
-    can_hold: bool,
-    /// Nor did this one have so much, whatever it says is free: a quota.
-    is_refused: bool,
-    /// When, and the bytes of the take and beside it then.
-    looked: Option<(Instant, u64, u64)>,
+    /// Space is allocated to the file up to this byte.
+    reserved_to: u64,
+    /// Some file systems cannot allocate ahead.
+    can_reserve: bool,
+    /// The last allocation was refused although the disk reports enough free bytes: a quota.
+    is_over_quota: bool,
+    /// The last check: its time, the bytes of the take, and the bytes of the raw log.
+    last_poll: Option<(Instant, u64, u64)>,
     bytes_per_s: f64,
-    /// What grows beside the take.
-    beside_per_s: f64,
-    state: DiskState,
+    /// Data rate of the raw log beside the take.
+    raw_log_bytes_per_s: f64,
+    state: DiskSpace,
 }
 
-/// What is left of the disk.
+/// Free space on the take's disk.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct DiskState {
-    /// Bytes that others may take, what is held back for the take not included. `None` where nobody can tell.
+pub struct DiskSpace {
+    /// Free bytes, not counting the take's own reserve. `None` if the system does not report them.
     pub free_bytes: Option<u64>,
-    /// How long the take could go on at the rate of the last half a minute, in seconds. `None` before it has one.
+    /// Seconds until the disk is full, at the mean rate of the last 30 s. `None` before a rate is known.
     pub left_s: Option<f64>,
-    /// The take is to end, because less is free than has to stay.
+    /// The take has to end: less than `keep_free_bytes` would remain.
     pub is_full: bool,
 }
 
-impl Room {
+impl DiskReserve {
     pub(super) fn new(keep_free_bytes: u64) -> Self {
         Self {
             keep_free_bytes,
-            held_to: 0,
-            can_hold: true,
-            is_refused: false,
-            looked: None,
+            reserved_to: 0,
+            can_reserve: true,
+            is_over_quota: false,
+            last_poll: None,
             bytes_per_s: 0.0,
-            beside_per_s: 0.0,
-            state: DiskState::default(),
+            raw_log_bytes_per_s: 0.0,
+            state: DiskSpace::default(),
         }
     }
 
-    /// Looks, now and then, when the take has so many bytes.
-    pub(super) fn look(
+    /// Checks the disk if a check is due; `written` is the length of the take in bytes.
+    pub(super) fn poll(
         &mut self,
         output: &mut dyn TakeOutput,
         written: u64,
-        progress: &Progress,
+        progress: &PipelineProgress,
         now: Instant,
     ) {
-        if self.looked.is_some_and(|(last, ..)| now.duration_since(last) < LOOK_EVERY) {
+        if self.last_poll.is_some_and(|(last, ..)| now.duration_since(last) < POLL_INTERVAL) {
             return;
         }
-        let beside = progress.beside_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
-        if let Some((last, before, beside_before)) = self.looked {
+        let raw_log_bytes = progress.raw_log_bytes.get().map_or(0, |n| n.load(Ordering::Relaxed));
+        if let Some((last, before, raw_log_before)) = self.last_poll {
             let passed_s = now.duration_since(last).as_secs_f64();
-            // Before there is a mean, the first second's bytes have to do.
-            let weight = if self.bytes_per_s > 0.0 { (passed_s / RATE_OF_S).min(1.0) } else { 1.0 };
+            // Before there is a mean, use the first second's rate.
+            let weight = if self.bytes_per_s > 0.0 { (passed_s / TAU_S).min(1.0) } else { 1.0 };
             for (mean, now, before) in [
                 (&mut self.bytes_per_s, written, before),
-                (&mut self.beside_per_s, beside, beside_before),
+                (&mut self.raw_log_bytes_per_s, raw_log_bytes, raw_log_before),
             ] {
                 *mean += (now.saturating_sub(before) as f64 / passed_s - *mean) * weight;
             }
         }
-        self.looked = Some((now, written, beside));
-        self.hold(output, written);
+        self.last_poll = Some((now, written, raw_log_bytes));
+        self.reserve(output, written);
         self.state.free_bytes = output.free_bytes();
-        let held = self.held_to.saturating_sub(written);
-        let others = match self.state.free_bytes {
-            // What a quota leaves nobody tells.
-            Some(free) if !self.is_refused => free.saturating_sub(self.keep_free_bytes),
+        let reserved = self.reserved_to.saturating_sub(written);
+        let available = match self.state.free_bytes {
+            // A quota does not say how much it leaves.
+            Some(free) if !self.is_over_quota => free.saturating_sub(self.keep_free_bytes),
             Some(_) => 0,
             None => u64::MAX,
         };
-        // The last of it is for closing the take.
-        let left = others.saturating_add(held);
-        self.state.is_full |= left < HELD_MIN_BYTES;
+        // The last few bytes are for closing the take.
+        let left = available.saturating_add(reserved);
+        self.state.is_full |= left < RESERVE_MIN_BYTES;
         let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
-        let both_per_s = self.bytes_per_s + self.beside_per_s;
-        let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / both_per_s;
-        // What is held for the take is not for what grows beside it.
-        let beside_s = others as f64 / self.beside_per_s;
-        let left_s = if self.beside_per_s > 0.0 { left_s.min(beside_s) } else { left_s };
+        let both_per_s = self.bytes_per_s + self.raw_log_bytes_per_s;
+        let left_s = left.saturating_sub(RESERVE_MIN_BYTES) as f64 / both_per_s;
+        // The reserve belongs to the take alone, not to the raw log.
+        let raw_log_s = available as f64 / self.raw_log_bytes_per_s;
+        let left_s = if self.raw_log_bytes_per_s > 0.0 { left_s.min(raw_log_s) } else { left_s };
         self.state.left_s = is_known.then_some(left_s);
         progress.disk_full.store(self.state.is_full, Ordering::Relaxed);
         let left_s = self.state.left_s.map_or(u64::MAX, |left_s| left_s as u64);
         progress.disk_left_s.store(left_s, Ordering::Relaxed);
     }
 
-    /// The take is closed, and what it held is given back.
-    pub(super) fn close(&mut self, output: &dyn TakeOutput) -> DiskState {
+    /// The final state, after the take was closed and its reserve released.
+    pub(super) fn close(&mut self, output: &dyn TakeOutput) -> DiskSpace {
         self.state.free_bytes = output.free_bytes();
         self.state
     }
 
-    fn hold(&mut self, output: &mut dyn TakeOutput, written: u64) {
-        let ahead = HELD_MIN_BYTES.max((self.bytes_per_s * HELD_S) as u64);
-        // Half of it is enough to be there at any time: the rest spares a call each second.
-        if self.state.is_full || !self.can_hold || self.held_to >= written + ahead / 2 {
+    fn reserve(&mut self, output: &mut dyn TakeOutput, written: u64) {
+        let target = RESERVE_MIN_BYTES.max((self.bytes_per_s * RESERVE_S) as u64);
+        // Topping up at half the reserve saves a system call every second.
+        if self.state.is_full || !self.can_reserve || self.reserved_to >= written + target / 2 {
             return;
         }
-        let from = self.held_to.max(written);
-        // Not of what has to stay free.
+        let from = self.reserved_to.max(written);
+        // Leave `keep_free_bytes` alone.
         let spare =
             output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
-        let wanted = (written + ahead).min(from.saturating_add(spare));
-        for to in [wanted, (written + HELD_MIN_BYTES).min(wanted)] {
+        let wanted = (written + target).min(from.saturating_add(spare));
+        for to in [wanted, (written + RESERVE_MIN_BYTES).min(wanted)] {
             if to <= from {
                 return;
             }
-            match output.hold_back(from, to - from) {
+            match output.allocate(from, to - from) {
                 Ok(()) => {
-                    (self.held_to, self.is_refused) = (to, false);
+                    (self.reserved_to, self.is_over_quota) = (to, false);
                     return;
                 }
-                // What was held before is still there, and less may do.
-                Err(error) if is_full(&error) => self.is_refused = true,
+                // The earlier reserve remains, and a smaller one may be granted.
+                Err(error) if is_full(&error) => self.is_over_quota = true,
                 Err(_) => {
-                    self.can_hold = false;
+                    self.can_reserve = false;
                     return;
                 }
             }
@@ -160,25 +160,25 @@ fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
-/// Makes sure that a take can be begun at `path` without taking what has to stay free.
+/// Checks that a take can be started at `path` with `keep_free_bytes` left free.
 ///
 /// # Errors
-/// How much is free, how much must be, and what to do.
-pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
-    // What cannot be told is not held against it: creating the file will tell.
+/// When the disk is too full. The message states free and required space, and what to do.
+pub fn check_disk_space(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
+    // If free space is unknown, creating the file decides.
     let Ok(disk) = statvfs(folder_of(path)) else { return Ok(()) };
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
-    if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
+    if free_bytes < keep_free_bytes.saturating_add(RESERVE_MIN_BYTES) {
         let why = format!(
-            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free beside {:.0} MB \
-             to close a take in",
+            "the disk is nearly full: {:.0} MB are free for {}, but {:.0} MB have to stay free, and closing \
+             a take needs {:.0} MB",
             mb(free_bytes),
             path.display(),
             mb(keep_free_bytes),
-            mb(HELD_MIN_BYTES)
+            mb(RESERVE_MIN_BYTES)
         );
-        let or = ", delete something, or record to another disk";
-        return Err(SettingRefused { why, setting: Setting::KeepFree, or }.into());
+        let alternative = ", free some space, or record to another disk";
+        return Err(SettingRefused { why, setting: Setting::KeepFree, alternative }.into());
     }
     Ok(())
 }
@@ -196,7 +196,7 @@ mod tests {
 
     use super::*;
 
-    /// A disk of so many bytes, that may be unable to hold room back.
+    /// A disk with `free` bytes, which may be unable to reserve space.
     struct Disk {
         free: u64,
         holds: Result<(), io::ErrorKind>,
@@ -217,7 +217,7 @@ mod tests {
             Ok(())
         }
 
-        fn hold_back(&mut self, _from: u64, bytes: u64) -> io::Result<()> {
+        fn allocate(&mut self, _from: u64, bytes: u64) -> io::Result<()> {
             self.holds?;
             self.free = self.free.checked_sub(bytes).ok_or(io::ErrorKind::StorageFull)?;
             Ok(())
@@ -230,33 +230,33 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    /// A take of 1 MiB a second on a disk of 40 MiB, of which 10 have to stay free: when it is told to end, what others
-    /// could take at the least, and how long it thought that it had.
-    fn ends_after(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
+    /// A take of 1 MiB a second on a disk of 40 MiB, 10 of which stay free: the second at which it has to end, the
+    /// fewest bytes that were free, and the remaining times it estimated.
+    fn run_until_full(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
-        let (mut room, progress, begun) =
-            (Room::new(10 * MIB), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(10 * MIB), PipelineProgress::default(), Instant::now());
         let (mut left, mut least) = (Vec::new(), disk.free);
         for second in 0..100 {
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
-            left.extend(room.state.left_s);
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
+            left.extend(reserve.state.left_s);
             least = least.min(disk.free);
             if progress.disk_full.load(Ordering::Relaxed) {
                 return (second, least, left);
             }
-            // Without room of its own the take grows into the free bytes.
+            // Without a reserve the take uses the free bytes.
             if holds.is_err() {
                 disk.free -= MIB;
             }
         }
-        panic!("never full: {:?}", room.state);
+        panic!("never full: {:?}", reserve.state);
     }
 
     #[test]
-    fn a_take_goes_on_until_no_more_is_left_than_closes_it() {
+    fn a_take_goes_on_until_just_enough_is_left_to_close_it() {
         for holds in [Ok(()), Err(io::ErrorKind::Unsupported)] {
-            let (seconds, least, left) = ends_after(holds);
-            // 30 MiB but for the last 4, and none of the others' 10.
+            let (seconds, least, left) = run_until_full(holds);
+            // 30 MiB less the last 4, and nothing of the 10 that stay free.
             assert_eq!(seconds, 27, "{holds:?}");
             assert!(least >= 10 * MIB, "{holds:?}: {least}");
             assert!((left[4] - 21.0).abs() < 0.1, "{holds:?}: {left:?}");
@@ -264,52 +264,54 @@ mod tests {
     }
 
     #[test]
-    fn a_quota_that_nobody_tells_of_ends_it_when_what_is_held_is_used() {
-        let (seconds, ..) = ends_after(Err(io::ErrorKind::QuotaExceeded));
+    fn an_unreported_quota_ends_the_take_when_its_reserve_is_used() {
+        let (seconds, ..) = run_until_full(Err(io::ErrorKind::QuotaExceeded));
         assert_eq!(seconds, 0);
-        // Half a minute's room was there before the quota was met.
+        // The reserve lasts half a minute after the quota is reached.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
-        let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(0), PipelineProgress::default(), Instant::now());
         for second in 0..100 {
             if second == 5 {
                 disk.holds = Err(io::ErrorKind::QuotaExceeded);
             }
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
-            if room.state.is_full {
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
+            if reserve.state.is_full {
                 assert!((50..64).contains(&second), "{second}");
                 return;
             }
         }
-        panic!("never full: {:?}", room.state);
+        panic!("never full: {:?}", reserve.state);
     }
 
     #[test]
-    fn time_left_counts_what_grows_beside_the_take() {
-        // 3 MiB a second beside 1 MiB of the take: 950 MiB last for a quarter of the time.
+    fn the_time_left_includes_the_raw_log() {
+        // 3 MiB a second of raw log beside 1 MiB of the take: 950 MiB last for a quarter of the time.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
-        let (mut room, progress, begun) =
-            (Room::new(50 * MIB), Progress::default(), Instant::now());
-        let beside = Arc::new(AtomicU64::new(9));
-        progress.beside_bytes.set(Arc::clone(&beside)).unwrap();
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(50 * MIB), PipelineProgress::default(), Instant::now());
+        let raw_log = Arc::new(AtomicU64::new(9));
+        progress.raw_log_bytes.set(Arc::clone(&raw_log)).unwrap();
         for second in 0..10 {
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
-            beside.fetch_add(3 * MIB, Ordering::Relaxed);
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
+            raw_log.fetch_add(3 * MIB, Ordering::Relaxed);
             disk.free -= 3 * MIB;
         }
-        let left_s = room.state.left_s.unwrap();
+        let left_s = reserve.state.left_s.unwrap();
         assert!((left_s - (950.0 - 4.0 - 4.0 * 9.0) / 4.0).abs() < 2.0, "{left_s}");
     }
 
     #[test]
-    fn time_left_counts_what_is_held_for_the_take() {
+    fn the_time_left_includes_the_reserve() {
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
-        let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(0), PipelineProgress::default(), Instant::now());
         for second in 0..10 {
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
         }
-        let left_s = room.state.left_s.unwrap();
+        let left_s = reserve.state.left_s.unwrap();
         assert!((left_s - 987.0).abs() < 1.0, "{left_s}");
         assert_eq!(progress.disk_left_s.load(Ordering::Relaxed), left_s as u64);
-        assert!(disk.free < 950 * MIB && !room.state.is_full);
+        assert!(disk.free < 950 * MIB && !reserve.state.is_full);
     }
 }

@@ -1,4 +1,4 @@
-//! A group of channels, or the time line: rings in, one part a stretch out.
+//! A group of channels, or the timeline: takes rows from rings and produces one part per stretch.
 
 use std::sync::{
     Arc,
@@ -9,51 +9,51 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::{BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows};
 use mocapd_take::{
     record::Header,
-    stretch::{FrontWriter, put_block},
+    stretch::{StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
 };
 
 use super::{
-    messages::{Job, Part, PartReport, StretchEnd},
+    messages::{EncodeJob, Part, PartReport, StretchEnd},
     plan::Plan,
-    ring::{RingIn, RingOut, Sample, TimelineItem, ring},
+    ring::{RingConsumer, RingProducer, Sample, TimelineItem, ring},
 };
-use crate::heartbeat::Beat;
+use crate::heartbeat::HeartbeatHandle;
 
-/// Channels or time line, with everything needed to work without allocating.
+/// Channels or the timeline, with all buffers preallocated.
 #[derive(Debug)]
 pub(super) struct Group {
     index: usize,
-    content: Content,
-    pub(super) jobs: Receiver<Job>,
-    pub(super) jobs_in: Sender<Job>,
+    coder: GroupCoder,
+    pub(super) jobs: Receiver<EncodeJob>,
+    pub(super) jobs_in: Sender<EncodeJob>,
     parts: Sender<Part>,
-    /// Free ones; the writer gives them back.
+    /// Free buffers; the writer returns them.
     pub(super) buffers: Receiver<Vec<u8>>,
     pub(super) buffers_back: Sender<Vec<u8>>,
 }
 
 #[derive(Debug)]
-enum Content {
-    Channels(Box<Channels>),
+enum GroupCoder {
+    Channels(Box<ChannelCoder>),
     Timeline(Box<TimelineCoder>),
 }
 
 /// One stretch of the group's channels, and their block.
 #[derive(Debug)]
-struct Channels {
+struct ChannelCoder {
     first_slot: usize,
-    slots: Vec<Slot>,
+    slots: Vec<ChannelBuffer>,
     encoder: Box<dyn BlockEncoder>,
     samples: Vec<Sample>,
     block: Vec<u8>,
-    /// Counted when somebody asks for it: by slot of all groups.
-    seen: Option<SeenCounters>,
+    /// Visibility counters, if requested, by slot across all groups.
+    seen: Option<VisibilityCounters>,
 }
 
 #[derive(Debug)]
-struct Slot {
-    ring: RingOut<Sample>,
+struct ChannelBuffer {
+    ring: RingConsumer<Sample>,
     positions: Vec<Position>,
     present: Vec<bool>,
 }
@@ -63,49 +63,47 @@ impl Group {
     pub(super) fn channels(
         plan: &Plan,
         index: usize,
-        seen: Option<SeenCounters>,
+        seen: Option<VisibilityCounters>,
         parts: &Sender<Part>,
-    ) -> (Self, Vec<RingIn<Sample>>) {
+    ) -> (Self, Vec<RingProducer<Sample>>) {
         let rows = plan.stretch_rows as usize;
         let n_slots = plan.slots_of(index).len();
         let mut producers = Vec::with_capacity(n_slots);
-        let slots = (0..n_slots)
-            .map(|_| {
-                let (producer, ring) = ring(plan.ring_rows());
-                producers.push(producer);
-                let (positions, present) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
-                Slot { ring, positions, present }
-            })
-            .collect();
+        let slots = (0..n_slots).map(|_| {
+            let (producer, ring) = ring(plan.ring_rows);
+            producers.push(producer);
+            let (positions, present) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+            ChannelBuffer { ring, positions, present }
+        });
         let mut encoder = plan.codec.encoder();
         encoder.prepare(n_slots, rows);
-        let content = Content::Channels(Box::new(Channels {
+        let coder = GroupCoder::Channels(Box::new(ChannelCoder {
             first_slot: plan.slots_of(index).start,
-            slots,
+            slots: slots.collect(),
             encoder,
             samples: vec![Sample::default(); rows],
             block: Vec::with_capacity(plan.part_bytes_max(index)),
             seen,
         }));
-        (Self::new(plan, index, content, plan.part_bytes_max(index), parts), producers)
+        (Self::new(plan, index, coder, plan.part_bytes_max(index), parts), producers)
     }
 
-    /// The time line's group, and the reader's end of its ring.
+    /// The timeline's group, and the reader's end of its ring.
     pub(super) fn timeline(
         plan: &Plan,
         header: &Header,
         parts: &Sender<Part>,
-    ) -> (Self, RingIn<TimelineItem>) {
+    ) -> (Self, RingProducer<TimelineItem>) {
         let (producer, consumer) = ring(plan.timeline_items());
         let coder = TimelineCoder::new(consumer, header, plan.timeline_items());
-        let content = Content::Timeline(Box::new(coder));
-        (Self::new(plan, plan.n_groups(), content, plan.front_bytes_max(), parts), producer)
+        let coder = GroupCoder::Timeline(Box::new(coder));
+        (Self::new(plan, plan.n_groups(), coder, plan.front_bytes_max(), parts), producer)
     }
 
     fn new(
         plan: &Plan,
         index: usize,
-        content: Content,
+        coder: GroupCoder,
         part_bytes: usize,
         parts: &Sender<Part>,
     ) -> Self {
@@ -114,29 +112,29 @@ impl Group {
         for _ in 0..plan.buffers_per_group() {
             drop(buffers_back.try_send(Vec::with_capacity(part_bytes)));
         }
-        Self { index, content, jobs, jobs_in, parts: parts.clone(), buffers, buffers_back }
+        Self { index, coder, jobs, jobs_in, parts: parts.clone(), buffers, buffers_back }
     }
 
     /// Does every job for which there is a buffer.
-    pub(super) fn work_off(&mut self, beat: &Beat) {
+    pub(super) fn run_jobs(&mut self, heartbeat: &HeartbeatHandle) {
         while !self.jobs.is_empty() {
-            beat.moved();
+            heartbeat.beat();
             let Ok(mut bytes) = self.buffers.try_recv() else { return };
             let Ok(job) = self.jobs.try_recv() else {
                 drop(self.buffers_back.try_send(bytes));
                 return;
             };
             bytes.clear();
-            let report = match &mut self.content {
-                Content::Channels(channels) => channels.encode(&job.end, &mut bytes),
-                Content::Timeline(coder) => {
+            let report = match &mut self.coder {
+                GroupCoder::Channels(channels) => channels.encode(&job.end, &mut bytes),
+                GroupCoder::Timeline(coder) => {
                     coder.encode(&job.end, &mut bytes);
                     PartReport::default()
                 }
             };
             let (stretch, end, counts) = (job.stretch, job.end, job.counts);
             let part = Part { stretch, end, group: self.index, bytes, report, counts };
-            // Never full: it has room for every buffer there is. Closed when the writer is gone.
+            // Never full: it has a place for every buffer there is. Closed when the writer is gone.
             if self.parts.try_send(part).is_err() {
                 return;
             }
@@ -144,8 +142,8 @@ impl Group {
     }
 }
 
-impl Channels {
-    /// One block of the active channels.
+impl ChannelCoder {
+    /// Encodes the active channels as one block.
     fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) -> PartReport {
         let n_rows = end.span.n_rows as usize;
         let n_channels = end.n_channels.saturating_sub(self.first_slot).min(self.slots.len());
@@ -160,7 +158,7 @@ impl Channels {
             slot.positions.extend(self.samples[..n_rows].iter().map(|s| s.position_mm));
             slot.present.extend(self.samples[..n_rows].iter().map(|s| s.present));
         }
-        if let Some(SeenCounters(seen)) = &self.seen {
+        if let Some(VisibilityCounters(seen)) = &self.seen {
             let seen = &seen[self.first_slot..];
             let slots = self.slots[..n_channels].iter();
             slots.zip(seen).for_each(|(slot, seen)| seen.count(&slot.present));
@@ -168,7 +166,7 @@ impl Channels {
         self.block.clear();
         let key = end.span.key;
         let report = self.encode_rows(n_channels, key).unwrap_or_else(|_| {
-            // A reader will see a stretch without samples: so must the encoder.
+            // The decoder will see a stretch without samples, and the encoder's state must match.
             self.block.clear();
             self.slots[..n_channels].iter_mut().for_each(|slot| slot.present.fill(false));
             drop(self.encode_rows(n_channels, key));
@@ -192,29 +190,29 @@ impl Channels {
     }
 }
 
-/// Takes items up to the end of a stretch and codes them.
+/// Encodes the timeline's items up to the end of a stretch.
 #[derive(Debug)]
 pub(super) struct TimelineCoder {
-    ring: RingOut<TimelineItem>,
+    ring: RingConsumer<TimelineItem>,
     timeline: Timeline,
     next_row: u64,
-    front: FrontWriter,
+    front: StretchHeaderWriter,
 }
 
 impl TimelineCoder {
-    pub(super) fn new(ring: RingOut<TimelineItem>, header: &Header, items_max: usize) -> Self {
-        // A reader has the header and nothing else.
+    pub(super) fn new(ring: RingConsumer<TimelineItem>, header: &Header, items_max: usize) -> Self {
+        // As for a reader, which has only the header.
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
         let mut times = TimelineEncoder::new(tick_hz, header.rate_hz);
         times.reserve(items_max);
         let mut timeline = Timeline::default();
         timeline.runs.reserve(items_max);
         timeline.times.reserve(items_max);
-        let front = FrontWriter::with_times(header.stretch_rows, times);
+        let front = StretchHeaderWriter::with_times(header.stretch_rows, times);
         Self { ring, timeline, next_row: 0, front }
     }
 
-    /// Nothing when no row was recorded or lost since the last one.
+    /// Writes nothing when no row was recorded or lost since the last stretch.
     pub(super) fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) {
         let end_row = end.span.end_row();
         self.timeline.restart(self.next_row);
@@ -238,45 +236,45 @@ impl TimelineCoder {
     }
 }
 
-/// By slot.
+/// Visibility counters of all channels, by slot.
 #[derive(Debug, Clone, Default)]
-pub struct SeenCounters(pub(super) Arc<[ChannelSeen]>);
+pub struct VisibilityCounters(pub(super) Arc<[VisibilityCounts]>);
 
-/// One channel's, in rows of the stretches that were coded.
+/// Visibility counters of one channel, in rows of the encoded stretches.
 #[derive(Debug, Default)]
-pub(super) struct ChannelSeen {
+pub(super) struct VisibilityCounts {
     rows: AtomicU64,
     present: AtomicU64,
     gaps: AtomicU64,
     longest_gap: AtomicU64,
-    /// Rows of the gap that is open; only the worker that holds the group uses it.
+    /// Rows of the current gap. Used only by the worker that holds the group.
     open_gap: AtomicU64,
 }
 
-/// How well a channel was seen.
+/// Visibility of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Seen {
-    /// Rows since it has a channel; frames lost count as not seen.
+pub struct Visibility {
+    /// Rows since the channel exists; lost frames count as not seen.
     pub rows: u64,
-    /// Of these, rows with a position.
+    /// Rows with a position.
     pub present: u64,
-    /// Times that it vanished.
+    /// Times that the marker disappeared.
     pub gaps: u64,
     /// Rows of the longest gap.
     pub longest_gap: u64,
 }
 
-impl SeenCounters {
+impl VisibilityCounters {
     pub(super) fn new(n_slots: usize) -> Self {
-        Self((0..n_slots).map(|_| ChannelSeen::default()).collect())
+        Self((0..n_slots).map(|_| VisibilityCounts::default()).collect())
     }
 
-    /// How well the channel in `slot` was seen.
+    /// The visibility of the channel in `slot`.
     #[must_use]
-    pub fn get(&self, slot: usize) -> Option<Seen> {
+    pub fn get(&self, slot: usize) -> Option<Visibility> {
         let channel = self.0.get(slot)?;
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
-        Some(Seen {
+        Some(Visibility {
             rows: get(&channel.rows),
             present: get(&channel.present),
             gaps: get(&channel.gaps),
@@ -285,8 +283,8 @@ impl SeenCounters {
     }
 }
 
-impl ChannelSeen {
-    /// One stretch of it.
+impl VisibilityCounts {
+    /// Adds one stretch.
     pub(super) fn count(&self, present: &[bool]) {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         let (mut open, mut gaps, mut longest) =
@@ -317,10 +315,10 @@ mod tests {
 
     #[test]
     fn gaps_go_on_from_stretch_to_stretch() {
-        let seen = SeenCounters::new(1);
+        let seen = VisibilityCounters::new(1);
         seen.0[0].count(&[true, false, false]);
         seen.0[0].count(&[false, true, true, false]);
-        let wanted = Seen { rows: 7, present: 3, gaps: 2, longest_gap: 3 };
+        let wanted = Visibility { rows: 7, present: 3, gaps: 2, longest_gap: 3 };
         assert_eq!(seen.get(0), Some(wanted));
         assert_eq!(seen.get(1), None);
     }

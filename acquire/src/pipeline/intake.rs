@@ -1,7 +1,7 @@
-//! The reader's end: a frame goes into every ring, or into none and onto the account.
+//! The intake: the reader puts each frame into every ring, or counts it as lost.
 
-mod axis;
 mod clock;
+mod frame_counter;
 mod losses;
 mod rows;
 
@@ -10,54 +10,54 @@ use std::sync::{Arc, atomic::Ordering};
 use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
 use mocapd_take::{
     record::{Event, TakeEnding},
-    timeline::{Causes, RowTime},
+    timeline::{LossCauses, RowTime},
 };
 
 use self::{
-    axis::Axis,
-    clock::Clocks,
-    losses::{Pending, Silences},
+    clock::ClockTracker,
+    frame_counter::FrameCounter,
+    losses::{PendingLoss, SilenceMonitor},
 };
 use super::{
-    Counts, PipelineConfig, Progress,
-    commands::{Mailbox, TAKE_COMMANDS_MAX, TakeCommand},
-    messages::{Control, Moment, ToWriter},
+    Counts, PipelineConfig, PipelineProgress,
+    commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
+    messages::{Control, FrameTimes, ToWriter},
     plan::Plan,
     pool::Feed,
-    ring::{RingIn, Sample, TapHead, TapIn, TimelineItem},
+    ring::{PreviewFrame, PreviewSender, RingProducer, Sample, TimelineItem},
 };
 use crate::{
-    heartbeat::{Beat, Who},
-    latency::Latency,
+    heartbeat::{HeartbeatHandle, ThreadRole},
+    latency::LatencyHistogram,
 };
 
-/// No slot: the channel pool was used up when the marker appeared.
+/// No slot: the channel pool was exhausted when the marker appeared.
 const NO_SLOT: u32 = u32::MAX;
 
-/// Takes frames in. Belongs to the one thread that reads the device.
+/// Accepts frames. Belongs to the one thread that reads the device.
 #[derive(Debug)]
 pub struct Intake {
-    rings: Vec<RingIn<Sample>>,
-    timeline: RingIn<TimelineItem>,
+    rings: Vec<RingProducer<Sample>>,
+    timeline: RingProducer<TimelineItem>,
     feed: Feed,
     to_writer: ToWriter,
-    progress: Arc<Progress>,
-    beat: Beat,
-    /// By marker id; `NO_SLOT` where none.
+    progress: Arc<PipelineProgress>,
+    heartbeat: HeartbeatHandle,
+    /// Slot of each marker id; `NO_SLOT` if it has none.
     slot_of_id: Vec<u32>,
-    /// By slot, as announced.
+    /// Label of each slot, as announced.
     labels: Vec<String>,
-    /// Markers of the device's table that came since the last frame.
+    /// Markers announced since the last frame.
     announced: Vec<MarkerInfo>,
     n_channels: usize,
-    /// The row being put together, by slot.
+    /// The samples of the current row, by slot.
     row: Vec<Sample>,
-    /// Rows that every active ring is known to have room for.
-    room: usize,
+    /// Rows that are known to fit into every active ring.
+    rows_free: usize,
     rate_hz: f64,
-    axis: Axis,
-    silences: Silences,
-    pending: Pending,
+    counter: FrameCounter,
+    silence: SilenceMonitor,
+    pending: PendingLoss,
     next_row: u64,
     open_first_row: u64,
     open_rows: u32,
@@ -65,57 +65,57 @@ pub struct Intake {
     stretch_rows: u32,
     first_stretch_rows: u32,
     key_rows: u64,
-    /// Without a take: a pre-roll begins with a key.
+    /// Rows between keys without a take: a pre-roll begins with a key.
     armed_key_rows: u64,
-    /// Rows between keys now.
+    /// Rows between keys at present.
     key_every: u64,
     next_key_row: u64,
-    /// When the open stretch got its first row, in host nanoseconds, and how long it may stay open.
+    /// Arrival of the open stretch's first row, in host nanoseconds, and the longest time it may stay open.
     open_since_ns: u64,
     open_ns_max: u64,
-    /// The open stretch's first recorded row, and when the last one arrived.
-    open_first: Moment,
+    /// The open stretch's first recorded row, and the arrival of its last.
+    open_first: FrameTimes,
     last_arrival_ns: u64,
     counts: Counts,
-    clocks: Clocks,
+    clocks: ClockTracker,
     is_away: bool,
-    /// The device is back after an outage, and its first frame has not come.
+    /// The device is back after an outage, and its first frame has not arrived.
     rejoining: bool,
-    /// A take is to begin with that frame: a device's absence before it is none of the take's.
-    begins_then: Option<TakeCommand>,
-    /// Rows of the absence that lasts, which takes that ended meanwhile have already.
+    /// A take that begins with that frame, so that it does not contain the absence of the device before it.
+    deferred_begin: Option<TakeCommand>,
+    /// Rows of the present absence that ended takes already contain.
     rows_away: u64,
-    /// The host's monotonic time, as it was told last.
+    /// The host's monotonic time at the last call.
     now_ns: u64,
-    /// The device was asked to stop, or should have, then: no frames are due from there on.
+    /// When the device was asked to stop, or should have been: no frames are due afterwards.
     due_until_ns: Option<u64>,
     finished: bool,
-    mailbox: Mailbox,
-    tap: TapIn,
+    commands: CommandReceiver,
+    tap: PreviewSender,
 }
 
-/// Frames that a device can have produced beyond those seen: a day and more at 10 kHz. What claims more
+/// Most frames that a device can have produced beyond those seen: a day and more at 10 kHz. A larger number
 /// is a contradiction, not loss.
 const UNSEEN_MAX: u64 = 1 << 30;
 
-/// What the reader holds of what it shares with other threads.
-pub(super) struct ReaderEnds {
-    pub(super) rings: Vec<RingIn<Sample>>,
-    pub(super) timeline: RingIn<TimelineItem>,
+/// The reader's ends of the queues that it shares with other threads.
+pub(super) struct ReaderEndpoints {
+    pub(super) rings: Vec<RingProducer<Sample>>,
+    pub(super) timeline: RingProducer<TimelineItem>,
     pub(super) feed: Feed,
     pub(super) to_writer: ToWriter,
-    pub(super) mailbox: Mailbox,
-    pub(super) tap: TapIn,
-    pub(super) progress: Arc<Progress>,
+    pub(super) commands: CommandReceiver,
+    pub(super) tap: PreviewSender,
+    pub(super) progress: Arc<PipelineProgress>,
 }
 
 impl Intake {
     pub(super) fn new(
         config: &PipelineConfig,
         plan: &Plan,
-        ends: ReaderEnds,
+        ends: ReaderEndpoints,
     ) -> anyhow::Result<Self> {
-        let ReaderEnds { rings, timeline, feed, to_writer, mailbox, tap, progress } = ends;
+        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, progress } = ends;
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
@@ -127,17 +127,17 @@ impl Intake {
             timeline,
             feed,
             progress,
-            beat: config.heartbeat.beat(Who::Reader)?,
+            heartbeat: config.heartbeat.register(ThreadRole::Reader)?,
             slot_of_id,
             labels,
             announced: Vec::new(),
             n_channels: config.channels.len(),
             row: vec![Sample::default(); plan.n_slots],
-            room: 0,
+            rows_free: 0,
             rate_hz: config.rate_hz,
-            axis: Axis::new(config.rate_hz, config.tick_hz),
-            silences: Silences::new(config.rate_hz),
-            pending: Pending::default(),
+            counter: FrameCounter::new(config.rate_hz, config.tick_hz),
+            silence: SilenceMonitor::new(config.rate_hz),
+            pending: PendingLoss::default(),
             next_row: 0,
             open_first_row: 0,
             open_rows: 0,
@@ -150,24 +150,24 @@ impl Intake {
             next_key_row: 0,
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
-            open_first: Moment::default(),
+            open_first: FrameTimes::default(),
             last_arrival_ns: 0,
             counts: Counts::default(),
-            clocks: Clocks::new(config.tick_hz, to_writer.clock.clone()),
+            clocks: ClockTracker::new(config.tick_hz, to_writer.clock.clone()),
             to_writer,
             is_away: false,
             rejoining: false,
-            begins_then: None,
+            deferred_begin: None,
             rows_away: 0,
             now_ns: 0,
             due_until_ns: None,
             finished: false,
-            mailbox,
+            commands,
             tap,
         })
     }
 
-    /// One frame, at the host's monotonic time of its last byte.
+    /// Accepts a frame; `arrival_ns` is the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.now_ns = arrival_ns;
         if !self.announced.is_empty() {
@@ -175,112 +175,102 @@ impl Intake {
         }
         self.execute_commands(arrival_ns);
         let rejoins = self.rejoining;
-        // Its frames came before whoever waited for it was told.
-        if !rejoins && let Some(begin) = self.begins_then.take() {
+        // Those frames arrived before the absence was reported.
+        if !rejoins && let Some(begin) = self.deferred_begin.take() {
             self.cut(begin, arrival_ns);
         }
         if rejoins {
             self.end_outage(frame, arrival_ns);
-            self.part_from_outage(arrival_ns);
-        } else if !self.follow(frame) {
+            self.split_after_outage(arrival_ns);
+        } else if !self.count_frame(frame) {
             return;
         }
-        self.end_silence(frame.device_ticks, arrival_ns, rejoins);
-        // No frame is dropped for its time; but no line fits both sides of a jump.
-        let event = self.clocks.frame(frame.device_ticks, arrival_ns);
-        self.clock_events(event, frame.device_ticks, arrival_ns);
+        let Frame { device_ticks, timecode, .. } = *frame;
+        self.end_silence(device_ticks, arrival_ns, rejoins);
+        // No frame is dropped because of its timestamp; but no line fits both sides of a jump.
+        let event = self.clocks.frame(device_ticks, arrival_ns);
+        self.clock_events(event, device_ticks, arrival_ns);
         self.fill_row(frame);
-        self.tap.offer(
-            TapHead {
-                row: self.next_row + self.pending.rows(),
-                device_ticks: frame.device_ticks,
-                arrival_ns,
-                n_channels: self.n_channels,
-                is_shown: false,
-            },
-            &self.row[..self.n_channels],
-        );
-        self.make_way();
+        let (row, n_channels) = (self.next_row + self.pending.rows(), self.n_channels);
+        let head = PreviewFrame { row, device_ticks, arrival_ns, n_channels, is_displayed: false };
+        self.tap.offer(head, &self.row[..n_channels]);
+        self.make_room();
         if !self.has_room() {
             self.counts.ring_full += 1;
-            self.pending.add(1, Causes::RING_FULL);
+            self.pending.add(1, LossCauses::RING_FULL);
             self.row.fill(Sample::default());
             self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
             return;
         }
         if self.open_rows == 0 {
             self.open_since_ns = arrival_ns;
-            self.open_first = Moment { device_ticks: frame.device_ticks, arrival_ns };
+            self.open_first = FrameTimes { device_ticks, arrival_ns };
         }
         self.last_arrival_ns = arrival_ns;
         self.progress.last_arrival_ns.store(arrival_ns, Ordering::Relaxed);
-        self.push_row(RowTime {
-            device_ticks: frame.device_ticks,
-            arrival_10us: arrival_ns / 10_000,
-            timecode: frame.timecode,
-        });
+        self.push_row(RowTime { device_ticks, arrival_10us: arrival_ns / 10_000, timecode });
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }
     }
 
-    /// The host's monotonic time, told also when nothing arrives: a stretch that stays open because frames
-    /// come slowly, or no more, goes to disk all the same.
+    /// Advances the host's monotonic time, also when nothing arrives: a stretch that stays open because frames come
+    /// slowly, or not at all, is closed when its time is up.
     pub fn tick(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
-        self.beat.moved();
+        self.heartbeat.beat();
         self.execute_commands(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
     }
 
-    /// The reader waits for a device, and is alive.
-    pub(crate) fn alive(&self) {
-        self.beat.moved();
+    /// Sends a heartbeat while the reader waits for a device.
+    pub(crate) fn keep_alive(&self) {
+        self.heartbeat.beat();
     }
 
-    /// Something to note at the row being recorded.
+    /// Records an event at the current row.
     pub fn event(&mut self, event: Event) {
         self.event_at(self.next_row, event);
     }
 
     fn event_at(&mut self, row: u64, event: Event) {
         let event = Event { row, ..event };
-        // The queue is full only when the disk has stalled through a thousand events.
+        // The queue is full only after the disk stalled through a thousand events.
         let control = (self.feed.next_stretch(), Control::Event(event));
         self.counts.events_dropped += u64::from(self.to_writer.control.try_send(control).is_err());
     }
 
-    /// What other threads want of the reader.
+    /// Executes the commands of other threads.
     fn execute_commands(&mut self, now_ns: u64) {
-        if self.mailbox.is_empty() {
+        if self.commands.is_empty() {
             return;
         }
-        while let Some(mark) = self.mailbox.next_mark() {
-            if mark.is_wanted() {
+        while let Some(mark) = self.commands.next_mark() {
+            if mark.is_awaited() {
                 self.event(mark.event);
-                // Whoever asked may have gone.
+                // The requester may be gone.
                 mark.row.try_send(self.next_row).ok();
             }
         }
-        // While the writer has as much to do as it takes on, commands wait in the mailbox.
+        // Commands stay queued here while the writer's own queue is full.
         while self.to_writer.commands.len() < TAKE_COMMANDS_MAX
-            && let Some(command) = self.mailbox.next_command()
+            && let Some(command) = self.commands.next_command()
         {
             let is_begin = matches!(command, TakeCommand::Begin(..));
-            if is_begin && self.begins_then.is_none() && (self.is_away || self.rejoining) {
-                self.begins_then = Some(command);
+            if is_begin && self.deferred_begin.is_none() && (self.is_away || self.rejoining) {
+                self.deferred_begin = Some(command);
             } else {
                 self.cut(command, now_ns);
             }
         }
     }
 
-    /// Rows of an outage are a stretch of their own, and the next one is a key: a take that begins behind them has
-    /// none of them.
-    fn part_from_outage(&mut self, now_ns: u64) {
-        match self.begins_then.take() {
+    /// Puts the rows of an outage into a stretch of their own and makes the next one a key: a take that begins after
+    /// them has none of them.
+    fn split_after_outage(&mut self, now_ns: u64) {
+        match self.deferred_begin.take() {
             Some(begin) => self.cut(begin, now_ns),
             None if self.pending.rows() > 0 => {
                 self.close_stretch();
@@ -291,8 +281,8 @@ impl Intake {
         }
     }
 
-    /// Ends the open stretch, and has the writer carry out a command between it and the next one, which is a short key
-    /// stretch, so that what begins there is on disk soon.
+    /// Closes the open stretch, and passes a command to the writer for the boundary behind it. A short key stretch
+    /// follows, so that its content is on disk soon.
     fn cut(&mut self, command: TakeCommand, now_ns: u64) {
         self.close_stretch();
         if !matches!(command, TakeCommand::Begin(..)) {
@@ -300,15 +290,15 @@ impl Intake {
         }
         self.close_pending();
         let boundary = self.feed.next_stretch();
-        // A take that waits for its device is begun and done with: an end does not wait.
-        for command in self.begins_then.take().into_iter().chain([command]) {
+        // A take that waits for its device begins before this command: an end does not wait.
+        for command in self.deferred_begin.take().into_iter().chain([command]) {
             match command {
                 // While a take is written, key stretches may be rarer.
                 TakeCommand::Begin(..) => self.key_every = self.key_rows,
                 TakeCommand::End(_) => self.key_every = self.armed_key_rows,
                 TakeCommand::Save(..) => {}
             }
-            // Without a writer there is nobody to carry it out, and whoever asked is told by that.
+            // If the writer is gone, the closed reply channel tells the requester.
             self.to_writer.commands.try_send((boundary, command)).ok();
         }
         self.end_boundary();
@@ -316,28 +306,28 @@ impl Intake {
         self.open_limit = self.first_stretch_rows;
     }
 
-    /// The device's report on itself.
+    /// Accepts a status report of the device; `last`: its final one after a stop.
     pub fn status(&mut self, status: Status, last: bool) {
         if last && !self.rejoining {
-            // Its last word on what was due by the host's clock alone.
-            let told = status.frames_produced.saturating_add(self.counts.reports_from);
-            let not_produced = self.counts.seen().saturating_sub(told).min(self.rows_away);
+            // The final report settles rows that were due by the host's clock alone.
+            let reported = status.frames_produced.saturating_add(self.counts.reports_offset);
+            let not_produced = self.counts.seen().saturating_sub(reported).min(self.rows_away);
             self.rows_away -= not_produced;
             self.counts.not_produced(not_produced);
         }
         let is_accounted = self.counts.status(status, self.rejoining);
         if is_accounted && !self.rejoining {
-            self.silences.account(self.now_ns);
+            self.silence.account(self.now_ns);
         }
         self.counts.ended |= last;
     }
 
-    /// What the link decoder counted so far.
-    pub fn link(&mut self, link: LinkCounters) {
+    /// Sets the link decoder's counters.
+    pub fn set_link_counters(&mut self, link: LinkCounters) {
         self.counts.link = link;
     }
 
-    /// The counters now.
+    /// The current counters.
     #[must_use]
     pub fn counts(&self) -> Counts {
         let mut counts = self.counts;
@@ -346,38 +336,38 @@ impl Intake {
         counts
     }
 
-    /// Frames so far, those that were lost too.
+    /// Frames so far, including lost ones.
     #[must_use]
-    pub fn counts_seen(&self) -> u64 {
+    pub fn frames_seen(&self) -> u64 {
         self.counts.seen()
     }
 
-    /// Whether the next frame might find a ring full, however many are lost before it: for sources that can wait.
+    /// Whether the next frame might find a ring full, however many are lost before it. For sources that can wait.
     #[must_use]
     pub fn is_full(&mut self) -> bool {
-        // More lost rows than the open stretch has left do not go into the rings.
+        // Lost rows beyond the end of the open stretch do not go into the rings.
         !self.has_room_for(1 + self.open_limit.saturating_sub(self.open_rows) as usize)
     }
 
-    /// The row that the next frame gets.
+    /// The row of the next frame.
     #[must_use]
     pub fn next_row(&self) -> u64 {
         self.next_row
     }
 
-    /// Whether the writer or a worker failed: nothing taken in from now on reaches the disk.
+    /// Whether the writer or a worker has failed: then no further frame reaches the disk.
     #[must_use]
     pub fn has_failed(&self) -> bool {
         self.progress.failed.load(Ordering::Relaxed)
     }
 
-    /// What other threads see of it.
-    pub(crate) fn progress(&self) -> &Progress {
+    /// The live counters.
+    pub(crate) fn progress(&self) -> &PipelineProgress {
         &self.progress
     }
 
-    /// The device went away, or is back.
-    pub fn away(&mut self, is_away: bool) {
+    /// Reports that the device was disconnected, or is back.
+    pub fn set_away(&mut self, is_away: bool) {
         self.is_away = is_away;
         self.progress.is_away.store(is_away, Ordering::Relaxed);
         if !is_away {
@@ -385,24 +375,24 @@ impl Intake {
         }
     }
 
-    /// For whoever watches.
-    pub(crate) fn tell_latency(&self, latency: &Latency) {
+    /// Publishes the latency for observers.
+    pub(crate) fn publish_latency(&self, latency: &LatencyHistogram) {
         let p99_ns = latency.quantile_ns(0.99);
         self.progress.ring_latency_p99_ns.store(p99_ns, Ordering::Relaxed);
     }
 
-    /// The device was told to stop, or should have been done, at `host_ns`: that no frame comes after it is no loss.
+    /// Reports that the device was told to stop at `host_ns`, or should have stopped: later frames are not missing.
     pub fn no_frames_due_after(&mut self, host_ns: u64) {
         self.due_until_ns.get_or_insert(host_ns);
     }
 
-    /// Why there will be no more frames: a take that is open ends so.
-    pub fn ends(&self, ending: TakeEnding) {
-        // It ends once.
+    /// Sets why there will be no more frames, which becomes the ending of an open take.
+    pub fn set_ending(&self, ending: TakeEnding) {
+        // The first ending counts.
         self.progress.ending.set(ending).ok();
     }
 
-    /// No more frames: what is open is closed, and the take ends with the ledger.
+    /// Closes the open stretch, and ends the take with its ledger.
     pub fn finish(mut self) -> Counts {
         self.close_take();
         self.counts()
@@ -420,8 +410,8 @@ impl Intake {
                 self.counts.impossible_produced = Some(status.frames_produced);
                 self.counts.status = None;
             } else {
-                let gone = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-                let cause = if self.counts.ended { Causes::NOT_RECEIVED } else { gone };
+                let gone = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
+                let cause = if self.counts.ended { LossCauses::NOT_RECEIVED } else { gone };
                 self.counts.outages += u32::from(!self.counts.ended && unseen > 0);
                 self.pending.add(unseen, cause);
             }
@@ -433,7 +423,7 @@ impl Intake {
     }
 }
 
-/// A reader that is dropped in the middle must not leave the writer waiting.
+/// A reader that is dropped early must not leave the writer waiting.
 impl Drop for Intake {
     fn drop(&mut self) {
         self.close_take();

@@ -1,4 +1,4 @@
-//! What the threads of the pipeline hand to each other.
+//! Messages between the threads of the pipeline.
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::BlockReport;
@@ -14,9 +14,9 @@ use super::{
 };
 use crate::clock::ClockItem;
 
-/// A frame, by when it was.
+/// The times of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Moment {
+pub(super) struct FrameTimes {
     pub(super) device_ticks: u64,
     pub(super) arrival_ns: u64,
 }
@@ -25,44 +25,45 @@ pub(super) struct Moment {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct StretchEnd {
     pub(super) span: Span,
-    /// Its first recorded row, and when the last one arrived.
-    pub(super) first: Moment,
+    /// Its first recorded row, and the arrival of its last.
+    pub(super) first: FrameTimes,
     pub(super) last_arrival_ns: u64,
-    /// Channels that have rows in it: the first so many slots.
+    /// Number of channels with rows in it: they have the first slots.
     pub(super) n_channels: usize,
-    /// No other follows.
+    /// It is the last one.
     pub(super) last: bool,
 }
 
-/// What a group is told: the time line's group also gets the counters as they were.
+/// Work for a group. The timeline's group also gets the counters at the end of the stretch.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Job {
+pub(super) struct EncodeJob {
     pub(super) stretch: u64,
     pub(super) end: StretchEnd,
     pub(super) counts: Option<Counts>,
 }
 
-/// What one group made of one stretch.
+/// The output of one group for one stretch.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) stretch: u64,
     pub(super) end: StretchEnd,
-    /// Which group; the time line's is the last.
+    /// The group's index; the timeline's group is the last.
     pub(super) group: usize,
-    /// The group's block with its length, or the front with its time line. Goes back to the group when written.
+    /// The group's block with its length, or the stretch's front with its timeline. The buffer returns to the group
+    /// when it has been written.
     pub(super) bytes: Vec<u8>,
     pub(super) report: PartReport,
-    /// From the time line's group.
+    /// Only from the timeline's group.
     pub(super) counts: Option<Counts>,
 }
 
-/// What the encoders of a part proved.
+/// What the encoders of a part measured.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct PartReport {
     pub(super) samples: u64,
     pub(super) kept: u64,
     pub(super) max_error_mm: f64,
-    /// Blocks that the encoder refused: a fault of this program, told in the ledger.
+    /// Blocks refused by the encoder: a bug in this program, reported in the ledger.
     pub(super) refused: u64,
 }
 
@@ -81,24 +82,24 @@ impl PartReport {
     }
 }
 
-/// What the reader tells the writer beside the samples.
+/// A message from the reader to the writer, beside the samples.
 #[derive(Debug)]
 pub(super) enum Control {
     Channel(NewChannel),
     Event(Event),
 }
 
-/// The reader's ends of its queues to the writer.
+/// The reader's ends of the queues to the writer.
 #[derive(Debug)]
 pub(super) struct ToWriter {
-    /// With the stretch that was open then: it stands before that one.
+    /// With the number of the stretch that was open: the message precedes that stretch.
     pub(super) control: Sender<(u64, Control)>,
     pub(super) clock: Sender<ClockItem>,
-    /// With the number of the boundary that they are carried out at.
+    /// With the number of the boundary at which they are executed.
     pub(super) commands: Sender<(u64, TakeCommand)>,
 }
 
-/// The writer's ends of them.
+/// The writer's ends of the queues from the reader.
 #[derive(Debug)]
 pub(super) struct FromReader {
     pub(super) control: Receiver<(u64, Control)>,
@@ -106,11 +107,11 @@ pub(super) struct FromReader {
     pub(super) commands: Receiver<(u64, TakeCommand)>,
 }
 
-/// Bounded queues from the reader to the writer.
+/// Creates the bounded queues from the reader to the writer.
 pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
     let (control_in, control) = bounded(CONTROL_MAX);
     let (clock_in, clock) = bounded(CLOCK_ITEMS_MAX);
-    // One more: a take that waited for its device, and the command that overtook it.
+    // One more than to the reader: for a take that waited for its device, and the command that overtook it.
     let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX + 1);
     let to_writer = ToWriter { control: control_in, clock: clock_in, commands: commands_in };
     (to_writer, FromReader { control, clock, commands })
@@ -121,7 +122,7 @@ pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
 pub(super) struct NewChannel {
     pub(super) slot: usize,
     pub(super) marker_id: u16,
-    /// Label, and whether the device knows the marker; without one it is named by its slot.
+    /// Its label, and whether the device knows the marker; without a label it is named after its slot.
     pub(super) named: Option<(String, bool)>,
 }
 

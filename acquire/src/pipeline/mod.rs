@@ -1,14 +1,14 @@
 //! From frames to a take: reader -> rings -> resampler pool -> writer.
 //!
 //! ```text
-//! reader thread     Intake: frame -> one ring per channel, one for the time line; closes stretches
-//! resampler threads Pool:   rings -> blocks, proven; a group of channels belongs to one worker at a time
+//! reader thread     Intake: frame -> one ring per channel, one for the timeline; closes stretches
+//! resampler threads Pool:   rings -> blocks, verified; a group of channels belongs to one worker at a time
 //! writer thread     blocks -> stretches -> take file, synced
 //! ```
 //!
-//! Frames go through lock-free rings: the reader and a worker meet at a lock only when a stretch is closed
-//! and a worker sleeps (inside the channel that wakes it). From frames to blocks nothing allocates after
-//! [`Pipeline::start`], but for markers that are new. Every queue is bounded; `plan.rs` holds the arithmetic.
+//! Frames pass through lock-free rings. The reader and a worker share a lock only when a stretch is closed
+//! and the worker sleeps (inside the channel that wakes it). From frames to blocks nothing is allocated after
+//! [`Pipeline::start`], except for new markers. Every queue is bounded; `plan.rs` derives the sizes.
 
 mod commands;
 mod counts;
@@ -30,54 +30,55 @@ use crossbeam_channel::bounded;
 use mocapd_take::record::Header;
 
 pub use commands::{
-    FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, TakeHandle, Takes, Written,
+    CommandSender, FirstRow, NewTake, NothingRecorded, TakeAccount, TakeFailed, TakeHandle,
+    TakeResult,
 };
 pub use counts::{Counts, PendingRows};
-pub use disk::{DiskState, HELD_MIN_BYTES, check_room};
-pub use group::{Seen, SeenCounters};
+pub use disk::{DiskSpace, RESERVE_MIN_BYTES, check_disk_space};
+pub use group::{Visibility, VisibilityCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
-pub use progress::{Progress, TakeNow, lock};
-pub use ring::{TapHead, TapOut};
+pub use progress::{PipelineProgress, TakeProgress, lock};
+pub use ring::{PreviewFrame, PreviewReceiver};
 
 use self::{
     group::Group,
-    intake::ReaderEnds,
+    intake::ReaderEndpoints,
     plan::Plan,
     pool::Pool,
     writer::{LiveTake, Writer},
 };
 pub use crate::files::TakeOutput;
-use crate::{heartbeat::Who, threads};
+use crate::{heartbeat::ThreadRole, threads};
 
-/// The running threads behind an [`Intake`].
+/// The threads behind an [`Intake`].
 #[derive(Debug)]
 pub struct Pipeline {
     pool: Pool,
     writer: std::thread::JoinHandle<anyhow::Result<()>>,
-    progress: Arc<Progress>,
-    /// Of a pipeline for one take.
+    progress: Arc<PipelineProgress>,
+    /// Only in a pipeline for a single take.
     take: Option<TakeHandle>,
 }
 
-/// What a pipeline that takes are begun and ended in has beside its threads.
+/// Handles of a pipeline whose takes begin and end on command.
 #[derive(Debug)]
-pub struct Armed {
-    /// Asks for takes.
-    pub takes: Takes,
-    /// Frames to look at.
-    pub tap: TapOut,
-    /// How well each marker is seen.
-    pub seen: SeenCounters,
+pub struct ArmedHandles {
+    /// Sends commands for takes.
+    pub takes: CommandSender,
+    /// Frames to preview.
+    pub tap: PreviewReceiver,
+    /// The visibility of each marker.
+    pub seen: VisibilityCounters,
 }
 
 impl Pipeline {
-    /// Allocates everything, writes the header and starts the threads: all frames go into one take.
+    /// Allocates all memory, writes the header and starts the threads. All frames go into one take.
     ///
     /// # Errors
-    /// When the header cannot be written, a thread cannot be started, or the resampler is not a live one.
+    /// When the header cannot be written, a thread cannot be started, or the resampler needs whole takes.
     pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
-        let (reply, handle) = commands::reply();
+        let (reply, handle) = commands::reply_channel();
         let header = take.header.clone();
         let take = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every)?;
         let (intake, mut pipeline, _) = Self::run(config, &header, Some(take), None)?;
@@ -85,13 +86,16 @@ impl Pipeline {
         Ok((intake, pipeline))
     }
 
-    /// The same without a take: frames wait in the pre-roll, and takes are asked for. `header` is that of the takes, but
-    /// for what is each one's own.
+    /// Starts a pipeline without a take: frames go into the pre-roll buffer, and takes begin on command. `header` is
+    /// the template for their headers.
     ///
     /// # Errors
-    /// As [`start`](Self::start).
-    pub fn arm(config: &PipelineConfig, header: &Header) -> anyhow::Result<(Intake, Self, Armed)> {
-        let seen = SeenCounters::new(config.channels.len() + config.reserve);
+    /// When a thread cannot be started, or the resampler needs whole takes.
+    pub fn arm(
+        config: &PipelineConfig,
+        header: &Header,
+    ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
+        let seen = VisibilityCounters::new(config.channels.len() + config.reserve);
         Self::run(config, header, None, Some(seen))
     }
 
@@ -99,11 +103,11 @@ impl Pipeline {
         config: &PipelineConfig,
         header: &Header,
         take: Option<LiveTake>,
-        seen: Option<SeenCounters>,
-    ) -> anyhow::Result<(Intake, Self, Armed)> {
+        seen: Option<VisibilityCounters>,
+    ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
         let plan = Plan::new(config)?;
-        let progress = Arc::new(Progress::new(&config.channels));
-        let writer_beat = config.heartbeat.beat(Who::Writer)?;
+        let progress = Arc::new(PipelineProgress::new(&config.channels));
+        let writer_heartbeat = config.heartbeat.register(ThreadRole::Writer)?;
 
         let (parts_in, parts) = bounded(plan.parts_max());
         let (to_writer, from_reader) = messages::reader_to_writer();
@@ -119,14 +123,14 @@ impl Pipeline {
 
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
-        let (takes, mailbox) = commands::mailbox();
+        let (takes, commands) = commands::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots);
-        let ends = ReaderEnds {
+        let ends = ReaderEndpoints {
             rings,
             timeline,
             feed,
             to_writer,
-            mailbox,
+            commands,
             tap: tap_in,
             progress: Arc::clone(&progress),
         };
@@ -134,46 +138,46 @@ impl Pipeline {
         let mut writer =
             Writer::new(&plan, parts, from_reader, buffers_back, pool.wakes(), &progress);
         if let Some(take) = take {
-            writer.for_take(take);
+            writer.set_single_take(take);
         }
         let guard = pool::FailOnPanic(Arc::clone(&progress));
         let writer = threads::spawn("mocapd-write", move || {
-            let written = writer.run(&writer_beat);
+            let written = writer.run(&writer_heartbeat);
             drop(guard);
             written
         })?;
-        let armed = Armed { takes, tap, seen: seen.unwrap_or_default() };
+        let armed = ArmedHandles { takes, tap, seen: seen.unwrap_or_default() };
         Ok((intake, Self { pool, writer, progress, take: None }, armed))
     }
 
-    /// What can be seen while it runs.
+    /// Live counters.
     #[must_use]
-    pub fn progress(&self) -> &Arc<Progress> {
+    pub fn progress(&self) -> &Arc<PipelineProgress> {
         &self.progress
     }
 
-    /// Waits until everything that the finished `Intake` took in is on disk, the ledger included.
+    /// Waits until everything that the finished `Intake` accepted is on disk, including the ledger.
     ///
     /// # Errors
-    /// The writer's, with the output: what was written before stays a readable take. A pipeline that was armed has
-    /// nothing to give.
-    pub fn finish(mut self) -> TakeEnd {
+    /// The writer's error, with the output: what was written before it is a readable take. A pipeline that was armed
+    /// has no take to return.
+    pub fn finish(mut self) -> TakeResult {
         let take = self.take.take();
-        let ran = self.join();
-        // The take's own account comes first: it says what went wrong with it.
+        let outcome = self.join();
+        // The take's own error comes first: it is the more specific one.
         take.and_then(|take| take.ended.try_recv().ok()).unwrap_or_else(|| {
-            let error = ran.err().unwrap_or_else(|| anyhow!("no take was written"));
+            let error = outcome.err().unwrap_or_else(|| anyhow!("no take was written"));
             Err(TakeFailed::without_output(error))
         })
     }
 
-    /// Waits until everything that the finished `Intake` took in is where it belongs.
+    /// Waits until everything that the finished `Intake` accepted was written to its take.
     ///
     /// # Errors
-    /// A thread failed: this is a bug in mocapd.
+    /// When a thread failed: a bug in mocapd.
     pub fn join(self) -> anyhow::Result<()> {
-        let ran = threads::join(self.writer);
+        let outcome = threads::join(self.writer);
         self.pool.stop();
-        ran?
+        outcome?
     }
 }

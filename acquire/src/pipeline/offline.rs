@@ -1,4 +1,4 @@
-//! Codes trajectories that are already in memory on several threads: the import path.
+//! Encodes trajectories that are in memory on several threads: the import path.
 
 use std::{
     collections::VecDeque,
@@ -10,17 +10,17 @@ use std::{
 
 use anyhow::Context;
 use crossbeam_channel::bounded;
-pub use mocapd_take::whole::stretch_rows;
+pub use mocapd_take::motion_encoder::stretch_rows;
 use mocapd_take::{
     motion::Motion,
+    motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter},
     record::Header,
-    whole::{Coded, Part, Plan, WholeWriter},
 };
 
-use super::{Written, messages::PartReport};
+use super::{TakeAccount, messages::PartReport};
 use crate::threads::ResamplerFailed;
 
-/// Codes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
+/// Encodes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
 ///
 /// # Errors
 /// When the codec refuses (`spline:exhaustive` on a long take), or writing fails.
@@ -30,38 +30,37 @@ pub fn write_take<W: Write>(
     n_workers: usize,
     progress: &AtomicU64,
     out: W,
-) -> anyhow::Result<(Written, W)> {
-    let plan = Plan::new(motion, header)?;
-    let mut take = WholeWriter::new(&plan, header, out)
+) -> anyhow::Result<(TakeAccount, W)> {
+    let plan = EncodePlan::new(motion, header)?;
+    let mut take = MotionWriter::new(&plan, header, out)
         .context("cannot write the take's header, or what is beside trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
         let mut encoder = plan.encoder();
-        move |part: &Part| {
+        move |part: &EncodePart| {
             let coded = encoder.encode(*part)?;
             progress.fetch_add((part.n_rows * part.n_markers) as u64, Ordering::Relaxed);
             Ok(coded)
         }
     };
-    in_order(plan.parts(), n_workers, worker, |part, coded: Coded| {
+    in_order(plan.parts(), n_workers, worker, |part, coded: EncodedPart| {
         coded.reports.iter().for_each(|channel| report.add_channel(channel));
         take.push(*part, &coded).context("cannot write a stretch")
     })?;
     let (ledger, out, file_bytes) = take.finish().context("cannot close the take")?;
     let PartReport { samples, kept, max_error_mm, .. } = report;
-    let written = Written { ledger, file_bytes, samples, kept, max_error_mm, ..Written::default() };
-    Ok((written, out))
+    Ok((TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..Default::default() }, out))
 }
 
-/// Parts handed out a worker before the oldest of them is back: enough that nobody waits for an uneven
-/// one, and all that is ever in memory.
-const AHEAD: usize = 4;
+/// Parts per worker that are handed out before the oldest of them is done: enough to keep workers busy while one part
+/// takes long, and the limit of what is in memory.
+const QUEUED_PER_WORKER: usize = 4;
 
-/// Gives each part to one of `n_workers` threads, each with a function of its own from `worker`, and the
-/// results to `done`, in the order of the parts, on this thread.
+/// Processes parts on `n_workers` threads, each with its own function from `worker`, and passes the
+/// results to `done` on this thread, in the order of the parts.
 ///
 /// # Errors
-/// The first of the workers', or that of `done`.
+/// The first error of a worker or of `done`.
 pub fn in_order<P, T, W>(
     parts: impl IntoIterator<Item = P>,
     n_workers: usize,
@@ -74,13 +73,13 @@ where
     W: FnMut(&P) -> anyhow::Result<T>,
 {
     let n_workers = n_workers.max(1);
-    let ahead = AHEAD * n_workers;
+    let queued_max = QUEUED_PER_WORKER * n_workers;
     let mut parts = parts.into_iter();
     let lost = || anyhow::Error::from(ResamplerFailed);
     std::thread::scope(|scope| {
-        // In here, so that they are closed when this function returns, and the threads end.
-        let (jobs_in, jobs) = bounded::<(usize, P)>(ahead);
-        let (results_in, results) = bounded(ahead);
+        // Created here, so that they are closed when this closure returns, and the threads end.
+        let (jobs_in, jobs) = bounded::<(usize, P)>(queued_max);
+        let (results_in, results) = bounded(queued_max);
         for index in 0..n_workers {
             let (jobs, results_in, worker) = (jobs.clone(), results_in.clone(), &worker);
             Builder::new().name(format!("mocapd-work-{index}")).spawn_scoped(scope, move || {
@@ -95,11 +94,11 @@ where
             })?;
         }
         drop(results_in);
-        // From the oldest part that is not done to the newest that was handed out.
-        let mut out: VecDeque<Option<(P, T)>> = VecDeque::with_capacity(ahead);
+        // From the oldest part that is not done to the newest one handed out.
+        let mut out: VecDeque<Option<(P, T)>> = VecDeque::with_capacity(queued_max);
         let mut n_done = 0;
         loop {
-            while out.len() < ahead
+            while out.len() < queued_max
                 && let Some(part) = parts.next()
             {
                 jobs_in.send((n_done + out.len(), part)).map_err(|_| lost())?;
@@ -157,13 +156,13 @@ mod tests {
             };
             let error = in_order(0..200, 2, refuse, |_, ()| Ok(())).unwrap_err();
             assert_eq!(error.to_string(), format!("part {bad}"));
-            let fall = || {
+            let panicking = || {
                 move |part: &u64| {
                     assert_ne!(*part, bad);
                     Ok(())
                 }
             };
-            let error = in_order(0..200, 2, fall, |_, ()| Ok(())).unwrap_err();
+            let error = in_order(0..200, 2, panicking, |_, ()| Ok(())).unwrap_err();
             assert!(error.is::<ResamplerFailed>(), "{error}");
         }
         let full = |part: &u64, ()| if *part == 9 { Err(anyhow!("full")) } else { Ok(()) };

@@ -1,9 +1,9 @@
-//! The resampler threads. A group of channels is an object that one worker at a time holds: ownership
-//! is handed on through channels, so nothing is locked and nobody waits for a group.
+//! The resampler threads. A group of channels is an object held by one worker at a time. Its ownership moves through
+//! channels: there is no lock, and no worker waits for a group.
 //!
-//! A group is woken when a stretch closes and when one of its buffers comes back. Whoever takes the
-//! wake picks the group up from its station, works off all it can, and puts it back; whoever finds the
-//! station empty leaves it to the holder, who looks again after putting it back.
+//! A group is woken when a stretch closes and when one of its buffers returns. The worker that receives the wake-up
+//! takes the group from its place, does all its jobs and puts it back. A worker that finds the place empty leaves the
+//! jobs to the group's holder, which checks for more after putting it back.
 
 use std::{
     sync::{
@@ -16,66 +16,66 @@ use std::{
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::{
-    Counts, Progress,
+    Counts, PipelineProgress,
     group::Group,
-    messages::{Job, StretchEnd},
+    messages::{EncodeJob, StretchEnd},
     plan::Plan,
 };
 use crate::{
-    heartbeat::{Beat, Heartbeat, Who},
+    heartbeat::{Heartbeat, HeartbeatHandle, ThreadRole},
     threads,
 };
 
-/// Where a group waits for work.
+/// The place where a group waits for work.
 #[derive(Debug)]
-struct Station {
+struct ParkedGroup {
     park: Sender<Group>,
     unpark: Receiver<Group>,
-    jobs: Receiver<Job>,
+    jobs: Receiver<EncodeJob>,
     buffers: Receiver<Vec<u8>>,
-    /// A wake for this group is in the queue.
+    /// A wake-up for this group is queued.
     woken: AtomicBool,
 }
 
-impl Station {
+impl ParkedGroup {
     fn has_work(&self) -> bool {
         !self.jobs.is_empty() && !self.buffers.is_empty()
     }
 }
 
-/// Wakes groups. At most one wake a group is queued, so the queue has room for one a group.
+/// Wakes groups. At most one wake-up per group is queued, so the queue needs one place per group.
 #[derive(Debug, Clone)]
-pub(super) struct Wakes {
-    stations: Arc<[Station]>,
+pub(super) struct WakeQueue {
+    parked: Arc<[ParkedGroup]>,
     queue: Sender<Option<usize>>,
 }
 
-impl Wakes {
+impl WakeQueue {
     pub(super) fn wake(&self, group: usize) {
-        if !self.stations[group].woken.swap(true, Ordering::AcqRel) {
-            // Disconnected only after the workers were stopped, when nobody needs waking.
+        if !self.parked[group].woken.swap(true, Ordering::AcqRel) {
+            // Disconnected only after the workers have stopped.
             self.queue.try_send(Some(group)).ok();
         }
     }
 }
 
-/// The reader's way to the pool.
+/// Sends the reader's jobs to the pool.
 #[derive(Debug)]
 pub(super) struct Feed {
-    /// One a group; the last is the time line's.
-    jobs: Vec<Sender<Job>>,
-    wakes: Wakes,
+    /// One sender per group; the last is the timeline's.
+    jobs: Vec<Sender<EncodeJob>>,
+    wakes: WakeQueue,
     plan: Plan,
     next_stretch: u64,
 }
 
 impl Feed {
-    /// Number of the stretch that is open.
+    /// Number of the open stretch.
     pub(super) fn next_stretch(&self) -> u64 {
         self.next_stretch
     }
 
-    /// Tells every group with active channels, and the time line's. `false` when a queue was full,
+    /// Sends a job to every group with active channels and to the timeline's. Returns `false` when a queue was full,
     /// which its bound rules out while the workers live.
     pub(super) fn end_stretch(&mut self, end: StretchEnd, counts: Counts) -> bool {
         let stretch = self.next_stretch;
@@ -85,48 +85,48 @@ impl Feed {
         let mut all_sent = true;
         for group in (0..active).chain([timeline]) {
             let counts = (group == timeline).then_some(counts);
-            all_sent &= self.jobs[group].try_send(Job { stretch, end, counts }).is_ok();
+            all_sent &= self.jobs[group].try_send(EncodeJob { stretch, end, counts }).is_ok();
             self.wakes.wake(group);
         }
         all_sent
     }
 }
 
-/// The threads.
+/// The worker threads.
 #[derive(Debug)]
 pub(super) struct Pool {
     workers: Vec<JoinHandle<()>>,
-    wakes: Wakes,
+    wakes: WakeQueue,
 }
 
 impl Pool {
     pub(super) fn start(
         plan: &Plan,
         groups: Vec<Group>,
-        progress: &Arc<Progress>,
+        progress: &Arc<PipelineProgress>,
         heartbeat: &Heartbeat,
     ) -> anyhow::Result<(Self, Feed)> {
         let n_groups = groups.len();
         let mut jobs = Vec::with_capacity(n_groups);
-        let mut stations = Vec::with_capacity(n_groups);
+        let mut parked = Vec::with_capacity(n_groups);
         for group in groups {
             jobs.push(group.jobs_in.clone());
             let (waiting, buffers) = (group.jobs.clone(), group.buffers.clone());
             let (park, unpark) = bounded(1);
             drop(park.send(group));
             let woken = AtomicBool::new(false);
-            stations.push(Station { park, unpark, jobs: waiting, buffers, woken });
+            parked.push(ParkedGroup { park, unpark, jobs: waiting, buffers, woken });
         }
-        // One wake a group, and one stop a worker.
+        // One wake-up per group, and one stop per worker.
         let (queue, wakes_out) = bounded(n_groups + plan.workers);
-        let wakes = Wakes { stations: stations.into(), queue };
+        let wakes = WakeQueue { parked: parked.into(), queue };
         let mut workers = Vec::with_capacity(plan.workers);
         for index in 0..plan.workers {
-            let (stations, queue) = (Arc::clone(&wakes.stations), wakes_out.clone());
+            let (parked, queue) = (Arc::clone(&wakes.parked), wakes_out.clone());
             let guard = FailOnPanic(Arc::clone(progress));
-            let beat = heartbeat.beat(Who::Worker)?;
+            let worker_heartbeat = heartbeat.register(ThreadRole::Worker)?;
             workers.push(threads::spawn(&format!("mocapd-work-{index}"), move || {
-                work(&stations, &queue, &beat);
+                run_worker(&parked, &queue, &worker_heartbeat);
                 drop(guard);
             })?);
         }
@@ -134,46 +134,50 @@ impl Pool {
         Ok((Self { workers, wakes }, feed))
     }
 
-    pub(super) fn wakes(&self) -> Wakes {
+    pub(super) fn wakes(&self) -> WakeQueue {
         self.wakes.clone()
     }
 
-    /// Ends the workers. What they were told before is done first.
+    /// Ends the workers after the jobs that are queued.
     pub(super) fn stop(self) {
         for _ in &self.workers {
             self.wakes.queue.send(None).ok();
         }
         for worker in self.workers {
-            // A panic was already seen through `Progress::failed`.
+            // A panic was already reported through `PipelineProgress::failed`.
             drop(worker.join());
         }
     }
 }
 
-fn work(stations: &[Station], queue: &Receiver<Option<usize>>, beat: &Beat) {
+fn run_worker(
+    parked: &[ParkedGroup],
+    queue: &Receiver<Option<usize>>,
+    heartbeat: &HeartbeatHandle,
+) {
     let next = || {
-        beat.idle();
+        heartbeat.idle();
         queue.recv()
     };
     while let Ok(Some(index)) = next() {
-        let station = &stations[index];
-        // A swap and not a store: whoever found the flag still set sent its job before, and the group
-        // below must see that job. A store could pass the look at the jobs, and the wake would be lost.
-        station.woken.swap(false, Ordering::AcqRel);
-        while let Ok(mut group) = station.unpark.try_recv() {
-            group.work_off(beat);
-            drop(station.park.try_send(group));
-            if !station.has_work() {
+        let place = &parked[index];
+        // A swap and not a store: whoever found the flag set had sent its job before, and that job must be visible
+        // below. A plain store could move past the check of the jobs, and the wake-up would be lost.
+        place.woken.swap(false, Ordering::AcqRel);
+        while let Ok(mut group) = place.unpark.try_recv() {
+            group.run_jobs(heartbeat);
+            drop(place.park.try_send(group));
+            if !place.has_work() {
                 break;
             }
         }
     }
 }
 
-/// A worker that panics took a group with it, a writer the file: the recording cannot go on as if nothing
-/// happened.
+/// Marks the pipeline as failed when a thread panics: a worker takes its group with it, a writer the file, and the
+/// recording cannot go on as if nothing had happened.
 #[derive(Debug)]
-pub(super) struct FailOnPanic(pub(super) Arc<Progress>);
+pub(super) struct FailOnPanic(pub(super) Arc<PipelineProgress>);
 
 impl Drop for FailOnPanic {
     fn drop(&mut self) {

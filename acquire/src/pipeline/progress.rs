@@ -1,4 +1,4 @@
-//! What other threads may look at while a pipeline runs.
+//! Live counters of a running pipeline, for other threads.
 
 use std::sync::{
     Arc, Mutex, MutexGuard, OnceLock, PoisonError,
@@ -7,100 +7,101 @@ use std::sync::{
 
 use mocapd_take::record::{Channel, Ledger, TakeEnding};
 
-use crate::files::{Displaced, FileState};
+use crate::files::{DisplacedFile, FileState};
 
-/// What other threads may look at while it runs. Counters only: the truth is in the ledger.
+/// Live counters of a running pipeline. For display: the ledger is authoritative.
 #[derive(Debug, Default)]
-pub struct Progress {
-    /// Frames taken in.
+pub struct PipelineProgress {
+    /// Frames accepted.
     pub frames: AtomicU64,
-    /// Frames lost so far, for whatever reason.
+    /// Frames lost so far, for any reason.
     pub lost: AtomicU64,
-    /// How much faster the host's clock runs than the device's, in parts per billion, as an `i64` has it.
+    /// How much faster the host's clock runs than the device's, in parts per billion.
     pub drift_ppb: AtomicI64,
-    /// What 99 of 100 frames were no later than after the clock's line, in microseconds; 0 while unknown.
+    /// 99th percentile of the frames' lateness against the clock line, in microseconds; 0 while unknown.
     pub jitter_p99_us: AtomicU64,
     /// Bytes written.
     pub file_bytes: AtomicU64,
     /// Samples in the stretches written.
     pub samples: AtomicU64,
-    /// Bytes of another file of ours that grows on the same disk, where there is one: it takes the disk's room, too.
-    pub beside_bytes: OnceLock<Arc<AtomicU64>>,
-    /// How long the disk will do, in seconds; `u64::MAX` while unknown.
+    /// Bytes of the raw log, if it grows on the same disk: the estimate of the time left includes it.
+    pub raw_log_bytes: OnceLock<Arc<AtomicU64>>,
+    /// Seconds until the disk is full; `u64::MAX` while unknown.
     pub disk_left_s: AtomicU64,
-    /// So little is left of the disk that the take has to end: stop feeding, and it is closed.
+    /// The disk is so full that the take has to end: stop feeding the pipeline, and it is closed.
     pub disk_full: AtomicBool,
-    /// The writer met an error and writes no more, or a worker is gone: stop feeding.
+    /// The writer failed and writes no more, or a worker is gone: stop feeding the pipeline.
     pub failed: AtomicBool,
-    /// How full the fullest ring was at the last end of a stretch, of a thousand.
+    /// Fill level of the fullest ring when the last stretch was closed, in thousandths.
     pub ring_fill_permille: AtomicU64,
-    /// What 99 of 100 frames took at most from their last byte into every ring, in nanoseconds; told every second.
+    /// 99th percentile of the time from a frame's last byte until it is in every ring, in nanoseconds; updated every
+    /// second.
     pub ring_latency_p99_ns: AtomicU64,
-    /// Times that the device went away and came back.
+    /// Times that the device was disconnected and came back.
     pub outages: AtomicU64,
-    /// It is away now.
+    /// The device is disconnected.
     pub is_away: AtomicBool,
-    /// When the last recorded frame arrived, in nanoseconds of the monotonic clock; 0 before the first.
+    /// Arrival of the last recorded frame, in nanoseconds of the monotonic clock; 0 before the first.
     pub last_arrival_ns: AtomicU64,
-    /// All channels so far, by slot: those that appeared, too.
+    /// All channels so far by slot, including those that appeared later.
     pub channels: Mutex<Vec<Channel>>,
-    /// Bytes of the pre-roll.
-    pub held_bytes: AtomicU64,
-    /// Its length, in milliseconds.
-    pub held_ms: AtomicU64,
-    /// Some of it went because of the bytes that it took.
-    pub held_cut: AtomicBool,
-    /// What others did to the take's file, by its code; and more about that.
+    /// Bytes of the pre-roll buffer.
+    pub pre_roll_bytes: AtomicU64,
+    /// Length of the pre-roll buffer in milliseconds.
+    pub pre_roll_ms: AtomicU64,
+    /// The pre-roll is shorter than configured because it reached its memory limit.
+    pub pre_roll_is_cut: AtomicBool,
+    /// The state of the take's file as a code, and details of it.
     file_state: AtomicU8,
-    displaced: Mutex<Option<Displaced>>,
+    displaced: Mutex<Option<DisplacedFile>>,
     file_changes: AtomicU32,
-    /// Why the reading ended, once it has: how a take that is open then ends.
+    /// Why the reading ended, once it has: the ending of a take that is open then.
     pub ending: OnceLock<TakeEnding>,
-    /// The take that is being written. The writer and whoever watches meet here, and nobody else.
-    pub take: Mutex<Option<TakeNow>>,
+    /// The take that is being written. Only the writer and observers use this lock.
+    pub take: Mutex<Option<TakeProgress>>,
 }
 
-impl Progress {
+impl PipelineProgress {
     pub(super) fn new(channels: &[Channel]) -> Self {
         Self { channels: Mutex::new(channels.to_vec()), ..Self::default() }
     }
 
-    /// What others did to the file of the take that is being written, or was written last.
+    /// The state of the file that is being written, or was written last.
     #[must_use]
     pub fn file_state(&self) -> FileState {
         FileState::from_code(self.file_state.load(Ordering::Relaxed))
     }
 
-    /// More about that, while it is not in its place.
+    /// Details of that state, while the file is not in its place.
     #[must_use]
-    pub fn displaced(&self) -> Option<Displaced> {
+    pub fn displaced(&self) -> Option<DisplacedFile> {
         lock(&self.displaced).clone()
     }
 
-    /// First the words, then what makes others look for them.
-    pub(super) fn set_file_state(&self, state: FileState, displaced: Option<Displaced>) {
+    /// Stores the details before the counter that makes others read them.
+    pub(super) fn set_file_state(&self, state: FileState, displaced: Option<DisplacedFile>) {
         *lock(&self.displaced) = displaced;
         self.file_state.store(state.code(), Ordering::Release);
         self.file_changes.fetch_add(1, Ordering::Release);
     }
 
-    /// How often the file's state, or the name that it has, became another one.
+    /// How often the file's state or name has changed.
     #[must_use]
     pub fn file_changes(&self) -> u32 {
         self.file_changes.load(Ordering::Acquire)
     }
 }
 
-/// A take that grows.
+/// Progress of a take that is being written.
 #[derive(Debug, Clone, Default)]
-pub struct TakeNow {
-    /// Rows, lost ones included.
+pub struct TakeProgress {
+    /// Rows, including lost ones.
     pub rows: u64,
     /// Bytes of the file.
     pub bytes: u64,
-    /// Of these, bytes that were synced.
+    /// Bytes synced to disk.
     pub durable_bytes: u64,
-    /// Samples in it.
+    /// Samples in the take.
     pub samples: u64,
     /// The largest error that an encoder measured, in millimetres.
     pub max_error_mm: f64,
@@ -108,7 +109,7 @@ pub struct TakeNow {
     pub ledger: Ledger,
 }
 
-/// The state behind a lock, whatever became of who held it last: a count or a name is never half written.
+/// Locks a mutex even if a thread panicked with it: a counter or a name is never half written.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,8 +1,8 @@
-//! The writer thread: parts become stretches, stretches go into the take, or wait for one.
+//! The writer thread: assembles parts into stretches and writes them to the take, or buffers them for a pre-roll.
 
 mod clocks;
-mod held;
 mod live;
+mod pre_roll;
 
 use std::{
     collections::VecDeque,
@@ -10,57 +10,57 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{anyhow, bail};
+use anyhow::{bail, ensure};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
 pub(super) use self::live::LiveTake;
-use self::{clocks::ClockWriter, held::Held};
+use self::{clocks::ClockWriter, pre_roll::PreRollBuffer};
 use super::{
-    Counts, NewTake, Progress, TakeFailed,
+    Counts, NewTake, PipelineProgress, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
-    pool::Wakes,
+    pool::WakeQueue,
 };
-use crate::{files::FileState, heartbeat::Beat, threads::ResamplerFailed};
+use crate::{files::FileState, heartbeat::HeartbeatHandle, threads::ResamplerFailed};
 
-/// How often the writer looks what waits, though it is to sync with every stretch.
-const LOOK_AT_MOST: Duration = Duration::from_millis(50);
+/// Shortest polling interval of the writer, even if it is to sync with every stretch.
+const POLL_INTERVAL_MIN: Duration = Duration::from_millis(50);
 
-/// How often the writer looks at the file when nothing is to be written: with the time between two of these looks, what
-/// others do to it is noticed within a second.
-const LOOK_AT_FILE: Duration = Duration::from_millis(450);
+/// How often the writer checks the file when there is nothing to write. Together with the file's own checking interval,
+/// changes by other programs are noticed within a second.
+const FILE_CHECK_INTERVAL: Duration = Duration::from_millis(450);
 
 /// How long to wait for parts after a worker failed.
-const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
+const PARTS_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Owns the take file.
+/// The writer, which owns the take file.
 #[derive(Debug)]
 pub(super) struct Writer {
     parts: Receiver<Part>,
     control: Receiver<(u64, Control)>,
     commands: Receiver<(u64, TakeCommand)>,
-    /// Read from `commands`, but its boundary has not come.
+    /// Received from `commands`; its boundary has not come yet.
     next_command: Option<(u64, TakeCommand)>,
     clocks: ClockWriter,
-    /// Read from `control`, but its stretch is not written yet.
+    /// Received from `control`; its stretch is not written yet.
     waiting: Option<(u64, Control)>,
     buffers_back: Vec<Sender<Vec<u8>>>,
-    wakes: Wakes,
-    progress: Arc<Progress>,
-    assemblies: Assemblies,
+    wakes: WakeQueue,
+    progress: Arc<PipelineProgress>,
+    assembler: StretchAssembler,
     payload: Vec<u8>,
-    /// Up to the last stretch.
+    /// The counters at the end of the last stretch.
     counts: Counts,
-    /// All channels so far, by the stretch that may hold them first.
+    /// All channels so far, each with the number of the stretch that may be the first to contain it.
     table: Vec<(u64, Channel)>,
     sync_every: Duration,
-    held: Option<Held>,
+    pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
-    /// The pipeline is there for one take, and has failed when that has.
-    for_one_take: bool,
+    /// The pipeline serves a single take, and fails with it.
+    single_take: bool,
 }
 
 impl Writer {
@@ -69,8 +69,8 @@ impl Writer {
         parts: Receiver<Part>,
         from_reader: FromReader,
         buffers_back: Vec<Sender<Vec<u8>>>,
-        wakes: Wakes,
-        progress: &Arc<Progress>,
+        wakes: WakeQueue,
+        progress: &Arc<PipelineProgress>,
     ) -> Self {
         let mut table = Vec::with_capacity(plan.n_slots);
         table.extend(lock(&progress.channels).iter().map(|channel| (0, channel.clone())));
@@ -84,63 +84,64 @@ impl Writer {
             buffers_back,
             wakes,
             progress: Arc::clone(progress),
-            assemblies: Assemblies::new(plan),
+            assembler: StretchAssembler::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
             counts: Counts::default(),
             table,
             sync_every: plan.sync_every,
-            held: plan.pre_roll.map(Held::new),
+            pre_roll: plan.pre_roll.map(PreRollBuffer::new),
             live: None,
-            for_one_take: false,
+            single_take: false,
         }
     }
 
-    /// Writes this take from the first stretch on, and nothing else.
-    pub(super) fn for_take(&mut self, mut take: LiveTake) {
+    /// Writes this take alone, from the first stretch on.
+    pub(super) fn set_single_take(&mut self, mut take: LiveTake) {
         take.reserve(self.payload.capacity());
         self.live = Some(take);
-        self.for_one_take = true;
+        self.single_take = true;
     }
 
-    /// Works until the last stretch. After an error the parts are still taken, so that the reader and the workers come
-    /// to their end; what was written before stays.
-    pub(super) fn run(mut self, beat: &Beat) -> anyhow::Result<()> {
-        let mut silent_since = Instant::now();
+    /// Runs until the last stretch. After an error it still accepts the parts, so that the reader and the workers can
+    /// finish; what was written before stays.
+    pub(super) fn run(mut self, heartbeat: &HeartbeatHandle) -> anyhow::Result<()> {
+        let mut idle_since = Instant::now();
         let progress = Arc::clone(&self.progress);
-        self.on_take(|take, _| {
-            take.look_at_disk(&progress);
+        self.with_take(|take, _| {
+            take.poll_disk(&progress);
             Ok(())
         });
         loop {
-            beat.moved();
-            let sync_after = self.sync_every.clamp(LOOK_AT_MOST, GIVE_UP_AFTER);
-            match self.parts.recv_timeout(sync_after.min(LOOK_AT_FILE)) {
+            heartbeat.beat();
+            let sync_after = self.sync_every.clamp(POLL_INTERVAL_MIN, PARTS_TIMEOUT);
+            match self.parts.recv_timeout(sync_after.min(FILE_CHECK_INTERVAL)) {
                 Ok(part) => {
-                    silent_since = Instant::now();
-                    self.assemblies.add(part);
+                    idle_since = Instant::now();
+                    self.assembler.add(part);
                 }
                 Err(RecvTimeoutError::Timeout) => {
-                    beat.at_disk();
-                    let is_silent = silent_since.elapsed() >= sync_after;
-                    self.on_take(|take, _| {
-                        take.look_at_disk(&progress);
-                        take.look_at_file(&progress);
-                        if is_silent { take.sync_what_waits() } else { Ok(()) }
+                    heartbeat.at_disk();
+                    let is_idle = idle_since.elapsed() >= sync_after;
+                    self.with_take(|take, _| {
+                        take.poll_disk(&progress);
+                        take.check_file(&progress);
+                        if is_idle { take.sync_pending() } else { Ok(()) }
                     });
                     let failed = progress.failed.load(Ordering::Relaxed);
-                    let has_no_take = self.for_one_take && self.live.is_none();
-                    if failed && !has_no_take && silent_since.elapsed() > GIVE_UP_AFTER {
-                        self.on_take(|_, _| Err(ResamplerFailed.into()));
+                    let has_no_take = self.single_take && self.live.is_none();
+                    if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
+                        self.with_take(|_, _| Err(ResamplerFailed.into()));
                         return Err(ResamplerFailed.into());
                     }
                 }
-                // The groups hold the senders, and the writer holds the groups' wakes.
+                // Not expected: the groups hold the senders, and the writer keeps the groups alive through their
+                // wake-ups.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
             }
-            while let Some(last) = self.assemblies.front_last() {
-                beat.at_disk();
-                self.front();
-                self.give_back();
+            while let Some(last) = self.assembler.front_is_last() {
+                heartbeat.at_disk();
+                self.process_front();
+                self.return_buffers();
                 if last {
                     if let Some(take) = self.live.take() {
                         let ending = self.ending();
@@ -152,19 +153,19 @@ impl Writer {
         }
     }
 
-    /// How a take ends that is open when the reading is over.
+    /// The ending of a take that is open when the reading is over.
     fn ending(&self) -> TakeEnding {
         let ending = self.progress.ending.get().cloned().unwrap_or_default();
-        // Takes of the service are ended by orders; who stops its reader stops the service.
-        if ending.kind == EndingKind::Stopped && !self.for_one_take {
+        // In the service commands end takes, and whoever stops its reader stops the service.
+        if ending.kind == EndingKind::Stopped && !self.single_take {
             return EndingKind::ServiceStopped.into();
         }
         ending
     }
 
-    /// The oldest stretch, which is complete: into the take, and to what is held.
-    fn front(&mut self) {
-        let Some(front) = self.assemblies.front() else { return };
+    /// Processes the oldest stretch, which is complete.
+    fn process_front(&mut self) {
+        let Some(front) = self.assembler.front() else { return };
         let Some((timeline, blocks)) = front.parts() else { return };
         let (stretch, end) = (front.stretch, front.end);
         let mut report = PartReport::default();
@@ -176,9 +177,9 @@ impl Writer {
         }
         let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
-        self.take_in_control(stretch);
+        self.apply_control(stretch);
         match self.command_at(stretch) {
-            None => self.place(stretch, &end, &report, before),
+            None => self.put_stretch(stretch, &end, &report, before),
             Some(command) => {
                 self.observe();
                 self.execute(command, &end);
@@ -187,94 +188,93 @@ impl Writer {
                 }
             }
         }
-        self.tell_clock();
+        self.publish_clock();
     }
 
-    fn place(&mut self, stretch: u64, end: &StretchEnd, report: &PartReport, before: Counts) {
+    fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, report: &PartReport, before: Counts) {
         let (counts, progress) = (self.counts, Arc::clone(&self.progress));
         let payload = std::mem::take(&mut self.payload);
-        if let Some(held) = &mut self.held
+        if let Some(buffer) = &mut self.pre_roll
             && !payload.is_empty()
         {
-            held.push(stretch, end, &payload, *report, (before, counts));
+            buffer.push(stretch, end, &payload, *report, (before, counts));
         }
-        self.on_take(|take, clocks| {
+        self.with_take(|take, clocks| {
             take.stretch(end.span, end.first, &payload, report, &counts)?;
             if !end.last {
                 take.ledger_and_sync(clocks, &progress)?;
             }
-            take.tell(&progress);
+            take.publish(&progress);
             Ok(())
         });
         self.observe();
         self.payload = payload;
-        self.tell_held();
+        self.publish_pre_roll();
     }
 
-    /// What was seen of the clocks up to the last stretch: into the take, and to what the next one needs.
+    /// Writes what was observed of the clocks up to the last stretch: to the take, and to what the next take needs.
     fn observe(&mut self) {
         let status = self.counts.clock;
-        self.on_take(|take, clocks| take.observe(clocks, &status));
+        self.with_take(|take, clocks| take.observe(clocks, &status));
         if self.live.is_none() {
-            // Without a take there is nothing that could fail.
+            // Without a take there is nothing that can fail.
             self.clocks.write::<Vec<u8>>(None, &status, false).ok();
         }
     }
 
-    /// What must stand in a take before stretch `stretch`.
-    fn take_in_control(&mut self, stretch: u64) {
-        while let Some((at, message)) = self.waiting.take().or_else(|| self.control.try_recv().ok())
-        {
+    /// Applies the channels and events that precede stretch `stretch`.
+    fn apply_control(&mut self, stretch: u64) {
+        while let Some((at, item)) = self.waiting.take().or_else(|| self.control.try_recv().ok()) {
             if at > stretch {
-                self.waiting = Some((at, message));
+                self.waiting = Some((at, item));
                 return;
             }
-            match message {
+            match item {
                 Control::Channel(new) => {
                     let channel = new.into_channel();
-                    self.on_take(|take, _| take.channel(&channel));
+                    self.with_take(|take, _| take.channel(&channel));
                     lock(&self.progress.channels).push(channel.clone());
                     self.table.push((stretch, channel));
                 }
                 Control::Event(event) => {
-                    self.on_take(|take, _| take.event(&event));
-                    if let Some(held) = &mut self.held {
-                        held.event(at, event);
+                    self.with_take(|take, _| take.event(&event));
+                    if let Some(buffer) = &mut self.pre_roll {
+                        buffer.event(at, event);
                     }
                 }
             }
         }
     }
 
-    /// Something with the take, if there is one. After an error there is none.
-    fn on_take(
+    /// Runs `work` on the open take, if there is one. An error ends the take.
+    fn with_take(
         &mut self,
         work: impl FnOnce(&mut LiveTake, &mut ClockWriter) -> anyhow::Result<()>,
     ) {
-        // One that was cut short is told to end; until then nothing is written to it.
+        // A take that was cut short will be ended; until then nothing is written to it.
         let Some(take) = self.live.as_mut().filter(|take| !take.is_cut_short()) else { return };
         let Err(error) = work(take, &mut self.clocks) else { return };
-        take.look_at_file(&self.progress);
+        take.check_file(&self.progress);
         if take.is_cut_short() {
             return;
         }
-        if self.for_one_take {
+        if self.single_take {
             self.progress.failed.store(true, Ordering::Relaxed);
         }
         if let Some(take) = self.live.take() {
-            take.give_up(error);
+            take.fail(error);
         }
     }
 
-    fn tell_held(&self) {
-        let Some(held) = &self.held else { return };
+    fn publish_pre_roll(&self) {
+        let Some(buffer) = &self.pre_roll else { return };
         let progress = &self.progress;
-        progress.held_bytes.store(held.bytes() as u64, Ordering::Relaxed);
-        progress.held_ms.store((held.seconds() * 1e3) as u64, Ordering::Relaxed);
-        progress.held_cut.store(held.is_cut(), Ordering::Relaxed);
+        progress.pre_roll_bytes.store(buffer.bytes() as u64, Ordering::Relaxed);
+        progress.pre_roll_ms.store((buffer.seconds() * 1e3) as u64, Ordering::Relaxed);
+        progress.pre_roll_is_cut.store(buffer.is_cut(), Ordering::Relaxed);
     }
 
-    fn tell_clock(&self) {
+    fn publish_clock(&self) {
         if let Some(line) = self.counts.clock.line {
             self.progress.drift_ppb.store(line.drift_ppb, Ordering::Relaxed);
             let p99_us = self.counts.clock.jitter.p99_us;
@@ -282,10 +282,10 @@ impl Writer {
         }
     }
 
-    /// The front's buffers go back to their groups, which may have waited for them.
-    fn give_back(&mut self) {
-        let Self { assemblies, buffers_back, wakes, .. } = self;
-        assemblies.pop_front(|part| {
+    /// Returns the oldest stretch's buffers to their groups, which may be waiting for them.
+    fn return_buffers(&mut self) {
+        let Self { assembler, buffers_back, wakes, .. } = self;
+        assembler.pop_front(|part| {
             drop(buffers_back[part.group].try_send(part.bytes));
             wakes.wake(part.group);
         });
@@ -293,10 +293,10 @@ impl Writer {
 }
 
 impl Writer {
-    /// The next command whose boundary is this stretch, or came before it.
+    /// The next command whose boundary is this stretch or an earlier one.
     fn command_at(&mut self, stretch: u64) -> Option<TakeCommand> {
         let next = self.next_command.take().or_else(|| self.commands.try_recv().ok());
-        // What came while the writer was on its way here has its boundary behind this stretch.
+        // A command may come early: its boundary is then behind this stretch.
         self.next_command = next;
         self.next_command.take_if(|(at, _)| *at <= stretch).map(|(_, command)| command)
     }
@@ -309,16 +309,16 @@ impl Writer {
                 let progress = Arc::clone(&self.progress);
                 let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
                 clocks.begin();
-                let asked_ns = take.asked_ns;
+                let requested_ns = take.requested_ns;
                 self.live = self.begin_take(*take, &reply, end, &mut clocks, &progress);
                 self.clocks = clocks;
-                self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
+                self.with_take(|take, _| take.mark_request(end.span.first_row, requested_ns));
             }
             TakeCommand::Save(take, reply) => {
-                // The take that is being written goes on beside it, and what others look at is that one's.
-                let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
-                let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
-                if let Some(saved) = saved {
+                // The open take goes on, and observers keep seeing that one.
+                let mut clocks = self.clocks.for_saved_take();
+                let progress = PipelineProgress::new(&[]);
+                if let Some(saved) = self.begin_take(*take, &reply, end, &mut clocks, &progress) {
                     saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
                 }
             }
@@ -332,25 +332,26 @@ impl Writer {
         *lock(&self.progress.take) = None;
     }
 
-    /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
+    /// Begins a take with the pre-roll that it asks for. On failure the error goes to the requester.
     fn begin_take(
         &self,
         mut new: NewTake,
         reply: &Reply,
         end: &StretchEnd,
         clocks: &mut ClockWriter,
-        progress: &Progress,
+        progress: &PipelineProgress,
     ) -> Option<LiveTake> {
-        let from = self.held.as_ref().map_or(0, |held| held.of_last(new.pre_roll, new.asked_ns));
-        let first = self.held.as_ref().and_then(|held| held.from(from).next());
+        let from = self.pre_roll.as_ref().map_or(0, |p| p.start_of(new.pre_roll, new.requested_ns));
+        let first = self.pre_roll.as_ref().and_then(|buffer| buffer.from(from).next());
         let (base, rows_before, stretch) = match first {
-            // The row after the stretch before: rows lost before it are its own.
-            Some(held) => (held.before.in_rows(), held.before.in_rows().seen(), held.stretch),
+            // The row after the preceding stretch: rows lost before the first stretch belong to the take.
+            Some(kept) => (kept.before.in_rows(), kept.before.in_rows().seen(), kept.stretch),
             None => (self.counts.in_rows(), end.span.first_row, u64::MAX),
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
-        // Its first row is older than the wish for it.
-        let before_ns = first.map_or(0, |held| new.asked_ns.saturating_sub(held.first.arrival_ns));
+        // The first row is older than the request.
+        let before_ns =
+            first.map_or(0, |kept| new.requested_ns.saturating_sub(kept.first.arrival_ns));
         new.header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
@@ -363,36 +364,34 @@ impl Writer {
             }
         };
         take.reserve(self.payload.capacity());
-        match self.write_held(&mut take, from, stretch, clocks, progress) {
+        match self.write_pre_roll(&mut take, from, stretch, clocks, progress) {
             Ok(()) => Some(take),
             Err(error) => {
-                take.give_up(error);
+                take.fail(error);
                 None
             }
         }
     }
 
-    fn write_held(
+    fn write_pre_roll(
         &self,
         take: &mut LiveTake,
         from: usize,
         first: u64,
         clocks: &mut ClockWriter,
-        progress: &Progress,
+        progress: &PipelineProgress,
     ) -> anyhow::Result<()> {
-        take.look_at_disk(progress);
-        let Some(held) = &self.held else { return Ok(()) };
+        take.poll_disk(progress);
+        let Some(buffer) = &self.pre_roll else { return Ok(()) };
         if first == u64::MAX {
             return Ok(());
         }
         let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
-        let mut events = held.events().filter(|(stretch, _)| *stretch >= first).peekable();
-        for stretch in held.from(from) {
-            if progress.disk_full.load(Ordering::Relaxed) {
-                return Err(anyhow!("the disk is full: delete something"));
-            }
-            while let Some((_, channel)) = channels.next_if(|(since, _)| *since <= stretch.stretch)
-            {
+        let mut events = buffer.events().filter(|(stretch, _)| *stretch >= first).peekable();
+        for stretch in buffer.from(from) {
+            let is_full = progress.disk_full.load(Ordering::Relaxed);
+            ensure!(!is_full, "the disk is full: free some space");
+            while let Some((_, channel)) = channels.next_if(|(at, _)| *at <= stretch.stretch) {
                 take.channel(channel)?;
             }
             while let Some((_, event)) = events.next_if(|(at, _)| *at <= stretch.stretch) {
@@ -404,39 +403,39 @@ impl Writer {
         channels.try_for_each(|(_, channel)| take.channel(channel))?;
         events.try_for_each(|(_, event)| take.event(event))?;
         take.ledger_and_sync(clocks, progress)?;
-        take.tell(progress);
+        take.publish(progress);
         Ok(())
     }
 }
 
-/// One stretch.
+/// The parts of one stretch.
 #[derive(Debug)]
-pub(super) struct Assembly {
+pub(super) struct StretchAssembly {
     pub(super) stretch: u64,
     pub(super) end: StretchEnd,
-    /// By group; the time line's is the last.
+    /// By group; the timeline's is the last.
     slots: Vec<Option<Part>>,
     missing: usize,
 }
 
-impl Assembly {
-    /// The time line's part and the channels' parts, in order, of a complete stretch.
+impl StretchAssembly {
+    /// Of a complete stretch, the timeline's part and the channels' parts in order.
     pub(super) fn parts(&self) -> Option<(&Part, impl Iterator<Item = &Part>)> {
         let mut present = self.slots.iter().flatten();
         Some((present.next_back()?, present))
     }
 }
 
-/// The stretches that are coded and not yet written, oldest first.
+/// Encoded stretches that are not written yet, oldest first.
 #[derive(Debug)]
-pub(super) struct Assemblies {
-    waiting: VecDeque<Assembly>,
+pub(super) struct StretchAssembler {
+    waiting: VecDeque<StretchAssembly>,
     spare: Vec<Vec<Option<Part>>>,
     next_stretch: u64,
     plan: Plan,
 }
 
-impl Assemblies {
+impl StretchAssembler {
     pub(super) fn new(plan: &Plan) -> Self {
         // No group can be further ahead than it has buffers.
         let most = plan.buffers_per_group() + 1;
@@ -454,7 +453,7 @@ impl Assemblies {
         let at = (part.stretch - self.next_stretch) as usize;
         let n_groups = self.plan.n_groups() + 1;
         while self.waiting.len() <= at {
-            self.waiting.push_back(Assembly {
+            self.waiting.push_back(StretchAssembly {
                 stretch: self.next_stretch + self.waiting.len() as u64,
                 end: part.end,
                 slots: self.spare.pop().unwrap_or_else(|| (0..n_groups).map(|_| None).collect()),
@@ -472,16 +471,16 @@ impl Assemblies {
     }
 
     /// The oldest stretch.
-    pub(super) fn front(&self) -> Option<&Assembly> {
+    pub(super) fn front(&self) -> Option<&StretchAssembly> {
         self.waiting.front()
     }
 
-    /// When the oldest stretch is complete: whether it is the take's last.
-    pub(super) fn front_last(&self) -> Option<bool> {
+    /// If the oldest stretch is complete: whether it is the last of all.
+    pub(super) fn front_is_last(&self) -> Option<bool> {
         self.front().filter(|front| front.missing == 0).map(|front| front.end.last)
     }
 
-    /// Drops the oldest stretch and gives its parts away.
+    /// Removes the oldest stretch and hands out its parts.
     pub(super) fn pop_front(&mut self, mut give: impl FnMut(Part)) {
         let Some(mut front) = self.waiting.pop_front() else { return };
         front.slots.iter_mut().filter_map(Option::take).for_each(&mut give);

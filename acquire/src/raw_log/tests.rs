@@ -6,24 +6,24 @@ use mocapd_testkit::memory;
 
 use super::*;
 
-/// A tap over a few blocks, which the test takes and gives back as the thread does.
-fn tap(blocks: usize) -> (Tap, Receiver<Block>, Sender<Block>) {
+/// A tap with a few blocks, which the test receives and returns in place of the writing thread.
+fn tap(blocks: usize) -> (RawLogTap, Receiver<Block>, Sender<Block>) {
     let (full, written) = bounded(blocks);
     let (free, emptied) = bounded(blocks);
     (0..blocks).for_each(|_| free.send(Block::new()).unwrap());
-    (Tap::new(monotonic_ns(), full, emptied, Arc::default()), written, free)
+    (RawLogTap::new(monotonic_ns(), full, emptied, Arc::default()), written, free)
 }
 
 #[test]
-fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
+fn a_stalled_disk_costs_bytes_of_the_log_and_the_log_counts_them() {
     let (tap, written, free) = tap(2);
     let (mut device, line) = memory::pair(1 << 20);
-    let mut line = tap.on("dvmc", Box::new(line));
+    let mut line = tap.wrap("dvmc", Box::new(line));
     let mut buffer = vec![0; 1 << 16];
     let mut log = Vec::new();
-    put_head(&mut log);
+    put_header(&mut log);
     let mut passed = 0;
-    // Far more than two blocks hold, and nobody writes them: every read comes back all the same.
+    // Far more than two blocks hold, and nothing is written: every read returns all the same.
     for round in 0..20u8 {
         device.write_all(&vec![round; 40_000]).unwrap();
         let mut got = 0;
@@ -42,7 +42,7 @@ fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
         log.extend_from_slice(&block.bytes);
         counted += block.line_bytes;
         block.clear();
-        // At the end nobody takes it any more.
+        // At the end the tap that would take it is is_closed.
         free.send(block).ok();
     };
     written.try_iter().for_each(&mut give_back);
@@ -79,20 +79,20 @@ fn a_slow_line_fills_its_blocks_while_the_disk_stalls() {
     }
     let handed_over = written.try_iter().count();
     assert_eq!(handed_over, 2, "half of the blocks wait for the disk, and no block is lost");
-    assert_eq!(tap.totals.untold_bytes.load(Ordering::Relaxed), 0);
+    assert_eq!(tap.totals.unreported_bytes.load(Ordering::Relaxed), 0);
     assert_eq!(tap.block.line_bytes, 98);
 }
 
-/// A disk that says what was written between its syncs, and has room for so many bytes.
+/// A disk that reports the bytes written between its syncs, and has space for a given number of bytes.
 struct Disk {
-    room: usize,
+    space: usize,
     unsynced: usize,
     synced: mpsc::SyncSender<usize>,
 }
 
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.room = self.room.checked_sub(bytes.len()).ok_or(io::ErrorKind::StorageFull)?;
+        self.space = self.space.checked_sub(bytes.len()).ok_or(io::ErrorKind::StorageFull)?;
         self.unsynced += bytes.len();
         Ok(bytes.len())
     }
@@ -109,16 +109,16 @@ impl LogOutput for Disk {
     }
 }
 
-/// A log on a disk: what was synced, a way to hand blocks of so many bytes over, and what came of it.
-fn logged(
-    room: usize,
+/// A log on such a disk: what was synced, a function that hands over blocks of a given size, and the result.
+fn start_log(
+    space: usize,
     sync_every: Duration,
-) -> (mpsc::Receiver<usize>, impl Fn(usize), impl FnOnce() -> Written) {
-    let (told, synced) = mpsc::sync_channel(100);
+) -> (mpsc::Receiver<usize>, impl Fn(usize), impl FnOnce() -> WriterOutcome) {
+    let (synced_in, synced) = mpsc::sync_channel(100);
     let (full, blocks) = bounded(BLOCKS);
     let (free, emptied) = bounded(BLOCKS);
-    let disk = Disk { room, unsynced: 0, synced: told };
-    let work = move || write(disk, &AtomicU64::new(0), sync_every, &blocks, &free);
+    let disk = Disk { space, unsynced: 0, synced: synced_in };
+    let work = move || write_blocks(disk, &AtomicU64::new(0), sync_every, &blocks, &free);
     let thread = threads::spawn("test", work).unwrap();
     let hand_over = full.clone();
     let put = move |n: usize| {
@@ -132,9 +132,9 @@ fn logged(
 }
 
 #[test]
-fn what_is_written_is_forced_onto_the_disk_in_time_and_at_the_end() {
-    let (synced, put, finish) = logged(1000, Duration::from_millis(100));
-    // The head, though nothing else comes.
+fn what_is_written_is_synced_in_time_and_at_the_end() {
+    let (synced, put, finish) = start_log(1000, Duration::from_millis(100));
+    // The head is synced, though nothing follows.
     assert_eq!(synced.recv_timeout(Duration::from_secs(20)).unwrap(), 0);
     put(10);
     put(20);
@@ -153,7 +153,7 @@ fn what_is_written_is_forced_onto_the_disk_in_time_and_at_the_end() {
 
 #[test]
 fn a_disk_that_fills_up_ends_the_log_and_its_bytes_are_counted_as_missing() {
-    let (_synced, put, finish) = logged(100, Duration::ZERO);
+    let (_synced, put, finish) = start_log(100, Duration::ZERO);
     (0..BLOCKS * 3).for_each(|_| put(40));
     drop(put);
     let written = finish();

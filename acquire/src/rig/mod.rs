@@ -1,4 +1,4 @@
-//! One device: opened, identified, started, read, stopped.
+//! One device: open it, identify it, start it, read it, stop it.
 
 mod reader;
 mod reconnect;
@@ -17,26 +17,26 @@ use mocapd_take::{
     motion::UpAxis,
     record::{Channel, Device, Header},
 };
-pub use reader::{ReadOptions, Recording};
+pub use reader::{ReadOptions, ReaderOutcome};
 
 use crate::{
     header,
     host_clock::monotonic_ns,
     pipeline::PipelineConfig,
-    raw_log::Tap,
+    raw_log::RawLogTap,
     setting::{Setting, SettingRefused},
 };
 
-/// How much is read from a device at once: more than a pty or a USB serial driver gives.
+/// Bytes read at once: more than a pty or a USB serial driver delivers.
 const READ_BYTES: usize = 64 << 10;
 
-/// How long a device may take to answer a command.
-const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+/// Time that a device has to answer a command.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How often a command is said before the device counts as mute.
-const TRIES: usize = 5;
+/// Attempts at a command before the device counts as not answering.
+const ATTEMPTS_MAX: usize = 5;
 
-/// A device that said who it is.
+/// A device that has been opened and identified.
 #[derive(Debug)]
 pub struct Rig {
     uri: DeviceUri,
@@ -48,87 +48,88 @@ pub struct Rig {
     hello: Hello,
     markers: Vec<MarkerInfo>,
     not_finite_before: u64,
-    /// To be found again by.
+    /// Identifies the device after it was plugged in again.
     identity: Candidate,
-    /// How long it is waited for when it goes away.
-    patience: Duration,
-    /// Length of a stretch, and time between syncs, where these were chosen.
-    risk: Option<(Duration, Duration)>,
-    /// Where every byte goes, too.
-    raw_log: Option<Tap>,
+    /// How long to wait for a device that was disconnected.
+    replug_timeout: Duration,
+    /// Length of a stretch and time between syncs, if the user chose them.
+    loss_limits: Option<(Duration, Duration)>,
+    /// Also receives every byte, when a raw log is written.
+    raw_log: Option<RawLogTap>,
 }
 
 impl Rig {
-    /// Opens a device and asks who it is.
+    /// Opens a device and identifies it.
     ///
     /// # Errors
-    /// Why it cannot be opened, or that it does not answer: one line that says what to do.
+    /// When the device cannot be opened or does not answer. The message is one line and says what to do.
     pub fn open(uri: &DeviceUri) -> anyhow::Result<Self> {
         Self::open_logged(uri, None)
     }
 
-    /// Opens a device that was seen before, wherever it is plugged in now.
+    /// Opens a device that was open before, at whichever port it is plugged in now.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
-    pub fn open_again(
+    /// When the device cannot be opened or does not answer.
+    pub fn reopen(
         uri: &DeviceUri,
         identity: &Candidate,
-        raw_log: Option<Tap>,
+        raw_log: Option<RawLogTap>,
     ) -> anyhow::Result<Self> {
-        let mut rig = Self::open_logged(&registry::find_again(uri, identity), raw_log)?;
+        let mut rig = Self::open_logged(&registry::current_uri(uri, identity), raw_log)?;
         rig.uri = uri.clone();
         Ok(rig)
     }
 
-    /// What it is found again by.
+    /// Identifies the device after it was plugged in again.
     #[must_use]
     pub fn identity(&self) -> &Candidate {
         &self.identity
     }
 
-    /// Its driver family.
+    /// The driver family.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.family
     }
 
-    /// The same, with every byte on its line in a raw log.
+    /// Opens and identifies a device, with every byte on its line copied to a raw log.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
-    pub fn open_logged(uri: &DeviceUri, raw_log: Option<Tap>) -> anyhow::Result<Self> {
-        let opened = registry::open_through(uri, &mut |family, line| match &raw_log {
-            Some(tap) => tap.on(family, line),
+    /// When the device cannot be opened or does not answer.
+    pub fn open_logged(uri: &DeviceUri, raw_log: Option<RawLogTap>) -> anyhow::Result<Self> {
+        let opened = registry::open_with_wrapper(uri, &mut |family, line| match &raw_log {
+            Some(tap) => tap.wrap(family, line),
             None => line,
         })?;
         Self::identify(uri.clone(), opened, raw_log)
     }
 
-    /// What a kill may cost: at most the open stretch, and with the power what came since the last sync, too.
-    pub fn risk_at_most(&mut self, stretch: Duration, sync_every: Duration) {
-        self.risk = Some((stretch, sync_every));
+    /// Bounds the loss: a killed process loses at most the open stretch, a power cut also what came since the last
+    /// sync.
+    pub fn limit_loss(&mut self, stretch: Duration, sync_every: Duration) {
+        self.loss_limits = Some((stretch, sync_every));
     }
 
-    /// Who it is.
+    /// How the device identified itself.
     #[must_use]
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// Its marker table.
+    /// The device's marker table.
     #[must_use]
     pub fn markers(&self) -> &[MarkerInfo] {
         &self.markers
     }
 
-    /// Its frame rate.
+    /// The frame rate in Hz.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
-        f64::from(self.hello.rate_mhz) / 1000.0
+        f64::from(self.hello.rate_millihertz) / 1000.0
     }
 
-    /// The pipeline that suits it.
+    /// The pipeline configuration for this device.
     #[must_use]
     pub fn pipeline_config(&self, codec: Settings) -> PipelineConfig {
         let channels = self.markers.iter().enumerate().map(|(slot, marker)| Channel {
@@ -142,16 +143,16 @@ impl Rig {
         });
         let new = PipelineConfig::new;
         let config = new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect());
-        match self.risk {
+        match self.loss_limits {
             Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
             None => config,
         }
     }
 
-    /// The header of a take that it begins now.
+    /// The header of a take that starts now.
     ///
     /// # Errors
-    /// When the system gives no random bytes.
+    /// When the system provides no random bytes.
     pub fn take_header(&self, config: &PipelineConfig) -> anyhow::Result<Header> {
         let device = Device {
             driver: self.family.to_owned(),
@@ -167,52 +168,52 @@ impl Rig {
             device: Some(device),
             channels: config.channels.clone(),
             stretch_rows: config.stretch_rows(),
-            settings: config.chosen(),
+            settings: config.custom_times(),
             ..header::new(&config.codec, config.rate_hz)?
         })
     }
 
-    /// Changes the frame rate before a start.
+    /// Sets the frame rate, before a start.
     ///
     /// # Errors
-    /// When the device refuses: the message says what it can do.
+    /// When the device refuses the rate. The message states the rates it supports.
     pub fn set_rate(&mut self, rate_hz: f64) -> anyhow::Result<()> {
-        self.set_rate_unless(rate_hz, &|| false)
+        self.try_set_rate(rate_hz, &|| false)
     }
 
-    fn set_rate_unless(&mut self, rate_hz: f64, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
-        let rate_mhz = (rate_hz * 1000.0).round();
-        if !(1.0..=4e9).contains(&rate_mhz) {
-            return Err(out_of_range(&format!("cannot run a device at {rate_hz} Hz"), &self.hello));
+    fn try_set_rate(&mut self, rate_hz: f64, cancel: &dyn Fn() -> bool) -> anyhow::Result<()> {
+        let rate_millihertz = (rate_hz * 1000.0).round();
+        if !(1.0..=4e9).contains(&rate_millihertz) {
+            return Err(rate_error(&format!("cannot run a device at {rate_hz} Hz"), &self.hello));
         }
-        let answer = self.ask(Command::SetRate(rate_mhz as u32), give_up, |event| match event {
-            DeviceEvent::RateSet(set) => Some(Ok(set)),
-            DeviceEvent::Refused(budget) => Some(Err(budget)),
-            _ => None,
-        })?;
+        let answer =
+            self.request(Command::SetRate(rate_millihertz as u32), cancel, |event| match event {
+                DeviceEvent::RateSet(set) => Some(Ok(set)),
+                DeviceEvent::Refused(budget) => Some(Err(budget)),
+                _ => None,
+            })?;
         match answer {
-            Ok(set) => self.hello.rate_mhz = set,
-            Err(budget) if !budget.fits() => return Err(refusal(budget, rate_hz, &self.hello)),
+            Ok(set) => self.hello.rate_millihertz = set,
+            Err(budget) if !budget.fits() => return Err(too_slow(budget, rate_hz, &self.hello)),
             Err(_) => {
-                let why = format!("the device refuses {rate_hz} Hz");
-                return Err(out_of_range(&why, &self.hello));
+                return Err(rate_error(&format!("the device refuses {rate_hz} Hz"), &self.hello));
             }
         }
         Ok(())
     }
 
-    /// Sends a command until `answer` finds its answer in what the device says, or nobody waits for it any more.
-    fn ask<T>(
+    /// Sends a command, and repeats it until `answer` recognises the answer or `cancel` returns true.
+    fn request<T>(
         &mut self,
         command: Command,
-        give_up: &dyn Fn() -> bool,
+        cancel: &dyn Fn() -> bool,
         mut answer: impl FnMut(DeviceEvent<'_>) -> Option<T>,
     ) -> anyhow::Result<T> {
-        for _ in 0..TRIES {
-            self.say(command)?;
-            let asked_ns = monotonic_ns();
-            while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
-                ensure!(!give_up(), "{} was not waited for", self.uri);
+        for _ in 0..ATTEMPTS_MAX {
+            self.send(command)?;
+            let sent_ns = monotonic_ns();
+            while monotonic_ns() - sent_ns < ANSWER_TIMEOUT.as_nanos() as u64 {
+                ensure!(!cancel(), "gave up waiting for {}", self.uri);
                 let n = self.transport.read(&mut self.buffer).context("reading from the device")?;
                 let mut found = None;
                 self.protocol.push(&self.buffer[..n], &mut |event| {
@@ -233,48 +234,48 @@ impl Rig {
             );
         }
         bail!(
-            "{} does not answer: check that it is switched on, that the cable is the data one, the baud rate, \
+            "{} does not answer: check that it is switched on, that the cable carries data, the baud rate, \
              and the driver (?driver=NAME)",
             self.uri
         )
     }
 
-    fn say(&mut self, command: Command) -> Result<(), TransportError> {
+    fn send(&mut self, command: Command) -> Result<(), TransportError> {
         self.outbox.clear();
         self.protocol.command(command, &mut self.outbox);
         self.transport.write_all(&self.outbox)
     }
 }
 
-/// Why a device cannot run at a rate: what it runs at.
-fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
-    let [min_hz, max_hz] =
-        [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
+/// The error for an unsupported rate, which states the supported ones.
+fn rate_error(why: &str, hello: &Hello) -> anyhow::Error {
+    let [min_hz, max_hz] = [hello.rate_min_millihertz, hello.rate_max_millihertz]
+        .map(|millihertz| f64::from(millihertz) / 1000.0);
     if min_hz < max_hz {
-        return anyhow!("{why}: it runs at {min_hz} to {max_hz} Hz");
+        return anyhow!("{why}: it supports {min_hz} to {max_hz} Hz");
     }
-    let why = format!("{why}: it runs at {max_hz} Hz and no other rate");
-    SettingRefused { why, setting: Setting::Rate(None), or: "" }.into()
+    let why = format!("{why}: it supports only {max_hz} Hz");
+    SettingRefused { why, setting: Setting::Rate(None), alternative: "" }.into()
 }
 
-/// Why a device that refused to start did so, and what helps.
-fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
+/// The error for a start that the device refused because its line is too slow.
+fn too_slow(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
     let why = format!(
-        "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}",
+        "the line is too slow for {} Hz: the frames need {} bytes per second, the line carries {}",
         rate_hz, budget.needed_bytes_per_s, budget.available_bytes_per_s
     );
-    if budget.rate_fits_mhz < hello.rate_min_mhz {
+    if budget.rate_fits_millihertz < hello.rate_min_millihertz {
         return anyhow!("{why}; raise the baud rate on both ends, or use USB");
     }
-    let setting = Setting::Rate(Some(f64::from(budget.rate_fits_mhz) / 1000.0));
-    SettingRefused { why, setting, or: ", or raise the baud rate on both ends" }.into()
+    let setting = Setting::Rate(Some(f64::from(budget.rate_fits_millihertz) / 1000.0));
+    SettingRefused { why, setting, alternative: ", or raise the baud rate on both ends" }.into()
 }
 
 impl Rig {
     pub(super) fn identify(
         uri: DeviceUri,
         opened: OpenedDevice,
-        raw_log: Option<Tap>,
+        raw_log: Option<RawLogTap>,
     ) -> anyhow::Result<Self> {
         let OpenedDevice { transport, protocol, family, identity } = opened;
         let mut rig = Self {
@@ -288,33 +289,33 @@ impl Rig {
             markers: Vec::new(),
             not_finite_before: 0,
             identity,
-            patience: Duration::ZERO,
-            risk: None,
+            replug_timeout: Duration::ZERO,
+            loss_limits: None,
             raw_log,
         };
-        rig.introduce(&|| false)?;
+        rig.query_identity(&|| false)?;
         Ok(rig)
     }
 
-    /// Asks the device who it is, whatever it was doing.
-    pub(super) fn introduce(&mut self, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
+    /// Asks the device for its identity and marker table, in whatever state it is.
+    pub(super) fn query_identity(&mut self, cancel: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let damaged_before = self.protocol.counters().messages_damaged;
-        for _ in 0..TRIES {
-            // A device that is still sending from an earlier host must not fill the table's place.
-            self.say(Command::Stop)?;
+        for _ in 0..ATTEMPTS_MAX {
+            // A device still streaming to an earlier host would delay the marker table.
+            self.send(Command::Stop)?;
             let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
             let mut markers = Vec::new();
-            self.say(Command::Identify)?;
+            self.send(Command::Identify)?;
             let host_ns = monotonic_ns();
-            self.ask(Command::Ping { host_ns }, give_up, |event| {
+            self.request(Command::Ping { host_ns }, cancel, |event| {
                 match event {
-                    DeviceEvent::Hello(said) => {
-                        hello = Some(said.clone());
+                    DeviceEvent::Hello(new) => {
+                        hello = Some(new.clone());
                         markers.clear();
                     }
-                    DeviceEvent::Markers(more) => add(&mut markers, more),
-                    // An answer says that everything asked before it was said.
+                    DeviceEvent::Markers(more) => merge_markers(&mut markers, more),
+                    // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
                     _ => {}
                 }
@@ -330,7 +331,7 @@ impl Rig {
         }
         if self.protocol.counters().messages_damaged == damaged_before {
             bail!(
-                "{} answers, but does not get to say who it is: it may be starting up, or a tool on it does not answer; \
+                "{} answers but does not identify itself: it may be starting up, or one of its tools does not answer; \
                  wait, unplug its tools, and try again",
                 self.uri
             );
@@ -339,9 +340,9 @@ impl Rig {
     }
 }
 
-/// A marker said twice counts once: commands are repeated when an answer is late.
-fn add(table: &mut Vec<MarkerInfo>, more: &[MarkerInfo]) {
-    for marker in more {
+/// Merges markers into the table. Repeated commands repeat markers: the last description of an id counts.
+fn merge_markers(table: &mut Vec<MarkerInfo>, new: &[MarkerInfo]) {
+    for marker in new {
         match table.iter_mut().find(|known| known.id == marker.id) {
             Some(known) => known.clone_from(marker),
             None => table.push(marker.clone()),

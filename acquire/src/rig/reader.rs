@@ -1,4 +1,4 @@
-//! The reader: from Start to the end of the stream, every byte into the protocol, every frame into the rings.
+//! The reader: decodes the device's stream from start to end and feeds each frame to the intake.
 
 use std::{
     cell::Cell,
@@ -15,103 +15,103 @@ use mocapd_drivers::{
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
 
-use super::{ANSWER_WITHIN, Rig, TRIES, refusal};
+use super::{ANSWER_TIMEOUT, ATTEMPTS_MAX, Rig, too_slow};
 use crate::{
     clock::Prober,
     files::FileState,
     host_clock::monotonic_ns,
-    latency::Latency,
-    pipeline::{Counts, Intake, Progress},
+    latency::LatencyHistogram,
+    pipeline::{Counts, Intake, PipelineProgress},
     setting::Setting,
 };
 
-/// How long a device may send nothing before somebody is told.
-const SILENCE: Duration = Duration::from_secs(3);
+/// Report silence of the device after this time.
+const SILENCE_MAX: Duration = Duration::from_secs(3);
 
 /// How long to wait for the end of the stream after Stop.
-const STOP_WITHIN: Duration = Duration::from_secs(2);
+const STOP_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Frames that are on their way when the time is up still come.
+/// How long to wait for frames in transit when the time is up.
 const GRACE_NS: u64 = 1_000_000_000;
 
-/// When to stop, and what to tell.
+/// When to stop, and how to report.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
 pub struct ReadOptions<'a> {
-    /// Set to end it.
+    /// Set to stop.
     pub stop: &'a AtomicBool,
-    /// Stop after so many rows.
+    /// Stop after this many rows.
     pub rows_max: Option<u64>,
-    /// Stop after so long by the host's clock, too, and a moment for frames that are on their way: they may come slowly,
-    /// or not at all.
+    /// Stop after this time by the host's clock as well, plus a grace period for frames in transit: frames may come
+    /// slowly or not at all.
     pub length: Option<Duration>,
-    /// Whether it is there for one take: what ends the take ends the reading, and what others do to the take's file is
-    /// said.
-    pub for_one_take: bool,
-    /// Told, in words, what people should know while it runs.
-    pub say: &'a dyn Fn(&str),
-    /// How people end it, in words behind those that say that it waits; may be empty.
+    /// The reader serves a single take: the end of the take ends the reading, and changes to the take's file are
+    /// reported.
+    pub single_take: bool,
+    /// Receives messages for the user while the reader runs.
+    pub notify: &'a dyn Fn(&str),
+    /// How the user can stop, appended to messages that say that the reader waits; may be empty.
     pub how_to_end: &'a str,
-    /// What to do with a setting that a refusal names, in words.
+    /// Formats advice on the setting that an error names.
     pub how_to_set: fn(Setting) -> String,
 }
 
-/// What the reader saw.
+/// The reader's results.
 #[derive(Debug, Clone)]
-pub struct Recording {
-    /// Why the reading ended; [`CutOff`](EndingKind::CutOff): the take could not be written any more.
+pub struct ReaderOutcome {
+    /// Why the reading ended; [`CutOff`](EndingKind::CutOff) when the take could not be written any further.
     pub ending: EndingKind,
-    /// The counters.
+    /// The final counters.
     pub counts: Counts,
-    /// From the read that brought a frame's last byte to the frame's place in every ring.
-    pub ring_latency: Latency,
-    /// How often the device went away and came back.
+    /// Time from the read that delivered a frame's last byte until the frame was in every ring.
+    pub ring_latency: LatencyHistogram,
+    /// Times that the device was disconnected and came back.
     pub outages: u32,
 }
 
-/// How often others are told how long frames take into the rings.
-const LATENCY_EVERY_NS: u64 = 1_000_000_000;
+/// How often the latency is published.
+const LATENCY_INTERVAL_NS: u64 = 1_000_000_000;
 
-/// A device that stalls for ever must fill neither the take nor the screen.
-const STALLS_TOLD_MAX: u32 = 32;
+/// A device that keeps stalling must fill neither the take nor the screen.
+const STALLS_REPORTED_MAX: u32 = 32;
 
-/// Neither must a driver that has much to say: of notes that come with one read, no more are kept.
+/// Notes of the driver kept from one read: a driver with many notes must fill neither the take nor the screen.
 const NOTES_MAX: usize = 8;
 
 impl Rig {
     /// Starts the device and reads it to the end. The intake is finished in every case.
     ///
     /// # Errors
-    /// When the device refuses to start or does not answer. A device that goes away is an [`EndingKind`].
+    /// When the device refuses to start or does not answer. A disconnected device is an [`EndingKind`], not an error.
     pub fn read(
         mut self,
         mut intake: Intake,
         options: &ReadOptions<'_>,
-    ) -> anyhow::Result<Recording> {
+    ) -> anyhow::Result<ReaderOutcome> {
         let mut reader = Reader {
             intake: &mut intake,
-            latency: Latency::default(),
-            latency_told_ns: 0,
+            latency: LatencyHistogram::default(),
+            latency_published_ns: 0,
             prober: Prober::new(),
             end: None,
             started: None,
-            began_anew: None,
-            asked: None,
+            new_hello: None,
+            query: None,
             last_status: None,
-            started_again: 0,
+            restarts: 0,
             outages: 0,
             notes: Vec::new(),
             due_until_ns: None,
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
-        intake.link(self.link_counters());
-        // A take that is open then ends so.
-        intake.ends(match &outcome {
+        intake.set_link_counters(self.link_counters());
+        // An open take gets this ending.
+        intake.set_ending(match &outcome {
             Ok(ending) => (*ending).into(),
             Err(error) => TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
         });
         let counts = intake.finish();
-        Ok(Recording { ending: outcome?, counts, ring_latency: latency, outages })
+        Ok(ReaderOutcome { ending: outcome?, counts, ring_latency: latency, outages })
     }
 
     fn read_frames(
@@ -126,18 +126,17 @@ impl Rig {
         let started_ns = monotonic_ns();
         let length_ns = options.length.map(|length| length.as_nanos() as u64);
         reader.due_until_ns = length_ns.map(|length_ns| started_ns.saturating_add(length_ns));
-        let told = Cell::new(reader.intake.progress().file_changes());
+        let reported = Cell::new(reader.intake.progress().file_changes());
+        let is_past = |due_ns: u64| monotonic_ns() > due_ns.saturating_add(GRACE_NS);
         let is_over = |reader: &Reader<'_>| {
-            tell_file(reader.intake.progress(), options, &told);
+            report_file_change(reader.intake.progress(), options, &reported);
             options.stop.load(Ordering::Relaxed)
-                || end_of_take(reader.intake, options).is_some()
+                || take_ending(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
-                || reader
-                    .due_until_ns
-                    .is_some_and(|due_ns| monotonic_ns() > due_ns.saturating_add(GRACE_NS))
+                || reader.due_until_ns.is_some_and(is_past)
         };
         loop {
-            let or_end = |ending, intake: &Intake| end_of_take(intake, options).unwrap_or(ending);
+            let or_end = |ending, intake: &Intake| take_ending(intake, options).unwrap_or(ending);
             let ending = match self.read_until_gone(reader, options, &is_over)? {
                 EndingKind::Stopped if options.stop.load(Ordering::Relaxed) => {
                     or_end(EndingKind::Stopped, reader.intake)
@@ -149,47 +148,47 @@ impl Rig {
                 return Ok(ending);
             }
             reader.intake.event(host_event("the device was disconnected"));
-            reader.intake.away(true);
+            reader.intake.set_away(true);
             if !self.reconnect(reader, options, &is_over) {
                 return Ok(or_end(EndingKind::DeviceGone, reader.intake));
             }
-            reader.intake.away(false);
+            reader.intake.set_away(false);
             reader.outages += 1;
         }
     }
 
-    /// Reads a device that sends frames, for as long as it is there.
+    /// Reads a device that sends frames, until it stops or is disconnected.
     fn read_until_gone(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> anyhow::Result<EndingKind> {
-        let mut silence = Silence { last_frame_ns: monotonic_ns(), is_told: false };
-        let mut stalls = Stalls { cleared: self.transport.stalls_cleared(), told: 0 };
+        let mut silence = Silence { last_frame_ns: monotonic_ns(), is_reported: false };
+        let mut stalls = Stalls { cleared: self.transport.stalls_cleared(), reported: 0 };
         let mut stopped_ns = None;
         loop {
-            let frames_before = reader.intake.counts_seen();
-            match self.pump(reader) {
+            let frames_before = reader.intake.frames_seen();
+            match self.read_once(reader) {
                 Ok(()) => {}
                 Err(TransportError::Disconnected { .. }) => return Ok(EndingKind::DeviceGone),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
-            reader.notes.drain(..).for_each(|note| (options.say)(&note));
+            reader.notes.drain(..).for_each(|note| (options.notify)(&note));
             let now_ns = monotonic_ns();
-            if reader.intake.counts_seen() != frames_before {
-                silence = Silence { last_frame_ns: now_ns, is_told: false };
-                reader.asked = None;
+            if reader.intake.frames_seen() != frames_before {
+                silence = Silence { last_frame_ns: now_ns, is_reported: false };
+                reader.query = None;
             }
-            silence.tell(now_ns, options);
-            stalls.tell(self.transport.stalls_cleared(), reader.intake, options);
+            silence.report(now_ns, options);
+            stalls.report(self.transport.stalls_cleared(), reader.intake, options);
             if stopped_ns.is_none() {
                 self.probe(reader);
-                if silence.is_told {
-                    self.ask_who(reader, silence.last_frame_ns, now_ns);
+                if silence.is_reported {
+                    self.check_alive(reader, silence.last_frame_ns, now_ns);
                 }
-                if let Some(now) = reader.began_anew.take() {
-                    match self.follow_hello(reader, &now, options) {
+                if let Some(now) = reader.new_hello.take() {
+                    match self.handle_hello(reader, &now, options) {
                         Ok(true) => {}
                         Ok(false) | Err(TransportError::Disconnected { .. }) => {
                             return Ok(EndingKind::DeviceGone);
@@ -204,7 +203,7 @@ impl Rig {
                 return Ok(stopped_ns.map_or(EndingKind::DeviceEnded, |_| EndingKind::Stopped));
             }
             if reader.intake.has_failed() {
-                self.say(Command::Stop).ok();
+                self.send(Command::Stop).ok();
                 return Ok(EndingKind::CutOff);
             }
             match stopped_ns {
@@ -214,9 +213,9 @@ impl Rig {
                     }
                     stopped_ns = Some(now_ns);
                 }
-                Some(stopped_ns) if now_ns - stopped_ns > STOP_WITHIN.as_nanos() as u64 => {
-                    (options.say)(
-                        "the device does not confirm the stop: what it sent last may be missing",
+                Some(stopped_ns) if now_ns - stopped_ns > STOP_TIMEOUT.as_nanos() as u64 => {
+                    (options.notify)(
+                        "the device does not confirm the stop: its last frames may be missing",
                     );
                     return Ok(EndingKind::Stopped);
                 }
@@ -225,47 +224,47 @@ impl Rig {
         }
     }
 
-    /// Tells the device to stop. Gives how the reading ends where its last frames are not waited for.
+    /// Sends Stop. Returns an ending when the last frames are not to be waited for.
     fn stop(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         now_ns: u64,
     ) -> Option<EndingKind> {
-        match self.say(Command::Stop) {
+        match self.send(Command::Stop) {
             Ok(()) => {}
             Err(TransportError::Disconnected { .. }) => return Some(EndingKind::DeviceGone),
-            // It takes no commands: the take ends with its last frame.
+            // The device takes no commands: the take ends with its last frame.
             Err(error) => {
-                (options.say)(&error.to_string());
+                (options.notify)(&error.to_string());
                 return Some(EndingKind::Stopped);
             }
         }
         let due_until_ns = reader.due_until_ns.map_or(now_ns, |due| due.min(now_ns));
         reader.intake.no_frames_due_after(due_until_ns);
-        reader.no_longer_asking();
+        reader.clear_query();
         None
     }
 
-    /// `false` when the user stopped it before the device answered.
+    /// Returns `false` when the user stopped it before the device answered.
     pub(super) fn start(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
     ) -> anyhow::Result<bool> {
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-        for _ in 0..TRIES {
-            self.say(Command::Start { line_bytes_per_s })?;
-            let asked_ns = monotonic_ns();
-            while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
-                self.pump(reader)?;
+        for _ in 0..ATTEMPTS_MAX {
+            self.send(Command::Start { line_bytes_per_s })?;
+            let sent_ns = monotonic_ns();
+            while monotonic_ns() - sent_ns < ANSWER_TIMEOUT.as_nanos() as u64 {
+                self.read_once(reader)?;
                 if options.stop.load(Ordering::Relaxed) {
-                    self.say(Command::Stop)?;
+                    self.send(Command::Stop)?;
                     return Ok(false);
                 }
                 match reader.started {
                     Some(Ok(())) => return Ok(true),
-                    Some(Err(budget)) => return Err(refusal(budget, self.rate_hz(), &self.hello)),
+                    Some(Err(budget)) => return Err(too_slow(budget, self.rate_hz(), &self.hello)),
                     None => {}
                 }
             }
@@ -273,143 +272,146 @@ impl Rig {
         bail!("{} does not answer Start: switch it off and on again", self.uri)
     }
 
-    /// Asks the device for its clock, when that is due.
+    /// Sends a ping when one is due.
     fn probe(&mut self, reader: &mut Reader<'_>) {
         if reader.intake.wants_probes() {
-            reader.prober.hurry();
+            reader.prober.restart_schedule();
         }
         let now_ns = monotonic_ns();
         let Some(due_ns) = reader.prober.due(now_ns) else { return };
-        // On a line that sends in batches only, between two of them: nothing arrives meanwhile.
+        // Sleeps only on a line that sends in batches, between two batches, when nothing arrives.
         std::thread::sleep(Duration::from_nanos(due_ns.saturating_sub(now_ns)));
         let host_ns = monotonic_ns();
-        match self.say(Command::Ping { host_ns }) {
+        match self.send(Command::Ping { host_ns }) {
             Ok(()) if !self.outbox.is_empty() => reader.prober.sent(host_ns),
-            // Its family has no ping, or it does not read: a recording goes on without. A device that is gone
-            // shows in the next read.
-            Ok(()) | Err(_) => reader.prober.off(),
+            // The driver has no ping, or the device does not read: record without. A disconnected device shows in the
+            // next read.
+            Ok(()) | Err(_) => reader.prober.disable(),
         }
     }
 
-    /// What the link counted; samples that were no numbers since Start.
+    /// The link counters, with non-finite samples counted since the start.
     fn link_counters(&self) -> LinkCounters {
         let counters = self.protocol.counters();
         let samples_not_finite = counters.samples_not_finite - self.not_finite_before;
         LinkCounters { samples_not_finite, ..counters }
     }
 
-    /// One read, and everything it completes.
-    fn pump(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
+    /// One read, and all messages that it completes.
+    fn read_once(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
         let n = self.transport.read(&mut self.buffer)?;
         let arrival_ns = monotonic_ns();
         self.protocol.push(&self.buffer[..n], &mut |event| reader.event(event, arrival_ns));
         if n > 0 {
-            reader.intake.link(self.link_counters());
+            reader.intake.set_link_counters(self.link_counters());
         }
         reader.intake.tick(arrival_ns);
         Ok(())
     }
 }
 
-/// Since when no frame came, and whether that was told.
+/// When the last frame came, and whether the silence since then was reported.
 struct Silence {
     last_frame_ns: u64,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Silence {
-    fn tell(&mut self, now_ns: u64, options: &ReadOptions<'_>) {
-        if self.is_told || now_ns - self.last_frame_ns <= SILENCE.as_nanos() as u64 {
+    fn report(&mut self, now_ns: u64, options: &ReadOptions<'_>) {
+        if self.is_reported || now_ns - self.last_frame_ns <= SILENCE_MAX.as_nanos() as u64 {
             return;
         }
         let how_to_end = options.how_to_end;
-        (options.say)(&format!(
-            "no frame for 3 s: is the device capturing? Still waiting{how_to_end}"
-        ));
-        self.is_told = true;
+        let text = format!("no frame for 3 s: is the device capturing? Still waiting{how_to_end}");
+        (options.notify)(&text);
+        self.is_reported = true;
     }
 }
 
-/// How often the device had stalled and was cleared, and how often that was told.
+/// Stalls of the device that the transport has cleared, and how many were reported.
 struct Stalls {
     cleared: u64,
-    told: u32,
+    reported: u32,
 }
 
 impl Stalls {
-    fn tell(&mut self, cleared: u64, intake: &mut Intake, options: &ReadOptions<'_>) {
+    fn report(&mut self, cleared: u64, intake: &mut Intake, options: &ReadOptions<'_>) {
         if cleared <= self.cleared {
             return;
         }
         self.cleared = cleared;
-        self.told += 1;
-        if self.told <= STALLS_TOLD_MAX {
-            intake.event(host_event("the device stalled, and was cleared"));
-            (options.say)("the device stalled, and was cleared: what it was sending may be lost");
+        self.reported += 1;
+        if self.reported <= STALLS_REPORTED_MAX {
+            intake.event(host_event("the device stalled and its endpoint was cleared"));
+            (options.notify)("the device stalled and its endpoint was cleared: data may be lost");
         }
-        if self.told == STALLS_TOLD_MAX {
-            (options.say)("it stalls again and again: no more is said of it");
+        if self.reported == STALLS_REPORTED_MAX {
+            (options.notify)("the device keeps stalling: further stalls are not reported");
         }
     }
 }
 
-/// What ends a reading that is there for one take, as the writer sees it.
-fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
+/// The ending of a single take that the writer asks for.
+fn take_ending(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
     let progress = intake.progress();
     match progress.file_state() {
-        _ if !options.for_one_take => None,
+        _ if !options.single_take => None,
         FileState::Truncated => Some(EndingKind::Truncated),
         FileState::Unmounted => Some(EndingKind::Unmounted),
         _ => progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull),
     }
 }
 
-/// Says once what others did to the file; how it ends a take is said with the end.
-fn tell_file(progress: &Progress, options: &ReadOptions<'_>, told: &Cell<u32>) {
+/// Reports each change of the take's file once. A change that ends the take is reported with its end.
+fn report_file_change(
+    progress: &PipelineProgress,
+    options: &ReadOptions<'_>,
+    reported: &Cell<u32>,
+) {
     let changes = progress.file_changes();
-    let is_said = changes == told.replace(changes);
-    if !options.for_one_take || is_said || progress.file_state().ends_take() {
+    let is_reported = changes == reported.replace(changes);
+    if !options.single_take || is_reported || progress.file_state().ends_take() {
         return;
     }
     if let Some(displaced) = progress.displaced() {
-        (options.say)(&displaced.words());
+        (options.notify)(&displaced.message());
     }
 }
 
 pub(super) struct Reader<'a> {
     pub(super) intake: &'a mut Intake,
-    latency: Latency,
-    latency_told_ns: u64,
+    latency: LatencyHistogram,
+    latency_published_ns: u64,
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     pub(super) end: Option<()>,
-    /// It introduced itself while it was to send frames: so.
-    began_anew: Option<Hello>,
-    /// It was asked who it is, because no frame came.
-    pub(super) asked: Option<Asked>,
-    /// What it said last of the frames of its run.
+    /// A hello received during the stream: the device identified itself again.
+    new_hello: Option<Hello>,
+    /// Open while the device's identity was queried because no frame came.
+    pub(super) query: Option<IdentityQuery>,
+    /// The device's last status report of this run.
     pub(super) last_status: Option<Status>,
-    /// Times that it was started again without having gone away.
-    pub(super) started_again: u32,
+    /// Restarts without a disconnection.
+    pub(super) restarts: u32,
     outages: u32,
-    /// What people should be told.
+    /// Messages for the user.
     notes: Vec<String>,
     /// When the time is up, by the host's monotonic clock.
     due_until_ns: Option<u64>,
 }
 
 impl Reader<'_> {
-    /// The device is back, and will be started again.
+    /// The device is back and will be started again.
     pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
         self.started = None;
         self.end = None;
-        self.began_anew = None;
-        self.count_anew();
+        self.new_hello = None;
+        self.reset_counters();
         self.intake.announce(markers);
     }
 
-    /// Its counter, clock and reports may begin anew.
-    pub(super) fn count_anew(&mut self) {
+    /// The device's counter, clock and status reports may start again from zero.
+    pub(super) fn reset_counters(&mut self) {
         self.last_status = None;
         self.prober = Prober::new();
         self.intake.rejoin();
@@ -421,9 +423,9 @@ impl Reader<'_> {
                 self.intake.frame(&frame, arrival_ns);
                 let done_ns = monotonic_ns();
                 self.latency.add(done_ns.saturating_sub(arrival_ns));
-                if done_ns.saturating_sub(self.latency_told_ns) > LATENCY_EVERY_NS {
-                    self.latency_told_ns = done_ns;
-                    self.intake.tell_latency(&self.latency);
+                if done_ns.saturating_sub(self.latency_published_ns) > LATENCY_INTERVAL_NS {
+                    self.latency_published_ns = done_ns;
+                    self.intake.publish_latency(&self.latency);
                 }
             }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
@@ -435,8 +437,8 @@ impl Reader<'_> {
                 self.intake.event(Event::new(EventKind::Device, monotonic_ns(), text));
                 self.notes.push(text.to_owned());
             }
-            // Being asked stops it, and some say so.
-            DeviceEvent::EndOfStream(status) if self.is_asking() => {
+            // Some devices confirm that the query stopped their stream.
+            DeviceEvent::EndOfStream(status) if self.is_querying() => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);
             }
@@ -446,17 +448,15 @@ impl Reader<'_> {
             }
             DeviceEvent::Started(_) => self.started = Some(Ok(())),
             DeviceEvent::Refused(budget) => self.started = Some(Err(budget)),
-            DeviceEvent::Trigger(trigger) => {
-                let kind =
-                    if trigger.kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse };
-                let Trigger { device_ticks, input, .. } = trigger;
+            DeviceEvent::Trigger(Trigger { device_ticks, input, kind }) => {
+                let kind = if kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse };
                 let event = Event::new(kind, arrival_ns, "");
                 self.intake.event(Event { device_ticks, input, ..event });
             }
-            // An answer to a command of the handshake that came late.
+            // A late answer to a command of the handshake.
             DeviceEvent::Hello(hello) if self.started.is_some() => {
-                self.began_anew = Some(hello.clone());
-                self.no_longer_asking();
+                self.new_hello = Some(hello.clone());
+                self.clear_query();
             }
             DeviceEvent::Pong(Pong { host_ns, device_ticks }) => {
                 if self.prober.answered(host_ns, arrival_ns) {
@@ -475,123 +475,123 @@ pub(super) fn host_event(text: &str) -> Event {
     Event::new(EventKind::Host, monotonic_ns(), text)
 }
 
-/// A device that sent frames and is silent for so long is asked who it is, and again after as long: one that starts up
-/// needs a while, and being asked stops one that only pauses.
-const ASK_EVERY: Duration = Duration::from_secs(10);
+/// A device that sent frames and is silent is asked for its identity after this time, and again each time it passes: a
+/// device that is starting up needs a while, and the query stops one that only pauses.
+const IDENTIFY_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Starts that get an event and words: a device that is started in vain must fill neither the take nor the screen.
-const STARTS_TOLD_MAX: u32 = 32;
+/// Restarts that are reported: a device restarted in vain must fill neither the take nor the screen.
+const RESTARTS_REPORTED_MAX: u32 = 32;
 
-/// After so many answers that arrived with damage beside them the last one is believed: a line that is never clean must
-/// not keep a device from being started again.
-const ASKED_MAX: u32 = 5;
+/// After this many answers that came with damaged messages the last one is believed: on a line that is never clean the
+/// device must still be restarted.
+const IDENTIFY_ATTEMPTS_MAX: u32 = 5;
 
-/// When and in what state of the line it was asked.
+/// A query for the device's identity.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Asked {
+pub(super) struct IdentityQuery {
     at_ns: u64,
-    /// Messages that had arrived damaged by then.
+    /// Damaged messages counted when it was sent.
     damaged: u64,
-    /// How often, without a frame in between.
-    times: u32,
-    /// It has not answered.
-    waits: bool,
+    /// Queries since the last frame.
+    attempts: u32,
+    /// Not answered yet.
+    is_pending: bool,
 }
 
 impl Rig {
-    /// A device that sent frames and sends none any more may have lost its power while the line to it stayed: it says who
-    /// it is when it is asked, and is started again then.
-    pub(super) fn ask_who(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
-        let since_ns = reader.asked.map_or(last_frame_ns, |asked| asked.at_ns);
-        let is_due = now_ns.saturating_sub(since_ns) > ASK_EVERY.as_nanos() as u64;
-        if is_due && reader.intake.counts_seen() > 0 {
-            reader.asked = Some(Asked {
+    /// Asks a device that has stopped sending frames for its identity. It may have lost its power while its line stayed
+    /// up: it then answers, and is started again.
+    pub(super) fn check_alive(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
+        let since_ns = reader.query.map_or(last_frame_ns, |query| query.at_ns);
+        let is_due = now_ns.saturating_sub(since_ns) > IDENTIFY_INTERVAL.as_nanos() as u64;
+        if is_due && reader.intake.frames_seen() > 0 {
+            reader.query = Some(IdentityQuery {
                 at_ns: now_ns,
                 damaged: self.protocol.counters().messages_damaged,
-                times: reader.asked.map_or(1, |asked| asked.times.saturating_add(1)),
-                waits: true,
+                attempts: reader.query.map_or(1, |query| query.attempts.saturating_add(1)),
+                is_pending: true,
             });
             // A device that is gone shows in the next read.
-            self.say(Command::Identify).ok();
+            self.send(Command::Identify).ok();
         }
     }
 
-    /// A device introduced itself while it was to send frames: its stream ended, or it is started again. `false` when it
-    /// is another one.
-    pub(super) fn follow_hello(
+    /// The device identified itself during the stream: either its stream had ended, or it is restarted. Returns `false`
+    /// for another device.
+    pub(super) fn handle_hello(
         &mut self,
         reader: &mut Reader<'_>,
         now: &Hello,
         options: &ReadOptions<'_>,
     ) -> Result<bool, TransportError> {
-        if let Some(status) = reader.end_that_was_lost(now) {
-            let words =
-                "the end of the stream was lost on the line: the device was asked, and had ended";
-            reader.intake.event(host_event(words));
-            (options.say)(words);
+        if let Some(status) = reader.lost_end_status(now) {
+            let text =
+                "the end of the stream was lost on the line: the device says that it has ended";
+            reader.intake.event(host_event(text));
+            (options.notify)(text);
             reader.intake.status(status, true);
             reader.end = Some(());
             return Ok(true);
         }
         let damaged = self.protocol.counters().messages_damaged;
-        if let Some(asked) = &mut reader.asked
+        if let Some(query) = &mut reader.query
             && now.n_frames > 0
-            && damaged > asked.damaged
-            && asked.times < ASKED_MAX
+            && damaged > query.damaged
+            && query.attempts < IDENTIFY_ATTEMPTS_MAX
         {
-            // That its motion is over may have been lost again: it is asked again when that is due, and it waits.
-            asked.waits = true;
+            // The message that its motion is over may be lost again: wait, and query again when that is due.
+            query.is_pending = true;
             return Ok(true);
         }
-        self.start_again(reader, now, options)
+        self.restart_device(reader, now, options)
     }
 
-    /// A device that introduced itself while it was to send frames is started again, as it was. `false` when it is
-    /// another one.
-    fn start_again(
+    /// Restarts a device that identified itself during the stream, with its settings. Returns `false` for another
+    /// device.
+    fn restart_device(
         &mut self,
         reader: &mut Reader<'_>,
         now: &Hello,
         options: &ReadOptions<'_>,
     ) -> Result<bool, TransportError> {
         if (&now.model, &now.serial) != (&self.hello.model, &self.hello.serial) {
-            (options.say)(&format!("another device answers, {} {}", now.model, now.serial));
+            (options.notify)(&format!("another device answers, {} {}", now.model, now.serial));
             return Ok(false);
         }
-        reader.started_again += 1;
-        reader.count_anew();
-        if reader.started_again <= STARTS_TOLD_MAX {
-            reader.intake.event(host_event("the device introduced itself and was started again"));
-            (options.say)(
-                "the device introduced itself, as after a reset, a loss of power or a long silence: it was started again",
+        reader.restarts += 1;
+        reader.reset_counters();
+        if reader.restarts <= RESTARTS_REPORTED_MAX {
+            reader.intake.event(host_event("the device identified itself and was restarted"));
+            (options.notify)(
+                "the device identified itself, as after a reset, a power loss or a long silence: it was restarted",
             );
         }
-        if now.rate_mhz != self.hello.rate_mhz {
-            self.say(Command::SetRate(self.hello.rate_mhz))?;
+        if now.rate_millihertz != self.hello.rate_millihertz {
+            self.send(Command::SetRate(self.hello.rate_millihertz))?;
         }
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-        self.say(Command::Start { line_bytes_per_s })?;
+        self.send(Command::Start { line_bytes_per_s })?;
         Ok(true)
     }
 }
 
 impl Reader<'_> {
-    /// Whether an answer is waited for.
-    pub(super) fn is_asking(&self) -> bool {
-        self.asked.is_some_and(|asked| asked.waits)
+    /// Whether an answer is expected.
+    pub(super) fn is_querying(&self) -> bool {
+        self.query.is_some_and(|query| query.is_pending)
     }
 
-    /// It answered, or is asked no more.
-    pub(super) fn no_longer_asking(&mut self) {
-        if let Some(asked) = &mut self.asked {
-            asked.waits = false;
+    /// The device answered, or is not asked any more.
+    pub(super) fn clear_query(&mut self) {
+        if let Some(query) = &mut self.query {
+            query.is_pending = false;
         }
     }
 
-    /// What a device said of its run that was asked because no frame came, when that was all of a motion: then the end of
-    /// its stream was lost on the way.
-    fn end_that_was_lost(&self, now: &Hello) -> Option<Status> {
-        let of_all = |status: &Status| now.n_frames > 0 && status.frames_produced >= now.n_frames;
-        self.last_status.filter(of_all).filter(|_| self.asked.is_some())
+    /// The last status report of a device that was queried because no frame came, if it had sent its whole motion: then
+    /// the end of its stream was lost on the line.
+    fn lost_end_status(&self, now: &Hello) -> Option<Status> {
+        let complete = |status: &Status| now.n_frames > 0 && status.frames_produced >= now.n_frames;
+        self.last_status.filter(complete).filter(|_| self.query.is_some())
     }
 }

@@ -1,4 +1,4 @@
-//! A device that went away: waited for, found again, and started again, so that the take goes on.
+//! Reconnecting: waits for a device that was disconnected, finds it and starts it again, so that the take goes on.
 
 use std::time::Duration;
 
@@ -11,97 +11,92 @@ use mocapd_drivers::{
 use super::{ReadOptions, Rig, reader::Reader};
 use crate::{host_clock::monotonic_ns, setting};
 
-/// How often it is looked for where udev does not tell: twenty looks in the two seconds within which a device
-/// that is back is recorded again.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Polling interval where udev does not notify: twenty attempts in the two seconds within which a device that is back
+/// has to be recording again.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// After a device that was there but could not be started: it may be busy starting up, or be another one.
-const LOOK_AFTER_FAILURE: Duration = Duration::from_millis(500);
+/// Time to wait after a device that is present could not be started: it may be starting up, or be another one.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// How long the same obstacle must last before somebody is told: udev needs a moment to set permissions.
-const TELL_AFTER: Duration = Duration::from_secs(1);
+/// Report an obstacle that lasts this long: udev needs a moment to set permissions.
+const REPORT_AFTER: Duration = Duration::from_secs(1);
 
-/// What is tried to bring a device back.
-enum Attempt {
+/// The result of an attempt to reconnect.
+enum ReconnectAttempt {
     Back,
     /// It is not there, or may not be opened.
     Absent(String),
-    /// It is there, but does not do what is asked.
+    /// It is there but cannot be started.
     Failed(String),
 }
 
-/// What keeps a device away, told once when it lasts.
+/// The reason why the device cannot be reconnected, reported once if it lasts.
 struct Obstacle {
-    words: String,
+    message: String,
     since_ns: u64,
-    told: bool,
+    reported: bool,
 }
 
 impl Obstacle {
-    fn met(&mut self, words: String, say: &dyn Fn(&str)) {
+    fn update(&mut self, message: String, notify: &dyn Fn(&str)) {
         let now_ns = monotonic_ns();
-        if words != self.words {
-            *self = Self { words, since_ns: now_ns, told: false };
-        } else if !self.told && now_ns - self.since_ns > TELL_AFTER.as_nanos() as u64 {
-            say(&format!("still waiting: {}", self.words));
-            self.told = true;
+        if message != self.message {
+            *self = Self { message, since_ns: now_ns, reported: false };
+        } else if !self.reported && now_ns - self.since_ns > REPORT_AFTER.as_nanos() as u64 {
+            notify(&format!("still waiting: {}", self.message));
+            self.reported = true;
         }
     }
 }
 
 impl Rig {
-    /// From now on a recording waits so long for the device when it goes away, before the take ends. Without this it
+    /// Sets how long a recording waits for a disconnected device before the take ends. By default it does not wait.
     /// does not wait.
-    pub fn wait_for_replug(&mut self, patience: Duration) {
-        self.patience = patience;
+    pub fn wait_for_replug(&mut self, replug_timeout: Duration) {
+        self.replug_timeout = replug_timeout;
     }
 
-    /// Waits for the device, and starts it. `false`: it did not come back before its time was over, or `is_over`.
+    /// Waits for the device and starts it. Returns `false` if it did not come back in time, or `is_over`.
     pub(super) fn reconnect(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> bool {
-        // Closed before anything else: a port that stays open keeps its name from the one that comes.
-        self.transport = Box::new(Unplugged);
-        if self.patience.is_zero() || is_over(reader) {
+        // Closed before anything else: an open port keeps its name from the device that comes back.
+        self.transport = Box::new(UnpluggedTransport);
+        if self.replug_timeout.is_zero() || is_over(reader) {
             return false;
         }
         let gone_ns = monotonic_ns();
-        (options.say)(&format!(
-            "{} is gone: plug it in again within {} s, and {} goes on{}",
+        (options.notify)(&format!(
+            "{} is gone: plug it in again within {} s to continue {}{}",
             self.uri,
-            (self.patience.as_secs_f64() * 10.0).round() / 10.0,
-            if options.for_one_take { "the take" } else { "recording" },
+            (self.replug_timeout.as_secs_f64() * 10.0).round() / 10.0,
+            if options.single_take { "the take" } else { "recording" },
             options.how_to_end
         ));
-        let mut obstacle = Obstacle { words: String::new(), since_ns: gone_ns, told: true };
+        let mut obstacle = Obstacle { message: String::new(), since_ns: gone_ns, reported: true };
         let mut watch = UsbWatch::new();
-        while !is_over(reader) && monotonic_ns() - gone_ns < self.patience.as_nanos() as u64 {
-            let give_up_ns = gone_ns.saturating_add(self.patience.as_nanos() as u64);
-            let give_up = |reader: &Reader<'_>| {
-                // Asked between any two tries: a handshake may take longer than the watchdog waits.
-                reader.intake.alive();
+        while !is_over(reader) && monotonic_ns() - gone_ns < self.replug_timeout.as_nanos() as u64 {
+            let give_up_ns = gone_ns.saturating_add(self.replug_timeout.as_nanos() as u64);
+            let cancel = |reader: &Reader<'_>| {
+                // Called between any two attempts: a handshake may take longer than the watchdog's limit.
+                reader.intake.keep_alive();
                 is_over(reader) || monotonic_ns() > give_up_ns
             };
-            let wait = match self.attempt(reader, options, &give_up) {
-                Attempt::Back => {
-                    // How long it was away its first frame tells.
-                    (options.say)("the device is back");
+            let (message, wait) = match self.attempt(reader, options, &cancel) {
+                ReconnectAttempt::Back => {
+                    // The first frame shows how long it was away.
+                    (options.notify)("the device is back");
                     return true;
                 }
-                Attempt::Absent(words) => {
-                    obstacle.met(words, options.say);
-                    LOOK_EVERY
-                }
-                Attempt::Failed(words) => {
-                    obstacle.met(words, options.say);
-                    LOOK_AFTER_FAILURE
-                }
+                ReconnectAttempt::Absent(message) => (message, POLL_INTERVAL),
+                ReconnectAttempt::Failed(message) => (message, RETRY_INTERVAL),
             };
+            obstacle.update(message, options.notify);
             watch.wait(wait);
-            // What was recorded before goes to disk meanwhile.
+            // Meanwhile what was recorded goes to disk.
             reader.intake.tick(monotonic_ns());
         }
         false
@@ -111,71 +106,71 @@ impl Rig {
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
-        give_up: &dyn Fn(&Reader<'_>) -> bool,
-    ) -> Attempt {
-        match registry::open_again(&self.uri, &self.identity) {
+        cancel: &dyn Fn(&Reader<'_>) -> bool,
+    ) -> ReconnectAttempt {
+        match registry::reopen(&self.uri, &self.identity) {
             Ok(line) => {
                 let line = match &self.raw_log {
-                    Some(tap) => tap.on(self.family, line),
+                    Some(tap) => tap.wrap(self.family, line),
                     None => line,
                 };
                 self.transport = self.protocol.attach(line);
             }
-            Err(error) => return Attempt::Absent(error.to_string()),
+            Err(error) => return ReconnectAttempt::Absent(error.to_string()),
         }
-        match self.rejoin(reader, options, give_up) {
-            Ok(()) => Attempt::Back,
+        match self.rejoin(reader, options, cancel) {
+            Ok(()) => ReconnectAttempt::Back,
             Err(error) => {
-                self.transport = Box::new(Unplugged);
-                Attempt::Failed(setting::words(&error, options.how_to_set))
+                self.transport = Box::new(UnpluggedTransport);
+                ReconnectAttempt::Failed(setting::message(&error, options.how_to_set))
             }
         }
     }
 
-    /// Makes sure that it is the same device, as it was, and starts it.
+    /// Checks that it is the same device, restores its rate and starts it.
     fn rejoin(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
-        give_up: &dyn Fn(&Reader<'_>) -> bool,
+        cancel: &dyn Fn(&Reader<'_>) -> bool,
     ) -> anyhow::Result<()> {
         let before = self.hello.clone();
-        let introduced = self.introduce(&|| give_up(reader));
+        let queried = self.query_identity(&|| cancel(reader));
         let now = std::mem::replace(&mut self.hello, before);
-        introduced?;
+        queried?;
         let was = &self.hello;
         ensure!(
             (&now.model, &now.serial) == (&was.model, &was.serial),
-            "another device answers, {} {}, and the take is of {} {}: plug that one in",
+            "another device answers, {} {}, but the take needs {} {}: plug that one in",
             now.model,
             now.serial,
             was.model,
             was.serial
         );
-        if now.rate_mhz != was.rate_mhz {
-            self.set_rate_unless(self.rate_hz(), &|| give_up(reader))?;
+        if now.rate_millihertz != was.rate_millihertz {
+            self.try_set_rate(self.rate_hz(), &|| cancel(reader))?;
         }
         reader.restart(&self.markers);
         self.start(reader, options).map(drop)
     }
 }
 
-/// Nothing is attached.
+/// The transport while no device is attached.
 #[derive(Debug)]
-struct Unplugged;
+struct UnpluggedTransport;
 
-impl Unplugged {
-    fn gone() -> TransportError {
+impl UnpluggedTransport {
+    fn error() -> TransportError {
         TransportError::Disconnected { device: "the device".to_owned() }
     }
 }
 
-impl Transport for Unplugged {
+impl Transport for UnpluggedTransport {
     fn read(&mut self, _buf: &mut [u8]) -> Result<usize, TransportError> {
-        Err(Self::gone())
+        Err(Self::error())
     }
 
     fn write_all(&mut self, _bytes: &[u8]) -> Result<(), TransportError> {
-        Err(Self::gone())
+        Err(Self::error())
     }
 }

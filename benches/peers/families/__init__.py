@@ -1,1 +1,1 @@
-"""One module for each family of published codecs. `all_codecs` is the list the bench runs."""
+"""Published codecs, one module per family; `registry.all_codecs` lists those of the bench."""

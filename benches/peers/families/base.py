@@ -1,8 +1,8 @@
-"""What a codec of the bench is: ways (layouts) to encode a take at a tolerance, and the way back.
+"""The interface of a codec of the bench: a set of layouts (`Way`), each with an encoder and a decoder.
 
-A lossy codec here is one way = one name, an encoder `(take, tolerance) -> bytes-like payload` and a decoder back to
-channels (markers * 3, frames). `best` runs the ways, decodes, measures, and keeps the smallest payload whose
-MEASURED error (float64 distance between float32 positions) is within the tolerance; a way that breaks it is dropped.
+A layout has a name, an encoder `(take, tolerance) -> bytes-like payload` and a decoder to channels (markers * 3,
+frames). `best` encodes with every layout, decodes, measures the error (float64 distance between float32 positions), and
+returns the smallest payload whose measured error is within the tolerance; layouts that exceed it are dropped.
 """
 
 import math
@@ -13,24 +13,24 @@ import numpy as np
 
 from takes import max_error_mm
 
-# Per-axis tolerance that keeps the 3-D error within 1.
+# Tolerance per axis that keeps the 3-D error within 1.
 AXIS = 1 / math.sqrt(3)
 
-# Rounding to float32 adds some 0.2 % at 0.1 mm and 4 m; a way that is further off does not keep its own bound.
+# Rounding to float32 adds about 0.2 % at 0.1 mm and 4 m; a layout with a larger excess violates its own bound.
 OVERSHOOT_MAX = 1.05
 
-# Tuned codecs: how many layouts are tuned (the smallest untuned ones), and the scan of axis tolerances in steps of 1 %:
-# sizes and errors jump about between neighbouring tolerances, so each step may win.
-# Above sqrt3 a single axis at its tolerance already breaks the bound; ZFP stays far below its tolerance.
+# Tuned codecs: the number of layouts that are tuned (the smallest untuned ones), and a scan of axis tolerances in steps
+# of 1 %. Sizes and errors do not vary smoothly between neighbouring tolerances, so every step is tried.
+# Above sqrt3 a single axis at its tolerance already exceeds the bound, but ZFP stays far below its tolerance.
 WAYS_TUNED = 3
 STEP = 1.01
 FACTOR_MAX = 3.5
-HOPELESS = 1.3  # times the bound: the scan ends, larger tolerances only err more
+HOPELESS = 1.3  # times the bound, where the scan ends: larger tolerances only increase the error
 
 
 @dataclass
 class Way:
-    """A layout of one codec: `encode(take, axis_tolerance)` gives the payload, `decode(take, payload)` channels."""
+    """A layout of one codec: `encode(take, axis_tolerance)` returns a payload, `decode(take, payload)` its channels."""
 
     name: str
     encode: Callable
@@ -60,13 +60,13 @@ class Codec:
     lossless: bool = False
 
     def way_named(self, take, layout):
-        """The way a result came from, to time it."""
+        """The layout of a result by its name, for timing."""
         return next(way for way in self.ways(take) if way.name == layout)
 
     def best(self, take, tolerance_mm, tuned=True):
-        """The smallest verified result over all ways; None where every way refuses the take.
+        """The smallest verified result over all layouts; None where every layout refuses the take.
 
-        Without `tuned`, at the plain axis tolerance that keeps the bound whatever the data.
+        Without `tuned`, at the axis tolerance that guarantees the bound for any data.
         """
         found = []
         for way in self.ways(take):
@@ -81,7 +81,8 @@ class Codec:
 
 
 def attempt(take, way, axis_tolerance):
-    """Encode, decode, measure. A codec that refuses a layout (too few dimensions, too wide numbers) says ValueError."""
+    """Encodes, decodes and measures. A codec raises ValueError for a layout that it refuses (too few dimensions, too
+    wide numbers)."""
     try:
         payload = way.encode(take, axis_tolerance)
     except (ValueError, OverflowError):
@@ -91,7 +92,7 @@ def attempt(take, way, axis_tolerance):
 
 
 def lowered(take, way, tolerance_mm):
-    """The plain per-axis tolerance, lowered a little where rounding to float32 breaks the bound."""
+    """The result at the guaranteed axis tolerance, lowered slightly where rounding to float32 exceeds the bound."""
     axis = tolerance_mm * AXIS
     for _ in range(6):
         result = attempt(take, way, axis)
@@ -99,15 +100,15 @@ def lowered(take, way, tolerance_mm):
             return result
         if result.max_error_mm > OVERSHOOT_MAX * tolerance_mm:
             return None
-        # Two parts in 1e5 beyond the overshoot: float32 at 4 m is 0.24 um, a quarter of a percent of 0.1 mm.
+        # Lowered by the excess and 2e-5 more: the spacing of float32 at 4 m is 0.24 um, a quarter percent of 0.1 mm.
         axis *= min(tolerance_mm / result.max_error_mm, 1.0) * (1 - 2e-5)
     return None
 
 
 def raised(take, way, tolerance_mm, start):
-    """Scans axis tolerances above the plain one; keeps the smallest payload whose measured error is within the bound.
+    """Scans larger axis tolerances for the smallest payload whose measured error is within the bound.
 
-    A scan and not a bisection: the measured error does not grow evenly with the tolerance.
+    Bisection would not work: the measured error does not grow monotonically with the tolerance.
     """
     best = start
     for factor in STEP ** np.arange(1, np.log(FACTOR_MAX) / np.log(STEP)):

@@ -1,7 +1,7 @@
-"""What a user has today: lossless float32 in the files of the field. One size for all tolerances, gaps included.
+"""Common file formats with lossless float32, gaps included: one size for all tolerances.
 
-C3D stores four float32 for each sample, missing ones too. Parquet has a column for each channel, an MCAP one message
-a frame. All are read back and compared, gaps included.
+C3D stores four float32 for each sample, also for missing ones. Parquet has one column per channel, MCAP one message
+per frame. All are read back and compared, gaps included.
 """
 
 import io

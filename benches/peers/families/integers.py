@@ -1,11 +1,12 @@
-"""Quantised positions and their packings: what the byte and integer compressors work on."""
+"""Quantised positions and their packings: the input of the byte and integer compressors."""
 
 import numpy as np
 
 
 def quantise(take, axis_tolerance):
-    """Int32 grid numbers, one channel a row; step 2 * axis tolerance, so no axis is off by more than the tolerance."""
-    # In float64: grid numbers at 0.1 mm need up to 18 bits and the rounding must not add to the error.
+    """Int32 grid numbers, one channel per row. The step is 2 * axis tolerance, so that the error of each axis is within
+    the tolerance."""
+    # In float64, because grid numbers at 0.1 mm need up to 18 bits and rounding must not add to the error.
     grid = np.rint(take.filled * np.float64(0.5 / axis_tolerance))
     if np.abs(grid).max(initial=0) >= 2**27:
         raise ValueError("grid numbers too wide to difference in 32 bits")
@@ -17,7 +18,8 @@ def restore(grid, axis_tolerance):
 
 
 def difference(grid, order):
-    """`order` differences along time; the first samples of a channel have the lower orders, so only one is large."""
+    """Differences of `order` along time. The first samples of a channel have lower orders, so that only one is
+    large."""
     out = grid.copy()
     for step in range(order):
         out[:, step + 1 :] = np.diff(out[:, step:], axis=1)
@@ -80,7 +82,7 @@ def from_words(data, shape):
 
 
 def to_planes(values):
-    """Zigzag numbers, all their low bytes first."""
+    """Byte planes of the zigzag numbers, the low bytes first."""
     width = width_of(values)
     words = zigzag(values.ravel()).astype(f"<u{width}")
     return bytes([width]) + np.ascontiguousarray(words.view(np.uint8).reshape(-1, width).T).tobytes()

@@ -1,5 +1,5 @@
-"""Compressors of integer arrays and of images and sound, lossless, on the quantised positions (grid 2 tolerance/sqrt3):
-pcodec, Blosc2, JPEG-XL, FLAC."""
+"""Lossless compressors of integers, images and sound on the quantised positions (grid 2 tolerance/sqrt3): pcodec,
+Blosc2, JPEG-XL, FLAC."""
 
 import io
 
@@ -15,7 +15,7 @@ from families.integers import difference, integrate, quantise, restore, unzigzag
 
 
 def on_grid(name, encode, decode):
-    """A way from an encoder and decoder of (channels, frames) int32; remembers the grid of its last payload."""
+    """A layout from an encoder and a decoder of (channels, frames) int32; it stores the grid of its last payload."""
     grid = {}
 
     def forth(take, axis):
@@ -26,7 +26,7 @@ def on_grid(name, encode, decode):
 
 
 def pco_ways(take):
-    """Differences by pcodec, end to end over all channels, or made here, where each channel starts anew."""
+    """Differences computed by pcodec across all channels end to end, or here for each channel separately."""
     own = {"auto": DeltaSpec.auto()} | {f"delta{n}": DeltaSpec.try_consecutive(n) for n in (1, 2, 3)}
     for name, delta in own.items():
         config = ChunkConfig(compression_level=12, delta_spec=delta)
@@ -83,7 +83,7 @@ def jxl_ways(take):
 
 
 def flac_ways(take):
-    """One sound after another in one mono stream; 16 bits where the grid fits, else 24."""
+    """All channels one after another in a mono stream, with 16 bits where the grid numbers fit, else 24."""
 
     def encode(q):
         centres = (q.min(axis=1, keepdims=True) + q.max(axis=1, keepdims=True)) // 2

@@ -1,4 +1,4 @@
-"""The codecs the bench runs, strongest families first."""
+"""All codecs of the bench, strongest families first."""
 
 from families import containers, numbers, quantised, scientific, trajectories
 

@@ -1,8 +1,8 @@
-"""Error-bounded compressors of scientific arrays: SZ3, SPERR, ZFP. Layout decides their size more than anything else,
-so each is given channels end to end, rows of channels, rows of frames, and three dimensions both ways.
+"""Error-bounded compressors of scientific arrays: SZ3, SPERR, ZFP. Their size depends on the layout more than on
+anything else, so each encodes channels end to end, rows of channels, rows of frames, and two 3-D arrangements.
 
-SPERR transforms an axis on its own when the other two are short, so its (frames, markers, 3) is in effect 1-D along
-time with one coder over all channels.
+SPERR transforms an axis alone when the other two are short, so its (frames, markers, 3) is in effect 1-D along time
+with one coder for all channels.
 """
 
 import imagecodecs
@@ -14,7 +14,7 @@ from families.base import Codec, Way
 
 
 def arrangements(take):
-    """Name, array, and the way back to channels (markers * 3, frames)."""
+    """Tuples of name, array, and a function from the decoded array to channels (markers * 3, frames)."""
     channels = take.filled
     count, frames = channels.shape
     cube = channels.reshape(-1, 3, frames)
@@ -55,7 +55,7 @@ def sz3_ways(take):
             )
 
 
-# SPERR numbers places along an axis in 16 bits: chunks beyond 32768 were seen to decode to nonsense or to abort.
+# SPERR indexes an axis with 16 bits: larger chunks decode to garbage or abort.
 SPERR_AXIS_MAX = 32768
 
 

@@ -1,23 +1,23 @@
-"""mdz: a compressor of molecular trajectories, the published codec nearest to marker data: points over time, a bound
-on the error of each axis, prediction from earlier frames or (anchors) from both sides.
+"""mdz, a compressor of molecular trajectories and the published codec closest to marker data: points over time, an
+error bound for each axis, prediction from earlier frames or, with anchors, from both sides.
 
-Its default groups of 20 frames are for random access; groups as long as its format allows are smaller and tried here.
-Only its compressed groups are charged, not its file header.
+Its default of 20 frames per group serves random access. The longest groups of its format compress better and are used
+here. Only the compressed groups count, not the file header.
 """
 
 import mdz
 
 from families.base import Codec, Way
 
-GROUP_ANCHORS_MAX = 255  # of its format
+GROUP_ANCHORS_MAX = 255  # a limit of the format
 ANCHOR_STEPS = (1, 2, 4, 8, 16, 32)
-ORDERS = (0, 1, 2)  # of its predictor; 0 lets it choose for each group
-# With adaptive steps, its largest error is 4 times the precision it is told; else half.
+ORDERS = (0, 1, 2)  # orders of the predictor; 0 selects one for each group
+# The largest error is 4 times the `precision` with adaptive steps, and half of it without.
 STEPS = {True: 0.25, False: 2.0}
 
 
 def group_frames(frames, anchor_step):
-    """Frames of a group: few equal groups, none with too many anchors."""
+    """Frames per group: the fewest equal groups within the limit of anchors."""
     longest = (GROUP_ANCHORS_MAX - 2) * anchor_step
     groups = -(-frames // longest)
     return -(-frames // groups)
@@ -30,7 +30,7 @@ def mdz_ways(take):
     sizes = {group_frames(frames, step) for step in ANCHOR_STEPS[1:]}
     for adaptive in (False, True):
         for step in ANCHOR_STEPS:
-            # Without anchors in between, groups may have any length.
+            # Without anchors, groups may have any length.
             for size in sizes if step == 1 else {group_frames(frames, step)}:
                 for order in ORDERS:
                     name = f"groups of {size}, anchors every {step}, order {order}{', adaptive' * adaptive}"

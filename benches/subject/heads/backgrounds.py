@@ -1,4 +1,4 @@
-"""Pictures without faces that come with scikit-image and scikit-learn: what heads and animals are before."""
+"""Backgrounds for heads and animals: the pictures without faces in scikit-image and scikit-learn."""
 
 from pathlib import Path
 

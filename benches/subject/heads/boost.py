@@ -1,4 +1,4 @@
-"""Trees of three questions, boosted for the logistic loss (Friedman, Hastie and Tibshirani 2000), on bytes."""
+"""Gradient boosting with the logistic loss (Friedman, Hastie and Tibshirani 2000): trees of depth three on bytes."""
 
 import struct
 
@@ -23,7 +23,7 @@ def histograms(columns, chosen, node, nodes, slope, bend):
 
 @numba.njit(cache=True)
 def best_splits(sums, ridge):
-    """For each node which feature is asked, and up to which bin its rows go left."""
+    """For each node, the feature of its split, and the last bin whose rows go left."""
     features, nodes = sums.shape[0], sums.shape[1]
     which, bins, gains = np.zeros(nodes, np.int64), np.full(nodes, BINS - 1), np.full(nodes, 1e-9)
     for n in range(nodes):
@@ -47,7 +47,7 @@ def descend(columns, features, bins, node):
 
 
 def learn(rows, faces, weights, rounds, rate, ridge, tried, random, told=None):
-    """Trees: features asked (7, the root first), thresholds (a byte above goes right), leaves (8). And what is added."""
+    """The bias, and trees: 7 features (the root first), 7 thresholds (a larger byte goes right), 8 leaves."""
     columns = np.ascontiguousarray(rows.T)
     share = (weights * faces).sum() / weights.sum()
     bias = np.log(share / (1 - share))
@@ -56,7 +56,7 @@ def learn(rows, faces, weights, rounds, rate, ridge, tried, random, told=None):
     for turn in range(rounds):
         p = 1 / (1 + np.exp(-score))
         slope, bend = weights * (faces - p), weights * p * (1 - p)
-        # Rows that are told apart already are left out of a turn.
+        # Rows that are classified with certainty are left out of a round.
         heavy = np.flatnonzero(bend > 1e-3 * bend.max()) if turn else np.arange(len(rows))
         part = np.ascontiguousarray(columns[:, heavy]) if turn % 10 == 0 or turn < 3 else part
         heavy_now = heavy if turn % 10 == 0 or turn < 3 else heavy_now
@@ -95,7 +95,8 @@ def scores(rows, bias, trees):
 
 
 def table(bias, trees):
-    """As `face/find/trees.rs` reads it: the bias, then of each tree the bytes asked, their limits, the leaves; in thousandths."""
+    """The table for `face/find/trees.rs`: the bias, then features, thresholds and leaves of each tree. Bias and leaves are in
+    thousandths."""
     rows = [struct.pack("<7H7B8h", *map(int, asked), *map(int, limits), *(round(1000 * float(leaf)) for leaf in leaves))
             for asked, limits, leaves in trees]
     return struct.pack("<i", round(1000 * bias)) + b"".join(rows)

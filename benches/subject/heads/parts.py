@@ -1,4 +1,4 @@
-"""What heads are made of: MakeHuman's skin, eyes, brows, lashes, teeth, hair and beards, each with its texture."""
+"""The parts of a head from MakeHuman: skin, eyes, brows, lashes, teeth, hair and beards, with their textures."""
 
 import functools
 import json
@@ -14,7 +14,7 @@ from features import LANDMARKS, LID_RING, complete  # noqa: E402
 from people import Head, expressions, random_identity, sliders  # noqa: E402
 
 BODY = 13380
-# How wide a strip of the body is drawn under the chin, in decimetres.
+# Height of the strip of the body that is drawn below the chin, in decimetres.
 BUST = 3.4
 
 
@@ -24,12 +24,12 @@ def triangles_of(quads):
 
 @functools.cache
 def texture(path):
-    """Red, green, blue, how much is covered: 0 to 1."""
+    """Red, green, blue and alpha, 0 to 1."""
     return np.asarray(Image.open(path).convert("RGBA"), np.float32) / 255
 
 
 class Part:
-    """A mesh that lies on the base mesh, and its textures."""
+    """A mesh attached to the base mesh, and its textures."""
 
     def __init__(self, folder):
         path = next(p for p in sorted(folder.glob("*.json")) if p.stem == folder.name)
@@ -43,12 +43,12 @@ class Part:
         self.name = folder.name
 
     def on(self, base, scale):
-        """Its vertices on a person, whose head is `scale` as large as the base mesh's (three axes)."""
+        """Its vertices on a person; `scale` is the size of the head relative to the base mesh, for three axes."""
         return (base[self.refs] * self.weights[:, :, None]).sum(1) + self.offsets * scale
 
 
 class Parts:
-    """All of them, and the people they are worn by."""
+    """All parts, with the base mesh and its morph targets."""
 
     def __init__(self, data, targets):
         base = data / "models/human_full_size.json"
@@ -70,7 +70,7 @@ class Parts:
         beards = ("Full_beard", "Moustache")
         self.hair = all_of("hair", beards)
         self.beards = [Part(proxies / "hair" / name) for name in beards]
-        # Hair by hair has ten times the triangles of the others, and no more pixels.
+        # Modelled hair by hair, these have ten times the triangles of the others without visible effect.
         self.brows = all_of("eyebrows", ("Eyebrows_01",))
         self.lashes = all_of("eyelashes", ("Eyelashes_01",))
         self.eyes = [Part(proxies / "eyes/Low-Poly")]

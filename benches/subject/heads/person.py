@@ -1,4 +1,4 @@
-"""Random people: shape, expression, skin, eyes, hair, and what they wear."""
+"""Random people: shape, expression, skin, eyes, hair and accessories."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from parts import LANDMARKS, random_identity, texture
 from raster import normals
 from worn import worn
 
-# Which layer the eyes are.
+# Index of the layer of the eyes.
 EYES = 3
 
 
@@ -52,7 +52,7 @@ class Person:
         self.add(part.on(self.base, self.scale), part.triangles, part.uv, part.corners, tint(picture), alpha_min)
 
     def skin(self, picture, random):
-        """Of other shades than the eighteen there are, and redder or paler; stubble and make-up are in the texture."""
+        """Varies shade and hue of the eighteen textures, which include stubble and make-up."""
         gamma = np.exp(random.normal(0, 0.25)) * np.exp(random.normal(0, 0.05, 3))
         picture = picture.copy()
         picture[..., :3] = picture[..., :3] ** gamma
@@ -64,7 +64,7 @@ class Person:
         return np.array(kinds[random.choice(6, p=share)]) * np.exp(random.normal(0, 0.2))
 
     def tinted(self, picture, colour):
-        """Its own strands in another colour."""
+        """The texture with its strands in another colour."""
         picture = picture.copy()
         there = picture[..., 3] > 0.3
         luma = picture[..., :3] @ [0.3, 0.59, 0.11]
@@ -73,7 +73,7 @@ class Person:
         return picture
 
     def bust(self, parts, random):
-        """A collar's cloth over what is under the neck: the same vertices, a little outside, with stripes or plain."""
+        """Cloth below the collar: the vertices of the skin, slightly offset, with a striped or plain texture."""
         collar = self.base[LANDMARKS[8], 1] - random.uniform(0.45, 1.1)
         triangles = parts.triangles[(self.base[parts.triangles, 1].max(1) < collar)]
         out = self.base + 0.06 * normals(self.base, parts.triangles)

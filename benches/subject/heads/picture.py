@@ -1,4 +1,4 @@
-"""A person before a camera: pose, light with its shadows, and what a camera makes of it."""
+"""The simulated photograph of a person: pose, light with shadows, and the effects of the camera."""
 
 import io
 
@@ -10,15 +10,15 @@ from parts import LANDMARKS
 from person import EYES
 from raster import depths, draw, normals
 
-# Pixels that are drawn for one of the picture.
+# Supersampling: rendered pixels per pixel of the picture, along each axis.
 FINER = 2
 SHADOW_PX, SHADOW_SLACK = 160, 0.12
-# What is this much nearer than an eye hides it, in decimetres; lids, lashes and glasses do not.
+# A surface hides an eye when it is this much closer to the camera, in decimetres: more than lids, lashes and glasses are.
 HAIR_BEFORE = 0.15
 
 
 def turned(yaw, pitch, roll):
-    """Degrees: yaw to the picture's right, pitch downwards, roll clockwise."""
+    """Rotation matrix from degrees: yaw to the right of the picture, pitch downwards, roll clockwise."""
     (sy, cy), (sp, cp), (sr, cr) = ((np.sin(a), np.cos(a)) for a in np.radians((yaw, pitch, roll)))
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
@@ -51,7 +51,7 @@ def shades(layers, random, hard):
             place = np.clip(((at[:, :2] - low) / size).round().astype(int), 1, SHADOW_PX - 1)
             hidden = sum((nearest[place[:, 1] + dy, place[:, 0] + dx] < at[:, 2] - SHADOW_SLACK).astype(float)
                          for dy in (-1, 0, 1) for dx in (-1, 0, 1)) / 9
-            # Lids lie on the balls: their shadow would be all of an eye.
+            # The lids touch the eyeballs: their full shadow would cover the eye.
             lit.append(1 - (0.3 if layer is layers[EYES] else 0.85) * hidden)
         out.append(lit)
     result = []
@@ -71,7 +71,7 @@ def shades(layers, random, hard):
 
 
 def photograph(person, background, io_px, at, pose, random, hard=False):
-    """The picture (floats, 0 to 1) and the face on it. `at` is where the middle of the eyes is."""
+    """The picture (floats, 0 to 1) and its face. `at` is the position of the midpoint of the eyes."""
     high, wide = background.shape[:2]
     way = turned(*pose)
     eyes = person.base[[LANDMARKS[i] for i in range(36, 48)]].mean(0)
@@ -87,7 +87,7 @@ def photograph(person, background, io_px, at, pose, random, hard=False):
         step = max(1, int(np.sqrt(texture.shape[0] * 0.7 / (FINER * io_px)))) if alpha_min == 0 else 1
         texture = np.ascontiguousarray(texture[::step, ::step])
         draw(project(points), -points[:, 2], uv, light, triangles, corners, texture, image, nearest, max(alpha_min, 0.02))
-    # The lips' inner edges are known in their middles only.
+    # On the inner edges of the lips, only the middle points have landmarks.
     points = marks[[LANDMARKS.get(i, LANDMARKS[27]) for i in range(68)]]
     column, row = np.clip(project(points).round().astype(int), 0, [[FINER * wide - 1, FINER * high - 1]]).T
     visible = (nearest[row, column] > -points[:, 2] - HAIR_BEFORE) & [i in LANDMARKS for i in range(68)]
@@ -132,7 +132,7 @@ def developed(image, random, hard=False):
 
 
 def sorely(image, random):
-    """Too dark, too bright, or moved: what cameras do indoors."""
+    """Underexposed, overexposed or with motion blur, as in photographs taken indoors."""
     kind = random.random()
     if kind < 0.5:
         return image * random.uniform(0.2, 0.6)
@@ -143,7 +143,7 @@ def sorely(image, random):
 
 
 def clutter(wide, high, pictures, random):
-    """A background: a piece of a picture without faces, or blobs and edges of random colours."""
+    """A background: a crop of a picture without faces, or blobs and edges of random colours."""
     if random.random() < 0.72:
         picture = pictures[random.integers(len(pictures))]
         scale = np.exp(random.uniform(np.log(0.35), np.log(1.6)))

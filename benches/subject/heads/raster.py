@@ -1,4 +1,4 @@
-"""Triangles with textures to pixels, by a z-buffer."""
+"""Renders textured triangles with a z-buffer."""
 
 import numba
 import numpy as np
@@ -6,10 +6,10 @@ import numpy as np
 
 @numba.njit(cache=True)
 def draw(points, depth, uv, shade, triangles, corners, texture, image, nearest, alpha_min):
-    """Draws triangles into `image` (high x wide x 4, the last how much is covered) where they are nearer than `nearest`.
+    """Draws triangles into `image` (height x width x 4, the last is coverage) where they are closer than `nearest`.
 
-    `points` are pixels and `depth` grows away from the camera; `triangles` index both and `shade` (three channels a
-    vertex), `corners` index `uv`. What of a texture covers less than `alpha_min` is not there, the rest is mixed in.
+    `points` are pixels and `depth` grows away from the camera; `triangles` index both and `shade` (three channels per
+    vertex), `corners` index `uv`. Texels with an alpha below `alpha_min` are skipped, the others blended.
     """
     high, wide = nearest.shape
     rows, columns = texture.shape[0], texture.shape[1]
@@ -48,7 +48,7 @@ def draw(points, depth, uv, shade, triangles, corners, texture, image, nearest, 
 
 @numba.njit(cache=True)
 def depths(points, depth, triangles, nearest):
-    """The nearest depth of each pixel, as a light sees it."""
+    """Writes the smallest depth of each pixel to `nearest`: the shadow map of a lamp."""
     high, wide = nearest.shape
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -66,7 +66,7 @@ def depths(points, depth, triangles, nearest):
 
 @numba.njit(cache=True)
 def normals(points, triangles):
-    """Unit normals of vertices, of faces that meet there by their areas."""
+    """Unit normals of the vertices, means of the adjacent faces weighted by area."""
     out = np.zeros(points.shape)
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]

@@ -1,4 +1,4 @@
-"""What is worn over a face's skin: fringes, caps, hoods, and beards of any shape, as textures seen from the front."""
+"""Occlusions of the face: fringes, caps, hoods and beards of random shape, as textures projected from the front."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
@@ -6,14 +6,14 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from parts import LANDMARKS
 from raster import normals
 
-# A texture's pixels, and how many decimetres of the head they are; its middle is between the eyes.
+# Width of a texture in pixels and in decimetres; its centre is between the eyes.
 SIDE, WIDE = 512, 4.0
-# A fringe ends this much above the middle of the eyes at least, in decimetres: the lids stay free.
+# Least height of the lower edge of a fringe above the eyes, in decimetres: the lids stay visible.
 LIDS = 0.13
 
 
 def layer(base, triangles, picture, out, alpha_min):
-    """The head's own triangles, a little outside, with a texture that is seen from the front."""
+    """The triangles of the head, slightly offset, with a texture projected from the front."""
     eyes = base[[LANDMARKS[i] for i in range(36, 48)]].mean(0)
     front = triangles[base[triangles, 2].min(1) > eyes[2] - 1.4]
     uv = (base[:, :2] - eyes[:2]) / WIDE + 0.5
@@ -21,19 +21,19 @@ def layer(base, triangles, picture, out, alpha_min):
 
 
 def grid():
-    """Decimetres to the right and upwards of the middle of the eyes."""
+    """Coordinates in decimetres, to the right of and above the midpoint of the eyes."""
     at = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * WIDE
     return at[None, :], -at[:, None]
 
 
 def wave(random, rough):
-    """Along the x axis: about -1 to 1, with features of `rough` decimetres."""
+    """A random curve along the x axis, about -1 to 1, with features of `rough` decimetres."""
     line = gaussian_filter1d(random.normal(size=SIDE), rough * SIDE / WIDE, mode="wrap")
     return line / (np.abs(line).max() + 1e-9)
 
 
 def strands(random, colour, across):
-    """Hair: streaks downwards (or, with `across`, any way) of lighter and darker."""
+    """Hair: lighter and darker streaks, vertical or, with `across`, without direction."""
     streaks = gaussian_filter(random.normal(size=(SIDE, SIDE)), (2 if across else 25, 1.2))
     light = np.exp(random.uniform(0.1, 0.5) * streaks / streaks.std())
     return light[..., None] * colour
@@ -44,7 +44,7 @@ def covering(colour, alpha):
 
 
 def fringe(random, colour):
-    """Hair over the forehead down to a ragged line, parted or not, often over the brows."""
+    """Hair over the forehead down to an irregular line, parted or not, often over the brows."""
     x, y = grid()
     line = random.uniform(LIDS, 0.6) + random.uniform(0, 0.15) * wave(random, 0.25) + random.uniform(0, 0.12) * wave(random, 0.03)
     parting = random.uniform(-0.5, 0.5)
@@ -63,14 +63,14 @@ def cloth(random):
 
 
 def cap(random):
-    """A cap or a band, down to a smooth line over the brows."""
+    """A cap or a headband, down to a smooth line above the brows."""
     x, y = grid()
     line = random.uniform(0.2, 0.65) + random.normal(0, 0.12) * x**2 + random.normal(0, 0.08) * x
     return covering(cloth(random), (y > np.maximum(line, LIDS)).astype(float))
 
 
 def hood(random):
-    """A hood, a scarf, or hair on both cheeks: what is outside of an oval."""
+    """The oval outside of which a hood, a scarf or hair on both cheeks covers the head."""
     x, y = grid()
     oval = np.hypot((x - random.normal(0, 0.05)) / random.uniform(0.58, 0.85), (y + random.uniform(0.25, 0.45)) / random.uniform(0.75, 1.15))
     return oval + random.uniform(0, 0.04) * wave(random, 0.05)
@@ -92,7 +92,7 @@ def beard(base, random, colour):
 
 
 def worn(person, parts, random, hair):
-    """Adds layers to a person: more of what hides a face than the heads' own hair and beards do."""
+    """Adds layers to a person that cover more of the face than its own hair and beard."""
     def add(picture, out, alpha_min):
         person.add(*layer(person.base, parts.triangles, picture, out, alpha_min))
 

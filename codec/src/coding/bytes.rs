@@ -1,11 +1,11 @@
-//! A cursor over the bytes of a block, and LEB128 varints.
+//! LEB128 varints, and a bounds-checked reader of a block's bytes.
 
 use crate::{CodecError, Result, ensure};
 
-/// Longest varint: ten groups of seven bits hold 64.
+/// Longest varint: ten groups of seven bits hold 64 bits.
 pub(crate) const MAX_VARINT_BYTES: usize = 10;
 
-/// Little-endian base 128, least significant group first, high bit set on all but the last byte.
+/// Appends a LEB128 varint: groups of seven bits, least significant first, the high bit set on all but the last byte.
 pub(crate) fn write_varint(mut value: u64, out: &mut Vec<u8>) {
     while value >= 0x80 {
         out.push(value as u8 | 0x80);
@@ -14,12 +14,12 @@ pub(crate) fn write_varint(mut value: u64, out: &mut Vec<u8>) {
     out.push(value as u8);
 }
 
-/// Bytes that [`write_varint`] appends.
+/// Number of bytes that [`write_varint`] appends.
 pub(crate) fn varint_len(value: u64) -> usize {
     (64 - (value | 1).leading_zeros() as usize).div_ceil(7)
 }
 
-/// Reads a block from front to back.
+/// Reads a block from front to back; `what` names the value in errors.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bytes<'a> {
     rest: &'a [u8],
@@ -46,7 +46,7 @@ impl<'a> Bytes<'a> {
         Ok(first)
     }
 
-    /// Only the shortest form is accepted: one value has one spelling.
+    /// Reads a varint. Only the shortest form is valid, so that every value has one encoding.
     pub(crate) fn varint(&mut self, what: &'static str) -> Result<u64> {
         let mut value = 0_u64;
         for group in 0..MAX_VARINT_BYTES {
@@ -55,19 +55,19 @@ impl<'a> Bytes<'a> {
             ensure(group < MAX_VARINT_BYTES - 1 || bits <= 1, "a varint of more than 64 bits")?;
             value |= bits << (7 * group);
             if byte & 0x80 == 0 {
-                ensure(byte != 0 || group == 0, "a varint longer than it needs to be")?;
+                ensure(byte != 0 || group == 0, "a varint that is not in its shortest form")?;
                 return Ok(value);
             }
         }
-        Err(CodecError::Corrupt("a varint without an end"))
+        Err(CodecError::Corrupt("a varint without a last byte"))
     }
 
-    /// Everything not read yet.
+    /// Takes all remaining bytes.
     pub(crate) fn rest(&mut self) -> &'a [u8] {
         std::mem::take(&mut self.rest)
     }
 
-    /// The payload must end where the block does.
+    /// Checks that no bytes remain: the payload must end with the block.
     pub(crate) fn finish(self) -> Result<()> {
         if self.is_empty() { Ok(()) } else { Err(CodecError::Corrupt("bytes after the payload")) }
     }
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn other_spellings_are_refused() {
+    fn only_the_shortest_form_is_accepted() {
         for bad in [&[0x80, 0x00][..], &[0xff; 10], &[0xff; 11]] {
             assert!(matches!(Bytes::new(bad).varint("value"), Err(CodecError::Corrupt(_))));
         }

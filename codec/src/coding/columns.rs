@@ -1,7 +1,7 @@
-//! The samples of a channel bit by bit: three columns of integers as packed differences.
+//! The exact samples of a channel: three columns of integers as packed differences.
 //!
-//! What `lossless` writes for every channel, and every other kind for one that it cannot code. The integers
-//! are the float32 bit patterns in the order of the numbers.
+//! `lossless` writes every channel so, and all other kinds but `dense` their raw channels. The integers are the float32
+//! bit patterns, mapped so that they have the order of the numbers.
 //!
 //! One head byte: bits 0-1, 2-3 and 4-5 are the difference order (0, 1 or 2) of x, y and z. Then per
 //! column: while fewer earlier values are known than the order asks for, a zigzag varint of the
@@ -14,18 +14,21 @@ use crate::{CodecError, DecodedRows, Position, Result, Rows, ensure};
 /// The last bit patterns of a channel, by axis.
 pub(crate) type Histories = [History; 3];
 
-/// Memory for the samples of one channel of one block; when they are written, behind the last [`MAX_ORDER`] before them.
+/// Writes and reads the samples of one channel of one block. A column that is written starts with the [`MAX_ORDER`]
+/// values before the block.
 #[derive(Debug, Default)]
 pub(crate) struct Raw {
     columns: [Vec<i64>; 3],
 }
 
-/// Order-preserving, so that neighbouring floats are neighbouring integers, across zero as well.
+/// Maps a float to an integer, preserving order, so that neighbouring floats are neighbouring integers, also across
+/// zero.
 fn to_ordered(value: f32) -> i64 {
     let bits = value.to_bits() as i32;
     i64::from(bits ^ (bits >> 31 & i32::MAX))
 }
 
+/// Inverts [`to_ordered`]; `None` for integers of no finite float.
 fn from_ordered(ordered: i64) -> Option<f32> {
     let bits = i32::try_from(ordered).ok()?;
     let value = f32::from_bits((bits ^ (bits >> 31 & i32::MAX)) as u32);
@@ -33,20 +36,20 @@ fn from_ordered(ordered: i64) -> Option<f32> {
 }
 
 impl Raw {
-    /// Most bytes of so many samples.
+    /// Most bytes of `samples` samples.
     pub(crate) fn max_bytes(samples: usize) -> usize {
-        // Order 0 needs no varints and at most 32 bits a value, and the smallest order is taken.
+        // Order 0 takes no varints and at most 32 bits per value, and the order with the fewest bytes is chosen.
         1 + 3 * (4 * samples + samples.div_ceil(GROUP_LEN))
     }
 
-    /// Room for so many samples.
+    /// Allocates memory for `n_rows` samples.
     pub(crate) fn reserve(&mut self, n_rows: usize) {
         for column in &mut self.columns {
             column.reserve((MAX_ORDER + n_rows).saturating_sub(column.len()));
         }
     }
 
-    /// Appends a channel's samples, as differences from what was written with this history before.
+    /// Appends the samples of a channel as differences, which continue those last written with this history.
     pub(crate) fn write(&mut self, rows: Rows<'_>, history: &mut Histories, out: &mut Vec<u8>) {
         let all_present = rows.present().iter().all(|&present| present);
         for (axis, (column, history)) in self.columns.iter_mut().zip(&*history).enumerate() {
@@ -68,9 +71,9 @@ impl Raw {
         }
     }
 
-    /// Fills the present rows with what [`write`](Self::write) wrote, and says that all of them were kept.
+    /// Reads what [`write`](Self::write) wrote into the present rows, and marks all of them as kept.
     ///
-    /// Nothing is allocated for values that `input` does not hold.
+    /// Allocates no memory for values that `input` does not hold.
     pub(crate) fn read(
         &mut self,
         input: &mut Bytes<'_>,
@@ -79,17 +82,17 @@ impl Raw {
     ) -> Result<()> {
         let n = rows.present.iter().filter(|&&p| p).count();
         let head = input.byte("the head of the columns")?;
-        ensure(head >> 6 == 0, "unknown flags of columns")?;
+        ensure(head >> 6 == 0, "unknown column flags")?;
         for (axis, (column, history)) in self.columns.iter_mut().zip(history).enumerate() {
             let order = usize::from(head >> (2 * axis) & 3);
-            ensure(order <= MAX_ORDER, "a difference of order 3")?;
+            ensure(order <= MAX_ORDER, "a difference order of 3")?;
             read_column(input, n, history, order, column)?;
         }
         let present = rows.positions.iter_mut().zip(&rows.present).filter(|(_, p)| **p);
         for (at, (position, _)) in present.enumerate() {
             for (value, column) in position.iter_mut().zip(&self.columns) {
                 *value =
-                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a value not finite"))?;
+                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a non-finite value"))?;
             }
         }
         rows.kept.copy_from_slice(&rows.present);
@@ -100,7 +103,7 @@ impl Raw {
 /// Highest difference order.
 const MAX_ORDER: usize = 2;
 
-/// The last values of a column, from which the next is predicted.
+/// The last values of a column, which predict the next one.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct History {
     last: i64,
@@ -113,26 +116,26 @@ impl History {
         *self = Self { last: value, before: self.last, known: (self.known + 1).min(MAX_ORDER) };
     }
 
-    /// Prediction of the next value; `order` must not be above what is known.
+    /// The prediction of the next value; `order` must not exceed the number of known values.
     fn predict(&self, order: usize) -> i64 {
         predict(self.before, self.last, order)
     }
 
-    /// The code of the next value.
+    /// Appends a value and returns its zigzag difference.
     fn code(&mut self, value: i64, order: usize) -> u64 {
         let code = zigzag(value.wrapping_sub(self.predict(order)));
         self.push(value);
         code
     }
 
-    /// The next value, of its code.
+    /// Appends the value with a zigzag difference and returns it.
     fn value(&mut self, code: u64, order: usize) -> i64 {
         let value = self.predict(order).wrapping_add(unzigzag(code));
         self.push(value);
         value
     }
 
-    /// How many of the next values come before the groups.
+    /// How many of the next `n` values precede the groups.
     fn first_values(&self, order: usize, n: usize) -> usize {
         order.saturating_sub(self.known).min(n)
     }
@@ -146,25 +149,25 @@ fn predict(before: i64, last: i64, order: usize) -> i64 {
     }
 }
 
-/// The lowest of equals, because it suffers least from a gap.
+/// The difference order with the fewest bytes; the lowest of equals, because it suffers least from a gap.
 fn smallest_order(column: &[i64], history: History) -> usize {
     let bytes = column_bytes(column, history);
     (0..=MAX_ORDER).min_by_key(|&order| bytes[order]).unwrap_or(0)
 }
 
-/// Groups of successive values, each with the [`MAX_ORDER`] values before it.
+/// The groups of a column, each with the [`MAX_ORDER`] values before it.
 fn groups(column: &[i64]) -> impl Iterator<Item = &[i64]> {
     let n_values = column.len() - MAX_ORDER;
     let starts = (0..n_values).step_by(GROUP_LEN);
     starts.map(move |at| &column[at..MAX_ORDER + n_values.min(at + GROUP_LEN)])
 }
 
-/// Bytes that [`write_column`] appends with each order.
+/// The number of bytes that [`write_column`] appends with each order.
 fn column_bytes(column: &[i64], history: History) -> [usize; MAX_ORDER + 1] {
     if history.known < MAX_ORDER {
         return std::array::from_fn(|order| first_column_bytes(column, history, order));
     }
-    // Groups begin at the same values whatever the order is: one walk serves all.
+    // All orders have the same groups, so one pass serves all.
     let mut bytes = [0; MAX_ORDER + 1];
     for group in groups(column) {
         let mut unions = [0; MAX_ORDER + 1];
@@ -180,7 +183,7 @@ fn column_bytes(column: &[i64], history: History) -> [usize; MAX_ORDER + 1] {
     bytes
 }
 
-/// Bytes with one order while fewer earlier values are known than an order asks for.
+/// The number of bytes with one order where fewer earlier values are known than the highest order needs.
 fn first_column_bytes(column: &[i64], mut history: History, order: usize) -> usize {
     let n_first = history.first_values(order, column.len() - MAX_ORDER);
     let (first, rest) = column[MAX_ORDER..].split_at(n_first);
@@ -239,7 +242,7 @@ fn read_column(
     Ok(())
 }
 
-/// Signed to unsigned, small magnitudes first: 0, -1, 1, -2, 2, ...
+/// Maps signed to unsigned integers, small magnitudes first: 0, -1, 1, -2, 2, ...
 const fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }
@@ -248,15 +251,15 @@ const fn unzigzag(code: u64) -> i64 {
     (code >> 1) as i64 ^ -((code & 1) as i64)
 }
 
-/// Values of one group; the last group of a column may be shorter.
+/// Number of values of a group; the last group of a column may be shorter.
 const GROUP_LEN: usize = 32;
 
-/// Bits that the widest member needs, given the bitwise or of all members.
+/// The number of bits of the widest member, from the bitwise or of all members.
 const fn width_of(union: u64) -> u32 {
     64 - union.leading_zeros()
 }
 
-/// Bytes of a group, its width byte included.
+/// The number of bytes of a group, its width byte included.
 const fn group_bytes(len: usize, width: u32) -> usize {
     1 + (len * width as usize).div_ceil(8)
 }
@@ -285,7 +288,7 @@ fn unpack(input: &mut Bytes<'_>, values: &mut [u64]) -> Result<()> {
     let width = u32::from(input.byte("the width of a group")?);
     ensure(width <= 64, "a group wider than 64 bits")?;
     let bits = input.take((values.len() * width as usize).div_ceil(8), "a group of values")?;
-    // Sixteen spare bytes, so that a window of as many never leaves the array.
+    // Sixteen spare bytes, so that every window of sixteen bytes lies within the array.
     let mut padded = [0_u8; GROUP_LEN * 8 + 16];
     padded[..bits.len()].copy_from_slice(bits);
     let mask = if width == 64 { u64::MAX } else { (1 << width) - 1 };

@@ -1,24 +1,26 @@
-//! One body of code, compiled twice: for every x86-64, and for those with AVX2 and BMI.
+//! Function multiversioning: kernels are compiled for the baseline x86-64 and for AVX2 with BMI, and chosen at run
+//! time.
 //!
-//! Nothing here computes: the arithmetic is the same Rust, in the same order and never contracted, so
-//! that both give the same bytes.
+//! Both versions are compiled from the same Rust, with the same order of operations and no fused operations, so that
+//! both give the same bytes.
 
-/// Work that is worth compiling twice. `run` and all that it calls must be `#[inline(always)]`.
+/// A computation that is compiled for both instruction sets. `run` and every function it calls must be
+/// `#[inline(always)]`.
 pub(crate) trait Kernel {
-    /// What it gives.
+    /// The result.
     type Output;
 
     fn run(self) -> Self::Output;
 }
 
-/// Which of the two to run.
+/// The instruction set to run kernels with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Isa {
     wide: bool,
 }
 
 impl Isa {
-    /// The best that this machine has.
+    /// The widest that this machine supports.
     #[cfg(target_arch = "x86_64")]
     pub(crate) fn detect() -> Self {
         let wide = is_x86_feature_detected!("avx2")
@@ -28,13 +30,13 @@ impl Isa {
         Self { wide }
     }
 
-    /// The best that this machine has.
+    /// The widest that this machine supports.
     #[cfg(not(target_arch = "x86_64"))]
     pub(crate) fn detect() -> Self {
         Self::plain()
     }
 
-    /// What every machine has.
+    /// The baseline that every machine has.
     #[cfg(any(test, not(target_arch = "x86_64")))]
     pub(crate) const fn plain() -> Self {
         Self { wide: false }

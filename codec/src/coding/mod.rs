@@ -1,4 +1,4 @@
-//! Integer coding that the resamplers share. All of it is exact, and bounded on hostile bytes.
+//! Byte and entropy coding that the resamplers share: exact integer arithmetic, bounded on hostile bytes.
 
 pub(crate) mod bytes;
 pub(crate) mod columns;

@@ -1,10 +1,10 @@
-//! Adaptive binary range coding, after (Martin 1979) with the carry handling of LZMA.
+//! Adaptive binary range coding (Martin, Range encoding, 1979) with the carry handling of LZMA.
 //!
-//! 32 bits of range, probabilities of 16 bits. The encoder drops trailing zero bytes; the decoder
-//! reads zeros past the end, so a block of nothing but expected bits takes no byte at all. Both are
-//! exact integer arithmetic; `docs/codec.md` (Range coder) gives every step.
+//! The range has 32 bits, probabilities have 16. The encoder drops trailing zero bytes and the decoder reads zeros past
+//! the end, so that a block of highly probable bits may take no byte at all. All arithmetic is exact, in integers;
+//! `docs/codec.md` (Range coder) specifies every step.
 //!
-//! A syntax is written once, over a [`BinaryCoder`], and then both encodes and decodes:
+//! A syntax is written once, over a [`BinaryCoder`], and both encodes and decodes:
 //!
 //! ```
 //! use mocapd_codec::range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder};
@@ -34,45 +34,45 @@ use crate::CodecError;
 /// The range is refilled below this.
 const TOP: u32 = 1 << 24;
 
-/// One adaptive bit: two estimates of the probability of `false`, a nimble one and a steady one.
+/// The adaptive model of a bit: two exponential averages of the probability of `false`, a fast one and a slow one.
 #[derive(Debug, Clone, Copy)]
 pub struct Bit {
-    nimble: u16,
-    steady: u16,
-    /// Bits seen, saturating: young estimates move faster.
+    fast: u16,
+    slow: u16,
+    /// Number of bits seen, saturating; averages of few bits move faster.
     seen: u8,
 }
 
 impl Bit {
-    /// Shifts of the exponential averages once they are grown up.
-    const NIMBLE_SHIFT: u32 = 5;
-    const STEADY_SHIFT: u32 = 7;
+    /// Shifts of the exponential averages after enough bits: time constants of 32 and 128 bits.
+    const FAST_SHIFT: u32 = 5;
+    const SLOW_SHIFT: u32 = 7;
     /// At this count `ilog2(seen + 2)` has reached the larger shift.
-    const GROWN_UP: u8 = 126;
+    const MAX_SEEN: u8 = 126;
 
-    /// How many bits a first guess weighs.
+    /// The number of bits that an initial probability counts for.
     const PRIOR_SEEN: u8 = 14;
 
-    /// Even odds, nothing seen.
-    pub const NEW: Self = Self { nimble: 1 << 15, steady: 1 << 15, seen: 0 };
+    /// Probability 1/2, with no bit seen.
+    pub const NEW: Self = Self { fast: 1 << 15, slow: 1 << 15, seen: 0 };
 
-    /// Starts from the odds of `true` in 1/256, as if a few bits had been seen.
+    /// Starts from the probability `odds` of `true` in 1/256, as if 14 bits had been seen.
     #[must_use]
     pub const fn expecting(odds: u8) -> Self {
         let estimate = u16::MAX - ((odds as u16) << 8 | 0x80);
-        Self { nimble: estimate, steady: estimate, seen: Self::PRIOR_SEEN }
+        Self { fast: estimate, slow: estimate, seen: Self::PRIOR_SEEN }
     }
 
-    /// Probability of `false` in 2^-16: the mean of both estimates, never 0 or 1.
+    /// The probability of `false` in 2^-16: the mean of both averages, never 0 or 1.
     fn probability(self) -> u32 {
-        ((u32::from(self.nimble) + u32::from(self.steady)) >> 1).clamp(32, (1 << 16) - 32)
+        ((u32::from(self.fast) + u32::from(self.slow)) >> 1).clamp(32, (1 << 16) - 32)
     }
 
-    fn learn(&mut self, bit: bool) {
+    fn update(&mut self, bit: bool) {
         let age = (u32::from(self.seen) + 2).ilog2();
         for (estimate, shift) in [
-            (&mut self.nimble, age.min(Self::NIMBLE_SHIFT)),
-            (&mut self.steady, age.min(Self::STEADY_SHIFT)),
+            (&mut self.fast, age.min(Self::FAST_SHIFT)),
+            (&mut self.slow, age.min(Self::SLOW_SHIFT)),
         ] {
             if bit {
                 *estimate -= *estimate >> shift;
@@ -80,31 +80,32 @@ impl Bit {
                 *estimate += (u16::MAX - *estimate) >> shift;
             }
         }
-        self.seen = (self.seen + 1).min(Self::GROWN_UP);
+        self.seen = (self.seen + 1).min(Self::MAX_SEEN);
     }
 }
 
-/// Encoder and decoder behind one face, so that a syntax is written once for both.
+/// An encoder or decoder of bits, so that a syntax is written once for both.
 pub trait BinaryCoder {
-    /// Encodes `bit` and gives it back, or ignores it and gives the decoded one.
+    /// Encodes `bit` and returns it, or ignores it and returns the decoded bit. `probability` is that of `false`, in
+    /// 2^-16, and must be neither 0 nor 2^16 or more.
     fn split(&mut self, probability: u32, bit: bool) -> bool;
 
-    /// An adaptive bit.
+    /// Codes a bit with one model, and updates the model.
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool {
         let bit = self.split(model.probability(), bit);
-        model.learn(bit);
+        model.update(bit);
         bit
     }
 
-    /// An adaptive bit expected by two models together: the mean of both counts, and both learn.
+    /// Codes a bit with the mean probability of two models, and updates both.
     fn mixed(&mut self, a: &mut Bit, b: &mut Bit, bit: bool) -> bool {
         let bit = self.split((a.probability() + b.probability()) >> 1, bit);
-        a.learn(bit);
-        b.learn(bit);
+        a.update(bit);
+        b.update(bit);
         bit
     }
 
-    /// `n` bits of equal odds, highest first.
+    /// Codes the lowest `n` bits of `value` with probability 1/2, highest first.
     fn plain(&mut self, value: u64, n: u32) -> u64 {
         (0..n)
             .rev()
@@ -112,12 +113,12 @@ pub trait BinaryCoder {
     }
 }
 
-/// The part of the range that stands for `false`: at least 1, and less than the whole.
+/// The part of the range for `false`: at least 1, and less than the whole range.
 fn split_range(range: u32, probability: u32) -> u32 {
     ((u64::from(range) * u64::from(probability)) >> 16) as u32
 }
 
-/// Appends to a vector, at most `limit` bytes.
+/// A range encoder that appends to a vector.
 #[derive(Debug)]
 pub struct RangeEncoder<'a> {
     out: &'a mut Vec<u8>,
@@ -126,9 +127,9 @@ pub struct RangeEncoder<'a> {
     overflow: bool,
     low: u64,
     range: u32,
-    /// The last byte not written yet because a carry may still reach it; the first is always 0 and dropped.
-    held: Option<u8>,
-    /// Bytes of 0xff between `held` and `low`.
+    /// The last byte, not written yet because a carry may still reach it; the very first is always 0 and dropped.
+    cached: Option<u8>,
+    /// Number of 0xff bytes between `cached` and `low`.
     pending: usize,
 }
 
@@ -136,7 +137,8 @@ impl<'a> RangeEncoder<'a> {
     /// Appends to `out`, at most `limit` bytes.
     pub fn new(out: &'a mut Vec<u8>, limit: usize) -> Self {
         let start = out.len();
-        Self { out, start, limit, overflow: false, low: 0, range: u32::MAX, held: None, pending: 0 }
+        let (low, range) = (0, u32::MAX);
+        Self { out, start, limit, overflow: false, low, range, cached: None, pending: 0 }
     }
 
     fn emit(&mut self, byte: u8) {
@@ -150,21 +152,21 @@ impl<'a> RangeEncoder<'a> {
     fn shift_low(&mut self) {
         if self.low < 0xff00_0000 || self.low > u64::from(u32::MAX) {
             let carry = (self.low >> 32) as u8;
-            if let Some(held) = self.held {
-                self.emit(held.wrapping_add(carry));
+            if let Some(cached) = self.cached {
+                self.emit(cached.wrapping_add(carry));
             }
-            // The very first byte has nothing before it, and no carry: low + range starts below 2^32.
+            // No carry reaches the very first byte: low + range starts below 2^32.
             for _ in 0..std::mem::take(&mut self.pending) {
                 self.emit(0xff_u8.wrapping_add(carry));
             }
-            self.held = Some((self.low >> 24) as u8);
+            self.cached = Some((self.low >> 24) as u8);
         } else {
             self.pending += 1;
         }
         self.low = (self.low & 0x00ff_ffff) << 8;
     }
 
-    /// After every eighth bit's worth of decisions, about.
+    /// Called about once per eight bits of information.
     #[cold]
     fn refill(&mut self) {
         while self.range < TOP {
@@ -173,10 +175,10 @@ impl<'a> RangeEncoder<'a> {
         }
     }
 
-    /// Writes what is held; gives `false` when the limit was passed, and then the bytes are of no use.
+    /// Flushes the encoder. `false` when the bytes exceed the limit and are unusable.
     #[must_use]
     pub fn finish(mut self) -> bool {
-        // Of all values in the range the one with most trailing zeros, which are then dropped.
+        // The value in the range with the most trailing zeros, which are dropped below.
         let last = self.low + u64::from(self.range) - 1;
         for zeros in (0..=32).rev() {
             let value = last >> zeros << zeros;
@@ -207,7 +209,7 @@ impl BinaryCoder for RangeEncoder<'_> {
     }
 }
 
-/// Reads a slice, and zeros after it: any bytes give bits.
+/// A range decoder of a slice, followed by zeros; arbitrary bytes decode to bits.
 #[derive(Debug)]
 pub struct RangeDecoder<'a> {
     rest: &'a [u8],
@@ -216,7 +218,7 @@ pub struct RangeDecoder<'a> {
 }
 
 impl<'a> RangeDecoder<'a> {
-    /// At the first bit.
+    /// Starts at the first bit.
     #[must_use]
     pub fn new(bytes: &'a [u8]) -> Self {
         let mut decoder = Self { rest: bytes, code: 0, range: u32::MAX };
@@ -237,7 +239,7 @@ impl<'a> RangeDecoder<'a> {
         self.code = self.code << 8 | u32::from(byte);
     }
 
-    /// After every eighth bit's worth of decisions, about.
+    /// Called about once per eight bits of information.
     #[cold]
     fn refill(&mut self) {
         while self.range < TOP {
@@ -246,10 +248,10 @@ impl<'a> RangeDecoder<'a> {
         }
     }
 
-    /// All bytes must have been needed.
+    /// Checks that all bytes were read.
     ///
     /// # Errors
-    /// `Corrupt` when some were not: the encoder wrote something else.
+    /// `Corrupt` when bytes are left over, which an encoder does not write.
     pub fn finish(self) -> Result<(), CodecError> {
         if self.rest.is_empty() {
             return Ok(());
@@ -263,7 +265,7 @@ impl BinaryCoder for RangeDecoder<'_> {
     fn split(&mut self, probability: u32, _bit: bool) -> bool {
         let bound = split_range(self.range, probability);
         let bit = self.code >= bound;
-        // Without a branch: the bit is what nobody knows.
+        // Without a branch, which would be unpredictable.
         self.code = select_unpredictable(bit, self.code.wrapping_sub(bound), self.code);
         self.range = select_unpredictable(bit, self.range - bound, bound);
         if self.range < TOP {
@@ -279,7 +281,7 @@ mod tests {
 
     use super::*;
 
-    /// Skews from even odds to near certainty, so that carries and runs of 0xff occur.
+    /// Random bits, from probability 1/2 to near certainty, so that carries and runs of 0xff occur.
     fn bits(seed: u64, n: usize) -> Vec<bool> {
         let mut random = Random::new(seed);
         (0..n).map(|i| random.below(1000) < (i * 7 / n) * 166).collect()
@@ -313,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn expected_bits_cost_nothing_and_the_limit_holds() {
+    fn probable_bits_cost_nothing_and_the_limit_holds() {
         let mut out = Vec::new();
         let mut encoder = RangeEncoder::new(&mut out, usize::MAX);
         let mut model = Bit::NEW;
@@ -329,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_too_many_are_corrupt() {
+    fn left_over_bytes_are_corrupt() {
         let mut decoder = RangeDecoder::new(&[1, 2, 3, 4, 5, 6]);
         decoder.plain(0, 8);
         assert!(matches!(decoder.finish(), Err(CodecError::Corrupt(_))));

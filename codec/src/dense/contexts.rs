@@ -1,23 +1,24 @@
-//! Which context is which: the numbers of the tables, one family after another; and the classes of what they go by.
+//! The numbering of contexts and mixers, one family after another, and the classes by which contexts are chosen.
 
 use super::LEVELS;
 
-/// Kinds of rows: first of a run, anchor of a long, a middling and a short span, and the strides.
+/// Kinds of rows: first row of a run; anchor 17, 5 or 1 and more rows after the last known row; strides 1 to 32.
 pub(super) const KINDS: usize = 4 + LEVELS;
+/// The kind of the first row of a run.
 pub(super) const ORIGIN: usize = 0;
-/// The first kind that lies between decoded rows: stride 1.
+/// Stride 1, the first kind that is interpolated between decoded rows.
 pub(super) const INTERPOLATED: usize = 4;
 
-/// Magnitudes up to this are unary, the rest Exp-Golomb.
+/// Magnitudes up to this are coded in unary, larger ones in Exp-Golomb code.
 pub(super) const UNARY: usize = 4;
-/// Classes of the exponent that have a context of their own.
+/// Exp-Golomb exponents with contexts of their own; larger ones share the last.
 pub(super) const EXPONENTS: usize = 24;
-/// Candidates for an origin.
-pub(super) const CANDIDATES: usize = 16;
-/// The largest exponent that an encoder can need, and one to spare.
+/// Most ends of other channels' runs that are candidates for the origin of a first row.
+pub(super) const MAX_ORIGIN_ENDS: usize = 16;
+/// Largest Exp-Golomb exponent: one more than any encoder needs.
 pub(super) const MAX_EXPONENT: usize = 42;
 
-/// A family of contexts.
+/// A family of contexts with consecutive numbers.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Family {
     first: usize,
@@ -29,7 +30,7 @@ impl Family {
         Self { first: before.first + before.len, len }
     }
 
-    /// The number of one of its contexts.
+    /// The number of the context at `index` within the family.
     pub(super) fn at(self, index: usize) -> usize {
         debug_assert!(index < self.len);
         self.first + index
@@ -53,14 +54,14 @@ pub(super) const NEXT_BIT: Family = Family::after(TOP_BIT, EXPONENTS * 2);
 pub(super) const ORIGIN_EXPONENT: Family = Family::after(NEXT_BIT, 3 * 3 * 48);
 pub(super) const ORIGIN_OWN: Family = Family::after(ORIGIN_EXPONENT, 8);
 pub(super) const ORIGIN_NONE: Family = Family::after(ORIGIN_OWN, 1);
-pub(super) const ORIGIN_RANK: Family = Family::after(ORIGIN_NONE, CANDIDATES);
+pub(super) const ORIGIN_RANK: Family = Family::after(ORIGIN_NONE, MAX_ORIGIN_ENDS);
 pub(super) const RAW: Family = Family::after(ORIGIN_RANK, 3);
 pub(super) const FINE: Family = Family::after(RAW, 3);
 
-/// Contexts in all.
+/// Number of contexts.
 pub(super) const N_CONTEXTS: usize = FINE.first + FINE.len;
 
-/// Mixers: moving, nonzero and sign by kind; longer by position; exponents by position.
+/// The first mixer of each family: moving, nonzero and sign by kind of row; longer and exponent by position.
 pub(super) const MIX_MOVING: usize = 0;
 pub(super) const MIX_NONZERO: usize = MIX_MOVING + KINDS;
 pub(super) const MIX_SIGN: usize = MIX_NONZERO + KINDS;
@@ -68,15 +69,15 @@ pub(super) const MIX_LONGER: usize = MIX_SIGN + KINDS;
 pub(super) const MIX_EXPONENT: usize = MIX_LONGER + 3;
 pub(super) const N_MIXERS: usize = MIX_EXPONENT + 7;
 
-/// Of a size up to 10: 0, 1, 2, 3 or 4, 5 to 9, more.
-const SIX: [u8; 11] = [0, 1, 2, 3, 3, 4, 4, 4, 4, 4, 5];
+/// The class of a magnitude up to 10.
+const MAGNITUDE_CLASSES: [u8; 11] = [0, 1, 2, 3, 3, 4, 4, 4, 4, 4, 5];
 
-/// Where a class of activities ends and the next one begins, in 1/256.
+/// The smallest activity of each class but the first, in 1/256 of a lattice step.
 const LIMITS: [u32; 7] = [5, 20, 51, 102, 205, 410, 1024];
 const LAST_LIMIT: usize = 1024;
 
-/// Classes of activities up to the last limit.
-static EIGHT: [u8; LAST_LIMIT + 1] = {
+/// The class of every activity up to the last limit.
+static ACTIVITY_CLASSES: [u8; LAST_LIMIT + 1] = {
     let mut table = [0; LAST_LIMIT + 1];
     let (mut activity, mut class) = (0, 0);
     while activity <= LAST_LIMIT {
@@ -89,28 +90,28 @@ static EIGHT: [u8; LAST_LIMIT + 1] = {
     table
 };
 
-/// Of a sum of magnitudes: 0, 1, 2, 3 or 4, 5 to 9, more.
+/// The class of a magnitude, `six` in docs/codec.md: 0; 1; 2; 3 or 4; 5 to 9; 10 and more.
 #[inline(always)]
-pub(super) fn six(sum: i32) -> usize {
-    usize::from(SIX[(sum as usize).min(SIX.len() - 1)])
+pub(super) fn magnitude_class(sum: i32) -> usize {
+    usize::from(MAGNITUDE_CLASSES[(sum as usize).min(MAGNITUDE_CLASSES.len() - 1)])
 }
 
-/// Of an activity in 1/256.
+/// The class of an activity in 1/256, `eight` in docs/codec.md. These wide classes are part of a gain of 0.4 %.
 #[inline(always)]
-pub(super) fn eight(activity: i32) -> usize {
-    usize::from(EIGHT[(activity as usize).min(LAST_LIMIT)])
+pub(super) fn activity_class(activity: i32) -> usize {
+    usize::from(ACTIVITY_CLASSES[(activity as usize).min(LAST_LIMIT)])
 }
 
-/// Half octaves of an expectation in 1/256; nothing below 4.
+/// The class of an expected magnitude in 1/256, `e32` in docs/codec.md: half octaves, 0 below 4.
 #[inline(always)]
-pub(super) fn thirty_two(expectation: i32) -> usize {
+pub(super) fn expectation_class(expectation: i32) -> usize {
     let expectation = expectation.max(3) as usize;
     let octave = expectation.ilog2() as usize;
-    // The first two bits are 2 or 3: 3 is the last of class 0, of octave 1.
+    // The top two bits are 2 or 3; the smallest expectation, 3, has octave 1 and gives class 0.
     ((expectation >> (octave - 1)) + 2 * octave - 5).min(31)
 }
 
-/// 0 zero, 1 positive, 2 negative.
+/// The class of a sign: 0 zero, 1 positive, 2 negative.
 #[inline(always)]
 pub(super) fn sign(step: i16) -> usize {
     usize::from(step > 0) + 2 * usize::from(step < 0)
@@ -121,14 +122,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn classes_begin_where_they_are_said_to() {
-        assert_eq!([0, 1, 2, 3, 4, 5, 9, 10, 8100].map(six), [0, 1, 2, 3, 3, 4, 4, 5, 5]);
+    fn classes_begin_at_their_limits() {
+        let classes = [0, 1, 2, 3, 4, 5, 9, 10, 8100].map(magnitude_class);
+        assert_eq!(classes, [0, 1, 2, 3, 3, 4, 4, 5, 5]);
         for activity in 0..3000 {
             let passed = LIMITS.iter().filter(|&&limit| activity as u32 >= limit).count();
-            assert_eq!(eight(activity), passed, "{activity}");
+            assert_eq!(activity_class(activity), passed, "{activity}");
         }
-        assert_eq!([0, 3, 4, 5, 6, 7, 8, 11, 12].map(thirty_two), [0, 0, 1, 1, 2, 2, 3, 3, 4]);
-        assert_eq!(thirty_two(i32::MAX), 31);
+        let classes = [0, 3, 4, 5, 6, 7, 8, 11, 12].map(expectation_class);
+        assert_eq!(classes, [0, 0, 1, 1, 2, 2, 3, 3, 4]);
+        assert_eq!(expectation_class(i32::MAX), 31);
         assert_eq!([-3, 0, 2].map(sign), [2, 0, 1]);
     }
 }

@@ -1,8 +1,8 @@
-//! The half that only follows.
+//! The decoder of a group.
 
 use super::{
-    Dense, STORED,
-    level::Side,
+    Dense, P_CODED,
+    level::RowCodec,
     level_prediction::Batch,
     points::{Fineness, Grid, Points},
 };
@@ -18,32 +18,32 @@ impl PayloadDecoder for Dense {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         let n_channels = channels.len().min(GROUP_CHANNELS);
         let coder = RangeDecoder::new(payload);
-        let mut side = Decoding { channels, grid: self.grid, coder };
-        if side.coder.split(STORED, false) {
+        let mut codec = RowDecoder { channels, grid: self.grid, coder };
+        if codec.coder.split(P_CODED, false) {
             self.reset();
             for channel in 0..n_channels {
-                side.stored(channel)?;
+                codec.stored(channel)?;
             }
-            return side.coder.finish();
+            return codec.coder.finish();
         }
-        // Out of their rows while the others of these are filled.
+        // The flags are moved out while the other fields of the rows are written.
         let mut flags = [const { Vec::new() }; GROUP_CHANNELS];
         let mut is_raw = [false; GROUP_CHANNELS];
         for channel in 0..n_channels {
-            if side.channels[channel].has_samples() {
-                // What the encoder chose comes out.
-                let fineness = self.storage(&mut side.coder, channel, Some(Fineness::Normal));
+            if codec.channels[channel].has_samples() {
+                // A decoder ignores its argument and returns the encoder's choice.
+                let fineness = self.storage(&mut codec.coder, channel, Some(Fineness::Normal));
                 is_raw[channel] = fineness.is_none();
             }
             if is_raw[channel] {
-                side.stored(channel)?;
+                codec.stored(channel)?;
             }
-            flags[channel] = std::mem::take(&mut side.channels[channel].present);
+            flags[channel] = std::mem::take(&mut codec.channels[channel].present);
         }
         let present: [Option<&[bool]>; GROUP_CHANNELS] =
             std::array::from_fn(|channel| (!is_raw[channel]).then_some(&flags[channel][..]));
-        self.block(&mut side, n_rows, &present[..n_channels])?;
-        let Decoding { channels, coder, .. } = side;
+        self.block(&mut codec, n_rows, &present[..n_channels])?;
+        let RowDecoder { channels, coder, .. } = codec;
         for (rows, present) in channels.iter_mut().zip(flags) {
             rows.present = present;
         }
@@ -51,14 +51,15 @@ impl PayloadDecoder for Dense {
     }
 }
 
-struct Decoding<'a> {
+/// The decoder of one block.
+struct RowDecoder<'a> {
     channels: &'a mut [DecodedRows],
     grid: Grid,
     coder: RangeDecoder<'a>,
 }
 
-impl Decoding<'_> {
-    /// A channel bit by bit.
+impl RowDecoder<'_> {
+    /// Reads the samples of a channel that are stored as plain float32 bits.
     fn stored(&mut self, channel: usize) -> Result<()> {
         let rows = &mut self.channels[channel];
         for row in 0..rows.present.len() {
@@ -75,7 +76,7 @@ impl Decoding<'_> {
     }
 }
 
-impl<'a> Side for Decoding<'a> {
+impl<'a> RowCodec for RowDecoder<'a> {
     type Coder = RangeDecoder<'a>;
 
     fn coder(&mut self) -> &mut RangeDecoder<'a> {
@@ -83,14 +84,14 @@ impl<'a> Side for Decoding<'a> {
     }
 
     #[inline(always)]
-    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
+    fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
         let DecodedRows { positions, kept: flags, .. } = &mut self.channels[batch.channel];
         let [x, y, z] = self.grid.positions(points);
         for i in 0..batch.n.min(N) {
             let row = batch.row(i);
             positions[row] = [x[i], y[i], z[i]];
         }
-        // No row is kept until it is said.
+        // All flags are false so far.
         let mut kept = kept;
         while kept != 0 {
             flags[batch.row(kept.trailing_zeros() as usize)] = true;

@@ -1,8 +1,8 @@
-//! The coding half of a group: what is stored raw, the walk, and the proof.
+//! The encoder of a group: coded, raw and stored channels, and the check of the error bound.
 
 #[cfg(feature = "training")]
 use super::tally::Tally;
-use super::{Dense, STORED, candidates::Encoding};
+use super::{Dense, P_CODED, candidates::RowEncoder};
 use crate::{
     BlockReport, GROUP_CHANNELS, Result, Rows,
     coding::range::{BinaryCoder, RangeEncoder},
@@ -11,9 +11,9 @@ use crate::{
 #[cfg(feature = "training")]
 use crate::{Tolerance, frame::count_finite};
 
-/// The largest coordinate of a channel, which are finite; none when it has no samples.
+/// The largest magnitude of a coordinate in a channel of finite samples; `None` when it has no samples.
 fn largest(rows: Rows<'_>) -> Option<f32> {
-    // Without their signs, their bits are in the order of the numbers.
+    // Without their signs, the bits of floats have the order of the numbers.
     let (mut some, mut bits) = (false, 0);
     for (position, &present) in rows.positions().iter().zip(rows.present()) {
         let counted = if present { !(1 << 31) } else { 0 };
@@ -26,7 +26,7 @@ fn largest(rows: Rows<'_>) -> Option<f32> {
 
 impl PayloadEncoder for Dense {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        // Stored raw: the samples, and the end of the range coder.
+        // A block stored as a whole: its samples, and the end of the range coder.
         n_channels * n_rows * 12 + 8
     }
 
@@ -37,11 +37,12 @@ impl PayloadEncoder for Dense {
         reports: &mut [BlockReport],
     ) -> Result<()> {
         let start = out.len();
-        // What is larger is stored raw.
+        // A larger block is stored as a whole.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
-        let mut side = Encoding::new(channels, self.grid, RangeEncoder::new(out, limit), reports);
-        side.coder.split(STORED, false);
+        let coder = RangeEncoder::new(out, limit);
+        let mut codec = RowEncoder::new(channels, self.grid, coder, reports);
+        codec.coder.split(P_CODED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
         for (channel, rows) in channels.iter().enumerate() {
             let Some(max_mm) = largest(*rows) else {
@@ -49,15 +50,15 @@ impl PayloadEncoder for Dense {
                 continue;
             };
             let fineness = self.grid.fineness(max_mm);
-            if self.storage(&mut side.coder, channel, fineness).is_some() {
+            if self.storage(&mut codec.coder, channel, fineness).is_some() {
                 present[channel] = Some(rows.present());
             } else {
-                store(&mut side.coder, *rows);
-                side.reports[channel].keep_all();
+                store(&mut codec.coder, *rows);
+                codec.reports[channel].keep_all();
             }
         }
-        let coded = self.block(&mut side, n_rows, &present[..channels.len()]);
-        if !side.finish() || coded.is_err() {
+        let coded = self.block(&mut codec, n_rows, &present[..channels.len()]);
+        if !codec.finish() || coded.is_err() {
             out.truncate(start);
             self.store_all(channels, out, reports);
         }
@@ -66,11 +67,11 @@ impl PayloadEncoder for Dense {
 }
 
 impl Dense {
-    /// A block that says less than its samples take: as they are, and everything forgotten.
+    /// Stores a block as a whole, sample by sample, where coding would take more bytes; resets all state.
     fn store_all(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &mut [BlockReport]) {
         self.reset();
         let mut coder = RangeEncoder::new(out, usize::MAX);
-        coder.split(STORED, true);
+        coder.split(P_CODED, true);
         for (rows, report) in channels.iter().zip(reports) {
             store(&mut coder, *rows);
             report.keep_all();
@@ -80,7 +81,7 @@ impl Dense {
     }
 }
 
-/// A channel's samples, bit by bit.
+/// Writes the samples of a channel as plain float32 bits.
 fn store(coder: &mut impl BinaryCoder, rows: Rows<'_>) {
     for sample in (0..rows.len()).filter_map(|row| rows.get(row)) {
         for coordinate in sample {
@@ -89,10 +90,10 @@ fn store(coder: &mut impl BinaryCoder, rows: Rows<'_>) {
     }
 }
 
-/// Codes a group's channels in key blocks of `stretch_rows` rows and gives what the contexts saw.
+/// Codes the channels of a group in key blocks of `stretch_rows` rows and returns the statistics of all contexts.
 ///
 /// # Errors
-/// `InvalidArgument` as [`BlockEncoder::encode`](crate::BlockEncoder::encode).
+/// `InvalidArgument` under the conditions of [`BlockEncoder::encode`](crate::BlockEncoder::encode).
 #[cfg(feature = "training")]
 pub fn tally<'a>(
     tolerance: Tolerance,

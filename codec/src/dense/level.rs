@@ -1,17 +1,17 @@
-//! The rows of one level and run: what the other channels say of them, their residuals, and what is learnt from them.
+//! The rows of one level of a run: prediction, residuals, and the update of all statistics.
 //!
-//! The same code encodes and decodes: what both sides do differently is behind [`Side`].
+//! The same code encodes and decodes; [`RowCodec`] holds what differs between the two.
 
 use super::{
     contexts::{INTERPOLATED, ORIGIN},
     cross_channel::{CrossChannel, class_of},
-    distance_correction::{DistanceCorrection, TOGETHER},
-    level_prediction::{Batch, LevelPrediction, Sites},
+    distance_correction::{BATCH_ROWS, DistanceCorrection},
+    level_prediction::{Batch, LevelLayout, LevelPrediction},
     model::Model,
     points::{Fineness, LANES, Lattice, Point, Points, in_range, lanes},
-    residual::{self, Near, Residual},
+    residual::{self, Neighbourhood, Residual},
     segment_lengths::SegmentLengths,
-    track::{Steps, Track, follow},
+    track::{Steps, Track, update_activity},
 };
 use crate::{
     Result,
@@ -22,65 +22,72 @@ use crate::{
     ensure,
 };
 
-/// What an encoder is asked before a residual is coded.
+/// The inputs of an encoder's choice of a residual.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Question {
-    /// Among the rows of the level.
+pub(super) struct ResidualInputs {
+    /// Index of the row within the level.
     pub(super) place: usize,
-    /// In units, whole.
+    /// The prediction in units; whole numbers.
     pub(super) prediction: [f64; 3],
-    /// Of the row.
+    /// Kind of the row.
     pub(super) kind: usize,
     pub(super) lattice: Lattice,
     pub(super) fineness: Fineness,
-    /// Averages of the magnitudes in 1/256, by axis.
+    /// Average magnitudes of the kind by axis, in 1/256 of a lattice step.
     pub(super) activity: [i32; 3],
-    /// Nothing is predicted from the row.
+    /// Whether no row is predicted from this one.
     pub(super) last_level: bool,
 }
 
-/// What a first row is coded from: one of the candidates, and the steps from there.
+/// How a first row is coded: the index of its origin among the candidates, and the lattice steps from there.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Start {
+pub(super) struct FirstRow {
     pub(super) candidate: usize,
     pub(super) steps: Point,
 }
 
-/// Encoder or decoder. What a decoder answers where it is asked for a choice is ignored.
-pub(super) trait Side {
+/// The part of coding that differs between encoder and decoder. The default methods are a decoder's, whose choices are
+/// ignored.
+pub(super) trait RowCodec {
     type Coder: BinaryCoder;
 
     fn coder(&mut self) -> &mut Self::Coder;
 
-    /// The lattice steps to code for a row outside; all zero to stay at the prediction.
+    /// Chooses the lattice steps of a row whose prediction misses the tolerance; all zero keep the prediction.
     #[inline(always)]
-    fn choose(&mut self, _question: Question) -> Point {
+    fn choose(&mut self, _inputs: ResidualInputs) -> Point {
         [0; 3]
     }
 
-    /// How a first row is coded, in steps so large.
-    fn start(&mut self, _channel: usize, _row: usize, _step: i64, _origins: &[Point]) -> Start {
-        Start::default()
+    /// Chooses the origin and the steps of a first row; `step` is the size of a step in units.
+    fn choose_first(
+        &mut self,
+        _channel: usize,
+        _row: usize,
+        _step: i64,
+        _origins: &[Point],
+    ) -> FirstRow {
+        FirstRow::default()
     }
 
-    /// Which rows come next.
+    /// Begins the rows of a level.
     #[inline(always)]
-    fn begin(&mut self, _sites: &Sites) {}
+    fn begin(&mut self, _layout: &LevelLayout) {}
 
-    /// Of some of them, a bit each, those whose sample is not within the tolerance of the prediction.
+    /// One bit per row of a batch: its sample is outside the tolerance ball of the prediction.
     #[inline(always)]
     fn outside<const N: usize>(&mut self, _batch: Batch, _predictions: &Points<N>) -> u32 {
         0
     }
 
-    /// The points of some rows are known, in units; of those that are kept a bit is set.
-    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32);
+    /// Takes the final points of a batch in units; `kept` has one bit per row that is kept.
+    fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32);
 }
 
-/// Strides 1, 2 and 4, which are off by little.
-const FINE: std::ops::Range<usize> = INTERPOLATED..INTERPOLATED + 3;
+/// The kinds of the strides 1, 2 and 4, whose predictions are close.
+const FINE_KINDS: std::ops::Range<usize> = INTERPOLATED..INTERPOLATED + 3;
 
-/// Everything that a group remembers of its channels, and what their rows are coded with.
+/// The state of a group: its channels, the probability model, and the predictors.
 #[derive(Debug)]
 pub(super) struct Channels {
     pub(super) tracks: Vec<Track>,
@@ -119,168 +126,174 @@ impl Channels {
         self.correction.reset();
     }
 
-    /// Stores a first row, which is moved by some steps.
-    pub(super) fn settle_first<S: Side>(
+    /// Stores a first row with its coded steps.
+    pub(super) fn store_first_row<S: RowCodec>(
         &mut self,
-        side: &mut S,
-        sites: &Sites,
+        codec: &mut S,
+        layout: &LevelLayout,
         point: Point,
         steps: Point,
     ) -> Result<()> {
-        let batch = sites.batch(0, 1);
-        side.begin(sites);
+        let batch = layout.batch(0, 1);
+        codec.begin(layout);
         let track = &mut self.tracks[batch.channel];
         let mut activity = track.activity[ORIGIN];
-        track.keep(batch.first, batch.slot, steps, &mut activity);
+        track.record_steps(batch.first, batch.slot, steps, &mut activity);
         track.activity[ORIGIN] = activity;
-        self.settle(side, batch, &point.map(|units| [units as f64; 1]), 1)
+        self.store_rows(codec, batch, &point.map(|units| [units as f64; 1]), 1)
     }
 
-    /// Codes the rows of the [`level`](Self::level): of anchors it is known where time alone puts them.
-    pub(super) fn code<S: Side>(&mut self, side: &mut S, kind: usize) -> Result<()> {
+    /// Codes the rows of the current [`level`](Self::level). The prediction in time of an anchor is already set.
+    pub(super) fn code<S: RowCodec>(&mut self, codec: &mut S, kind: usize) -> Result<()> {
         let isa = self.isa;
-        if FINE.contains(&kind) {
-            isa.run(Level::<S, TOGETHER, false> { channels: self, side, kind })
+        if FINE_KINDS.contains(&kind) {
+            isa.run(LevelPass::<S, BATCH_ROWS, false> { channels: self, codec, kind })
         } else {
-            isa.run(Level::<S, LANES, true> { channels: self, side, kind })
+            isa.run(LevelPass::<S, LANES, true> { channels: self, codec, kind })
         }
     }
 
-    /// The marks of the references, summed, at some rows that lie side by side.
+    /// The summed packed steps of the references at `N` rows from `slot` on; without references, twice those of the
+    /// channel before.
     #[inline(always)]
-    fn referred<const N: usize>(&self, channel: usize, class: usize, slot: usize) -> [u64; N] {
+    fn reference_magnitudes<const N: usize>(
+        &self,
+        channel: usize,
+        class: usize,
+        slot: usize,
+    ) -> [u64; N] {
         let found = self.cross_channel.references(class, channel);
-        let marks = |k: usize| -> [u64; N] { lanes(&self.tracks[k].marks, slot) };
+        let steps = |k: usize| -> [u64; N] { lanes(&self.tracks[k].packed_steps, slot) };
         if found.n == 0 && channel > 0 {
-            return marks(channel - 1).map(|marks| 2 * marks);
+            return steps(channel - 1).map(|steps| 2 * steps);
         }
         let mut sums = [0; N];
         for &k in &found.channels[..found.n] {
-            for (sum, marks) in sums.iter_mut().zip(marks(k)) {
-                *sum += marks;
+            for (sum, steps) in sums.iter_mut().zip(steps(k)) {
+                *sum += steps;
             }
         }
         sums
     }
 
-    /// Stores the points of some rows, of which those are kept whose bit is set.
+    /// Stores the points of a batch; `kept` has one bit per row that is kept.
     #[inline(always)]
-    fn settle<S: Side, const N: usize>(
+    fn store_rows<S: RowCodec, const N: usize>(
         &mut self,
-        side: &mut S,
+        codec: &mut S,
         batch: Batch,
         points: &Points<N>,
         kept: u32,
     ) -> Result<()> {
-        ensure(in_range(points, batch.n), "a position beyond every coordinate")?;
-        self.tracks[batch.channel].settle(batch, points);
-        side.settle(batch, points, kept);
+        ensure(in_range(points, batch.n), "a position out of range")?;
+        self.tracks[batch.channel].store_points(batch, points);
+        codec.finish_rows(batch, points, kept);
         Ok(())
     }
 
-    /// Codes some of the rows of the level, `N` at most.
+    /// Codes a batch of up to `N` rows.
     #[inline(always)]
-    fn batch<S: Side, const N: usize, const FAR: bool>(
+    fn batch<S: RowCodec, const N: usize, const COARSE: bool>(
         &mut self,
-        side: &mut S,
+        codec: &mut S,
         kind: usize,
         batch: Batch,
     ) -> Result<()> {
         let Batch { channel, from, slot, .. } = batch;
-        let referred = self.referred::<N>(channel, class_of(kind), slot);
+        let referred = self.reference_magnitudes::<N>(channel, class_of(kind), slot);
         let Self { tracks, model, segments, correction, level, isa, .. } = self;
-        let mut points = correction.correct::<N, FAR>(channel, kind, level, segments, tracks, from);
-        let outside = side.outside(batch, &points);
-        let sites = level.sites;
+        let mut points =
+            correction.correct::<N, COARSE>(channel, kind, level, segments, tracks, from);
+        let outside = codec.outside(batch, &points);
+        let layout = level.layout;
         let track = &mut tracks[channel];
         let mut activity = track.activity[kind];
         let mut kept = 0;
-        let only = |steps: Steps| if sites.stride > 0 { steps } else { Steps::default() };
-        // What is right of a row is left of the next, and what is before it was the row itself.
-        let mut left = track.steps[sites.neighbours(from).0];
-        let mut before = only(track.steps_from(sites.run.start, batch.first, 2 * sites.stride));
-        let mut before_that =
-            only(track.steps_from(sites.run.start, batch.first, 4 * sites.stride));
+        let only = |steps: Steps| if layout.stride > 0 { steps } else { Steps::default() };
+        // The right neighbour of a row is the left one of the next, and each row is the row before of the next.
+        let mut left = track.steps[layout.neighbours(from).0];
+        let mut before = only(track.steps_from(layout.run.start, batch.first, 2 * layout.stride));
+        let mut before2 = only(track.steps_from(layout.run.start, batch.first, 4 * layout.stride));
         for i in 0..batch.n.min(N) {
             let at = batch.at(i);
-            let right = only(track.steps[(at + sites.stride).min(sites.run.end)]);
+            let right = only(track.steps[(at + layout.stride).min(layout.run.end)]);
             let references = referred[i];
-            let near = Near { kind, left, right, before, before_that, references, activity };
+            let near = Neighbourhood { kind, left, right, before, before2, references, activity };
             left = right;
-            before_that = before;
+            before2 = before;
             before = Steps::default();
             let lattice = Lattice::of(&activity);
             let mut steps = [0; 3];
             if outside >> i & 1 == 1 {
                 let [x, y, z, _] = activity;
-                steps = side.choose(Question {
+                steps = codec.choose(ResidualInputs {
                     place: from + i,
                     prediction: points.each_ref().map(|axis| axis[i]),
                     kind,
                     lattice,
                     fineness: track.fineness,
                     activity: [x, y, z],
-                    last_level: kind == 4 || (kind < 4 && at == sites.run.zero + 1),
+                    last_level: kind == 4 || (kind < 4 && at == layout.run.zero + 1),
                 });
             }
             let moved = steps != [0; 3];
-            if !residual::moving(side.coder(), model, &near, level.bends[from + i], moved) {
-                follow(&mut activity, [0; 4]);
+            if !residual::moving(codec.coder(), model, &near, level.bends[from + i], moved) {
+                update_activity(&mut activity, [0; 4]);
                 continue;
             }
             let hints = &level.hints(from + i);
-            let coder = side.coder();
+            let coder = codec.coder();
             let coded = isa.run(Residual { coder, model, near: &near, hints, lattice, steps })?;
             let step = track.fineness.step(lattice);
             for (axis, steps) in points.iter_mut().zip(coded.steps) {
                 axis[i] = (axis[i] as i64).wrapping_add(steps.wrapping_mul(step)) as f64;
             }
             kept |= 1 << i;
-            before = track.keep(at, slot + i, coded.magnitudes, &mut activity);
+            before = track.record_steps(at, slot + i, coded.magnitudes, &mut activity);
             let expected = level.prediction.each_ref().map(|axis| axis[from + i]);
             correction.score(channel, kind, i, expected, points.each_ref().map(|axis| axis[i]));
         }
         track.activity[kind] = activity;
         self.cross_channel.remember(batch, &self.level, &points);
-        self.settle(side, batch, &points, kept)
+        self.store_rows(codec, batch, &points, kept)
     }
 }
 
-/// Codes the rows of a level, so many together.
+/// Codes the rows of a level in batches of `N`.
 #[derive(Debug)]
-struct Level<'a, S, const N: usize, const FAR: bool> {
+struct LevelPass<'a, S, const N: usize, const COARSE: bool> {
     channels: &'a mut Channels,
-    side: &'a mut S,
+    codec: &'a mut S,
     kind: usize,
 }
 
-impl<S: Side, const N: usize, const FAR: bool> Kernel for Level<'_, S, N, FAR> {
+impl<S: RowCodec, const N: usize, const COARSE: bool> Kernel for LevelPass<'_, S, N, COARSE> {
     type Output = Result<()>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { channels, side, kind } = self;
-        let (class, sites) = (class_of(kind), channels.level.sites);
-        let channel = sites.run.channel;
-        side.begin(&sites);
+        let Self { channels, codec, kind } = self;
+        let (class, layout) = (class_of(kind), channels.level.layout);
+        let channel = layout.run.channel;
+        codec.begin(&layout);
         if kind >= INTERPOLATED {
             channels.level.interpolate(&channels.tracks[channel].points);
         }
         channels.cross_channel.correct(class, &mut channels.level);
-        channels.segments.expect(&sites, &channels.tracks);
+        channels.segments.expect(&layout, &channels.tracks);
         channels.correction.begin(channel, kind);
-        for first in (0..sites.n).step_by(N) {
-            channels.batch::<S, N, FAR>(side, kind, sites.batch(first, N))?;
+        for first in (0..layout.n).step_by(N) {
+            channels.batch::<S, N, COARSE>(codec, kind, layout.batch(first, N))?;
         }
-        if FAR {
-            channels.segments.learn(&sites, &channels.tracks);
+        if COARSE {
+            channels.segments.learn(&layout, &channels.tracks);
         }
         if class == 0 {
-            channels.cross_channel.learn_anchor(channel, sites.slot);
+            channels.cross_channel.learn_anchor(channel, layout.slot);
         }
-        // The last level is between no other rows.
+        // No row is predicted from the last level.
         if kind != INTERPOLATED {
-            channels.segments.remember(&sites, &channels.tracks);
+            channels.segments.remember(&layout, &channels.tracks);
         }
         Ok(())
     }

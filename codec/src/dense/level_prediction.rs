@@ -1,8 +1,8 @@
-//! Where rows are expected in time: the last row of a span from the rows before it, the rows of a level from the
-//! decoded rows on either side.
+//! Prediction in time: anchors are extrapolated from the rows before them, the rows of a level are interpolated
+//! between decoded rows on both sides.
 //!
-//! Rows of one level are not predicted from one another, so that all that their neighbours in time and the
-//! other channels say of them can be worked out for many rows at once.
+//! No row of a level is predicted from another row of the same level, so the predictions of a whole level can be
+//! computed side by side before any of its rows is coded.
 
 use std::ops::Range;
 
@@ -11,49 +11,49 @@ use super::{
     points::{LANES, Point, floor, integers, lanes, put},
 };
 
-/// Rows before the block that predictions look at.
-pub(super) const MEMORY: usize = 64;
+/// Rows before the block from which predictions are made: a whole span.
+pub(super) const PAST_ROWS: usize = 64;
 
-/// Rows of a level in a span.
-const MOST: usize = SPAN / 2;
-const _: () = assert!(MOST.is_multiple_of(LANES));
+/// Most rows of one level in a span: those of stride 1, every other row.
+const MAX_LEVEL_ROWS: usize = SPAN / 2;
+const _: () = assert!(MAX_LEVEL_ROWS.is_multiple_of(LANES));
 
-/// Values of a span, and room for whole lanes behind the last.
-pub(super) const PADDED: usize = SPAN + 2 * LANES;
+/// Length of arrays with one value per row of a span, padded so that whole vectors may be read and written at its end.
+pub(super) const PADDED_SPAN: usize = SPAN + 2 * LANES;
 
-/// Values of the rows of a level, and room for the rest of the last lanes.
-pub(super) const ROOM: usize = MOST + LANES;
+/// Length of arrays with one value per row of a level, padded to a whole vector at its end.
+pub(super) const PADDED_ROWS: usize = MAX_LEVEL_ROWS + LANES;
 
-/// One value a row.
-pub(super) type PerRow = [f64; ROOM];
+/// One value per row of a level.
+pub(super) type PerRow = [f64; PADDED_ROWS];
 
-/// What is decoded of a run before its anchor or a level of it: the rows from `start` to `zero`, and from its levels
-/// on the row `end`. As rows of a track.
+/// The decoded part of a run before its anchor or one of its levels: the rows `start` to `zero`, and for levels the
+/// row `end`. Rows are indices into a [`Track`](super::track::Track).
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Decoded {
+pub(super) struct DecodedRun {
     pub(super) channel: usize,
     pub(super) start: usize,
     pub(super) zero: usize,
     pub(super) end: usize,
 }
 
-/// Where the rows lie. Indices are those of a track.
+/// The rows of one level of a run, or its anchor. Rows are indices into a [`Track`](super::track::Track).
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Sites {
+pub(super) struct LevelLayout {
     pub(super) first: usize,
     pub(super) step: usize,
     pub(super) n: usize,
-    /// From a row to its neighbours, where they are not nearer; 0 for none to the right.
+    /// Distance from a row to its neighbours, unless the run ends before; 0 for an anchor, which has none after it.
     pub(super) stride: usize,
-    pub(super) run: Decoded,
+    pub(super) run: DecodedRun,
     pub(super) before: usize,
-    /// The place of the first row where rows of a level lie side by side.
+    /// Index of the first row in the arrays of a span, where the rows of a level are adjacent.
     pub(super) slot: usize,
 }
 
-impl Sites {
-    /// The rows of a level between `zero` and `end`.
-    pub(super) fn level(stride: usize, run: Decoded, before: usize) -> Self {
+impl LevelLayout {
+    /// The rows of a level, strictly between `zero` and `end`.
+    pub(super) fn level(stride: usize, run: DecodedRun, before: usize) -> Self {
         let step = 2 * stride;
         let first = (run.zero - before) / step * step + stride + before;
         let first = if first <= run.zero { first + step } else { first };
@@ -61,8 +61,8 @@ impl Sites {
         Self { first, step, n, stride, run, before, slot: slot(first - before) }
     }
 
-    /// The last row of a run.
-    pub(super) fn anchor(run: Decoded, before: usize) -> Self {
+    /// The anchor: the last row of a run.
+    pub(super) fn anchor(run: DecodedRun, before: usize) -> Self {
         Self { first: run.end, step: 1, n: 1, stride: 0, run, before, slot: slot(run.end - before) }
     }
 
@@ -70,7 +70,7 @@ impl Sites {
         self.first + i * self.step
     }
 
-    /// Some of the rows, from the one at a place on.
+    /// Up to `most` rows, from index `from` of the level on.
     pub(super) fn batch(&self, from: usize, most: usize) -> Batch {
         let n = most.min(self.n - from);
         Batch {
@@ -83,25 +83,25 @@ impl Sites {
         }
     }
 
-    /// The nearest decoded rows before and after a row; the same where there is none after it.
+    /// The nearest decoded rows before and after a row; an anchor has the row before it twice.
     pub(super) fn neighbours(&self, i: usize) -> (usize, usize) {
-        let (at, Decoded { zero, end, .. }) = (self.at(i), self.run);
+        let (at, DecodedRun { zero, end, .. }) = (self.at(i), self.run);
         if self.stride == 0 {
             return (zero, zero);
         }
         ((at - self.stride).max(zero), (at + self.stride).min(end))
     }
 
-    /// The rows that have both neighbours at the stride.
-    pub(super) fn whole(&self) -> Range<usize> {
+    /// The rows whose neighbours on both sides are exactly a stride away.
+    pub(super) fn interior(&self) -> Range<usize> {
         let from = usize::from(self.first < self.run.zero + self.stride);
         let to = self.n - usize::from(self.at(self.n - 1) + self.stride > self.run.end);
         from..to.max(from)
     }
 
-    /// The rows that are expected by the four-point rule.
+    /// The rows with four evenly spaced neighbours, two on either side.
     fn even(&self) -> Range<usize> {
-        let Decoded { start, zero, end, .. } = self.run;
+        let DecodedRun { start, zero, end, .. } = self.run;
         let least = (zero + self.stride).max(start + 3 * self.stride);
         let from = least.saturating_sub(self.first).div_ceil(self.step).min(self.n);
         let to = match end.checked_sub(3 * self.stride + self.first) {
@@ -112,15 +112,15 @@ impl Sites {
     }
 }
 
-/// A few rows of one level, as rows of a track.
+/// Adjacent rows of one level that are coded together.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Batch {
     pub(super) channel: usize,
     pub(super) first: usize,
     pub(super) step: usize,
-    /// At most as many as are coded together.
+    /// Number of rows.
     pub(super) n: usize,
-    /// The place of the first among the rows of the level, and in the span.
+    /// Index of the first row within the level, and in the arrays of a span.
     pub(super) from: usize,
     pub(super) slot: usize,
 }
@@ -130,49 +130,49 @@ impl Batch {
         self.first + i * self.step
     }
 
-    /// As a row of the block.
+    /// The `i`-th row as a row of the block.
     pub(super) fn row(&self, i: usize) -> usize {
-        self.at(i) - MEMORY
+        self.at(i) - PAST_ROWS
     }
 }
 
-/// Classes of what is around a row that is moved, by axis.
+/// Contexts of the signs of a row's residual, by axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Hints {
-    /// On which side of the chord the row is expected: 0 none to speak of, 1 above, 2 below.
+    /// Side of the chord between the neighbours on which the prediction lies: 0 near it, 1 above, 2 below.
     pub(super) side: [usize; 3],
-    /// On which side of nothing the references are.
+    /// Sign of the references' summed residuals: 0 near zero, 1 positive, 2 negative.
     pub(super) references_side: [usize; 3],
 }
 
-/// Where the rows of a level are expected, before any of them is coded.
+/// The predictions of all rows of a level, computed before any of them is coded.
 #[derive(Debug)]
 pub(super) struct LevelPrediction {
-    pub(super) sites: Sites,
-    /// By axis: by time alone, and with what the references say.
+    pub(super) layout: LevelLayout,
+    /// By axis, in units: the prediction in time, and the prediction corrected by the references.
     pub(super) expected: [PerRow; 3],
     pub(super) prediction: [PerRow; 3],
-    /// By axis: how far the expectation lies from the chord of the two near neighbours, in units.
+    /// By axis, in units: distance of the prediction in time from the chord between the two nearest neighbours.
     offs: [PerRow; 3],
-    /// The class of the largest of the three, in eighths of the tolerance: 0; 1 or 2; more.
-    pub(super) bends: [u8; ROOM],
-    /// By axis: the residuals of the references, added up.
-    pub(super) referred: [PerRow; 3],
-    /// Room to work in.
+    /// Class of the largest of the three distances in eighths of the tolerance: 0; 1 or 2; more.
+    pub(super) bends: [u8; PADDED_ROWS],
+    /// By axis, in units: the sum of the references' signed residuals.
+    pub(super) reference_residuals: [PerRow; 3],
+    /// Scratch memory, by axis: the decoded rows around the level.
     nodes: [PerRow; 3],
 }
 
-/// The sides count from here, in units.
+/// Smallest distances that count as a side, in units of 1/256 tolerance: from the chord, and of the references' sum.
 const SIDE_UNITS: f64 = 40.0;
 const REFERENCES_SIDE_UNITS: f64 = 30.0;
 
-/// 0 near nothing, 1 above, 2 below.
+/// The side of a signed distance: 0 smaller than `least`, 1 above, 2 below.
 #[inline(always)]
 fn side(units: f64, least: f64) -> usize {
     usize::from(units >= least) + 2 * usize::from(units <= -least)
 }
 
-/// The class of a distance from the chord, in units.
+/// The class of a distance from the chord, in units: below 1/8 tolerance, below 3/8, more.
 #[inline(always)]
 fn bend(units: f64) -> u8 {
     u8::from(units >= 32.0) + u8::from(units >= 96.0)
@@ -181,13 +181,13 @@ fn bend(units: f64) -> u8 {
 impl LevelPrediction {
     pub(super) fn new() -> Self {
         Self {
-            sites: Sites::default(),
-            expected: [[0.0; ROOM]; 3],
-            prediction: [[0.0; ROOM]; 3],
-            offs: [[0.0; ROOM]; 3],
-            bends: [0; ROOM],
-            referred: [[0.0; ROOM]; 3],
-            nodes: [[0.0; ROOM]; 3],
+            layout: LevelLayout::default(),
+            expected: [[0.0; PADDED_ROWS]; 3],
+            prediction: [[0.0; PADDED_ROWS]; 3],
+            offs: [[0.0; PADDED_ROWS]; 3],
+            bends: [0; PADDED_ROWS],
+            reference_residuals: [[0.0; PADDED_ROWS]; 3],
+            nodes: [[0.0; PADDED_ROWS]; 3],
         }
     }
 
@@ -195,24 +195,25 @@ impl LevelPrediction {
     pub(super) fn hints(&self, i: usize) -> Hints {
         let mut hints = Hints { side: [0; 3], references_side: [0; 3] };
         for axis in 0..3 {
+            let referred = self.reference_residuals[axis][i];
             hints.side[axis] = side(self.offs[axis][i], SIDE_UNITS);
-            hints.references_side[axis] = side(self.referred[axis][i], REFERENCES_SIDE_UNITS);
+            hints.references_side[axis] = side(referred, REFERENCES_SIDE_UNITS);
         }
         hints
     }
 
-    /// Rows that have neighbours on one side only.
-    pub(super) fn guessed(&mut self, sites: Sites, expected: [i64; 3]) {
-        self.sites = sites;
+    /// Starts an anchor, whose prediction in time is known.
+    pub(super) fn set_expected(&mut self, layout: LevelLayout, expected: [i64; 3]) {
+        self.layout = layout;
         self.store(0, expected.map(|units| units as f64), [0.0; 3]);
     }
 
-    /// The last row before the end of a run, where the three rows around it are as far apart as those of the others:
-    /// (-1, 6, 3)/8 are Lagrange's weights.
+    /// Interpolates the last row before the end of a run where its three neighbours are evenly spaced, with Lagrange's
+    /// weights (-1, 6, 3)/8; `false` where they are not.
     #[inline(always)]
     fn ends_even(&mut self, points: &[[f64; 3]], i: usize) -> bool {
-        let Sites { stride, run: Decoded { start, zero, end, .. }, .. } = self.sites;
-        let at = self.sites.at(i);
+        let LevelLayout { stride, run: DecodedRun { start, zero, end, .. }, .. } = self.layout;
+        let at = self.layout.at(i);
         if at + stride != end || at < zero + stride || at < start + 3 * stride {
             return false;
         }
@@ -228,9 +229,9 @@ impl LevelPrediction {
         true
     }
 
-    /// What is not evenly spaced.
+    /// Interpolates a row with unevenly spaced neighbours.
     fn uneven(&mut self, points: &[[f64; 3]], i: usize) {
-        let stencil = Stencil::new(self.sites.at(i), self.sites.stride, self.sites.run);
+        let stencil = Stencil::new(self.layout.at(i), self.layout.stride, self.layout.run);
         let (expected, off) = stencil.expect(|row| integers(points[row]));
         self.store(i, expected.map(|units| units as f64), off.map(|units| units as f64));
     }
@@ -246,21 +247,21 @@ impl LevelPrediction {
         self.bends[i] = bend(largest);
     }
 
-    /// Interpolates all rows between the points of a channel.
+    /// Interpolates all rows of the level between the decoded points of their channel.
     #[inline(always)]
     pub(super) fn interpolate(&mut self, points: &[[f64; 3]]) {
-        let Sites { n, step, stride, .. } = self.sites;
-        let Range { start: from, end: to } = self.sites.even();
-        // The decoded rows around, evenly spaced; what is beyond them counts for nothing.
-        let mut row = self.sites.at(from).wrapping_sub(3 * stride);
+        let LevelLayout { n, step, stride, .. } = self.layout;
+        let Range { start: from, end: to } = self.layout.even();
+        // The evenly spaced decoded rows around; values beyond them do not matter.
+        let mut row = self.layout.at(from).wrapping_sub(3 * stride);
         let nodes = if from < to { to - from + 3 } else { 0 };
-        for node in 0..nodes.min(ROOM) {
+        for node in 0..nodes.min(PADDED_ROWS) {
             for (axis, units) in self.nodes.iter_mut().zip(points[row]) {
                 axis[node] = units;
             }
             row += step;
         }
-        // The last lanes may reach into rows that are not even: those come after.
+        // The last vector may reach into unevenly spaced rows, which are overwritten below.
         for first in (from..to).step_by(LANES) {
             let mut bends = [0.0; LANES];
             for axis in 0..3 {
@@ -292,67 +293,70 @@ impl LevelPrediction {
     }
 }
 
-/// The place of a row (1 to 64 of a span) where the rows of a level lie side by side: the end of a whole
-/// span, stride 32, stride 16, and so on.
+/// Index of a row (1 to 64 of a span) in arrays where the rows of a level are adjacent: the end of a whole span, then
+/// stride 32, stride 16, and so on.
 fn slot(row: usize) -> usize {
     let odd_half = (SPAN + row) >> (row.trailing_zeros() + 1);
     if row == SPAN { 0 } else { odd_half % SPAN }
 }
 
-/// (rows that the velocity is measured over, its weight in quarters).
-const GUESSES: [(usize, i64); 7] = [(1, 0), (2, 4), (4, 4), (8, 4), (8, 2), (32, 4), (32, 2)];
+/// The extrapolations of an anchor: (rows over which the velocity is measured, its weight in quarters).
+const EXTRAPOLATORS: [(usize, i64); 7] = [(1, 0), (2, 4), (4, 4), (8, 4), (8, 2), (32, 4), (32, 2)];
 
-/// An error beyond this counts as this much: one jump must not decide for seconds.
+/// Errors are clamped to this, in units: one jump must not decide for seconds.
 const MAX_ERROR: u64 = 1 << 24;
 
-/// How far each guess was off lately, per axis: an average that forgets an eighth a span.
+/// Recent errors of each extrapolation by axis, in eighths of a unit: averages that forget an eighth per anchor.
 #[derive(Debug, Clone, Default)]
 pub(super) struct AnchorErrors {
-    errors: [[u64; GUESSES.len()]; 3],
+    errors: [[u64; EXTRAPOLATORS.len()]; 3],
 }
 
-/// The guesses for one span, to be scored once its anchor is known.
+/// The extrapolations of one anchor, to be scored once the anchor is decoded.
 #[derive(Debug)]
-pub(super) struct Guesses([[i64; GUESSES.len()]; 3]);
+pub(super) struct Extrapolations([[i64; EXTRAPOLATORS.len()]; 3]);
 
 impl AnchorErrors {
-    /// `known` gives a row so far before row 0, up to `n_before`; `m` is the distance to the anchor.
-    pub(super) fn guess(
+    /// Predicts an anchor `m` rows after row 0: on each axis by the extrapolation with the smallest recent error.
+    /// `known(k)` is the point `k` rows before row 0, for `k` up to `n_before`.
+    pub(super) fn extrapolate(
         &self,
         known: impl Fn(usize) -> Point,
         n_before: usize,
         m: usize,
-    ) -> (Point, Guesses) {
-        let mut guesses = Guesses(Default::default());
+    ) -> (Point, Extrapolations) {
+        let mut extrapolations = Extrapolations(Default::default());
         let mut best = Point::default();
         let last = known(0);
-        for (i, (window, quarters)) in GUESSES.into_iter().enumerate() {
+        for (i, (window, quarters)) in EXTRAPOLATORS.into_iter().enumerate() {
             let window = window.min(n_before);
             let before = known(window);
             for axis in 0..3 {
                 let travelled = last[axis].wrapping_sub(before[axis]);
-                let ahead = travelled.wrapping_mul(m as i64 * quarters);
-                let ahead = match window {
+                let advance = travelled.wrapping_mul(m as i64 * quarters);
+                let advance = match window {
                     0 => 0,
-                    _ if window.is_power_of_two() => ahead >> (2 + window.ilog2()),
-                    _ => ahead.div_euclid(4 * window as i64),
+                    _ if window.is_power_of_two() => advance >> (2 + window.ilog2()),
+                    _ => advance.div_euclid(4 * window as i64),
                 };
-                guesses.0[axis][i] = last[axis].wrapping_add(ahead);
+                extrapolations.0[axis][i] = last[axis].wrapping_add(advance);
             }
         }
         for (axis, best) in best.iter_mut().enumerate() {
-            let pick = (0..GUESSES.len()).min_by_key(|&i| self.errors[axis][i]).unwrap_or(0);
-            *best = guesses.0[axis][pick];
+            let pick = (0..EXTRAPOLATORS.len()).min_by_key(|&i| self.errors[axis][i]).unwrap_or(0);
+            *best = extrapolations.0[axis][pick];
         }
-        (best, guesses)
+        (best, extrapolations)
     }
 
-    /// Remembers how far each guess was from the decoded anchor.
-    pub(super) fn score(&mut self, guesses: &Guesses, anchor: Point) {
-        for ((errors, guesses), anchor) in self.errors.iter_mut().zip(&guesses.0).zip(anchor) {
-            for (error, guess) in errors.iter_mut().zip(guesses) {
-                let off = guess.wrapping_sub(anchor).unsigned_abs().min(MAX_ERROR);
-                // In eighths, so that the average does not stall above zero.
+    /// Updates the errors with the decoded anchor.
+    pub(super) fn score(&mut self, extrapolations: &Extrapolations, anchor: Point) {
+        for ((errors, extrapolations), anchor) in
+            self.errors.iter_mut().zip(&extrapolations.0).zip(anchor)
+        {
+            for (error, extrapolated) in errors.iter_mut().zip(extrapolations) {
+                let off = extrapolated.wrapping_sub(anchor).unsigned_abs().min(MAX_ERROR);
+                // In eighths, so that the average can fall to zero.
                 *error = *error - *error / 8 + off;
             }
         }
@@ -362,13 +366,13 @@ impl AnchorErrors {
 /// Fraction bits of a stencil's weights.
 const WEIGHT_BITS: u32 = 16;
 
-/// From which rows a row is interpolated.
+/// The interpolation stencil of a row: the decoded rows around it.
 ///
-/// The polynomial through two rows on either side (Lagrange), which on even spacing is
-/// (-1, 9, 9, -1)/16. Near the ends of a run the spacing is uneven, or there is one row less.
+/// Interpolates by Lagrange's polynomial through two rows on either side, with the weights (-1, 9, 9, -1)/16 on even
+/// spacing. Near the ends of a run the spacing is uneven or a row is missing.
 #[derive(Debug, Clone, Copy)]
 struct Stencil {
-    /// The row.
+    /// The row to interpolate.
     at: usize,
     /// The nearest decoded rows before it and after it.
     left: usize,
@@ -378,8 +382,8 @@ struct Stencil {
 }
 
 impl Stencil {
-    /// For row `at` of a level.
-    fn new(at: usize, stride: usize, Decoded { start, zero, end, .. }: Decoded) -> Self {
+    /// The stencil of row `at` of a level.
+    fn new(at: usize, stride: usize, DecodedRun { start, zero, end, .. }: DecodedRun) -> Self {
         let left = (at - stride).max(zero);
         let right = (at + stride).min(end);
         let outer_right = Some((at + 3 * stride).min(end)).filter(|&row| row > right);
@@ -392,7 +396,7 @@ impl Stencil {
         Self { at, left, right, outer_right, outer_left }
     }
 
-    /// Interpolates: the point, and how far it lies from the chord of the two near neighbours, in units.
+    /// The interpolated point, and its distance from the chord between the two nearest neighbours, in units.
     fn expect(&self, points: impl Fn(usize) -> Point) -> (Point, Point) {
         let (base, far) = (points(self.left), points(self.right));
         let curve = self.curve(&points);
@@ -407,7 +411,7 @@ impl Stencil {
         (point, off)
     }
 
-    /// Distance of the polynomial from the left neighbour, weights in 2^-16 rounded half up.
+    /// The polynomial's offset from the left neighbour, in units; weights in 2^-16, rounded half up.
     fn curve(&self, points: &impl Fn(usize) -> Point) -> Point {
         let base = points(self.left);
         let nodes = [Some(self.left), Some(self.right), self.outer_right, self.outer_left];
@@ -442,13 +446,13 @@ mod tests {
     }
 
     #[test]
-    fn cubics_are_met_wherever_four_rows_are_known() {
+    fn four_known_rows_reproduce_a_cubic() {
         let points: Vec<Point> = (0..200).map(cubic).collect();
         for (start, zero, end) in [(0, 64, 128), (60, 64, 128), (64, 64, 128), (0, 70, 97)] {
             for stride in [1, 2, 4, 8, 16, 32] {
                 for at in (64 + stride..end).step_by(2 * stride).filter(|&at| at > zero) {
                     let stencil =
-                        Stencil::new(at, stride, Decoded { channel: 0, start, zero, end });
+                        Stencil::new(at, stride, DecodedRun { channel: 0, start, zero, end });
                     if stencil.outer_left.is_none() || stencil.outer_right.is_none() {
                         continue;
                     }
@@ -465,10 +469,10 @@ mod tests {
     }
 
     #[test]
-    fn even_spacing_is_the_four_point_rule() {
+    fn even_spacing_gives_the_four_point_weights() {
         let mut points = vec![[0; 3]; 33];
         points[16] = [160, 0, 0];
-        let run = Decoded { channel: 0, start: 0, zero: 8, end: 32 };
+        let run = DecodedRun { channel: 0, start: 0, zero: 8, end: 32 };
         let weight = |at| Stencil::new(at, 2, run).expect(|row| points[row]).0[0];
         assert_eq!((weight(10), weight(14), weight(18), weight(22)), (-10, 90, 90, -10));
     }

@@ -1,17 +1,17 @@
-//! The syntax of one row between others: what it is expected by, and the bits of its residual.
+//! The syntax of anchors and interpolated rows: the contexts of a row and the decisions that code its residual.
 
 use super::{
     contexts::{
         EXPONENT_EXPECTED, EXPONENT_REFERENCES, EXPONENTS, KINDS, LONGER_EXPECTED, LONGER_NEAR,
         LONGER_REFERENCES, MAX_EXPONENT, MIX_EXPONENT, MIX_LONGER, MIX_MOVING, MIX_NONZERO,
         MIX_SIGN, MOVING_EXPECTED, MOVING_REFERENCES, NEXT_BIT, NONZERO_EXPECTED,
-        NONZERO_REFERENCES, ODD, SIGN_REFERENCES, SIGN_SIDE, TOP_BIT, UNARY, eight, sign, six,
-        thirty_two,
+        NONZERO_REFERENCES, ODD, SIGN_REFERENCES, SIGN_SIDE, TOP_BIT, UNARY, activity_class,
+        expectation_class, magnitude_class, sign,
     },
     level_prediction::Hints,
     model::Model,
     points::{Lattice, Point},
-    track::{Steps, magnitude, marked, marked_weight},
+    track::{Steps, magnitude, unpack_magnitude, unpack_sum},
 };
 use crate::{
     Result,
@@ -19,73 +19,76 @@ use crate::{
     ensure,
 };
 
-/// How much the magnitudes around a row count in what is expected of its own, in 1/256: the format has them so.
-const OF_ACTIVITY: i32 = 115;
-const OF_BEFORE: i32 = 51;
-const OF_BEFORE_THAT: i32 = 26;
-const OF_NEIGHBOURS: i32 = 20;
-const OF_REFERENCES: i32 = 26;
+/// Weights, in 1/256, of the magnitudes around a row in its expected magnitude, by which contexts are chosen: of the
+/// activity, the row before in the level, the one before that, the two neighbours, and the references. The format
+/// fixes them; no derivation is on record.
+const ACTIVITY_WEIGHT: i32 = 115;
+const BEFORE_WEIGHT: i32 = 51;
+const BEFORE2_WEIGHT: i32 = 26;
+const NEIGHBOUR_WEIGHT: i32 = 20;
+const REFERENCE_WEIGHT: i32 = 26;
 
-/// What is around a row, as far as it says whether the row is moved.
+/// The decoded neighbourhood of a row, from which its contexts are chosen.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Near {
+pub(super) struct Neighbourhood {
     pub(super) kind: usize,
-    /// Coded magnitudes: nearest rows before and after of coarser levels, the row of the same level
-    /// before, and the one before that.
+    /// Coded steps of the nearest rows of coarser levels before and after, of the row before in the same level, and of
+    /// the one before that.
     pub(super) left: Steps,
     pub(super) right: Steps,
     pub(super) before: Steps,
-    pub(super) before_that: Steps,
-    /// The sum of the references' marks.
+    pub(super) before2: Steps,
+    /// The sum of the references' packed steps.
     pub(super) references: u64,
-    /// Of the kind, as [`Track::activity`](super::track::Track::activity).
+    /// The activities of the kind, as in [`Track::activity`](super::track::Track::activity).
     pub(super) activity: [i32; 4],
 }
 
-/// Codes whether a row is moved: whether its residual is not zero on all axes.
+/// Codes whether a row is moved from its prediction: whether its residual is nonzero on any axis.
 #[inline(always)]
 pub(super) fn moving(
     coder: &mut impl BinaryCoder,
     model: &mut Model,
-    near: &Near,
+    near: &Neighbourhood,
     bend: u8,
     moved: bool,
 ) -> bool {
-    let Near { kind, left, right, before, before_that, .. } = *near;
+    let Neighbourhood { kind, left, right, before, before2, .. } = *near;
     let activity = near.activity[3];
-    let references = marked_weight(near.references);
-    let expectation = ((activity * OF_ACTIVITY) >> 8)
-        + i32::from(before.weight) * OF_BEFORE
-        + i32::from(before_that.weight) * OF_BEFORE_THAT
-        + (i32::from(left.weight) + i32::from(right.weight)) * OF_NEIGHBOURS
-        + references * OF_REFERENCES;
+    let references = unpack_sum(near.references);
+    let expectation = ((activity * ACTIVITY_WEIGHT) >> 8)
+        + i32::from(before.weight) * BEFORE_WEIGHT
+        + i32::from(before2.weight) * BEFORE2_WEIGHT
+        + (i32::from(left.weight) + i32::from(right.weight)) * NEIGHBOUR_WEIGHT
+        + references * REFERENCE_WEIGHT;
     let contexts = [
-        MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
-        MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + usize::from(bend)),
+        MOVING_REFERENCES
+            .at((kind * 6 + magnitude_class(references)) * 8 + activity_class(activity)),
+        MOVING_EXPECTED.at((kind * 32 + expectation_class(expectation)) * 3 + usize::from(bend)),
     ];
     model.mixed(coder, contexts, MIX_MOVING + kind, moved)
 }
 
-/// Codes the residual of a row that is moved, in lattice steps, which are not zero on all axes.
+/// Codes the residual of a moved row, in lattice steps, of which at least one axis is nonzero.
 #[derive(Debug)]
 pub(super) struct Residual<'a, C> {
     pub(super) coder: &'a mut C,
     pub(super) model: &'a mut Model,
-    pub(super) near: &'a Near,
+    pub(super) near: &'a Neighbourhood,
     pub(super) hints: &'a Hints,
     pub(super) lattice: Lattice,
     pub(super) steps: Point,
 }
 
-/// What was coded.
+/// A coded residual: its lattice steps, and the magnitudes with signs by which they were coded.
 #[derive(Debug)]
-pub(super) struct Coded {
+pub(super) struct CodedSteps {
     pub(super) steps: Point,
     pub(super) magnitudes: Point,
 }
 
 impl<C: BinaryCoder> Kernel for Residual<'_, C> {
-    type Output = Result<Coded>;
+    type Output = Result<CodedSteps>;
 
     #[inline(always)]
     fn run(mut self) -> Self::Output {
@@ -100,11 +103,12 @@ impl<C: BinaryCoder> Kernel for Residual<'_, C> {
             *magnitude = self.axis(Axis { axis, form, some, certain }, *magnitude)?;
             some |= *magnitude != 0;
         }
-        Ok(Coded { steps: form.steps(magnitudes), magnitudes })
+        Ok(CodedSteps { steps: form.steps(magnitudes), magnitudes })
     }
 }
 
-/// How the steps of a residual are turned into magnitudes.
+/// The mapping between the steps of a residual and its coded magnitudes: on the centred lattice all steps are odd or
+/// all even, so that half of each is enough.
 #[derive(Debug, Clone, Copy)]
 struct Form {
     centred: bool,
@@ -112,6 +116,7 @@ struct Form {
 }
 
 impl Form {
+    /// The number of the form in the contexts.
     #[inline(always)]
     fn number(self) -> usize {
         match (self.centred, self.odd) {
@@ -140,18 +145,18 @@ impl Form {
     }
 }
 
-/// One axis of a residual.
+/// One axis of a residual, as far as earlier axes determine it.
 #[derive(Debug, Clone, Copy)]
 struct Axis {
     axis: usize,
     form: Form,
-    /// Whether an axis before it is not zero.
+    /// Whether an earlier axis is nonzero.
     some: bool,
-    /// Whether it is sure not to be zero.
+    /// Whether the axis must be nonzero, so that this is not coded.
     certain: bool,
 }
 
-/// The classes that a magnitude is coded in.
+/// The context classes of a magnitude.
 #[derive(Debug, Clone, Copy)]
 struct Classes {
     kind: usize,
@@ -165,22 +170,22 @@ struct Classes {
 impl<C: BinaryCoder> Residual<'_, C> {
     #[inline(always)]
     fn axis(&mut self, Axis { axis, form, some, certain }: Axis, wanted: i64) -> Result<i64> {
-        let Near { kind, left, right, before, references, activity, .. } = *self.near;
+        let Neighbourhood { kind, left, right, before, references, activity, .. } = *self.near;
         let last = sign(before.axes[axis]);
         let [left, right, before] =
             [left, right, before].map(|row| magnitude(row.axes[axis].into()));
-        let references = marked(references, axis);
-        let expectation = ((activity[axis] * OF_ACTIVITY) >> 8)
-            + before * OF_BEFORE
-            + (left + right) * OF_NEIGHBOURS
-            + references * OF_REFERENCES;
+        let references = unpack_magnitude(references, axis);
+        let expectation = ((activity[axis] * ACTIVITY_WEIGHT) >> 8)
+            + before * BEFORE_WEIGHT
+            + (left + right) * NEIGHBOUR_WEIGHT
+            + references * REFERENCE_WEIGHT;
         let classes = Classes {
             kind,
             form: form.number(),
-            near: six(before.max(left).max(right)),
-            referred: six(references),
-            active: eight(activity[axis]),
-            expected: thirty_two(expectation),
+            near: magnitude_class(before.max(left).max(right)),
+            referred: magnitude_class(references),
+            active: activity_class(activity[axis]),
+            expected: expectation_class(expectation),
         };
         let Classes { referred, active, expected, .. } = classes;
         if !certain {
@@ -205,7 +210,7 @@ impl<C: BinaryCoder> Residual<'_, C> {
         Ok(if negative { -length } else { length })
     }
 
-    /// A magnitude less one: unary at first, then Exp-Golomb.
+    /// Codes a magnitude less one: up to [`UNARY`] in unary, the rest in Exp-Golomb code.
     #[inline(always)]
     fn longer(&mut self, classes: Classes, value: u64) -> Result<u64> {
         let Classes { kind, form, near, referred, active, expected } = classes;
@@ -233,12 +238,13 @@ impl<C: BinaryCoder> Residual<'_, C> {
                 break;
             }
             exponent += 1;
-            ensure(exponent <= MAX_EXPONENT, "a residual beyond every coordinate")?;
+            ensure(exponent <= MAX_EXPONENT, "a residual out of range")?;
         }
         Ok(self.mantissa(expected, exponent, rest) - 1 + UNARY as u64)
     }
 
-    /// The bits below the highest: two of them adaptive.
+    /// Codes the bits below the highest: the top two with contexts (exponents and upper mantissa bits in contexts are
+    /// part of a gain of 0.4 %), the others plain.
     #[inline(always)]
     fn mantissa(&mut self, expected: usize, exponent: usize, rest: u64) -> u64 {
         let class = exponent.min(EXPONENTS - 1);

@@ -1,43 +1,46 @@
-//! Segments of constant length: the distances between the channels of a group, what they should be and were.
+//! Segment lengths: the distances between the markers of a group, and which of them are steady.
 //!
-//! The distance between two markers of a segment changes slowly, however the segment turns; where it
-//! stood at the neighbouring rows, it will about stand here.
+//! The distance between two markers of one body segment hardly changes when the segment moves and turns, so the
+//! distances at neighbouring rows predict the distance at a row between. The steadiest pairs are found by the variance
+//! of the error of that prediction. Following distances to up to three partners gains 3 %.
 
 use std::ops::Range;
 
 use super::{
     SPAN,
-    level_prediction::{Decoded, PerRow, ROOM, Sites},
+    level_prediction::{DecodedRun, LevelLayout, PADDED_ROWS, PerRow},
     points::{LANES, Points, UNITS_PER_TOLERANCE, lanes, put},
     track::Track,
 };
 use crate::{GROUP_CHANNELS, bound::squared_distance};
 
-/// Markers that a channel is held against, at most.
+/// Most partners of a channel; two in place of three lose 0.3 %.
 pub(super) const PARTNERS: usize = 3;
-/// Earlier channels whose distance is followed: the nearest.
+/// Number of nearest earlier channels whose distances are followed. All pairs in place of six channels gain 0.0 %,
+/// eight channels lose 0.1 %.
 const NEAR: usize = 6;
-/// As many side by side, and some to fill the last lanes.
+/// [`NEAR`], padded to whole vectors.
 const NEAR_LANES: usize = NEAR.next_multiple_of(LANES);
-/// Distances seen before a pair counts.
-const LEAST_SEEN: f64 = 6.0;
-/// How far back the spread of a distance remembers, in rows.
+/// Distances to see before a pair may be partners.
+const MIN_SEEN: f64 = 6.0;
+/// Memory of the variance of a distance, in rows.
 const MEMORY_ROWS: f64 = 60.0;
-/// Differences count up to this, in tolerances.
+/// Errors in distance are clamped to this, in tolerances.
 pub(super) const MAX_DIFFERENCE: f64 = 50.0;
 
-/// How well a pair's distance follows from its neighbours in time.
+/// How well the distance of a pair is predicted by its neighbours in time.
 #[derive(Debug, Clone, Copy, Default)]
 struct Spread {
+    /// Mean squared error, in squared tolerances.
     variance: f64,
+    /// Number of errors seen.
     seen: f64,
 }
 
 impl Spread {
-    /// Some pairs learn how far their distance was from where its neighbours in time put it; nothing where that is
-    /// not known.
+    /// Updates pairs with the absolute errors of their predicted distances; NaN, where one is unknown, changes nothing.
     #[inline(always)]
-    fn learn(pairs: &mut [Self; NEAR_LANES], offs: [f64; NEAR_LANES]) {
+    fn update(pairs: &mut [Self; NEAR_LANES], offs: [f64; NEAR_LANES]) {
         for (pair, off) in pairs.iter_mut().zip(offs) {
             let Self { variance, seen } = *pair;
             let cut = if off < MAX_DIFFERENCE { off } else { MAX_DIFFERENCE };
@@ -49,21 +52,22 @@ impl Spread {
     }
 }
 
-/// Some channels, in order.
+/// Up to `N` channels in order of preference.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Chosen<const N: usize> {
+pub(super) struct ChannelList<const N: usize> {
     channels: [usize; N],
     n: usize,
 }
 
-impl<const N: usize> Chosen<N> {
+impl<const N: usize> ChannelList<N> {
     const NONE: Self = Self { channels: [0; N], n: 0 };
 
     pub(super) fn channels(&self) -> &[usize] {
         &self.channels[..self.n]
     }
 
-    /// The candidates with the smallest values, the first of equals first. Those that were it `before` are candidates.
+    /// The `N` candidates with the smallest values, the first of equals first. The channels in `before`, the previous
+    /// result, must be candidates too.
     fn smallest(
         candidates: impl Iterator<Item = usize>,
         value: impl Fn(usize) -> f64,
@@ -71,7 +75,7 @@ impl<const N: usize> Chosen<N> {
     ) -> Self {
         let Self { mut channels, mut n } = Self::NONE;
         let mut values = [f64::INFINITY; N];
-        // They are most often the same again: what is above all of them is not among the first.
+        // The result is most often the same again: candidates above all previous values cannot be among the first.
         let most = match before.n == N {
             true => before.channels.iter().fold(f64::NEG_INFINITY, |most, &k| most.max(value(k))),
             false => f64::INFINITY,
@@ -81,7 +85,7 @@ impl<const N: usize> Chosen<N> {
             if own > most || n == N && own >= values[N - 1] {
                 continue;
             }
-            // Up to where it belongs: one place, or the last one's, is free.
+            // Insertion sort: one place, or that of the last one, is free.
             let mut place = n.min(N - 1);
             n = (n + 1).min(N);
             while place > 0 && own < values[place - 1] {
@@ -94,24 +98,24 @@ impl<const N: usize> Chosen<N> {
     }
 }
 
-/// The distances of two channels at the decoded rows of a span, and room up to a power of two; NaN where one of
-/// them is not known.
+/// The distances of two channels at the decoded rows of a span in tolerances, padded to a power of two; NaN where one
+/// of the channels is unknown.
 type SpanRows = [f64; 2 * SPAN];
 
-/// The same at one row in eight, the rows of anchors and longer strides.
+/// The distances of two channels at every eighth row, those of anchors and of the strides 8 and more.
 type NearRows = [f64; 2 * SPAN / 8];
 
-/// Everything of a group.
+/// The distances of a group, and what was learnt of them.
 #[derive(Debug)]
 pub(super) struct SegmentLengths {
-    /// By channel and channel.
+    /// Spreads by channel and channel.
     spreads: Vec<Spread>,
-    near: Vec<Chosen<NEAR>>,
-    partners: Vec<Chosen<PARTNERS>>,
-    /// By channel and slot: with the partners, and with the near channels.
+    near: Vec<ChannelList<NEAR>>,
+    partners: Vec<ChannelList<PARTNERS>>,
+    /// Distances to the partners and to the near channels, by channel and slot.
     partner_distances: Vec<SpanRows>,
     near_distances: Vec<NearRows>,
-    /// The distances that the partners should have at the rows of a level; NaN where nothing says so.
+    /// Predicted distances to the partners at the rows of a level in tolerances, by slot; NaN where unknown.
     pub(super) expected: [PerRow; PARTNERS],
 }
 
@@ -119,31 +123,33 @@ impl SegmentLengths {
     pub(super) fn new() -> Self {
         Self {
             spreads: vec![Spread::default(); GROUP_CHANNELS * GROUP_CHANNELS],
-            near: vec![Chosen::NONE; GROUP_CHANNELS],
-            partners: vec![Chosen::NONE; GROUP_CHANNELS],
+            near: vec![ChannelList::NONE; GROUP_CHANNELS],
+            partners: vec![ChannelList::NONE; GROUP_CHANNELS],
             partner_distances: vec![[f64::NAN; _]; GROUP_CHANNELS * PARTNERS],
             near_distances: vec![[f64::NAN; _]; GROUP_CHANNELS * NEAR],
-            expected: [[f64::NAN; ROOM]; PARTNERS],
+            expected: [[f64::NAN; PADDED_ROWS]; PARTNERS],
         }
     }
 
     pub(super) fn reset(&mut self) {
         self.spreads.fill(Spread::default());
-        self.near.fill(Chosen::NONE);
-        self.partners.fill(Chosen::NONE);
+        self.near.fill(ChannelList::NONE);
+        self.partners.fill(ChannelList::NONE);
     }
 
     /// The partners of channel `j`, by slot.
-    pub(super) fn partners(&self, j: usize) -> Chosen<PARTNERS> {
+    pub(super) fn partners(&self, j: usize) -> ChannelList<PARTNERS> {
         self.partners[j]
     }
 
-    /// Chooses partners for a span: the steadiest distances, or else the nearest channel.
-    pub(super) fn choose(&mut self, j: usize, nearness: impl Fn(usize) -> f64) {
-        let near = Chosen::smallest(0..j, |k| -nearness(k), &self.near[j]);
+    /// Chooses the near channels and the partners of channel `j` for a span: those at the steadiest distances, or else
+    /// the nearest channel. `nearness` is the prior correlation with a channel.
+    pub(super) fn choose_partners(&mut self, j: usize, nearness: impl Fn(usize) -> f64) {
+        let near = ChannelList::smallest(0..j, |k| -nearness(k), &self.near[j]);
         let spreads = &self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
-        let steady = (0..j).filter(|&k| spreads[k].seen >= LEAST_SEEN);
-        let mut partners = Chosen::smallest(steady, |k| spreads[k].variance, &self.partners[j]);
+        let steady = (0..j).filter(|&k| spreads[k].seen >= MIN_SEEN);
+        let mut partners =
+            ChannelList::smallest(steady, |k| spreads[k].variance, &self.partners[j]);
         if let (0, Some(&nearest)) = (partners.n, near.channels().first())
             && nearness(nearest) > 0.0
         {
@@ -156,10 +162,10 @@ impl SegmentLengths {
         self.near_distances[j * NEAR..(j + 1) * NEAR].fill([f64::NAN; _]);
     }
 
-    /// Works out the distances that the partners should have at the rows of a level.
+    /// Predicts the distances to the partners at the rows of a level.
     #[inline(always)]
-    pub(super) fn expect(&mut self, sites: &Sites, tracks: &[Track]) {
-        let (pairs, j) = (Pairs::new(sites, tracks), sites.run.channel);
+    pub(super) fn expect(&mut self, layout: &LevelLayout, tracks: &[Track]) {
+        let (pairs, j) = (PairDistances::new(layout, tracks), layout.run.channel);
         let known = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
         let partners = self.partners[j];
         for ((&k, known), lengths) in partners.channels().iter().zip(known).zip(&mut self.expected)
@@ -168,42 +174,42 @@ impl SegmentLengths {
         }
     }
 
-    /// Remembers the distances to the partners at the rows that were just coded, for the levels below.
+    /// Stores the distances to the partners at the rows that were just coded, for the levels below.
     #[inline(always)]
-    pub(super) fn remember(&mut self, sites: &Sites, tracks: &[Track]) {
-        let (pairs, j) = (Pairs::new(sites, tracks), sites.run.channel);
+    pub(super) fn remember(&mut self, layout: &LevelLayout, tracks: &[Track]) {
+        let (pairs, j) = (PairDistances::new(layout, tracks), layout.run.channel);
         let known = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
         for (&k, known) in self.partners[j].channels().iter().zip(known) {
-            for first in (0..sites.n).step_by(LANES) {
-                pairs.remember(known, first, pairs.found(k, first));
+            for first in (0..layout.n).step_by(LANES) {
+                pairs.remember(known, first, pairs.measured(k, first));
             }
         }
     }
 
-    /// Learns from the rows that were just coded how steady the distances to the nearest channels are.
+    /// Updates the spreads of the distances to the near channels with the rows that were just coded.
     #[inline(always)]
-    pub(super) fn learn(&mut self, sites: &Sites, tracks: &[Track]) {
-        let (pairs, j) = (Pairs::new(sites, tracks), sites.run.channel);
+    pub(super) fn learn(&mut self, layout: &LevelLayout, tracks: &[Track]) {
+        let (pairs, j) = (PairDistances::new(layout, tracks), layout.run.channel);
         let near = self.near[j];
         let spreads = &mut self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
         let known = &mut self.near_distances[j * NEAR..(j + 1) * NEAR];
-        let mut lengths = [0.0; ROOM];
-        // By channel and row.
+        let mut lengths = [0.0; PADDED_ROWS];
+        // Absolute errors by near channel and row.
         let mut offs = [[f64::NAN; LANES]; NEAR_LANES];
         let mut learning = [Spread::default(); NEAR_LANES];
         for (slot, (&k, known)) in near.channels().iter().zip(known).enumerate() {
             pairs.expect(k, known, &mut lengths);
-            let found = pairs.found(k, 0);
+            let measured = pairs.measured(k, 0);
             let expected: [f64; LANES] = lanes(&lengths, 0);
             for i in 0..LANES {
-                offs[slot][i] = (found[i] - expected[i]).abs();
+                offs[slot][i] = (measured[i] - expected[i]).abs();
             }
             learning[slot] = spreads[k];
-            pairs.remember(known, 0, found);
+            pairs.remember(known, 0, measured);
         }
-        // The levels that are learnt from have no more rows than that.
-        for row in 0..sites.n.min(LANES) {
-            Spread::learn(&mut learning, offs.map(|rows| rows[row]));
+        // Anchors and the strides 8 and more have at most four rows.
+        for row in 0..layout.n.min(LANES) {
+            Spread::update(&mut learning, offs.map(|rows| rows[row]));
         }
         for (&k, spread) in near.channels().iter().zip(learning) {
             spreads[k] = spread;
@@ -211,9 +217,13 @@ impl SegmentLengths {
     }
 }
 
-/// From the points of a channel's span at some places, from `slot` on, to others; and how far that is, in units.
+/// The vectors from the points of a channel, from `slot` on, to the points `to`; and their lengths, in units.
 #[inline(always)]
-pub(super) fn away(from: &Track, slot: usize, to: Points<LANES>) -> (Points<LANES>, [f64; LANES]) {
+pub(super) fn offsets_from(
+    from: &Track,
+    slot: usize,
+    to: Points<LANES>,
+) -> (Points<LANES>, [f64; LANES]) {
     let mut off = to;
     for (off, from) in off.iter_mut().zip(&from.span) {
         let from: [f64; LANES] = lanes(from, slot);
@@ -229,26 +239,27 @@ pub(super) fn away(from: &Track, slot: usize, to: Points<LANES>) -> (Points<LANE
     (off, units)
 }
 
-/// The rows of a level, and the channels.
-struct Pairs<'a> {
-    sites: &'a Sites,
-    /// The rows that have both neighbours at the stride.
-    whole: Range<usize>,
+/// The rows of a level of one channel, for distances to other channels.
+struct PairDistances<'a> {
+    layout: &'a LevelLayout,
+    /// The rows whose neighbours on both sides are exactly a stride away.
+    interior: Range<usize>,
     tracks: &'a [Track],
     own: &'a Track,
 }
 
-impl<'a> Pairs<'a> {
-    fn new(sites: &'a Sites, tracks: &'a [Track]) -> Self {
-        Self { sites, whole: sites.whole(), tracks, own: &tracks[sites.run.channel] }
+impl<'a> PairDistances<'a> {
+    fn new(layout: &'a LevelLayout, tracks: &'a [Track]) -> Self {
+        Self { layout, interior: layout.interior(), tracks, own: &tracks[layout.run.channel] }
     }
 
-    /// The distances that a pair should have at the rows: linear between the neighbours. What it has at decoded
-    /// rows is `known`, of every so many rows of the span, or else worked out.
+    /// Predicts the distances to channel `k` at the rows, linearly between the neighbours. The distances at decoded
+    /// rows are read from `known`, which has one for every `2 * SPAN / N` rows, or else computed.
     #[inline(always)]
     fn expect<const N: usize>(&self, k: usize, known: &mut [f64; N], lengths: &mut PerRow) {
         let every = const { 2 * SPAN / N };
-        let Sites { stride, step, n, run: Decoded { zero, end, .. }, before, .. } = *self.sites;
+        let LevelLayout { stride, step, n, run: DecodedRun { zero, end, .. }, before, .. } =
+            *self.layout;
         let other = &self.tracks[k];
         let mut at = |row: usize| {
             let (place, beside) = ((row - before) / every % N, (row - before) % every);
@@ -268,8 +279,8 @@ impl<'a> Pairs<'a> {
             return;
         }
         let last = at(end);
-        let Range { start: from, end: to } = self.whole;
-        let mut place = (self.sites.at(from) - stride - before) / every;
+        let Range { start: from, end: to } = self.interior;
+        let mut place = (self.layout.at(from) - stride - before) / every;
         let beside = step / every;
         for first in (from..to).step_by(LANES) {
             let mut nodes = [0.0; LANES + 1];
@@ -284,40 +295,40 @@ impl<'a> Pairs<'a> {
             put(lengths, first, middle);
         }
         for i in (0..from).chain(to..n) {
-            let (left, right) = self.sites.neighbours(i);
+            let (left, right) = self.layout.neighbours(i);
             let at = |row: usize, end: usize, at_end: f64| {
                 if row == end { at_end } else { known[(row - before) / every % N] }
             };
             let (first, last) = (at(left, zero, first), at(right, end, last));
-            let (before, whole) = (self.sites.at(i) - left, right - left);
+            let (before, whole) = (self.layout.at(i) - left, right - left);
             lengths[i] = first + (last - first) * before as f64 / whole as f64;
         }
     }
 
-    /// The distances that it has at some of the rows, now that they are decoded.
+    /// The distances to channel `k` at the decoded rows from index `first` on, in tolerances.
     #[inline(always)]
-    fn found(&self, k: usize, first: usize) -> [f64; LANES] {
-        let slot = self.sites.slot + first;
+    fn measured(&self, k: usize, first: usize) -> [f64; LANES] {
+        let slot = self.layout.slot + first;
         let mut own = [[0.0; LANES]; 3];
         for (own, axis) in own.iter_mut().zip(&self.own.span) {
             *own = lanes(axis, slot);
         }
-        let (_, units) = away(&self.tracks[k], slot, own);
+        let (_, units) = offsets_from(&self.tracks[k], slot, own);
         units.map(|units| units * (1.0 / UNITS_PER_TOLERANCE))
     }
 
-    /// Keeps some of these, those from `first` on.
+    /// Stores the distances of the rows from index `first` on in `known`.
     #[inline(always)]
-    fn remember<const N: usize>(&self, known: &mut [f64; N], first: usize, found: [f64; LANES]) {
+    fn remember<const N: usize>(&self, known: &mut [f64; N], first: usize, measured: [f64; LANES]) {
         let every = const { 2 * SPAN / N };
-        let Sites { step, n, before, .. } = *self.sites;
-        let row = self.sites.at(first) - before;
+        let LevelLayout { step, n, before, .. } = *self.layout;
+        let row = self.layout.at(first) - before;
         if !row.is_multiple_of(every) {
             return;
         }
         let (mut place, step) = (row / every, step / every);
-        for found in &found[..LANES.min(n - first)] {
-            known[place % N] = *found;
+        for measured in &measured[..LANES.min(n - first)] {
+            known[place % N] = *measured;
             place += step;
         }
     }

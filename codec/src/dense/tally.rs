@@ -1,10 +1,10 @@
-//! What the contexts saw and what each decision cost, for `benches/lab`. Only with the feature `training`: a codec that embeds this crate does not pay for it.
+//! Statistics of contexts and code lengths for `benches/lab`, compiled with the feature `training` only.
 
 use super::contexts::{
     KINDS, MIX_EXPONENT, MIX_LONGER, MIX_MOVING, MIX_NONZERO, MIX_SIGN, N_CONTEXTS, N_MIXERS,
 };
 
-/// The kinds of rows.
+/// Names of the kinds of rows.
 const KIND_NAMES: [&str; KINDS] = [
     "first row",
     "anchor, 17 rows and more",
@@ -18,23 +18,23 @@ const KIND_NAMES: [&str; KINDS] = [
     "stride 32",
 ];
 
-/// Bits of a key block that are kept of a context: its odds follow what it saw long before.
+/// Number of bits per key block and context that are recorded: later bits hardly depend on the initial probability.
 const FIRST_BITS: usize = 200;
 
-/// First bits, sums of weights, and code lengths.
+/// The first bits of contexts, the sums of mixers' weights, and code lengths.
 #[derive(Debug, Clone)]
 pub struct Tally {
-    /// Per context: of every key block that has some, the first bits.
+    /// Per context: its first bits in every key block in which it has any.
     pub firsts: Vec<Vec<Vec<bool>>>,
     /// Whether the next bit of a context is the first one of a key block.
     fresh: Vec<bool>,
-    /// Per mixer: sums of its three weights (1 being 2^16), and their number.
+    /// Per mixer: the sums of its three weights in 2^-16, and their number.
     pub mixers: Vec<([i64; 3], u64)>,
-    /// Ideal code lengths in bits: per mixer, and per context of decisions that are not mixed.
+    /// Ideal code lengths in bits of mixed decisions, per mixer.
     pub mixed_bits: Vec<f64>,
-    /// See `mixed_bits`.
+    /// Ideal code lengths in bits of unmixed decisions, per context.
     pub single_bits: Vec<f64>,
-    /// Payload bytes.
+    /// Number of payload bytes.
     pub bytes: usize,
 }
 
@@ -50,8 +50,7 @@ impl Tally {
         }
     }
 
-    /// Ideal code lengths in bits by what is said and of which kind of row; `None` where all kinds share
-    /// their decisions.
+    /// Ideal code lengths in bits by decision and kind of row; the kind is `None` where all kinds share contexts.
     #[must_use]
     pub fn lengths(&self) -> Vec<(&'static str, Option<&'static str>, f64)> {
         let by_kind = |name, first: usize| {
@@ -90,7 +89,7 @@ impl Tally {
         }
     }
 
-    /// A key block begins.
+    /// Begins a key block.
     pub(super) fn key(&mut self) {
         self.fresh.fill(true);
     }
@@ -104,7 +103,7 @@ impl Tally {
     }
 }
 
-/// The bits that a decision costs whose odds of being set are in 2^-16.
+/// The cost in bits of a decision whose probability of being set is in 2^-16.
 fn cost(probability: i32, bit: bool) -> f64 {
     let p = f64::from(if bit { probability } else { 65536 - probability });
     16.0 - p.log2()

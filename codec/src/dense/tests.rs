@@ -1,8 +1,8 @@
-//! What an error in mid-block leaves behind.
+//! Recovery after an error in the middle of a block, and equality of both instruction sets.
 
 use super::{
-    level::{Question, Side},
-    level_prediction::{Batch, MEMORY, Sites},
+    level::{ResidualInputs, RowCodec},
+    level_prediction::{Batch, LevelLayout, PAST_ROWS},
     points::{Point, Points},
     walk::Dense,
 };
@@ -14,69 +14,69 @@ use crate::{
 
 const CHANNELS: usize = 12;
 
-/// Moves every row by an amount that all channels share in part; one row, if asked to, out of the world.
-struct Scripted<'a> {
+/// Moves every row by an amount that all channels share in part; moves one row, if asked to, out of range.
+struct ScriptedCodec<'a> {
     coder: RangeEncoder<'a>,
-    out_of_the_world: Option<(usize, usize)>,
-    /// The rows that come next.
-    next: Sites,
+    out_of_range: Option<(usize, usize)>,
+    /// The level whose rows come next.
+    next: LevelLayout,
 }
 
-/// From -8 to 7.
+/// A pseudo-random number from -8 to 7.
 fn noise(seed: usize) -> i64 {
     (((seed + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 15) as i64 - 8
 }
 
-impl<'a> Side for Scripted<'a> {
+impl<'a> RowCodec for ScriptedCodec<'a> {
     type Coder = RangeEncoder<'a>;
 
     fn coder(&mut self) -> &mut RangeEncoder<'a> {
         &mut self.coder
     }
 
-    fn choose(&mut self, question: Question) -> Point {
+    fn choose(&mut self, inputs: ResidualInputs) -> Point {
         let channel = self.next.run.channel;
-        let row = self.next.at(question.place) - MEMORY;
-        if self.out_of_the_world == Some((channel, row)) {
+        let row = self.next.at(inputs.place) - PAST_ROWS;
+        if self.out_of_range == Some((channel, row)) {
             return [1 << 40, 0, 0];
         }
-        // Even, so that both lattices have it.
+        // Even, so that the point is on both lattices.
         std::array::from_fn(|axis| {
             2 * (5 * noise(3 * row + axis) + noise(1000 * channel + 3 * row + axis))
         })
     }
 
-    fn begin(&mut self, sites: &Sites) {
-        self.next = *sites;
+    fn begin(&mut self, layout: &LevelLayout) {
+        self.next = *layout;
     }
 
     fn outside<const N: usize>(&mut self, _: Batch, _: &Points<N>) -> u32 {
         u32::MAX
     }
 
-    fn settle<const N: usize>(&mut self, _: Batch, _: &Points<N>, _: u32) {}
+    fn finish_rows<const N: usize>(&mut self, _: Batch, _: &Points<N>, _: u32) {}
 }
 
 fn block(
     group: &mut Dense,
     n_rows: usize,
-    out_of_the_world: Option<(usize, usize)>,
+    out_of_range: Option<(usize, usize)>,
 ) -> Result<Vec<u8>, CodecError> {
     let mut out = Vec::new();
     let present = vec![true; n_rows];
     let coder = RangeEncoder::new(&mut out, usize::MAX);
-    let mut side = Scripted { coder, out_of_the_world, next: Sites::default() };
-    group.block(&mut side, n_rows, &[Some(&present[..]); CHANNELS])?;
-    assert!(side.coder.finish());
+    let mut codec = ScriptedCodec { coder, out_of_range, next: LevelLayout::default() };
+    group.block(&mut codec, n_rows, &[Some(&present[..]); CHANNELS])?;
+    assert!(codec.coder.finish());
     Ok(out)
 }
 
 #[test]
-fn a_key_forgets_what_an_error_in_mid_block_left() {
+fn a_key_resets_the_state_after_an_error_in_mid_block() {
     let group = || Dense::new(Tolerance::from_mm(0.5).unwrap());
     let mut fresh = group();
     let wanted = [block(&mut fresh, 128, None).unwrap(), block(&mut fresh, 128, None).unwrap()];
-    // Of a whole span, and of one that ends early: its last row has another place in the span.
+    // A whole span, and one that ends early, whose last row has another slot.
     for n_rows in [40, 64] {
         for row in [0, 20, n_rows - 1] {
             let mut group = group();

@@ -1,29 +1,29 @@
-//! What is known of one channel: its rows of this block, the last ones before it, and its activity.
+//! The state of one channel: its decoded rows in and before this block, and the activities of its residuals.
 
 use super::{
     contexts::KINDS,
-    level_prediction::{AnchorErrors, Batch, MEMORY, PADDED},
+    level_prediction::{AnchorErrors, Batch, PADDED_SPAN, PAST_ROWS},
     points::{Fineness, Point, Points, copy, integers},
 };
 
-/// Magnitudes count up to this.
+/// Neighbours' magnitudes are clamped to this: three rows' sums of three axes then fit 16 bits.
 const MAX_MAGNITUDE: u32 = 900;
-/// In activities up to this.
+/// Magnitudes are clamped to this in activities.
 const MAX_ACTIVITY: i64 = 2000;
-/// And are remembered with their signs up to this.
+/// Stored magnitudes with signs are clamped to this.
 const MAX_STEP: i32 = 1000;
 
 /// The last sample of a run.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct End {
-    /// Counted from the key block on.
+pub(super) struct RunEnd {
+    /// Number of the row since the key block.
     pub(super) row: u64,
     pub(super) point: Point,
-    /// A later run has been found to go on from here.
+    /// Whether a later run has been coded as the continuation of this one.
     pub(super) taken: bool,
 }
 
-/// The coded magnitudes of a row with their signs, and the sum of them as neighbours count them.
+/// The coded magnitudes of a row with their signs, and the sum of their clamped absolute values.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(8))]
 pub(super) struct Steps {
@@ -38,45 +38,45 @@ impl Steps {
         Self { axes, weight }
     }
 
-    /// The magnitudes and their sum, 16 bits each: they can be added, three rows at least.
+    /// The clamped magnitudes and their sum, packed into 16 bits each, so that up to three rows can be added at once.
     #[inline(always)]
-    fn marks(self) -> u64 {
+    fn packed(self) -> u64 {
         let [x, y, z] = self.axes.map(|step| magnitude(i32::from(step)) as u64);
         x | y << 16 | z << 32 | u64::from(self.weight) << 48
     }
 }
 
-/// The magnitude of an axis in a row's marks or a sum of them.
+/// The magnitude of an axis in packed steps or a sum of them.
 #[inline(always)]
-pub(super) fn marked(marks: u64, axis: usize) -> i32 {
-    i32::from((marks >> (16 * axis)) as u16)
+pub(super) fn unpack_magnitude(packed: u64, axis: usize) -> i32 {
+    i32::from((packed >> (16 * axis)) as u16)
 }
 
-/// The sum of the three.
+/// The sum of the three magnitudes in packed steps or a sum of them.
 #[inline(always)]
-pub(super) fn marked_weight(marks: u64) -> i32 {
-    (marks >> 48) as i32
+pub(super) fn unpack_sum(packed: u64) -> i32 {
+    (packed >> 48) as i32
 }
 
-/// One channel. Rows are indices into these lists, the block's first being [`MEMORY`].
+/// One channel. Rows are indices into these lists; the block's first row is [`PAST_ROWS`].
 #[derive(Debug)]
 pub(super) struct Track {
-    /// NaN where nothing is known: what comes of it is NaN, too.
+    /// Decoded points in units; NaN where a row is unknown, which carries over to all results.
     pub(super) points: Vec<[f64; 3]>,
-    /// The points of the current span by axis and place in it: the rows of a level side by side. NaN as above.
-    pub(super) span: [[f64; PADDED]; 3],
-    /// The magnitudes of the rows of the current span by place, as [`marked`] takes them; zero where there is nothing.
-    pub(super) marks: [u64; PADDED],
-    /// Zero where nothing is known.
+    /// The points of the current span by axis and slot: the rows of a level are adjacent. NaN where unknown.
+    pub(super) span: [[f64; PADDED_SPAN]; 3],
+    /// The packed steps of the rows of the current span by slot; zero where unknown or not moved.
+    pub(super) packed_steps: [u64; PADDED_SPAN],
+    /// Coded steps; zero where unknown or not moved.
     pub(super) steps: Vec<Steps>,
-    /// First row of the run that the row before the current span belongs to.
+    /// First row of the run that contains the row before the current span.
     pub(super) run_start: usize,
-    /// Averages of the magnitudes, in 1/256, by kind: by axis, and of the sums.
+    /// Activities by kind of row: averages of the magnitudes of x, y, z and of their sum, in 1/256 of a lattice step.
     pub(super) activity: [[i32; 4]; KINDS],
     pub(super) anchor_errors: AnchorErrors,
-    pub(super) end: Option<End>,
+    pub(super) end: Option<RunEnd>,
     pub(super) fineness: Fineness,
-    /// The last two choices of how to store the channel: 0 not yet, 1 no, 2 yes.
+    /// The last choices of how to store the channel: 0 none yet, 1 no, 2 yes.
     pub(super) was_raw: usize,
     pub(super) was_fine: usize,
 }
@@ -85,8 +85,8 @@ impl Track {
     pub(super) fn new() -> Self {
         Self {
             points: Vec::new(),
-            span: [[f64::NAN; PADDED]; 3],
-            marks: [0; PADDED],
+            span: [[f64::NAN; PADDED_SPAN]; 3],
+            packed_steps: [0; PADDED_SPAN],
             steps: Vec::new(),
             run_start: 0,
             activity: Default::default(),
@@ -98,9 +98,9 @@ impl Track {
         }
     }
 
-    /// Room for blocks of so many rows.
+    /// Allocates memory for blocks of `n_rows` rows.
     pub(super) fn prepare(&mut self, n_rows: usize) {
-        let rows = MEMORY + n_rows;
+        let rows = PAST_ROWS + n_rows;
         self.points.reserve(rows.saturating_sub(self.points.len()));
         self.steps.reserve(rows.saturating_sub(self.steps.len()));
     }
@@ -113,32 +113,32 @@ impl Track {
         (self.was_raw, self.was_fine) = (0, 0);
     }
 
-    /// The rows so far are not known.
+    /// Marks all rows so far as unknown.
     pub(super) fn forget(&mut self) {
         self.steps.fill(Steps::default());
         self.points.fill([f64::NAN; 3]);
     }
 
-    /// A block of so many rows begins.
+    /// Begins a block of `n_rows` rows.
     pub(super) fn begin(&mut self, n_rows: usize) {
-        self.points.resize(MEMORY, [f64::NAN; 3]);
-        self.points.resize(MEMORY + n_rows, [f64::NAN; 3]);
-        self.steps.resize(MEMORY, Steps::default());
-        self.steps.resize(MEMORY + n_rows, Steps::default());
+        self.points.resize(PAST_ROWS, [f64::NAN; 3]);
+        self.points.resize(PAST_ROWS + n_rows, [f64::NAN; 3]);
+        self.steps.resize(PAST_ROWS, Steps::default());
+        self.steps.resize(PAST_ROWS + n_rows, Steps::default());
     }
 
-    /// A span begins.
+    /// Begins a span.
     pub(super) fn begin_span(&mut self) {
-        self.span = [[f64::NAN; PADDED]; 3];
-        self.marks = [0; PADDED];
+        self.span = [[f64::NAN; PADDED_SPAN]; 3];
+        self.packed_steps = [0; PADDED_SPAN];
     }
 
-    /// The block of so many rows is over.
+    /// Ends a block of `n_rows` rows: keeps the last [`PAST_ROWS`] rows.
     pub(super) fn finish(&mut self, n_rows: usize) {
         self.points.copy_within(n_rows.., 0);
-        self.points.truncate(MEMORY);
+        self.points.truncate(PAST_ROWS);
         self.steps.copy_within(n_rows.., 0);
-        self.steps.truncate(MEMORY);
+        self.steps.truncate(PAST_ROWS);
         self.run_start = self.run_start.saturating_sub(n_rows);
     }
 
@@ -147,20 +147,20 @@ impl Track {
         !self.points[row][0].is_nan()
     }
 
-    /// Coded magnitudes of the row so many rows before; zero before `start`.
+    /// The steps of the row `back` rows before `row`; zero before `start`.
     #[inline(always)]
     pub(super) fn steps_from(&self, start: usize, row: usize, back: usize) -> Steps {
         if row >= start + back { self.steps[row - back] } else { Steps::default() }
     }
 
-    /// A known row.
+    /// The point of a known row.
     pub(super) fn point(&self, row: usize) -> Point {
         integers(self.points[row])
     }
 
-    /// Stores the points of some rows.
+    /// Stores the points of a batch.
     #[inline(always)]
-    pub(super) fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>) {
+    pub(super) fn store_points<const N: usize>(&mut self, batch: Batch, points: &Points<N>) {
         for (span, axis) in self.span.iter_mut().zip(points) {
             copy(axis, &mut span[batch.slot..], batch.n);
         }
@@ -171,10 +171,10 @@ impl Track {
         }
     }
 
-    /// Remembers the magnitudes of a row that was moved, and gives them. Of others nothing is known so far, and that
-    /// is what zeros say.
+    /// Records the steps of a row that was moved, updates the activity, and returns the clamped steps. Rows that are
+    /// not moved keep their zeros.
     #[inline(always)]
-    pub(super) fn keep(
+    pub(super) fn record_steps(
         &mut self,
         row: usize,
         slot: usize,
@@ -184,22 +184,22 @@ impl Track {
         let steps = steps.map(|step| step.clamp(-MAX_ACTIVITY, MAX_ACTIVITY) as i32);
         let short = Steps::new(steps.map(|step| step.clamp(-MAX_STEP, MAX_STEP) as i16));
         self.steps[row] = short;
-        self.marks[slot] = short.marks();
+        self.packed_steps[slot] = short.packed();
         let [x, y, z] = steps.map(i32::abs);
-        follow(activity, [x, y, z, x + y + z]);
+        update_activity(activity, [x, y, z, x + y + z]);
         short
     }
 }
 
-/// A fifth of the way.
+/// Moves the averages a fifth of the way to `magnitudes`.
 #[inline(always)]
-pub(super) fn follow(averages: &mut [i32; 4], magnitudes: [i32; 4]) {
+pub(super) fn update_activity(averages: &mut [i32; 4], magnitudes: [i32; 4]) {
     for (average, magnitude) in averages.iter_mut().zip(magnitudes) {
         *average += ((magnitude * 256 - *average) * 51) >> 8;
     }
 }
 
-/// A magnitude as neighbours count it.
+/// The magnitude of a step, clamped as neighbours count it.
 #[inline(always)]
 pub(super) fn magnitude(step: i32) -> i32 {
     step.unsigned_abs().min(MAX_MAGNITUDE) as i32

@@ -1,13 +1,13 @@
-//! The order in which a group's rows are coded: the same walk encodes and decodes.
+//! The order in which the rows of a group are coded. The same traversal encodes and decodes.
 
 use super::{
     LEVELS, SPAN,
     contexts::{FINE, INTERPOLATED, RAW},
-    first_row::{self, Origins},
-    level::{Channels, Side, Start},
-    level_prediction::{Decoded, MEMORY, Sites},
+    first_row::{self, OriginCandidates},
+    level::{Channels, FirstRow, RowCodec},
+    level_prediction::{DecodedRun, LevelLayout, PAST_ROWS},
     points::{Fineness, Grid, Lattice, Point},
-    track::{End, Track},
+    track::{RunEnd, Track},
 };
 use crate::{
     Result, Tolerance, block,
@@ -15,10 +15,10 @@ use crate::{
     frame::Payload,
 };
 
-/// A run of present rows within a span, as rows of a track.
+/// A run of present rows of one channel within a span. Rows are indices into a [`Track`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Run {
-    /// Its first row, or the row before the span when it goes on from there.
+    /// Its first row, or the row before the span if the run continues from there.
     zero: usize,
     channel: usize,
     end: usize,
@@ -30,7 +30,7 @@ pub(crate) struct Dense {
     pub(super) grid: Grid,
     pub(super) channels: Channels,
     runs: Vec<Run>,
-    /// Rows since the key block.
+    /// Number of rows from the key block to this block.
     first_row: u64,
 }
 
@@ -38,7 +38,7 @@ impl Payload for Dense {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.channels.grow(n_channels);
         self.channels.tracks.iter_mut().for_each(|track| track.prepare(n_rows));
-        // Runs are at least a row long and a row apart.
+        // Runs are at least one row long and one row apart.
         self.runs.reserve((n_channels * SPAN.div_ceil(2)).saturating_sub(self.runs.len()));
     }
 
@@ -47,12 +47,13 @@ impl Payload for Dense {
         self.first_row = 0;
     }
 
-    fn break_off(&mut self) {
+    fn forget_rows(&mut self) {
         self.channels.tracks.iter_mut().for_each(Track::forget);
     }
 }
 
 impl Dense {
+    /// A group in its initial state.
     pub(crate) fn new(tolerance: Tolerance) -> Self {
         Self::with_isa(tolerance, Isa::detect())
     }
@@ -62,19 +63,19 @@ impl Dense {
         Self { grid, channels, runs: Vec::new(), first_row: 0 }
     }
 
-    /// Codes the rows of a block, `present` by channel; `None` for a channel that is stored raw.
-    pub(super) fn block<S: Side>(
+    /// Codes the rows of a block. `present` has the flags of each channel; `None` for a channel that is stored raw.
+    pub(super) fn block<S: RowCodec>(
         &mut self,
-        side: &mut S,
+        codec: &mut S,
         n_rows: usize,
         present: &[Option<&[bool]>],
     ) -> Result<()> {
         self.channels.grow(present.len());
         self.channels.tracks.iter_mut().for_each(|track| track.begin(n_rows));
-        let mut before = MEMORY - 1;
-        while before + 1 < MEMORY + n_rows {
-            let last = (before + SPAN).min(MEMORY + n_rows - 1);
-            self.span(side, before, last, present)?;
+        let mut before = PAST_ROWS - 1;
+        while before + 1 < PAST_ROWS + n_rows {
+            let last = (before + SPAN).min(PAST_ROWS + n_rows - 1);
+            self.span(codec, before, last, present)?;
             before = last;
         }
         self.channels.tracks.iter_mut().for_each(|track| track.finish(n_rows));
@@ -82,10 +83,10 @@ impl Dense {
         Ok(())
     }
 
-    /// The rows after `before`, up to `last`.
-    fn span<S: Side>(
+    /// Codes a span: the rows after `before`, up to `last`.
+    fn span<S: RowCodec>(
         &mut self,
-        side: &mut S,
+        codec: &mut S,
         before: usize,
         last: usize,
         present: &[Option<&[bool]>],
@@ -95,25 +96,25 @@ impl Dense {
         cross_channel.begin(n);
         for (channel, track) in tracks[..n].iter_mut().enumerate() {
             track.begin_span();
-            // Nowhere, where that is not known.
-            cross_channel.place(channel, track.points[before]);
+            // NaN, where the row is unknown.
+            cross_channel.set_position(channel, track.points[before]);
         }
         self.find_runs(before, last, present);
         let mut runs = std::mem::take(&mut self.runs);
-        let walked = self.walk(side, &mut runs, before, present);
+        let walked = self.walk(codec, &mut runs, before, present);
         self.runs = runs;
         walked?;
         self.channels.cross_channel.end(n);
         Ok(())
     }
 
-    /// All runs of the span, by first row, then channel.
+    /// Finds all runs of the span, ordered by first row, then channel.
     fn find_runs(&mut self, before: usize, last: usize, present: &[Option<&[bool]>]) {
         self.runs.clear();
         for (channel, present) in present.iter().enumerate() {
             let Some(present) = present else { continue };
             let goes_on = self.channels.tracks[channel].is_known(before);
-            for run in block::runs(&present[before + 1 - MEMORY..=last - MEMORY]) {
+            for run in block::runs(&present[before + 1 - PAST_ROWS..=last - PAST_ROWS]) {
                 let zero = before + 1 + run.start - usize::from(goes_on && run.start == 0);
                 self.runs.push(Run { zero, channel, end: before + run.end });
             }
@@ -121,114 +122,117 @@ impl Dense {
         self.runs.sort_unstable();
     }
 
-    /// All rows of some runs.
-    fn walk<S: Side>(
+    /// Codes all rows of the runs of a span.
+    fn walk<S: RowCodec>(
         &mut self,
-        side: &mut S,
+        codec: &mut S,
         runs: &mut [Run],
         before: usize,
         present: &[Option<&[bool]>],
     ) -> Result<()> {
-        let mut looked_around = 0_u64;
+        let mut searched = 0_u64;
         for &run in &*runs {
             if run.zero > before {
-                self.origin(side, run, before, present)?;
+                self.origin(codec, run, before, present)?;
             } else {
                 let track = &mut self.channels.tracks[run.channel];
-                track.run_start = track.run_start.max((before + 1).saturating_sub(MEMORY));
+                track.run_start = track.run_start.max((before + 1).saturating_sub(PAST_ROWS));
             }
-            if looked_around >> run.channel & 1 == 0 {
-                looked_around |= 1 << run.channel;
-                self.look_around(run.channel, present.len(), before);
+            if searched >> run.channel & 1 == 0 {
+                searched |= 1 << run.channel;
+                self.choose_neighbours(run.channel, present.len(), before);
             }
             if run.end > run.zero {
-                self.anchor(side, run, before)?;
+                self.anchor(codec, run, before)?;
             }
             let track = &mut self.channels.tracks[run.channel];
-            let row = self.first_row + (run.end - MEMORY) as u64;
-            track.end = Some(End { row, point: track.point(run.end), taken: false });
+            let row = self.first_row + (run.end - PAST_ROWS) as u64;
+            track.end = Some(RunEnd { row, point: track.point(run.end), taken: false });
         }
-        // Now by channel, so that the references of a row are there before it.
+        // By channel, so that the references of a row are decoded before it.
         runs.sort_unstable_by_key(|run| (run.channel, run.zero));
         for bit in (0..LEVELS).rev() {
             for run in &*runs {
-                let sites = Sites::level(1 << bit, self.decoded(run, before), before);
-                if sites.n > 0 {
-                    self.channels.level.sites = sites;
-                    self.channels.code(side, INTERPOLATED + bit)?;
+                let layout = LevelLayout::level(1 << bit, self.decoded_run(run, before), before);
+                if layout.n > 0 {
+                    self.channels.level.layout = layout;
+                    self.channels.code(codec, INTERPOLATED + bit)?;
                 }
             }
         }
-        // A run that begins in this span starts with its own first row.
+        // For the next span, a run that begins in this one starts at its own first row.
         for run in runs.iter().filter(|run| run.zero > before) {
             self.channels.tracks[run.channel].run_start = run.zero;
         }
         Ok(())
     }
 
-    fn decoded(&self, run: &Run, before: usize) -> Decoded {
+    fn decoded_run(&self, run: &Run, before: usize) -> DecodedRun {
         let Run { zero, channel, end } = *run;
         let start = if zero > before { zero } else { self.channels.tracks[channel].run_start };
-        Decoded { channel, start, zero, end }
+        DecodedRun { channel, start, zero, end }
     }
 
-    /// Where the channel is among the others, and what follows from it.
-    fn look_around(&mut self, channel: usize, n: usize, before: usize) {
+    /// Chooses the reference channels and the partners of a channel by its position among the others.
+    fn choose_neighbours(&mut self, channel: usize, n: usize, before: usize) {
         let Channels { tracks, cross_channel, segments, .. } = &mut self.channels;
-        if !cross_channel.has_place(channel) {
-            cross_channel.place(channel, tracks[channel].points[before + 1]);
+        if !cross_channel.has_position(channel) {
+            cross_channel.set_position(channel, tracks[channel].points[before + 1]);
         }
-        cross_channel.look_around(channel, n, self.grid.unit_mm);
-        segments.choose(channel, |k| cross_channel.nearness(channel, k));
+        cross_channel.choose_references(channel, n, self.grid.unit_mm);
+        segments.choose_partners(channel, |k| cross_channel.nearness(channel, k));
     }
 
-    /// The first row of a run.
-    fn origin<S: Side>(
+    /// Codes the first row of a run.
+    fn origin<S: RowCodec>(
         &mut self,
-        side: &mut S,
+        codec: &mut S,
         run: Run,
         before: usize,
         present: &[Option<&[bool]>],
     ) -> Result<()> {
         let Run { zero: at, channel, .. } = run;
         let Channels { tracks, model, .. } = &mut self.channels;
-        let origins = Origins::find(tracks, channel, at, self.first_row, present);
+        let origins = OriginCandidates::find(tracks, channel, at, self.first_row, present);
         let step = tracks[channel].fineness.step(Lattice::Cubic);
-        let Start { candidate, steps } = side.start(channel, at - MEMORY, step, origins.points());
-        let candidate = origins.code(side.coder(), model, candidate);
+        let FirstRow { candidate, steps } =
+            codec.choose_first(channel, at - PAST_ROWS, step, origins.points());
+        let candidate = origins.code(codec.coder(), model, candidate);
         if let Some(end) = origins.taken(candidate).and_then(|k| tracks[k].end.as_mut()) {
             end.taken = true;
         }
         let class = origins.class(candidate);
-        let steps = first_row::residual(side.coder(), model, class, steps)?;
+        let steps = first_row::residual(codec.coder(), model, class, steps)?;
         let from = origins.points()[candidate];
         let point: Point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        let sites = Sites::anchor(Decoded { channel, start: at, zero: at, end: at }, before);
-        self.channels.settle_first(side, &sites, point, steps)
+        let decoded = DecodedRun { channel, start: at, zero: at, end: at };
+        let layout = LevelLayout::anchor(decoded, before);
+        self.channels.store_first_row(codec, &layout, point, steps)
     }
 
-    /// The last row of a run within the span.
-    fn anchor<S: Side>(&mut self, side: &mut S, run: Run, before: usize) -> Result<()> {
-        let decoded = self.decoded(&run, before);
+    /// Codes the anchor of a run: its last row within the span.
+    fn anchor<S: RowCodec>(&mut self, codec: &mut S, run: Run, before: usize) -> Result<()> {
+        let decoded = self.decoded_run(&run, before);
         let (channel, rows) = (run.channel, run.end - run.zero);
         let track = &self.channels.tracks[channel];
         let known = |back: usize| track.point(run.zero - back);
-        let (expected, guesses) = track.anchor_errors.guess(known, run.zero - decoded.start, rows);
+        let n_before = run.zero - decoded.start;
+        let (expected, extrapolations) = track.anchor_errors.extrapolate(known, n_before, rows);
         let kind = match rows {
             17.. => 1,
             5.. => 2,
             _ => 3,
         };
-        self.channels.level.guessed(Sites::anchor(decoded, before), expected);
-        self.channels.code(side, kind)?;
+        self.channels.level.set_expected(LevelLayout::anchor(decoded, before), expected);
+        self.channels.code(codec, kind)?;
         let track = &mut self.channels.tracks[channel];
         let point = track.point(run.end);
-        track.anchor_errors.score(&guesses, point);
+        track.anchor_errors.score(&extrapolations, point);
         Ok(())
     }
 
-    /// How a channel is stored in this block: not at all here, in fine steps, or as usual.
+    /// Codes how a channel is stored in this block: `None` for raw, or the size of its lattice steps.
     pub(super) fn storage(
         &mut self,
         coder: &mut impl BinaryCoder,

@@ -1,55 +1,55 @@
-//! What an encoder chooses: where the rows of a run should be, their residuals in steps, and what is to be
-//! written for these.
+//! The encoder's choices for a run: target points, residuals in steps, and the operations that write them.
 
 use super::{
     MAX_STEPS,
     model::{ANCHOR, Activity, GOLOMB, LOW_BITS, QUIET, QUIET_ROWS, WAKE},
-    planes::{LANES, Planes, Point, scatter, split},
+    planes::{LANES, PaddedPoint, Planes, scatter, split},
     tans::{Field, Op, Ops},
-    walk::{self, Rows, SPAN, Side},
+    walk::{self, LevelRows, RunCodec, SPAN},
 };
 use crate::{
     Position, Result,
     bound::{squared_distance, widen},
 };
 
-/// Adding this and taking it off again rounds to the nearest integer, for values within 2^22; and its bits are then
-/// that integer more.
+/// 1.5 * 2^23. Adding and subtracting it rounds values within 2^22 to the nearest integer, and the bits of the sum
+/// exceed its bits by that integer.
 const ROUND: f32 = 12_582_912.0;
 
-/// Of a symbol: an axis is larger than +-1, and more must be written than the symbol.
+/// Flag of a symbol: an axis is larger than +-1, so that more bits follow.
 pub(super) const LARGER: u8 = 1 << 7;
 
-/// What residuals are chosen by.
+/// The quantiser of residuals for one step.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Rule {
+pub(super) struct Quantiser {
+    /// The step in millimetres, and its reciprocal.
     step: f32,
     inverse: f32,
-    /// Square of the tolerance.
+    /// Square of the radius of the tolerance ball, in mm^2.
     ball: f32,
-    /// Square of the largest distance that can be coded.
+    /// Square of the largest distance that can be coded, in mm^2.
     reach: f32,
 }
 
-impl Rule {
+impl Quantiser {
     #[inline(always)]
     pub(super) fn new(tolerance_mm: f64, step: f32) -> Self {
         Self {
             step,
             inverse: step.recip(),
-            // Less than the tolerance by more than the rounding of the distance in f32.
+            // Smaller than the squared tolerance by more than the rounding of a squared distance in f32.
             ball: (tolerance_mm * tolerance_mm * (1.0 - 1e-5)) as f32,
             reach: (f64::from(step) * f64::from(MAX_STEPS)).powi(2) as f32,
         }
     }
 
-    /// The steps of a row, and whether they can be coded. Those of the `FINEST` level, on which nothing depends, have
-    /// one step of +-1 less where that stays inside the ball. There is no branch: it is done to rows side by side.
+    /// The steps of a row, and whether they can be coded. On the `FINEST` level, from which no row is predicted, one
+    /// axis of +-1 becomes 0 where that stays inside the ball. Without branches, so that it vectorises over rows.
     #[inline(always)]
     fn row<const FINEST: bool>(self, target: [f32; 3], prediction: [f32; 3]) -> ([i32; 3], bool) {
         let off = [0, 1, 2].map(|axis| target[axis] - prediction[axis]);
         let square = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
-        // Not so where it is not a number.
+        // False for NaN.
         let in_reach = square <= self.reach;
         let scale = if square <= self.ball { 0.0 } else { self.inverse };
         let mut steps = off.map(|off| (off * scale + ROUND) - ROUND);
@@ -60,8 +60,8 @@ impl Rule {
         (steps.map(integer), in_reach)
     }
 
-    /// Leaves out the step of +-1 that is missed least, where all else is inside the ball without it. Without a
-    /// branch: it is done to rows side by side.
+    /// Sets to 0 the axis of +-1 whose omission adds the least error, where the result stays inside the ball. Without
+    /// branches, so that it vectorises over rows.
     #[inline(always)]
     fn shorten(self, off: [f32; 3], steps: [f32; 3]) -> [f32; 3] {
         let rest = [0, 1, 2].map(|axis| off[axis] - steps[axis] * self.step);
@@ -70,7 +70,7 @@ impl Rule {
             let more = off[axis] * off[axis] - rest[axis] * rest[axis];
             if steps[axis].abs() == 1.0 { more } else { f32::INFINITY }
         });
-        // Compared one by one: which of three it is would become a branch.
+        // Compared one by one: an index of the smallest would become a branch.
         let y_before_x = y < x;
         let least = if y_before_x { y } else { x };
         let z_first = z < least;
@@ -81,8 +81,8 @@ impl Rule {
     }
 }
 
-/// The symbol of a row, as without low bits, with [`LARGER`] where it is not all; and the sum of its magnitudes, cut to a
-/// byte. Of steps that can be coded.
+/// The symbol of a row in a table without low bits, with [`LARGER`] where more bits follow; and the sum of its
+/// magnitudes, clamped to a byte. `steps` must be small enough to be coded.
 #[inline(always)]
 fn describe(steps: [i32; 3]) -> (u8, u8) {
     let magnitudes = steps.map(i32::unsigned_abs);
@@ -96,20 +96,20 @@ fn describe(steps: [i32; 3]) -> (u8, u8) {
     ((x << 4 | y << 2 | z | larger) as u8, sum as u8)
 }
 
-/// The square of an error in float64, as errors are stated, as bits: what is not a number is largest of all.
+/// The squared error in mm^2, computed in f64, as bits, whose order is that of the errors, with NaN above all numbers.
 #[inline(always)]
 fn squared_error(target: [f32; 3], point: [f32; 3]) -> u64 {
-    // Without the sign that what is not a number may have.
+    // Clears the sign, which NaN may have.
     squared_distance(widen(target), widen(point)).abs().to_bits()
 }
 
-// The rows of a level, one thing after another. Each slice that is written is a parameter of its own, so that it is
-// known to overlap with no other: one in an array may be any.
+// Passes over the rows of a level. Every slice that is written is a parameter of its own, so that the compiler knows
+// that it overlaps with no other.
 
-/// Chooses the steps of all rows; `false` when some cannot be coded.
+/// Chooses the steps of all rows; `false` when one of them cannot be coded.
 #[inline(always)]
 fn choose<const FINEST: bool>(
-    rule: Rule,
+    quantiser: Quantiser,
     targets: [&[f32]; 3],
     predictions: [&[f32]; 3],
     steps_x: &mut [i32],
@@ -122,14 +122,14 @@ fn choose<const FINEST: bool>(
     let (steps_y, steps_z) = (&mut steps_y[..n], &mut steps_z[..n]);
     let mut in_reach = true;
     for i in 0..n {
-        let (steps, can_be) = rule.row::<FINEST>([tx[i], ty[i], tz[i]], [px[i], py[i], pz[i]]);
+        let (steps, can_be) = quantiser.row::<FINEST>([tx[i], ty[i], tz[i]], [px[i], py[i], pz[i]]);
         [steps_x[i], steps_y[i], steps_z[i]] = steps;
         in_reach &= can_be;
     }
     in_reach
 }
 
-/// Describes the steps of all rows.
+/// Computes the symbols and the sums of magnitudes of all rows.
 #[inline(always)]
 fn describe_all(steps: [&[i32]; 3], symbols: &mut [u8], sums: &mut [u8]) {
     let n = symbols.len();
@@ -139,9 +139,9 @@ fn describe_all(steps: [&[i32]; 3], symbols: &mut [u8], sums: &mut [u8]) {
     }
 }
 
-/// Moves all rows from their predictions; gives the largest error.
+/// Adds the residuals to the predictions of all rows; returns the largest squared error, as bits.
 #[inline(always)]
-fn settle(
+fn reconstruct_rows(
     targets: [&[f32]; 3],
     steps: [&[i32]; 3],
     step: f32,
@@ -163,33 +163,33 @@ fn settle(
     worst as u64
 }
 
-/// Where the rows of a run should be.
+/// The target points of the rows of a run: its samples.
 #[derive(Debug, Default)]
 pub(super) struct Targets {
-    /// All rows at first, row 0 foremost; then every 32nd.
+    /// All rows from row 0 on while laid out; then every 32nd.
     anchors: Planes,
-    /// The rows of the strides, one behind another.
+    /// The rows of the strides, one stride after another.
     pub(super) levels: Planes,
-    /// Where each stride's begin.
+    /// Index of the first row of each stride in `levels`.
     pub(super) starts: [usize; ANCHOR],
-    last: Point,
+    last: PaddedPoint,
     end: usize,
 }
 
 impl Targets {
-    pub(super) fn grow(&mut self, room: usize) {
-        self.anchors.grow(room);
-        self.levels.grow(room + ANCHOR * LANES);
+    pub(super) fn grow(&mut self, padded_len: usize) {
+        self.anchors.grow(padded_len);
+        self.levels.grow(padded_len + ANCHOR * LANES);
     }
 
-    /// Lays out the samples of a run, as [`Choosing::begin`] takes them.
+    /// Sorts the samples of a run by level. The arguments are those of [`RunEncoder::begin`].
     #[inline(always)]
-    fn take(&mut self, samples: &[Position], origin: usize) {
+    fn lay_out(&mut self, samples: &[Position], origin: usize) {
         let n = samples.len() - origin;
         let end = walk::extent(n);
         let [x, y, z] = self.anchors.0.each_mut().map(|axis| &mut axis[1 - origin..]);
         scatter(samples, x, y, z);
-        self.last = ahead(samples, end - n);
+        self.last = last_anchor_target(samples, end - n);
         self.end = end;
         let mut start = 0;
         for (level, at) in self.starts.iter_mut().enumerate() {
@@ -202,16 +202,17 @@ impl Targets {
         }
     }
 
-    /// Of the origin or an anchor.
+    /// The target of the origin or an anchor.
     #[inline(always)]
-    pub(super) fn row(&self, row: usize) -> Point {
+    pub(super) fn row(&self, row: usize) -> PaddedPoint {
         if row > 0 && row == self.end { self.last } else { self.anchors.get(row / SPAN) }
     }
 }
 
-/// The target of the last anchor, which may lie up to 15 rows beyond the samples: on a line.
+/// The target of the last anchor, which may lie up to 15 rows beyond the samples: extrapolated along the line through
+/// the last sample and the fourth before it.
 #[inline(always)]
-fn ahead(samples: &[Position], beyond: usize) -> Point {
+fn last_anchor_target(samples: &[Position], beyond: usize) -> PaddedPoint {
     let point = |back: usize| {
         let [x, y, z] = samples[samples.len() - 1 - back];
         [x, y, z, 0.0]
@@ -226,7 +227,7 @@ fn ahead(samples: &[Position], beyond: usize) -> Point {
     std::array::from_fn(|i| last[i] + (last[i] - before[i]) * factor)
 }
 
-/// The residuals of a level.
+/// The residuals of a level: steps by axis, symbols, and sums of magnitudes.
 #[derive(Debug, Default)]
 pub(super) struct Residuals {
     steps: [Vec<i32>; 3],
@@ -235,49 +236,51 @@ pub(super) struct Residuals {
 }
 
 impl Residuals {
-    pub(super) fn grow(&mut self, room: usize) {
-        // Zero rows are looked for in so many at once.
-        let room = room + QUIET_ROWS;
-        self.steps.iter_mut().for_each(|steps| steps.resize(steps.len().max(room), 0));
+    pub(super) fn grow(&mut self, padded_len: usize) {
+        // Zero rows are counted in blocks of this length.
+        let padded_len = padded_len + QUIET_ROWS;
+        self.steps.iter_mut().for_each(|steps| steps.resize(steps.len().max(padded_len), 0));
         for bytes in [&mut self.symbols, &mut self.sums] {
-            bytes.resize(bytes.len().max(room), 0);
+            bytes.resize(bytes.len().max(padded_len), 0);
         }
     }
 }
 
-pub(super) struct Choosing<'a> {
-    rule: Rule,
+/// The encoder of the runs of one channel.
+pub(super) struct RunEncoder<'a> {
+    quantiser: Quantiser,
     targets: &'a mut Targets,
     residuals: &'a mut Residuals,
     ops: &'a mut Ops,
-    /// Rows of the run behind row 0.
+    /// Number of rows of the run after row 0.
     n: usize,
     at: usize,
-    /// Whether a residual cannot be coded.
-    pub(super) out_of_reach: bool,
+    /// Whether a residual is too large to be coded.
+    pub(super) out_of_range: bool,
     pub(super) kept: u32,
-    /// The square of the largest error, as bits.
+    /// The largest squared error in mm^2, as bits.
     worst: u64,
 }
 
-impl<'a> Choosing<'a> {
+impl<'a> RunEncoder<'a> {
     pub(super) fn new(
-        rule: Rule,
+        quantiser: Quantiser,
         targets: &'a mut Targets,
         residuals: &'a mut Residuals,
         ops: &'a mut Ops,
     ) -> Self {
-        Self { rule, targets, residuals, ops, n: 0, at: 0, out_of_reach: false, kept: 0, worst: 0 }
+        let (n, at, kept, worst) = (0, 0, 0, 0);
+        Self { quantiser, targets, residuals, ops, n, at, out_of_range: false, kept, worst }
     }
 
-    /// Takes the samples of a run, of which the first is row 0 where it is the `origin`, or else row 1.
+    /// Begins a run. Its first sample is row 0 where `origin` is 1, else row 1.
     #[inline(always)]
     pub(super) fn begin(&mut self, samples: &[Position], origin: usize) {
-        self.targets.take(samples, origin);
+        self.targets.lay_out(samples, origin);
         self.n = samples.len() - origin;
     }
 
-    /// The largest error so far.
+    /// The largest error so far, in millimetres.
     pub(super) fn max_error_mm(&self) -> f64 {
         f64::from_bits(self.worst).sqrt()
     }
@@ -287,16 +290,16 @@ impl<'a> Choosing<'a> {
         let targets = self.targets.levels.axes(start).map(|axis| &axis[..count]);
         let Residuals { steps: [steps_x, steps_y, steps_z], symbols, sums } = &mut *self.residuals;
         let steps_x = &mut steps_x[..count];
-        self.out_of_reach |=
-            !choose::<FINEST>(self.rule, targets, rows.axes(0), steps_x, steps_y, steps_z);
+        self.out_of_range |=
+            !choose::<FINEST>(self.quantiser, targets, rows.axes(0), steps_x, steps_y, steps_z);
         let steps: [&[i32]; 3] = [steps_x, steps_y, steps_z];
         describe_all(steps, &mut symbols[..count], sums);
         let [x, y, z] = &mut rows.0;
-        let worst = settle(targets, steps, self.rule.step, &mut x[..count], y, z);
+        let worst = reconstruct_rows(targets, steps, self.quantiser.step, &mut x[..count], y, z);
         self.worst = self.worst.max(worst);
     }
 
-    /// Codes a row of which the symbol is not all.
+    /// Codes a row whose symbol is followed by more bits.
     #[inline(always)]
     fn row(&mut self, table: usize, i: usize) {
         let order = GOLOMB[table];
@@ -322,24 +325,24 @@ impl<'a> Choosing<'a> {
     }
 }
 
-impl Side for Choosing<'_> {
+impl RunCodec for RunEncoder<'_> {
     #[inline(always)]
-    fn enter(&mut self, _rows: Rows, _activity: &mut Activity) -> Result<()> {
+    fn begin_level(&mut self, _rows: LevelRows, _activity: &mut Activity) -> Result<()> {
         self.at = 0;
         Ok(())
     }
 
     #[inline(always)]
-    fn settle(&mut self, row: usize, prediction: Point) -> Point {
+    fn reconstruct(&mut self, row: usize, prediction: PaddedPoint) -> PaddedPoint {
         let [x, y, z, _] = self.targets.row(row);
         let target = [x, y, z];
         let [x, y, z, _] = prediction;
-        let (chosen, in_reach) = self.rule.row::<false>(target, [x, y, z]);
-        self.out_of_reach |= !in_reach;
+        let (chosen, in_reach) = self.quantiser.row::<false>(target, [x, y, z]);
+        self.out_of_range |= !in_reach;
         let mut point = prediction;
         let Residuals { steps, symbols, sums } = &mut *self.residuals;
         for axis in 0..3 {
-            point[axis] += chosen[axis] as f32 * self.rule.step;
+            point[axis] += chosen[axis] as f32 * self.quantiser.step;
             steps[axis][self.at] = chosen[axis];
         }
         (symbols[self.at], sums[self.at]) = describe(chosen);
@@ -353,7 +356,7 @@ impl Side for Choosing<'_> {
     }
 
     #[inline(always)]
-    fn settle_level(&mut self, level: usize, count: usize, rows: &mut Planes) {
+    fn reconstruct_level(&mut self, level: usize, count: usize, rows: &mut Planes) {
         let start = self.targets.starts[level];
         if level == 0 {
             self.choose_level::<true>(start, count, rows);
@@ -363,9 +366,9 @@ impl Side for Choosing<'_> {
     }
 
     #[inline(always)]
-    fn leave(&mut self, rows: Rows, activity: &mut Activity) {
-        if self.out_of_reach {
-            // The channel will be stored raw.
+    fn end_level(&mut self, rows: LevelRows, activity: &mut Activity) {
+        if self.out_of_range {
+            // The channel is stored raw.
             return;
         }
         let n = rows.count;
@@ -375,9 +378,9 @@ impl Side for Choosing<'_> {
             let mut table = recent.class();
             if recent.is_quiet() {
                 let most = (n - i).min(QUIET_ROWS);
-                let mut ahead = [0; QUIET_ROWS];
-                ahead.copy_from_slice(&self.residuals.sums[i..i + QUIET_ROWS]);
-                let zeros = (u128::from_le_bytes(ahead).trailing_zeros() / 8) as usize;
+                let mut next = [0; QUIET_ROWS];
+                next.copy_from_slice(&self.residuals.sums[i..i + QUIET_ROWS]);
+                let zeros = (u128::from_le_bytes(next).trailing_zeros() / 8) as usize;
                 let zeros = if zeros < most { zeros } else { QUIET_ROWS };
                 self.ops.push(Op::symbol(QUIET, zeros));
                 i += zeros.min(most);

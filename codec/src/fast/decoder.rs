@@ -1,13 +1,14 @@
-//! The decoder of a group: from bits to points.
+//! The decoder of a group.
 
 use super::{
     Fast, MAX_ZEROS, Mode,
     model::{
-        Activity, Fourfold, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, WAKE_PLACE, axis_code, cut,
+        Activity, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, ScaledActivity, WAKE_PLACE, axis_code,
+        clamp_magnitude,
     },
-    planes::{Planes, Point, gather},
+    planes::{PaddedPoint, Planes, gather},
     tans::{MAGNITUDE, MORE, PAD, Reader, SYMBOLS_FILLED, Tables},
-    walk::{self, Channel, Grid, LEAD, Rows, Side},
+    walk::{self, Channel, LEAD, LevelRows, RunCodec, RunPoints},
 };
 use crate::{
     CodecError, DecodedRows, Result, block,
@@ -16,18 +17,18 @@ use crate::{
     frame::PayloadDecoder,
 };
 
-/// Memory for one block, and for one channel of it.
+/// Scratch memory: the padded payload of a block, and the residuals of a level.
 #[derive(Debug, Default)]
-pub(super) struct Work {
+pub(super) struct DecodeBuffers {
     padded: Vec<u8>,
-    steps: Vec<Point>,
+    steps: Vec<PaddedPoint>,
 }
 
-impl Work {
-    pub(super) fn grow(&mut self, room: usize, payload_bytes: usize) {
+impl DecodeBuffers {
+    pub(super) fn grow(&mut self, padded_len: usize, payload_bytes: usize) {
         self.padded.reserve((PAD + payload_bytes).saturating_sub(self.padded.len()));
-        if self.steps.len() < room {
-            self.steps.resize(room, Point::default());
+        if self.steps.len() < padded_len {
+            self.steps.resize(padded_len, PaddedPoint::default());
         }
     }
 }
@@ -36,10 +37,10 @@ impl PayloadDecoder for Fast {
     fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         self.grow(channels.len(), n_rows);
-        self.decoding.grow(walk::room(n_rows), payload.len());
+        self.decode_buffers.grow(walk::padded_len(n_rows), payload.len());
         self.modes.fill(Mode::default());
-        Reader::pad(payload, &mut self.decoding.padded);
-        let mut reader = Reader::new(&self.decoding.padded)?;
+        Reader::pad(payload, &mut self.decode_buffers.padded);
+        let mut reader = Reader::new(&self.decode_buffers.padded)?;
         if reader.flag()? {
             let mut input = Bytes::new(payload);
             for (mode, rows) in self.modes.iter_mut().zip(channels.iter()) {
@@ -52,7 +53,7 @@ impl PayloadDecoder for Fast {
                     self.raw.read(&mut input, &mut Histories::default(), rows)?;
                 }
             }
-            reader.leave(payload.len() - input.rest().len());
+            reader.set_floor(payload.len() - input.rest().len());
         }
         let coded = |(rows, mode): (&DecodedRows, &Mode)| *mode != Mode::RAW && rows.has_samples();
         if channels.iter().zip(&self.modes).any(coded) {
@@ -64,13 +65,13 @@ impl PayloadDecoder for Fast {
                 channel.known = 0;
                 continue;
             }
-            self.isa.run(Decoding {
+            self.isa.run(DecodeChannel {
                 tables: self.tables,
                 reader: &mut reader,
                 channel,
                 rows,
-                grid: &mut self.grid,
-                steps: &mut self.decoding.steps,
+                points: &mut self.points,
+                steps: &mut self.decode_buffers.steps,
                 step: mode.step(self.tolerance_mm),
                 cap: walk::error_cap(self.tolerance_mm),
             })?;
@@ -79,24 +80,24 @@ impl PayloadDecoder for Fast {
     }
 }
 
-/// One channel of one block.
-struct Decoding<'a, 'p> {
+/// Decodes one channel of one block.
+struct DecodeChannel<'a, 'p> {
     tables: &'static Tables,
     reader: &'a mut Reader<'p>,
     channel: &'a mut Channel,
     rows: &'a mut DecodedRows,
-    grid: &'a mut Grid,
-    steps: &'a mut [Point],
+    points: &'a mut RunPoints,
+    steps: &'a mut [PaddedPoint],
     step: f32,
     cap: f32,
 }
 
-impl Kernel for Decoding<'_, '_> {
+impl Kernel for DecodeChannel<'_, '_> {
     type Output = Result<()>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { tables, reader, channel, rows, grid, steps, step, cap } = self;
+        let Self { tables, reader, channel, rows, points, steps, step, cap } = self;
         let DecodedRows { positions, present, kept, .. } = rows;
         let mut end = 0;
         for run in block::runs(present) {
@@ -107,11 +108,11 @@ impl Kernel for Decoding<'_, '_> {
             let origin = usize::from(channel.known == 0);
             let n = run.len();
             let kept = &mut kept[run.clone()];
-            let mut side = Reading { tables, reader, steps, kept, at: 0, step, origin };
-            walk::run(&mut side, channel, grid, n, cap)?;
-            let [x, y, z] = grid.known.axes(LEAD + 1 - origin);
+            let mut codec = RunDecoder { tables, reader, steps, kept, at: 0, step, origin };
+            walk::run(&mut codec, channel, points, n, cap)?;
+            let [x, y, z] = points.known.axes(LEAD + 1 - origin);
             if gather(x, y, z, &mut positions[run]) {
-                return Err(CodecError::Corrupt("a position beyond every coordinate"));
+                return Err(CodecError::Corrupt("a position out of range"));
             }
         }
         if end != present.len() {
@@ -121,31 +122,32 @@ impl Kernel for Decoding<'_, '_> {
     }
 }
 
-struct Reading<'a, 'p> {
+/// The decoder of one run.
+struct RunDecoder<'a, 'p> {
     tables: &'static Tables,
     reader: &'a mut Reader<'p>,
-    /// Residuals of the level, in steps.
-    steps: &'a mut [Point],
+    /// Residuals of the current level, in steps.
+    steps: &'a mut [PaddedPoint],
     kept: &'a mut [bool],
     at: usize,
     step: f32,
-    /// 1 where row 0 is a row of the run.
+    /// 1 where row 0 is a sample of the run, else 0.
     origin: usize,
 }
 
-impl Side for Reading<'_, '_> {
+impl RunCodec for RunDecoder<'_, '_> {
     #[inline(always)]
-    fn enter(&mut self, rows: Rows, activity: &mut Activity) -> Result<()> {
+    fn begin_level(&mut self, rows: LevelRows, activity: &mut Activity) -> Result<()> {
         self.at = 0;
-        // In registers while the level is read.
+        // A local copy stays in registers.
         let mut reader = *self.reader;
-        let mut recent = Fourfold::new(*activity);
+        let mut recent = ScaledActivity::new(*activity);
         let steps = &mut self.steps[..rows.count];
-        steps.fill(Point::default());
+        steps.fill(PaddedPoint::default());
         let mut i = 0;
         while i < steps.len() {
             reader.refill()?;
-            // Rows that what is there suffices for.
+            // Index up to which symbols can be read without a refill.
             let mut filled_to = i + SYMBOLS_FILLED;
             let mut place = recent.place();
             if recent.is_quiet() {
@@ -158,14 +160,16 @@ impl Side for Reading<'_, '_> {
                 filled_to = i + 1;
             }
             loop {
-                let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
+                let slot =
+                    steps.get_mut(i).ok_or(CodecError::Corrupt("too many rows in a level"))?;
                 let entry = reader.entry(self.tables, place)?;
                 let symbol = entry as usize % 64;
                 *slot = self.tables.residuals[symbol];
-                // Not looked up: what is read next waits for it.
+                // Taken from the entry, not looked up: the next read depends on it.
                 let mut magnitude = entry & MAGNITUDE;
                 if entry & MORE != 0 {
-                    magnitude = cut(residual(&mut reader, self.tables, symbol, place, slot)?);
+                    let sum = residual(&mut reader, self.tables, symbol, place, slot)?;
+                    magnitude = clamp_magnitude(sum);
                     filled_to = i + 1;
                 }
                 recent.push(magnitude);
@@ -186,22 +190,22 @@ impl Side for Reading<'_, '_> {
     }
 
     #[inline(always)]
-    fn settle(&mut self, _row: usize, prediction: Point) -> Point {
+    fn reconstruct(&mut self, _row: usize, prediction: PaddedPoint) -> PaddedPoint {
         let steps = self.steps[self.at];
         self.at += 1;
         std::array::from_fn(|i| prediction[i] + steps[i] * self.step)
     }
 
     #[inline(always)]
-    fn settle_level(&mut self, _level: usize, count: usize, rows: &mut Planes) {
+    fn reconstruct_level(&mut self, _level: usize, count: usize, rows: &mut Planes) {
         let [x, y, z] = &mut rows.0;
-        settle(&self.steps[..count], self.step, x, y, z);
+        reconstruct_rows(&self.steps[..count], self.step, x, y, z);
     }
 }
 
-/// Adds residuals to what was expected.
+/// Adds residuals to predictions.
 #[inline(always)]
-fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+fn reconstruct_rows(steps: &[PaddedPoint], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
     let n = steps.len();
     let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
     for (i, steps) in steps.iter().enumerate() {
@@ -211,7 +215,7 @@ fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32
     }
 }
 
-/// One magnitude of 2 and more, with its sign.
+/// Reads one magnitude of 2 or more, with its sign.
 #[inline(always)]
 fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32> {
     let word = reader.peek()?;
@@ -224,15 +228,15 @@ fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32> {
     Ok(if value & 1 == 0 { magnitude } else { -magnitude })
 }
 
-/// Puts what is behind a symbol of the table at a place, which there is, into the residual that it has without; gives
-/// the sum of the magnitudes.
+/// Reads the larger magnitudes behind a symbol of the table at `place` into the residual `steps`, and returns the sum
+/// of all magnitudes.
 #[inline(always)]
 fn residual(
     reader: &mut Reader<'_>,
     tables: &Tables,
     symbol: usize,
     place: usize,
-    steps: &mut Point,
+    steps: &mut PaddedPoint,
 ) -> Result<u32> {
     if tables.low_bits[place % PLACES] > 0 {
         return wide_residual(reader, tables, symbol, place, steps);
@@ -249,14 +253,14 @@ fn residual(
     Ok(magnitude)
 }
 
-/// The same with low bits, which stand before the larger magnitudes.
+/// Reads a residual of a table with low bits, which precede the larger magnitudes, and returns the sum of magnitudes.
 #[inline(always)]
 fn wide_residual(
     reader: &mut Reader<'_>,
     tables: &Tables,
     symbol: usize,
     place: usize,
-    steps: &mut Point,
+    steps: &mut PaddedPoint,
 ) -> Result<u32> {
     let low_bits = tables.low_bits[place % PLACES];
     let low = (reader.peek()? >> (64 - 3 * low_bits)) as i32;

@@ -1,10 +1,10 @@
-//! The encoder of a group: the choices that the format leaves open.
+//! The encoder of a group: the choice of a mode for every channel.
 
 use super::{
     Fast, Mode,
-    choice::{Choosing, Residuals, Rule, Targets},
+    choice::{Quantiser, Residuals, RunEncoder, Targets},
     tans::{Ops, Tables, Writer},
-    walk::{self, Channel, Grid},
+    walk::{self, Channel, RunPoints},
 };
 use crate::{
     BlockReport, Result, Rows,
@@ -15,59 +15,59 @@ use crate::{
     frame::{Payload, PayloadEncoder},
 };
 
-/// Memory for one channel of one block.
+/// Scratch memory for one channel of one block.
 #[derive(Debug, Default)]
-pub(super) struct Work {
+pub(super) struct EncodeBuffers {
     targets: Targets,
     residuals: Residuals,
     ops: Ops,
     bytes: Vec<u8>,
-    room: usize,
+    padded_len: usize,
 }
 
-impl Work {
-    pub(super) fn grow(&mut self, room: usize) {
-        if self.room < room {
-            self.room = room;
-            self.targets.grow(room);
-            self.residuals.grow(room);
-            self.ops.grow(room);
+impl EncodeBuffers {
+    pub(super) fn grow(&mut self, padded_len: usize) {
+        if self.padded_len < padded_len {
+            self.padded_len = padded_len;
+            self.targets.grow(padded_len);
+            self.residuals.grow(padded_len);
+            self.ops.grow(padded_len);
             self.bytes.resize(self.ops.max_bytes() + 8, 0);
         }
     }
 }
 
-/// One channel of one block: fills `work.bytes`, if that is within the tolerance.
-struct Coding<'a> {
+/// Codes one channel of one block into `buffers.bytes`, unless the error exceeds the tolerance.
+struct EncodeChannel<'a> {
     tables: &'static Tables,
     writer: &'a mut Writer,
     channel: &'a mut Channel,
     rows: Rows<'a>,
-    grid: &'a mut Grid,
-    work: &'a mut Work,
+    points: &'a mut RunPoints,
+    buffers: &'a mut EncodeBuffers,
     tolerance_mm: f64,
     step: f32,
 }
 
-/// What became of it.
+/// The result of coding a channel; it holds no bytes where the error exceeds the tolerance.
 struct Outcome {
     max_error_mm: f64,
     kept: u32,
     n_bytes: usize,
 }
 
-impl Kernel for Coding<'_> {
-    /// None when a residual is too large.
+impl Kernel for EncodeChannel<'_> {
+    /// `None` when a residual is too large.
     type Output = Option<Outcome>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { channel, rows, grid, work, tolerance_mm, .. } = self;
-        let Work { targets, residuals, ops, bytes, .. } = work;
+        let Self { channel, rows, points, buffers, tolerance_mm, .. } = self;
+        let EncodeBuffers { targets, residuals, ops, bytes, .. } = buffers;
         ops.clear();
-        let rule = Rule::new(tolerance_mm, self.step);
+        let quantiser = Quantiser::new(tolerance_mm, self.step);
         let cap = walk::error_cap(tolerance_mm);
-        let mut side = Choosing::new(rule, targets, residuals, ops);
+        let mut codec = RunEncoder::new(quantiser, targets, residuals, ops);
         let mut end = 0;
         for run in rows.runs() {
             if run.start != 0 {
@@ -75,16 +75,16 @@ impl Kernel for Coding<'_> {
             }
             end = run.end;
             let samples = &rows.positions()[run];
-            side.begin(samples, usize::from(channel.known == 0));
-            walk::run(&mut side, channel, grid, samples.len(), cap).ok()?;
-            if side.out_of_reach {
+            codec.begin(samples, usize::from(channel.known == 0));
+            walk::run(&mut codec, channel, points, samples.len(), cap).ok()?;
+            if codec.out_of_range {
                 return None;
             }
         }
         if end != rows.len() {
             channel.known = 0;
         }
-        let (max_error_mm, kept) = (side.max_error_mm(), side.kept);
+        let (max_error_mm, kept) = (codec.max_error_mm(), codec.kept);
         let is_within = max_error_mm <= tolerance_mm;
         let n_bytes = if is_within { self.writer.ops(self.tables, ops, bytes) } else { 0 };
         Some(Outcome { max_error_mm, kept, n_bytes })
@@ -92,7 +92,8 @@ impl Kernel for Coding<'_> {
 }
 
 impl Fast {
-    /// Codes one channel; `false` leaves everything as it was.
+    /// Codes one channel in the coarsest mode within the tolerance; `false`, with all state unchanged, when raw samples
+    /// are needed or smaller.
     fn channel(
         &mut self,
         i: usize,
@@ -101,18 +102,18 @@ impl Fast {
         writer: &mut Writer,
         out: &mut Vec<u8>,
     ) -> bool {
-        let Self { isa, tables, grid, encoding: work, .. } = self;
+        let Self { isa, tables, points, encode_buffers: buffers, .. } = self;
         let tolerance_mm = self.tolerance_mm;
-        // Coarsest first.
+        // From the coarsest step to the finest.
         for mode in (0..Mode::RAW.0).map(Mode) {
             let (mut channel, mut next) = (self.channels[i].clone(), *writer);
-            let outcome = isa.run(Coding {
+            let outcome = isa.run(EncodeChannel {
                 tables,
                 writer: &mut next,
                 channel: &mut channel,
                 rows,
-                grid,
-                work,
+                points,
+                buffers,
                 tolerance_mm,
                 step: mode.step(tolerance_mm),
             });
@@ -121,7 +122,7 @@ impl Fast {
                 if n_bytes > Raw::max_bytes(report.samples as usize) {
                     return false;
                 }
-                out.extend_from_slice(&work.bytes[..n_bytes]);
+                out.extend_from_slice(&buffers.bytes[..n_bytes]);
                 *writer = next;
                 self.channels[i] = channel;
                 self.modes[i] = mode;
@@ -136,7 +137,7 @@ impl Fast {
 
 impl PayloadEncoder for Fast {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        // Per channel the mode and the samples; then state, flag and end mark.
+        // Per channel its mode and its samples; then the state, the flag and the end mark.
         n_channels * (1 + Raw::max_bytes(n_rows)) + 16
     }
 
@@ -176,7 +177,7 @@ impl PayloadEncoder for Fast {
             for ((rows, _), _) in sampled().filter(|((_, mode), _)| **mode == Mode::RAW) {
                 raw.write(*rows, &mut Histories::default(), out);
             }
-            // Written last, read first.
+            // Modes and raw samples are written last, but read first.
             out[start..].rotate_left(behind - start);
         }
         Ok(())

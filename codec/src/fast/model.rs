@@ -1,42 +1,42 @@
-//! The distributions of the residuals: fixed tables, chosen by how large a level's residuals were lately.
+//! The distributions of the residuals: fixed tables, selected by the recent magnitude of a level's residuals.
 
-/// log2 of the states of every table.
+/// log2 of the number of states of every table.
 pub(super) const STATE_BITS: u32 = 10;
-/// States of every table; frequencies add up to it.
+/// Number of states of every table, and the sum of its frequencies.
 pub(super) const STATES: usize = 1 << STATE_BITS;
 
-/// Classes of activity.
+/// Number of activity classes, each with a table.
 pub(super) const CLASSES: usize = 14;
-/// Table of the zero rows of a quiet level.
+/// Table of the number of zero rows in a quiet level.
 pub(super) const QUIET: usize = CLASSES;
-/// Table of the row that ends the quiet.
+/// Table of the nonzero row that follows zero rows.
 pub(super) const WAKE: usize = CLASSES + 1;
-/// All tables.
+/// Number of tables.
 pub(super) const TABLES: usize = CLASSES + 2;
 
-/// Symbols of a row: four states (0, +1, -1, larger) of each axis, x highest.
+/// Number of row symbols: each axis, x highest, is 0, +1, -1 or larger.
 pub(super) const SYMBOLS: usize = 64;
-/// Zero rows that one quiet symbol stands for at most.
+/// Most zero rows that one symbol stands for.
 pub(super) const QUIET_ROWS: usize = 16;
 
-/// Sequences with an activity of their own: strides 1, 2, 4, 8, 16, anchors (32), origins.
+/// Levels with an activity of their own: strides 1, 2, 4, 8, 16, anchors (32), origins.
 pub(super) const LEVELS: usize = 7;
 /// Level of the anchors.
 pub(super) const ANCHOR: usize = 5;
 /// Level of the origins.
 pub(super) const ORIGIN: usize = 6;
 
-/// Sums of magnitudes are cut to this: one jump must not decide for long.
+/// Sums of magnitudes are clamped to this, so that one jump does not dominate the activity for long.
 const MAX_MAGNITUDE: u32 = 255;
 
 /// Order of the Exp-Golomb code of larger magnitudes, by table.
 pub(super) const GOLOMB: [u32; TABLES] = [0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 2, 2, 0, 0];
 
-/// Low bits of each axis that are left out of the symbol and stored as they are, by table.
+/// Number of low bits of each axis that are stored plainly, not in the symbol, by table.
 pub(super) const LOW_BITS: [u32; TABLES] = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 6, 0, 0];
 
-/// Frequency of each symbol that has so many axes of +-1 and larger, in the order of [`kind`].
-/// Counted on recorded takes, each with the same weight.
+/// Frequency of each symbol by its [`kind`], for the tables of the activity classes. Counted on recorded takes, each
+/// with the same weight.
 const FREQUENCIES: [[u16; 10]; CLASSES] = [
     [937, 5, 1, 1, 1, 1, 1, 1, 1, 1],
     [925, 7, 1, 1, 1, 1, 1, 1, 1, 1],
@@ -54,11 +54,11 @@ const FREQUENCIES: [[u16; 10]; CLASSES] = [
     [132, 16, 4, 2, 17, 8, 4, 31, 21, 318],
 ];
 
-/// Frequencies of 0 to 15 zero rows before the first that is not, and of none that is not.
+/// Frequencies of 0 to 15 zero rows before a nonzero one, and of 16 zero rows.
 const QUIET_FREQUENCIES: [u16; QUIET_ROWS + 1] =
     [17, 16, 15, 11, 13, 11, 10, 11, 10, 9, 9, 7, 6, 6, 6, 5, 862];
 
-/// As [`FREQUENCIES`], for a row that is not zero after zero rows.
+/// Frequency of each symbol by its [`kind`], for a nonzero row after zero rows.
 const WAKE_FREQUENCIES: [u16; 10] = [0, 120, 18, 2, 7, 2, 1, 1, 1, 6];
 
 /// The code of an axis of a row symbol: 0, +1, -1, larger.
@@ -66,12 +66,12 @@ pub(super) fn axis_code(symbol: usize, axis: usize) -> usize {
     symbol >> (4 - 2 * axis) & 3
 }
 
-/// What the axes of a row symbol are.
+/// The kinds of the axes of a row symbol.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Axes {
-    /// How many are +-1.
+    /// Number of axes that are +-1.
     pub(super) ones: u8,
-    /// A bit for each that is larger, x lowest.
+    /// One bit per axis that is larger, x lowest.
     pub(super) larger: u8,
 }
 
@@ -87,13 +87,13 @@ pub(super) fn axes(symbol: usize) -> Axes {
     axes
 }
 
-/// Kinds of symbols: by the number of axes that are larger, then by those of +-1.
+/// The kind of a symbol: by the number of larger axes, then by the number of axes that are +-1.
 fn kind(symbol: usize) -> usize {
     let Axes { ones, larger } = axes(symbol);
     [0, 4, 7, 9][larger.count_ones() as usize] + usize::from(ones)
 }
 
-/// Frequency of a symbol of a table.
+/// Frequency of a symbol in a table.
 pub(super) fn frequency(table: usize, symbol: usize) -> u16 {
     match table {
         QUIET => QUIET_FREQUENCIES.get(symbol).copied().unwrap_or(0),
@@ -102,13 +102,13 @@ pub(super) fn frequency(table: usize, symbol: usize) -> u16 {
     }
 }
 
-/// How large the residuals of one level were lately: an average of the sum over the axes, in 1/256,
-/// that forgets a quarter a row.
+/// The recent magnitude of a level's residuals, summed over the axes: an average in 1/256 of a step that forgets a
+/// quarter per row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Activity(u32);
 
 impl Activity {
-    /// What a key block starts with: more at wider strides.
+    /// The activities at a key block: larger at wider strides.
     pub(super) const NEW: [Self; LEVELS] = [
         Self(1 << 8),
         Self(2 << 8),
@@ -119,7 +119,7 @@ impl Activity {
         Self(255 << 8),
     ];
 
-    /// Nothing but zero for long.
+    /// Whether the last rows were all zero, long enough for the average to reach 0.
     #[inline(always)]
     pub(super) fn is_quiet(self) -> bool {
         self.0 == 0
@@ -128,10 +128,11 @@ impl Activity {
     /// Table of the next row, below [`CLASSES`].
     #[inline(always)]
     pub(super) fn class(self) -> usize {
-        // At most 255 * 256: 16 bits.
+        // At most 255 * 256, which is 16 bits.
         (32 - (self.0 | 4).leading_zeros()) as usize - 3
     }
 
+    /// Adds the summed magnitude of a row.
     #[inline(always)]
     pub(super) fn push(&mut self, magnitude: u32) {
         let new = magnitude.min(MAX_MAGNITUDE) << 8;
@@ -139,16 +140,17 @@ impl Activity {
     }
 }
 
-// Where a decoder finds the table of the next row: what it waits for most.
+// How a decoder finds the table of the next row: its critical path.
 
-/// Places of tables in a decoder's memory: by the leading zeros of four times an [`Activity`].
+/// Number of places of tables in a decoder's memory. The place of a class is the number of leading zeros of four times
+/// an [`Activity`].
 pub(super) const PLACES: usize = 32;
-/// Place of [`QUIET`]: an activity of nothing has no table of its own, and its leading zeros are not looked up.
+/// Place of [`QUIET`]: an activity of 0 selects no class, so that its number of leading zeros is free.
 pub(super) const QUIET_PLACE: usize = 30;
 /// Place of [`WAKE`].
 pub(super) const WAKE_PLACE: usize = 31;
 
-/// The table at a place. The lowest class is at several, no activity is so large that it comes to the first.
+/// The table at a place, if any. The lowest class has several places; activities are too small for the first ones.
 pub(super) fn table_at(place: usize) -> Option<usize> {
     match place {
         QUIET_PLACE => Some(QUIET),
@@ -159,12 +161,12 @@ pub(super) fn table_at(place: usize) -> Option<usize> {
     }
 }
 
-/// An activity as a decoder keeps it while it reads: four times as much, so that the table of the next row waits for
-/// nothing but a sum and its leading zeros.
+/// An activity times four, as a decoder keeps it while it reads: the table of the next row then takes only a sum and a
+/// count of leading zeros.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fourfold(u32);
+pub(super) struct ScaledActivity(u32);
 
-impl Fourfold {
+impl ScaledActivity {
     #[inline(always)]
     pub(super) fn new(activity: Activity) -> Self {
         Self(activity.0 << 2)
@@ -180,22 +182,22 @@ impl Fourfold {
         self.0 < 4
     }
 
-    /// Place of the table of the next row, where it is not quiet.
+    /// Place of the table of the next row, unless the level is quiet.
     #[inline(always)]
     pub(super) fn place(self) -> usize {
         self.0.leading_zeros() as usize
     }
 
-    /// As [`Activity::push`], with the magnitude in 1/256, cut already.
+    /// Adds the summed magnitude of a row, a result of [`clamp_magnitude`], with the effect of [`Activity::push`].
     #[inline(always)]
     pub(super) fn push(&mut self, magnitude: u32) {
         self.0 = (self.0 >> 2) * 3 + magnitude;
     }
 }
 
-/// A sum of magnitudes as [`Fourfold::push`] takes it.
+/// A clamped sum of magnitudes in 1/256, for [`ScaledActivity::push`].
 #[inline(always)]
-pub(super) fn cut(magnitude: u32) -> u32 {
+pub(super) fn clamp_magnitude(magnitude: u32) -> u32 {
     magnitude.min(MAX_MAGNITUDE) << 8
 }
 
@@ -230,18 +232,18 @@ mod tests {
     #[test]
     fn a_decoder_finds_the_table_that_the_encoder_took() {
         let mut activity = Activity::NEW[ORIGIN];
-        let mut fourfold = Fourfold::new(activity);
+        let mut scaled = ScaledActivity::new(activity);
         let mut random = Random::new(1);
         for row in 0..20_000_u32 {
-            // Now large, now small, and nothing for long.
+            // Large and small magnitudes, and long runs of zeros.
             let magnitude = random.next_u64() as u32;
             let magnitude = if row % 500 > 400 { 0 } else { magnitude >> (magnitude % 32) };
             activity.push(magnitude);
-            fourfold.push(cut(magnitude));
-            assert_eq!(activity, fourfold.activity(), "row {row}");
-            assert_eq!(activity.is_quiet(), fourfold.is_quiet(), "row {row}");
+            scaled.push(clamp_magnitude(magnitude));
+            assert_eq!(activity, scaled.activity(), "row {row}");
+            assert_eq!(activity.is_quiet(), scaled.is_quiet(), "row {row}");
             if !activity.is_quiet() {
-                assert_eq!(Some(activity.class()), table_at(fourfold.place()), "row {row}");
+                assert_eq!(Some(activity.class()), table_at(scaled.place()), "row {row}");
             }
         }
     }
@@ -249,7 +251,7 @@ mod tests {
     #[test]
     fn every_class_has_a_place() {
         for activity in Activity::NEW.into_iter().take(LEVELS) {
-            let place = Fourfold::new(activity).place();
+            let place = ScaledActivity::new(activity).place();
             assert_eq!(table_at(place), Some(activity.class()));
         }
         let found: Vec<_> = (0..PLACES).filter_map(table_at).collect();

@@ -1,44 +1,44 @@
-//! Rows by axis, so that one instruction takes many rows: the rows of a level depend on wider levels only.
+//! Rows stored axis by axis, for vector instructions: the rows of a level do not depend on one another.
 
 use crate::Position;
 
-/// x, y, z and a lane that stays zero.
-pub(super) type Point = [f32; 4];
+/// x, y, z in millimetres or steps, and a lane that stays zero.
+pub(super) type PaddedPoint = [f32; 4];
 
-/// Rows that are worked out together. What is worked out beyond the last row is not looked at.
+/// Rows of one vector operation. Values computed beyond the last row are not used.
 pub(super) const LANES: usize = 8;
 pub(super) type Lanes = [f32; LANES];
 
-/// x, y and z.
+/// The x, y and z of many rows.
 #[derive(Debug, Default)]
 pub(super) struct Planes(pub(super) [Vec<f32>; 3]);
 
 impl Planes {
-    pub(super) fn grow(&mut self, room: usize) {
-        self.0.iter_mut().for_each(|plane| plane.resize(plane.len().max(room), 0.0));
+    pub(super) fn grow(&mut self, padded_len: usize) {
+        self.0.iter_mut().for_each(|plane| plane.resize(plane.len().max(padded_len), 0.0));
     }
 
     #[inline(always)]
-    pub(super) fn get(&self, i: usize) -> Point {
+    pub(super) fn get(&self, i: usize) -> PaddedPoint {
         let [x, y, z] = &self.0;
         [x[i], y[i], z[i], 0.0]
     }
 
     #[inline(always)]
-    pub(super) fn set(&mut self, i: usize, point: Point) {
+    pub(super) fn set(&mut self, i: usize, point: PaddedPoint) {
         for (plane, value) in self.0.iter_mut().zip(point) {
             plane[i] = value;
         }
     }
 
-    /// The axes, from row `from` on.
+    /// The three axes from row `from` on.
     #[inline(always)]
     pub(super) fn axes(&self, from: usize) -> [&[f32]; 3] {
         self.0.each_ref().map(|plane| &plane[from..])
     }
 }
 
-/// Puts every second of the first `2 * n + 1` rows into `odd`, and leaves the others. In whole lanes.
+/// Moves the odd ones of the first `2 * n + 1` rows into `odd` and compacts the even ones. Works in whole vectors.
 #[inline(always)]
 pub(super) fn split(rows: &mut [f32], odd: &mut [f32], n: usize) {
     for (i, odd) in odd.as_chunks_mut::<LANES>().0[..n / LANES + 1].iter_mut().enumerate() {
@@ -50,7 +50,7 @@ pub(super) fn split(rows: &mut [f32], odd: &mut [f32], n: usize) {
     }
 }
 
-/// Puts `n + 1` even rows and the `n` odd ones between them in order. In whole lanes.
+/// Interleaves `n + 1` even rows and the `n` odd rows between them. Works in whole vectors.
 #[inline(always)]
 pub(super) fn join(even: &[f32], odd: &[f32], n: usize, rows: &mut [f32]) {
     let n = n / LANES + 1;
@@ -66,14 +66,14 @@ pub(super) fn join(even: &[f32], odd: &[f32], n: usize, rows: &mut [f32]) {
     }
 }
 
-/// So many lanes of a plane. Most levels of a live block are short: loops that the compiler cuts into lanes go
-/// through them row by row.
+/// The first `n` vectors of a plane. Explicit vectors, because most levels of a live block are shorter than the vector
+/// loops of the compiler.
 #[inline(always)]
 pub(super) fn lanes(plane: &[f32], n: usize) -> &[Lanes] {
     &plane.as_chunks().0[..n]
 }
 
-/// Puts the axes together; says whether any is not finite.
+/// Interleaves the axes into positions; returns whether any coordinate is not finite.
 #[inline(always)]
 pub(super) fn gather(x: &[f32], y: &[f32], z: &[f32], positions: &mut [Position]) -> bool {
     let n = positions.len();
@@ -88,7 +88,7 @@ pub(super) fn gather(x: &[f32], y: &[f32], z: &[f32], positions: &mut [Position]
     not_finite
 }
 
-/// Puts the axes apart.
+/// Separates positions into axes.
 #[inline(always)]
 pub(super) fn scatter(samples: &[Position], x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
     for (((sample, x), y), z) in samples.iter().zip(x).zip(y).zip(z) {

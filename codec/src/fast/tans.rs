@@ -1,7 +1,7 @@
 //! Table-driven asymmetric numeral systems (Duda, arXiv 1311.2540), in the table layout of FSE.
 //!
-//! The encoder goes through the symbols from the last to the first and appends bits; the decoder reads
-//! the same bits from the end to the start. Plain bit fields go through the same stream.
+//! The encoder codes the symbols from the last to the first and appends bits; the decoder reads the same bits from the
+//! end to the start. Plain bit fields share the stream.
 
 use std::{cmp::Ordering, sync::LazyLock};
 
@@ -10,23 +10,23 @@ use super::{
         Axes, GOLOMB, LOW_BITS, PLACES, STATE_BITS, STATES, SYMBOLS, TABLES, axes, axis_code,
         frequency, table_at,
     },
-    planes::Point,
+    planes::PaddedPoint,
 };
 use crate::{CodecError, Result, ensure};
 
-/// A decoder's state: symbol in bits 0-5, how many of its axes are +-1 in 8-9, base of the next state in 16-25, 63 less
-/// the bits to read in 26-31; bit 6 is set where there is more to read for the row.
+/// A decoder's table entry. Bits 0-5: symbol. Bit 6: more bits follow for the row. Bits 8-9: how many of its axes are
+/// +-1. Bits 16-25: base of the next state. Bits 26-31: 63 less the number of bits to read.
 ///
-/// What the next entry waits for is taken out in one step each.
+/// The fields that the next entry depends on take one instruction each to extract.
 pub(super) type Entry = u32;
 
 /// Bit 6 of an entry.
 pub(super) const MORE: Entry = 1 << 6;
-/// Bits 8 and 9: a row's magnitude, as [`Activity`](super::model::Activity) counts, where there is no more to read.
+/// Bits 8 and 9: the row's magnitude in the unit of [`Activity`](super::model::Activity), where no more bits follow.
 pub(super) const MAGNITUDE: Entry = 3 << 8;
-/// Where the base of the next state is.
+/// Lowest bit of the base of the next state.
 const BASE_AT: u32 = 16;
-/// Where 63 less the bits to read are.
+/// Lowest bit of 63 less the number of bits to read.
 const SHIFT_AT: u32 = 26;
 
 /// How an encoder codes one symbol of one table.
@@ -34,7 +34,7 @@ const SHIFT_AT: u32 = 26;
 struct Transition {
     /// `(state + bits) >> 16` is the number of bits to write.
     bits: u32,
-    /// Added to the state without these bits: the index of the next state, among those of all tables.
+    /// Added to the state without these bits, gives the index of the next state among those of all tables.
     offset: i32,
 }
 
@@ -44,19 +44,20 @@ pub(super) struct Tables {
     /// By [place](super::model::table_at).
     entries: Box<[Entry; PLACES * STATES]>,
     transitions: Box<[Transition; TABLES * SYMBOLS]>,
-    /// Next states of the encoder, [`STATES`] to `2 * STATES - 1`.
+    /// Next states of the encoder, from [`STATES`] to `2 * STATES - 1`.
     states: Box<[u16; TABLES * STATES]>,
-    /// By row symbol: the residual of its axes, of which a larger one stands as 0; and which these are.
-    pub(super) residuals: [Point; SYMBOLS],
+    /// By row symbol: its residual, with 0 for larger axes; and the kinds of its axes.
+    pub(super) residuals: [PaddedPoint; SYMBOLS],
     pub(super) axes: [Axes; SYMBOLS],
-    /// What holds for each table, by its place.
+    /// Orders of the Exp-Golomb codes and numbers of low bits, by place.
     pub(super) golomb: [u32; PLACES],
     pub(super) low_bits: [u32; PLACES],
 }
 
 const _: () = assert!((TABLES * STATES).is_power_of_two() && (TABLES * SYMBOLS).is_power_of_two());
 
-/// Odd and near 5/8 of the states: every state is visited once, a symbol's are far apart.
+/// Spacing of a symbol's states. Odd, so that every state is visited once; near 5/8 of the states, as in FSE, so that
+/// the states of a symbol are far apart.
 const STRIDE: usize = STATES / 2 + STATES / 8 + 3;
 
 pub(super) static TABLES_OF_MODEL: LazyLock<Tables> = LazyLock::new(Tables::build);
@@ -128,10 +129,10 @@ impl Tables {
 
 const CUT_SHORT: CodecError = CodecError::Truncated("the coded residuals");
 
-/// Symbols that can be read after a refill: [`STATE_BITS`] each, of 56.
+/// Symbols that can be read after a refill of 56 bits, at [`STATE_BITS`] each.
 pub(super) const SYMBOLS_FILLED: usize = 56 / STATE_BITS as usize;
 
-/// Bytes before the payload, so that eight can be read at any place that is not beyond the start.
+/// Bytes of padding before the payload, so that eight bytes can be read at every valid position.
 pub(super) const PAD: usize = 16;
 
 /// Reads bits from the end.
@@ -142,9 +143,9 @@ pub(super) struct Reader<'a> {
     bytes: usize,
     /// The next bits, from bit 63 down.
     word: u64,
-    /// How many of them are there.
+    /// Number of valid bits in `word`.
     filled: u32,
-    /// What comes before the bits, padding and others' bytes.
+    /// Bytes before the bit string: padding, modes and raw samples.
     floor: usize,
     state: usize,
 }
@@ -157,7 +158,7 @@ impl<'a> Reader<'a> {
         padded.extend_from_slice(payload);
     }
 
-    /// `padded` comes from [`pad`](Self::pad).
+    /// Starts at the end mark of `padded`, the result of [`pad`](Self::pad).
     pub(super) fn new(padded: &'a [u8]) -> Result<Self> {
         let last = padded.get(PAD..).and_then(<[u8]>::last).ok_or(CUT_SHORT)?;
         ensure(*last != 0, "residuals without an end mark")?;
@@ -168,34 +169,34 @@ impl<'a> Reader<'a> {
         Ok(reader)
     }
 
-    /// At least 56 bits are there afterwards.
+    /// Fills `word` with at least 56 bits.
     #[inline(always)]
     pub(super) fn refill(&mut self) -> Result<()> {
         let bytes = self.padded.get(self.bytes.wrapping_sub(8)..self.bytes).ok_or(CUT_SHORT)?;
         let next = bytes.first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
-        // What is below the filled bits is what comes next: to set it twice does no harm.
+        // The bits below the valid ones are already the next ones; setting them twice is harmless.
         self.word |= next >> self.filled;
         self.bytes -= ((63 - self.filled) / 8) as usize;
         self.filled |= 56;
         Ok(())
     }
 
-    /// The next bits from bit 63 down; at least 56 of them.
+    /// At least 56 of the next bits, from bit 63 down.
     #[inline(always)]
     pub(super) fn peek(&mut self) -> Result<u64> {
         self.refill()?;
         Ok(self.word)
     }
 
-    /// Passes bits that were peeked at.
+    /// Consumes bits that were peeked at.
     #[inline(always)]
     pub(super) fn skip(&mut self, width: u32) {
         self.word <<= width;
         self.filled -= width;
     }
 
-    /// So many bytes of the payload, from its start, belong to another.
-    pub(super) fn leave(&mut self, bytes: usize) {
+    /// Excludes `bytes` bytes at the start of the payload from the bit string.
+    pub(super) fn set_floor(&mut self, bytes: usize) {
         self.floor += bytes;
     }
 
@@ -211,21 +212,21 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// The entry of the next symbol of the table at a place. At most [`STATE_BITS`] are read, which must be there.
+    /// Reads the next symbol of the table at a place: at most [`STATE_BITS`] bits, which must be in `word`.
     #[inline(always)]
     pub(super) fn entry(&mut self, tables: &Tables, place: usize) -> Result<Entry> {
-        // Not cut to the table's size: the next entry would wait for that.
+        // Not masked to the table's size, which would delay the next entry.
         let at = place * STATES + self.state;
-        let entry = *tables.entries.get(at).ok_or(CodecError::Corrupt("a state beyond all"))?;
+        let entry = *tables.entries.get(at).ok_or(CodecError::Corrupt("a state out of range"))?;
         let shift = entry >> SHIFT_AT;
         let base = entry >> BASE_AT & (STATES as u32 - 1);
-        // In two steps: a shift by 64 is none.
+        // In two shifts: a shift by 64 would overflow.
         self.state = (u64::from(base) + (self.word >> 1 >> shift)) as usize;
         self.skip(63 - shift);
         Ok(entry)
     }
 
-    /// All must have been read, down to the state that the encoder began with.
+    /// Checks that all bits were read and the state is that with which the encoder began.
     pub(super) fn finish(self) -> Result<()> {
         match (8 * self.bytes + self.filled as usize).cmp(&(8 * self.floor)) {
             Ordering::Less => Err(CUT_SHORT),
@@ -235,9 +236,9 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// One thing to code: a symbol with the bits behind it, or bits.
+/// One operation of the writer: a symbol followed by plain bits, or plain bits alone.
 ///
-/// Bits 0-39 are these bits, 40-45 how many they are, 46-55 the symbol of a table; bit 63 is set where there is none.
+/// Bits 0-39: the plain bits. Bits 40-45: their number. Bits 46-55: table and symbol. Bit 63: no symbol.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Op(u64);
 
@@ -256,18 +257,18 @@ impl Op {
         Self(Self::PLAIN | u64::from(width) << Self::WIDTH_AT | u64::from(value))
     }
 
-    /// Most bytes of one op: 40 bits and those of a symbol, or 48.
+    /// Most bytes of one operation: 40 plain bits and a symbol's, or 48 plain bits.
     const MAX_BYTES: usize = (Self::WIDTH_AT + STATE_BITS).div_ceil(8) as usize;
 }
 
-/// A value in so many bits, at most 48.
+/// A value in `width` bits, at most 48.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Field {
     pub(super) value: u32,
     pub(super) width: u32,
 }
 
-/// What is to be written.
+/// The operations of one channel, in reading order.
 #[derive(Debug, Default)]
 pub(super) struct Ops {
     list: Vec<Op>,
@@ -275,15 +276,15 @@ pub(super) struct Ops {
 }
 
 impl Ops {
-    /// A count of zeros, a symbol, low bits and three larger magnitudes.
+    /// Most operations per row: a count of zero rows, a symbol, low bits and three larger magnitudes.
     const PER_ROW: usize = 6;
 
-    /// Room for so many rows.
+    /// Allocates memory for `n_rows` rows.
     pub(super) fn grow(&mut self, n_rows: usize) {
         self.list.resize(self.list.len().max(Self::PER_ROW * n_rows), Op::default());
     }
 
-    /// Most bytes of all of them.
+    /// Most bytes that all operations take.
     pub(super) fn max_bytes(&self) -> usize {
         self.list.len() * Op::MAX_BYTES
     }
@@ -300,7 +301,7 @@ impl Ops {
         }
     }
 
-    /// A symbol, and what is behind it.
+    /// Appends a symbol and the fields behind it.
     #[inline(always)]
     pub(super) fn push_row(&mut self, symbol: Op, fields: [Field; 4]) {
         let width = fields.iter().map(|field| field.width).sum::<u32>();
@@ -315,10 +316,10 @@ impl Ops {
     }
 }
 
-/// Writes bits that are read from the end. A copy is a mark to go back to.
+/// Writes bits that are read from the end. A copy saves the position to return to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Writer {
-    /// Bits that do not fill a byte yet.
+    /// Bits that do not yet fill a byte.
     word: u64,
     filled: u32,
     state: u32,
@@ -327,7 +328,7 @@ pub(super) struct Writer {
 impl Writer {
     pub(super) const NEW: Self = Self { word: 0, filled: 0, state: STATES as u32 };
 
-    /// Writes the ops, last first; gives the number of bytes. `bytes` has [`Ops::max_bytes`], and 8.
+    /// Writes the operations, last first, and returns the number of bytes. `bytes` has [`Ops::max_bytes`] and 8 more.
     #[inline(always)]
     pub(super) fn ops(&mut self, tables: &Tables, ops: &Ops, bytes: &mut [u8]) -> usize {
         let mut this = *self;
@@ -352,11 +353,11 @@ impl Writer {
         at
     }
 
-    /// Writes whole bytes, of 63 bits at most; gives where the next one goes.
+    /// Writes the whole bytes of up to 63 bits at `at`, and returns the position of the next byte.
     #[inline(always)]
     fn flush(&mut self, bytes: &mut [u8], at: usize) -> usize {
-        if let Some(room) = bytes.get_mut(at..at + 8) {
-            room.copy_from_slice(&self.word.to_le_bytes());
+        if let Some(next) = bytes.get_mut(at..at + 8) {
+            next.copy_from_slice(&self.word.to_le_bytes());
         }
         self.word >>= self.filled & !7;
         let full = self.filled / 8;
@@ -364,7 +365,7 @@ impl Writer {
         at + full as usize
     }
 
-    /// Appends the state, if anything was coded, then a flag and the bit that marks the end.
+    /// Appends the state, if any channel was coded, then the flag and the end mark.
     pub(super) fn finish(mut self, coded: bool, flag: bool, out: &mut Vec<u8>) {
         let mut bytes = [0; 12];
         if coded {

@@ -7,8 +7,8 @@ use crate::{
     frame::{Payload, PayloadDecoder, PayloadEncoder},
 };
 
-/// A channel's samples, a gap where none.
-type Track = Vec<Option<Position>>;
+/// The samples of a channel; `None` in gaps.
+type Samples = Vec<Option<Position>>;
 
 struct Pair {
     encoder: Fast,
@@ -31,9 +31,9 @@ impl Pair {
         self.decoder.reset();
     }
 
-    /// Codes one block, decodes it and checks every promise.
-    fn block(&mut self, group: &[Track]) -> (Vec<u8>, Vec<DecodedRows>) {
-        let split = |track: &Track| -> (Vec<Position>, Vec<bool>) {
+    /// Codes one block, decodes it, and checks the error bound and the reports.
+    fn block(&mut self, group: &[Samples]) -> (Vec<u8>, Vec<DecodedRows>) {
+        let split = |track: &Samples| -> (Vec<Position>, Vec<bool>) {
             (
                 track.iter().map(|s| s.unwrap_or([f32::NAN; 3])).collect(),
                 track.iter().map(Option::is_some).collect(),
@@ -41,14 +41,14 @@ impl Pair {
         };
         let parts: Vec<_> = group.iter().map(split).collect();
         let rows: Vec<_> = parts.iter().map(|(x, p)| Rows::new(x, p).unwrap()).collect();
-        let samples = |track: &Track| track.iter().flatten().count() as u32;
+        let samples = |track: &Samples| track.iter().flatten().count() as u32;
         let mut reports: Vec<_> = group
             .iter()
             .map(|track| BlockReport { samples: samples(track), ..BlockReport::default() })
             .collect();
         if reports.iter().all(|report| report.samples == 0) {
-            self.encoder.break_off();
-            self.decoder.break_off();
+            self.encoder.forget_rows();
+            self.decoder.forget_rows();
             return (Vec::new(), blank(group));
         }
         let mut payload = vec![7; 3];
@@ -76,7 +76,7 @@ impl Pair {
     }
 }
 
-fn blank(group: &[Track]) -> Vec<DecodedRows> {
+fn blank(group: &[Samples]) -> Vec<DecodedRows> {
     group
         .iter()
         .map(|track| DecodedRows {
@@ -88,8 +88,8 @@ fn blank(group: &[Track]) -> Vec<DecodedRows> {
         .collect()
 }
 
-/// Smooth motion with noise, gaps, jumps, a far origin and odd values.
-fn track(n_rows: usize) -> impl Strategy<Value = Track> {
+/// Smooth motion with noise, gaps, jumps, a far origin and extreme values.
+fn track(n_rows: usize) -> impl Strategy<Value = Samples> {
     let offset = prop_oneof![Just(0.0_f32), Just(1e3), Just(-1e7), -1e4..1e4_f32];
     let odd = prop_oneof![
         Just(None),
@@ -102,7 +102,7 @@ fn track(n_rows: usize) -> impl Strategy<Value = Track> {
     (offset, 0.0..1e3_f32, 0.0..0.5_f32, prop_oneof![Just(0.0_f32), 0.0..3_f32], odds)
         .prop_flat_map(move |(offset, size, speed, noise, odds)| {
             let cell = prop_oneof![
-                // Weights cannot be zero: one in a thousand stands for none.
+                // Weights must not be zero: one in a thousand stands for none.
                 1000 => (-1.0..1.0_f32).prop_map(Ok),
                 1 + (1000.0 * odds) as u32 => odd.clone().prop_map(Err),
             ];
@@ -122,7 +122,7 @@ fn track(n_rows: usize) -> impl Strategy<Value = Track> {
 }
 
 /// Blocks of a group: the same number of channels throughout.
-fn blocks() -> impl Strategy<Value = Vec<Vec<Track>>> {
+fn blocks() -> impl Strategy<Value = Vec<Vec<Samples>>> {
     let n_rows = prop_oneof![Just(1_usize), 1..40_usize, Just(33), 1..300_usize];
     (1..5_usize)
         .prop_flat_map(move |n| vec(n_rows.clone().prop_flat_map(move |r| vec(track(r), n)), 1..5))
@@ -195,7 +195,7 @@ proptest! {
 #[test]
 fn a_still_marker_costs_almost_nothing() {
     let mut pair = Pair::new(1.0, Isa::detect());
-    let still: Vec<Track> = vec![vec![Some([100.0, 200.0, 300.0]); 500]; 10];
+    let still: Vec<Samples> = vec![vec![Some([100.0, 200.0, 300.0]); 500]; 10];
     pair.block(&still);
     let (payload, decoded) = pair.block(&still);
     assert!(payload.len() < 30, "{} bytes", payload.len());
@@ -203,15 +203,15 @@ fn a_still_marker_costs_almost_nothing() {
 }
 
 #[test]
-fn a_channel_out_of_reach_is_stored_raw_and_the_others_are_not() {
+fn only_a_channel_out_of_range_is_stored_raw() {
     let mut pair = Pair::new(0.1, Isa::detect());
-    let near: Track = (0..100).map(|row| Some([row as f32, 0.0, 1.0])).collect();
-    let far: Track = near.iter().map(|s| s.map(|[x, y, z]| [x + 1e20, y, z])).collect();
+    let near: Samples = (0..100).map(|row| Some([row as f32, 0.0, 1.0])).collect();
+    let far: Samples = near.iter().map(|s| s.map(|[x, y, z]| [x + 1e20, y, z])).collect();
     let (payload, decoded) = pair.block(&[near.clone(), far.clone(), near.clone()]);
     assert_eq!(payload[..3], [0, 4, 0]);
-    let back: Track = decoded[1].positions.iter().map(|p| Some(*p)).collect();
+    let back: Samples = decoded[1].positions.iter().map(|p| Some(*p)).collect();
     assert_eq!(back, far);
-    // What was raw can go on coded, and the other way round.
+    // A raw channel can be coded in the next block, and the other way round.
     let (payload, _) = pair.block(&[far, near.clone(), near]);
     assert_eq!(payload[..3], [4, 0, 0]);
 }

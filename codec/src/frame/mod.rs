@@ -1,7 +1,7 @@
-//! What every block has in common: the head, which samples are present, the stated bound, the proof.
+//! The frame of every block: the head byte, the number of channels, the presence section and the stated error bound.
 //!
-//! A resampler codes payloads only; [`FramedEncoder`] and [`FramedDecoder`] turn it into the public
-//! contract.
+//! A resampler codes payloads only; [`FramedEncoder`] and [`FramedDecoder`] add the frame and implement the public
+//! contract. Debug builds decode every block that they encode, and compare it with its samples.
 
 mod presence;
 
@@ -22,15 +22,15 @@ const HAS_GAPS: u8 = 0x80;
 /// Bit 6 of the head byte: the number of channels follows.
 const HAS_CHANNELS: u8 = 0x40;
 
-/// Either half of a resampler: payloads without the frame around them.
+/// The state of a resampler's encoder or decoder: payloads without their frame.
 pub(crate) trait Payload: Send + fmt::Debug {
-    /// Whether its payloads are bit-exact: the stated bound is then 0.
+    /// Whether payloads are bit-exact; the stated bound is then 0.
     const EXACT: bool = false;
 
-    /// As [`BlockEncoder::prepare`]. A kind that works on whole takes has nothing to prepare.
+    /// Allocates the memory for encoding, for [`BlockEncoder::prepare`]. Offline kinds prepare nothing.
     fn prepare(&mut self, _n_channels: usize, _n_rows: usize) {}
 
-    /// The same for blocks to decode.
+    /// Allocates the memory for decoding.
     #[cfg(debug_assertions)]
     fn prepare_decoder(&mut self, n_channels: usize, n_rows: usize) {
         self.prepare(n_channels, n_rows);
@@ -39,24 +39,24 @@ pub(crate) trait Payload: Send + fmt::Debug {
     /// Forgets all state.
     fn reset(&mut self) {}
 
-    /// Takes what the channels of a stretch share, before its payload; most kinds have nothing that they do.
+    /// Begins a stretch with the bytes that its channels share, which only `sync` has.
     fn begin(&mut self, _shared: &[u8], _n_rows: usize) -> Result<()> {
         Ok(())
     }
 
-    /// A stretch passed without any sample of the group: no row of it may be used for prediction.
-    fn break_off(&mut self) {}
+    /// Accounts for a stretch without samples: no earlier row directly precedes the next block.
+    fn forget_rows(&mut self) {}
 }
 
 /// A resampler's encoder.
 pub(crate) trait PayloadEncoder: Payload {
-    /// Most bytes of a payload of so many channels and rows.
+    /// Most bytes of a payload of `n_channels` channels and `n_rows` rows.
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize;
 
-    /// Appends the payload of a block with at least one sample, all of them finite. Fills `reports`,
-    /// one a channel, where the frame has set `samples`; every error in them is within the tolerance:
-    /// samples that cannot be coded so are stored as they are. There are never fewer channels than in
-    /// the payload before, but after [`reset`](Payload::reset); new ones come behind the others.
+    /// Appends the payload of a block with at least one sample, all of them finite. Completes `reports`, one per
+    /// channel, in which the frame has set `samples`. Every reported error is within the tolerance: samples that
+    /// cannot be coded within it are stored exactly. Except after [`reset`](Payload::reset), there are never fewer
+    /// channels than in the payload before; new ones are appended.
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
@@ -67,19 +67,19 @@ pub(crate) trait PayloadEncoder: Payload {
 
 /// A resampler's decoder.
 pub(crate) trait PayloadDecoder: Payload {
-    /// Fills `positions` and `kept` of `channels`, whose `present` is set and whose other rows are
-    /// zero. At least one sample is present. The payload must end where its samples do.
+    /// Fills `positions` and `kept` of `channels`, whose `present` is set and whose absent rows are zero. At least one
+    /// sample is present. The payload must end with its last sample.
     fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()>;
 }
 
-/// Most bytes of a block with such payloads.
+/// Most bytes of a block with payloads of the encoder `E`.
 pub(crate) fn max_block_bytes<E: PayloadEncoder>(n_channels: usize, n_rows: usize) -> usize {
-    // The head, and the number of channels in one byte: there are at most 64.
+    // The head byte, and the number of channels, at most 64, in one byte.
     2 + presence::max_bytes(n_channels, n_rows) + E::max_payload_bytes(n_channels, n_rows)
 }
 
-/// How many channels a block states that it has: a key block does, and one that has more than the block
-/// before it. None where it does not, or makes no sense.
+/// The number of channels that a block states: key blocks do, and blocks with more channels than the block before.
+/// `None` where the block states no number or an invalid one.
 #[must_use]
 pub fn stated_channels(block: &[u8]) -> Option<usize> {
     let (head, rest) = block.split_first()?;
@@ -90,14 +90,14 @@ pub fn stated_channels(block: &[u8]) -> Option<usize> {
     usize::try_from(n).ok().filter(|n| (1..=GROUP_CHANNELS).contains(n))
 }
 
-/// Samples present; an error when one is not finite.
+/// Counts the samples present; fails when one is not finite.
 pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize> {
-    // Without their signs, the bits of those that are not are the largest.
+    // Without their signs, the bits of infinities and NaN are the largest.
     let not_finite = |c: &f32| c.to_bits() & !(1 << 31) >= f32::INFINITY.to_bits();
     let (mut samples, mut any) = (0, false);
     for run in rows.runs() {
         samples += run.len();
-        // No branch, so that many are looked at together.
+        // Without branches, so that it vectorises.
         let positions = rows.positions()[run].as_flattened();
         any |= positions.iter().fold(false, |any, c| any | not_finite(c));
     }
@@ -113,34 +113,34 @@ pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize> {
     )))
 }
 
-/// What both sides follow from block to block.
+/// The state that encoder and decoder carry from block to block.
 #[derive(Debug)]
-struct State<P> {
+struct FrameState<P> {
     payload: P,
     presence: Presence,
     tolerance: Tolerance,
-    /// Channels of the block before.
+    /// Number of channels of the block before.
     n_channels: usize,
-    /// After an error only a key block is in step with the other side.
-    lost: bool,
+    /// Whether a block failed since the last key block.
+    is_out_of_step: bool,
 }
 
-impl<P: Payload> State<P> {
+impl<P: Payload> FrameState<P> {
     fn new(payload: P, tolerance: Tolerance) -> Self {
-        Self { payload, presence: Presence::NEW, tolerance, n_channels: 0, lost: false }
+        Self { payload, presence: Presence::NEW, tolerance, n_channels: 0, is_out_of_step: false }
     }
 
-    /// Before a key block.
+    /// Resets everything before a key block.
     fn reset(&mut self) {
         self.payload.reset();
         self.presence.reset();
         self.n_channels = 0;
-        self.lost = false;
+        self.is_out_of_step = false;
     }
 
-    /// An empty block.
-    fn pass_empty(&mut self) {
-        self.payload.break_off();
+    /// Accounts for an empty block.
+    fn skip_empty(&mut self) {
+        self.payload.forget_rows();
         self.presence.skip();
     }
 }
@@ -148,39 +148,44 @@ impl<P: Payload> State<P> {
 /// A resampler's encoder with the frame around it.
 #[derive(Debug)]
 pub(crate) struct FramedEncoder<E> {
-    state: State<E>,
-    /// Debug builds decode every block they write.
+    state: FrameState<E>,
+    /// A decoder with which debug builds check every block.
     #[cfg(debug_assertions)]
-    twin: (FramedDecoder<E>, Vec<DecodedRows>),
+    verifier: (FramedDecoder<E>, Vec<DecodedRows>),
 }
 
 impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
-    /// Around a payload, of which debug builds need two.
+    /// An encoder of payloads; debug builds create a second payload state for the check.
     pub(crate) fn new(payload: impl Fn(Tolerance) -> E, tolerance: Tolerance) -> Self {
         Self {
-            state: State::new(payload(tolerance), tolerance),
+            state: FrameState::new(payload(tolerance), tolerance),
             #[cfg(debug_assertions)]
-            twin: (FramedDecoder::new(payload(tolerance), tolerance), Vec::new()),
+            verifier: (FramedDecoder::new(payload(tolerance), tolerance), Vec::new()),
         }
     }
 
-    /// Sets the samples of the reports; gives the channels up to the last one that has any.
+    /// Checks the arguments and counts the samples into `reports`; returns the number of channels up to the last one
+    /// with samples.
     fn count(channels: &[Rows<'_>], least: usize, reports: &mut [BlockReport]) -> Result<usize> {
         let argument = |message| Err(CodecError::InvalidArgument(message));
         if !(least..=GROUP_CHANNELS).contains(&channels.len()) {
             return argument(format!(
-                "a block of {} channels: give {least} to {GROUP_CHANNELS}",
+                "{} channels in a block: pass {least} to {GROUP_CHANNELS}",
                 channels.len()
             ));
         }
         if reports.len() != channels.len() {
-            return argument(format!("{} channels, {} reports", channels.len(), reports.len()));
+            return argument(format!(
+                "{} channels but {} reports: pass one report per channel",
+                channels.len(),
+                reports.len()
+            ));
         }
         let mut n_sampled = 0;
         for (i, (rows, report)) in channels.iter().zip(reports).enumerate() {
             if rows.len() != channels[0].len() {
                 return argument(format!(
-                    "a channel of {} rows beside one of {}: give the same stretch of each",
+                    "channels of {} and of {} rows: pass the same stretch of each",
                     rows.len(),
                     channels[0].len()
                 ));
@@ -220,7 +225,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         }
         self.state.payload.begin(shared, n_rows).map_err(|error| {
             CodecError::InvalidArgument(format!(
-                "{error}: pass what Settings::plan gave for the same {n_rows} rows"
+                "{error}: pass the result of Settings::plan for the same {n_rows} rows"
             ))
         })?;
         self.state.payload.encode(channels, out, reports)?;
@@ -231,6 +236,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         Ok(())
     }
 
+    /// Decodes a block and compares it with its samples and reports.
     #[cfg(debug_assertions)]
     fn check(
         &mut self,
@@ -240,8 +246,8 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         key: bool,
         reports: &[BlockReport],
     ) {
-        let (twin, decoded) = &mut self.twin;
-        let outcome = twin.decode(block, shared, channels[0].len(), key, decoded);
+        let (verifier, decoded) = &mut self.verifier;
+        let outcome = verifier.decode(block, shared, channels[0].len(), key, decoded);
         debug_assert!(outcome.is_ok(), "an encoded block does not decode: {outcome:?}");
         for (i, (rows, report)) in channels.iter().zip(reports).enumerate() {
             let Some(decoded) = decoded.get(i) else {
@@ -263,8 +269,8 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         self.state.payload.prepare(n_channels, n_rows);
         #[cfg(debug_assertions)]
         {
-            let (twin, decoded) = &mut self.twin;
-            twin.prepare(n_channels, n_rows, decoded);
+            let (verifier, decoded) = &mut self.verifier;
+            verifier.prepare(n_channels, n_rows, decoded);
         }
     }
 
@@ -281,18 +287,18 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         if key {
             self.state.reset();
         }
-        if self.state.lost {
+        if self.state.is_out_of_step {
             return Err(CodecError::OutOfStep);
         }
         let start = out.len();
         if n_sampled == 0 {
-            self.state.pass_empty();
+            self.state.skip_empty();
         } else {
             let n = n_sampled.max(self.state.n_channels);
             self.encode_samples(&channels[..n], shared, out, &mut reports[..n]).inspect_err(
                 |_| {
                     out.truncate(start);
-                    self.state.lost = true;
+                    self.state.is_out_of_step = true;
                 },
             )?;
         }
@@ -305,26 +311,26 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
 /// A resampler's decoder with the frame around it.
 #[derive(Debug)]
 pub(crate) struct FramedDecoder<D> {
-    state: State<D>,
-    /// Memory of channels that a block does not have.
+    state: FrameState<D>,
+    /// Memory of channels that the current block lacks.
     spare: Vec<DecodedRows>,
 }
 
 impl<D: PayloadDecoder> FramedDecoder<D> {
     pub(crate) fn new(payload: D, tolerance: Tolerance) -> Self {
-        Self { state: State::new(payload, tolerance), spare: Vec::new() }
+        Self { state: FrameState::new(payload, tolerance), spare: Vec::new() }
     }
 
-    /// Allocates what blocks of up to so many channels and rows will ever need.
+    /// Allocates the memory for blocks of up to `n_channels` channels and `n_rows` rows.
     #[cfg(debug_assertions)]
     fn prepare(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
         self.state.payload.prepare_decoder(n_channels, n_rows);
-        self.fit(n_channels, n_rows, out);
-        self.fit(0, n_rows, out);
+        self.resize(n_channels, n_rows, out);
+        self.resize(0, n_rows, out);
     }
 
-    /// So many channels of so many rows, of which nothing is said yet.
-    fn fit(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
+    /// Sets the numbers of channels and rows of `out`, reusing memory; positions and presence are then undefined.
+    fn resize(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
         self.spare.extend(out.drain(n_channels.min(out.len())..));
         while out.len() < n_channels {
             out.push(self.spare.pop().unwrap_or_default());
@@ -347,13 +353,13 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
             let n = usize::try_from(input.varint("the number of channels")?).unwrap_or(usize::MAX);
             ensure(
                 n > self.state.n_channels && n <= GROUP_CHANNELS,
-                "a number of channels that cannot be",
+                "an impossible number of channels",
             )?;
             self.state.n_channels = n;
         } else if self.state.n_channels == 0 {
             return Err(CodecError::Corrupt("a first block without its number of channels"));
         }
-        self.fit(self.state.n_channels, n_rows, out);
+        self.resize(self.state.n_channels, n_rows, out);
         if head & HAS_GAPS != 0 {
             self.state.presence.read(&mut input, out)?;
             out.iter_mut().for_each(DecodedRows::blank_absent);
@@ -387,11 +393,11 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
         key: bool,
         out: &mut Vec<DecodedRows>,
     ) -> Result<()> {
-        self.fit(0, 0, out);
+        self.resize(0, 0, out);
         if key {
             self.state.reset();
         }
-        if self.state.lost {
+        if self.state.is_out_of_step {
             return Err(CodecError::OutOfStep);
         }
         if block.is_empty() {
@@ -400,8 +406,8 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
         }
         let outcome = self.decode_samples(block, shared, n_rows, out);
         if outcome.is_err() {
-            self.state.lost = true;
-            self.fit(0, 0, out);
+            self.state.is_out_of_step = true;
+            self.resize(0, 0, out);
         }
         outcome
     }
@@ -410,6 +416,6 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
         if key {
             self.state.reset();
         }
-        self.state.pass_empty();
+        self.state.skip_empty();
     }
 }

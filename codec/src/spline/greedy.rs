@@ -1,8 +1,8 @@
 //! The greedy choice of knots for one run (Shi et al. 2012, section 2.3, equations 14 to 17).
 //!
-//! An insertion changes the moments of far knots by less than a half per knot in between: the system is
-//! diagonally dominant by a factor of two. So only the moments within [`REACH`] knots are solved again,
-//! and the rest is the same to the last bit that an f64 can tell.
+//! The system for the moments is diagonally dominant by a factor of two, so the effect of an insertion on a moment at
+//! least halves with every knot in between. Only the moments within [`REACH`] knots are solved again; beyond, the
+//! change is below the resolution of f64.
 
 use super::natural::{Knot, Moments, RunFit};
 use crate::{
@@ -10,34 +10,34 @@ use crate::{
     bound::{squared_distance, widen},
 };
 
-/// How `spline` picks the next knot: the two readings of step 2 of (Shi et al. 2012, 2.3).
+/// How `spline` chooses the next knot: two readings of step 2 of (Shi et al. 2012, section 2.3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum SplineVariant {
     /// Insert the sample whose current error is largest.
     #[default]
     WorstSample,
-    /// Try every sample; insert the one that leaves the smallest sum of squared errors.
+    /// Try every sample; insert the one whose insertion leaves the smallest sum of squared errors.
     Exhaustive,
 }
 
 impl SplineVariant {
-    /// Longest run that [`Exhaustive`](Self::Exhaustive) takes, in samples: its work grows with the
-    /// third power of the run, to some seconds a channel at this length. Longer runs are refused.
+    /// Longest run that [`Exhaustive`](Self::Exhaustive) accepts, in samples. Its time grows with the third power of
+    /// the length and reaches some seconds per channel at this length.
     pub const EXHAUSTIVE_MAX_RUN_ROWS: usize = 1024;
 }
 
-/// 2^-64 of a change is left at this distance.
+/// Number of knots over which a change fades to 2^-64.
 const REACH: usize = 64;
 
-/// What an interval between two knots leaves to be desired.
+/// The errors of an interval between two knots.
 #[derive(Debug, Clone, Copy, Default)]
 struct Misfit {
-    /// Largest squared distance of a sample between the knots.
+    /// Largest squared error of a sample between the knots, in mm^2.
     worst: f64,
-    /// The first sample that has it.
+    /// The first sample with this error.
     row: usize,
-    /// Sum of squared distances.
+    /// Sum of squared errors, in mm^2.
     sum: f64,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct Greedy<'a> {
 }
 
 impl<'a> Greedy<'a> {
-    /// Starts with the first and the last sample; a run has at least three.
+    /// Starts with the first and the last sample of a run of at least three.
     fn new(samples: &'a [Position]) -> Self {
         let last = samples.len() - 1;
         let knots = vec![(0, widen(samples[0])), (last, widen(samples[last]))];
@@ -63,7 +63,7 @@ impl<'a> Greedy<'a> {
         Self { samples, knots, moments, misfits, trial: Default::default() }
     }
 
-    /// The interval with the worst sample; the first of equals.
+    /// The errors of the interval with the worst sample, the first of equals.
     fn worst(&self) -> Misfit {
         self.misfits.iter().fold(
             Misfit::default(),
@@ -82,7 +82,7 @@ impl<'a> Greedy<'a> {
         let interval = self.interval_of(row);
         let index = interval + 1;
         self.knots.insert(index, (row, widen(self.samples[row])));
-        // To be solved for next.
+        // A placeholder, solved for below.
         self.moments.values.insert(index, [0.0; 3]);
         self.misfits.insert(interval, Misfit::default());
         let (low, high) = (index.saturating_sub(REACH), (index + REACH).min(self.knots.len() - 1));
@@ -92,7 +92,7 @@ impl<'a> Greedy<'a> {
         }
     }
 
-    /// Sum of squares that inserting `row` would take away (negative: would add).
+    /// By how much inserting `row` would reduce the sum of squared errors; negative where it would grow.
     fn gain(&mut self, row: usize) -> f64 {
         let interval = self.interval_of(row);
         let low = (interval + 1).saturating_sub(REACH);
@@ -111,7 +111,7 @@ impl<'a> Greedy<'a> {
         before - after
     }
 
-    /// The sample whose insertion leaves the smallest sum of squares; the first of equals.
+    /// The sample whose insertion leaves the smallest sum of squared errors, the first of equals.
     fn best_candidate(&mut self) -> Option<usize> {
         let mut best: Option<(f64, usize)> = None;
         let mut next_knot = 0;
@@ -142,7 +142,7 @@ fn misfit(samples: &[Position], knots: &[Knot], moments: &Moments, interval: usi
     misfit
 }
 
-/// The rows of a run to keep, in order, so that the f64 spline through them is within `tolerance_mm`.
+/// Chooses the rows of a run to keep, in order, such that the f64 spline through them keeps the tolerance.
 fn knots(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec<usize> {
     if samples.len() <= 2 {
         return (0..samples.len()).collect();
@@ -161,7 +161,7 @@ fn knots(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec
     }
 }
 
-/// The kept rows of one run, counted from its first, proven on the float32 reconstruction.
+/// Chooses the kept rows of one run, counted from its first, and checks them on the float32 reconstruction.
 pub(super) fn resample_run(
     samples: &[Position],
     tolerance: Tolerance,
@@ -171,7 +171,7 @@ pub(super) fn resample_run(
     let longest = SplineVariant::EXHAUSTIVE_MAX_RUN_ROWS;
     if variant == SplineVariant::Exhaustive && samples.len() > longest {
         return Err(CodecError::InvalidArgument(format!(
-            "the exhaustive search takes runs of at most {longest} samples, and here is one of {}: \
+            "the exhaustive search accepts runs of at most {longest} samples, but one has {}: \
              use :worst-sample, or a shorter part of the take",
             samples.len()
         )));
@@ -188,7 +188,7 @@ mod tests {
     use super::*;
     use crate::spline::natural::rebuild;
 
-    /// The algorithm as the text has it: the whole spline again for every insertion.
+    /// The algorithm as published: solves the whole spline for every insertion.
     fn brute_force(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec<usize> {
         let fit = |rows: &[usize]| -> Vec<f64> {
             let knots: Vec<Knot> = rows.iter().map(|&row| (row, widen(samples[row]))).collect();
@@ -265,7 +265,7 @@ mod tests {
         samples[2][0] = 4.0;
         samples[6][0] = 4.0;
         assert_eq!(Greedy::new(&samples).worst().row, 2);
-        // Nothing to gain anywhere: every candidate is as good as the first.
+        // No insertion gains anything: all candidates are equal.
         assert_eq!(Greedy::new(&[[0.0; 3]; 9]).best_candidate(), Some(1));
     }
 

@@ -1,4 +1,4 @@
-//! The key times K that all channels of a stretch share.
+//! The key times K of `sync`, which all channels of a stretch share.
 
 use std::ops::Range;
 
@@ -12,10 +12,10 @@ use crate::{
     frame,
 };
 
-/// The union of all channels' knots (Shi et al. 2012, section 2.1), and more until every channel's
-/// spline through K keeps the tolerance; coded.
+/// Computes and encodes K: the union of all channels' knots (Shi et al. 2012, section 2.1), extended until every
+/// channel's spline through K keeps the tolerance.
 ///
-/// The ends of a channel's runs are kept anyway and are in K only where another channel needs them.
+/// Channels keep the ends of their runs anyway; these are in K only where another channel needs them.
 pub(crate) fn plan(
     channels: &[Rows<'_>],
     tolerance: Tolerance,
@@ -27,7 +27,7 @@ pub(crate) fn plan(
     for rows in channels {
         if rows.len() != n_rows {
             return Err(CodecError::InvalidArgument(format!(
-                "a channel of {} rows beside one of {n_rows}: give the same stretch of each",
+                "channels of {} and of {n_rows} rows: pass the same stretch of each",
                 rows.len()
             )));
         }
@@ -41,7 +41,7 @@ pub(crate) fn plan(
             });
         }
     }
-    // A key for one channel moves the splines of all others: until a whole pass adds none.
+    // A key time of one channel moves the splines of all others, so repeat until a pass adds none.
     let mut added = true;
     while std::mem::take(&mut added) {
         for rows in channels {
@@ -53,7 +53,7 @@ pub(crate) fn plan(
     Ok(write(&keys))
 }
 
-/// Adds the worst sample's row until the run's spline through K holds; tells whether it had to.
+/// Adds rows of worst samples until the run's spline through K keeps the tolerance; returns whether any was added.
 fn add_missing(
     rows: Rows<'_>,
     run: Range<usize>,
@@ -72,7 +72,7 @@ fn add_missing(
     added
 }
 
-/// The kept rows of a run: its keys and both its ends.
+/// The kept rows of a run: its key times and both ends.
 pub(super) fn kept_rows(run_keys: &[bool]) -> impl Iterator<Item = usize> {
     let last = run_keys.len().wrapping_sub(1);
     run_keys
@@ -92,7 +92,7 @@ fn write(keys: &[bool]) -> Vec<u8> {
     out
 }
 
-/// Reads how many of some rows come before the next one; none where these are not enough.
+/// Reads the next row of `rows`, coded as the number of rows before it; `None` where it lies beyond `rows`.
 pub(super) fn read_row(
     input: &mut Bytes<'_>,
     what: &'static str,
@@ -102,7 +102,7 @@ pub(super) fn read_row(
     Ok(skipped.checked_add(rows.start).filter(|row| rows.contains(row)))
 }
 
-/// Fills `keys`, one flag a row.
+/// Decodes K into `keys`, one flag per row.
 pub(super) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<()> {
     keys.clear();
     keys.resize(n_rows, false);

@@ -1,9 +1,9 @@
-//! The published methods on a natural cubic spline (Shi et al. 2012).
+//! `spline` and `sync`: the methods of (Shi et al. 2012) on a natural cubic spline.
 //!
-//! `spline`: asynchronous greedy knots, each channel's own. Offline: a block is meant to be a whole take, so
-//! that runs are cut by gaps only. `sync`, its rival: one set of key times for all channels (equations 5 and
-//! 7). A channel keeps its samples at the key times, and both ends of each of its runs; the key times travel
-//! outside the block, once for all channels.
+//! `spline` samples asynchronously: every channel has its own greedily chosen knots. It works offline: a block should
+//! be a whole take, so that only gaps end runs. `sync` samples synchronously, for comparison: one set of key times for
+//! all channels (equations 5 and 7). A channel keeps its samples at the key times and both ends of each of its runs;
+//! the key times are stored outside the block, once for all channels.
 
 mod greedy;
 mod key_times;
@@ -23,30 +23,30 @@ use crate::{
     frame::{Payload, PayloadDecoder, PayloadEncoder},
 };
 
-/// The byte before a channel that is coded.
+/// First byte of a coded channel.
 const CODED: u8 = 0;
 
-/// The byte before a channel that is stored as it is.
+/// First byte of a channel that is stored exactly.
 const RAW: u8 = 1;
 
 /// Bytes of a stored position: three little-endian float32.
 const POSITION_BYTES: usize = 12;
 
-/// Most bytes of a channel's knots: a position and two bytes of its time a sample.
+/// Most bytes of a channel's knots: a position and two bytes of time per sample.
 const fn max_bytes(samples: usize) -> usize {
     (POSITION_BYTES + 2) * samples
 }
 
-/// Which rows a channel keeps.
+/// The rows that a channel keeps.
 #[derive(Debug)]
 enum Times {
     /// Its own knots.
     Own(SplineVariant),
-    /// The key times of the stretch, one flag a row.
+    /// The key times of the stretch, one flag per row.
     Shared(Vec<bool>),
 }
 
-/// Encoder and decoder of one group; there is no state between blocks.
+/// Encoder and decoder of one group. It has no state between blocks.
 #[derive(Debug)]
 pub(crate) struct Spline {
     tolerance: Tolerance,
@@ -70,7 +70,7 @@ impl Spline {
         Self::new(tolerance, Times::Shared(Vec::new()))
     }
 
-    /// Appends the knots of one channel; `false` when these do not keep the tolerance.
+    /// Appends the knots of one channel; `false` when they miss the tolerance.
     fn write(
         &mut self,
         rows: Rows<'_>,
@@ -101,6 +101,7 @@ impl Spline {
         Ok(true)
     }
 
+    /// Reads the knots of one channel and reconstructs its samples.
     fn read(&mut self, input: &mut Bytes<'_>, rows: &mut DecodedRows) -> Result<()> {
         let DecodedRows { positions, present, kept, .. } = rows;
         for run in block::runs(present) {
@@ -123,7 +124,7 @@ impl Spline {
     }
 }
 
-/// Appends which rows of a run are its inner knots.
+/// Appends the rows of the inner knots of a run.
 fn write_times(fit: &RunFit, len: usize, out: &mut Vec<u8>) {
     if len <= 2 {
         return;
@@ -137,7 +138,7 @@ fn write_times(fit: &RunFit, len: usize, out: &mut Vec<u8>) {
     }
 }
 
-/// Starts a run of `len` rows with its knots.
+/// Reads the rows of the knots of a run of `len` rows into `fit`.
 fn read_times(input: &mut Bytes<'_>, len: usize, fit: &mut RunFit) -> Result<()> {
     fit.start([0, len - 1].into_iter().take(len));
     if len <= 2 {
@@ -191,8 +192,8 @@ impl PayloadEncoder for Spline {
             let start = out.len();
             out.push(CODED);
             let is_within = self.write(*rows, out, report)?;
-            // Not where raw would merely be smaller: the knots are what is studied. Of a plan of other samples,
-            // the bound stands all the same.
+            // Not where raw samples would merely be smaller: the knots are the subject of study. A plan made from other
+            // samples may miss the tolerance; raw samples keep the bound.
             if !is_within || out.len() - start - 1 > max_bytes(report.samples as usize) {
                 out.truncate(start);
                 out.push(RAW);
@@ -211,7 +212,7 @@ impl PayloadDecoder for Spline {
             match input.byte("the mode of a channel")? {
                 CODED => self.read(&mut input, rows)?,
                 RAW => self.raw.read(&mut input, &mut Histories::default(), rows)?,
-                _ => return Err(CodecError::Corrupt("an unknown mode of a channel")),
+                _ => return Err(CodecError::Corrupt("an unknown channel mode")),
             }
         }
         input.finish()

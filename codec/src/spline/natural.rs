@@ -1,16 +1,15 @@
 //! The natural cubic spline through samples at whole rows, by its second derivatives (moments).
 //!
-//! Inside an interval of length `h` from knot 0 to knot 1, with `a = (x1 - x)/h` and `b = 1 - a`:
-//! `y = a y0 + b y1 + ((a^3 - a) M0 + (b^3 - b) M1) h^2 / 6` (de Boor, A Practical Guide to Splines,
-//! chapter IV). Only additions, multiplications and divisions in f64, in this order: the same on every
-//! CPU.
+//! Inside an interval of length `h` from knot 0 to knot 1, with `a = (x1 - x)/h` and `b = 1 - a`: `y = a y0 + b y1 +
+//! ((a^3 - a) M0 + (b^3 - b) M1) h^2 / 6` (de Boor, A Practical Guide to Splines, chapter IV). It uses additions,
+//! multiplications and divisions in f64 in a fixed order, so that every machine gets the same bits.
 
 use crate::{
     Position,
     bound::{self, Vector, widen},
 };
 
-/// Second derivatives at the knots, and the memory to find them.
+/// The moments at the knots, and memory for solving for them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Moments {
     pub(super) values: Vec<Vector>,
@@ -22,7 +21,7 @@ pub(super) struct Moments {
 pub(super) type Knot = (usize, Vector);
 
 impl Moments {
-    /// Moments of the whole spline, zero at both ends.
+    /// Solves for the moments of the whole spline, which are zero at both ends.
     pub(super) fn solve(&mut self, knots: &[Knot]) {
         self.values.clear();
         self.values.resize(knots.len(), [0.0; 3]);
@@ -31,7 +30,7 @@ impl Moments {
         }
     }
 
-    /// Solves for the knots strictly between `low` and `high`, whose own moments stay.
+    /// Solves for the moments strictly between the knots `low` and `high`, whose own moments are fixed.
     pub(super) fn solve_between(&mut self, knots: &[Knot], low: usize, high: usize) {
         let (mut upper, mut right) = (0.0, self.values[low]);
         self.sweep.clear();
@@ -54,7 +53,7 @@ impl Moments {
     }
 
     /// The spline at `row`, which lies between the knots `interval` and `interval + 1`.
-    /// At a knot this is the knot's position, to the bit.
+    /// At a knot it equals the knot's position exactly.
     pub(super) fn at(&self, knots: &[Knot], interval: usize, row: usize) -> Vector {
         let [(x0, y0), (x1, y1)] = [knots[interval], knots[interval + 1]];
         let [m0, m1] = [self.values[interval], self.values[interval + 1]];
@@ -65,7 +64,7 @@ impl Moments {
     }
 }
 
-/// Rebuilds a run from its knots, as float32: what every decoder gives.
+/// Reconstructs a run from its knots as float32, as decoders do.
 ///
 /// The first knot is row 0 and the last the run's last row; rows of `run` in between are written.
 pub(super) fn rebuild(knots: &[Knot], moments: &mut Moments, run: &mut [Position]) {
@@ -82,27 +81,27 @@ pub(super) fn rebuild(knots: &[Knot], moments: &mut Moments, run: &mut [Position
     }
 }
 
-/// One run: its knots and what a decoder makes of them. Reused from run to run.
+/// A run's knots and its reconstruction. Its memory is reused from run to run.
 #[derive(Debug, Clone, Default)]
 pub(super) struct RunFit {
     /// The kept rows, in order.
     pub(super) knots: Vec<Knot>,
     moments: Moments,
-    /// What the decoder gives.
+    /// The reconstruction.
     pub(super) rebuilt: Vec<Position>,
-    /// Of the last measurement.
+    /// The largest error of the last measurement.
     pub(super) max_error_mm: f64,
 }
 
 impl RunFit {
-    /// Starts with the given rows, in order.
+    /// Starts a run with the given kept rows, in order.
     pub(super) fn start(&mut self, rows: impl IntoIterator<Item = usize>) {
         self.knots.clear();
         self.knots.extend(rows.into_iter().map(|row| (row, [0.0; 3])));
         self.max_error_mm = 0.0;
     }
 
-    /// Keeps one more row, wherever it lies.
+    /// Adds a kept row.
     pub(super) fn insert(&mut self, row: usize) {
         let index = self.knots.partition_point(|&(knot, _)| knot < row);
         self.knots.insert(index, (row, [0.0; 3]));
@@ -113,13 +112,13 @@ impl RunFit {
         self.knots.iter().map(|&(row, _)| row)
     }
 
-    /// Rebuilds all `len` rows of the run.
+    /// Reconstructs all `len` rows of the run.
     pub(super) fn rebuild(&mut self, len: usize) {
         self.rebuilt.resize(len, [0.0; 3]);
         rebuild(&self.knots, &mut self.moments, &mut self.rebuilt);
     }
 
-    /// Rebuilds the run from its kept samples and measures it; gives the row that is off the most, the
+    /// Reconstructs the run from its kept samples and measures its error; returns the row with the largest error, the
     /// first of equals.
     pub(super) fn measure(&mut self, samples: &[Position]) -> usize {
         for (row, position) in &mut self.knots {
@@ -129,7 +128,7 @@ impl RunFit {
         let (mut worst, mut at) = (0.0, 0);
         for (row, (&a, &b)) in self.rebuilt.iter().zip(samples).enumerate() {
             let error = bound::distance_mm(a, b);
-            // An overflow to infinity less infinity is the worst of all.
+            // Infinity less infinity, after an overflow, counts as the largest error.
             let error = if error.is_nan() { f64::INFINITY } else { error };
             if error > worst {
                 (worst, at) = (error, row);
@@ -143,7 +142,7 @@ impl RunFit {
     pub(super) fn prove(&mut self, samples: &[Position], tolerance_mm: f64) {
         loop {
             let worst = self.measure(samples);
-            // A knot is rebuilt to the bit, so that this ends with every sample kept at the latest.
+            // Knots are reconstructed exactly, so the loop ends at the latest when every sample is kept.
             if self.max_error_mm <= tolerance_mm {
                 return;
             }

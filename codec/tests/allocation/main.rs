@@ -1,5 +1,5 @@
-//! What a decoder allocates is earned: by the rows that its caller asks for, times the channels that the
-//! block states (64 at most), and by the bytes that it is given. A program of its own, since it counts.
+//! A decoder's memory is bounded by the rows that its caller asks for times the channels that the block states (64 at
+//! most), and by the bytes of its input. A test program of its own, because it replaces the allocator.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![expect(unsafe_code, reason = "an allocator that counts is one by contract")]
@@ -20,14 +20,14 @@ fn settings(kind: &str) -> Settings {
     Settings { kind: kind.parse().unwrap(), tolerance: Tolerance::from_mm(0.5).unwrap() }
 }
 
-/// Bytes that claim a key block of so many channels, each with samples.
+/// Bytes that claim to be a key block of `n_channels` channels with samples.
 fn claim(kind: &str, n_channels: u8, filling: &[u8]) -> Vec<u8> {
     let stated = if kind == "lossless" { 0 } else { 63 };
     [&[0x40 | stated, n_channels][..], filling].concat()
 }
 
-/// A block of an encoder.
-fn honest(kind: &str, n_channels: usize, n_rows: usize) -> (Vec<u8>, Vec<u8>) {
+/// A block that an encoder wrote, and its shared bytes.
+fn encoded(kind: &str, n_channels: usize, n_rows: usize) -> (Vec<u8>, Vec<u8>) {
     let path: Vec<Position> = (0..n_rows)
         .map(|row| [(row as f32 / 9.0).sin() * 300.0, row as f32, (row * row % 71) as f32])
         .collect();
@@ -40,15 +40,15 @@ fn honest(kind: &str, n_channels: usize, n_rows: usize) -> (Vec<u8>, Vec<u8>) {
     (block, shared)
 }
 
-/// The most that a decoder may hold, in bytes. Each factor is about three times what the hungriest
-/// resampler needs for blocks of its own: 46 a sample in `dense`, positions and flags included.
-fn earned(kind: &str, n_channels: usize, n_rows: usize, n_bytes: usize) -> usize {
-    // The tables of contexts of `dense` are there before the first byte.
+/// The most bytes that a decoder may hold. Each factor is about three times the largest need of any resampler for valid
+/// blocks: 46 bytes per sample in `dense`, positions and flags included.
+fn memory_limit(kind: &str, n_channels: usize, n_rows: usize, n_bytes: usize) -> usize {
+    // `dense` has its tables of contexts before the first byte.
     let tables = if kind == "dense" { 2 << 20 } else { 64 << 10 };
     tables + 8192 * n_channels + 150 * n_rows * n_channels + 4 * n_bytes
 }
 
-/// Decodes as the first block, and says how many bytes that held at most.
+/// Decodes a first block, and returns the most bytes that this held.
 fn decode(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> usize {
     most_bytes(|| {
         let mut out = Vec::new();
@@ -58,13 +58,13 @@ fn decode(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> usize {
 }
 
 #[track_caller]
-fn assert_earned(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) {
+fn assert_within_limit(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) {
     let held = decode(kind, block, shared, n_rows);
     let n_channels = stated_channels(block).unwrap_or(0);
-    let earned = earned(kind, n_channels, n_rows, block.len() + shared.len());
+    let limit = memory_limit(kind, n_channels, n_rows, block.len() + shared.len());
     assert!(
-        held <= earned,
-        "{kind}: {held} bytes of {earned} for {n_channels} channels of {n_rows} rows in {} bytes",
+        held <= limit,
+        "{kind}: {held} bytes of {limit} for {n_channels} channels of {n_rows} rows in {} bytes",
         block.len()
     );
 }
@@ -74,15 +74,15 @@ fn blocks_of_an_encoder() {
     for kind in KINDS {
         for n_channels in [1, 8, GROUP_CHANNELS] {
             for n_rows in [1, 60, 2000] {
-                let (block, shared) = honest(kind, n_channels, n_rows);
+                let (block, shared) = encoded(kind, n_channels, n_rows);
                 assert_eq!(stated_channels(&block), Some(n_channels));
-                assert_earned(kind, &block, &shared, n_rows);
+                assert_within_limit(kind, &block, &shared, n_rows);
             }
         }
     }
 }
 
-/// Few bytes that claim much: what is allocated goes with what the caller asks for, not with these.
+/// Few bytes that claim much: memory grows with the caller's rows, not with these claims.
 #[test]
 fn claims_of_few_bytes() {
     for kind in KINDS {
@@ -93,10 +93,10 @@ fn claims_of_few_bytes() {
                         [vec![0; len], vec![0xff; len], Random::new(len as u64).bytes(len)]
                     {
                         let mut block = claim(kind, n_channels, &filling);
-                        assert_earned(kind, &block, &[], n_rows);
+                        assert_within_limit(kind, &block, &[], n_rows);
                         // With a presence section, and key times that are far apart.
                         block[0] |= 0x80;
-                        assert_earned(kind, &block, &filling, n_rows);
+                        assert_within_limit(kind, &block, &filling, n_rows);
                     }
                 }
             }
@@ -104,7 +104,7 @@ fn claims_of_few_bytes() {
     }
 }
 
-/// Behind every byte that may say how a channel is stored, numbers as large as numbers get.
+/// The largest numbers after every byte that may select how a channel is stored.
 #[test]
 fn large_numbers() {
     for kind in KINDS {
@@ -112,20 +112,20 @@ fn large_numbers() {
             for n_digits in 0..9 {
                 let number = [vec![0xff; n_digits], vec![0x7f]].concat();
                 let filling = [&[first][..], &number, &[1, 0, 5], &number, &number].concat();
-                assert_earned(kind, &claim(kind, 2, &filling), &[], 100);
+                assert_within_limit(kind, &claim(kind, 2, &filling), &[], 100);
                 // In the key times, and in the presence section.
-                assert_earned(kind, &claim(kind, 2, &[first; 40]), &number, 100);
+                assert_within_limit(kind, &claim(kind, 2, &[first; 40]), &number, 100);
                 let mut block = claim(kind, 2, &[&number[..], &[first; 40]].concat());
                 block[0] |= 0x80;
-                assert_earned(kind, &block, &[], 100);
+                assert_within_limit(kind, &block, &[], 100);
             }
         }
     }
 }
 
-/// A head that makes no sense costs next to nothing, however many rows are asked for.
+/// An invalid head costs next to nothing, however many rows are asked for.
 #[test]
-fn heads_that_make_no_sense() {
+fn invalid_heads() {
     for kind in KINDS {
         let nothing = decode(kind, &[], &[], 0);
         let claims: [&[u8]; 5] =
@@ -141,19 +141,19 @@ fn heads_that_make_no_sense() {
 fn damaged_blocks() {
     for kind in KINDS {
         let n_rows = 90;
-        let (block, shared) = honest(kind, 3, n_rows);
+        let (block, shared) = encoded(kind, 3, n_rows);
         for at in (0..block.len()).step_by(1 + block.len() / 200) {
-            assert_earned(kind, &block[..at], &shared, n_rows);
+            assert_within_limit(kind, &block[..at], &shared, n_rows);
             for flip in [0x01, 0x80, 0xff] {
                 let mut damaged = block.clone();
                 damaged[at] ^= flip;
-                assert_earned(kind, &damaged, &shared, n_rows);
+                assert_within_limit(kind, &damaged, &shared, n_rows);
             }
         }
     }
 }
 
-/// What one block needed serves the next: a stream of any bytes holds no more than its largest block.
+/// Memory is reused: a stream of arbitrary bytes holds no more than its largest block.
 #[test]
 fn streams_of_any_bytes() {
     for kind in KINDS {
@@ -165,7 +165,7 @@ fn streams_of_any_bytes() {
                 let claimed = i as usize % n_channels + 1;
                 let block = claim(kind, claimed as u8, &Random::new(i).bytes(i as usize % len));
                 let rows = if i % 7 == 6 { i as usize % n_rows } else { n_rows };
-                // As a key block, then as one that goes on: it has no number of channels.
+                // As a key block, then as a continuation, which states no number of channels.
                 let key = decoder.decode(&block, &[], rows, true, &mut out);
                 assert!(key.is_ok() || out.is_empty());
                 let next = Random::new(i + 1).bytes(i as usize % len);
@@ -174,7 +174,7 @@ fn streams_of_any_bytes() {
                 assert!(next.is_ok() || out.is_empty());
             }
         });
-        let earned = earned(kind, n_channels, n_rows, 3 * len);
-        assert!(held <= earned, "{kind}: {held} bytes of {earned}");
+        let limit = memory_limit(kind, n_channels, n_rows, 3 * len);
+        assert!(held <= limit, "{kind}: {held} bytes of {limit}");
     }
 }

@@ -1,4 +1,4 @@
-//! Damage in the middle of a stream: an error or samples, and all well again from the next key on.
+//! Damage in the middle of a stream gives an error or samples, and decoding recovers at the next key.
 
 use mocapd_codec::{BlockDecoder, CodecError, DecodedRows, Settings};
 use proptest::prelude::*;
@@ -30,7 +30,7 @@ pub(crate) fn well_formed(n_rows: usize, decoded: &[DecodedRows]) {
     }
 }
 
-/// A decoder behind the first blocks, all of them good.
+/// A decoder that has decoded the first `n` blocks without damage.
 fn behind(
     settings: Settings,
     stretches: &[Stretch],
@@ -44,7 +44,7 @@ fn behind(
     (decoder, decoded)
 }
 
-/// Gives block `at` as `bytes`, and then what follows.
+/// Decodes a stream in which `change` damages block `at`, and checks recovery.
 fn survive(kind: &str, at: usize, change: impl Fn(&mut Vec<u8>, &mut usize)) {
     let (settings, stretches, blocks) = group(kind);
     survive_in((settings, &stretches, &blocks), at, change);
@@ -61,7 +61,7 @@ fn survive_in(
     let mut lost = decoder
         .decode(&bytes, &blocks[at].shared, n_rows, stretches[at].key, &mut decoded)
         .is_err();
-    assert!(!lost || decoded.is_empty(), "a failed block leaves rows behind");
+    assert!(!lost || decoded.is_empty(), "a failed block returns rows");
     well_formed(n_rows, &decoded);
     for (stretch, block) in stretches.iter().zip(blocks).skip(at + 1) {
         let Block { bytes, shared, .. } = block;
@@ -77,7 +77,7 @@ fn survive_in(
             check(settings, stretch, block, &decoded);
         }
     }
-    // The block behind the key is as good as ever.
+    // The block after the key decodes correctly.
     check(settings, &stretches[BLOCKS - 1], &blocks[BLOCKS - 1], &decoded);
 }
 
@@ -132,7 +132,7 @@ proptest! {
         });
     }
 
-    /// Several changes at once, anywhere in a block, and bytes put in and taken out.
+    /// Several changed, removed and inserted bytes anywhere in a block.
     #[test]
     fn any_changes_in_a_stream(
         kind in proptest::sample::select(KINDS.to_vec()),

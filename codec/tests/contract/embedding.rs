@@ -1,4 +1,4 @@
-//! What a program that embeds the crate builds on: checked by the compiler, mostly.
+//! The guarantees for programs that embed the crate, most of them checked by the compiler.
 
 use mocapd_codec::{
     BLOCK_VERSION, BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, ResamplerKind,
@@ -12,7 +12,7 @@ const fn send<T: Send + ?Sized>() {}
 const fn shared<T: Send + Sync + 'static>() {}
 const fn error<T: std::error::Error + Send + Sync + 'static>() {}
 
-/// No call: that it compiles is the test.
+/// The test is that this compiles.
 const _: () = {
     send::<Box<dyn BlockEncoder>>();
     send::<Box<dyn BlockDecoder>>();
@@ -29,7 +29,7 @@ const _: () = {
 };
 
 #[test]
-fn an_encoder_goes_from_thread_to_thread_and_writes_the_same() {
+fn an_encoder_that_moves_between_threads_writes_the_same_bytes() {
     for kind in ["dense", "fast", "lossless"] {
         let settings = settings(kind, 0.5);
         let channels: Vec<_> = (0..3).map(|i| Channel::new("smooth", "gaps", i, 240)).collect();
@@ -57,19 +57,19 @@ fn an_encoder_goes_from_thread_to_thread_and_writes_the_same() {
 }
 
 #[test]
-fn what_a_container_stores_brings_the_settings_back() {
+fn settings_round_trip_through_their_stored_form() {
     for kind in KINDS {
         let stored = settings(kind, 0.5);
         let name = stored.kind.to_string();
         assert_eq!(name, kind);
         assert_eq!(settings(&name, stored.tolerance.mm()), stored);
     }
-    // The README and the header of takes say the same number.
+    // The README and the header of takes state the same number.
     assert_eq!(BLOCK_VERSION, 6);
 }
 
 #[test]
-fn arguments_that_make_no_sense_are_errors_and_leave_everything_as_it_was() {
+fn invalid_arguments_are_errors_and_change_nothing() {
     let row = [[1.0; 3]; 10];
     let rows = |n: usize| Rows::new(&row[..n], &[true; 10][..n]).unwrap();
     for kind in KINDS {

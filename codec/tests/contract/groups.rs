@@ -1,4 +1,4 @@
-//! Groups: how many channels, which of them a block has, and when they appear.
+//! Groups: their number of channels, which channels a block has, and channels that appear later.
 
 use mocapd_codec::{BlockReport, CodecError, GROUP_CHANNELS, stated_channels};
 
@@ -30,7 +30,7 @@ fn groups_of_every_size() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused_and_leaves_no_trace() {
+fn invalid_arguments_are_refused_and_change_nothing() {
     let settings = settings("fast", 0.5);
     let channels = mixed(GROUP_CHANNELS + 1, 20);
     let rows: Vec<_> = channels.iter().map(Channel::rows).collect();
@@ -41,7 +41,7 @@ fn what_does_not_fit_is_refused_and_leaves_no_trace() {
     let mut out = Vec::new();
     encoder.encode(&rows[..5], &[], true, &mut out, &mut reports[..5]).unwrap();
     let before = out.clone();
-    // Too many, none, reports that are too few, other rows, and fewer channels than before.
+    // Too many channels, none, too few reports, unequal rows, and fewer channels than before.
     for (rows, n_reports) in
         [(&rows[..], 65), (&[][..], 0), (&rows[..5], 4), (&odd[..], 2), (&rows[..4], 4)]
     {
@@ -69,12 +69,12 @@ fn a_block_has_the_channels_up_to_the_last_that_was_seen_since_the_key() {
         let stretches = [
             group(&[2], 40, true),
             group(&[0, 2], 40, false),
-            // Channels appear, also beyond those that there were.
+            // Channels appear, also new ones.
             group(&[2, 39], 40, false),
             group(&[63], 64, false),
             group(&[], 64, false),
             group(&[1], 64, false),
-            // An empty key block: what follows begins anew.
+            // An empty key block resets all state.
             group(&[], 64, true),
             group(&[10], 64, false),
             group(&[4], 64, true),
@@ -84,7 +84,7 @@ fn a_block_has_the_channels_up_to_the_last_that_was_seen_since_the_key() {
         let stated: Vec<_> = blocks.iter().map(|block| stated_channels(&block.bytes)).collect();
         let expected = [Some(3), None, Some(40), Some(64), None, None, None, Some(11), Some(5)];
         assert_eq!(stated, expected, "{kind}");
-        // Behind an empty key block a decoder may start, and so may an encoder.
+        // A decoder and an encoder may start after an empty key block.
         let again = encode(settings(kind, 0.5), &stretches[7..]);
         assert_eq!(again, blocks[7..]);
         decode_and_check(settings(kind, 0.5), &stretches[7..], &blocks[7..]);
@@ -92,13 +92,13 @@ fn a_block_has_the_channels_up_to_the_last_that_was_seen_since_the_key() {
 }
 
 #[test]
-fn a_channel_that_cannot_be_coded_does_not_cost_the_others() {
+fn a_raw_channel_does_not_affect_the_others() {
     for kind in ["dense", "fast"] {
         let mut channels: Vec<Channel> =
             (0..8).map(|i| Channel::new("smooth", "all", i, 240)).collect();
         let lengths = [60; 4];
         let plain = encode(settings(kind, 0.1), &cut(&channels, &lengths, 0));
-        // Beyond every lattice, in the second stretch only.
+        // Coordinates too large to be coded, in the second stretch only.
         channels[5].positions[70..110].fill([f32::MAX; 3]);
         let stretches = cut(&channels, &lengths, 0);
         let blocks = encode(settings(kind, 0.1), &stretches);

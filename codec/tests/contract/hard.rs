@@ -1,21 +1,22 @@
-//! What markers do that no body does: the bound holds all the same, block after block, keys in between.
+//! Motion that no body performs but rigs report: the bound holds, block after block, with keys in between.
 
 use mocapd_codec::Position;
 
 use super::{Channel, cut, decode_and_check, encode, motions::Random, settings};
 
-/// Every resampler; the exhaustive variants differ in nothing that a decoder sees.
+/// All resamplers; the exhaustive variants write the same format.
 pub(crate) const KINDS: [&str; 5] = ["dense", "fast", "lossless", "spline", "sync"];
 
-/// From below what float32 resolves at room scale to coarser than any joint moves.
+/// From below the resolution of float32 at room scale to coarser than the motion of a joint.
 pub(crate) const TOLERANCES_MM: [f64; 3] = [0.003, 0.5, 20.0];
 
-/// Stretches of a stream, with those of a row or two among them; every third begins with a key.
+/// Numbers of rows of the stretches of a stream, some of one to three rows; every third stretch is a key.
 const LENGTHS: [usize; 8] = [31, 1, 20, 40, 2, 26, 17, 3];
 const KEYS: u32 = 0b0100_1001;
 const ROWS: usize = 140;
 
-/// All blocks keep the bound, the bytes are the same again, and a decoder that starts at a key agrees.
+/// Checks that all blocks keep the bound, that encoding again gives the same bytes, and that decoding may start at
+/// keys.
 pub(crate) fn stream(
     kind: &str,
     tolerance_mm: f64,
@@ -43,7 +44,7 @@ fn streams(group: impl Fn(&mut Random) -> Vec<Channel>) {
     }
 }
 
-/// A channel that is always seen.
+/// A channel without gaps.
 fn seen(position: impl FnMut(usize) -> Position) -> Channel {
     Channel { positions: (0..ROWS).map(position).collect(), present: vec![true; ROWS] }
 }
@@ -62,7 +63,7 @@ pub(crate) fn moved(by: Position, position: Position) -> Position {
     std::array::from_fn(|axis| position[axis] + by[axis])
 }
 
-/// Jumps of metres that stay: labels that were swapped. Some fall on the first row of a stretch.
+/// Lasting jumps of metres, as from swapped labels; some at the first row of a stretch.
 #[test]
 fn steps() {
     streams(|random| {
@@ -82,7 +83,7 @@ fn steps() {
     });
 }
 
-/// One row that is metres off: a reflection. In two channels they fall on stretch borders only.
+/// Single rows that are metres off, as from reflections; in two channels at the borders of stretches only.
 #[test]
 fn spikes_of_metres() {
     streams(|random| {
@@ -100,7 +101,7 @@ fn spikes_of_metres() {
     });
 }
 
-/// Markers at rest, where they are and where no rounding is exact; also with gaps, and beside others.
+/// Markers at rest, near and far from the origin, with gaps, and next to moving ones.
 #[test]
 fn constant_markers() {
     streams(|random| {
@@ -111,7 +112,7 @@ fn constant_markers() {
     });
 }
 
-/// No sample has a neighbour: nothing to interpolate, and many runs to begin.
+/// Runs of one sample each, which leave nothing to interpolate.
 #[test]
 fn runs_of_one_sample() {
     streams(|random| {
@@ -128,7 +129,7 @@ fn runs_of_one_sample() {
     });
 }
 
-/// Every other row, the channels in turn: a device that sends half of its markers in each frame.
+/// Channels present in alternate rows, as from a device that sends half of its markers in each frame.
 #[test]
 fn alternate_presence() {
     streams(|random| {
@@ -157,7 +158,7 @@ fn coordinates_of_10_km() {
     });
 }
 
-/// Numbers too small for a whole mantissa, zeros of both signs, and such axes beside those of a body.
+/// Denormal numbers and zeros of both signs, on all axes and next to normal coordinates.
 #[test]
 fn denormals() {
     streams(|random| {

@@ -1,4 +1,4 @@
-//! Bytes that no encoder wrote: an error or samples, never a panic, never unbounded work or memory.
+//! Bytes that no encoder wrote give an error or samples, never a panic, and never unbounded work or memory.
 
 use std::time::{Duration, Instant};
 
@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::{Channel, KINDS, cut, encode, motions::Random, settings};
 
-/// Decodes as the only block of a group and checks that whatever comes out is well formed.
+/// Decodes the only block of a group, checks that the result is well formed, and returns whether decoding succeeded.
 fn survive(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> bool {
     let settings = settings(kind, 0.5);
     let mut decoded = Vec::new();
@@ -34,7 +34,7 @@ fn every_truncation_and_every_changed_byte() {
             let block = encode(settings(kind, 0.5), &cut(&channels, &[75], 0)).remove(0);
             assert!(survive(kind, &block.bytes, &block.shared, 75));
             for len in 1..block.bytes.len() {
-                // Trailing zeros are not stored by the range coder: dense cannot tell every cut.
+                // The range coder drops trailing zeros, so `dense` does not detect every truncation.
                 let fine = survive(kind, &block.bytes[..len], &block.shared, 75);
                 assert!(!fine || kind == "dense", "{kind}: cut at {len}");
             }
@@ -55,7 +55,7 @@ fn every_truncation_and_every_changed_byte() {
             let mut longer = block.bytes.clone();
             longer.extend([1, 1]);
             let dense = kind == "dense";
-            assert!(!survive(kind, &longer, &block.shared, 75) || dense, "{kind}: bytes too many");
+            assert!(!survive(kind, &longer, &block.shared, 75) || dense, "{kind}: extra bytes");
             survive(kind, &block.bytes, &block.shared, 0);
             survive(kind, &block.bytes, &block.shared, 74);
             survive(kind, &block.bytes, &block.shared, 76);
@@ -63,22 +63,22 @@ fn every_truncation_and_every_changed_byte() {
     }
 }
 
-/// Heads that no encoder writes.
+/// Heads and presence sections that no encoder writes.
 #[test]
-fn heads_and_presence_that_cannot_be() {
+fn invalid_heads_and_presence_sections() {
     for (bytes, what) in [
-        (&[0x00, 0][..], "no number of channels behind a key"),
+        (&[0x00, 0][..], "no number of channels after a key"),
         (&[0x40, 0], "no channels"),
         (&[0x40, 65], "more channels than a group has"),
-        (&[0x40, 0x81, 0x00], "a number longer than it needs to be"),
+        (&[0x40, 0x81, 0x00], "a number that is not in its shortest form"),
         (&[0xc0, 1, 5, 0], "a section that is cut short"),
-        (&[0xc0, 1, 0], "a section that says that all are present"),
+        (&[0xc0, 1, 0], "a section that states that all rows are present"),
         (&[0xc0, 1, 1, 0xff], "one channel, and it has no sample"),
         (&[0x41, 1], "a lossless block that states an error"),
     ] {
         assert!(!survive("lossless", bytes, &[], 20), "{what}");
     }
-    // A channel more, of which there is nothing.
+    // One more channel, without any sample.
     let channels = [Channel::new("walk", "all", 1, 20), Channel::new("walk", "none", 1, 20)];
     let block = encode(settings("lossless", 0.5), &cut(&channels, &[20], 0)).remove(0);
     assert_eq!(block.bytes[..2], [0x40, 1]);
@@ -87,8 +87,8 @@ fn heads_and_presence_that_cannot_be() {
     assert!(!survive("lossless", &more, &[], 20));
 }
 
-/// The work goes with the rows and channels, not with what the bytes say: a bound for a hang, hundreds of
-/// times what such a block takes.
+/// Decoding time grows with the rows and channels, not with numbers in the bytes. The limit detects hangs: it is
+/// hundreds of times what such a block takes.
 #[test]
 fn no_bytes_take_long() {
     for kind in KINDS {
@@ -119,7 +119,7 @@ proptest! {
         survive(kind, &block, &shared, n_rows);
     }
 
-    /// Behind a head that is well formed, with and without presence.
+    /// Random bytes after a well-formed head, with and without a presence section.
     #[test]
     fn random_payloads(
         kind in proptest::sample::select(KINDS.to_vec()),

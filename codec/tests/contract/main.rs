@@ -1,4 +1,4 @@
-//! What every resampler promises, checked on generated motion, on hostile bytes and on real takes.
+//! The contract of every resampler, checked on generated motion, on hostile bytes and on recorded takes.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -18,7 +18,7 @@ mod takes;
 
 use mocapd_codec::{BlockReport, DecodedRows, Position, ResamplerKind, Rows, Settings, Tolerance};
 
-/// Every resampler by name.
+/// The names of all resamplers.
 const KINDS: [&str; 7] = [
     "dense",
     "fast",
@@ -56,7 +56,7 @@ impl Channel {
     }
 }
 
-/// One block's worth of a group.
+/// The channels of a group over the rows of one block.
 #[derive(Debug, Clone)]
 struct Stretch {
     channels: Vec<Channel>,
@@ -73,7 +73,8 @@ impl Stretch {
     }
 }
 
-/// A group cut into stretches of the given lengths; a key wherever `keys` has its bit, and first.
+/// Cuts a group into stretches of the given lengths. The first stretch is a key, and stretch `i` where bit `i` of
+/// `keys` is set.
 fn cut(channels: &[Channel], lengths: &[usize], keys: u32) -> Vec<Stretch> {
     let mut at = 0;
     lengths
@@ -90,7 +91,7 @@ fn cut(channels: &[Channel], lengths: &[usize], keys: u32) -> Vec<Stretch> {
         .collect()
 }
 
-/// One encoded block, with what the encoder said about it.
+/// One encoded block and the encoder's reports.
 #[derive(Debug, Clone, PartialEq)]
 struct Block {
     bytes: Vec<u8>,
@@ -105,7 +106,7 @@ fn settings(kind: &str, tolerance_mm: f64) -> Settings {
     }
 }
 
-/// Encodes all stretches of one group, each into exactly the room that was promised to be enough.
+/// Encodes all stretches of one group, each into a buffer of exactly `max_block_bytes`.
 fn encode(settings: Settings, stretches: &[Stretch]) -> Vec<Block> {
     let mut encoder = settings.encoder();
     stretches
@@ -118,8 +119,8 @@ fn encode(settings: Settings, stretches: &[Stretch]) -> Vec<Block> {
             let capacity = bytes.capacity();
             let mut reports = vec![BlockReport::default(); rows.len()];
             encoder.encode(&rows, &shared, stretch.key, &mut bytes, &mut reports).unwrap();
-            assert!(bytes.len() <= room, "{} bytes in a room of {room}", bytes.len());
-            assert_eq!(bytes.capacity(), capacity, "the room was outgrown on the way");
+            assert!(bytes.len() <= room, "{} bytes, but at most {room} are promised", bytes.len());
+            assert_eq!(bytes.capacity(), capacity, "the buffer grew while encoding");
             Block { bytes, shared, reports }
         })
         .collect()
@@ -136,7 +137,7 @@ fn decode_and_check(settings: Settings, stretches: &[Stretch], blocks: &[Block])
     }
 }
 
-/// Checks one decoded block against its samples and everything that was said about it.
+/// Checks one decoded block against its samples and the encoder's reports.
 fn check(settings: Settings, stretch: &Stretch, block: &Block, decoded: &[DecodedRows]) {
     assert_eq!(block.bytes.is_empty(), decoded.is_empty());
     assert!(decoded.len() <= stretch.channels.len());

@@ -1,4 +1,4 @@
-//! Everything that markers do, one after the other, in any order.
+//! Mixtures: different kinds of motion one after another in the same channel.
 
 use proptest::prelude::*;
 
@@ -8,7 +8,7 @@ use super::{
     motions::Random,
 };
 
-/// A stretch of motion, one thing after the other in the same channel.
+/// A part of a channel: kind of motion, whether it has gaps, seed, and number of rows.
 fn part() -> impl Strategy<Value = (u8, bool, u64, usize)> {
     (0..8_u8, any::<bool>(), any::<u64>(), 1..40_usize)
 }
@@ -43,7 +43,7 @@ fn anything(parts: &[(u8, bool, u64, usize)]) -> Channel {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// One after the other, in any order, at any tolerance, cut anywhere, keys anywhere.
+    /// Any sequence of parts, at any tolerance, with any stretches and keys.
     #[test]
     fn anything_after_anything(
         kind in proptest::sample::select(KINDS.to_vec()),

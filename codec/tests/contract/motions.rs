@@ -1,4 +1,4 @@
-//! Seeded motion of every kind that a rig has been seen to send, and some that it has not.
+//! Seeded motion and presence of every kind that rigs send, and of kinds that none has sent so far.
 
 use mocapd_codec::Position;
 
@@ -11,7 +11,7 @@ pub(crate) const MOTIONS: [&str; 10] = [
 pub(crate) const PRESENCES: [&str; 7] =
     ["all", "none", "alternate", "singles", "gaps", "late", "random"];
 
-/// A small generator (Knuth's MMIX constants): the same numbers everywhere.
+/// A small random generator (Knuth's MMIX constants) that gives the same numbers on every machine.
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
@@ -64,7 +64,7 @@ pub(crate) fn positions(motion: &str, seed: u64, n: usize) -> Vec<Position> {
                 "line" => [i as f32, -2.0 * i as f32, 0.5 * i as f32],
                 "extreme" => [f32::MAX, -f32::MAX, f32::MIN_POSITIVE]
                     .map(|v| if random.below(3) == 0 { v } else { random.signed() }),
-                _ => unreachable!("no motion is called {motion}"),
+                _ => unreachable!("unknown motion {motion}"),
             }
         })
         .collect()
@@ -85,7 +85,7 @@ pub(crate) fn presence(kind: &str, seed: u64, n: usize) -> Vec<bool> {
             }
             "late" => i > n / 2,
             "random" => random.below(2) == 0,
-            _ => unreachable!("no presence is called {kind}"),
+            _ => unreachable!("unknown presence {kind}"),
         })
         .collect()
 }

@@ -1,4 +1,4 @@
-//! Whole blocks that are good, where they do not belong.
+//! Valid blocks in the wrong place: missing, repeated, swapped, or from another take.
 
 use super::{
     Block, KINDS, check,
@@ -6,7 +6,7 @@ use super::{
     settings,
 };
 
-/// A block that is missing, comes twice, or comes in another's place.
+/// Missing, repeated and swapped blocks.
 #[test]
 fn blocks_out_of_order() {
     for kind in KINDS {
@@ -27,7 +27,7 @@ fn blocks_out_of_order() {
     }
 }
 
-/// The blocks of one resampler, or of another tolerance, given to another.
+/// The blocks of one resampler, decoded by another one with another tolerance.
 #[test]
 fn blocks_of_another_take() {
     for kind in KINDS {

@@ -1,8 +1,8 @@
-//! Which samples are there, and what that costs.
+//! The presence of samples, and its cost in bytes.
 
 use super::{Channel, Stretch, cut, decode_and_check, encode, motions::Random, settings};
 
-/// Bytes of the blocks beyond those of the same samples without gaps, which are at rest.
+/// Bytes of all blocks of `lossless`, 60 rows each, after checking that they decode.
 fn bytes(channels: &[Channel], n_rows: usize) -> usize {
     let stretches = cut(channels, &vec![60; n_rows / 60], 0);
     let blocks = encode(settings("lossless", 1.0), &stretches);
@@ -21,14 +21,14 @@ fn at_rest(n: usize, present: impl Fn(usize, usize) -> bool) -> Vec<Channel> {
 
 #[test]
 fn channels_that_never_change_cost_next_to_nothing() {
-    // Every channel of lossless takes bytes of its own: so only one of 64 is there.
+    // Every sampled channel of `lossless` takes bytes of its own, so only one of 64 has samples.
     let alone = bytes(&at_rest(1, |_, _| true), 600);
     let last = bytes(&at_rest(64, |i, _| i == 63), 600);
     assert!(last < alone + 40 + 20, "{alone} and {last} bytes");
 }
 
 #[test]
-fn what_channels_do_together_is_learnt() {
+fn gaps_that_channels_share_cost_less() {
     let together = at_rest(32, |_, row| row / 20 % 2 == 0);
     let apart = at_rest(32, |i, row| (row + 37 * i) / 20 % 2 == 0);
     let (together, apart) = (bytes(&together, 600), bytes(&apart, 600));
@@ -36,7 +36,7 @@ fn what_channels_do_together_is_learnt() {
 }
 
 #[test]
-fn noise_costs_hardly_more_than_a_bit_a_row() {
+fn random_presence_costs_hardly_more_than_a_bit_per_row() {
     let mut random = Random(5);
     let noise: Vec<Vec<bool>> =
         (0..16).map(|_| (0..600).map(|_| random.below(2) == 0).collect()).collect();

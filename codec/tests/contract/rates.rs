@@ -1,4 +1,4 @@
-//! The same motion at every rate: a codec knows rows, not hertz, and the bound holds at all of them.
+//! The same motion at every rate: the codec knows rows, not rates, and the bound holds at all rates.
 
 use mocapd_codec::Position;
 
@@ -7,7 +7,7 @@ use super::{
     hard::{KINDS, TOLERANCES_MM, seen_where, stream},
 };
 
-/// The same seconds of motion at a rate, the third channel a flickering one.
+/// `n_rows` rows of one motion at a rate; the third channel has many gaps.
 fn at_rate(rate_hz: u32, n_rows: usize) -> Vec<Channel> {
     let path = |phase: f64| -> Vec<Position> {
         let at = |row: usize| {
@@ -21,7 +21,7 @@ fn at_rate(rate_hz: u32, n_rows: usize) -> Vec<Channel> {
     vec![seen(0.0), seen(0.3), seen_where(seen(1.1), flicker)]
 }
 
-/// Every single one, with few rows: what a row is expected by is what depends on the rate.
+/// All rates, with few rows each: prediction alone depends on the rate.
 #[test]
 fn every_rate_from_1_to_10000_hz() {
     for rate_hz in 1..=10_000 {
@@ -31,7 +31,7 @@ fn every_rate_from_1_to_10000_hz() {
     }
 }
 
-/// And those that devices have, in the stretches of half a second that a recording has.
+/// The rates of devices, in the half-second stretches of a recording.
 #[test]
 fn usual_rates_in_whole_stretches() {
     for rate_hz in [1, 2, 15, 24, 25, 30, 50, 60, 100, 120, 200, 240, 333, 500, 1000, 2000, 10_000]

@@ -1,4 +1,4 @@
-//! Any motion, any gaps, any tolerance, any cut into blocks: the bound holds and all counts agree.
+//! Round trips: for any motion, gaps, tolerance and blocks the bound holds and all counts agree.
 
 use mocapd_codec::{BlockReport, CodecError, Position, Rows};
 use proptest::prelude::*;
@@ -66,7 +66,7 @@ proptest! {
         round_trip(kind, 10_f64.powf(exponent), &cut(&channels, &lengths, keys));
     }
 
-    /// Bit patterns as they come: whatever is finite is kept within the bound, whatever is not is refused.
+    /// Arbitrary bit patterns: finite samples keep the bound; the others are absent.
     #[test]
     fn any_bits(
         kind in proptest::sample::select(vec!["dense", "fast", "lossless", "spline", "sync"]),
@@ -82,7 +82,7 @@ proptest! {
 }
 
 #[test]
-fn a_sample_that_is_not_finite_is_refused_and_nothing_is_changed() {
+fn a_sample_that_is_not_finite_is_refused_and_changes_nothing() {
     for kind in KINDS {
         let settings = settings(kind, 0.5);
         let channels: Vec<_> = (0..3).map(|i| Channel::new("smooth", "all", i, 60)).collect();
@@ -105,15 +105,15 @@ fn a_sample_that_is_not_finite_is_refused_and_nothing_is_changed() {
         encoder.encode(&good[1].rows(), &shared[1], false, &mut out, &mut reports).unwrap();
         let expected: Vec<u8> =
             encode(settings, &good).into_iter().flat_map(|block| block.bytes).collect();
-        assert_eq!(out[3..], expected, "{kind}: the refused block left a trace");
-        // Where it is absent its bits do not matter.
+        assert_eq!(out[3..], expected, "{kind}: the refused block changed the state");
+        // The bits of an absent sample do not matter.
         bad.channels[2].present[17] = false;
         round_trip(kind, 0.5, &[Stretch { key: true, ..bad }]);
     }
 }
 
 #[test]
-fn one_plan_serves_channels_that_move_apart() {
+fn one_plan_serves_channels_with_different_motion() {
     let settings = settings("sync", 0.2);
     let channels: Vec<Channel> = ["smooth", "walk", "steps", "constant", "line"]
         .iter()
@@ -123,7 +123,7 @@ fn one_plan_serves_channels_that_move_apart() {
     let stretches = cut(&channels, &[300], 0);
     let blocks = encode(settings, &stretches);
     decode_and_check(settings, &stretches, &blocks);
-    // A channel that is stored as it is has no error at all.
+    // A raw channel would have no error at all.
     assert!(blocks[0].reports[1].max_error_mm > 0.0, "the plan holds for every channel");
     let rows = stretches[0].rows();
     let odd = Rows::new(&rows[0].positions()[..9], &[true; 9]).unwrap();
@@ -131,7 +131,7 @@ fn one_plan_serves_channels_that_move_apart() {
 }
 
 #[test]
-fn a_plan_of_other_samples_costs_bytes_but_not_the_bound() {
+fn a_plan_of_other_samples_keeps_the_bound() {
     let settings = settings("sync", 0.2);
     let walk = Channel::new("walk", "all", 5, 80);
     let (mut out, mut reports) = (Vec::new(), [BlockReport::default()]);
@@ -143,7 +143,7 @@ fn a_plan_of_other_samples_costs_bytes_but_not_the_bound() {
 }
 
 #[test]
-fn the_exhaustive_search_refuses_what_would_take_minutes() {
+fn the_exhaustive_search_refuses_long_runs() {
     let settings = settings("spline:exhaustive", 1.0);
     let long = Channel::new("line", "all", 1, 1025);
     let (mut out, mut reports) = (Vec::new(), [BlockReport::default()]);
@@ -152,7 +152,7 @@ fn the_exhaustive_search_refuses_what_would_take_minutes() {
     assert!(matches!(&error, CodecError::InvalidArgument(m) if m.contains("1024")), "{error}");
     assert!(out.is_empty());
     let fits = long.part(0..1024);
-    // What was refused half way leaves an encoder that must begin anew.
+    // After this error the encoder needs a key block.
     let next = encoder.encode(&[fits.rows()], &[], false, &mut out, &mut reports);
     assert_eq!(next, Err(CodecError::OutOfStep));
     assert!(encoder.encode(&[fits.rows()], &[], true, &mut out, &mut reports).is_ok());

@@ -1,4 +1,4 @@
-//! State across blocks: what it saves, that a key block forgets it, and that it is never lost in step.
+//! State across blocks: it saves bytes, a key block resets it, and encoder and decoder stay synchronised.
 
 use mocapd_codec::{BlockReport, CodecError};
 
@@ -19,7 +19,7 @@ fn a_decoder_may_start_at_any_key_block() {
             let settings = settings(kind, 0.5);
             let stretches = group(gaps, 4);
             let blocks = encode(settings, &stretches);
-            assert_eq!(blocks[4..], encode(settings, &stretches[4..]), "{kind}: a key remembers");
+            assert_eq!(blocks[4..], encode(settings, &stretches[4..]), "{kind}: keys keep state");
             decode_and_check(settings, &stretches[4..], &blocks[4..]);
         }
     }
@@ -37,7 +37,7 @@ fn state_saves_bytes() {
 }
 
 #[test]
-fn after_an_error_only_a_key_block_is_taken() {
+fn after_an_error_only_a_key_block_is_decoded() {
     for kind in LIVE {
         let settings = settings(kind, 0.5);
         let stretches = group("all", 5);
@@ -45,9 +45,9 @@ fn after_an_error_only_a_key_block_is_taken() {
         let mut decoder = settings.decoder();
         let mut decoded = Vec::new();
         decoder.decode(&blocks[0].bytes, &[], 60, true, &mut decoded).unwrap();
-        // A presence section that is cut short.
+        // A truncated presence section.
         assert!(decoder.decode(&[0x81, 9], &[], 60, false, &mut decoded).is_err());
-        assert!(decoded.is_empty(), "a failed block leaves rows behind");
+        assert!(decoded.is_empty(), "a failed block returns rows");
         let next = decoder.decode(&blocks[1].bytes, &[], 60, false, &mut decoded);
         assert_eq!(next, Err(CodecError::OutOfStep));
         decoder.decode(&blocks[5].bytes, &[], 60, true, &mut decoded).unwrap();
@@ -56,7 +56,7 @@ fn after_an_error_only_a_key_block_is_taken() {
 }
 
 #[test]
-fn stretches_without_a_sample_do_not_break_step() {
+fn stretches_without_samples_keep_encoder_and_decoder_synchronised() {
     for kind in LIVE {
         let settings = settings(kind, 1e-3);
         let mut stretches = group("all", 100);
@@ -90,8 +90,7 @@ fn markers_at_rest_cost_next_to_nothing() {
 }
 
 #[test]
-fn memory_that_was_prepared_is_enough() {
-    // That nothing is allocated is counted elsewhere; here, that it changes no byte.
+fn prepared_memory_does_not_change_the_bytes() {
     for kind in LIVE {
         let settings = settings(kind, 0.5);
         let stretches = group("gaps", 4);

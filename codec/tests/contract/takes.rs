@@ -1,10 +1,10 @@
-//! Real takes, where the folder in `MOCAPD_TAKES` has them.
+//! Recorded takes from the folder in `MOCAPD_TAKES`, where it is set.
 
 use mocapd_testkit::recorded::RecordedData;
 
 use super::{Channel, cut, decode_and_check, encode, settings};
 
-/// The CSV takes: `time` and then x, y, z of each marker in millimetres, all present.
+/// The channels of a CSV take: `time`, then x, y, z of each marker in millimetres, all present.
 fn csv_channels(text: &str) -> Vec<Channel> {
     let rows: Vec<Vec<f32>> = text
         .lines()
@@ -27,7 +27,7 @@ fn real_jumps_keep_the_bound_and_compress() {
     let channels = csv_channels(&std::fs::read_to_string(&path).unwrap());
     assert_eq!(channels.len(), 15);
     let n_rows = channels[0].present.len();
-    // Well below what each reaches: a broken predictor or model shows, small changes do not.
+    // Well below the ratios reached, so that only a broken predictor or model fails.
     for (kind, tolerance, least) in [
         ("dense", 1.0, 14.0),
         ("dense", 0.1, 5.0),
@@ -50,7 +50,7 @@ fn real_jumps_keep_the_bound_and_compress() {
     }
 }
 
-/// Equation 8 of (Shi et al. 2012) on a real forward jump at 60 Hz; falls only where knots are wasted.
+/// SR2, equation 8 of (Shi et al. 2012), on a recorded forward jump at 60 Hz; it falls when knots are wasted.
 #[test]
 fn the_published_measure_on_a_real_jump() {
     let Some(folder) = RecordedData::Takes.folder() else { return };

@@ -1,34 +1,40 @@
-//! The envelope of every message: `{version, type, payload, CRC-32}`, COBS, a closing 0x00.
+//! The envelope of every message: `{version, type, payload, CRC-32}` in COBS, ended by 0x00.
 
 use super::{ENVELOPE_BYTES, LINK_VERSION};
-use crate::{bytes::Wire, device::LinkCounters};
+use crate::{bytes::WireValue, device::LinkCounters};
 
-/// What became of a message whose checksum was right.
+/// Result of decoding a message whose checksum was correct.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Verdict {
-    /// Understood, and handed on.
+pub(super) enum DecodeOutcome {
+    /// Decoded and passed on.
     Decoded,
-    /// A known type whose payload cannot be one.
+    /// Known type, invalid payload.
     Damaged,
-    /// A type that this side does not know.
+    /// Type or version unknown to this end.
     Unknown,
 }
 
-/// Writes messages. Keeps its memory from one to the next.
+impl From<Option<()>> for DecodeOutcome {
+    fn from(decoded: Option<()>) -> Self {
+        if decoded.is_some() { Self::Decoded } else { Self::Damaged }
+    }
+}
+
+/// Encodes messages into envelopes. Reuses its memory from message to message.
 #[derive(Debug, Default)]
 pub(super) struct Framer {
     message: Vec<u8>,
 }
 
 impl Framer {
-    /// Starts a message; the payload is appended to what this gives.
+    /// Starts a message and returns the buffer to append the payload to.
     pub(super) fn open(&mut self, kind: u8) -> &mut Vec<u8> {
         self.message.clear();
         self.message.extend_from_slice(&[LINK_VERSION, kind]);
         &mut self.message
     }
 
-    /// Closes the message, and appends it to `out` as it goes on the wire.
+    /// Ends the message: appends its checksum and writes it to `out` in COBS with a closing 0x00.
     pub(super) fn close(&mut self, out: &mut Vec<u8>) {
         let crc = crc32fast::hash(&self.message);
         self.message.extend_from_slice(&crc.to_le_bytes());
@@ -39,26 +45,26 @@ impl Framer {
         out.push(0);
     }
 
-    /// A whole message at once.
-    pub(super) fn write(&mut self, kind: u8, payload: impl Wire, out: &mut Vec<u8>) {
+    /// Encodes a whole message.
+    pub(super) fn write(&mut self, kind: u8, payload: impl WireValue, out: &mut Vec<u8>) {
         payload.put(self.open(kind));
         self.close(out);
     }
 }
 
-/// Finds messages in bytes that arrive in pieces of any size, and counts what is none.
+/// Finds messages in a byte stream and counts the bytes that belong to none.
 #[derive(Debug)]
 pub(super) struct Deframer {
-    /// What arrived since the last 0x00.
+    /// Bytes since the last 0x00.
     pending: Vec<u8>,
     pending_bytes_max: usize,
-    /// What arrived since the last 0x00 was too long for a message, and is counted already.
+    /// The bytes since the last 0x00 exceed the longest message, and are already counted as skipped.
     overlong: bool,
     pub(super) counters: LinkCounters,
 }
 
 impl Deframer {
-    /// Keeps at most `wire_bytes_max` bytes, the closing 0x00 included.
+    /// Buffers at most `wire_bytes_max` bytes, the closing 0x00 included.
     pub(super) fn new(wire_bytes_max: usize) -> Self {
         Self {
             pending: Vec::with_capacity(wire_bytes_max),
@@ -68,23 +74,23 @@ impl Deframer {
         }
     }
 
-    /// `on_message` gets the type and the payload of every message whose checksum is right.
+    /// Splits `bytes` at 0x00 and calls `on_message` with type and payload of every message with a correct checksum.
     pub(super) fn push(
         &mut self,
         mut bytes: &[u8],
-        mut on_message: impl FnMut(u8, &[u8]) -> Verdict,
+        mut on_message: impl FnMut(u8, &[u8]) -> DecodeOutcome,
     ) {
         self.counters.bytes += bytes.len() as u64;
         while let Some(end) = bytes.iter().position(|&byte| byte == 0) {
             let (piece, rest) = bytes.split_at(end);
-            self.keep(piece);
+            self.buffer(piece);
             self.end_of_segment(&mut on_message);
             bytes = rest.get(1..).unwrap_or_default();
         }
-        self.keep(bytes);
+        self.buffer(bytes);
     }
 
-    fn keep(&mut self, piece: &[u8]) {
+    fn buffer(&mut self, piece: &[u8]) {
         if self.overlong {
             self.counters.bytes_skipped += piece.len() as u64;
         } else if self.pending.len() + piece.len() > self.pending_bytes_max {
@@ -96,8 +102,8 @@ impl Deframer {
         }
     }
 
-    /// Called at a 0x00.
-    fn end_of_segment(&mut self, on_message: &mut impl FnMut(u8, &[u8]) -> Verdict) {
+    /// Decodes the segment that a 0x00 ended.
+    fn end_of_segment(&mut self, on_message: &mut impl FnMut(u8, &[u8]) -> DecodeOutcome) {
         let wire_bytes = self.pending.len() as u64 + 1;
         if std::mem::take(&mut self.overlong) {
             self.counters.messages_damaged += 1;
@@ -107,16 +113,16 @@ impl Deframer {
         if self.pending.is_empty() {
             return;
         }
-        let verdict = match open(&mut self.pending) {
+        let outcome = match decode_segment(&mut self.pending) {
             Some((LINK_VERSION, kind, payload)) => on_message(kind, payload),
-            Some(_) => Verdict::Unknown,
-            None => Verdict::Damaged,
+            Some(_) => DecodeOutcome::Unknown,
+            None => DecodeOutcome::Damaged,
         };
         self.pending.clear();
-        match verdict {
-            Verdict::Decoded => self.counters.messages += 1,
-            Verdict::Unknown => self.counters.messages_unknown += 1,
-            Verdict::Damaged => {
+        match outcome {
+            DecodeOutcome::Decoded => self.counters.messages += 1,
+            DecodeOutcome::Unknown => self.counters.messages_unknown += 1,
+            DecodeOutcome::Damaged => {
                 self.counters.messages_damaged += 1;
                 self.counters.bytes_skipped += wire_bytes;
             }
@@ -124,8 +130,8 @@ impl Deframer {
     }
 }
 
-/// Version, type and payload, when the checksum is right.
-fn open(segment: &mut [u8]) -> Option<(u8, u8, &[u8])> {
+/// Returns version, type and payload when the COBS encoding and the checksum are valid.
+fn decode_segment(segment: &mut [u8]) -> Option<(u8, u8, &[u8])> {
     let n = cobs::decode_in_place(segment).ok()?;
     let message = segment.get(..n).filter(|message| message.len() >= ENVELOPE_BYTES)?;
     let (body, crc) = message.split_last_chunk::<4>()?;

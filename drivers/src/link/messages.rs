@@ -1,12 +1,12 @@
-//! The payloads of everything but frames, both ways.
+//! Encoding and decoding of all payloads except frames, in both directions.
 
 use super::{EncodeError, LABEL_BYTES_MAX, MARKERS_MAX, TEXT_BYTES_MAX};
 use crate::{
-    bytes::{Cursor, Wire, record},
+    bytes::{Cursor, WireValue, wire_struct},
     device::{Command, Hello, LinkBudget, MarkerInfo, Pong, Status, Trigger},
 };
 
-/// The type byte of every message.
+/// Type bytes of the messages.
 pub(super) mod kind {
     pub(in crate::link) const HELLO: u8 = 0x01;
     pub(in crate::link) const MARKERS: u8 = 0x02;
@@ -30,30 +30,31 @@ pub(super) mod kind {
 
 const LABELLED: u8 = 1;
 
-record!(Status { frames_produced, frames_dropped, temperature_c_100 });
-record!(Trigger { device_ticks, input, kind });
-record!(Pong { host_ns, device_ticks });
-record!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_mhz });
+wire_struct!(Status { frames_produced, frames_dropped, temperature_c_100 });
+wire_struct!(Trigger { device_ticks, input, kind });
+wire_struct!(Pong { host_ns, device_ticks });
+wire_struct!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_millihertz });
 
-/// What makes a Hello unusable: the same rule for the side that writes and the side that reads.
-fn hello_fault(hello: &Hello) -> Option<&'static str> {
+/// The reason why a Hello is invalid; sender and receiver apply the same rule.
+fn hello_error(hello: &Hello) -> Option<&'static str> {
+    let rates_millihertz = hello.rate_min_millihertz..=hello.rate_max_millihertz;
     if hello.tick_hz == 0 {
-        Some("tick_hz is 0; a clock must tick")
-    } else if hello.rate_mhz == 0 {
-        Some("rate_mhz is 0; give the rate that Start would run at")
-    } else if !(hello.rate_min_mhz..=hello.rate_max_mhz).contains(&hello.rate_mhz) {
-        Some("rate_mhz is outside rate_min_mhz..=rate_max_mhz")
+        Some("tick_hz is 0; give the ticks per second of the device clock")
+    } else if hello.rate_millihertz == 0 {
+        Some("rate_millihertz is 0; give the frame rate of the next Start")
+    } else if !rates_millihertz.contains(&hello.rate_millihertz) {
+        Some("rate_millihertz is not within rate_min_millihertz..=rate_max_millihertz")
     } else if hello.up_axis > 3 {
-        Some("up_axis is none of 0 (unknown), 1 (x), 2 (y), 3 (z)")
+        Some("up_axis is not one of 0 (unknown), 1 (x), 2 (y), 3 (z)")
     } else if usize::from(hello.markers_max) > MARKERS_MAX {
-        Some("markers_max is above the link's 10000")
+        Some("markers_max exceeds the link's limit of 10000")
     } else {
         None
     }
 }
 
 fn put_text(
-    what: &'static str,
+    field: &'static str,
     text: &str,
     bytes_max: usize,
     out: &mut Vec<u8>,
@@ -64,17 +65,17 @@ fn put_text(
             out.extend_from_slice(text.as_bytes());
             Ok(())
         }
-        _ => Err(EncodeError::Text { what, text: text.to_owned(), bytes_max }),
+        _ => Err(EncodeError::Text { field, text: text.to_owned(), bytes_max }),
     }
 }
 
 pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeError> {
-    if let Some(fault) = hello_fault(hello) {
-        return Err(EncodeError::Hello(fault));
+    if let Some(error) = hello_error(hello) {
+        return Err(EncodeError::Hello(error));
     }
-    for rate_mhz in [hello.rate_mhz, hello.rate_min_mhz, hello.rate_max_mhz] {
-        rate_mhz.put(out);
-    }
+    hello.rate_millihertz.put(out);
+    hello.rate_min_millihertz.put(out);
+    hello.rate_max_millihertz.put(out);
     hello.tick_hz.put(out);
     hello.up_axis.put(out);
     hello.markers_max.put(out);
@@ -84,12 +85,12 @@ pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeEr
     put_text("firmware", &hello.firmware, TEXT_BYTES_MAX, out)
 }
 
-/// Replaces `hello` by that of a message, in its memory. It is worth nothing after `None`.
+/// Decodes a Hello into `hello`, reusing its memory. After `None` its contents are unspecified.
 pub(super) fn get_hello(payload: &[u8], hello: &mut Hello) -> Option<()> {
     let mut cursor = Cursor::new(payload);
-    for rate_mhz in [&mut hello.rate_mhz, &mut hello.rate_min_mhz, &mut hello.rate_max_mhz] {
-        *rate_mhz = cursor.get()?;
-    }
+    hello.rate_millihertz = cursor.get()?;
+    hello.rate_min_millihertz = cursor.get()?;
+    hello.rate_max_millihertz = cursor.get()?;
     hello.tick_hz = cursor.get()?;
     hello.up_axis = cursor.get()?;
     hello.markers_max = cursor.get()?;
@@ -97,10 +98,10 @@ pub(super) fn get_hello(payload: &[u8], hello: &mut Hello) -> Option<()> {
     for text in [&mut hello.model, &mut hello.serial, &mut hello.firmware] {
         cursor.text(TEXT_BYTES_MAX)?.clone_into(text);
     }
-    cursor.end(()).filter(|()| hello_fault(hello).is_none())
+    cursor.end(()).filter(|()| hello_error(hello).is_none())
 }
 
-/// Bytes that a marker takes in a Markers message.
+/// Bytes of a marker in a Markers message.
 pub(super) fn marker_info_bytes(marker: &MarkerInfo) -> usize {
     2 + 1 + 1 + marker.label.len()
 }
@@ -111,8 +112,8 @@ pub(super) fn put_marker_info(marker: &MarkerInfo, out: &mut Vec<u8>) -> Result<
     put_text("label", &marker.label, LABEL_BYTES_MAX, out)
 }
 
-/// Writes the markers of a message over the first ones of `markers`, in their memory, and gives
-/// them. Those behind are of no meaning; they stay for the memory of their labels.
+/// Decodes a Markers message over the first entries of `markers`, reusing their memory, and returns them.
+/// The entries behind are stale; they only keep the memory of their labels.
 pub(super) fn get_markers<'a>(
     payload: &[u8],
     markers: &'a mut Vec<MarkerInfo>,
@@ -139,14 +140,14 @@ pub(super) fn get_markers<'a>(
     cursor.end(markers.get(..n)?)
 }
 
-/// `None` for a type that is no command, `Some(None)` for one whose payload cannot be one.
+/// Decodes a command: `None` for an unknown type, `Some(None)` for an invalid payload.
 pub(super) fn get_command(kind: u8, payload: &[u8]) -> Option<Option<Command>> {
     Some(match kind {
-        kind::IDENTIFY => Wire::whole(payload).map(|()| Command::Identify),
-        kind::START => Wire::whole(payload).map(|n| Command::Start { line_bytes_per_s: n }),
-        kind::STOP => Wire::whole(payload).map(|()| Command::Stop),
-        kind::SET_RATE => Wire::whole(payload).map(Command::SetRate),
-        kind::PING => Wire::whole(payload).map(|host_ns| Command::Ping { host_ns }),
+        kind::IDENTIFY => WireValue::decode(payload).map(|()| Command::Identify),
+        kind::START => WireValue::decode(payload).map(|n| Command::Start { line_bytes_per_s: n }),
+        kind::STOP => WireValue::decode(payload).map(|()| Command::Stop),
+        kind::SET_RATE => WireValue::decode(payload).map(Command::SetRate),
+        kind::PING => WireValue::decode(payload).map(|host_ns| Command::Ping { host_ns }),
         _ => return None,
     })
 }

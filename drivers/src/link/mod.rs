@@ -1,14 +1,14 @@
-//! The DVMC family: devices that speak the link protocol of `docs/link-protocol.md`. Both ends, sans-io.
+//! The DVMC family and the link protocol of `docs/link-protocol.md`: both ends, sans-io.
 //!
-//! No wire specification of the DVMC-8820 is public. The protocol is ours, in the style of such a
+//! The DVMC-8820 has no public wire specification. This protocol is mocapd's own, in the style of such a
 //! rig, and the simulator speaks it.
 
-mod ends;
+mod endpoints;
 mod envelope;
 mod frame;
 mod messages;
 
-pub use ends::{DeviceLink, HostLink};
+pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
 
 use crate::{
@@ -19,10 +19,10 @@ use crate::{
 pub(crate) const FAMILY: Family = Family {
     name: "dvmc",
     claims: |candidate| {
-        if candidate.is_called(|name| name.contains("dvmc") || name.contains("mocapd")) {
+        if candidate.name_matches(|name| name.contains("dvmc") || name.contains("mocapd")) {
             Claim::Certain
         } else if candidate.is_serial() {
-            // A rig behind a plain adapter cannot be told from anything else behind one.
+            // A plain adapter does not reveal what is behind it.
             Claim::Possible
         } else {
             Claim::No
@@ -31,42 +31,42 @@ pub(crate) const FAMILY: Family = Family {
     protocol: |_| Box::new(HostLink::new()),
 };
 
-// Every buffer of the link is bounded by one of these.
+// These constants bound every buffer of the link.
 
-/// The version byte that this build writes and reads.
+/// Protocol version that this build writes and reads.
 pub const LINK_VERSION: u8 = 1;
 
-/// Version, type and CRC-32 around every payload.
+/// Bytes around every payload: version, type and CRC-32.
 pub const ENVELOPE_BYTES: usize = 1 + 1 + 4;
 
-/// Markers in one frame, and in a device's table.
+/// Most markers in a frame, and in a device's table.
 ///
-/// Ten times the largest rigs known (a dense face or an unlabelled cloud is below 1000).
+/// Ten times the largest rigs known: a dense face or an unlabelled cloud stays below 1000.
 pub const MARKERS_MAX: usize = 10_000;
 
-/// Sequence number, ticks, flags, marker count, timecode.
+/// Longest frame header: sequence number, ticks, flags, marker count, timecode.
 pub const FRAME_HEADER_BYTES_MAX: usize = 4 + 8 + 1 + 2 + 4;
 
-/// Id, flags, residual, three 32-bit coordinates.
+/// Most bytes of a marker in a frame: id, flags, residual, three 32-bit coordinates.
 pub const MARKER_BYTES_MAX: usize = 2 + 1 + 1 + 3 * 4;
 
 /// The largest message before COBS: a frame of [`MARKERS_MAX`] markers, 160 025 bytes.
 pub const MESSAGE_BYTES_MAX: usize =
     ENVELOPE_BYTES + FRAME_HEADER_BYTES_MAX + MARKERS_MAX * MARKER_BYTES_MAX;
 
-/// The largest message on the wire, its closing 0x00 included: one more byte for every 254.
+/// The largest message on the wire with its closing 0x00: COBS adds one byte for every 254.
 pub const WIRE_BYTES_MAX: usize = wire_bytes(MESSAGE_BYTES_MAX);
 
-/// Bytes of a model, serial number or firmware version (UTF-8).
+/// Most bytes of a model, serial number or firmware version (UTF-8).
 pub const TEXT_BYTES_MAX: usize = 64;
 
-/// Bytes of a marker's label (UTF-8): its length is one byte.
+/// Most bytes of a marker's label (UTF-8): its length is one byte.
 pub const LABEL_BYTES_MAX: usize = 255;
 
-/// The longest Markers message before COBS; a table that needs more is sent in several.
+/// The longest Markers message before COBS. Longer tables are split.
 ///
-/// A marker takes 4 + 255 bytes at most, so at least three fit; a message of this size keeps the
-/// line for 3.5 ms at 3 Mbaud.
+/// A marker takes 4 + 255 bytes at most, so at least three fit. A message of this size occupies a line of
+/// 3 Mbaud for 3.5 ms.
 pub const MARKERS_MESSAGE_BYTES_MAX: usize = 1024;
 
 /// The longest run of consecutive ids in a compact frame: its length is one byte.
@@ -75,13 +75,13 @@ pub const RUN_MARKERS_MAX: usize = 255;
 /// The largest delta of a compact frame, in micrometres: i24 without the value that marks an escape.
 pub const DELTA_UM_MAX: i32 = (1 << 23) - 1;
 
-/// What a device keeps of bytes that may become a command.
+/// Size of a device's receive buffer for commands.
 ///
-/// The longest command of version 1 is Ping, 16 bytes on the wire. The rest is room for commands to
-/// come, so that an older device counts them as unknown and not as damage.
+/// The longest command of version 1 is Ping, 16 bytes on the wire. The rest is reserved for future
+/// commands, which an older device then counts as unknown and not as damage.
 pub const COMMAND_WIRE_BYTES_MAX: usize = 64;
 
-/// Bytes on the wire of a message of `message_bytes`, at most, its closing 0x00 included.
+/// Most bytes on the wire of a message of `message_bytes`, its closing 0x00 included.
 pub(crate) const fn wire_bytes(message_bytes: usize) -> usize {
     cobs::max_encoding_length(message_bytes) + 1
 }
@@ -89,70 +89,70 @@ pub(crate) const fn wire_bytes(message_bytes: usize) -> usize {
 const _: () = assert!(MESSAGE_BYTES_MAX == 160_025);
 const _: () = assert!(MARKERS_MESSAGE_BYTES_MAX >= ENVELOPE_BYTES + 2 + 3 * (4 + LABEL_BYTES_MAX));
 
-/// Why a message was not written. Nothing was appended to the output.
+/// Reasons why a message was not encoded. Nothing was appended to the output.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EncodeError {
-    /// More markers than a frame or a table may have.
-    #[error("{found} markers are more than the link's {max}; send fewer")]
+    /// The frame or table has too many markers.
+    #[error("{found} markers exceed the link's limit of {max}; send fewer")]
     TooManyMarkers {
-        /// In the frame or table.
+        /// Markers in the frame or table.
         found: usize,
         /// [`MARKERS_MAX`].
         max: usize,
     },
     /// A frame lists an id twice, or not in ascending order.
     #[error(
-        "marker {id} does not come after marker {previous}; sort a frame's markers by id, each once"
+        "marker {id} follows marker {previous}; sort a frame's markers by id, without duplicates"
     )]
     IdsNotAscending {
-        /// The one before.
+        /// Id before it.
         previous: u16,
-        /// The one that should have been larger.
+        /// Id that should have been larger.
         id: u16,
     },
-    /// A text is too long, or holds control characters.
-    #[error("{what} '{text}' cannot be sent: use at most {bytes_max} bytes and no control characters", text = text.escape_debug())]
+    /// A text is too long or contains control characters.
+    #[error("{field} '{text}' cannot be sent: use at most {bytes_max} bytes and no control characters", text = text.escape_debug())]
     Text {
         /// `label`, `model`, `serial` or `firmware`.
-        what: &'static str,
+        field: &'static str,
         /// The text.
         text: String,
-        /// What fits.
+        /// Most bytes that fit.
         bytes_max: usize,
     },
-    /// A Hello that no host could work with.
-    #[error("hello cannot be sent: {0}")]
+    /// The values of the Hello are invalid.
+    #[error("invalid hello: {0}")]
     Hello(&'static str),
 }
 
-/// Bytes a second that a budget keeps for messages that are no frames.
+/// Bytes per second that a link budget reserves for messages other than frames.
 ///
-/// A Status a second (26 bytes), ten Pongs (24 each) and thirty trigger edges (18 each) are 806;
+/// A Status (26 bytes), ten Pongs (24 each) and thirty trigger edges (18 each) per second are 806 bytes;
 /// the rest is for Markers that appear.
 pub const RESERVE_BYTES_PER_S: u64 = 1024;
 
-/// What frames of `frame_bytes` on the wire need at `rate_mhz`, what the line has, and the highest
-/// rate up to `rate_max_mhz` that fits, in millihertz (0 when none does).
+/// Computes the link budget of frames of `frame_bytes` on the wire at `rate_millihertz`, and the highest rate up
+/// to `rate_max_millihertz` that fits the line, in millihertz (0 when none does).
 ///
-/// `line_bytes_per_s` of 0 is a line without a limit.
+/// A `line_bytes_per_s` of 0 means a line without a limit.
 #[must_use]
 pub fn link_budget(
     frame_bytes: usize,
-    rate_mhz: u32,
-    rate_max_mhz: u32,
+    rate_millihertz: u32,
+    rate_max_millihertz: u32,
     line_bytes_per_s: u64,
 ) -> LinkBudget {
     let frame_bytes = u128::from(frame_bytes.max(1) as u64);
-    let needed = (frame_bytes * u128::from(rate_mhz)).div_ceil(1000);
+    let needed = (frame_bytes * u128::from(rate_millihertz)).div_ceil(1000);
     let needed = u64::try_from(needed).unwrap_or(u64::MAX).saturating_add(RESERVE_BYTES_PER_S);
     let available = if line_bytes_per_s == 0 { u64::MAX } else { line_bytes_per_s };
     let for_frames = u128::from(available.saturating_sub(RESERVE_BYTES_PER_S));
-    let fits_mhz = u32::try_from(for_frames * 1000 / frame_bytes).unwrap_or(u32::MAX);
+    let fits_millihertz = u32::try_from(for_frames * 1000 / frame_bytes).unwrap_or(u32::MAX);
     LinkBudget {
         needed_bytes_per_s: needed,
         available_bytes_per_s: available,
-        rate_fits_mhz: fits_mhz.min(rate_max_mhz),
+        rate_fits_millihertz: fits_millihertz.min(rate_max_millihertz),
     }
 }
 
@@ -161,10 +161,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rate_that_fits_fits_and_the_next_does_not() {
+    fn the_highest_fitting_rate_fits_and_the_next_does_not() {
         for line in [11_520u64, 92_160, 300_000, 1_200_000] {
             for frame_bytes in [64, 559, 2104] {
-                let fits = link_budget(frame_bytes, 1, u32::MAX, line).rate_fits_mhz;
+                let fits = link_budget(frame_bytes, 1, u32::MAX, line).rate_fits_millihertz;
                 assert!(link_budget(frame_bytes, fits, u32::MAX, line).fits());
                 assert!(!link_budget(frame_bytes, fits + 1, u32::MAX, line).fits());
             }
@@ -176,7 +176,7 @@ mod tests {
         for (n_markers, frame_bytes, rate_fits_hz) in [(40, 436, 685), (200, 2063, 144)] {
             assert_eq!(frame_bytes_in_volume(FrameForm::Compact, n_markers), frame_bytes);
             let budget = link_budget(frame_bytes, 60_000, 1_000_000, 300_000);
-            assert_eq!(budget.rate_fits_mhz / 1000, rate_fits_hz);
+            assert_eq!(budget.rate_fits_millihertz / 1000, rate_fits_hz);
         }
     }
 
@@ -185,13 +185,13 @@ mod tests {
         let budget = link_budget(160_657, 1_000_000, 1_000_000, 0);
         assert!(budget.fits());
         assert_eq!(budget.available_bytes_per_s, u64::MAX);
-        assert_eq!(budget.rate_fits_mhz, 1_000_000);
+        assert_eq!(budget.rate_fits_millihertz, 1_000_000);
     }
 
     #[test]
-    fn a_line_below_the_reserve_carries_nothing() {
+    fn a_line_below_the_reserve_fits_no_rate() {
         let budget = link_budget(100, 60_000, 1_000_000, 960);
         assert!(!budget.fits());
-        assert_eq!(budget.rate_fits_mhz, 0);
+        assert_eq!(budget.rate_fits_millihertz, 0);
     }
 }

@@ -1,25 +1,25 @@
-//! Which of these is which of those: the pairs whose costs add up to the least.
+//! The assignment problem: the pairs of rows and columns with the least sum of costs.
 //!
-//! With squared distances as costs that is the pairing that a motion which all share does not change: it
-//! adds the same to every way of pairing them. The method is Kuhn's and Munkres', one shortest
-//! augmenting path a row; rows that find their column free, as most do, cost one pass over the columns.
-//! 63 markers of a person over a slow line cost 0.1 ms a frame; 255 that are thrown at random into a cube
-//! of 60 cm anew each frame, the worst that was found, 16 to 32 ms, and their answer takes 34 ms on the
+//! With squared distances as costs, a motion that all points share does not change the optimal pairing: it
+//! adds the same amount to every pairing. The method is that of Kuhn and Munkres, with one shortest
+//! augmenting path per row; rows whose column is free, as most are, cost one pass over the columns.
+//! 63 markers of a person over a slow line take 0.1 ms a frame; 255 thrown at random into a cube
+//! of 60 cm anew each frame, the worst case found, 16 to 32 ms, while their reply takes 34 ms on the
 //! fastest line.
 
-/// A column, and what the search at hand knows of it.
+/// A column and its state in the current search.
 #[derive(Debug, Clone, Copy, Default)]
 struct Column {
-    /// The row that has it, from 1; 0: none.
+    /// The row assigned to it, counted from 1; 0 when free.
     row: usize,
     potential: f64,
-    /// The least reduced cost at which it was reached, and from which column.
-    least: f64,
+    /// The least reduced cost of reaching it, and the column before it on that path.
+    min_cost: f64,
     from: usize,
     visited: bool,
 }
 
-/// Memory for the search.
+/// Solver with reusable memory.
 #[derive(Debug)]
 pub(super) struct Assignment {
     potentials: Vec<f64>,
@@ -27,7 +27,7 @@ pub(super) struct Assignment {
 }
 
 impl Assignment {
-    /// For up to so many rows and columns, without allocating again.
+    /// Makes a solver that does not allocate for up to this many rows and columns.
     pub(super) fn new(rows_max: usize, columns_max: usize) -> Self {
         Self {
             potentials: Vec::with_capacity(rows_max + 1),
@@ -35,26 +35,26 @@ impl Assignment {
         }
     }
 
-    /// Pairs rows with columns. `cost` is infinite where the two do not fit; a row without a column
-    /// costs `alone`.
+    /// Assigns rows to columns. `cost` is infinite for pairs that are not allowed; a row without a column costs
+    /// `unassigned_cost`.
     pub(super) fn solve(
         &mut self,
         n_rows: usize,
         n_columns: usize,
-        alone: f64,
+        unassigned_cost: f64,
         cost: impl Fn(usize, usize) -> f64,
     ) {
         self.potentials.clear();
         self.potentials.resize(n_rows + 1, 0.0);
-        // Column 0 is where a search begins; behind those that are given each row has one of its own.
+        // Column 0 is the root of a search; behind the given columns each row has a private one.
         self.columns.clear();
         self.columns.resize(1 + n_columns + n_rows, Column::default());
         for row in 1..=n_rows {
-            self.place(row, &|row, column| {
+            self.augment(row, &|row, column| {
                 if column <= n_columns {
                     cost(row - 1, column - 1)
                 } else if column == n_columns + row {
-                    alone
+                    unassigned_cost
                 } else {
                     f64::INFINITY
                 }
@@ -63,34 +63,34 @@ impl Assignment {
         self.columns.truncate(1 + n_columns);
     }
 
-    /// Row and column of every pair, by column.
+    /// Row and column of every pair, in the order of columns.
     pub(super) fn pairs(&self) -> impl Iterator<Item = (usize, usize)> {
         let columns = self.columns.iter().skip(1).enumerate();
         columns.filter(|(_, column)| column.row > 0).map(|(index, column)| (column.row - 1, index))
     }
 
-    /// The cheapest way to give this row a column, others moving on where that costs less.
-    fn place(&mut self, row: usize, cost: &dyn Fn(usize, usize) -> f64) {
+    /// Assigns a column to this row along the shortest augmenting path, reassigning other rows where cheaper.
+    fn augment(&mut self, row: usize, cost: &dyn Fn(usize, usize) -> f64) {
         let Self { potentials, columns } = self;
         for column in columns.iter_mut() {
-            (column.least, column.visited) = (f64::INFINITY, false);
+            (column.min_cost, column.visited) = (f64::INFINITY, false);
         }
         columns[0].row = row;
-        let mut at = 0;
+        let mut current = 0;
         loop {
-            columns[at].visited = true;
-            let row = columns[at].row;
+            columns[current].visited = true;
+            let row = columns[current].row;
             let (mut step, mut next) = (f64::INFINITY, 0);
             for (index, column) in columns.iter_mut().enumerate().skip(1) {
                 if column.visited {
                     continue;
                 }
                 let reduced = cost(row, index) - potentials[row] - column.potential;
-                if reduced < column.least {
-                    (column.least, column.from) = (reduced, at);
+                if reduced < column.min_cost {
+                    (column.min_cost, column.from) = (reduced, current);
                 }
-                if column.least < step {
-                    (step, next) = (column.least, index);
+                if column.min_cost < step {
+                    (step, next) = (column.min_cost, index);
                 }
             }
             for column in columns.iter_mut() {
@@ -98,19 +98,19 @@ impl Assignment {
                     potentials[column.row] += step;
                     column.potential -= step;
                 } else {
-                    column.least -= step;
+                    column.min_cost -= step;
                 }
             }
-            at = next;
-            // There is always one: the row's own.
-            if columns[at].row == 0 {
+            current = next;
+            // A free column always exists: the row's private one.
+            if columns[current].row == 0 {
                 break;
             }
         }
-        while at != 0 {
-            let from = columns[at].from;
-            columns[at].row = columns[from].row;
-            at = from;
+        while current != 0 {
+            let from = columns[current].from;
+            columns[current].row = columns[from].row;
+            current = from;
         }
     }
 }
@@ -121,14 +121,14 @@ mod tests {
 
     use super::*;
 
-    /// The least sum there is, by trying everything.
-    fn least(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
+    /// The least sum of costs, by exhaustive search.
+    fn least_cost(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
         let Some(of_row) = costs.get(row) else { return 0.0 };
-        let mut best = alone + least(row + 1, costs, alone, taken);
+        let mut best = alone + least_cost(row + 1, costs, alone, taken);
         for (column, cost) in of_row.iter().enumerate() {
             if !taken[column] && cost.is_finite() {
                 taken[column] = true;
-                best = best.min(cost + least(row + 1, costs, alone, taken));
+                best = best.min(cost + least_cost(row + 1, costs, alone, taken));
                 taken[column] = false;
             }
         }
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn no_other_pairing_costs_less() {
+    fn the_sum_of_costs_is_minimal() {
         let mut random = Random::new(0x5EED);
         let mut assignment = Assignment::new(5, 6);
         for _ in 0..2000 {
@@ -150,7 +150,7 @@ mod tests {
             let pairs: Vec<_> = assignment.pairs().collect();
             let sum: f64 = pairs.iter().map(|(row, column)| costs[*row][*column]).sum();
             let sum = sum + alone * (n_rows - pairs.len()) as f64;
-            assert_eq!(sum, least(0, &costs, alone, &mut vec![false; n_columns]), "{costs:?}");
+            assert_eq!(sum, least_cost(0, &costs, alone, &mut vec![false; n_columns]), "{costs:?}");
             let mut rows: Vec<_> = pairs.iter().map(|(row, _)| *row).collect();
             rows.sort_unstable();
             rows.dedup();

@@ -1,19 +1,19 @@
-//! From a line of which nothing is known to a device whose tools are enabled.
+//! Bring-up: from a line in unknown state to a device with enabled tools.
 
 use super::{
     frame::{BX_REQUEST, BX2_REQUEST, STRAYS_MAX, TOOLS_MAX},
-    host::{MS, NdiHost, Outcome, State, Step, Task},
-    message::{BAUD_AT_RESET, BAUDS, checked, code, plain},
+    host::{HostState, MS, NdiHost, Outcome, PortStep, Task},
+    message::{BAUD_AT_RESET, BAUDS, code, with_crc, without_crc},
     strays,
 };
 use crate::{
     device::{Hello, MarkerInfo},
-    transport::turns::Order,
+    transport::polled::LineCommand,
 };
 
-/// How a device is looked for: `INIT:` at a speed, or a break (`None`). A device that is where a
-/// power-on leaves it answers the first; a break sets one back that another program left at any
-/// speed; the rest are for lines that carry no break. The commonest speeds come first.
+/// Steps of the search for the device: `INIT:` at a baud rate, or a break (`None`). A device in its power-on
+/// state replies to the first. A break resets one that another program left at any rate. The rest are for
+/// lines without break, the most common rates first.
 const SEARCH: [Option<u32>; 10] = [
     Some(BAUD_AT_RESET),
     None,
@@ -27,259 +27,254 @@ const SEARCH: [Option<u32>; 10] = [
     Some(14_400),
 ];
 
-/// How long `INIT:` may take while the speed is a guess, milliseconds; twice as long each time that all
-/// guesses were wrong, up to four times.
-const SEEK_MS: u64 = 200;
+/// Time-out of `INIT:` while the baud rate is a guess, in milliseconds. It doubles each time that all
+/// guesses failed, up to four times the value.
+const PROBE_TIMEOUT_MS: u64 = 200;
 
-/// How long a reset by break may take. The vendor's guide gives no bound; a Vicra needs less.
-const BREAK_MS: u64 = 1_500;
+/// Time-out of a reset by break. The vendor's guide states no bound; a Vicra needs less.
+const BREAK_TIMEOUT_MS: u64 = 1_500;
 
-/// How long a command of the bring-up may take: initializing a tool reads its memory.
-const ANSWER_MS: u64 = 2_000;
+/// Time-out of a bring-up command: initializing a tool reads its memory.
+const REPLY_TIMEOUT_MS: u64 = 2_000;
 
-/// Between two guesses.
-const SEEK_PAUSE_NS: u64 = 20 * MS;
+/// Pause between two guesses.
+const PROBE_PAUSE_NS: u64 = 20 * MS;
 
-/// How long the first answer at a new speed may take to begin.
-const CHECK_MS: u64 = 500;
+/// Time-out of the first reply at a new baud rate.
+const VERIFY_TIMEOUT_MS: u64 = 500;
 
-/// Characters of an answer that an error quotes.
-const SAID_CHARS: usize = 40;
+/// Most characters of a reply that an error quotes.
+const QUOTED_CHARS: usize = 40;
 
-/// How long device and adapter need for a new speed.
-const SETTLE_NS: u64 = 100 * MS;
+/// Settling time of device and adapter after a change of baud rate.
+const SETTLING_NS: u64 = 100 * MS;
 
-/// How often tools are looked for: initializing one may bring forth another on the same plug.
+/// Most rounds of initialization: initializing one tool can reveal another on the same plug.
 const ROUNDS_MAX: u32 = 4;
 
-/// What the vendor's guide gives as the rate of all but the fastest systems.
+/// Frame rate of all but the fastest systems, by the vendor's guide.
 const FRAME_HZ_DEFAULT: f64 = 60.0;
 
-/// Rates that are believed, in hertz.
-const FRAME_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
+/// Plausible frame rates, in hertz.
+const FRAME_HZ_RANGE: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
 
 impl NdiHost {
-    /// Looks for a device on a line on which nothing was said yet.
-    pub(super) fn seek_first(&mut self) {
-        self.state = State::BringUp;
+    /// Starts the search for the device on a newly opened line.
+    pub(super) fn start_search(&mut self) {
+        self.state = HostState::BringUp;
         self.rounds = 0;
-        self.seek(0);
+        self.probe(0);
     }
 
-    /// The device was lost: it may have been switched off and on, or be at another speed.
-    pub(super) fn seek_anew(&mut self) {
-        self.state = State::BringUp;
-        self.owed.hello = true;
-        self.owed.start = false;
-        self.owed.stop = false;
-        if self.run.is_sound() {
-            // A speed that failed before may have failed because the device was switched off.
-            self.ceiling = self.asked_for;
+    /// Restarts the search after losing the device: it may have been power-cycled, or be at another baud rate.
+    pub(super) fn restart_search(&mut self) {
+        self.state = HostState::BringUp;
+        self.todo.hello = true;
+        self.todo.start = false;
+        self.todo.stop = false;
+        if self.run.is_line_reliable() {
+            // A baud rate may have failed earlier because the device was switched off.
+            self.speed_max = self.speed_requested;
         }
-        self.run.lost();
+        self.run.reset_counts();
         (self.polls_lost, self.rounds) = (0, 0);
-        self.seek(0);
+        self.probe(0);
     }
 
-    fn seek(&mut self, step: usize) {
+    fn probe(&mut self, step: usize) {
         let round = step / SEARCH.len();
         match SEARCH[step % SEARCH.len()] {
             Some(baud) => {
                 self.set_baud(baud);
-                let patience_ms = SEEK_MS << round.min(2);
-                // What answers everything at once, and wrongly, must not make us spin.
-                let not_before_ns = self.desk.now_ns() + if step > 0 { SEEK_PAUSE_NS } else { 0 };
-                self.ask(Task::Seek(step), checked("INIT:"), patience_ms, not_before_ns);
+                let timeout_ms = PROBE_TIMEOUT_MS << round.min(2);
+                // A device that immediately gives wrong replies must not cause a busy loop.
+                let not_before_ns = self.line.now_ns() + if step > 0 { PROBE_PAUSE_NS } else { 0 };
+                self.request(Task::Probe(step), with_crc("INIT:"), timeout_ms, not_before_ns);
             }
             None => {
                 self.set_baud(BAUD_AT_RESET);
-                self.desk.order(Order::Break);
-                self.expect(Task::Break(step), BREAK_MS);
+                self.line.send(LineCommand::Break);
+                self.await_reply(Task::Break(step), BREAK_TIMEOUT_MS);
             }
         }
     }
 
     fn set_baud(&mut self, baud: u32) {
         self.baud = baud;
-        self.desk.order(Order::Baud(baud));
+        self.line.send(LineCommand::Baud(baud));
     }
 
-    fn ask_checked(&mut self, task: Task, text: &str) {
-        self.ask(task, checked(text), ANSWER_MS, 0);
+    fn send_text(&mut self, task: Task, text: &str) {
+        self.request(task, with_crc(text), REPLY_TIMEOUT_MS, 0);
     }
 
-    pub(super) fn brought_up(&mut self, task: Task, outcome: Outcome<'_>) {
+    pub(super) fn bring_up_reply(&mut self, task: Task, outcome: Outcome<'_>) {
         match (task, outcome) {
-            (Task::Seek(_), Outcome::Text("OKAY")) => self.faster(self.ceiling),
-            // It tracks for a host that was killed.
-            (Task::Seek(_), Outcome::Refused(code::WRONG_MODE)) if self.rounds == 0 => {
+            (Task::Probe(_), Outcome::Text("OKAY")) => self.set_speed(self.speed_max),
+            // It is still tracking for a host that was killed.
+            (Task::Probe(_), Outcome::Refused(code::WRONG_MODE)) if self.rounds == 0 => {
                 self.rounds += 1;
-                self.ask_checked(Task::Release, "TSTOP:");
+                self.send_text(Task::LeaveTracking, "TSTOP:");
             }
-            (Task::Release, _) => self.ask_checked(Task::Seek(0), "INIT:"),
-            (Task::Seek(_), Outcome::Refused(code)) => self.fail_refused("initialize itself", code),
-            (Task::Seek(step), _) => self.seek(step + 1),
+            (Task::LeaveTracking, _) => self.send_text(Task::Probe(0), "INIT:"),
+            (Task::Probe(_), Outcome::Refused(code)) => self.fail_code("initialize itself", code),
+            (Task::Probe(step), _) => self.probe(step + 1),
             (Task::Break(_), Outcome::Text("RESET")) => {
-                let not_before_ns = self.desk.now_ns() + SETTLE_NS;
-                self.ask(Task::Seek(0), checked("INIT:"), ANSWER_MS, not_before_ns);
+                let not_before_ns = self.line.now_ns() + SETTLING_NS;
+                self.request(Task::Probe(0), with_crc("INIT:"), REPLY_TIMEOUT_MS, not_before_ns);
             }
-            (Task::Break(step), _) => self.seek(step + 1),
-            (Task::Comm(place), Outcome::Text("OKAY")) => {
-                self.set_baud(BAUDS[place].0);
-                let not_before_ns = self.desk.now_ns() + SETTLE_NS;
-                self.ask(Task::Check, checked("VER:0"), CHECK_MS, not_before_ns);
+            (Task::Break(step), _) => self.probe(step + 1),
+            (Task::Comm(index), Outcome::Text("OKAY")) => {
+                self.set_baud(BAUDS[index].0);
+                let not_before_ns = self.line.now_ns() + SETTLING_NS;
+                self.request(Task::Verify, with_crc("VER:0"), VERIFY_TIMEOUT_MS, not_before_ns);
             }
-            (Task::Comm(place), Outcome::Refused(_)) => self.faster(place.saturating_sub(1)),
-            // Whatever it says of itself, its checksum was right.
-            (Task::Check | Task::Version, Outcome::Text(text)) => {
-                self.hello = hello(text);
-                self.ask_checked(Task::ApiRevision, "APIREV:");
+            (Task::Comm(index), Outcome::Refused(_)) => self.set_speed(index.saturating_sub(1)),
+            // The checksum was correct, so any text will do.
+            (Task::Verify | Task::Version, Outcome::Text(_) | Outcome::Refused(_)) => {
+                let text = if let Outcome::Text(text) = outcome { text } else { "NDI system" };
+                self.hello = parse_version(text);
+                self.send_text(Task::ApiRevision, "APIREV:");
             }
-            (Task::Check | Task::Version, Outcome::Refused(_)) => {
-                self.hello = hello("NDI system");
-                self.ask_checked(Task::ApiRevision, "APIREV:");
+            (Task::Comm(_) | Task::Verify, _) => {
+                // Device or adapter does not support that rate: start over with a lower maximum.
+                self.speed_max = self.speed_max.saturating_sub(1);
+                self.probe(1);
             }
-            (Task::Comm(_) | Task::Check, _) => {
-                // One of the two cannot run at that speed: back to the start, and no further up.
-                self.ceiling = self.ceiling.saturating_sub(1);
-                self.seek(1);
-            }
-            (_, Outcome::Silence) => self.seek_anew(),
+            (_, Outcome::Timeout) => self.restart_search(),
             (Task::ApiRevision, _) => {
                 self.bx2 = matches!(outcome, Outcome::Text(text) if has_bx2(text));
-                self.ask_checked(Task::FrameFrequency, "GET:Param.Tracking.Frame Frequency");
+                self.send_text(Task::FrameFrequency, "GET:Param.Tracking.Frame Frequency");
             }
             (Task::FrameFrequency, _) => {
-                let hz = value(outcome).and_then(|value| value.parse().ok());
-                let hz = hz.filter(|hz| FRAME_HZ.contains(hz)).unwrap_or(FRAME_HZ_DEFAULT);
-                self.hello.rate_mhz = (hz * 1000.0).round() as u32;
-                self.ask_checked(Task::TrackFrequency, "GET:Param.Tracking.Track Frequency");
+                let hz = parse_value(outcome).and_then(|value| value.parse().ok());
+                let hz = hz.filter(|hz| FRAME_HZ_RANGE.contains(hz)).unwrap_or(FRAME_HZ_DEFAULT);
+                self.hello.rate_millihertz = (hz * 1000.0).round() as u32;
+                self.send_text(Task::TrackFrequency, "GET:Param.Tracking.Track Frequency");
             }
             (Task::TrackFrequency, _) => {
-                // Every third, every second, or every frame is tracked.
-                self.divisor = match value(outcome) {
+                // The device tracks every third, every second, or every frame.
+                self.divisor = match parse_value(outcome) {
                     Some("0") => 3,
                     Some("1") => 2,
                     _ => 1,
                 };
-                self.list(Step::Free);
+                self.list_ports(PortStep::Free);
             }
             (Task::List(step), Outcome::Text(text)) => match handles(text) {
-                Some(handles) => self.listed(step, handles),
+                Some(handles) => self.handle_list(step, handles),
                 None => {
-                    let said: String = text.chars().take(SAID_CHARS).collect();
+                    let quoted: String = text.chars().take(QUOTED_CHARS).collect();
                     self.fail(format!(
-                        "the NDI system lists its ports as '{}', which is no list: update its firmware",
-                        said.escape_debug()
+                        "the NDI system returned an invalid port list '{}'; update its firmware",
+                        quoted.escape_debug()
                     ));
                 }
             },
-            (Task::Port(Step::Describe, handle), _) => {
-                // A tool that is not described is known by its port.
+            (Task::Port(PortStep::Describe, handle), _) => {
+                // A tool without a description is named after its port.
                 let info = if let Outcome::Text(text) = outcome { text } else { "" };
-                self.table.push(marker(handle, info, &self.table));
-                self.next_handle(Step::Describe);
+                self.table.push(tool_marker(handle, info, &self.table));
+                self.next_handle(PortStep::Describe);
             }
             (Task::Port(step, _), Outcome::Text(_)) => self.next_handle(step),
-            (task, Outcome::Refused(code)) => self.fail_refused(&what(task), code),
+            (task, Outcome::Refused(code)) => self.fail_code(&action_text(task), code),
             (Task::Start | Task::Poll | Task::Stop, Outcome::Text(_)) => {}
         }
     }
 
-    /// The highest speed up to a place in `BAUDS`, unless it is the one at hand.
-    fn faster(&mut self, place: usize) {
-        let (baud, digit) = BAUDS[place];
-        if baud == self.baud || place == 0 {
-            self.ask_checked(Task::Version, "VER:0");
+    /// Requests the baud rate at an index in `BAUDS`, unless it is the current one.
+    fn set_speed(&mut self, index: usize) {
+        let (baud, digit) = BAUDS[index];
+        if baud == self.baud || index == 0 {
+            self.send_text(Task::Version, "VER:0");
         } else {
-            self.ask_checked(Task::Comm(place), &format!("COMM:{digit}0000"));
+            self.send_text(Task::Comm(index), &format!("COMM:{digit}0000"));
         }
     }
 
-    fn listed(&mut self, step: Step, handles: Vec<u8>) {
+    fn handle_list(&mut self, step: PortStep, handles: Vec<u8>) {
         match step {
-            Step::Free => self.rounds = 0,
-            Step::Initialize => {
+            PortStep::Free => self.rounds = 0,
+            PortStep::Initialize => {
                 self.rounds += 1;
                 if handles.is_empty() || self.rounds > ROUNDS_MAX {
-                    self.list(Step::Enable);
-                    return;
+                    return self.list_ports(PortStep::Enable);
                 }
             }
-            Step::Enable => {}
-            Step::Describe => self.table.clear(),
+            PortStep::Enable => {}
+            PortStep::Describe => self.table.clear(),
         }
-        self.todo = handles;
-        // Taken from the end: in the device's order.
-        self.todo.reverse();
+        self.handles_left = handles;
+        // They are popped from the end, so in the device's order.
+        self.handles_left.reverse();
         self.next_handle(step);
     }
 
-    fn list(&mut self, step: Step) {
-        self.ask_checked(Task::List(step), &format!("PHSR:{:02X}", step as u8));
+    fn list_ports(&mut self, step: PortStep) {
+        self.send_text(Task::List(step), &format!("PHSR:{:02X}", step as u8));
     }
 
-    /// The next handle of a list, or the next list.
-    fn next_handle(&mut self, step: Step) {
-        if let Some(handle) = self.todo.pop() {
+    /// Processes the next handle of the list, or requests the next list.
+    fn next_handle(&mut self, step: PortStep) {
+        if let Some(handle) = self.handles_left.pop() {
             let text = match step {
-                Step::Free => format!("PHF:{handle:02X}"),
-                Step::Initialize => format!("PINIT:{handle:02X}"),
-                Step::Enable => format!("PENA:{handle:02X}D"),
-                Step::Describe => format!("PHINF:{handle:02X}0005"),
+                PortStep::Free => format!("PHF:{handle:02X}"),
+                PortStep::Initialize => format!("PINIT:{handle:02X}"),
+                PortStep::Enable => format!("PENA:{handle:02X}D"),
+                PortStep::Describe => format!("PHINF:{handle:02X}0005"),
             };
-            return self.ask_checked(Task::Port(step, handle), &text);
+            return self.send_text(Task::Port(step, handle), &text);
         }
         match step {
-            // Initializing may have brought forth more.
-            Step::Free | Step::Initialize => self.list(Step::Initialize),
-            Step::Enable => self.list(Step::Describe),
-            Step::Describe => self.ready(),
+            // Initializing can reveal more handles.
+            PortStep::Free | PortStep::Initialize => self.list_ports(PortStep::Initialize),
+            PortStep::Enable => self.list_ports(PortStep::Describe),
+            PortStep::Describe => self.finish_bring_up(),
         }
     }
 
-    fn ready(&mut self) {
+    fn finish_bring_up(&mut self) {
         if !self.bx2 && self.table.is_empty() {
-            // BX numbers frames by their tools: without one nobody could tell them apart.
-            self.fail("no tool is plugged into the NDI system, and its firmware numbers frames by their tools: plug one in".to_owned());
+            // BX carries frame numbers in its tool data: without a tool, frames have no number.
+            self.fail("no tool is plugged into the NDI system, whose firmware numbers frames only with one; plug one in".to_owned());
             return;
         }
         let hello = &mut self.hello;
-        let frame_mhz = hello.rate_mhz;
-        hello.rate_mhz = frame_mhz / self.divisor;
-        (hello.rate_min_mhz, hello.rate_max_mhz) = (hello.rate_mhz, hello.rate_mhz);
+        let frame_rate_millihertz = hello.rate_millihertz;
+        hello.rate_millihertz = frame_rate_millihertz / self.divisor;
+        (hello.rate_min_millihertz, hello.rate_max_millihertz) =
+            (hello.rate_millihertz, hello.rate_millihertz);
         // BX2 has a clock in nanoseconds; the clock of BX is the frame number.
-        hello.tick_hz = if self.bx2 { 1_000_000_000 } else { u64::from(frame_mhz) };
+        hello.tick_hz = if self.bx2 { 1_000_000_000 } else { u64::from(frame_rate_millihertz) };
         hello.markers_max = self.table.len() as u16 + STRAYS_MAX as u16;
-        self.poll = if self.bx2 { plain(BX2_REQUEST) } else { checked(BX_REQUEST) };
-        self.state = State::Ready;
-        self.farewell(false);
+        self.poll = if self.bx2 { without_crc(BX2_REQUEST) } else { with_crc(BX_REQUEST) };
+        self.state = HostState::Ready;
+        self.set_goodbye(false);
     }
 
-    /// The next host finds the device at the speed that it looks for first, and not tracking.
-    pub(super) fn farewell(&mut self, tracking: bool) {
-        let slower = self.baud != BAUD_AT_RESET;
-        let mut farewell = Vec::new();
-        farewell.extend(tracking.then(|| checked("TSTOP:")));
-        farewell.extend(slower.then(|| checked("COMM:00000")));
-        self.desk.order(Order::Farewell(farewell));
+    /// Sets the requests to send on closing, so that the next host finds the device at 9600 baud and stopped.
+    pub(super) fn set_goodbye(&mut self, tracking: bool) {
+        let stop = tracking.then(|| with_crc("TSTOP:"));
+        let reset_baud = (self.baud != BAUD_AT_RESET).then(|| with_crc("COMM:00000"));
+        self.line.send(LineCommand::Goodbye(stop.into_iter().chain(reset_baud).collect()));
     }
 }
 
 const _: () = assert!(strays::FIRST_ID as usize >= TOOLS_MAX);
 
-/// What a request was to do, for people.
-fn what(task: Task) -> String {
+/// Describes the purpose of a request in an error message.
+fn action_text(task: Task) -> String {
     match task {
-        Task::Port(Step::Free, handle) => format!("free port {handle:02X}"),
-        Task::Port(Step::Initialize, handle) => format!("initialize the tool in port {handle:02X}"),
-        Task::Port(Step::Enable, handle) => format!("enable the tool in port {handle:02X}"),
+        Task::Port(PortStep::Free, port) => format!("free port {port:02X}"),
+        Task::Port(PortStep::Initialize, port) => format!("initialize the tool in port {port:02X}"),
+        Task::Port(PortStep::Enable, port) => format!("enable the tool in port {port:02X}"),
         _ => "list its ports".to_owned(),
     }
 }
 
-/// The answer to `VER:0`: the first line is the model, others name serial number and firmware.
-fn hello(text: &str) -> Hello {
+/// Parses the reply to `VER:0`: the first line is the model, others name serial number and firmware.
+fn parse_version(text: &str) -> Hello {
     let field = |name: &str| {
         let found = text.lines().find_map(|line| line.trim().strip_prefix(name));
         found.unwrap_or_default().trim().to_owned()
@@ -292,7 +287,7 @@ fn hello(text: &str) -> Hello {
     }
 }
 
-/// `G.003.005`: `BX2` came with the Vega's third revision.
+/// Whether an API revision such as `G.003.005` has `BX2`, introduced with the Vega's third revision.
 fn has_bx2(revision: &str) -> bool {
     let mut parts = revision.split('.');
     let family = parts.next().unwrap_or_default();
@@ -300,21 +295,19 @@ fn has_bx2(revision: &str) -> bool {
     family >= "G" && major >= 3
 }
 
-/// The value in `Name=value`.
-fn value<'a>(outcome: Outcome<'a>) -> Option<&'a str> {
-    match outcome {
-        Outcome::Text(text) => text.split_once('=').map(|(_, value)| value.trim()),
-        Outcome::Refused(_) | Outcome::Silence => None,
-    }
+/// Extracts the value of `Name=value`.
+fn parse_value<'a>(outcome: Outcome<'a>) -> Option<&'a str> {
+    let Outcome::Text(text) = outcome else { return None };
+    text.split_once('=').map(|(_, value)| value.trim())
 }
 
-/// Handles in an answer to `PHSR`: a count, then a handle and a status each; `None` when it is none.
+/// Parses the reply to `PHSR`: a count, then handle and status of each; `None` when invalid.
 fn handles(text: &str) -> Option<Vec<u8>> {
     let (count, mut rest) = hex_byte(text)?;
     let mut handles = Vec::with_capacity(usize::from(count));
     for _ in 0..count {
         let (handle, after) = hex_byte(rest)?;
-        // Three digits of port status.
+        // Skip three digits of port status.
         rest = after.get(3..)?;
         handles.push(handle);
     }
@@ -326,12 +319,12 @@ fn hex_byte(text: &str) -> Option<(u8, &str)> {
     Some((u8::from_str_radix(digits, 16).ok()?, rest))
 }
 
-/// A tool as a marker, from the answer to `PHINF:hh0005`: its part number, or its serial number
-/// where it has none, or its port.
+/// Converts a tool to a marker, from the reply to `PHINF:hh0005`. The label is its part number, else its
+/// serial number, else its port.
 ///
-/// The answer: tool type (8), manufacturer (12), revision (3), serial number (8), port status (2),
+/// Fields of the reply: tool type (8), manufacturer (12), revision (3), serial number (8), port status (2),
 /// part number (20).
-fn marker(handle: u8, info: &str, others: &[MarkerInfo]) -> MarkerInfo {
+fn tool_marker(handle: u8, info: &str, others: &[MarkerInfo]) -> MarkerInfo {
     let field = |from: usize, to: usize| {
         let field = info.get(from..to).unwrap_or_default();
         field.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_owned()
@@ -355,7 +348,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn handles_of_an_answer() {
+    fn port_lists_parse_or_are_rejected() {
         assert_eq!(handles("00"), Some(vec![]));
         assert_eq!(handles("020A00103010"), Some(vec![0x0A, 0x03]));
         for bad in ["", "0", "01", "010A", "010A0100", "xx", "ZZ0A001", "01\u{e9}A001"] {
@@ -364,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn tools_get_names_of_their_own() {
+    fn tools_get_unique_labels() {
         let info =
             |serial: &str, part: &str| format!("02000000NDI         001{serial}31{part:<20}");
         let mut table: Vec<MarkerInfo> = Vec::new();
@@ -375,10 +368,10 @@ mod tests {
             (4, "12345678", "", "12345678"),
             (5, "00000000", "", "port 05"),
         ] {
-            let marker = marker(handle, &info(serial, part), &table);
+            let marker = tool_marker(handle, &info(serial, part), &table);
             assert_eq!((marker.id, marker.label.as_str()), (u16::from(handle), label));
             table.push(marker);
         }
-        assert_eq!(marker(0xFE, "UNOCCUPIED", &table).label, "port FE");
+        assert_eq!(tool_marker(0xFE, "UNOCCUPIED", &table).label, "port FE");
     }
 }

@@ -1,41 +1,41 @@
-//! What one answer to a poll shows, and the two forms in which it comes: `BX` and `BX2`.
+//! Parsing of the two kinds of poll replies, `BX` and `BX2`.
 
 use crate::{bytes::Cursor, device::MarkerSample};
 
-/// Below this a coordinate is the vendor's mark for "no number" (-3.697314e28).
+/// Coordinates below this are the vendor's marker for "no number" (-3.697314e28).
 const BAD_FLOAT: f32 = -3.0e28;
 
-/// Positions of stray markers in one frame that are told apart: what `BX` can count.
+/// Most stray markers of a frame that get numbers of their own: what `BX` can count.
 pub(super) const STRAYS_MAX: usize = 255;
 
-/// Tools that are told apart: port handles have 8 bits.
+/// Most tools: port handles have 8 bits.
 pub(super) const TOOLS_MAX: usize = 256;
 
-/// One frame; its memory is used again for the next.
+/// A parsed frame. Its memory is reused for the next.
 #[derive(Debug)]
-pub(super) struct Seen {
-    /// The device's frame number; `None` when the answer has no frame.
+pub(super) struct FrameData {
+    /// The device's frame number; `None` when the reply has no frame.
     pub(super) number: Option<u32>,
-    /// The device's time at exposure, nanoseconds; only `BX2` has it.
+    /// Device time at exposure in nanoseconds; `BX2` only.
     pub(super) time_ns: Option<u64>,
-    /// One entry a tool, by its port handle.
+    /// One sample per tool, with its port handle as id.
     pub(super) tools: Vec<MarkerSample>,
-    /// Markers that belong to no tool, millimetres, in the device's order.
+    /// Positions of markers that belong to no tool, in millimetres and in the device's order.
     pub(super) strays: Vec<[f32; 3]>,
-    /// Strays beyond [`STRAYS_MAX`].
-    pub(super) strays_beyond: usize,
-    /// Positions that were no numbers.
+    /// Number of strays beyond [`STRAYS_MAX`].
+    pub(super) strays_excess: usize,
+    /// Number of positions that were not finite.
     pub(super) not_finite: u64,
 }
 
-impl Seen {
+impl FrameData {
     pub(super) fn new() -> Self {
         Self {
             number: None,
             time_ns: None,
             tools: Vec::with_capacity(TOOLS_MAX),
             strays: Vec::with_capacity(STRAYS_MAX),
-            strays_beyond: 0,
+            strays_excess: 0,
             not_finite: 0,
         }
     }
@@ -45,12 +45,12 @@ impl Seen {
         self.time_ns = None;
         self.tools.clear();
         self.strays.clear();
-        self.strays_beyond = 0;
+        self.strays_excess = 0;
         self.not_finite = 0;
     }
 
-    /// The newest number of the parts counts for the whole.
-    pub(super) fn number(&mut self, number: u32, time_ns: Option<u64>) {
+    /// Sets the frame number. A frame in several parts has the newest of their numbers.
+    pub(super) fn set_number(&mut self, number: u32, time_ns: Option<u64>) {
         let newer = self.number.is_none_or(|known| number.wrapping_sub(known).cast_signed() > 0);
         if newer {
             self.number = Some(number);
@@ -58,8 +58,8 @@ impl Seen {
         }
     }
 
-    /// A tool: where its origin is, and how well its markers fit it, both in millimetres.
-    pub(super) fn tool(&mut self, handle: u8, found: Option<([f32; 3], f32)>) {
+    /// Adds a tool: position of its origin and fit error, both in millimetres, or `None` when it is not seen.
+    pub(super) fn push_tool(&mut self, handle: u8, found: Option<([f32; 3], f32)>) {
         if self.tools.len() >= TOOLS_MAX {
             return;
         }
@@ -70,21 +70,21 @@ impl Seen {
             Some((position_mm, error_mm)) => MarkerSample {
                 id,
                 occluded: false,
-                // 0 would say that no residual is given; a value that is no number becomes 0.
+                // 0 means that no residual is reported; NaN becomes 0.
                 residual_10um: (error_mm * 100.0).round().clamp(1.0, 255.0) as u8,
                 position_mm,
             },
         });
     }
 
-    pub(super) fn stray(&mut self, position_mm: [f32; 3]) {
+    pub(super) fn push_stray(&mut self, position_mm: [f32; 3]) {
         if !self.is_position(position_mm) {
             return;
         }
         if self.strays.len() < STRAYS_MAX {
             self.strays.push(position_mm);
         } else {
-            self.strays_beyond += 1;
+            self.strays_excess += 1;
         }
     }
 
@@ -95,48 +95,48 @@ impl Seen {
     }
 }
 
-// `BX`: one block for everything, in the order of port handles.
+// `BX`: a single block, in the order of port handles.
 
-/// Reply options: transforms and status (1), stray passive markers (0x1000). Without 0x0800 the
-/// device leaves out what lies outside its volume, where it vouches for no accuracy.
+/// Reply options: transforms and status (1), stray passive markers (0x1000). Without 0x0800 the device
+/// omits what lies outside its characterised volume, where its accuracy is not guaranteed.
 pub(super) const BX_REQUEST: &str = "BX:1001";
 
 const VALID: u8 = 1;
 const MISSING: u8 = 2;
 const DISABLED: u8 = 4;
 
-/// Bytes of a block with so many tools and strays.
+/// Bytes of a `BX` block with this many tools and strays.
 pub(super) const fn bx_block_bytes(tools: usize, strays: usize) -> usize {
     1 + tools * (2 + 8 * 4 + 4 + 4) + 1 + strays.div_ceil(8) + strays * (3 * 4) + 2
 }
 
-/// Reads the answer to [`BX_REQUEST`]; `None` when it is none.
-pub(super) fn read_bx(block: &[u8], seen: &mut Seen) -> Option<()> {
-    seen.clear();
+/// Parses the reply to [`BX_REQUEST`]; `None` when it is invalid.
+pub(super) fn read_bx(block: &[u8], frame: &mut FrameData) -> Option<()> {
+    frame.clear();
     let mut block = Cursor::new(block);
     for _ in 0..block.get::<u8>()? {
         let handle = block.get::<u8>()?;
         let status = block.get::<u8>()?;
         let found = match status {
             VALID => {
-                // The quaternion is not kept: see docs/ndi.md.
+                // Skip the quaternion, which takes do not store: see docs/ndi.md.
                 block.bytes(4 * 4)?;
                 let position_mm = block.get()?;
                 Some((position_mm, block.get()?))
             }
             MISSING => None,
-            // Nothing follows.
+            // No data follow.
             DISABLED => continue,
             _ => return None,
         };
         let _port_status = block.get::<u32>()?;
-        seen.number(block.get::<u32>()?, None);
-        seen.tool(handle, found);
+        frame.set_number(block.get::<u32>()?, None);
+        frame.push_tool(handle, found);
     }
     let n_strays = usize::from(block.get::<u8>()?);
     let _out_of_volume = block.bytes(n_strays.div_ceil(8))?;
     for _ in 0..n_strays {
-        seen.stray(block.get()?);
+        frame.push_stray(block.get()?);
     }
     let _system_status = block.get::<u16>()?;
     block.end(())
@@ -144,7 +144,7 @@ pub(super) fn read_bx(block: &[u8], seen: &mut Seen) -> Option<()> {
 
 // `BX2`: the General Binary Format, containers of components of items.
 
-/// Tools as 6D, markers that belong to none as 3D.
+/// Requests tools as 6D data, and markers that belong to none as 3D data.
 pub(super) const BX2_REQUEST: &str = "BX2 --6d=tools --3d=strays";
 
 const VERSION: u16 = 1;
@@ -153,33 +153,33 @@ const FRAME: u16 = 1;
 const DATA_6D: u16 = 2;
 const DATA_3D: u16 = 3;
 
-/// The handle under which strays are listed.
+/// Handle of the list of strays.
 const STRAYS_HANDLE: u16 = 0xFFFF;
 
-/// In the status of a 6D item: nothing follows.
+/// In the status of a 6D item: no data follow.
 const MISSING_6D: u16 = 0x0100;
 const CODE_6D: u16 = 0x00FF;
 
-/// In the status of a 3D item: nothing follows.
+/// In the status of a 3D item: no data follow.
 const MISSING_3D: u8 = 1;
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// Bytes of a block with so many tools and strays: a container, a frame with its item and container,
+/// Bytes of a `BX2` block with this many tools and strays: a container, a frame with its item and container,
 /// 6D items, a list of strays.
 pub(super) const fn bx2_block_bytes(tools: usize, strays: usize) -> usize {
     4 + 12 + 16 + 4 + 12 + tools * (4 + 8 * 4) + 12 + 4 + strays * (4 + 3 * 4)
 }
 
-/// Reads the answer to [`BX2_REQUEST`]; `None` when it is none.
-pub(super) fn read_bx2(block: &[u8], seen: &mut Seen) -> Option<()> {
-    seen.clear();
+/// Parses the reply to [`BX2_REQUEST`]; `None` when it is invalid.
+pub(super) fn read_bx2(block: &[u8], frame: &mut FrameData) -> Option<()> {
+    frame.clear();
     let mut block = Cursor::new(block);
     for _ in 0..container(&mut block)? {
         let Component { kind, items, mut body } = component(&mut block)?;
         if kind == FRAME {
             for _ in 0..items {
-                frame_item(&mut body, seen)?;
+                frame_item(&mut body, frame)?;
             }
             body.end(())?;
         }
@@ -187,7 +187,7 @@ pub(super) fn read_bx2(block: &[u8], seen: &mut Seen) -> Option<()> {
     block.end(())
 }
 
-/// The number of components.
+/// Parses the header of a container, and returns the number of components.
 fn container(from: &mut Cursor<'_>) -> Option<u16> {
     (from.get::<u16>()? == VERSION).then_some(())?;
     from.get()
@@ -209,19 +209,19 @@ fn component<'a>(from: &mut Cursor<'a>) -> Option<Component<'a>> {
     Some(Component { kind, items, body })
 }
 
-/// Passive, active and wireless tools have an item each, when there are such.
-fn frame_item(from: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
+/// Parses a frame item. Passive, active and wireless tools have one each, if there are any.
+fn frame_item(from: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     let _kind_and_sequence = from.get::<u16>()?;
     let _status = from.get::<u16>()?;
     let number = from.get::<u32>()?;
     let (seconds, ns) = (from.get::<u32>()?, from.get::<u32>()?);
-    seen.number(number, Some(u64::from(seconds) * SECOND_NS + u64::from(ns)));
+    frame.set_number(number, Some(u64::from(seconds) * SECOND_NS + u64::from(ns)));
     for _ in 0..container(from)? {
         let Component { kind, items, mut body } = component(from)?;
         match kind {
-            DATA_6D => data_6d(items, &mut body, seen)?,
-            DATA_3D => data_3d(items, &mut body, seen)?,
-            // Buttons, alerts, images: not kept.
+            DATA_6D => data_6d(items, &mut body, frame)?,
+            DATA_3D => data_3d(items, &mut body, frame)?,
+            // Buttons, alerts and images are not stored.
             _ => continue,
         }
         body.end(())?;
@@ -229,7 +229,7 @@ fn frame_item(from: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
     Some(())
 }
 
-fn data_6d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
+fn data_6d(items: u32, body: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     for _ in 0..items {
         let (handle, status) = (body.get::<u16>()?, body.get::<u16>()?);
         let mut found = None;
@@ -237,15 +237,15 @@ fn data_6d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
             body.bytes(4 * 4)?;
             let position_mm = body.get()?;
             let error_mm = body.get::<f32>()?;
-            // Any other code says what is doubtful about the position.
+            // Any other code states why the position is doubtful.
             found = (status & CODE_6D == 0).then_some((position_mm, error_mm));
         }
-        seen.tool(u8::try_from(handle).ok()?, found);
+        frame.push_tool(u8::try_from(handle).ok()?, found);
     }
     Some(())
 }
 
-fn data_3d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
+fn data_3d(items: u32, body: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     for _ in 0..items {
         let (handle, n_markers) = (body.get::<u16>()?, body.get::<u16>()?);
         for _ in 0..n_markers {
@@ -256,9 +256,9 @@ fn data_3d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
                 continue;
             }
             let position_mm = body.get()?;
-            // Out of volume, saturated, a possible phantom: the device does not vouch for these.
+            // Out of volume, saturated, possibly a phantom: the device does not vouch for these.
             if status == 0 && handle == STRAYS_HANDLE {
-                seen.stray(position_mm);
+                frame.push_stray(position_mm);
             }
         }
     }

@@ -1,10 +1,10 @@
-//! The host's end: what it knows of the device, and what it was asked for.
+//! The NDI protocol driver: its state, and the commands of the recorder.
 
 use super::{
-    frame::{STRAYS_MAX, Seen, TOOLS_MAX},
-    message::{BAUD_AT_RESET, REPLY_BYTES_MAX, at_most},
-    run::{Pace, Run},
-    strays::Strays,
+    frame::{FrameData, STRAYS_MAX, TOOLS_MAX},
+    message::{BAUD_AT_RESET, REPLY_BYTES_MAX, speed_at_most},
+    run::{PollPacer, TrackingRun},
+    strays::StrayTracker,
 };
 use crate::{
     device::{
@@ -13,91 +13,91 @@ use crate::{
     },
     transport::{
         Transport,
-        turns::{Desk, Request, TurnTransport, desk},
+        polled::{LineCommandSender, PolledTransport, Request, line_command_channel},
     },
 };
 
 pub(super) const MS: u64 = 1_000_000;
 
-/// The highest speed that is asked for when the URI gives none: what common adapters and the
-/// systems since the Polaris Spectra carry.
+/// Highest baud rate to try when the URI gives none: the one that common adapters and systems since the
+/// Polaris Spectra support.
 pub const BAUD_MAX_DEFAULT: u32 = 921_600;
 
-/// How long a host's ping waits for the bring-up to end. A host asks again after that, which gives
-/// tools that are slow to initialize the time they need.
-const PING_WAITS_NS: u64 = 4_000 * MS;
+/// Longest delay of a pong during bring-up. The host then repeats its request, which gives slow tools the
+/// time to initialize.
+const PING_WAIT_NS: u64 = 4_000 * MS;
 
-/// Who gets the events.
+/// Receiver of the decoded events.
 pub(super) type OnEvent<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
 
-/// What is done with port handles, in this order; the number is that of `PHSR` for the handles that wait for it.
+/// Steps of preparing port handles, in order. The number is the `PHSR` option that lists the handles due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Step {
+pub(super) enum PortStep {
     Free = 1,
     Initialize = 2,
     Enable = 3,
     Describe = 4,
 }
 
-/// What a request is for.
+/// Purpose of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Task {
-    /// Is anybody there? The step of the search.
-    Seek(usize),
-    /// A break was sent, and `RESET` should come.
+    /// Probe for a device, at a step of the search.
+    Probe(usize),
+    /// Wait for `RESET` after a break, at a step of the search.
     Break(usize),
-    /// Another speed, by its place in `BAUDS`.
+    /// Change of the baud rate, as an index in `BAUDS`.
     Comm(usize),
-    /// It must leave tracking before it can be initialized.
-    Release,
-    /// Does it answer at the new speed, and with what?
-    Check,
+    /// Stop tracking, which must precede initialization.
+    LeaveTracking,
+    /// Verify the new baud rate with a version request.
+    Verify,
     Version,
     ApiRevision,
     FrameFrequency,
     TrackFrequency,
-    /// Which handles is this to be done with?
-    List(Step),
-    /// Do it with one of them.
-    Port(Step, u8),
+    /// List the handles due for a step.
+    List(PortStep),
+    /// Perform a step for one handle.
+    Port(PortStep, u8),
     Start,
     Poll,
     Stop,
 }
 
-/// What became of a request.
+/// Outcome of a request.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Outcome<'a> {
     Text(&'a str),
     Refused(u8),
-    Silence,
+    Timeout,
 }
 
-/// A request that was sent and not answered.
+/// A request without a reply so far.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Asked {
+pub(super) struct Pending {
     pub(super) task: Task,
     pub(super) request: Request,
-    /// After so long without a byte it counts as silence.
-    pub(super) patience_ns: u64,
-    pub(super) tries: u32,
-    /// When it was sent, or its last byte came.
+    /// Time without a received byte after which the request has timed out.
+    pub(super) timeout_ns: u64,
+    pub(super) attempts: u32,
+    /// Time of the last activity: when the request was sent, or a byte arrived.
     pub(super) active_ns: u64,
 }
 
-/// After damage.
+/// Discards bytes after damage until the line is silent.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Drain {
     pub(super) since_ns: u64,
     pub(super) last_byte_ns: u64,
 }
 
-/// What the device is doing, as far as is known.
+/// State of the driver and its device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum State {
-    /// Nothing was asked yet, or it failed.
+pub(super) enum HostState {
+    /// Not started, or failed.
     Off,
-    /// Being found and set up.
+    /// Searching for the device and setting it up.
     BringUp,
     /// Set up, not tracking.
     Ready,
@@ -105,19 +105,19 @@ pub(super) enum State {
     Tracking,
 }
 
-/// A ping that waits for the bring-up.
+/// A ping whose reply waits for the end of the bring-up.
 #[derive(Debug, Clone, Copy)]
 struct Ping {
-    /// The host's time, which it gets back.
+    /// Host time of the ping, returned in the pong.
     host_ns: u64,
-    /// When it was first said, and the answers that had come by then.
-    said_ns: u64,
+    /// Time of the first such ping, and the number of valid replies until then.
+    received_ns: u64,
     messages: u64,
 }
 
-/// What the host asked for and has not got.
+/// Commands of the host that are not completed yet.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Owed {
+pub(super) struct PendingCommands {
     pub(super) hello: bool,
     pub(super) start: bool,
     pub(super) stop: bool,
@@ -125,155 +125,153 @@ pub(super) struct Owed {
     ping: Option<Ping>,
 }
 
-/// An NDI system as a [`Protocol`], sans-io.
+/// The [`Protocol`] of NDI systems, sans-io.
 #[derive(Debug)]
 pub struct NdiHost {
-    pub(super) desk: Desk,
-    pub(super) state: State,
-    pub(super) owed: Owed,
-    pub(super) asked: Option<Asked>,
+    pub(super) line: LineCommandSender,
+    pub(super) state: HostState,
+    pub(super) todo: PendingCommands,
+    pub(super) pending: Option<Pending>,
     pub(super) drain: Option<Drain>,
-    /// The bytes since the request, up to `REPLY_BYTES_MAX`.
+    /// Bytes received since the request, at most `REPLY_BYTES_MAX`.
     pub(super) reply: Vec<u8>,
     pub(super) counters: LinkCounters,
     pub(super) hello: Hello,
     pub(super) table: Vec<MarkerInfo>,
-    /// The line's speed now, and the place in `BAUDS` of the highest one to try.
+    /// Current baud rate, and the index in `BAUDS` of the highest to try.
     pub(super) baud: u32,
-    pub(super) ceiling: usize,
-    /// The same as it was asked for: one that failed lowers the ceiling, until the line is another one or has carried
-    /// [`FRAMES_SOUND`](super::run::FRAMES_SOUND) frames.
-    pub(super) asked_for: usize,
-    /// Handles that wait for their turn, and how often tools were asked for.
-    pub(super) todo: Vec<u8>,
+    pub(super) speed_max: usize,
+    /// Index in `BAUDS` of the requested highest baud rate. A failed rate lowers `speed_max`, until a reattach,
+    /// or until the line has carried [`RELIABLE_FRAMES`](super::run::RELIABLE_FRAMES) frames.
+    pub(super) speed_requested: usize,
+    /// Handles left to process in this step, and the number of rounds of initialization.
+    pub(super) handles_left: Vec<u8>,
     pub(super) rounds: u32,
     pub(super) bx2: bool,
-    /// Frame numbers from one tracked frame to the next.
+    /// Increment of the frame number from one tracked frame to the next.
     pub(super) divisor: u32,
     pub(super) poll: Request,
     pub(super) polls_lost: u32,
-    pub(super) pace: Pace,
-    pub(super) seen: Seen,
-    pub(super) strays: Strays,
+    pub(super) pacer: PollPacer,
+    pub(super) frame: FrameData,
+    pub(super) strays: StrayTracker,
     pub(super) samples: Vec<MarkerSample>,
-    pub(super) run: Run,
+    pub(super) run: TrackingRun,
 }
 
 impl NdiHost {
-    /// A device of which nothing is known, on a line that carries at most `baud_max`.
+    /// Makes a driver for a device in unknown state on a line of at most `baud_max` baud.
     #[must_use]
-    pub fn new(desk: Desk, baud_max: u32) -> Self {
+    pub fn new(line: LineCommandSender, baud_max: u32) -> Self {
         Self {
-            desk,
-            state: State::Off,
-            owed: Owed::default(),
-            asked: None,
+            line,
+            state: HostState::Off,
+            todo: PendingCommands::default(),
+            pending: None,
             drain: None,
             reply: Vec::with_capacity(REPLY_BYTES_MAX),
             counters: LinkCounters::default(),
             hello: Hello::default(),
             table: Vec::new(),
             baud: BAUD_AT_RESET,
-            ceiling: at_most(baud_max),
-            asked_for: at_most(baud_max),
-            todo: Vec::new(),
+            speed_max: speed_at_most(baud_max),
+            speed_requested: speed_at_most(baud_max),
+            handles_left: Vec::new(),
             rounds: 0,
             bx2: false,
             divisor: 1,
             poll: Request::default(),
             polls_lost: 0,
-            pace: Pace::default(),
-            seen: Seen::new(),
-            strays: Strays::new(),
+            pacer: PollPacer::default(),
+            frame: FrameData::new(),
+            strays: StrayTracker::new(),
             samples: Vec::with_capacity(TOOLS_MAX + STRAYS_MAX),
-            run: Run::default(),
+            run: TrackingRun::default(),
         }
     }
 
-    /// What the host asked for, as soon as it can be had.
-    fn settle(&mut self, on_event: OnEvent<'_>) {
-        if self.state == State::Ready && std::mem::take(&mut self.owed.hello) {
+    /// Completes pending commands of the host as soon as the state permits.
+    fn complete_commands(&mut self, on_event: OnEvent<'_>) {
+        if self.state == HostState::Ready && std::mem::take(&mut self.todo.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.table));
         }
-        if self.state == State::Ready && self.asked.is_none() {
-            if std::mem::take(&mut self.owed.stop) {
+        if self.state == HostState::Ready && self.pending.is_none() {
+            if std::mem::take(&mut self.todo.stop) {
                 on_event(DeviceEvent::EndOfStream(self.run.status()));
             }
-            if let Some(rate_mhz) = self.owed.set_rate.take() {
-                on_event(self.rate_answer(rate_mhz));
+            if let Some(rate_millihertz) = self.todo.set_rate.take() {
+                on_event(self.rate_reply(rate_millihertz));
             }
-            if std::mem::take(&mut self.owed.start) {
+            if std::mem::take(&mut self.todo.start) {
                 self.start();
             }
         }
-        let now_ns = self.desk.now_ns();
-        let Some(Ping { host_ns, said_ns, messages }) = self.owed.ping else { return };
-        let waited =
-            now_ns.saturating_sub(said_ns) > PING_WAITS_NS && self.counters.messages > messages;
-        if self.state == State::Ready || (self.state == State::BringUp && waited) {
-            self.owed.ping = None;
-            let device_ticks = self.run.ticks;
-            on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks }));
+        let Some(Ping { host_ns, received_ns, messages }) = self.todo.ping else { return };
+        let waited_ns = self.line.now_ns().saturating_sub(received_ns);
+        let waited = waited_ns > PING_WAIT_NS && self.counters.messages > messages;
+        if self.state == HostState::Ready || (self.state == HostState::BringUp && waited) {
+            self.todo.ping = None;
+            on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks: self.run.ticks }));
         }
     }
 
-    /// The rate is the device's own setting, which this driver reads and does not change.
-    fn rate_answer(&self, rate_mhz: u32) -> DeviceEvent<'static> {
-        if rate_mhz == self.hello.rate_mhz {
-            return DeviceEvent::RateSet(rate_mhz);
+    /// The reply to `SetRate`: the rate is a setting of the device, which this driver reads but never changes.
+    fn rate_reply(&self, rate_millihertz: u32) -> DeviceEvent<'static> {
+        if rate_millihertz == self.hello.rate_millihertz {
+            return DeviceEvent::RateSet(rate_millihertz);
         }
         DeviceEvent::Refused(LinkBudget {
             needed_bytes_per_s: 0,
             available_bytes_per_s: u64::MAX,
-            rate_fits_mhz: self.hello.rate_mhz,
+            rate_fits_millihertz: self.hello.rate_millihertz,
         })
     }
 }
 
 impl Protocol for NdiHost {
     fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
-        let (desk, orders) = desk();
-        self.desk = desk;
-        self.state = State::Off;
-        self.owed = Owed::default();
-        (self.asked, self.drain) = (None, None);
-        self.run = Run::default();
-        self.ceiling = self.asked_for;
-        Box::new(TurnTransport::new(line, orders))
+        let (sender, receiver) = line_command_channel();
+        self.line = sender;
+        self.state = HostState::Off;
+        self.todo = PendingCommands::default();
+        (self.pending, self.drain) = (None, None);
+        self.run = TrackingRun::default();
+        self.speed_max = self.speed_requested;
+        Box::new(PolledTransport::new(line, receiver))
     }
 
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
         self.counters.bytes += bytes.len() as u64;
         self.receive(bytes, on_event);
-        self.settle(on_event);
+        self.complete_commands(on_event);
     }
 
-    /// Nothing is appended: requests go over the desk, each in its turn.
+    /// Appends nothing: requests are line commands, sent one by one.
     fn command(&mut self, command: Command, _: &mut Vec<u8>) {
         match command {
             Command::Identify => {
-                self.owed.hello = true;
-                // A device that has said Hello is stopped.
-                self.owed.stop |= self.state == State::Tracking;
-                if self.state == State::Off {
-                    self.seek_first();
+                self.todo.hello = true;
+                // By contract a device is stopped after its Hello.
+                self.todo.stop |= self.state == HostState::Tracking;
+                if self.state == HostState::Off {
+                    self.start_search();
                 }
             }
-            Command::Start { .. } => self.owed.start = true,
+            Command::Start { .. } => self.todo.start = true,
             Command::Stop => {
-                self.owed.start = false;
-                self.owed.stop = matches!(self.state, State::Ready | State::Tracking);
+                self.todo.start = false;
+                self.todo.stop = matches!(self.state, HostState::Ready | HostState::Tracking);
             }
-            Command::SetRate(rate_mhz) => self.owed.set_rate = Some(rate_mhz),
-            // No command asks for the time: what a pong says is that the device is there, and while
-            // it tracks its frames say that.
-            Command::Ping { .. } if self.state == State::Tracking => {}
-            // Said again, it waits on.
-            Command::Ping { host_ns } if self.owed.ping.is_some_and(|p| p.host_ns == host_ns) => {}
+            Command::SetRate(rate_millihertz) => self.todo.set_rate = Some(rate_millihertz),
+            // The API has no request for the time. A pong only means that the device is present, which frames show
+            // while it tracks.
+            Command::Ping { .. } if self.state == HostState::Tracking => {}
+            // A repeated ping keeps its place.
+            Command::Ping { host_ns } if self.todo.ping.is_some_and(|p| p.host_ns == host_ns) => {}
             Command::Ping { host_ns } => {
-                let (said_ns, messages) = (self.desk.now_ns(), self.counters.messages);
-                self.owed.ping = Some(Ping { host_ns, said_ns, messages });
+                let (received_ns, messages) = (self.line.now_ns(), self.counters.messages);
+                self.todo.ping = Some(Ping { host_ns, received_ns, messages });
             }
         }
     }

@@ -1,7 +1,7 @@
-//! NDI Polaris and Vega systems over their Combined API on a serial line: `docs/ndi.md`.
+//! NDI Polaris and Vega optical trackers over their Combined API on a serial line: `docs/ndi.md`.
 //!
-//! The device answers, and never speaks unasked. [`NdiHost`] therefore leaves requests on a
-//! [desk](crate::transport::turns); who reads the line carries them out.
+//! The device only replies to requests. [`NdiHost`] therefore sends
+//! [line commands](crate::transport::polled), which the transport executes before the next read.
 
 mod assignment;
 mod bring_up;
@@ -15,12 +15,12 @@ mod tracking;
 
 pub use host::{BAUD_MAX_DEFAULT, NdiHost};
 pub use message::{
-    BAUD_AT_RESET, BAUDS, ReceivedRequest, RequestLine, code, crc16, put_binary, put_text,
+    BAUD_AT_RESET, BAUDS, ReceivedRequest, RequestReader, code, crc16, put_binary, put_text,
 };
 
 use crate::{
     family::{Claim, Family},
-    transport::turns::desk,
+    transport::polled::line_command_channel,
     uri::Location,
 };
 
@@ -28,19 +28,16 @@ pub(crate) const FAMILY: Family = Family {
     name: "ndi",
     claims: |candidate| {
         let is_ndi = |name: &str| name.contains("northern digital") || name.starts_with("ndi ");
-        match (candidate.is_serial(), candidate.is_called(is_ndi)) {
+        match (candidate.is_serial(), candidate.name_matches(is_ndi)) {
             (true, true) => Claim::Certain,
             (true, false) => Claim::Possible,
             (false, _) => Claim::No,
         }
     },
     protocol: |location| {
-        let asked_for = match location {
-            Location::Serial { baud, .. } => *baud,
-            Location::Usb { .. } => None,
-        };
-        // A desk for the time before there is a line: nobody takes its orders.
-        let (desk, _) = desk();
-        Box::new(NdiHost::new(desk, asked_for.unwrap_or(BAUD_MAX_DEFAULT)))
+        let baud = if let Location::Serial { baud, .. } = location { *baud } else { None };
+        // A sender without a receiver, until `attach` connects the protocol to a line.
+        let (sender, _) = line_command_channel();
+        Box::new(NdiHost::new(sender, baud.unwrap_or(BAUD_MAX_DEFAULT)))
     },
 };

@@ -1,142 +1,139 @@
-//! Which stray is which: a device lists them in any order, and says nothing of their identity.
+//! Tracking of stray markers, which a device lists in any order and without identity.
 //!
-//! Strays and the numbers of the frame before are paired so that the squares of the distances between
-//! where each is and where it would have moved on to are least in sum. Where the host fetches every
-//! frame that is the nearest one; where a slow line skips frames and everything has moved by more than
-//! markers are apart, it is still the right one, because a motion that all share changes no pairing.
-//! No pair is farther apart than a marker can stray in the time between the two frames. A number whose
-//! stray is gone is held for half a second, for one that comes back where it went; then it goes to the
-//! next that appears.
+//! The strays of a frame are matched to the numbers of the previous frame such that the sum of squared
+//! distances to their extrapolated positions is least. When the host fetches every frame, that is the
+//! nearest stray. When a slow line skips frames and everything has moved by more than the distance between
+//! markers, the match is still right, because a motion that all strays share changes no optimal pairing.
+//! No match is farther than a marker can move in the time between the two frames. The number of a
+//! stray that disappears is held for half a second, in case the stray reappears near the same place; then it
+//! goes to the next stray that appears.
 
 use super::{
     assignment::Assignment,
-    frame::{STRAYS_MAX, Seen},
+    frame::{FrameData, STRAYS_MAX},
 };
 use crate::device::MarkerSample;
 
-/// Ids of strays begin here; port handles are below.
+/// First id of strays; lower ids are port handles.
 pub(super) const FIRST_ID: u16 = 0x100;
 
-/// How fast a marker moves at most when it is first seen, in millimetres a second; and by how much its
-/// velocity changes from one frame to the next. A limb that hits the ground does less.
+/// Largest speed of a newly seen marker, and largest change of velocity from one frame to the next, in
+/// millimetres per second. A limb that hits the ground stays below.
 const SPEED_MAX_MM_S: f32 = 6_000.0;
 
-/// Two strays nearer to each other than this are not told apart by any optical system.
+/// Smallest gate in millimetres: no optical system separates two strays that are nearer to each other.
 const GATE_MIN_MM: f32 = 10.0;
 
-/// However many frames were skipped, no stray is looked for farther away, in millimetres: the greatest
-/// speed for 75 ms. A hand that moved on from there could as well be the other hand.
+/// Largest gate in millimetres, for any number of skipped frames: the greatest speed for 75 ms. A hand
+/// farther away could as well be the other hand.
 const GATE_MAX_MM: f32 = 450.0;
 
-/// How much of its velocity a marker is taken to keep over frames that were skipped: of 0.6 to 1 the part
-/// with which recorded motions, over slow lines, took the fewest numbers.
+/// Damping of the extrapolation over skipped frames: of 0.6 to 1 the value with the fewest new numbers for
+/// recorded motions over slow lines.
 const VELOCITY_KEPT: f32 = 0.8;
 
-/// How long a number is held, in seconds.
+/// Time for which the number of a missing stray is held, in seconds.
 const HOLD_S: f64 = 0.5;
 
-/// Numbers that are in use before those that are held are given away: the markers that a recorder
-/// keeps room for beside those announced.
-const NUMBERS_SOON: usize = 64;
+/// Numbers to use up before held ones are reassigned: the number of unannounced markers for which the
+/// recorder has room.
+const NUMBERS_PREFERRED: usize = 64;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Slot {
     position_mm: [f32; 3],
-    /// How far it moves in a frame, millimetres.
+    /// Displacement per frame, in millimetres.
     step_mm: [f32; 3],
-    /// Frames of the device for which it is still held; 0: free.
+    /// Device frames for which the number is still held; 0 when free.
     held: u32,
 }
 
-/// A number that a stray may have.
+/// Predicted position of a numbered stray, with the square of its gate.
 #[derive(Debug, Clone, Copy)]
-struct Expected {
+struct Prediction {
     slot: usize,
     position_mm: [f32; 3],
     gate2: f32,
 }
 
-/// The numbers in use.
+/// Assigns persistent numbers to strays.
 #[derive(Debug)]
-pub(super) struct Strays {
+pub(super) struct StrayTracker {
     slots: [Slot; STRAYS_MAX],
-    expected: Vec<Expected>,
+    predictions: Vec<Prediction>,
     assignment: Assignment,
     gate_mm: f32,
-    hold: u32,
+    hold_frames: u32,
 }
 
-impl Strays {
+impl StrayTracker {
     pub(super) fn new() -> Self {
         Self {
             slots: [Slot::default(); STRAYS_MAX],
-            expected: Vec::with_capacity(STRAYS_MAX),
+            predictions: Vec::with_capacity(STRAYS_MAX),
             assignment: Assignment::new(STRAYS_MAX, STRAYS_MAX),
             gate_mm: 0.0,
-            hold: 1,
+            hold_frames: 1,
         }
     }
 
-    /// No stray is known, and frames come at this rate.
+    /// Forgets all strays, and sets the frame rate.
     pub(super) fn restart(&mut self, rate_hz: f64) {
         self.slots = [Slot::default(); STRAYS_MAX];
         self.gate_mm = (SPEED_MAX_MM_S / rate_hz as f32).max(GATE_MIN_MM);
-        self.hold = (HOLD_S * rate_hz).ceil().max(1.0) as u32;
+        self.hold_frames = (HOLD_S * rate_hz).ceil().max(1.0) as u32;
     }
 
-    /// Appends the strays of a frame with their ids. The frame is so many after the last one given.
-    pub(super) fn number(&mut self, seen: &Seen, elapsed: u32, out: &mut Vec<MarkerSample>) {
+    /// Appends the strays of a frame with their ids. `elapsed` is the number of frames since the previous one.
+    pub(super) fn assign(&mut self, frame: &FrameData, elapsed: u32, out: &mut Vec<MarkerSample>) {
         let elapsed = elapsed.max(1);
-        let strays = seen.strays.as_slice();
-        self.pair(strays, elapsed);
-        let mut numbered = [false; STRAYS_MAX];
+        let strays = frame.strays.as_slice();
+        self.match_strays(strays, elapsed);
+        let mut has_number = [false; STRAYS_MAX];
         let mut taken = [false; STRAYS_MAX];
         for (stray, index) in self.assignment.pairs() {
-            let slot = self.expected[index].slot;
-            put(&mut self.slots[slot], slot, strays[stray], elapsed, self.hold, out);
-            (numbered[stray], taken[slot]) = (true, true);
+            let slot = self.predictions[index].slot;
+            fill_slot(&mut self.slots[slot], slot, strays[stray], elapsed, self.hold_frames, out);
+            (has_number[stray], taken[slot]) = (true, true);
         }
-        for (stray, _) in strays.iter().zip(numbered).filter(|(_, numbered)| !numbered) {
+        for (stray, _) in strays.iter().zip(has_number).filter(|(_, has_number)| !has_number) {
             match self.free_slot(&taken) {
                 Some(slot) => {
                     self.slots[slot] = Slot::default();
-                    put(&mut self.slots[slot], slot, *stray, elapsed, self.hold, out);
+                    fill_slot(&mut self.slots[slot], slot, *stray, elapsed, self.hold_frames, out);
                     taken[slot] = true;
                 }
-                None => beyond(*stray, out),
+                None => push_unnumbered(*stray, out),
             }
         }
-        for (slot, taken) in self.slots.iter_mut().zip(taken) {
-            if !taken {
-                // Where it went is not known: it is looked for where it was.
-                *slot =
-                    Slot { held: slot.held.saturating_sub(elapsed), step_mm: [0.0; 3], ..*slot };
-            }
+        for (slot, _) in self.slots.iter_mut().zip(taken).filter(|(_, taken)| !taken) {
+            // Its motion is unknown: search at its last position.
+            *slot = Slot { held: slot.held.saturating_sub(elapsed), step_mm: [0.0; 3], ..*slot };
         }
-        for _ in 0..seen.strays_beyond {
-            beyond([0.0; 3], out);
+        for _ in 0..frame.strays_excess {
+            push_unnumbered([0.0; 3], out);
         }
     }
 
-    /// The lowest number that is free; of those that a recorder has no room for, rather the one
-    /// that was held longest.
+    /// Chooses the lowest free number, or, rather than one for which a recorder has no room, the number that
+    /// has been held longest.
     fn free_slot(&self, taken: &[bool; STRAYS_MAX]) -> Option<usize> {
         let free = (0..STRAYS_MAX).find(|slot| !taken[*slot] && self.slots[*slot].held == 0);
-        if free.is_some_and(|slot| slot < NUMBERS_SOON) {
+        if free.is_some_and(|slot| slot < NUMBERS_PREFERRED) {
             return free;
         }
-        let held = (0..NUMBERS_SOON).filter(|slot| !taken[*slot]);
+        let held = (0..NUMBERS_PREFERRED).filter(|slot| !taken[*slot]);
         held.min_by_key(|slot| self.slots[*slot].held).or(free)
     }
 
-    /// Strays with the numbers that they keep.
-    fn pair(&mut self, strays: &[[f32; 3]], elapsed: u32) {
-        let Self { slots, expected, assignment, gate_mm, hold } = self;
+    /// Matches strays to the numbers that they keep.
+    fn match_strays(&mut self, strays: &[[f32; 3]], elapsed: u32) {
+        let Self { slots, predictions, assignment, gate_mm, hold_frames } = self;
         let far_mm = (*gate_mm * elapsed as f32).min(GATE_MAX_MM).max(*gate_mm);
-        expected.clear();
+        predictions.clear();
         for (slot, known) in slots.iter().enumerate().filter(|(_, known)| known.held > 0) {
-            // One that was hidden, or not looked at for too long, is looked for where it was.
-            let moves = known.held == *hold && elapsed <= *hold;
+            // A stray that was hidden, or not polled for too long, is searched at its last position.
+            let moves = known.held == *hold_frames && elapsed <= *hold_frames;
             let (ahead, gate_mm) = match (moves, elapsed) {
                 (false, _) => (0.0, *gate_mm),
                 (true, 1) => (1.0, *gate_mm),
@@ -144,12 +141,12 @@ impl Strays {
             };
             let position_mm =
                 std::array::from_fn(|axis| known.position_mm[axis] + known.step_mm[axis] * ahead);
-            expected.push(Expected { slot, position_mm, gate2: gate_mm * gate_mm });
+            predictions.push(Prediction { slot, position_mm, gate2: gate_mm * gate_mm });
         }
-        // Rather a new number than one from beyond the gate, and rather any in it than a new one.
-        let alone = f64::from(far_mm * far_mm);
-        assignment.solve(strays.len(), expected.len(), alone, |stray, index| {
-            let Expected { position_mm, gate2, .. } = expected[index];
+        // Prefer a new number to a match beyond the gate, and any match within it to a new number.
+        let new_number_cost = f64::from(far_mm * far_mm);
+        assignment.solve(strays.len(), predictions.len(), new_number_cost, |stray, index| {
+            let Prediction { position_mm, gate2, .. } = predictions[index];
             let distance2: f32 =
                 position_mm.iter().zip(strays[stray]).map(|(a, b)| (a - b) * (a - b)).sum();
             if distance2 <= gate2 { f64::from(distance2) } else { f64::INFINITY }
@@ -157,27 +154,27 @@ impl Strays {
     }
 }
 
-/// Gives the number of a slot to a stray.
-fn put(
+/// Assigns the number of a slot to a stray, and appends its sample.
+fn fill_slot(
     slot: &mut Slot,
     index: usize,
     position_mm: [f32; 3],
     elapsed: u32,
-    hold: u32,
+    hold_frames: u32,
     out: &mut Vec<MarkerSample>,
 ) {
-    let Slot { position_mm: before, held, .. } = *slot;
-    // One that was not there in the last frame has no speed that is known.
-    let there = held == hold;
+    let Slot { position_mm: previous_mm, held, .. } = *slot;
+    // The velocity of a stray that the previous frame did not show is unknown.
+    let was_seen = held == hold_frames;
     let step = |axis: usize| {
-        if there { (position_mm[axis] - before[axis]) / elapsed as f32 } else { 0.0 }
+        if was_seen { (position_mm[axis] - previous_mm[axis]) / elapsed as f32 } else { 0.0 }
     };
-    *slot = Slot { position_mm, step_mm: std::array::from_fn(step), held: hold };
+    *slot = Slot { position_mm, step_mm: std::array::from_fn(step), held: hold_frames };
     out.push(MarkerSample { id: FIRST_ID + index as u16, position_mm, ..Default::default() });
 }
 
-/// A stray for which there is no number: under one id for all, so that it is counted as dropped.
-fn beyond(position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
+/// Appends a stray without a number: they all share one id, so that the recorder counts them as dropped.
+fn push_unnumbered(position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
     let id = FIRST_ID + STRAYS_MAX as u16;
     out.push(MarkerSample { id, position_mm, ..MarkerSample::default() });
 }
@@ -186,16 +183,16 @@ fn beyond(position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
 mod tests {
     use super::*;
 
-    fn ids(strays: &mut Strays, positions: &[[f32; 3]]) -> Vec<u16> {
+    fn ids(strays: &mut StrayTracker, positions: &[[f32; 3]]) -> Vec<u16> {
         ids_after(strays, 1, positions)
     }
 
-    fn ids_after(strays: &mut Strays, elapsed: u32, positions: &[[f32; 3]]) -> Vec<u16> {
-        let mut seen = Seen::new();
-        positions.iter().for_each(|position| seen.stray(*position));
+    fn ids_after(strays: &mut StrayTracker, elapsed: u32, positions: &[[f32; 3]]) -> Vec<u16> {
+        let mut frame = FrameData::new();
+        positions.iter().for_each(|position| frame.push_stray(*position));
         let mut out = Vec::new();
-        strays.number(&seen, elapsed, &mut out);
-        // In the order of the list.
+        strays.assign(&frame, elapsed, &mut out);
+        // In the order of `positions`.
         positions
             .iter()
             .map(|p| out.iter().find(|sample| sample.position_mm == *p).unwrap().id - FIRST_ID)
@@ -204,7 +201,7 @@ mod tests {
 
     #[test]
     fn numbers_stay_with_their_strays() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let (a, b, c) = ([0.0, 0.0, 0.0], [300.0, 0.0, 0.0], [0.0, 300.0, 0.0]);
         assert_eq!(ids(&mut strays, &[a, b, c]), [0, 1, 2]);
@@ -221,26 +218,26 @@ mod tests {
     }
 
     #[test]
-    fn two_that_pass_each_other_keep_apart_when_each_moves_little() {
-        let mut strays = Strays::new();
+    fn passing_strays_keep_their_numbers_when_they_move_little() {
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         for frame in 0..100_u8 {
             let x = f32::from(frame) * 10.0;
-            let there = ids(&mut strays, &[[x, 0.0, 0.0], [1000.0 - x, 40.0, 0.0]]);
-            assert_eq!(there, [0, 1], "frame {frame}");
+            let numbers = ids(&mut strays, &[[x, 0.0, 0.0], [1000.0 - x, 40.0, 0.0]]);
+            assert_eq!(numbers, [0, 1], "frame {frame}");
         }
     }
 
     #[test]
-    fn more_than_can_be_numbered_are_given_all_the_same() {
-        let mut strays = Strays::new();
+    fn strays_beyond_the_numbers_share_one_id() {
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
-        let mut seen = Seen::new();
+        let mut frame = FrameData::new();
         for i in 0..300_u16 {
-            seen.stray([f32::from(i) * 50.0, 0.0, 0.0]);
+            frame.push_stray([f32::from(i) * 50.0, 0.0, 0.0]);
         }
         let mut out = Vec::new();
-        strays.number(&seen, 1, &mut out);
+        strays.assign(&frame, 1, &mut out);
         assert_eq!(out.len(), 300);
         assert_eq!(out.iter().filter(|s| usize::from(s.id - FIRST_ID) == STRAYS_MAX).count(), 45);
     }
@@ -251,8 +248,8 @@ mod tests {
     }
 
     #[test]
-    fn what_all_move_by_over_skipped_frames_changes_no_number() {
-        let mut strays = Strays::new();
+    fn a_shared_motion_over_skipped_frames_changes_no_number() {
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let all: Vec<u16> = (0..6).collect();
         // 2.4 m/s: 200 mm from one fetched frame to the next, twice the distance between two markers; no
@@ -260,38 +257,38 @@ mod tests {
         for (fetched, from_mm) in [0.0, 200.0, 400.0, 600.0].into_iter().enumerate() {
             assert_eq!(ids_after(&mut strays, 5, &row(from_mm)), all, "frame {fetched}");
         }
-        // They stop at once.
+        // They stop abruptly.
         assert_eq!(ids_after(&mut strays, 5, &row(600.0)), all);
         // The last one is hidden, and the others move on.
         assert_eq!(ids_after(&mut strays, 4, &row(650.0)[..5]), all[..5]);
     }
 
     #[test]
-    fn skipped_frames_glue_no_two_strays_together() {
-        let mut strays = Strays::new();
+    fn skipped_frames_do_not_merge_two_strays() {
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let (a, b) = ([0.0, 0.0, 0.0], [2000.0, 0.0, 0.0]);
         assert_eq!(ids(&mut strays, &[a, b]), [0, 1]);
-        // However long nobody looked, one stray is gone and another is there.
+        // After any number of skipped frames: one stray is gone, and another has appeared.
         for elapsed in [5, 20, 30] {
-            let mut strays = Strays { slots: strays.slots, ..Strays::new() };
-            (strays.gate_mm, strays.hold) = (100.0, 30);
+            let mut strays = StrayTracker { slots: strays.slots, ..StrayTracker::new() };
+            (strays.gate_mm, strays.hold_frames) = (100.0, 30);
             let other = [GATE_MAX_MM + 1.0, 0.0, 0.0];
             assert_eq!(ids_after(&mut strays, elapsed, &[other, b]), [2, 1], "{elapsed}");
         }
-        // Beyond half a second it is only the same where it was.
+        // After more than half a second it is the same only at its last position.
         let near = [150.0, 0.0, 0.0];
-        let mut later = Strays { slots: strays.slots, ..Strays::new() };
-        (later.gate_mm, later.hold) = (100.0, 30);
+        let mut later = StrayTracker { slots: strays.slots, ..StrayTracker::new() };
+        (later.gate_mm, later.hold_frames) = (100.0, 30);
         assert_eq!(ids_after(&mut later, 31, &[near, b]), [2, 1]);
-        // One that was hidden in the last fetched frame is not looked for farther away than before.
+        // A stray that was hidden in the last fetched frame is not searched farther away than before.
         assert_eq!(ids_after(&mut strays, 5, &[b]), [1]);
         assert_eq!(ids_after(&mut strays, 5, &[near, b]), [2, 1]);
     }
 
     #[test]
     fn a_number_is_held_for_half_a_second_of_the_device() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let (a, b, far) = ([0.0; 3], [2000.0, 0.0, 0.0], [900.0; 3]);
         assert_eq!(ids(&mut strays, &[a, b]), [0, 1]);

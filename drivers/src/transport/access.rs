@@ -1,5 +1,5 @@
-//! Whether a device file may be opened, found out without opening it: opening a port raises DTR,
-//! and that resets some devices.
+//! Checks whether a device file can be opened, without opening it: opening a port raises DTR, which
+//! resets some devices.
 
 use std::{fs, os::unix::fs::MetadataExt, path::Path};
 
@@ -7,16 +7,16 @@ use rustix::fs::{Access as Want, major, minor};
 
 use super::TransportError;
 
-/// What opening would meet.
+/// Result of checking access to a device.
 #[derive(Debug)]
 pub enum Access {
-    /// Nothing in the way, as far as can be seen from outside.
+    /// Nothing visible from outside prevents opening.
     Accessible,
-    /// The error that opening would give.
+    /// The error that opening would return.
     Refused(TransportError),
 }
 
-/// Looks at a device file.
+/// Checks existence, permission and lock of a device file.
 #[must_use]
 pub fn access(path: &Path) -> Access {
     let device = path.display().to_string();
@@ -33,13 +33,13 @@ pub fn access(path: &Path) -> Access {
     }
 }
 
-/// What to type so that the user may open `path`.
+/// The command that gives the user permission to open `path`.
 pub(super) fn permission_remedy(path: &Path) -> String {
-    let by_rule = || "install mocapd's udev rules, or ask who administers this machine".to_owned();
+    let by_rule = || "install mocapd's udev rules, or ask your administrator".to_owned();
     group_remedy(path).unwrap_or_else(by_rule)
 }
 
-/// How to join the group that may open `path`; `None` where no group but root's may.
+/// The command to join the group that may open `path`; `None` if only root's group may.
 pub(super) fn group_remedy(path: &Path) -> Option<String> {
     const GROUP_READ_WRITE: u32 = 0o060;
     let metadata = fs::metadata(path).ok()?;
@@ -51,7 +51,7 @@ pub(super) fn group_remedy(path: &Path) -> Option<String> {
     Some(format!("`sudo usermod -aG {group} $USER`, then log in again"))
 }
 
-/// The name of a group in the text of /etc/group (`name:password:gid:members`).
+/// Finds the name of a group in the text of /etc/group (`name:password:gid:members`).
 fn group_name(groups: &str, gid: u32) -> Option<&str> {
     groups.lines().find_map(|line| {
         let mut fields = line.split(':');
@@ -60,8 +60,8 @@ fn group_name(groups: &str, gid: u32) -> Option<&str> {
     })
 }
 
-/// Who holds a file lock on `path`, as every program that opens serial ports through the serialport
-/// crate, picocom or tio does.
+/// The program that holds a file lock on `path`. Programs that use the serialport crate, picocom and tio
+/// lock the ports that they open.
 pub(super) fn holder(path: &Path) -> Option<String> {
     let metadata = fs::metadata(path).ok()?;
     let locks = fs::read_to_string("/proc/locks").ok()?;
@@ -75,7 +75,7 @@ pub(super) fn holder(path: &Path) -> Option<String> {
     })
 }
 
-/// The process of a lock in the text of /proc/locks
+/// Finds the process that holds a lock in the text of /proc/locks
 /// (`1: FLOCK  ADVISORY  WRITE 1234 00:05:678 0 EOF`, `proc_locks(5)`).
 fn lock_owner(locks: &str, file: &str) -> Option<u32> {
     locks.lines().find_map(|line| {
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_locked_file_names_its_holder() {
+    fn access_to_a_locked_file_names_the_holder() {
         let file = tempfile::NamedTempFile::new().unwrap();
         assert!(matches!(access(file.path()), Access::Accessible));
         file.as_file().lock().unwrap();
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn names_the_group_to_join_when_it_would_help() {
+    fn names_the_group_to_join_where_membership_gives_permission() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let remedy = permission_remedy(file.path());
         assert!(remedy.contains("udev"), "{remedy}");

@@ -1,28 +1,28 @@
-//! How bytes reach a device: serial lines and USB bulk endpoints.
+//! Transports: byte streams to devices over serial lines and USB bulk endpoints.
 
 mod access;
+pub mod polled;
 pub mod serial;
 mod tty;
-pub mod turns;
 pub mod usb;
 
 use std::{fmt::Debug, io, time::Duration};
 
 pub use access::{Access, access};
 
-/// How long a read waits for the first byte.
+/// Time-out of a read that waits for its first byte.
 ///
-/// Short enough that a reader thread sees a request to stop within one frame at 60 Hz and a bit.
+/// Short enough for a reader thread to notice a stop request within about one frame at 60 Hz.
 pub const READ_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// How long a write waits for a device that takes no bytes. Commands are 16 bytes: a device that
-/// has no room for them for a whole second does not read.
+/// Time-out of a write to a device that accepts no bytes. Commands have 16 bytes: a device that cannot
+/// accept one for a whole second does not read.
 pub const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// A byte stream to a device and back.
+/// A bidirectional byte stream to a device.
 pub trait Transport: Send + Debug {
-    /// Reads what there is, up to `buf.len()` bytes, waiting [`READ_TIMEOUT`] for the first.
-    /// `Ok(0)`: nothing yet.
+    /// Reads the available bytes, at most `buf.len()`, and waits up to [`READ_TIMEOUT`] for the first.
+    /// `Ok(0)` means that none arrived in that time.
     ///
     /// # Errors
     /// `Disconnected` when the device is gone; `Io`.
@@ -31,11 +31,11 @@ pub trait Transport: Send + Debug {
     /// Writes all of `bytes`.
     ///
     /// # Errors
-    /// `Disconnected` when the device is gone; `Stuck` when it took no bytes for [`WRITE_TIMEOUT`]; `Io`.
+    /// `Disconnected` when the device is gone; `Stuck` when it accepted no bytes for [`WRITE_TIMEOUT`]; `Io`.
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
 
-    /// Holds the line in the break state for a moment, which some devices take as a reset.
-    /// `false`: this line has no break (a pty, USB), and nothing was done.
+    /// Sends a break, which resets some devices. Returns `false`, and does nothing, on a line without break
+    /// (a pty, USB).
     ///
     /// # Errors
     /// `Disconnected` when the device is gone; `Io`.
@@ -43,96 +43,96 @@ pub trait Transport: Send + Debug {
         Ok(false)
     }
 
-    /// Changes the line's speed, once what was written has left. A line without one takes any.
+    /// Changes the baud rate after pending output has left. Lines without a baud rate accept any.
     ///
     /// # Errors
-    /// `Disconnected` when the device is gone; `Io` when the port cannot run at that speed.
+    /// `Disconnected` when the device is gone; `Refused` when the port does not support the baud rate; `Io`.
     fn set_baud(&mut self, _baud: u32) -> Result<(), TransportError> {
         Ok(())
     }
 
-    /// The transport that this one wraps, which then answers what follows.
+    /// The wrapped transport, if any. The methods below delegate to it by default.
     fn inner(&self) -> Option<&dyn Transport> {
         None
     }
 
-    /// What the line carries, in bytes a second and each direction; `None` when it is not limited.
+    /// Bandwidth of the line in each direction, in bytes per second; `None` when it is not limited.
     fn line_bytes_per_s(&self) -> Option<u64> {
         self.inner()?.line_bytes_per_s()
     }
 
-    /// The device and the line's settings, for people.
+    /// Describes the device and the line's settings in one phrase for users.
     fn describe(&self) -> String {
         self.inner().map_or_else(|| "nothing".to_owned(), Transport::describe)
     }
 
-    /// Whether the kernel gives bytes on as soon as it has them, because it was asked to.
+    /// Whether the kernel's low-latency mode is on for this line: it then forwards bytes without delay.
     fn is_low_latency(&self) -> bool {
         self.inner().is_some_and(Transport::is_low_latency)
     }
 
-    /// How often the device stalled and was cleared; what was on its way then may be lost.
+    /// Number of USB stalls that were cleared. Bytes in flight at a stall may be lost.
     fn stalls_cleared(&self) -> u64 {
         self.inner().map_or(0, Transport::stalls_cleared)
     }
 }
 
-/// Why a device cannot be opened, read or written. The message is one line that says what to do.
+/// Errors of opening, reading and writing a device. Each message is one line that says what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TransportError {
-    /// Nothing is there.
+    /// No such device.
     #[error(
-        "{device} does not exist: plug the device in, or list what is attached with `mocapd devices`"
+        "{device} does not exist; plug the device in, or list what is attached with `mocapd devices`"
     )]
     NotFound {
-        /// A path, or a USB identity.
+        /// Path, or USB ids and serial number.
         device: String,
     },
-    /// Somebody else has it open.
-    #[error("{device} is in use{}: close the other program", holder.as_ref().map_or_else(String::new, |holder| format!(" by {holder}")))]
+    /// Another program has the device open.
+    #[error("{device} is in use{}; close the other program", holder.as_ref().map_or_else(String::new, |holder| format!(" by {holder}")))]
     Busy {
-        /// A path, or a USB identity.
+        /// Path, or USB ids and serial number.
         device: String,
-        /// Who, as `name (process 1234)`, when that could be found out.
+        /// That program, as `name (process 1234)`, when it could be determined.
         holder: Option<String>,
     },
-    /// The user may not open it.
+    /// The user lacks permission to open the device.
     #[error("no permission for {device}: {remedy}")]
     PermissionDenied {
-        /// A path, or a USB identity.
+        /// Path, or USB ids and serial number.
         device: String,
-        /// What to type.
+        /// What the user can do, with the command to type.
         remedy: String,
     },
-    /// It was there, and is gone.
+    /// The device was disconnected.
     #[error("{device} is gone: plug it in again")]
     Disconnected {
-        /// A path, or a USB identity.
+        /// Path, or USB ids and serial number.
         device: String,
     },
-    /// The device answers, and says that it cannot do what it was asked.
+    /// The device answered that it cannot do what the host requested.
     #[error("{0}")]
     Refused(String),
-    /// It is there, and takes no bytes.
+    /// The device is present but accepts no bytes.
     #[error(
-        "{device} takes no commands: check that it is the right device, and switch it off and on again"
+        "{device} takes no commands; check that it is the right device, and switch it off and on again"
     )]
     Stuck {
-        /// A path, or a USB identity.
+        /// Path, or USB ids and serial number.
         device: String,
     },
-    /// This build cannot do that.
+    /// The device, or the system, lacks something that mocapd needs.
     #[error("{0}")]
     Unsupported(String),
-    /// Anything else the system said.
+    /// Any other error of the operating system.
     #[error("{device}: {action} failed")]
     Io {
-        /// A path, or a USB identity.
+        /// Path, or USB ids and serial number.
         device: String,
-        /// What was tried.
+        /// The action that failed.
         action: &'static str,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
 }

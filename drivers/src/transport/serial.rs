@@ -1,4 +1,4 @@
-//! Serial lines, over the serialport crate: raw 8N1, ours alone, at any speed.
+//! Serial lines through the serialport crate: raw 8N1, opened exclusively, at any baud rate.
 
 use std::{
     io::{self, ErrorKind, Read, Write},
@@ -17,70 +17,70 @@ use super::{
     tty,
 };
 
-/// The speed of a line whose URI gives none: the highest that the common USB adapters (FT232R,
+/// Baud rate when the URI gives none: the highest that the common USB adapters (FT232R,
 /// CP2102N) reach by their data sheets.
 pub const BAUD_DEFAULT: u32 = 3_000_000;
 
-/// Bits on an 8N1 line for every byte: a start bit, eight of data, a stop bit.
+/// Bits per byte on an 8N1 line: a start bit, eight data bits, a stop bit.
 const BITS_PER_BYTE: u64 = 10;
 
-/// How long a break is held. A device sees one after a few characters' time: 10 ms at 9600 baud,
-/// where a character takes 1 ms; the rest is for adapters that are slow to end one.
-const BREAK: Duration = Duration::from_millis(50);
+/// Duration of a break. A device detects one after a few character times: 10 ms at 9600 baud, where a
+/// character takes 1 ms. The rest allows for adapters that are slow to end one.
+const BREAK_DURATION: Duration = Duration::from_millis(50);
 
-/// How long the last bytes may take to leave before the speed changes: a command of 64 bytes takes
-/// 67 ms at 9600 baud.
-const LEAVE_WITHIN: Duration = Duration::from_millis(200);
+/// Time-out of draining the output before a change of baud rate: a command of 64 bytes takes 67 ms at
+/// 9600 baud.
+const DRAIN_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// A serial line, open.
+/// An open serial line.
 #[derive(Debug)]
 pub struct SerialTransport {
     port: TTYPort,
     path: PathBuf,
     baud: u32,
-    limited: bool,
-    low_latency: bool,
+    is_limited: bool,
+    is_low_latency_on: bool,
 }
 
 impl SerialTransport {
-    /// Opens `path` for us alone, with DTR and RTS raised and the kernel's low latency asked for.
+    /// Opens `path` exclusively, raises DTR and RTS, and asks the kernel for low latency.
     ///
-    /// Without a `baud` it is [`BAUD_DEFAULT`], and a line that has no speed of its own (a pty, a
-    /// CDC-ACM device) counts as unlimited.
+    /// `baud` defaults to [`BAUD_DEFAULT`]; a line without a physical baud rate (a pty, a CDC-ACM device) then
+    /// counts as unlimited.
     ///
     /// # Errors
-    /// `NotFound`, `Busy`, `PermissionDenied`, `Unsupported` for what is no serial port, `Io`.
+    /// `NotFound`, `Busy`, `PermissionDenied`, `Unsupported` for anything but a serial port, `Io`.
     pub fn open(path: &Path, baud: Option<u32>) -> Result<Self, TransportError> {
-        let has_own_speed = has_own_speed(path)?;
+        let has_physical_baud = has_physical_baud(path)?;
         let baud_rate = baud.unwrap_or(BAUD_DEFAULT);
         let builder = serialport::new(path.to_string_lossy(), baud_rate).timeout(READ_TIMEOUT);
         let mut port = TTYPort::open(&builder).map_err(|error| open_error(path, error))?;
-        // Some devices send only while these are up. A pty has neither, and says ENOTTY.
+        // Some devices send only while these are raised. A pty has neither, and returns ENOTTY.
         for raised in [port.write_data_terminal_ready(true), port.write_request_to_send(true)] {
             if raised.is_err() {
                 break;
             }
         }
         let fd = tty::descriptor(&port);
-        // serialport waits for room and then writes blocking: a device that takes half of a command
-        // would hold us for ever.
+        // serialport waits until the port is writable and then blocks: a device that accepts half of a command
+        // would hang the reader.
         rustix::fs::fcntl_setfl(fd, OFlags::NONBLOCK).map_err(|error| TransportError::Io {
             device: path.display().to_string(),
-            action: "setting it up",
+            action: "setting the port to non-blocking mode",
             source: error.into(),
         })?;
-        let low_latency = tty::set_low_latency(fd);
-        let limited = has_own_speed || baud.is_some();
-        Ok(Self { port, path: path.to_owned(), baud: baud_rate, limited, low_latency })
+        let is_low_latency_on = tty::set_low_latency(fd);
+        let is_limited = has_physical_baud || baud.is_some();
+        Ok(Self { port, path: path.to_owned(), baud: baud_rate, is_limited, is_low_latency_on })
     }
 
     fn device(&self) -> String {
         self.path.display().to_string()
     }
 
-    /// Every error but a timeout ends the session.
+    /// Converts an I/O error. All but time-outs end the session.
     ///
-    /// serialport folds EIO, ENXIO and ENODEV, all of which a pulled plug gives, into `Other`.
+    /// serialport maps EIO, ENXIO and ENODEV, which an unplugged adapter returns, to `Other`.
     fn session_error(&self, action: &'static str, source: io::Error) -> TransportError {
         match source.kind() {
             ErrorKind::BrokenPipe | ErrorKind::Other | ErrorKind::NotFound => {
@@ -94,10 +94,10 @@ impl SerialTransport {
 impl Transport for SerialTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         match self.port.read(buf) {
-            // A tty gives no bytes after a wake-up only when it was hung up.
+            // A tty that is readable but has no bytes was hung up.
             Ok(0) if !buf.is_empty() => Err(TransportError::Disconnected { device: self.device() }),
             Ok(n) => Ok(n),
-            Err(error) if is_not_yet(&error) => Ok(0),
+            Err(error) if is_timeout(&error) => Ok(0),
             Err(error) => Err(self.session_error("reading", error)),
         }
     }
@@ -110,7 +110,7 @@ impl Transport for SerialTransport {
                     bytes = bytes.get(n..).unwrap_or_default();
                     last_progress = Instant::now();
                 }
-                Err(error) if is_not_yet(&error) => {
+                Err(error) if is_timeout(&error) => {
                     if last_progress.elapsed() >= WRITE_TIMEOUT {
                         return Err(TransportError::Stuck { device: self.device() });
                     }
@@ -122,11 +122,11 @@ impl Transport for SerialTransport {
     }
 
     fn send_break(&mut self) -> Result<bool, TransportError> {
-        // A pty, and some adapters, know no break.
+        // Ptys and some adapters have no break.
         if self.port.set_break().is_err() {
             return Ok(false);
         }
-        thread::sleep(BREAK);
+        thread::sleep(BREAK_DURATION);
         match self.port.clear_break() {
             Ok(()) => Ok(true),
             Err(error) => Err(self.session_error("ending a break", error.into())),
@@ -134,8 +134,8 @@ impl Transport for SerialTransport {
     }
 
     fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
-        // tcdrain would wait without an end for a device that holds us off.
-        let give_up_at = Instant::now() + LEAVE_WITHIN;
+        // tcdrain would block for ever on a device that holds flow control.
+        let give_up_at = Instant::now() + DRAIN_TIMEOUT;
         while self.port.bytes_to_write().is_ok_and(|left| left > 0) && Instant::now() < give_up_at {
             thread::sleep(Duration::from_millis(1));
         }
@@ -145,7 +145,7 @@ impl Transport for SerialTransport {
                 Ok(())
             }
             Err(_) if Path::new(&self.device()).exists() => Err(TransportError::Refused(format!(
-                "{} does not run at {baud} baud",
+                "{} does not support {baud} baud",
                 self.device()
             ))),
             Err(error) => Err(self.session_error("changing its speed", error.into())),
@@ -153,27 +153,27 @@ impl Transport for SerialTransport {
     }
 
     fn line_bytes_per_s(&self) -> Option<u64> {
-        self.limited.then_some(u64::from(self.baud) / BITS_PER_BYTE)
+        self.is_limited.then_some(u64::from(self.baud) / BITS_PER_BYTE)
     }
 
     fn is_low_latency(&self) -> bool {
-        self.low_latency
+        self.is_low_latency_on
     }
 
     fn describe(&self) -> String {
-        let latency = if self.low_latency { ", low latency" } else { "" };
+        let latency = if self.is_low_latency_on { ", low latency" } else { "" };
         format!("serial line {} at {} baud{latency}", self.device(), self.baud)
     }
 }
 
-fn is_not_yet(error: &io::Error) -> bool {
+fn is_timeout(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }
 
-/// Whether the baud rate of a port is what limits it; an error when it is no port at all.
+/// Whether the baud rate limits the port: not on ptys and CDC-ACM devices. An error for anything but a port.
 ///
 /// Device numbers: Linux's Documentation/admin-guide/devices.txt.
-fn has_own_speed(path: &Path) -> Result<bool, TransportError> {
+fn has_physical_baud(path: &Path) -> Result<bool, TransportError> {
     const PTY_MAJORS: std::ops::RangeInclusive<u32> = 136..=143;
     const CDC_ACM_MAJOR: u32 = 166;
     let device = path.display().to_string();
@@ -182,35 +182,35 @@ fn has_own_speed(path: &Path) -> Result<bool, TransportError> {
         _ => TransportError::Io { device: device.clone(), action: "looking it up", source },
     })?;
     if !metadata.file_type().is_char_device() {
-        return Err(no_serial_port(&device));
+        return Err(not_a_serial_port(&device));
     }
     let major = rustix::fs::major(metadata.rdev());
     Ok(!PTY_MAJORS.contains(&major) && major != CDC_ACM_MAJOR)
 }
 
-fn no_serial_port(device: &str) -> TransportError {
+fn not_a_serial_port(device: &str) -> TransportError {
     TransportError::Unsupported(format!(
-        "{device} is no serial port: give a device such as /dev/ttyUSB0, or a link to one"
+        "{device} is not a serial port; give a device such as /dev/ttyUSB0, or a link to one"
     ))
 }
 
 fn open_error(path: &Path, error: serialport::Error) -> TransportError {
     let device = path.display().to_string();
     match error.kind() {
-        // EBUSY, or a lock that somebody else holds.
+        // EBUSY, or another program's lock.
         serialport::ErrorKind::NoDevice => TransportError::Busy { device, holder: holder(path) },
         serialport::ErrorKind::Io(ErrorKind::NotFound) => TransportError::NotFound { device },
         serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => {
             TransportError::PermissionDenied { device, remedy: permission_remedy(path) }
         }
-        // EPERM comes without a kind of its own: a control group keeps the device from us.
+        // EPERM has no kind of its own: a control group denies the device.
         serialport::ErrorKind::Unknown if error.description == "Operation not permitted" => {
             let remedy = format!("add `DeviceAllow={device} rw` to the systemd unit");
             TransportError::PermissionDenied { device, remedy }
         }
         // ENOTTY.
         serialport::ErrorKind::Unknown if error.description == "Not a typewriter" => {
-            no_serial_port(&device)
+            not_a_serial_port(&device)
         }
         _ => TransportError::Io {
             device,

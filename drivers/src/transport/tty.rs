@@ -1,11 +1,11 @@
-//! What the serialport crate has no call for: the descriptor of a port, and the kernel's low-latency switch.
+//! Calls that the serialport crate lacks: the descriptor of a port, and the kernel's low-latency mode.
 //!
-//! FTDI adapters keep bytes for up to 16 ms before they send them on; with `ASYNC_LOW_LATENCY` the
-//! kernel's driver sets that to 1 ms.
+//! FTDI adapters hold received bytes for up to 16 ms; with `ASYNC_LOW_LATENCY` the kernel's driver reduces
+//! that to 1 ms.
 
 #![expect(
     unsafe_code,
-    reason = "TTYPort gives its descriptor as a bare number; two ioctls that no safe crate wraps"
+    reason = "TTYPort returns its descriptor as an integer; no safe crate wraps the two ioctls"
 )]
 
 use std::{
@@ -21,8 +21,8 @@ const TIOCGSERIAL: Opcode = 0x541E;
 const TIOCSSERIAL: Opcode = 0x541F;
 const ASYNC_LOW_LATENCY: c_int = 1 << 13;
 
-/// On other architectures the request numbers differ, and nobody has tried them.
-const HAS_THESE_NUMBERS: bool = cfg!(any(
+/// Other architectures have other request numbers, which are untested.
+const HAS_KNOWN_IOCTLS: bool = cfg!(any(
     target_arch = "x86_64",
     target_arch = "x86",
     target_arch = "aarch64",
@@ -54,32 +54,30 @@ struct Serial {
 }
 
 const _: () = assert!(
-    !HAS_THESE_NUMBERS
+    !HAS_KNOWN_IOCTLS
         || size_of::<Serial>() == if cfg!(target_pointer_width = "64") { 72 } else { 60 }
 );
 
-/// The port's descriptor, for as long as the port is borrowed.
+/// Borrows the port's descriptor.
 pub(super) fn descriptor(port: &TTYPort) -> BorrowedFd<'_> {
     // SAFETY: a TTYPort keeps its descriptor open until it is dropped, and the result borrows it.
     unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) }
 }
 
-/// Asks for low latency; whether the port has it now. A pty, and many drivers, know no such thing.
+/// Requests low latency, and returns whether the port has it. Ptys and many drivers do not support it.
 pub(super) fn set_low_latency(fd: BorrowedFd<'_>) -> bool {
-    if !HAS_THESE_NUMBERS {
+    if !HAS_KNOWN_IOCTLS {
         return false;
     }
     // SAFETY: TIOCGSERIAL writes one `struct serial_struct`, and that is what `Serial` is.
     let get = unsafe { Getter::<TIOCGSERIAL, Serial>::new() };
     // SAFETY: `get` pairs the request with its type; the kernel writes nothing else.
-    let Ok(mut serial) = (unsafe { ioctl(fd, get) }) else {
-        return false;
-    };
+    let Ok(mut serial) = (unsafe { ioctl(fd, get) }) else { return false };
     if serial.flags & ASYNC_LOW_LATENCY != 0 {
         return true;
     }
     serial.flags |= ASYNC_LOW_LATENCY;
-    // SAFETY: TIOCSSERIAL reads one `struct serial_struct`, the one just got but for a flag.
+    // SAFETY: TIOCSSERIAL reads one `struct serial_struct`: the one read above with one flag changed.
     let set = unsafe { Setter::<TIOCSSERIAL, Serial>::new(serial) };
     // SAFETY: `set` pairs the request with its type; the kernel writes nothing.
     unsafe { ioctl(fd, set) }.is_ok()

@@ -1,12 +1,12 @@
-//! The worked examples of docs/link-protocol.md are what the code writes and reads.
+//! The code encodes and decodes the examples of docs/link-protocol.md exactly.
 
 use mocapd_drivers::link::{DeviceLink, HostLink};
 
-use crate::{device_hears, examples, host_hears};
+use crate::{device_commands, examples, host_events};
 
 const DOCUMENT: &str = include_str!("../../../docs/link-protocol.md");
 
-/// The blocks ```` ```hex NAME ````: their names and bytes. What follows a `#` is a remark.
+/// The blocks ```` ```hex NAME ````: their names and bytes. A `#` starts a comment.
 fn hex_blocks() -> Vec<(&'static str, Vec<u8>)> {
     let mut blocks = Vec::new();
     for part in DOCUMENT.split("\n```hex ").skip(1) {
@@ -25,7 +25,7 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn every_example_is_documented_as_it_is_written() {
+fn every_example_is_documented_as_encoded() {
     let blocks = hex_blocks();
     let examples = examples::all();
     for example in &examples {
@@ -41,21 +41,21 @@ fn every_example_is_documented_as_it_is_written() {
         let documented = plain.map(|(_, bytes)| hex(bytes)).unwrap_or_default();
         assert_eq!(documented, hex(&message[..n]), "{} message", example.name);
     }
-    assert_eq!(blocks.len(), 2 * examples.len(), "a block that no example stands for");
+    assert_eq!(blocks.len(), 2 * examples.len(), "a block without an example");
 }
 
 #[test]
-fn every_documented_wire_is_heard_as_documented() {
+fn every_documented_wire_decodes_as_documented() {
     for example in examples::all() {
         let (_, wire) = hex_blocks()
             .into_iter()
             .find(|(name, _)| *name == format!("{} wire", example.name))
             .unwrap();
-        let heard = if example.is_command {
-            device_hears(&mut DeviceLink::new(), &wire)
+        let decoded = if example.is_command {
+            device_commands(&mut DeviceLink::new(), &wire)
         } else {
-            host_hears(&mut HostLink::new(), &wire)
+            host_events(&mut HostLink::new(), &wire)
         };
-        assert_eq!(heard, [example.heard], "{}", example.name);
+        assert_eq!(decoded, [example.decoded], "{}", example.name);
     }
 }

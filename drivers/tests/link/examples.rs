@@ -1,4 +1,4 @@
-//! One message of every kind: those of docs/link-protocol.md, and the stream for the sweeps.
+//! One message of every type: the examples of docs/link-protocol.md, and the stream for the sweeps.
 
 use mocapd_drivers::{
     device::{
@@ -8,13 +8,13 @@ use mocapd_drivers::{
     link::{DeviceLink, FrameForm, HostLink, frame_bytes_in_volume, link_budget},
 };
 
-/// A message by its name in the document.
+/// A message under its name in the document.
 #[derive(Debug)]
 pub(crate) struct Example {
     pub(crate) name: &'static str,
     pub(crate) wire: Vec<u8>,
-    /// The debug text of what the other side hears.
-    pub(crate) heard: String,
+    /// Debug text of what the other end decodes.
+    pub(crate) decoded: String,
     pub(crate) is_command: bool,
 }
 
@@ -33,13 +33,13 @@ fn from_device(
 ) -> Example {
     let mut wire = Vec::new();
     encode(&mut DeviceLink::new(), &mut wire);
-    Example { name, wire, heard: format!("{event:?}"), is_command: false }
+    Example { name, wire, decoded: format!("{event:?}"), is_command: false }
 }
 
 fn from_host(name: &'static str, command: Command) -> Example {
     let mut wire = Vec::new();
     HostLink::new().command(command, &mut wire);
-    Example { name, wire, heard: format!("{command:?}"), is_command: true }
+    Example { name, wire, decoded: format!("{command:?}"), is_command: true }
 }
 
 fn frame(
@@ -57,9 +57,9 @@ pub(crate) fn all() -> Vec<Example> {
         model: "DVMC-8820".to_owned(),
         serial: "SIM0001".to_owned(),
         firmware: "1.0".to_owned(),
-        rate_mhz: 120_000,
-        rate_min_mhz: 60_000,
-        rate_max_mhz: 1_000_000,
+        rate_millihertz: 120_000,
+        rate_min_millihertz: 60_000,
+        rate_max_millihertz: 1_000_000,
         tick_hz: 1_000_000,
         up_axis: 3,
         markers_max: 64,
@@ -108,7 +108,7 @@ pub(crate) fn all() -> Vec<Example> {
     ]
 }
 
-/// Those that devices send.
+/// The messages that devices send.
 pub(crate) fn of_devices() -> Vec<Example> {
     all().into_iter().filter(|example| !example.is_command).collect()
 }

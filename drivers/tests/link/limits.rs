@@ -1,11 +1,11 @@
-//! The limits, and what is neither a message nor damage.
+//! The limits, and input that is neither a message nor damage.
 
 use mocapd_drivers::{
     device::{DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Protocol},
     link::{DeviceLink, EncodeError, FrameForm, HostLink, MARKERS_MAX, WIRE_BYTES_MAX},
 };
 
-use crate::{FORMS, host_hears, sealed};
+use crate::{FORMS, host_events, with_envelope};
 
 #[test]
 fn the_largest_frame_fits_and_one_more_marker_is_refused() {
@@ -24,7 +24,7 @@ fn the_largest_frame_fits_and_one_more_marker_is_refused() {
     }
     assert!(wire.len() <= 3 * WIRE_BYTES_MAX);
     let mut host = HostLink::new();
-    assert_eq!(host_hears(&mut host, &wire).len(), 3);
+    assert_eq!(host_events(&mut host, &wire).len(), 3);
     assert_eq!(host.counters().bytes_skipped, 0);
 
     markers.push(marker(10_000));
@@ -39,17 +39,17 @@ fn the_largest_frame_fits_and_one_more_marker_is_refused() {
 fn a_stream_without_an_end_is_bounded_and_counted() {
     let mut host = HostLink::new();
     for _ in 0..100 {
-        assert!(host_hears(&mut host, &[0x55; 10_000]).is_empty());
+        assert!(host_events(&mut host, &[0x55; 10_000]).is_empty());
     }
     let mut wire = vec![0];
     DeviceLink::new().rate_set(1, &mut wire);
-    assert_eq!(host_hears(&mut host, &wire).len(), 1);
+    assert_eq!(host_events(&mut host, &wire).len(), 1);
     assert_eq!(host.counters().bytes_skipped, 1_000_001);
     assert_eq!(host.counters().messages_damaged, 1);
 }
 
 #[test]
-fn what_cannot_be_sent_is_refused_and_writes_nothing() {
+fn invalid_values_are_refused_and_nothing_is_written() {
     let mut device = DeviceLink::new();
     let mut wire = Vec::new();
     let twice = [MarkerSample { id: 3, ..MarkerSample::default() }; 2];
@@ -65,7 +65,7 @@ fn what_cannot_be_sent_is_refused_and_writes_nothing() {
         table[9].label = label;
         assert!(matches!(
             device.markers(&table, &mut wire),
-            Err(EncodeError::Text { what: "label", .. })
+            Err(EncodeError::Text { field: "label", .. })
         ));
     }
     assert!(matches!(device.hello(&Hello::default(), &mut wire), Err(EncodeError::Hello(_))));
@@ -76,16 +76,16 @@ fn what_cannot_be_sent_is_refused_and_writes_nothing() {
 fn an_empty_table_is_announced_too() {
     let mut wire = Vec::new();
     DeviceLink::new().markers(&[], &mut wire).unwrap();
-    assert_eq!(host_hears(&mut HostLink::new(), &wire), ["Markers([])"]);
+    assert_eq!(host_events(&mut HostLink::new(), &wire), ["Markers([])"]);
 }
 
 #[test]
 fn other_versions_and_types_are_unknown_and_not_damage() {
     for (version, kind) in [(2, 0x10), (1, 0x77), (1, 0x80)] {
-        let mut wire = sealed(version, kind, &[5, 5]);
+        let mut wire = with_envelope(version, kind, &[5, 5]);
         DeviceLink::new().rate_set(1, &mut wire);
         let mut host = HostLink::new();
-        assert_eq!(host_hears(&mut host, &wire).len(), 1);
+        assert_eq!(host_events(&mut host, &wire).len(), 1);
         let counters = host.counters();
         assert_eq!(
             (counters.messages_unknown, counters.messages_damaged, counters.bytes_skipped),
@@ -95,7 +95,7 @@ fn other_versions_and_types_are_unknown_and_not_damage() {
 }
 
 #[test]
-fn positions_that_are_no_numbers_are_occluded_and_counted() {
+fn positions_that_are_not_finite_are_occluded_and_counted() {
     let mut payload = Vec::new();
     payload.extend_from_slice(&1u32.to_le_bytes());
     payload.extend_from_slice(&2u64.to_le_bytes());
@@ -108,7 +108,7 @@ fn positions_that_are_no_numbers_are_occluded_and_counted() {
     }
     let mut host = HostLink::new();
     let mut occluded = Vec::new();
-    host.push(&sealed(1, 0x10, &payload), &mut |event| {
+    host.push(&with_envelope(1, 0x10, &payload), &mut |event| {
         let DeviceEvent::Frame(frame) = event else { panic!("{event:?}") };
         occluded.extend(frame.markers.iter().map(|marker| marker.occluded));
         assert!(

@@ -1,4 +1,4 @@
-//! The link protocol, both ends against each other and against hostile bytes.
+//! The link protocol: both ends against each other, and against hostile bytes.
 
 #[cfg(test)]
 mod document;
@@ -19,25 +19,25 @@ use mocapd_drivers::{
 #[cfg(test)]
 const FORMS: [FrameForm; 3] = [FrameForm::Float, FrameForm::Micrometres, FrameForm::Compact];
 
-/// What a host makes of bytes, each event as its debug text (which also tells NaN from NaN).
+/// The events that a host decodes from bytes, each as its debug text (in which NaN equals NaN).
 #[cfg(test)]
-fn host_hears(host: &mut HostLink, bytes: &[u8]) -> Vec<String> {
+fn host_events(host: &mut HostLink, bytes: &[u8]) -> Vec<String> {
     let mut events = Vec::new();
     host.push(bytes, &mut |event| events.push(format!("{event:?}")));
     events
 }
 
-/// What a device makes of bytes.
+/// The commands that a device decodes from bytes, as debug text.
 #[cfg(test)]
-fn device_hears(device: &mut DeviceLink, bytes: &[u8]) -> Vec<String> {
+fn device_commands(device: &mut DeviceLink, bytes: &[u8]) -> Vec<String> {
     let mut commands = Vec::new();
     device.push(bytes, &mut |command| commands.push(format!("{command:?}")));
     commands
 }
 
-/// A message on the wire with a right checksum, whatever is in it.
+/// A message on the wire with a valid checksum and any payload.
 #[cfg(test)]
-fn sealed(version: u8, kind: u8, payload: &[u8]) -> Vec<u8> {
+fn with_envelope(version: u8, kind: u8, payload: &[u8]) -> Vec<u8> {
     let mut message = vec![version, kind];
     message.extend_from_slice(payload);
     message.extend_from_slice(&crc32fast::hash(&message).to_le_bytes());

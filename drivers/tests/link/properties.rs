@@ -1,4 +1,4 @@
-//! What holds for every message.
+//! Properties of every message.
 
 use mocapd_drivers::{
     device::{
@@ -12,13 +12,13 @@ use mocapd_drivers::{
 };
 use proptest::{collection::vec, prelude::*, sample::Index};
 
-use crate::{FORMS, device_hears, host_hears, sealed};
+use crate::{FORMS, device_commands, host_events, with_envelope};
 
 fn any_form() -> impl Strategy<Value = FrameForm> {
     any::<Index>().prop_map(|index| *index.get(&FORMS))
 }
 
-/// Ids ascending with gaps or without, near or far or absurd positions, all bit patterns of f32.
+/// Ids ascending with or without gaps; positions near, far or absurd, including all bit patterns of f32.
 fn any_markers() -> impl Strategy<Value = Vec<MarkerSample>> {
     let coordinate = prop_oneof![
         8 => -4000.0f32..4000.0,
@@ -43,7 +43,7 @@ fn any_markers() -> impl Strategy<Value = Vec<MarkerSample>> {
     })
 }
 
-/// What a host must hear of a marker that travelled as f32.
+/// What a host must decode of a marker sent as f32.
 fn as_sent(marker: &MarkerSample) -> MarkerSample {
     if marker.occluded || !marker.position_mm.iter().all(|mm| mm.is_finite()) {
         return MarkerSample { id: marker.id, occluded: true, ..MarkerSample::default() };
@@ -97,9 +97,9 @@ proptest! {
         table in vec((any::<u16>(), "\\PC{0,60}", any::<bool>()), 0..200),
     ) {
         rates.sort_unstable();
-        let [rate_min_mhz, rate_mhz, rate_max_mhz] = rates;
+        let [rate_min_millihertz, rate_millihertz, rate_max_millihertz] = rates;
         let hello = Hello {
-            model, serial, firmware, rate_mhz, rate_min_mhz, rate_max_mhz, tick_hz, up_axis, markers_max, n_frames,
+            model, serial, firmware, rate_millihertz, rate_min_millihertz, rate_max_millihertz, tick_hz, up_axis, markers_max, n_frames,
         };
         let table = table
             .into_iter()
@@ -112,7 +112,7 @@ proptest! {
         let (mut n_hellos, mut got) = (0, Vec::new());
         let mut host = HostLink::new();
         host.push(&wire, &mut |event| match event {
-            DeviceEvent::Hello(heard) => { assert_eq!(heard, &hello); n_hellos += 1; }
+            DeviceEvent::Hello(decoded) => { assert_eq!(decoded, &hello); n_hellos += 1; }
             DeviceEvent::Markers(markers) => got.extend_from_slice(markers),
             other => panic!("{other:?}"),
         });
@@ -125,7 +125,7 @@ proptest! {
     #[test]
     fn every_small_message_comes_back(a in any::<u64>(), b in any::<u64>(), c in any::<u32>(), d in any::<i16>(), e in any::<[u8; 2]>()) {
         let status = Status { frames_produced: a, frames_dropped: b, temperature_c_100: d };
-        let budget = LinkBudget { needed_bytes_per_s: a, available_bytes_per_s: b, rate_fits_mhz: c };
+        let budget = LinkBudget { needed_bytes_per_s: a, available_bytes_per_s: b, rate_fits_millihertz: c };
         let trigger = Trigger { device_ticks: a, input: e[0], kind: e[1] };
         let pong = Pong { host_ns: a, device_ticks: b };
         let mut device = DeviceLink::new();
@@ -141,7 +141,7 @@ proptest! {
             DeviceEvent::Status(status), DeviceEvent::EndOfStream(status), DeviceEvent::Started(budget),
             DeviceEvent::Refused(budget), DeviceEvent::Trigger(trigger), DeviceEvent::Pong(pong), DeviceEvent::RateSet(c),
         ];
-        prop_assert_eq!(host_hears(&mut HostLink::new(), &wire), events.map(|event| format!("{event:?}")));
+        prop_assert_eq!(host_events(&mut HostLink::new(), &wire), events.map(|event| format!("{event:?}")));
 
         let commands = [
             Command::Identify, Command::Start { line_bytes_per_s: a }, Command::Stop, Command::SetRate(c), Command::Ping { host_ns: b },
@@ -152,7 +152,7 @@ proptest! {
             HostLink::new().command(command, &mut wire);
             prop_assert!(wire.len() - start <= COMMAND_WIRE_BYTES_MAX);
         }
-        prop_assert_eq!(device_hears(&mut DeviceLink::new(), &wire), commands.map(|command| format!("{command:?}")));
+        prop_assert_eq!(device_commands(&mut DeviceLink::new(), &wire), commands.map(|command| format!("{command:?}")));
     }
 
     #[test]
@@ -162,7 +162,7 @@ proptest! {
         let mut wire = Vec::new();
         DeviceLink::new().rate_set(120_000, &mut wire);
         let mut host = HostLink::new();
-        let mut heard = 0;
+        let mut decoded = 0;
         for (garbage, splits) in &pieces {
             let mut bytes = garbage.clone();
             bytes.push(0);
@@ -171,30 +171,30 @@ proptest! {
             cuts.extend([0, bytes.len()]);
             cuts.sort_unstable();
             for cut in cuts.windows(2) {
-                heard += host_hears(&mut host, &bytes[cut[0]..cut[1]]).len();
+                decoded += host_events(&mut host, &bytes[cut[0]..cut[1]]).len();
             }
         }
         let skipped = pieces.iter().flat_map(|(garbage, _)| garbage.split(|&byte| byte == 0))
             .map(|segment| if segment.is_empty() { 0 } else { segment.len() as u64 + 1 })
             .sum::<u64>();
-        prop_assert_eq!(heard, pieces.len());
+        prop_assert_eq!(decoded, pieces.len());
         prop_assert_eq!(host.counters().bytes_skipped, skipped);
     }
 
     #[test]
     fn a_valid_envelope_around_anything_never_panics(kind in any::<u8>(), mut payload in vec(any::<u8>(), 0..200), flags in 0u8..4, n in 0u16..20) {
-        // Half-way plausible frame headers reach the code behind the first checks.
+        // Plausible frame headers get past the first checks.
         if let Some(header) = payload.get_mut(12..15) {
             header[0] = flags;
             header[1..].copy_from_slice(&n.to_le_bytes());
         }
-        let wire = sealed(1, kind, &payload);
+        let wire = with_envelope(1, kind, &payload);
         let mut host = HostLink::new();
-        let heard = host_hears(&mut host, &wire).len() as u64;
+        let decoded = host_events(&mut host, &wire).len() as u64;
         let counters = host.counters();
-        prop_assert_eq!(heard, counters.messages);
+        prop_assert_eq!(decoded, counters.messages);
         prop_assert_eq!(counters.messages + counters.messages_damaged + counters.messages_unknown, 1);
-        device_hears(&mut DeviceLink::new(), &wire);
+        device_commands(&mut DeviceLink::new(), &wire);
     }
 
     #[test]

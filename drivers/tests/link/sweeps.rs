@@ -1,22 +1,22 @@
-//! Every cut and every changed byte of a stream that holds every message.
+//! A stream with every message, cut at every byte and changed in every byte.
 
 use mocapd_drivers::{device::Protocol, link::HostLink};
 
 use crate::{
-    device_hears,
+    device_commands,
     examples::{self, Example},
-    host_hears,
+    host_events,
 };
 
 fn stream_of(examples: &[Example]) -> Vec<u8> {
     examples.iter().flat_map(|example| example.wire.iter().copied()).collect()
 }
 
-/// What must come of a damaged stream, worked out without the decoder: a segment counts if and only
-/// if an example has it, byte for byte.
+/// The expected result of decoding a damaged stream, computed without the decoder: a segment counts if and
+/// only if an example has the same bytes.
 #[derive(Debug, Default, PartialEq)]
 struct Expected {
-    heard: Vec<String>,
+    decoded: Vec<String>,
     damaged: u64,
     skipped: u64,
 }
@@ -31,7 +31,7 @@ fn expected(stream: &[u8], examples: &[Example]) -> Expected {
                 == Some(segment)
         };
         match examples.iter().find(|example| of(&example.wire)) {
-            Some(example) => expected.heard.push(example.heard.clone()),
+            Some(example) => expected.decoded.push(example.decoded.clone()),
             None => {
                 expected.damaged += 1;
                 expected.skipped += segment.len() as u64 + 1;
@@ -41,22 +41,22 @@ fn expected(stream: &[u8], examples: &[Example]) -> Expected {
     expected
 }
 
-fn heard(stream: &[u8]) -> Expected {
+fn decode(stream: &[u8]) -> Expected {
     let mut host = HostLink::new();
-    let heard = host_hears(&mut host, stream);
+    let decoded = host_events(&mut host, stream);
     let counters = host.counters();
     assert_eq!(counters.bytes, stream.len() as u64);
-    assert_eq!(counters.messages, heard.len() as u64);
+    assert_eq!(counters.messages, decoded.len() as u64);
     assert_eq!(counters.messages_unknown, 0);
-    Expected { heard, damaged: counters.messages_damaged, skipped: counters.bytes_skipped }
+    Expected { decoded, damaged: counters.messages_damaged, skipped: counters.bytes_skipped }
 }
 
 #[test]
-fn an_undamaged_stream_is_heard_whole() {
+fn an_undamaged_stream_decodes_completely() {
     let examples = examples::of_devices();
-    let got = heard(&stream_of(&examples));
-    let all = examples.iter().map(|example| example.heard.clone()).collect::<Vec<_>>();
-    assert_eq!(got, Expected { heard: all, damaged: 0, skipped: 0 });
+    let got = decode(&stream_of(&examples));
+    let all = examples.iter().map(|example| example.decoded.clone()).collect::<Vec<_>>();
+    assert_eq!(got, Expected { decoded: all, damaged: 0, skipped: 0 });
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn every_changed_byte_costs_its_message_and_nothing_else() {
         for change in 1..=255 {
             let mut stream = clean.clone();
             stream[position] ^= change;
-            assert_eq!(heard(&stream), expected(&stream, &examples), "byte {position} ^ {change}");
+            assert_eq!(decode(&stream), expected(&stream, &examples), "byte {position} ^ {change}");
         }
     }
 }
@@ -79,37 +79,37 @@ fn every_lost_byte_costs_its_message_and_nothing_else() {
     for position in 0..clean.len() {
         let mut stream = clean.clone();
         stream.remove(position);
-        assert_eq!(heard(&stream), expected(&stream, &examples), "byte {position}");
+        assert_eq!(decode(&stream), expected(&stream, &examples), "byte {position}");
     }
 }
 
 #[test]
-fn after_a_cut_at_any_byte_the_next_boundary_is_back_in_step() {
+fn the_decoder_resynchronises_after_a_cut_at_any_byte() {
     let examples = examples::of_devices();
     let clean = stream_of(&examples);
     for cut in 0..=clean.len() {
         let mut stream = clean[..cut].to_vec();
-        assert_eq!(heard(&stream), expected(&stream, &examples), "cut at {cut}");
+        assert_eq!(decode(&stream), expected(&stream, &examples), "cut at {cut}");
         stream.extend_from_slice(&clean);
-        let got = heard(&stream);
+        let got = decode(&stream);
         assert_eq!(got, expected(&stream, &examples), "cut at {cut}, and on");
         assert!(got.damaged <= 1, "cut at {cut}");
-        assert!(got.heard.ends_with(&[examples.last().unwrap().heard.clone()]));
+        assert!(got.decoded.ends_with(&[examples.last().unwrap().decoded.clone()]));
     }
 }
 
 #[test]
-fn every_split_in_two_and_single_bytes_are_heard_the_same() {
+fn every_split_and_single_bytes_decode_alike() {
     let clean = stream_of(&examples::of_devices());
-    let whole = host_hears(&mut HostLink::new(), &clean);
+    let whole = host_events(&mut HostLink::new(), &clean);
     for split in 0..=clean.len() {
         let mut host = HostLink::new();
-        let mut events = host_hears(&mut host, &clean[..split]);
-        events.extend(host_hears(&mut host, &clean[split..]));
+        let mut events = host_events(&mut host, &clean[..split]);
+        events.extend(host_events(&mut host, &clean[split..]));
         assert_eq!(events, whole, "split at {split}");
     }
     let mut host = HostLink::new();
-    let events = clean.iter().flat_map(|&byte| host_hears(&mut host, &[byte])).collect::<Vec<_>>();
+    let events = clean.iter().flat_map(|&byte| host_events(&mut host, &[byte])).collect::<Vec<_>>();
     assert_eq!(events, whole);
 }
 
@@ -123,9 +123,9 @@ fn a_device_survives_every_changed_byte_of_its_commands() {
             let mut stream = clean.clone();
             stream[position] ^= change;
             let mut device = mocapd_drivers::link::DeviceLink::new();
-            let got = device_hears(&mut device, &stream);
+            let got = device_commands(&mut device, &stream);
             let want = expected(&stream, &commands);
-            assert_eq!(got, want.heard, "byte {position} ^ {change}");
+            assert_eq!(got, want.decoded, "byte {position} ^ {change}");
             assert_eq!(device.counters().bytes_skipped, want.skipped);
             assert_eq!(device.counters().messages_damaged, want.damaged);
         }

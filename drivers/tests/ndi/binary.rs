@@ -1,4 +1,4 @@
-//! Frames, written byte by byte.
+//! Frames, composed byte by byte.
 
 use mocapd_drivers::device::Command;
 use mocapd_testkit::random::Random;
@@ -9,7 +9,7 @@ fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// A tool that is seen, one that is not, one that is switched off, and two strays.
+/// A visible tool, a hidden one, a disabled one, and two strays.
 fn bx_block(number: u32) -> Vec<u8> {
     let mut block = vec![3];
     block.extend([1, 1]);
@@ -57,7 +57,7 @@ fn a_frame_of_bx() {
 }
 
 #[test]
-fn every_second_number_where_every_second_frame_is_tracked() {
+fn frame_numbers_are_divided_when_every_second_frame_is_tracked() {
     let mut number = 600;
     let mut script = Script::new(move |request| match request {
         b"APIREV:443E\r" => Some(text("D.001.007")),
@@ -75,11 +75,11 @@ fn every_second_number_where_every_second_frame_is_tracked() {
     let numbers: Vec<_> = script.frames.iter().map(|frame| frame.0).collect();
     assert_eq!(numbers, [301, 302, 303]);
     let hello = script.hello.unwrap();
-    assert_eq!((hello.rate_mhz, hello.tick_hz), (30_000, 60_000));
+    assert_eq!((hello.rate_millihertz, hello.tick_hz), (30_000, 60_000));
     assert_eq!(script.frames[0].1, 602_000, "10.03 s of a counter at 60 Hz");
 }
 
-/// One component: kind, size with this header, option, items.
+/// A component: kind, size including this header, option, items.
 fn component(kind: u16, items: u32, body: &[u8]) -> Vec<u8> {
     let mut out = kind.to_le_bytes().to_vec();
     out.extend((12 + body.len() as u32).to_le_bytes());
@@ -89,7 +89,7 @@ fn component(kind: u16, items: u32, body: &[u8]) -> Vec<u8> {
     out
 }
 
-/// What `frame_item` holds: 6D of two tools, 3D of strays and of a tool's markers, an alert.
+/// A frame item: 6D data of tools, 3D data of strays and of a tool's markers, an alert.
 fn frame_item(number: u32, seconds: u32, ns: u32) -> Vec<u8> {
     let mut item = vec![2, 9, 0, 0];
     item.extend(number.to_le_bytes());
@@ -141,7 +141,7 @@ fn a_frame_of_bx2() {
     assert_eq!((*seq, *ticks), (77, 12_345_678_901));
     let got: Vec<_> =
         markers.iter().map(|m| (m.id, m.occluded, m.residual_10um, m.position_mm)).collect();
-    // Tool 3 is partly out of the volume, a stray is wholly, and one is no number.
+    // Tool 3 is partly out of the volume, one stray entirely, and one stray is NaN.
     assert_eq!(
         got,
         [
@@ -155,7 +155,7 @@ fn a_frame_of_bx2() {
 }
 
 #[test]
-fn nothing_new_is_no_frame_and_of_two_parts_the_newer_counts() {
+fn an_empty_reply_is_no_frame_and_the_newer_of_two_parts_counts() {
     let parts = [frame_item(78, 12, 7), frame_item(79, 12, 9)];
     let mut script = bx2_script(vec![
         binary(&[1, 0, 0, 0]),
@@ -182,7 +182,7 @@ fn a_length_of_32_bits_is_understood() {
 }
 
 #[test]
-fn blocks_that_lie_under_a_good_checksum_are_damage() {
+fn invalid_blocks_under_a_valid_checksum_are_damage() {
     let good = bx2_block(&[frame_item(5, 0, 0)]);
     let mut bad = vec![Vec::new(), vec![1], vec![2, 0, 0, 0], vec![1, 0, 0xFF, 0xFF]];
     bad.extend((1..good.len()).map(|n| good[..n].to_vec()));
@@ -206,13 +206,13 @@ fn a_device_that_left_tracking_by_itself_has_ended() {
     let mut script = bx2_script(vec![binary(&bx2_block(&[frame_item(5, 0, 0)])), text("ERROR0C")]);
     script.read(2);
     assert!(script.ended && script.failed.is_none());
-    script.say(Command::Start { line_bytes_per_s: 0 });
+    script.command(Command::Start { line_bytes_per_s: 0 });
     script.read(2);
-    assert_eq!(script.said.iter().filter(|said| *said == "TSTART:5423\r").count(), 2);
+    assert_eq!(script.sent.iter().filter(|request| *request == "TSTART:5423\r").count(), 2);
 }
 
 #[test]
-fn any_block_may_come_under_a_good_checksum() {
+fn random_blocks_under_a_valid_checksum_are_handled() {
     for (bx2, good) in [(true, bx2_block(&[frame_item(5, 0, 0)])), (false, bx_block(5))] {
         let (mut random, mut turn) = (Random::new(1), 0);
         let mut script = Script::new(move |request| {
@@ -248,7 +248,7 @@ fn any_block_may_come_under_a_good_checksum() {
         assert!(counters.messages_damaged > 2_000 && counters.messages > 10_000, "{counters:?}");
         for (_, _, markers) in &script.frames {
             assert!(markers.iter().all(|m| m.position_mm.iter().all(|v| v.is_finite())));
-            assert!(markers.len() < 6_000, "more than a block has room for");
+            assert!(markers.len() < 6_000, "more markers than fit into a block");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The NDI driver against transcripts: requests and answers byte for byte, as the vendor's guide has them.
+//! The NDI driver against transcripts: requests and replies byte for byte, as in the vendor's guide.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

@@ -1,40 +1,40 @@
-//! A device that is a function of the request.
+//! A scripted device: a function from request to reply.
 
 use mocapd_drivers::device::{
     Command, DeviceEvent, Hello, LinkCounters, MarkerInfo, MarkerSample, Protocol,
 };
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::turns::{Order, Orders, desk};
+use mocapd_drivers::transport::polled::{LineCommand, LineCommandReceiver, line_command_channel};
 
 const MS: u64 = 1_000_000;
 
-type Answer = Box<dyn FnMut(&[u8]) -> Vec<u8>>;
+type ReplyFn = Box<dyn FnMut(&[u8]) -> Vec<u8>>;
 
 pub(super) struct Script {
     host: NdiHost,
-    orders: Orders,
+    commands: LineCommandReceiver,
     now_ns: u64,
-    answer: Answer,
-    pub(super) said: Vec<String>,
+    reply: ReplyFn,
+    pub(super) sent: Vec<String>,
     pub(super) bauds: Vec<u32>,
     pub(super) failed: Option<String>,
     pub(super) hello: Option<Hello>,
     pub(super) markers: Vec<MarkerInfo>,
-    /// Number, ticks, markers.
+    /// Number, ticks and markers of each frame.
     pub(super) frames: Vec<(u32, u64, Vec<MarkerSample>)>,
     pub(super) ended: bool,
 }
 
 impl Script {
-    /// `answer` is asked first, and the usual answers where it gives none.
-    pub(super) fn new(mut answer: impl FnMut(&[u8]) -> Option<Vec<u8>> + 'static) -> Self {
-        let (desk, orders) = desk();
+    /// Makes a script from `reply`, with the default replies where it returns none.
+    pub(super) fn new(mut reply: impl FnMut(&[u8]) -> Option<Vec<u8>> + 'static) -> Self {
+        let (sender, commands) = line_command_channel();
         Self {
-            host: NdiHost::new(desk, 921_600),
-            orders,
+            host: NdiHost::new(sender, 921_600),
+            commands,
             now_ns: 0,
-            answer: Box::new(move |request| answer(request).unwrap_or_else(|| usual(request))),
-            said: Vec::new(),
+            reply: Box::new(move |request| reply(request).unwrap_or_else(|| vega_reply(request))),
+            sent: Vec::new(),
             bauds: Vec::new(),
             failed: None,
             hello: None,
@@ -44,7 +44,7 @@ impl Script {
         }
     }
 
-    pub(super) fn say(&mut self, command: Command) {
+    pub(super) fn command(&mut self, command: Command) {
         self.host.command(command, &mut Vec::new());
     }
 
@@ -56,29 +56,29 @@ impl Script {
         self.now_ns
     }
 
-    /// Reads so often; a read that brings nothing takes 20 ms.
+    /// Reads this many times; an empty read takes 20 ms.
     pub(super) fn read(&mut self, times: usize) {
         for _ in 0..times {
-            self.orders.set_now_ns(self.now_ns);
+            self.commands.set_now_ns(self.now_ns);
             let mut bytes = Vec::new();
-            while let Some(order) = self.orders.next_order() {
-                match order {
-                    Order::Write { request, not_before_ns } => {
+            while let Some(command) = self.commands.try_recv() {
+                match command {
+                    LineCommand::Write { request, not_before_ns } => {
                         self.now_ns = self.now_ns.max(not_before_ns);
-                        self.said.push(String::from_utf8(request.as_bytes().to_vec()).unwrap());
-                        bytes = (self.answer)(request.as_bytes());
+                        self.sent.push(String::from_utf8(request.as_bytes().to_vec()).unwrap());
+                        bytes = (self.reply)(request.as_bytes());
                     }
-                    Order::Break => self.said.push("(break)".to_owned()),
-                    Order::Baud(baud) => self.bauds.push(baud),
-                    Order::Farewell(_) => {}
-                    Order::Fail(words) => self.failed = Some(words),
+                    LineCommand::Break => self.sent.push("(break)".to_owned()),
+                    LineCommand::Baud(baud) => self.bauds.push(baud),
+                    LineCommand::Goodbye(_) => {}
+                    LineCommand::Fail(message) => self.failed = Some(message),
                 }
             }
             self.now_ns += if bytes.is_empty() { 20 * MS } else { MS / 10 };
-            self.orders.set_now_ns(self.now_ns);
+            self.commands.set_now_ns(self.now_ns);
             let Self { hello, markers, frames, ended, .. } = self;
             self.host.push(&bytes, &mut |event| match event {
-                DeviceEvent::Hello(said) => *hello = Some(said.clone()),
+                DeviceEvent::Hello(event) => *hello = Some(event.clone()),
                 DeviceEvent::Markers(table) => *markers = table.to_vec(),
                 DeviceEvent::Frame(f) => frames.push((f.seq, f.device_ticks, f.markers.to_vec())),
                 DeviceEvent::EndOfStream(_) => *ended = true,
@@ -87,20 +87,20 @@ impl Script {
         }
     }
 
-    /// Set up, and tracking.
+    /// Sets the device up and starts tracking.
     pub(super) fn started(mut self) -> Self {
-        self.say(Command::Identify);
+        self.command(Command::Identify);
         self.read(100);
-        assert!(self.hello.is_some() && self.failed.is_none(), "{:?} {:?}", self.failed, self.said);
-        self.say(Command::Start { line_bytes_per_s: 0 });
-        // The command, and the answer: what is said next is a poll.
+        assert!(self.hello.is_some() && self.failed.is_none(), "{:?} {:?}", self.failed, self.sent);
+        self.command(Command::Start { line_bytes_per_s: 0 });
+        // The command and its reply; the next request is a poll.
         self.read(2);
         self
     }
 }
 
-/// A system of the Vega's kind with one tool, as its answers go over the wire.
-fn usual(request: &[u8]) -> Vec<u8> {
+/// Default replies: a system like the Vega with one tool.
+fn vega_reply(request: &[u8]) -> Vec<u8> {
     match request {
         b"VER:065EE\r" => text(
             "Polaris Vega Control Firmware\nNDI S/N: P9-00123\nCharacterization Date: 03/05/25\n\
@@ -114,17 +114,17 @@ fn usual(request: &[u8]) -> Vec<u8> {
         _ if request.starts_with(b"PHINF:010005") => {
             text("02000000NDI         00136A1B22C318700449             ")
         }
-        // The fixed answer, checksum and all.
+        // The fixed reply with its checksum.
         _ => b"OKAYA896\r".to_vec(),
     }
 }
 
-/// A text answer; its checksum is worked out here bit by bit, after the guide's polynomial.
+/// A text reply; its checksum is computed here bit by bit, from the guide's polynomial.
 pub(super) fn text(text: &str) -> Vec<u8> {
     format!("{text}{:04X}\r", crc(text.as_bytes())).into_bytes()
 }
 
-/// A binary answer around a block.
+/// A binary reply around a block.
 pub(super) fn binary(block: &[u8]) -> Vec<u8> {
     let mut out = vec![0xC4, 0xA5];
     out.extend((block.len() as u16).to_le_bytes());

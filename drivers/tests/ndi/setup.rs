@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use mocapd_drivers::device::{Command, MarkerInfo, Protocol};
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::{Transport, turns::desk};
+use mocapd_drivers::transport::{Transport, polled::line_command_channel};
 use mocapd_testkit::memory;
 
 use super::script::{Script, text};
@@ -12,10 +12,10 @@ use super::script::{Script, text};
 #[test]
 fn a_vega_with_one_tool() {
     let mut script = Script::new(|_| None);
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(60);
     assert_eq!(
-        script.said,
+        script.sent,
         [
             "INIT:E3A5\r",
             "COMM:60000000C\r",
@@ -34,7 +34,7 @@ fn a_vega_with_one_tool() {
     let hello = script.hello.clone().unwrap();
     assert_eq!(hello.model, "Polaris Vega Control Firmware");
     assert_eq!((hello.serial.as_str(), hello.firmware.as_str()), ("P9-00123", "Polaris Vega 008"));
-    assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 1_000_000_000));
+    assert_eq!((hello.rate_millihertz, hello.tick_hz), (60_000, 1_000_000_000));
     let label = "8700449".to_owned();
     assert_eq!(script.markers, [MarkerInfo { id: 1, label, labelled: true }]);
     assert_eq!(script.counters().messages, 11);
@@ -46,7 +46,7 @@ fn handles_are_freed_initialized_and_enabled_in_turn() {
     let mut script = Script::new(move |request| match request {
         b"PHSR:01E03E\r" => Some(text("010B001")),
         b"PHSR:02E17E\r" => {
-            // Initializing the first two brings forth a third.
+            // Initializing the first two reveals a third.
             lists += 1;
             Some(text(["020A0010B001", "010C001", "00"][lists - 1]))
         }
@@ -55,12 +55,12 @@ fn handles_are_freed_initialized_and_enabled_in_turn() {
         _ if request.starts_with(b"PHINF:") => Some(text("02000000NDI         0010000000031")),
         _ => None,
     });
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(100);
-    let said: Vec<_> = script.said.iter().map(|s| &s[..s.len() - 5]).collect();
-    let from = said.iter().position(|said| *said == "PHSR:01").unwrap();
+    let requests: Vec<_> = script.sent.iter().map(|s| &s[..s.len() - 5]).collect();
+    let from = requests.iter().position(|request| *request == "PHSR:01").unwrap();
     assert_eq!(
-        said[from..],
+        requests[from..],
         [
             "PHSR:01",
             "PHF:0B",
@@ -96,8 +96,8 @@ fn an_old_system_has_no_bx2_and_its_clock_is_the_frame_number() {
         .started();
         script.read(1);
         let hello = script.hello.unwrap();
-        assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 60_000));
-        assert!(script.said.contains(&"BX:10013E6C\r".to_owned()), "{:?}", script.said);
+        assert_eq!((hello.rate_millihertz, hello.tick_hz), (60_000, 60_000));
+        assert!(script.sent.contains(&"BX:10013E6C\r".to_owned()), "{:?}", script.sent);
     }
 }
 
@@ -114,8 +114,8 @@ fn refusals_say_what_to_do() {
         ("TSTART:", "ERROR12", false),
     ] {
         let mut listed = 0;
-        let mut script = Script::new(move |said| match said {
-            _ if said.starts_with(request.as_bytes()) => Some(text(code)),
+        let mut script = Script::new(move |wire| match wire {
+            _ if wire.starts_with(request.as_bytes()) => Some(text(code)),
             b"PHSR:02E17E\r" => {
                 listed += 1;
                 Some(text(if listed == 1 { "0101001" } else { "00" }))
@@ -123,22 +123,22 @@ fn refusals_say_what_to_do() {
             b"PHSR:0321BF\r" => Some(text("0101011")),
             _ => None,
         });
-        script.say(Command::Identify);
+        script.command(Command::Identify);
         script.read(100);
-        script.say(Command::Start { line_bytes_per_s: 0 });
+        script.command(Command::Start { line_bytes_per_s: 0 });
         script.read(10);
-        let words = script.failed.clone().unwrap();
-        assert_eq!(words.contains("port 01"), is_of_a_tool, "{words}");
-        let (what, remedy) = words.split_once(code).expect("the code that it answered");
+        let message = script.failed.clone().unwrap();
+        assert_eq!(message.contains("port 01"), is_of_a_tool, "{message}");
+        let (what, remedy) = message.split_once(code).expect("the error code in the message");
         whats.insert(what.to_owned());
         remedies.insert(remedy.to_owned());
-        let tries = script.said.iter().filter(|said| said.starts_with(request)).count();
-        assert_eq!(tries, 3, "{request}: {:?}", script.said);
-        // It begins anew when it is asked again.
-        script.said.clear();
-        script.say(Command::Identify);
+        let tries = script.sent.iter().filter(|sent| sent.starts_with(request)).count();
+        assert_eq!(tries, 3, "{request}: {:?}", script.sent);
+        // It starts over on the next command.
+        script.sent.clear();
+        script.command(Command::Identify);
         script.read(1);
-        assert_eq!(script.said, ["INIT:E3A5\r"]);
+        assert_eq!(script.sent, ["INIT:E3A5\r"]);
     }
     // Three of the requests list ports.
     assert_eq!((whats.len(), remedies.len()), (5, 7), "{whats:?} {remedies:?}");
@@ -154,24 +154,24 @@ fn a_break_is_tried_when_init_has_no_answer() {
         }
         _ => None,
     });
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(20);
-    assert_eq!(script.said, ["INIT:E3A5\r", "(break)"]);
-    // Nothing is said before the device has said RESET, or not.
+    assert_eq!(script.sent, ["INIT:E3A5\r", "(break)"]);
+    // No request is sent before RESET, or its time-out.
     script.read(40);
-    assert_eq!(script.said.len(), 2);
+    assert_eq!(script.sent.len(), 2);
     script.read(60);
-    assert_eq!(script.said[2], "INIT:E3A5\r");
+    assert_eq!(script.sent[2], "INIT:E3A5\r");
     assert_eq!(script.bauds[..3], [9_600, 9_600, 921_600]);
 }
 
 #[test]
-fn what_is_only_for_people_may_be_refused() {
+fn refused_descriptive_requests_are_tolerated() {
     let mut script = Script::new(|request| {
         let refused = request.starts_with(b"VER:") || request.starts_with(b"PHINF:");
         refused.then(|| text("ERROR01"))
     });
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(100);
     assert_eq!(script.hello.unwrap().model, "NDI system");
     assert_eq!(script.markers[0].label, "port 01");
@@ -184,15 +184,15 @@ fn a_system_that_tracks_for_a_host_that_was_killed_is_stopped_first() {
         tracks &= !request.starts_with(b"TSTOP:");
         (tracks && request.starts_with(b"INIT:")).then(|| text("ERROR0C"))
     });
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(100);
-    assert!(script.hello.is_some(), "{:?}", script.said);
-    let told = ["INIT:E3A5\r", "INIT:E3A5\r", "INIT:E3A5\r", "TSTOP:2C14\r", "INIT:E3A5\r"];
-    assert_eq!(script.said[..5], told);
+    assert!(script.hello.is_some(), "{:?}", script.sent);
+    let requests = ["INIT:E3A5\r", "INIT:E3A5\r", "INIT:E3A5\r", "TSTOP:2C14\r", "INIT:E3A5\r"];
+    assert_eq!(script.sent[..5], requests);
 }
 
 #[test]
-fn a_start_whose_answer_was_lost_is_a_start() {
+fn a_start_whose_reply_was_lost_still_counts() {
     let mut starts = 0;
     let mut script = Script::new(move |request| {
         if !request.starts_with(b"TSTART:") {
@@ -201,51 +201,51 @@ fn a_start_whose_answer_was_lost_is_a_start() {
         starts += 1;
         Some(if starts == 1 { Vec::new() } else { text("ERROR0C") })
     });
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(100);
-    script.say(Command::Start { line_bytes_per_s: 0 });
+    script.command(Command::Start { line_bytes_per_s: 0 });
     script.read(150);
     assert!(script.failed.is_none(), "{:?}", script.failed);
-    assert!(script.said.iter().any(|said| said.starts_with("BX2")), "{:?}", script.said);
+    assert!(script.sent.iter().any(|request| request.starts_with("BX2")), "{:?}", script.sent);
 }
 
 #[test]
-fn an_answer_that_is_no_list_is_quoted_with_care() {
+fn an_invalid_port_list_is_quoted_escaped_and_shortened() {
     let mut script = Script::new(|request| {
         request.starts_with(b"PHSR:01").then(|| text(&format!("\u{1b}[2J{}", "x".repeat(500))))
     });
-    script.say(Command::Identify);
+    script.command(Command::Identify);
     script.read(100);
-    let words = script.failed.unwrap();
-    assert!(words.contains("\\u{1b}[2Jxxx") && words.len() < 150, "{words}");
+    let message = script.failed.unwrap();
+    assert!(message.contains("\\u{1b}[2Jxxx") && message.len() < 150, "{message}");
 }
 
 #[test]
-fn what_answers_at_once_and_wrongly_is_not_asked_without_a_pause() {
+fn immediate_wrong_replies_do_not_cause_a_busy_loop() {
     type Wrong = fn(&[u8]) -> Option<Vec<u8>>;
-    // An echo; one that is always busy; one that says OKAY to polls, too.
+    // An echo, a device that is always busy, and one that replies OKAY even to polls.
     let wrong: [Wrong; 3] = [
         |request| Some(request.to_vec()),
         |request| request.starts_with(b"INIT:").then(|| text("ERROR0C")),
         |_| None,
     ];
-    for answer in wrong {
-        let mut script = Script::new(answer);
-        script.say(Command::Identify);
+    for reply in wrong {
+        let mut script = Script::new(reply);
+        script.command(Command::Identify);
         script.read(100);
-        script.say(Command::Start { line_bytes_per_s: 0 });
-        let (asked, before_ns) = (script.said.len(), script.now_ns());
+        script.command(Command::Start { line_bytes_per_s: 0 });
+        let (n_requests, before_ns) = (script.sent.len(), script.now_ns());
         script.read(2_000);
-        let asked = (script.said.len() - asked) as u64;
+        let n_requests = (script.sent.len() - n_requests) as u64;
         let ms = (script.now_ns() - before_ns) / 1_000_000;
-        assert!(asked <= ms, "{asked} requests in {ms} ms");
+        assert!(n_requests <= ms, "{n_requests} requests in {ms} ms");
         assert!(script.frames.is_empty());
     }
 }
 
 #[test]
-fn another_line_after_a_replug_begins_with_init() {
-    let mut host = NdiHost::new(desk().0, 921_600);
+fn a_reattach_begins_with_init() {
+    let mut host = NdiHost::new(line_command_channel().0, 921_600);
     for _ in 0..2 {
         let (line, mut device) = memory::pair(256);
         let mut line = host.attach(Box::new(line));
@@ -265,8 +265,8 @@ fn another_line_after_a_replug_begins_with_init() {
 }
 
 #[test]
-fn another_line_after_a_replug_is_as_fast_as_was_asked_for() {
-    let mut host = NdiHost::new(desk().0, 921_600);
+fn a_reattach_tries_the_requested_baud_rate_again() {
+    let mut host = NdiHost::new(line_command_channel().0, 921_600);
     for expected in [&b"6A"[..], b"6"] {
         let (line, mut device) = memory::pair(256);
         let mut line = host.attach(Box::new(line));
@@ -278,18 +278,18 @@ fn another_line_after_a_replug_is_as_fast_as_was_asked_for() {
             let n = device.read(&mut buf).unwrap();
             match &buf[..n] {
                 b"INIT:E3A5\r" => device.write_all(b"OKAYA896\r").unwrap(),
-                asked if asked.starts_with(b"COMM:") => {
-                    speeds.push(asked[5]);
+                request if request.starts_with(b"COMM:") => {
+                    speeds.push(request[5]);
                     device.write_all(b"OKAYA896\r").unwrap();
                 }
-                // A break is not heard here: now and then it says that it was reset.
+                // This line does not carry the break: report a reset now and then.
                 b"" => {
                     n_silent += 1;
                     if n_silent % 8 == 0 && !speeds.is_empty() {
                         device.write_all(b"RESETBE6F\r").unwrap();
                     }
                 }
-                // At the new speed all that it says is noise.
+                // At the new baud rate it sends only noise.
                 _ => device.write_all(&[0x55; 80]).unwrap(),
             }
         }

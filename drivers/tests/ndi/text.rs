@@ -1,4 +1,4 @@
-//! Known answers of the checksum, and of what is fixed.
+//! Known answers of the checksum, and the fixed replies.
 
 use mocapd_drivers::ndi::crc16;
 
@@ -6,7 +6,7 @@ use super::script::{crc, text};
 
 #[test]
 fn the_guides_known_answers() {
-    for (said, known) in [
+    for (text, known) in [
         ("INIT:", 0xE3A5),
         ("OKAY", 0xA896),
         ("RESET", 0xBE6F),
@@ -14,7 +14,7 @@ fn the_guides_known_answers() {
         ("GETINFO:Features.Firmware.Version", 0x0492),
         ("PHSR:00", 0x20FF),
     ] {
-        assert_eq!((crc16(said.as_bytes()), crc(said.as_bytes())), (known, known), "{said}");
+        assert_eq!((crc16(text.as_bytes()), crc(text.as_bytes())), (known, known), "{text}");
     }
     assert_eq!(text("OKAY"), b"OKAYA896\r");
     assert_eq!(text("RESET"), b"RESETBE6F\r");
@@ -28,8 +28,8 @@ fn the_known_answers_of_the_page() {
     let mut n_checked = 0;
     for row in section.unwrap().lines().filter(|line| line.starts_with('|')) {
         for wire in row.split('`').skip(1).step_by(2) {
-            let (said, digits) = wire.split_at(wire.len() - 4);
-            assert_eq!(format!("{:04X}", crc16(said.as_bytes())), digits, "{wire}");
+            let (request, digits) = wire.split_at(wire.len() - 4);
+            assert_eq!(format!("{:04X}", crc16(request.as_bytes())), digits, "{wire}");
             n_checked += 1;
         }
     }

@@ -1,4 +1,4 @@
-//! Small photographs in every format, and what is kept of a face.
+//! Small photographs in every format, fitted faces, mappings and face models.
 
 use mocapd_face::{
     fitted::{FittedFace, Method, Source},
@@ -7,8 +7,8 @@ use mocapd_face::{
 };
 use mocapd_testkit::photograph::{Picture, Scene};
 
-/// A PNM of 8 and of 16 bits, a grey one, a text one, a cut one, and one that promises more than it has; a bitmap, which is
-/// refused. A fuzzer finds its way into PNG and JPEG by their signatures.
+/// PNM files of 8 and 16 bits, in grey, as text, cut off, and with fewer pixels than promised; the signatures of PNG
+/// and JPEG, from which a fuzzer continues; and a bitmap, which is refused.
 pub(crate) fn photos() -> Vec<Vec<u8>> {
     let pixels: Vec<u8> = (0..40 * 36 * 6).map(|i: usize| (i * i / 7 % 251) as u8).collect();
     let with = |header: &str, bytes: usize| [header.as_bytes(), &pixels[..bytes]].concat();
@@ -28,7 +28,7 @@ pub(crate) fn photos() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A drawn face as it is kept, and cut.
+/// Fitted faces, whole and cut off.
 pub(crate) fn faces() -> Vec<Vec<u8>> {
     let (Ok(model), Ok(Picture { image, faces })) =
         (Model::generic(), Scene::portrait(4, 70.0, 20.0).render())
@@ -50,7 +50,7 @@ pub(crate) fn faces() -> Vec<Vec<u8>> {
     cut.chain(whole.clone()).collect()
 }
 
-/// The one that comes with mocapd, one with vertices by number, and one of a later version.
+/// The built-in mapping, one with vertices by number, and one of a later version.
 pub(crate) fn mappings() -> Vec<Vec<u8>> {
     let own = Mapping::singing_face().and_then(|mapping| mapping.to_json()).unwrap_or_default();
     let kind = r#"{"format": "mocapd-face-mapping", "version": "#;
@@ -63,7 +63,7 @@ pub(crate) fn mappings() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A model of a pyramid that is all features, with two modes; and the same, cut in each of its parts.
+/// A model of a pyramid with all features and two modes, whole and cut off in each of its parts.
 pub(crate) fn models() -> Vec<Vec<u8>> {
     let fixed = FeatureId::all().filter(|id| !id.is_contour()).enumerate();
     let features: Vec<String> =

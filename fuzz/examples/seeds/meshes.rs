@@ -4,10 +4,10 @@ use mocapd_body::{
     Joints, Mesh, Repaired, Unit,
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
-/// An octahedron, of which a fuzzer changes a large part with few bytes; the same with a hole, a double corner, a stray
-/// triangle; and a small body.
+/// An octahedron, of which a fuzzer can change a large part with few bytes, also with a hole, a duplicate vertex and
+/// a stray triangle; and a small body.
 fn meshes() -> Vec<Mesh> {
     let tip = |axis: usize, sign: f64| std::array::from_fn(|k| if k == axis { sign } else { 0.0 });
     let positions: Vec<[f64; 3]> = (0..6).map(|i| tip(i / 2, [0.9, -0.9][i % 2])).collect();
@@ -29,11 +29,11 @@ fn meshes() -> Vec<Mesh> {
     double.triangles[3] = [3, 6, 4];
     let mut stray = whole.clone();
     stray.triangles.push([0, 2, 3]);
-    let figure = body(1, Pose::A, Options { n_faces: 500, turned: false }).0;
+    let figure = body(1, Pose::A, BodyOptions { n_faces: 500, turned: false }).0;
     vec![whole, hole, double, stray, figure]
 }
 
-/// As every format, with the first byte that names it.
+/// The meshes in every format, each after the byte that selects it.
 pub(crate) fn files() -> Vec<Vec<u8>> {
     meshes()
         .iter()
@@ -129,7 +129,7 @@ fn text_ply(mesh: &Mesh) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// Of one scan, of several, and without joints.
+/// Skeletons of one scan, of several, and without joints.
 pub(crate) fn skeletons() -> Vec<Vec<u8>> {
     let repaired = Repaired {
         mesh: Mesh::default(),
@@ -144,7 +144,7 @@ pub(crate) fn skeletons() -> Vec<Vec<u8>> {
         unit: Unit::Metre,
         notes: vec!["a note".to_owned()],
     };
-    let options = Options { n_faces: 500, turned: true };
+    let options = BodyOptions { n_faces: 500, turned: true };
     let posed = |pose: &Pose| scan(*pose, body(1, *pose, options).1);
     let all: Vec<ScanJoints> = Pose::ALL.iter().map(posed).collect();
     let lists = [&all[..1], &all[..], &[scan(Pose::A, Joints::default())]];

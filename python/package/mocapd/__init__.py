@@ -1,13 +1,13 @@
-"""Takes of mocapd as NumPy arrays, and arrays as takes.
+"""Reads takes of mocapd into NumPy arrays, and writes arrays as takes.
 
 >>> import mocapd
 >>> take = mocapd.open("jump.take")
 >>> take.positions.shape            # frames, markers, axes; millimetres, NaN where a marker was not seen
 (1200, 15, 3)
->>> take["LKNE"].read(start_s=2.0, stop_s=3.0)      # one marker's second
+>>> take["LKNE"].read(start_s=2.0, stop_s=3.0)      # one second of one marker
 
-Positions are float32 millimetres, right-handed, in the device's axes. Every sample lies within
-``take.header.tolerance_mm`` of what was recorded, as a distance in 3D: the encoder measured each of them.
+Positions are float32 millimetres, right-handed, in the device's axes. Every sample is within
+``take.header.tolerance_mm`` of the recorded one (Euclidean distance in 3D): the encoder verified each of them.
 """
 
 from importlib.metadata import version

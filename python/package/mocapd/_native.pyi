@@ -32,7 +32,7 @@ class TakeFile:
     def read_into(
         self, out: npt.NDArray[np.float32], first: int, columns: list[int], threads: int
     ) -> list[str]: ...
-    def survey(
+    def scan(
         self, columns: list[int], with_knots: bool, threads: int
     ) -> tuple[list[tuple[int, int, int, float, npt.NDArray[np.int64]]], list[str]]: ...
     def times(
@@ -41,12 +41,12 @@ class TakeFile:
     def lost(self) -> list[tuple[int, int, str]]: ...
 
 @type_check_only
-class Coding(TypedDict):
+class EncodeOptions(TypedDict):
     rate_hz: float
     tolerance_mm: float | None
     resampler: str
     up_axis: int
 
 def encode(
-    positions: npt.NDArray[np.float32], labels: list[tuple[str, bool]], coding: Coding, threads: int
+    positions: npt.NDArray[np.float32], labels: list[tuple[str, bool]], options: EncodeOptions, threads: int
 ) -> bytes: ...

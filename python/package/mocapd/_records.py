@@ -1,4 +1,4 @@
-"""What a take says beside the motion, as plain records."""
+"""Records of a take's header, events, clock and ledger."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class Device:
-    """The device that was recorded, as it says itself."""
+    """The recorded device, as it describes itself."""
 
     driver: str
     uri: str
@@ -21,16 +21,16 @@ class Device:
     serial: str
     firmware: str
     tick_hz: int
-    """Ticks of its clock a second."""
+    """Clock ticks a second."""
     low_latency: bool
 
 
 @dataclass(frozen=True)
 class Source:
-    """What an imported take was made of."""
+    """The source of an imported take."""
 
     format: str
-    """``c3d``, ``trc``, ``tsv``, ``csv``; ``array`` for what :func:`write_take` wrote."""
+    """``c3d``, ``trc``, ``tsv`` or ``csv``; ``array`` for a take from :func:`write_take` or :func:`compress`."""
     file: str
     unit: str
     factor_to_mm: float
@@ -40,18 +40,18 @@ class Source:
 
 @dataclass(frozen=True)
 class Header:
-    """What a take begins with."""
+    """The header of a take."""
 
     software: str
     take_id: uuid.UUID
     created: datetime | None
-    """When the recording began, in UTC; None for an import, which has no time of its own."""
+    """Start of the recording in UTC; None for an import."""
     resampler: str
     tolerance_mm: float
-    """Largest distance in 3D between a sample and its reconstruction; 0 for ``lossless``."""
+    """Largest Euclidean distance in 3D between a sample and its reconstruction; 0 for ``lossless``."""
     rate_hz: float
     up_axis: str | None
-    """``x``, ``y`` or ``z``, where it is known."""
+    """``x``, ``y`` or ``z``; None if unknown."""
     device: Device | None
     """None for an import."""
     source: Source | None
@@ -75,7 +75,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Ledger:
-    """Every frame and sample accounted for; docs/take-format.md gives each counter's meaning."""
+    """The account of every frame and sample; docs/take-format.md explains each counter."""
 
     finished: bool
     frames_sent: int
@@ -98,41 +98,41 @@ class Ledger:
     link_messages_unknown: int
     contradictions: list[str]
     closes: bool
-    """Whether what was sent is what was recorded and lost, and no counter contradicted itself."""
+    """Whether sent frames equal recorded plus lost ones, and no counters contradict each other."""
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a take ended."""
+    """How a recording ended."""
 
     kind: str
     """``stopped``, ``length``, ``device ended``, ``device gone``, ``disk full`` and others; docs/api.md has the list."""
     detail: str
-    """More about it; mostly empty."""
+    """Additional information; usually empty."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened beside the motion."""
+    """An event during the recording, or one of the imported file."""
 
     kind: str
     """``mark``, ``trigger``, ``sync pulse``, ``device`` or ``host``."""
     frame: int
     time_s: float
-    """The frame's time in the take, from 0."""
+    """The frame's time in seconds from the first frame."""
     device_ticks: int
-    """0 where the device did not say."""
+    """The device's clock; 0 if unknown."""
     host_ns: int
-    """The host's monotonic clock."""
+    """The host's monotonic clock, in nanoseconds."""
     input: int
     text: str
 
 
 @dataclass(frozen=True)
 class ClockLine:
-    """How the device's clock ran against the host's, for one run of the device's clock.
+    """A linear map from the device's clock to the host's, for one run of the device's clock.
 
-    ``host_ns + (ticks - device_ticks) * 1e9 / tick_hz * (1 + drift_ppm * 1e-6)`` is the host's time of ``ticks``.
+    The host's time of ``ticks`` is ``host_ns + (ticks - device_ticks) * 1e9 / tick_hz * (1 + drift_ppm * 1e-6)``.
     """
 
     segment: int
@@ -140,31 +140,31 @@ class ClockLine:
     host_ns: int
     drift_ppm: float
     bound_us: int | None
-    """How far it can be off where it is told; None where no round trip was measured."""
+    """Largest error at the reference point, in microseconds; None if no round trip was measured."""
 
 
 @dataclass(frozen=True)
 class LostFrames:
-    """Consecutive frames that are not in the take."""
+    """A run of lost frames."""
 
     first_frame: int
     n_frames: int
     cause: str
-    """``not received``, ``ring full``, ``disconnected``, ``damaged``, or several of them with commas."""
+    """``not received``, ``ring full``, ``disconnected``, ``damaged``, or several of them separated by commas."""
 
 
 @dataclass(frozen=True)
 class Times:
-    """When frames were: arrays of one value a frame."""
+    """The times of frames: arrays with one value for each frame."""
 
     frame: npt.NDArray[np.int64]
     nominal_s: npt.NDArray[np.float64]
-    """Frame / rate: seconds from the first frame."""
+    """Frame / rate, in seconds from the first frame."""
     device_s: npt.NDArray[np.float64] | None
-    """The device's clock at exposure, in seconds; NaN where a frame was lost. None for an import."""
+    """The device's clock at exposure, in seconds; NaN for lost frames. None for an import."""
     host_s: npt.NDArray[np.float64] | None
-    """The host's monotonic clock at arrival, in seconds, to within 0.32 ms; NaN where a frame was lost."""
+    """The host's monotonic clock at arrival, in seconds, to within 0.32 ms; NaN for lost frames. None for an import."""
     device_ticks: npt.NDArray[np.uint64] | None
-    """The device's clock exactly; 0 where a frame was lost."""
+    """The device's clock in ticks; 0 for lost frames. None for an import."""
     recorded: npt.NDArray[np.bool_] | None
-    """Whether the frame was recorded. A frame that was, and where a marker is NaN, did not show the marker."""
+    """Whether the frame was recorded. If it was, a marker with NaN was not seen. None for an import."""

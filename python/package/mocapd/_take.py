@@ -1,4 +1,4 @@
-"""A take that is open."""
+"""An open take and its markers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Union
 import numpy as np
 import numpy.typing as npt
 
-from ._arrays import SAMPLES_MAX, threads_of
+from ._arrays import SAMPLES_MAX, thread_count
 from ._native import TakeFile
 from ._records import ClockLine, Ending, Event, Header, Ledger, LostFrames, Times
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Positions = npt.NDArray[np.float32]
 MarkerKey = Union[str, int]
 
-# The times of a frame weigh as much as so many samples.
+# The times of a frame take as much memory as this number of samples.
 _TIMES_AS_SAMPLES = 4
 
 # The package is installed from its folder: no registry has it.
@@ -32,81 +32,81 @@ _NEEDS = "{0} needs {1}: pip install {1}, or pip install './python[{1}]' in moca
 
 
 class TakeWarning(UserWarning):
-    """Something of a take is missing or damaged; the words say what."""
+    """Part of a take is missing or damaged; the message says which."""
 
 
 @dataclass(frozen=True)
 class MarkerSummary:
-    """What a whole take holds of one marker."""
+    """The counts of one marker over a whole take."""
 
     label: str
     n_samples: int
     n_gaps: int
-    """Runs of frames without a sample, at the ends too."""
+    """Runs of frames without a sample, including those at start and end."""
     n_knots: int
-    """Samples that are kept; the others are interpolated between them."""
+    """Kept samples; the others are interpolated between them."""
     max_error_mm: float
-    """The largest error that the take states where it has samples of this marker."""
+    """The largest error that the take states for blocks with samples of this marker."""
 
 
 def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
     """Opens a take.
 
-    Nothing is decoded yet, and of a take that was finished little is read, however long it is. One that was cut
-    off, as a killed recorder leaves it, opens with a :class:`TakeWarning` that says what is missing.
+    Decodes nothing yet, and reads little of a complete take, whatever its length. A take that was cut off, for
+    example by a crash of the recorder, opens with a :class:`TakeWarning` about the missing part.
 
     Parameters
     ----------
     path
         The file.
     threads
-        How many decode; one a core, at most 8, unless given.
+        Number of threads for decoding; by default one for each core, at most 8.
 
     Raises
     ------
     FileNotFoundError, PermissionError, OSError
-        When the file cannot be read.
+        If the file cannot be read.
     TakeError
-        When it is no take, of another version, or its header is damaged.
+        If the file is not a take, has another version, or has a damaged header.
     """
     return Take(path, threads=threads)
 
 
 class Take:
-    """A take: trajectories of markers, when their frames were, and what became of every frame.
+    """An open take: marker trajectories, frame times, events and the ledger.
 
-    ``take[100:200]`` are the positions of some frames, [frames, markers, 3]; ``take["LKNE"]`` is a marker;
-    ``take[100:200, "LKNE"]`` are some frames of it, [frames, 3].
+    ``take[100:200]`` are the positions of frames 100 to 199, [frames, markers, 3]; ``take["LKNE"]`` is a marker;
+    ``take[100:200, "LKNE"]`` are the positions of that marker, [frames, 3].
     """
 
     def __init__(self, path: str | os.PathLike[str], *, threads: int | None = None) -> None:
         self.path = os.fspath(path)
-        self._threads = threads_of(threads)
+        self._threads = thread_count(threads)
         self._file = TakeFile(path)
         self.header: Header = Header._of(self._file.header())
-        """What it begins with: device or source, resampler, tolerance, who wrote it."""
+        """The header: device or source, resampler, tolerance, writer."""
         self.labels: tuple[str, ...] = tuple(self._file.labels)
-        """The markers' names, in order of columns; ``u001``... for markers without one."""
+        """The marker labels, in order of columns; ``u001``... for unlabelled markers."""
         self.n_frames: int = self._file.n_rows
-        """Frames, lost ones included."""
+        """Number of frames, including lost ones."""
         self.finished: bool = self._file.finished
-        """Whether it was closed in order; one that was not was cut off."""
+        """Whether the take is complete; otherwise it was cut off."""
         self.problems: list[str] = []
-        """What is missing or damaged, as far as was read."""
+        """What is missing or damaged in the part read so far."""
         self._warn(self._file.problems)
         if self._file.cut_off is not None:
             self._warn_cut_off(self._file.cut_off)
 
-    # -- what it is ----------------------------------------------------------------------------------------
+    # -- description ---------------------------------------------------------------------------------------
 
     @property
     def frames(self) -> int:
-        """The same as ``n_frames``."""
+        """Number of frames, including lost ones: ``n_frames``."""
         return self.n_frames
 
     @property
     def n_markers(self) -> int:
-        """Markers, seen or not."""
+        """Number of markers, including those that were never seen."""
         return len(self.labels)
 
     @property
@@ -116,12 +116,12 @@ class Take:
 
     @property
     def duration_s(self) -> float:
-        """Frames / rate."""
+        """Duration in seconds: frames / rate."""
         return self.n_frames / self.rate_hz
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of ``positions``: frames, markers, 3."""
+        """The shape of ``positions``: frames, markers, 3."""
         return self.n_frames, self.n_markers, 3
 
     def __len__(self) -> int:
@@ -137,25 +137,25 @@ class Take:
 
     @cached_property
     def ledger(self) -> Ledger | None:
-        """The account of every frame and sample; None where the take was cut off before the first one."""
+        """The account of every frame and sample; None if the take was cut off before the first ledger."""
         fields = self._file.ledger()
         return Ledger(**fields) if fields else None
 
     @cached_property
     def ending(self) -> Ending | None:
-        """How it ended; None where it does not say: imports, takes that were cut off, and those of earlier versions."""
+        """How the recording ended; None for imports, takes that were cut off, and takes of earlier versions."""
         ending = self._file.ending()
         return Ending(*ending) if ending else None
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """Marks, triggers, sync pulses, and what device and host said, in order."""
+        """Marks, triggers, sync pulses, and reports of device and host, in order of time."""
         events = self._file.events()
         return tuple(Event(time_s=event["frame"] / self.rate_hz, **event) for event in events)
 
     @cached_property
     def clock_lines(self) -> tuple[ClockLine, ...]:
-        """How the device's clock ran against the host's, by run of the device's clock; empty for an import."""
+        """Maps from the device's clock to the host's, one for each run of the device's clock; empty for an import."""
         return tuple(ClockLine(**line) for line in self._file.clock_lines())
 
     # -- positions -----------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ class Take:
     def positions(self) -> Positions:
         """All positions: float32 [frames, markers, 3], millimetres, NaN where a marker was not seen or a frame lost.
 
-        Decoded once and kept; :meth:`read` decodes a part and keeps nothing.
+        Decoded once and cached, 12 bytes a sample; :meth:`read` decodes a part.
         """
         return self.read()
 
@@ -177,26 +177,27 @@ class Take:
         start_frame: int | None = None,
         stop_frame: int | None = None,
     ) -> Positions:
-        """Positions of a part: float32 [frames, markers, 3], millimetres, NaN where there is no sample.
+        """Reads a part of the positions: float32 [frames, markers, 3], millimetres, NaN for missing samples.
 
-        Only what is asked for is read and decoded: from the key before it on, at most ten seconds earlier, and of
-        the groups of 64 markers those that are wanted.
+        Decodes only the necessary part of the file: from the key stretch before the start, at most ten seconds
+        earlier, and only the groups of 64 markers that contain the requested ones.
 
         Parameters
         ----------
         start_s, stop_s
-            Seconds from the first frame: frames at or after ``start_s``, and before ``stop_s``.
+            Seconds from the first frame: reads frames at or after ``start_s`` and before ``stop_s``.
         markers
-            Labels or columns, in the order wanted; all of them unless given. A single one keeps its axis.
+            Labels or columns, in the order of the result; by default all. The result has an axis of markers also
+            for a single one.
         start_frame, stop_frame
-            The same by frames, instead of seconds.
+            The range as frame indices from 0, instead of seconds.
 
         Raises
         ------
         KeyError
-            For a marker that is not in the take.
+            If a marker is not in the take.
         ValueError
-            For a time that is none, an end before the start, or more than 2^30 samples at once.
+            For a negative time or NaN, an end before the start, or more than 2^30 samples.
         """
         first, stop = self._range(start_s, stop_s, start_frame, stop_frame)
         columns = self._columns(markers)
@@ -218,13 +219,13 @@ class Take:
         Raises
         ------
         KeyError
-            When there is none, or several, of that name.
+            If no marker, or more than one, has that label, or there is no such column.
         """
         return Marker(self, self._columns(key)[0])
 
     @property
     def markers(self) -> list[Marker]:
-        """Every marker, in order of columns."""
+        """All markers, in order of columns."""
         return [Marker(self, column) for column in range(self.n_markers)]
 
     def __iter__(self) -> Iterator[Marker]:
@@ -233,15 +234,15 @@ class Take:
     def __contains__(self, label: object) -> bool:
         return label in self.labels
 
-    # -- what is kept, when, and what is lost --------------------------------------------------------------
+    # -- knots, times and losses ---------------------------------------------------------------------------
 
     @cached_property
     def summary(self) -> dict[str, MarkerSummary]:
-        """By label, what the whole take holds of each marker; decodes it once. Of two markers of one name the
-        later one has its column behind it: ``LKNE#7``.
+        """The counts of each marker over the whole take, by label; decodes the take once. If markers share a label,
+        the later ones have their column appended: ``LKNE#7``.
         """
         columns = list(range(self.n_markers))
-        found, problems = self._file.survey(columns, False, self._threads)
+        found, problems = self._file.scan(columns, False, self._threads)
         self._warn(problems)
         out: dict[str, MarkerSummary] = {}
         for column, (label, (samples, gaps, knots, error_mm, _)) in enumerate(zip(self.labels, found)):
@@ -250,18 +251,18 @@ class Take:
         return out
 
     def knots(self, markers: Sequence[MarkerKey] | MarkerKey | None = None) -> list[npt.NDArray[np.int64]]:
-        """The frames whose samples are kept, of each marker: what ``mocapd info`` counts as knots."""
-        found, problems = self._file.survey(self._columns(markers), True, self._threads)
+        """For each marker the frames of its kept samples, which ``mocapd info`` counts as knots."""
+        found, problems = self._file.scan(self._columns(markers), True, self._threads)
         self._warn(problems)
         return [knots for *_, knots in found]
 
     def times(self, start_s: float | None = None, stop_s: float | None = None) -> Times:
-        """When frames were, by the device's clock and by the host's, where the take has them.
+        """The times of frames by the device's clock and the host's, if the take has them.
 
         Raises
         ------
         ValueError
-            For a time that is none, an end before the start, or more than 2^28 frames at once.
+            For a negative time or NaN, an end before the start, or more than 2^28 frames.
         """
         first, stop = self._range(start_s, stop_s)
         # Five arrays of eight bytes a frame.
@@ -278,12 +279,10 @@ class Take:
 
     @cached_property
     def lost(self) -> tuple[LostFrames, ...]:
-        """Frames that are not in the take, with their causes. Where a frame is there and a marker NaN, the marker
-        was not seen.
-        """
+        """Runs of lost frames with their causes. In all other frames a marker with NaN was not seen."""
         return tuple(LostFrames(*lost) for lost in self._file.lost())
 
-    # -- to other libraries --------------------------------------------------------------------------------
+    # -- conversion to other libraries ---------------------------------------------------------------------
 
     def to_xarray(
         self,
@@ -291,12 +290,12 @@ class Take:
         stop_s: float | None = None,
         markers: Sequence[MarkerKey] | MarkerKey | None = None,
     ) -> xarray.DataArray:
-        """As an ``xarray.DataArray`` with the dimensions time (seconds), marker and axis.
+        """Positions as an ``xarray.DataArray`` with the dimensions time (seconds), marker and axis.
 
         Raises
         ------
         ImportError
-            Without xarray, which ``pip install './python[xarray]'`` brings.
+            If xarray is not installed; ``pip install './python[xarray]'`` installs it.
         """
         try:
             import xarray
@@ -322,12 +321,13 @@ class Take:
         stop_s: float | None = None,
         markers: Sequence[MarkerKey] | MarkerKey | None = None,
     ) -> pandas.DataFrame:
-        """As a ``pandas.DataFrame``: a row a frame by time in seconds, columns (marker, axis), millimetres.
+        """Positions as a ``pandas.DataFrame``: one row a frame, indexed by time in seconds, with columns (marker, axis)
+        in millimetres.
 
         Raises
         ------
         ImportError
-            Without pandas, which ``pip install './python[pandas]'`` brings.
+            If pandas is not installed; ``pip install './python[pandas]'`` installs it.
         """
         try:
             import pandas
@@ -341,7 +341,7 @@ class Take:
             columns=pandas.MultiIndex.from_tuples(names, names=["marker", "axis"]),
         )
 
-    # -- the ways there ------------------------------------------------------------------------------------
+    # -- helpers -------------------------------------------------------------------------------------------
 
     def _part(
         self, start_s: float | None, stop_s: float | None, markers: Sequence[MarkerKey] | MarkerKey | None
@@ -367,31 +367,31 @@ class Take:
 
     def _warn_cut_off(self, problem: str) -> None:
         self.problems.append(problem)
-        here = f"{self.n_frames} frames ({self.n_frames / self.rate_hz:.3f} s) are here"
-        hint = "`mocapd recover` makes a whole take of them"
+        here = f"{self.n_frames} frames ({self.n_frames / self.rate_hz:.3f} s) can be read"
+        hint = "`mocapd recover` writes them to a complete take"
         warnings.warn(f"{self.path}: {problem}; {here}. {hint}", TakeWarning, stacklevel=4)
 
     def _range(
         self, start_s: float | None, stop_s: float | None, start_frame: int | None = None, stop_frame: int | None = None
     ) -> tuple[int, int]:
-        """The frames from one end to before the other."""
+        """The range of frames, as first and one past the last."""
         first = self._frame(start_s, start_frame, 0)
         stop = self._frame(stop_s, stop_frame, self.n_frames)
-        # Beyond the take its end stands for both, and they are compared as they were given.
+        # Ends beyond the take are cut off to its length, so they are compared as given, too.
         for start, end in ((start_s, stop_s), (start_frame, stop_frame), (first, stop)):
             if start is not None and end is not None and end < start:
-                raise ValueError(f"a part from {start} to {end}: its end lies before its start")
+                raise ValueError(f"the part from {start} to {end} ends before it starts")
         return first, stop
 
     def _check_size(self, n_frames: int, n_markers: int) -> None:
         if n_frames * max(n_markers, 1) > SAMPLES_MAX:
             raise ValueError(
-                f"{n_frames} frames of {n_markers} markers are more than fit at once: give start_s and stop_s"
+                f"{n_frames} frames of {n_markers} markers are too many to read at once: give start_s and stop_s"
             )
 
     def _frame(self, time_s: float | None, frame: int | None, default: int) -> int:
         if time_s is not None and frame is not None:
-            raise ValueError("a time and a frame were given for one end: choose one of them")
+            raise ValueError("give the start or the stop either as a time or as a frame, not both")
         if frame is not None:
             if frame < 0:
                 raise ValueError(f"frame {frame}: frames count from 0")
@@ -399,8 +399,8 @@ class Take:
         if time_s is None:
             return default
         if not time_s >= 0:
-            raise ValueError(f"a time of {time_s} s: times count from the first frame")
-        # The first frame at or after it; a time that is a frame's own but for its last digits is that frame's.
+            raise ValueError(f"time {time_s} s: times are seconds from the first frame, 0 or more")
+        # The first frame at or after the time; a time within rounding errors of a frame's is that frame's.
         at = min(time_s * self.rate_hz, float(self.n_frames))
         nearest = round(at)
         found = nearest if abs(at - nearest) <= 1e-9 * max(at, 1.0) else math.ceil(at)
@@ -410,7 +410,7 @@ class Take:
         if isinstance(key, slice):
             start, stop, step = key.indices(self.n_frames)
             if step < 0:
-                raise ValueError("frames are read forwards: turn the array round instead")
+                raise ValueError("a slice of frames cannot have a negative step: reverse the array instead")
             return slice(start, max(start, stop), step)
         if isinstance(key, (int, np.integer)):
             raise TypeError(f"take[{key}]: for one frame use take[{key}:{key + 1}], for a marker take.marker({key})")
@@ -426,18 +426,18 @@ class Take:
     def _column(self, marker: MarkerKey) -> int:
         if isinstance(marker, (int, np.integer)):
             if not 0 <= marker < self.n_markers:
-                raise KeyError(f"there is no marker {marker}: the take has {self.n_markers}")
+                raise KeyError(f"no marker {marker}: the take has {self.n_markers} markers, counted from 0")
             return int(marker)
         found = [column for column, label in enumerate(self.labels) if label == marker]
         if len(found) == 1:
             return found[0]
         if found:
-            raise KeyError(f"{len(found)} markers are called {marker!r}: use one of their columns, {found}")
-        raise KeyError(f"no marker is called {marker!r}; there are {', '.join(self.labels[:20])}...")
+            raise KeyError(f"{len(found)} markers have the label {marker!r}: use one of their columns, {found}")
+        raise KeyError(f"no marker has the label {marker!r}; the take has {', '.join(self.labels[:20])}...")
 
 
 class Marker:
-    """One marker of a take; ``marker[100:200]`` are some frames of it, [frames, 3]."""
+    """One marker of a take; ``marker[100:200]`` are its positions in frames 100 to 199, [frames, 3]."""
 
     def __init__(self, take: Take, column: int) -> None:
         self.take = take
@@ -449,11 +449,11 @@ class Marker:
 
     @cached_property
     def positions(self) -> Positions:
-        """All of its positions: float32 [frames, 3], millimetres, NaN where there is no sample."""
+        """All positions of the marker: float32 [frames, 3], millimetres, NaN for missing samples."""
         return self.read()
 
     def read(self, start_s: float | None = None, stop_s: float | None = None) -> Positions:
-        """Some of its positions: float32 [frames, 3], millimetres."""
+        """Positions of the marker from ``start_s`` to before ``stop_s``: float32 [frames, 3], millimetres."""
         return self.take.read(start_s, stop_s, self.column)[:, 0]
 
     def __getitem__(self, frames: slice) -> Positions:
@@ -463,12 +463,12 @@ class Marker:
 
     @cached_property
     def knots(self) -> npt.NDArray[np.int64]:
-        """The frames whose samples are kept; the others are interpolated between them."""
+        """The frames of the kept samples; the other samples are interpolated between them."""
         return self.take.knots(self.column)[0]
 
     @property
     def n_knots(self) -> int:
-        """How many samples are kept."""
+        """Number of kept samples."""
         return len(self.knots)
 
     @property
@@ -478,5 +478,5 @@ class Marker:
 
     @property
     def max_error_mm(self) -> float:
-        """The largest error that the take states where it has samples of this marker."""
+        """The largest error that the take states for blocks with samples of this marker."""
         return list(self.take.summary.values())[self.column].max_error_mm

@@ -1,5 +1,4 @@
-//! The markers of one subject over a take, whose labels can be exchanged: how long its limbs are, and where one is not
-//! itself.
+//! Limb lengths over a take: statistics, the band of plausible lengths, and where a limb leaves it.
 
 use std::ops::Range;
 
@@ -8,78 +7,76 @@ use mocapd_take::motion::{Motion, Position};
 use super::Limb;
 use crate::column::{Vector, distance, median, runs, sample};
 
-/// A limb's band reaches so far to both sides of its middle: this part of its length, but no less than
-/// [`BAND_MIN_MM`] (a marker slides so far on the skin) nor [`BAND_SPREADS`] of its own spread.
+/// Half-width of a limb's band as a fraction of its length; it is at least [`BAND_MIN_MM`] and at least
+/// [`BAND_SPREADS`] times the limb's spread.
 pub const BAND_PART: f64 = 0.10;
-/// See [`BAND_PART`], mm.
+/// Smallest half-width of a band, mm: markers slide this far on the skin.
 pub const BAND_MIN_MM: f64 = 20.0;
-/// See [`BAND_PART`]: of a normal spread 6 frames of 100 000 lie farther out.
+/// Smallest half-width of a band in standard deviations: of normally distributed lengths 6 in 100 000 lie outside.
 pub const BAND_SPREADS: f64 = 4.0;
 
-/// Markers lie this part of the scan's length from its joint centres at most, where they name the joint: the middle of
-/// the band is told from such frames, so that labels that were exchanged for most of a take do not pass for the limb.
+/// Largest distance of a length from the scan's, as a fraction of it, for its frame to set the middle of the band. With
+/// markers at the joints all lengths are within it, and labels exchanged for most of a take do not define the band.
 const LIKE_SCAN_PART: f64 = 0.25;
-/// If these are this part of all frames at least.
+/// The smallest fraction of such frames for the middle to be set by them; with fewer all frames set it.
 const LIKE_SCAN_FRAMES: f64 = 0.1;
 
-/// The median distance from a median, times this, is the standard deviation where the spread is normal.
+/// Ratio of the standard deviation to the median absolute deviation (MAD) of a normal distribution.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
-/// Runs that are closer than this are told as one, s.
+/// Excursions closer together than this are reported as one, s.
 const NEAR_S: f64 = 0.1;
 
-/// A limb over a take.
+/// Statistics of the length of a limb over a take.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Lengths {
-    /// Frames in which both of its markers were seen.
+pub struct LimbStats {
+    /// Frames in which both of its markers are present.
     pub frames: u64,
-    /// Its median length, mm; 0 where it was never seen.
+    /// The median length, mm; 0 without frames.
     pub median_mm: f64,
-    /// A robust standard deviation: 1.4826 times the median distance from the median, mm.
+    /// A robust standard deviation: 1.4826 times the median absolute deviation, mm.
     pub spread_mm: f64,
-    /// The middle of its band, mm.
+    /// The middle of the band of plausible lengths, mm.
     pub band_middle_mm: f64,
-    /// How far the band reaches to both sides, mm.
+    /// The half-width of the band, mm.
     pub band_half_mm: f64,
-    /// Frames in which it is outside of it.
+    /// Frames in which the length is outside the band.
     pub frames_outside: u64,
 }
 
-/// Where a limb leaves its band.
+/// A range of frames in which a limb is outside its band.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outside {
-    /// Which limb.
+pub struct Excursion {
+    /// Index of the limb.
     pub limb: usize,
-    /// From its first frame to behind its last.
+    /// The rows of these frames.
     pub rows: Range<usize>,
-    /// The length that is farthest from the band, mm.
+    /// The length farthest from the band, mm.
     pub extreme_mm: f64,
 }
 
+/// A robust standard deviation about a given middle.
 fn spread(values: &[f64], about: f64) -> f64 {
     let mut off: Vec<f64> = values.iter().map(|value| (value - about).abs()).collect();
     MAD_TO_SIGMA * median(&mut off).unwrap_or_default()
 }
 
-/// Measures a limb.
-pub(super) fn of(body: &Body<'_>, limb: usize) -> Lengths {
+/// The statistics of a limb over the take.
+pub(super) fn of(body: &SubjectMotion<'_>, limb: usize) -> LimbStats {
     let mut all: Vec<f64> =
         (0..body.n_rows()).filter_map(|row| body.length_mm(row, limb)).collect();
-    let Some(median_mm) = median(&mut all) else { return Lengths::default() };
+    let Some(median_mm) = median(&mut all) else { return LimbStats::default() };
     let scan_mm = body.limbs.get(limb).map_or(median_mm, |limb| limb.bone.length_mm);
     let is_like_scan = |length: &&f64| (**length - scan_mm).abs() <= LIKE_SCAN_PART * scan_mm;
     let mut like_scan: Vec<f64> = all.iter().filter(is_like_scan).copied().collect();
-    let of_band = if like_scan.len() as f64 >= LIKE_SCAN_FRAMES * all.len() as f64 {
-        &mut like_scan
-    } else {
-        &mut all
-    };
+    let is_enough = like_scan.len() as f64 >= LIKE_SCAN_FRAMES * all.len() as f64;
+    let of_band = if is_enough { &mut like_scan } else { &mut all };
     let band_middle_mm = median(of_band).unwrap_or(median_mm);
     let band_half_mm = (BAND_PART * band_middle_mm)
         .max(BAND_MIN_MM)
         .max(BAND_SPREADS * spread(of_band, band_middle_mm));
     let is_outside = |length: &&f64| (**length - band_middle_mm).abs() > band_half_mm;
-    Lengths {
+    LimbStats {
         frames: all.len() as u64,
         median_mm,
         spread_mm: spread(&all, median_mm),
@@ -89,23 +86,24 @@ pub(super) fn of(body: &Body<'_>, limb: usize) -> Lengths {
     }
 }
 
-/// Where limbs are outside of their bands, in the order of the frames.
-pub(super) fn outside(body: &Body<'_>) -> Vec<Outside> {
-    let mut found: Vec<Outside> = Vec::new();
+/// The ranges in which limbs are outside their bands, in the order of the frames.
+pub(super) fn outside(body: &SubjectMotion<'_>) -> Vec<Excursion> {
+    let mut found: Vec<Excursion> = Vec::new();
+    let near = body.rows_in(NEAR_S);
     for limb in 0..body.limbs.len() {
         let excess = |row: usize| body.excess_mm(row, limb, None).unwrap_or_default();
-        for rows in near_as_one(runs((0..body.n_rows()).map(|row| excess(row) > 0.0)), body) {
+        for rows in merge_near(runs((0..body.n_rows()).map(|row| excess(row) > 0.0)), near) {
             let worst = rows.clone().max_by(|&a, &b| excess(a).total_cmp(&excess(b)));
             let extreme_mm = worst.and_then(|row| body.length_mm(row, limb)).unwrap_or_default();
-            found.push(Outside { limb, rows, extreme_mm });
+            found.push(Excursion { limb, rows, extreme_mm });
         }
     }
     found.sort_by_key(|outside| (outside.rows.start, outside.limb));
     found
 }
 
-fn near_as_one(runs: impl Iterator<Item = Range<usize>>, body: &Body<'_>) -> Vec<Range<usize>> {
-    let near = body.rows_in(NEAR_S);
+/// Merges runs that are at most `near` rows apart.
+fn merge_near(runs: impl Iterator<Item = Range<usize>>, near: usize) -> Vec<Range<usize>> {
     let mut all: Vec<Range<usize>> = Vec::new();
     for run in runs {
         match all.last_mut() {
@@ -116,15 +114,16 @@ fn near_as_one(runs: impl Iterator<Item = Range<usize>>, body: &Body<'_>) -> Vec
     all
 }
 
-/// The length that a limb has, and how far from it is still its own.
+/// The range of plausible lengths of a limb.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Band {
     pub(super) middle_mm: f64,
     pub(super) half_mm: f64,
 }
 
+/// The markers of one subject over a take, with its limbs and their bands; labels can be exchanged.
 #[derive(Debug)]
-pub(super) struct Body<'a> {
+pub(super) struct SubjectMotion<'a> {
     positions_mm: Vec<Position>,
     n_markers: usize,
     pub(super) rate_hz: f64,
@@ -133,10 +132,10 @@ pub(super) struct Body<'a> {
     bands: Vec<Band>,
 }
 
-/// Two markers whose labels are exchanged for a look.
+/// The columns of two markers whose labels may be exchanged.
 pub(super) type Pair = [usize; 2];
 
-impl<'a> Body<'a> {
+impl<'a> SubjectMotion<'a> {
     pub(super) fn new(motion: &Motion, limbs: &'a [Limb], columns: &'a [usize]) -> Self {
         let n_markers = motion.info.markers.len();
         Self {
@@ -149,8 +148,8 @@ impl<'a> Body<'a> {
         }
     }
 
-    pub(super) fn set_bands(&mut self, lengths: &[Lengths]) {
-        let band = |of: &Lengths| Band { middle_mm: of.band_middle_mm, half_mm: of.band_half_mm };
+    pub(super) fn set_bands(&mut self, lengths: &[LimbStats]) {
+        let band = |of: &LimbStats| Band { middle_mm: of.band_middle_mm, half_mm: of.band_half_mm };
         self.bands = lengths.iter().map(band).collect();
     }
 
@@ -158,12 +157,12 @@ impl<'a> Body<'a> {
         self.positions_mm.len() / self.n_markers.max(1)
     }
 
-    /// Rows in so many seconds, one at least.
+    /// The number of rows in a time, at least one.
     pub(super) fn rows_in(&self, seconds: f64) -> usize {
         ((seconds * self.rate_hz) as usize).max(1)
     }
 
-    /// Where a marker is; `None` where it was not seen.
+    /// The position of a marker; `None` in a gap.
     pub(super) fn at(&self, row: usize, column: usize) -> Option<Vector> {
         if column >= self.n_markers {
             return None;
@@ -171,7 +170,7 @@ impl<'a> Body<'a> {
         sample(*self.positions_mm.get(row * self.n_markers + column)?)
     }
 
-    /// A limb's length, with the labels of `pair` exchanged.
+    /// The length of a limb, mm, with the labels of `pair` exchanged.
     fn length_of(&self, row: usize, limb: usize, pair: Option<Pair>) -> Option<f64> {
         let ends = self.limbs.get(limb)?.ends.map(|end| match pair {
             Some([a, b]) if end == a => b,
@@ -185,27 +184,27 @@ impl<'a> Body<'a> {
         self.length_of(row, limb, None)
     }
 
-    /// By how much a limb is out of its band, mm; 0 within it.
+    /// The distance of a limb's length from its band, mm; 0 within it.
     pub(super) fn excess_mm(&self, row: usize, limb: usize, pair: Option<Pair>) -> Option<f64> {
         let band = self.bands.get(limb)?;
         let length_mm = self.length_of(row, limb, pair)?;
         Some(((length_mm - band.middle_mm).abs() - band.half_mm).max(0.0))
     }
 
-    /// The limbs that end at one of two markers.
-    pub(super) fn touched(&self, pair: Pair) -> Vec<usize> {
+    /// The limbs with an end at one of the two markers.
+    pub(super) fn limbs_at(&self, pair: Pair) -> Vec<usize> {
         let ends = |limb: &Limb| pair.iter().any(|column| limb.ends.contains(column));
         let limbs = self.limbs.iter().enumerate().filter(|(_, limb)| ends(limb));
         limbs.map(|(i, _)| i).collect()
     }
 
-    /// The sum of what these limbs are out of their bands; `None` where none of them is seen.
+    /// The summed distance of these limbs from their bands, mm; `None` if none of them is present.
     pub(super) fn excess_of(&self, row: usize, limbs: &[usize], pair: Option<Pair>) -> Option<f64> {
         let excess = |limb: &usize| self.excess_mm(row, *limb, pair);
         limbs.iter().filter_map(excess).reduce(|sum, more| sum + more)
     }
 
-    /// How far these limbs are from the middles of their bands: the sum of squares, a band's half being 1.
+    /// The sum of squared distances of these limbs from the middles of their bands, in half-widths.
     pub(super) fn strain(&self, row: usize, limbs: &[usize], pair: Option<Pair>) -> f64 {
         let strain = |limb: &usize| {
             let band = self.bands.get(*limb)?;
@@ -215,8 +214,8 @@ impl<'a> Body<'a> {
         limbs.iter().filter_map(strain).sum()
     }
 
-    /// Gives the labels back over these rows.
-    pub(super) fn undo(&mut self, [a, b]: Pair, rows: Range<usize>) {
+    /// Exchanges the labels of a pair over these rows.
+    pub(super) fn exchange(&mut self, [a, b]: Pair, rows: Range<usize>) {
         for row in rows {
             let from = row * self.n_markers;
             if let Some(frame) = self.positions_mm.get_mut(from..from + self.n_markers) {

@@ -1,7 +1,7 @@
-//! Limbs whose ends are markers: how long a scan says they are, and how long they are in a take.
+//! Limb lengths between markers, compared with those of a body scan.
 //!
-//! A limb keeps its length however fast it moves. So a length that changes tells of labels that changed places
-//! ([`swaps`]), or of a marker that slid.
+//! The length of a limb is constant however fast it moves, so a changing length reveals swapped labels ([`swaps`]) or a
+//! marker that slid.
 
 pub mod lengths;
 pub mod swaps;
@@ -11,42 +11,43 @@ use std::collections::HashMap;
 use mocapd_body::skeleton::Bone;
 use mocapd_take::motion::Motion;
 
-use self::lengths::Body;
+use self::lengths::SubjectMotion;
 pub use self::{
-    lengths::{Lengths, Outside},
+    lengths::{Excursion, LimbStats},
     swaps::Swap,
 };
 use crate::labels::{SubjectMarkers, subjects};
 
-/// How much of a scan's length a marker on the skin may be off before it is shown.
+/// Smallest deviation from the scan's length that is reported, as a fraction of it: markers are on the skin, not at the
+/// joint centres.
 pub const OFF_PART: f64 = 0.1;
 
-/// A bone both of whose joints are markers.
+/// A bone with a marker at each of its joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limb {
     /// The bone.
     pub bone: Bone,
-    /// The columns of its parent and of its child.
+    /// The columns of the markers at its parent and child joints.
     pub ends: [usize; 2],
 }
 
 impl Limb {
-    /// Whether a length is off the scan's by more than its uncertainty, and by more than [`OFF_PART`] of it.
+    /// Whether a length deviates from the scan's by more than [`off_mm`](Self::off_mm).
     #[must_use]
     pub fn is_off(&self, length_mm: f64) -> bool {
         (length_mm - self.bone.length_mm).abs() > self.off_mm()
     }
 
-    /// How far off a length may be before it is, mm.
+    /// The tolerated deviation from the scan's length, mm: its uncertainty, but at least [`OFF_PART`] of the length.
     #[must_use]
     pub fn off_mm(&self) -> f64 {
         self.bone.uncertainty_mm.unwrap_or_default().max(OFF_PART * self.bone.length_mm)
     }
 }
 
-/// The bones whose joints labels name, and the columns of all markers of that subject.
+/// The limbs of a subject, and the columns of all of its markers.
 ///
-/// Where labels name several subjects (`Ann:LKNE`), it is the one of this name, or else the one with most joints.
+/// If labels name several subjects (`Ann:LKNE`), the one called `name` is taken, else the one with most limbs.
 #[must_use]
 pub fn limbs<L: AsRef<str>>(bones: &[Bone], labels: &[L], name: &str) -> (Vec<Limb>, Vec<usize>) {
     let mut best = (Vec::new(), Vec::new());
@@ -78,28 +79,28 @@ fn columns(subject: &SubjectMarkers<'_>) -> Vec<usize> {
     columns
 }
 
-/// What the limbs of a take say of its labels.
+/// The result of a check of limb lengths.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Check {
-    /// By limb.
-    pub lengths: Vec<Lengths>,
-    /// Markers that changed places, in the order of their first frames.
+pub struct LimbCheck {
+    /// The statistics of each limb.
+    pub lengths: Vec<LimbStats>,
+    /// Swapped labels, in the order of their first frames.
     pub swaps: Vec<Swap>,
-    /// Where a limb leaves its band and no two labels mend it.
-    pub outside: Vec<Outside>,
+    /// Where a limb leaves its band for another reason than a swap.
+    pub outside: Vec<Excursion>,
 }
 
-/// Measures the limbs of a take, and looks for swaps among the markers in `columns`.
+/// Measures the limbs of a take, and searches for swapped labels among the markers in `columns`.
 #[must_use]
-pub fn check(motion: &Motion, limbs: &[Limb], columns: &[usize]) -> Check {
-    let mut body = Body::new(motion, limbs, columns);
-    let lengths: Vec<Lengths> = (0..limbs.len()).map(|limb| lengths::of(&body, limb)).collect();
+pub fn check(motion: &Motion, limbs: &[Limb], columns: &[usize]) -> LimbCheck {
+    let mut body = SubjectMotion::new(motion, limbs, columns);
+    let lengths: Vec<LimbStats> = (0..limbs.len()).map(|limb| lengths::of(&body, limb)).collect();
     body.set_bands(&lengths);
     let mut found = swaps::all(&mut body);
     found.sort_by_key(|swap| (swap.rows.start, swap.markers));
-    // What is left when the labels are back in their places.
+    // Measured with the swaps undone.
     let outside = lengths::outside(&body);
-    Check { lengths, swaps: found, outside }
+    LimbCheck { lengths, swaps: found, outside }
 }
 
 #[cfg(test)]

@@ -1,62 +1,62 @@
-//! Labels that changed places, told from fast moves.
+//! Detection of swapped labels.
 //!
-//! A limb that moves fast keeps its length; one whose end got another marker's label does not, and neither do the other
-//! limbs at these two markers. So two labels are said to have changed places where a limb is out of its band, giving
-//! them back brings every limb at either marker into its own, and the two paths cross over at the first frame: each
-//! goes on where the other was. A marker that merely slid, or a body that bends in a way that its bones do not know, is
-//! mended by no exchange.
+//! A fast limb keeps its length; a limb at a marker with the wrong label does not, nor do the other limbs at the two
+//! markers. Two labels count as swapped if a limb is outside its band, exchanging them brings every limb at either
+//! marker into its band, and the two paths cross over at the first frame: each continues where the other was. No
+//! exchange corrects a marker that slid, or a body that bends where the skeleton has no joint.
 
 use std::ops::Range;
 
-use super::lengths::{Body, Pair};
+use super::lengths::{Pair, SubjectMotion};
 use crate::column::distance;
 
-/// Two markers that come close change labels before anything shows: so far back the crossing is looked for, s. So long
-/// a swap that shows no more may still last, too.
+/// Longest time that a swap may last without any limb leaving its band, s, at its beginning and its end: close markers
+/// swap labels before lengths change.
 const UNSEEN_S: f64 = 1.0;
 
-/// Over gaps so long paths are followed, s.
+/// Longest gap over which a path is followed, s.
 const BRIDGED_S: f64 = 0.1;
 
-/// A swap whose crossing lies in a gap counts when it lasts so long, s and frames: shorter ones may be noise.
+/// Shortest swap whose crossing lies in a gap, s; shorter ones may be noise.
 const GAP_SWAP_S: f64 = 0.1;
+/// The same limit in rows, for low frame rates.
 const GAP_SWAP_ROWS: usize = 5;
 
-/// What is left of the limbs' strain when labels that changed places are given back: no more than this part.
-const MENDED_PART: f64 = 0.25;
+/// Largest part of the limbs' strain that may remain with the labels exchanged.
+const RESTORED_PART: f64 = 0.25;
 
-/// Swaps that lie over each other are found one after another; no more than this.
-const LAYERS_MAX: usize = 4;
+/// Most search passes; each finds swaps that overlap those of the passes before.
+const PASSES_MAX: usize = 4;
 
-/// Two labels that changed places.
+/// Two swapped labels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Swap {
     /// The columns of the two markers, the smaller one first.
     pub markers: [usize; 2],
-    /// From its first frame to behind its last.
+    /// The rows in which they are swapped.
     pub rows: Range<usize>,
-    /// The limbs that were out of their bands for it.
+    /// The limbs that the swap took out of their bands.
     pub limbs: Vec<usize>,
 }
 
-/// Finds them all, and gives the labels back in `body`.
-pub(super) fn all(body: &mut Body<'_>) -> Vec<Swap> {
+/// Finds all swaps, and undoes them in `body`.
+pub(super) fn all(body: &mut SubjectMotion<'_>) -> Vec<Swap> {
     let mut all = Vec::new();
-    for _ in 0..LAYERS_MAX {
-        let found = layer(body);
+    for _ in 0..PASSES_MAX {
+        let found = search_pass(body);
         if found.is_empty() {
             break;
         }
         for swap in &found {
-            body.undo(swap.markers, swap.rows.clone());
+            body.exchange(swap.markers, swap.rows.clone());
         }
         all.extend(found);
     }
     all
 }
 
-/// Swaps of which none lies over another.
-fn layer(body: &Body<'_>) -> Vec<Swap> {
+/// One pass: finds swaps that do not overlap.
+fn search_pass(body: &SubjectMotion<'_>) -> Vec<Swap> {
     let mut found: Vec<Swap> = Vec::new();
     let mut row = 0;
     while row < body.n_rows() {
@@ -72,16 +72,16 @@ fn layer(body: &Body<'_>) -> Vec<Swap> {
     found
 }
 
-/// The swap that a limb out of its band tells of at `row`; it began at `from` or later.
-fn at(body: &Body<'_>, row: usize, from: usize) -> Option<Swap> {
+/// The swap that explains a limb outside its band at `row`, if there is one; it began at `from` or later.
+fn at(body: &SubjectMotion<'_>, row: usize, from: usize) -> Option<Swap> {
     let is_bad = |limb: &usize| body.excess_mm(row, *limb, None).is_some_and(|mm| mm > 0.0);
     let bad: Vec<usize> = (0..body.limbs.len()).filter(is_bad).collect();
     let mut best: Option<(f64, Swap)> = None;
     for one in bad.iter().filter_map(|&limb| body.limbs.get(limb)).flat_map(|limb| limb.ends) {
         for &other in body.columns.iter().filter(|&&other| other != one) {
             let pair = [one.min(other), one.max(other)];
-            let touched = body.touched(pair);
-            if !mends(body, row, &touched, pair) {
+            let touched = body.limbs_at(pair);
+            if !restores(body, row, &touched, pair) {
                 continue;
             }
             let Some((gain, start)) = crossing(body, row, from, &touched, pair) else { continue };
@@ -89,7 +89,7 @@ fn at(body: &Body<'_>, row: usize, from: usize) -> Option<Swap> {
                 continue;
             }
             let end = end_of(body, row, &touched, pair);
-            // Nobody saw it begin: then it is to last.
+            // A swap whose crossings were not seen must last a while.
             let seen = gain > 0.0 || crosses(body, end, pair).is_some_and(|gain| gain > 0.0);
             if !seen && end - row < GAP_SWAP_ROWS.max(body.rows_in(GAP_SWAP_S)) {
                 continue;
@@ -102,20 +102,20 @@ fn at(body: &Body<'_>, row: usize, from: usize) -> Option<Swap> {
     best.map(|(_, swap)| swap)
 }
 
-/// Whether these limbs are out of their bands as they are, and are themselves with the labels given back: not merely
-/// within their bands, which two bones of like length may be by chance.
-fn mends(body: &Body<'_>, row: usize, touched: &[usize], pair: Pair) -> bool {
+/// Whether these limbs are outside their bands, and exchanging the labels of `pair` corrects them: it brings them into
+/// their bands, and close to the middles, since two bones of similar length may be within both bands by chance.
+fn restores(body: &SubjectMotion<'_>, row: usize, touched: &[usize], pair: Pair) -> bool {
     let [a, b] = pair;
     body.at(row, a).is_some()
         && body.at(row, b).is_some()
         && body.excess_of(row, touched, None).is_some_and(|mm| mm > 0.0)
         && body.excess_of(row, touched, Some(pair)) == Some(0.0)
-        && body.strain(row, touched, Some(pair)) <= MENDED_PART * body.strain(row, touched, None)
+        && body.strain(row, touched, Some(pair)) <= RESTORED_PART * body.strain(row, touched, None)
 }
 
-/// By how much it is shorter, from the frame before to `row`, that each marker goes to where the other is than to where
-/// itself is, mm; `None` where one was not seen shortly before.
-fn crosses(body: &Body<'_>, row: usize, [a, b]: Pair) -> Option<f64> {
+/// How much shorter the two paths from the previous frame to `row` are if the markers are exchanged, mm; `None` if one
+/// of them is absent at `row` or shortly before.
+fn crosses(body: &SubjectMotion<'_>, row: usize, [a, b]: Pair) -> Option<f64> {
     let (now_a, now_b) = (body.at(row, a)?, body.at(row, b)?);
     let before = (row.saturating_sub(body.rows_in(BRIDGED_S))..row)
         .rev()
@@ -125,10 +125,11 @@ fn crosses(body: &Body<'_>, row: usize, [a, b]: Pair) -> Option<f64> {
     Some(straight - distance(now_a, was_b) - distance(now_b, was_a))
 }
 
-/// Where the two paths cross over, at `row` or before it as long as nothing shows, and by how much; 0 where that was in
-/// a gap or before the take. `None`: they do not cross, and this is a move.
+/// The row where the two paths cross over, at `row` or earlier while all limbs are within their bands, and the gain in
+/// path length, mm; the gain is 0 if the crossing lies in a gap or before the take. `None` if they do not cross: the
+/// limb merely moved.
 fn crossing(
-    body: &Body<'_>,
+    body: &SubjectMotion<'_>,
     row: usize,
     from: usize,
     touched: &[usize],
@@ -141,7 +142,7 @@ fn crossing(
         match crosses(body, at, pair) {
             Some(gain) if gain > best.map_or(0.0, |(most, _)| most) => best = Some((gain, at)),
             Some(_) => {}
-            // One of them comes out of a gap: here it may have got the other's label.
+            // One of them comes out of a gap, in which the labels may have been swapped.
             None if body.at(at, pair[0]).is_some() && body.at(at, pair[1]).is_some() => {
                 return best.or(Some((0.0, at)));
             }
@@ -158,14 +159,14 @@ fn crossing(
     }
 }
 
-/// The first row behind `row` that has the labels right again.
-fn end_of(body: &Body<'_>, row: usize, touched: &[usize], pair: Pair) -> usize {
+/// The first row after `row` where the labels are correct again.
+fn end_of(body: &SubjectMotion<'_>, row: usize, touched: &[usize], pair: Pair) -> usize {
     let unseen = body.rows_in(UNSEEN_S);
     let mut last = row;
     for at in row + 1..body.n_rows() {
         let shows = |pair| body.excess_of(at, touched, pair).map(|mm| mm > 0.0);
         match (shows(None), shows(Some(pair))) {
-            // Still out of its band, and still mended.
+            // Still outside the band, and still corrected by the exchange.
             (Some(true), Some(false)) => {
                 last = at;
                 continue;

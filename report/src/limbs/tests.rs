@@ -39,8 +39,8 @@ fn bones() -> Vec<Bone> {
         .to_vec()
 }
 
-/// Arms and legs that are thrown about at up to 30 rad/s, so that wrists pass 15 m/s: no bone changes its length, but
-/// for a marker that slides by up to `slide_mm`.
+/// Arms and legs that swing at up to 30 rad/s, so that wrists exceed 15 m/s; bones keep their lengths, except that
+/// markers slide by up to `slide_mm`.
 fn motion(n_rows: usize, slide_mm: f64) -> Motion {
     let mut positions_mm = Vec::new();
     for row in 0..n_rows {
@@ -74,7 +74,7 @@ fn swap(motion: &mut Motion, [a, b]: [usize; 2], rows: std::ops::Range<usize>) {
     }
 }
 
-fn check_all(motion: &Motion) -> Check {
+fn check_all(motion: &Motion) -> LimbCheck {
     let (limbs, columns) = limbs(&bones(), &LABELS, "");
     assert_eq!((limbs.len(), columns.len()), (7, 10));
     check(motion, &limbs, &columns)
@@ -93,7 +93,7 @@ fn fast_moves_are_no_swaps() {
 
 #[test]
 fn swaps_are_found_with_their_markers_and_frames() {
-    // Both wrists, knee and ankle, a joint and a marker that is none; one that lasts for most of the take.
+    // Both wrists; knee and ankle; a joint and a marker elsewhere; and a swap that lasts for most of the take.
     for (pair, rows) in
         [([2, 5], 400..700), ([7, 8], 100..130), ([1, 9], 1000..1004), ([4, 8], 300..1700)]
     {
@@ -108,14 +108,14 @@ fn swaps_are_found_with_their_markers_and_frames() {
 }
 
 #[test]
-fn swaps_beside_and_over_each_other_are_told_apart() {
+fn concurrent_and_overlapping_swaps_are_distinguished() {
     let mut swapped = motion(2000, 5.0);
     swap(&mut swapped, [2, 5], 400..700);
     swap(&mut swapped, [7, 8], 500..600);
     swap(&mut swapped, [0, 3], 1200..1300);
     let found = check_all(&swapped).swaps;
-    let told: Vec<_> = found.iter().map(|swap| (swap.markers, swap.rows.clone())).collect();
-    assert_eq!(told, [([2, 5], 400..700), ([7, 8], 500..600), ([0, 3], 1200..1300)]);
+    let swaps: Vec<_> = found.iter().map(|swap| (swap.markers, swap.rows.clone())).collect();
+    assert_eq!(swaps, [([2, 5], 400..700), ([7, 8], 500..600), ([0, 3], 1200..1300)]);
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn a_marker_that_fell_off_is_no_swap() {
 }
 
 #[test]
-fn a_swap_that_nobody_saw_begin_counts_when_it_lasts() {
+fn a_swap_that_begins_in_a_gap_counts_if_it_lasts() {
     for (length, n) in [(60, 1), (3, 0)] {
         let mut swapped = motion(1000, 5.0);
         swap(&mut swapped, [2, 5], 500..500 + length);
@@ -151,10 +151,10 @@ fn a_swap_that_nobody_saw_begin_counts_when_it_lasts() {
 }
 
 #[test]
-fn nothing_to_measure_is_no_trouble() {
+fn no_limbs_and_no_samples_are_valid_input() {
     let (none, columns) = limbs(&bones(), &["u001", "u002"], "");
     assert!(none.is_empty() && columns.is_empty());
-    assert_eq!(check(&motion(10, 0.0), &none, &columns), Check::default());
+    assert_eq!(check(&motion(10, 0.0), &none, &columns), LimbCheck::default());
     let mut gaps = motion(50, 0.0);
     gaps.positions_mm.fill(GAP);
     let found = check_all(&gaps);
@@ -163,7 +163,7 @@ fn nothing_to_measure_is_no_trouble() {
 }
 
 #[test]
-fn of_several_subjects_the_named_one_is_meant() {
+fn the_named_one_of_several_subjects_is_measured() {
     let labels = ["Ann:LKNE", "Ann:LANK", "Bob:LHIP", "Bob:LKNE", "Bob:LANK"];
     let bones = &bones()[4..6];
     assert_eq!(limbs(bones, &labels, "").0.len(), 2, "Bob has more of them");

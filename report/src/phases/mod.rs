@@ -1,4 +1,4 @@
-//! The phases of a jump, as (Shi et al. 2012) divide it: found from the pelvis and the feet, or given by a file.
+//! The phases of a jump, as defined by (Shi et al. 2012): detected from the pelvis and the feet, or read from a file.
 
 mod find;
 
@@ -12,71 +12,65 @@ pub use self::find::{NoJump, find};
 
 pub use mocapd_take::phase::Phase;
 
-/// A stretch of a trial.
+/// A phase and its range of frames in a trial.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Part {
-    /// What it is.
+pub struct PhaseSpan {
+    /// The phase.
     pub phase: Phase,
     /// Its frames, from 0.
     pub frames: std::ops::Range<usize>,
 }
 
-/// Parts out of each phase's first frame, in order; the last one ends with the take. Empty ones are left out.
+/// The frame ranges of phases from their first frames, in order; the last one ends with the take. Empty ones are left
+/// out.
 #[must_use]
-pub fn parts(starts: &[(Phase, usize)], n_frames: usize) -> Vec<Part> {
+pub fn parts(starts: &[(Phase, usize)], n_frames: usize) -> Vec<PhaseSpan> {
     let ends = starts.iter().skip(1).map(|start| start.1).chain([n_frames]);
-    starts
-        .iter()
-        .zip(ends)
-        .map(|(&(phase, from), to)| Part { phase, frames: from.min(n_frames)..to.min(n_frames) })
-        .filter(|part| !part.frames.is_empty())
-        .collect()
+    let frames = |from: usize, to: usize| from.min(n_frames)..to.min(n_frames);
+    let parts = starts.iter().zip(ends);
+    let parts = parts.map(|(&(phase, from), to)| PhaseSpan { phase, frames: frames(from, to) });
+    parts.filter(|part| !part.frames.is_empty()).collect()
 }
 
-/// Its first line.
-const HEAD: &str = "file,phase,first_frame";
+/// The first line of a file of phases.
+const HEADER: &str = "file,phase,first_frame";
 
-/// By file name without its folder, each phase and its first frame, from 0. Empty lines and those that begin with
-/// `#` are passed over.
+/// Parses a file of phases: for each file name (without folder) its phases and their first frames, from 0. Empty lines
+/// and lines that begin with `#` are ignored.
 ///
 /// # Errors
-/// `InvalidArgument` with the line that cannot be read, and what it should be.
+/// `InvalidArgument` with the number of the malformed line, and what was expected.
 pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, ReportError> {
     let lines = text.lines().zip(1..).map(|(line, number)| (line.trim(), number));
     let mut lines = lines.filter(|(line, _)| !line.is_empty() && !line.starts_with('#'));
-    let bad = |number: u32, what: String| {
-        ReportError::InvalidArgument(format!("line {number} of the phases: {what}"))
-    };
+    let bad =
+        |number: u32, what: String| ReportError::InvalidArgument(format!("line {number}: {what}"));
     match lines.next() {
-        Some((HEAD, _)) => {}
+        Some((HEADER, _)) => {}
         Some((line, number)) => {
-            return Err(bad(number, format!("expected '{HEAD}', found '{line}'")));
+            return Err(bad(number, format!("expected '{HEADER}', found '{line}'")));
         }
-        None => return Err(bad(1, format!("expected '{HEAD}', found nothing"))),
+        None => return Err(bad(1, format!("expected '{HEADER}', found nothing"))),
     }
     let mut found: BTreeMap<String, Vec<(Phase, usize)>> = BTreeMap::new();
     for (line, number) in lines {
-        // Names may have commas: the two columns behind them have none.
+        // File names may contain commas; the two columns after them cannot.
         let mut cells = line.rsplitn(3, ',').map(str::trim);
         let (frame, phase, file) = (cells.next(), cells.next(), cells.next());
         let (Some(frame), Some(phase), Some(file)) = (frame, phase, file) else {
-            return Err(bad(
-                number,
-                format!("expected a file, a phase and a frame, found '{line}'"),
-            ));
+            let what = format!("expected a file, a phase and a frame, found '{line}'");
+            return Err(bad(number, what));
         };
         let names = || Phase::ALL.map(Phase::name).join(", ");
-        let phase = Phase::of_name(phase)
-            .ok_or_else(|| bad(number, format!("no phase is called '{phase}': use {}", names())))?;
+        let phase = Phase::from_name(phase)
+            .ok_or_else(|| bad(number, format!("unknown phase '{phase}': use {}", names())))?;
         let frame = frame
             .parse()
-            .map_err(|_| bad(number, format!("'{frame}' is no number of a frame, from 0")))?;
+            .map_err(|_| bad(number, format!("expected a frame number from 0, found '{frame}'")))?;
         let phases = found.entry(from_cell(file).into_owned()).or_default();
         if phases.last().is_some_and(|&(_, before)| before >= frame) {
-            return Err(bad(
-                number,
-                format!("the phases of {file} are not in the order of their frames"),
-            ));
+            let what = format!("the phases of {file} are not in ascending order of frames");
+            return Err(bad(number, what));
         }
         phases.push((phase, frame));
     }
@@ -96,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_told_with_its_line() {
+    fn malformed_lines_are_reported_with_their_numbers() {
         let head = "file,phase,first_frame\n";
         for (text, line, fact) in [
             ("", 1, "file,phase,first_frame"),

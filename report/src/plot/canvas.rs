@@ -1,4 +1,4 @@
-//! What all pictures share: the sheet, its letters and its colours.
+//! What all plots share: the sheet, text, colours, axes, and rendering to PNG.
 
 use std::{ops::Range, sync::Arc};
 
@@ -17,8 +17,8 @@ use crate::ReportError;
 
 pub(super) const FONT: &str = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif";
 
-/// Heights of letters as the drawing library counts them, 1.24 to a pixel.
-pub(super) const WORDS: u32 = 15;
+/// Font sizes as plotters counts them, 1.24 to a pixel.
+pub(super) const BODY: u32 = 15;
 pub(super) const TITLE: u32 = 20;
 pub(super) const SMALL: u32 = 13;
 
@@ -33,12 +33,12 @@ pub(super) const ORANGE: RGBColor = RGBColor(200, 140, 0);
 pub(super) const SKY: RGBColor = RGBColor(60, 150, 205);
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-pub(super) type Drawn = Result<(), Box<dyn std::error::Error>>;
+pub(super) type DrawResult = Result<(), Box<dyn std::error::Error>>;
 
-/// A white sheet of so many units, drawn on by `draw`.
+/// An SVG of a white sheet of this size, in pixels, that `draw` has drawn on.
 pub(super) fn sheet(
     size: (u32, u32),
-    draw: impl FnOnce(&Area<'_>) -> Drawn,
+    draw: impl FnOnce(&Area<'_>) -> DrawResult,
 ) -> Result<String, ReportError> {
     let mut text = String::new();
     let drawn = (|| {
@@ -52,78 +52,80 @@ pub(super) fn sheet(
     Ok(text)
 }
 
-/// How words look, and what of them is at their point.
+/// The size, colour and horizontal alignment of text.
 #[derive(Clone, Copy)]
-pub(super) struct Letters {
+pub(super) struct LabelStyle {
     size: u32,
     colour: RGBColor,
     anchor: HPos,
 }
 
-/// Words that begin at their point.
-pub(super) fn left_aligned(size: u32, colour: RGBColor) -> Letters {
-    Letters { size, colour, anchor: HPos::Left }
+/// Text that begins at its point.
+pub(super) fn left_aligned(size: u32, colour: RGBColor) -> LabelStyle {
+    LabelStyle { size, colour, anchor: HPos::Left }
 }
 
-/// Words about their point.
-pub(super) fn centred(size: u32, colour: RGBColor) -> Letters {
-    Letters { size, colour, anchor: HPos::Center }
+/// Text centred on its point.
+pub(super) fn centred(size: u32, colour: RGBColor) -> LabelStyle {
+    LabelStyle { size, colour, anchor: HPos::Center }
 }
 
-/// Words that end at their point.
-pub(super) fn right_aligned(size: u32, colour: RGBColor) -> Letters {
-    Letters { size, colour, anchor: HPos::Right }
+/// Text that ends at its point.
+pub(super) fn right_aligned(size: u32, colour: RGBColor) -> LabelStyle {
+    LabelStyle { size, colour, anchor: HPos::Right }
 }
 
-/// Words at half their height, `at` in units of the area.
-pub(super) fn words(area: &Area<'_>, text: &str, at: (i32, i32), letters: Letters) -> Drawn {
+/// Draws text, vertically centred on its point `at` in the area.
+pub(super) fn text(area: &Area<'_>, text: &str, at: (i32, i32), style: LabelStyle) -> DrawResult {
     let style = TextStyle {
-        font: (FONT, letters.size).into_font(),
-        color: letters.colour.to_backend_color(),
-        pos: Pos::new(letters.anchor, VPos::Center),
+        font: (FONT, style.size).into_font(),
+        color: style.colour.to_backend_color(),
+        pos: Pos::new(style.anchor, VPos::Center),
     };
     Ok(area.draw(&Text::new(plain(text), at, style))?)
 }
 
-/// A name out of a file, without what no XML can hold.
+/// Text from a file, with characters that XML does not allow replaced.
 pub(super) fn plain(text: &str) -> String {
     let is_bad = |c: char| c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}');
     text.chars().map(|c| if is_bad(c) { '\u{fffd}' } else { c }).collect()
 }
 
-/// A name of at most so many letters, its middle left out.
-pub(super) fn shortened(text: &str, letters: usize) -> String {
+/// A name shortened to `max` characters by leaving out its middle.
+pub(super) fn shortened(text: &str, max: usize) -> String {
     let n = text.chars().count();
-    if n <= letters {
+    if n <= max {
         return text.to_owned();
     }
-    let half = letters.saturating_sub(1) / 2;
+    let half = max.saturating_sub(1) / 2;
     let head: String = text.chars().take(half).collect();
-    let tail: String = text.chars().skip(n - (letters - 1 - half)).collect();
+    let tail: String = text.chars().skip(n - (max - 1 - half)).collect();
     format!("{head}…{tail}")
 }
 
 pub(super) type Chart<'a, 'b> =
     ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// What the axes of a panel say.
+/// The axes of a panel.
 #[derive(Debug, Clone)]
 pub(super) struct Axes<'a> {
     pub(super) x: Range<f64>,
     pub(super) y: Range<f64>,
-    /// With its unit; empty for an axis whose figures stand below another panel.
-    pub(super) x_words: &'a str,
-    pub(super) y_words: &'a str,
+    /// Title with unit; empty for a panel that shares the x axis of the one below.
+    pub(super) x_title: &'a str,
+    /// Title with unit.
+    pub(super) y_title: &'a str,
+    /// Top, right, bottom and left.
     pub(super) margins: [u32; 4],
 }
 
-/// Axes, their grid and figures. Margins: top, right, bottom, left.
+/// Draws the axes of a panel with grid and tick labels.
 pub(super) fn panel<'a, 'b>(
     area: &'b Area<'a>,
     axes: &Axes<'_>,
 ) -> Result<Chart<'a, 'b>, Box<dyn std::error::Error>> {
     let [top, right, bottom, left] = axes.margins;
-    let has_x = !axes.x_words.is_empty();
+    let has_x = !axes.x_title.is_empty();
     let mut chart = ChartBuilder::on(area)
         .margin_top(top)
         .margin_right(right)
@@ -132,8 +134,7 @@ pub(super) fn panel<'a, 'b>(
         .x_label_area_size(if has_x { 42 } else { 6 })
         .y_label_area_size(66)
         .build_cartesian_2d(axes.x.clone(), axes.y.clone())?;
-    let (height, width) =
-        (chart.plotting_area().dim_in_pixel().1, chart.plotting_area().dim_in_pixel().0);
+    let (width, height) = chart.plotting_area().dim_in_pixel();
     let (x_span, y_span) = (axes.x.end - axes.x.start, axes.y.end - axes.y.start);
     chart
         .configure_mesh()
@@ -142,17 +143,17 @@ pub(super) fn panel<'a, 'b>(
         .bold_line_style(GRID)
         .x_labels((width / 70).clamp(2, 12) as usize)
         .y_labels((height / 32).clamp(2, 10) as usize)
-        .x_desc(axes.x_words)
-        .y_desc(axes.y_words)
+        .x_desc(axes.x_title)
+        .y_desc(axes.y_title)
         .x_label_formatter(&|value| if has_x { tick(*value, x_span) } else { String::new() })
         .y_label_formatter(&|value| tick(*value, y_span))
-        .label_style((FONT, WORDS).into_font().color(&INK))
-        .axis_desc_style((FONT, WORDS).into_font().color(&INK))
+        .label_style((FONT, BODY).into_font().color(&INK))
+        .axis_desc_style((FONT, BODY).into_font().color(&INK))
         .draw()?;
     Ok(chart)
 }
 
-/// A figure with as many digits as tell the marks of an axis apart.
+/// A tick label with as many digits as needed to distinguish the ticks of an axis.
 pub(super) fn tick(value: f64, span: f64) -> String {
     let digits = (1.0 - span.abs().max(1e-12).log10()).ceil().clamp(0.0, 9.0) as usize;
     let text = format!("{value:.digits$}");
@@ -160,7 +161,7 @@ pub(super) fn tick(value: f64, span: f64) -> String {
     if zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// From the smallest to the largest finite value, with a little air; 0 to 1 where there is none.
+/// The range of an axis: from the smallest to the largest finite value, with a margin; 0 to 1 without values.
 pub(super) fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for value in values.filter(|value| value.is_finite()) {
@@ -169,20 +170,20 @@ pub(super) fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
     if low > high {
         return 0.0..1.0;
     }
-    let air = (0.06 * (high - low)).max(1e-6 * high.abs().max(low.abs())).max(1e-3);
-    low - air..high + air
+    let margin = (0.06 * (high - low)).max(1e-6 * high.abs().max(low.abs())).max(1e-3);
+    low - margin..high + margin
 }
 
-/// Pixels to a unit of the SVG: sharp on paper and on dense screens.
+/// Pixels of a PNG per unit of the SVG: sharp in print and on high-density screens.
 const SCALE: f32 = 2.0;
 
-/// Most pixels of a picture: 400 MB.
+/// Most pixels of a PNG: 400 MB.
 const PIXELS_MAX: f32 = 1e8;
 
-/// Turns an SVG into a PNG.
+/// Renders an SVG to PNG.
 ///
 /// # Errors
-/// `Drawing` when the SVG cannot be read, or is too large.
+/// `Drawing` if the SVG is malformed or too large.
 pub fn png(svg: &str) -> Result<Vec<u8>, ReportError> {
     let bad = |error: &dyn std::fmt::Display| ReportError::Drawing(error.to_string());
     let mut fonts = fontdb::Database::new();
@@ -195,10 +196,10 @@ pub fn png(svg: &str) -> Result<Vec<u8>, ReportError> {
     let size = tree.size();
     let (width, height) = (size.width() * SCALE, size.height() * SCALE);
     if width * height > PIXELS_MAX {
-        return Err(bad(&"the picture is too large for pixels: use .svg"));
+        return Err(bad(&"the picture is too large for a PNG: use .svg"));
     }
     let mut pixels = Pixmap::new(width.ceil() as u32, height.ceil() as u32)
-        .ok_or_else(|| bad(&"the picture has no size"))?;
+        .ok_or_else(|| bad(&"the picture is empty"))?;
     resvg::render(&tree, Transform::from_scale(SCALE, SCALE), &mut pixels.as_mut());
     pixels.encode_png().map_err(|error| bad(&error))
 }
@@ -208,10 +209,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hostile_names_are_drawn_all_the_same() {
-        let svg = sheet((100, 40), |area| {
-            words(area, "a<b>&\"\u{1}\n", (5, 20), left_aligned(WORDS, INK))
-        });
+    fn hostile_names_are_escaped() {
+        let svg =
+            sheet((100, 40), |area| text(area, "a<b>&\"\u{1}\n", (5, 20), left_aligned(BODY, INK)));
         let svg = svg.unwrap();
         assert!(!svg.contains("a<b>") && svg.contains("a&lt;b&gt;&amp;"), "{svg}");
         assert!(png(&svg).is_ok());
@@ -230,7 +230,7 @@ mod tests_of_chart {
     use super::*;
 
     #[test]
-    fn figures_have_the_digits_that_matter() {
+    fn tick_labels_have_as_many_digits_as_needed() {
         assert_eq!(tick(0.30000000000000004, 1.0), "0.3");
         assert_eq!(tick(1250.0, 3000.0), "1250");
         assert_eq!(tick(-0.0, 0.5), "0.00");
@@ -238,7 +238,7 @@ mod tests_of_chart {
     }
 
     #[test]
-    fn a_range_has_a_length_whatever_is_in_it() {
+    fn a_range_is_never_empty() {
         for values in
             [&[][..], &[5.0], &[5.0, 5.0], &[f64::NAN, f64::INFINITY], &[1e9, 1e9], &[-2.0, 3.0]]
         {
@@ -259,7 +259,7 @@ mod tests_of_png {
     }
 
     #[test]
-    fn words_are_drawn_without_a_font_on_the_machine() {
+    fn text_is_drawn_without_an_installed_font() {
         let svg = |text: &str| {
             format!(
                 "<svg width='200' height='40' xmlns='http://www.w3.org/2000/svg'>\
@@ -274,7 +274,7 @@ mod tests_of_png {
     }
 
     #[test]
-    fn what_is_no_picture_is_refused() {
+    fn malformed_and_too_large_pictures_are_refused() {
         assert!(png("<svg").is_err());
         let large = "<svg width='99999' height='99999' xmlns='http://www.w3.org/2000/svg'></svg>";
         assert!(png(large).unwrap_err().to_string().contains(".svg"));

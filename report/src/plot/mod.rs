@@ -1,7 +1,7 @@
-//! Pictures of takes: SVG, and PNG out of it.
+//! Plots of takes, as SVG, and rendering to PNG.
 //!
-//! Colours are those of Okabe and Ito ("Color universal design", 2008), which people tell apart who see no red or no
-//! green; a shape or a dash always stands beside a colour.
+//! Colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind people can distinguish;
+//! shapes or dashes always repeat what a colour means.
 
 mod canvas;
 mod pose;
@@ -12,9 +12,9 @@ mod trajectory;
 
 pub use self::{
     canvas::png,
-    pose::{Pose, pose},
-    quality::{MarkerQuality, Quality, quality},
+    pose::{PosePlot, pose},
+    quality::{MarkerQuality, QualityPlot, quality},
     sizes::{SizeLine, SizePanel, sizes},
     study::by_phase,
-    trajectory::{Trajectory, trajectory},
+    trajectory::{TrajectoryPlot, trajectory},
 };

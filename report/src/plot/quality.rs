@@ -1,24 +1,24 @@
-//! Marker by marker: where its gaps are, how noisy it is, and how far the take lies from it.
+//! The quality of each marker: gaps, noise, and the error of the take.
 
 use mocapd_codec::Settings;
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
 use super::canvas::{
-    Area, BLUE, DIM, Drawn, GRID, INK, ORANGE, SMALL, TITLE, VERMILION, WORDS, centred,
-    left_aligned, right_aligned, sheet, shortened, tick, words,
+    Area, BLUE, BODY, DIM, DrawResult, GRID, INK, ORANGE, SMALL, TITLE, VERMILION, centred,
+    left_aligned, right_aligned, sheet, shortened, text, tick,
 };
 use crate::{
     ReportError,
-    coded::Coded,
-    column::{Column, distance},
+    column::{Column, distance, runs},
+    decoded::DecodedTake,
     noise::noise_mm,
 };
 
-/// Most markers on a sheet; of more the worst are shown.
+/// Most markers on a sheet; of more, the worst are drawn.
 const MARKERS_MAX: usize = 60;
 
-/// From the left edge of a column to its right one, in units of the sheet.
+/// The left and right edges of a column, in units of the sheet.
 #[derive(Clone, Copy)]
 struct Span {
     left: i32,
@@ -29,119 +29,114 @@ const WIDTH: u32 = 1280;
 const HEAD: i32 = 100;
 const LINE: i32 = 19;
 const FOOT: i32 = 66;
-/// Where the strip of gaps and the columns of bars are.
+/// The columns of the gap strips and of the bars.
 const GAPS: Span = Span { left: 190, right: 640 };
 const BARS: [Span; 2] = [Span { left: 730, right: 940 }, Span { left: 1030, right: 1240 }];
 
-/// One marker.
+/// The quality of one marker.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MarkerQuality {
-    /// Its name.
+    /// The marker's label.
     pub label: String,
-    /// Samples, of `rows`.
+    /// Number of samples.
     pub samples: usize,
-    /// Runs without a sample.
+    /// Number of gaps: runs of rows without a sample.
     pub gaps: usize,
-    /// Rows of the longest.
+    /// Length of the longest gap, rows.
     pub longest_gap: usize,
-    /// Standard deviation of the noise on one axis, mm; none where nobody can tell ([`crate::noise`]), or where the take's
-    /// tolerance hides it.
+    /// Standard deviation of the noise on one axis, mm; `None` if it cannot be estimated ([`crate::noise`]), or the
+    /// take's tolerance hides it.
     pub noise_mm: Option<f64>,
-    /// The largest distance to the original, mm; none without one.
+    /// The largest distance from the original, mm; `None` without one.
     pub max_error_mm: Option<f64>,
 }
 
-/// What to draw.
+/// The contents of a plot of marker quality.
 #[derive(Debug, Clone, Copy)]
-pub struct Quality<'a> {
+pub struct QualityPlot<'a> {
     /// The take's name, for the title.
     pub name: &'a str,
     /// The take.
-    pub coded: &'a Coded,
-    /// What it was made of, where that is there: noise is then the original's, too.
+    pub take: &'a DecodedTake,
+    /// Its original, if available; noise is then measured in the original.
     pub original: Option<&'a Motion>,
-    /// What the original itself was coded with, where it is a take.
+    /// The settings of an original that is itself a take.
     pub original_settings: Option<Settings>,
 }
 
 impl MarkerQuality {
-    /// Of each marker of a take; its noise is the original's where there is one.
+    /// The quality of each marker of a take; noise is measured in the original if there is one.
     #[must_use]
-    pub fn all(wanted: &Quality<'_>) -> Vec<Self> {
-        let motion = &wanted.coded.motion;
-        (0..motion.info.markers.len())
-            .map(|marker| {
-                let ours = Column::of(motion, marker);
-                let theirs = wanted.original.map(|original| Column::of(original, marker));
-                let apart = theirs.as_ref().and_then(|theirs| {
-                    let pairs = ours.0.iter().zip(&theirs.0);
-                    pairs.filter_map(|(a, b)| Some(distance((*a)?, (*b)?))).reduce(f64::max)
-                });
-                let gaps: Vec<usize> = crate::column::runs(ours.0.iter().map(Option::is_none))
-                    .map(|gap| gap.len())
-                    .collect();
-                Self {
-                    label: motion.info.markers[marker].label.clone(),
-                    samples: ours.n_samples(),
-                    gaps: gaps.len(),
-                    longest_gap: gaps.iter().copied().max().unwrap_or(0),
-                    noise_mm: noise_of(wanted, theirs.as_ref().unwrap_or(&ours)),
-                    max_error_mm: apart,
-                }
-            })
-            .collect()
+    pub fn all(plot: &QualityPlot<'_>) -> Vec<Self> {
+        let motion = &plot.take.motion;
+        let of_marker = |marker: usize| {
+            let ours = Column::of(motion, marker);
+            let theirs = plot.original.map(|original| Column::of(original, marker));
+            let apart = theirs.as_ref().and_then(|theirs| {
+                let pairs = ours.0.iter().zip(&theirs.0);
+                pairs.filter_map(|(a, b)| Some(distance((*a)?, (*b)?))).reduce(f64::max)
+            });
+            let gaps = runs(ours.0.iter().map(Option::is_none));
+            let gaps: Vec<usize> = gaps.map(|gap| gap.len()).collect();
+            Self {
+                label: motion.info.markers[marker].label.clone(),
+                samples: ours.n_samples(),
+                gaps: gaps.len(),
+                longest_gap: gaps.iter().copied().max().unwrap_or(0),
+                noise_mm: noise_of(plot, theirs.as_ref().unwrap_or(&ours)),
+                max_error_mm: apart,
+            }
+        };
+        (0..motion.info.markers.len()).map(of_marker).collect()
     }
 }
 
-/// By this factor the noise of a reconstruction must be larger than the tolerance. The error of a sample on one axis then has
-/// a standard deviation of at most `1 / (1.5 sqrt(3))` of it, which changes the figure by 7 % at most.
+/// Smallest ratio of noise to tolerance for an estimate from a reconstruction. The coding error on one axis then has a
+/// standard deviation of at most `1 / (1.5 sqrt(3))` of the noise, which changes the estimate by 7 % at most.
 const NOISE_OVER_TOLERANCE_MIN: f64 = 1.5;
 
-/// The noise of one marker; of a take within a tolerance only where the tolerance does not hide it.
-fn noise_of(wanted: &Quality<'_>, column: &Column) -> Option<f64> {
+/// The noise of one marker, mm; `None` if it cannot be estimated or the tolerance hides it.
+fn noise_of(plot: &QualityPlot<'_>, column: &Column) -> Option<f64> {
     let noise_mm = noise_mm(column)?;
-    (noise_mm >= NOISE_OVER_TOLERANCE_MIN * tolerance_mm(wanted)).then_some(noise_mm)
+    (noise_mm >= NOISE_OVER_TOLERANCE_MIN * tolerance_mm(plot)).then_some(noise_mm)
 }
 
-/// The tolerance of the samples that the noise is of; 0 where they are as they came.
-fn tolerance_mm(wanted: &Quality<'_>) -> f64 {
-    let settings = match wanted.original {
-        Some(_) => wanted.original_settings,
-        None => wanted.coded.settings,
+/// The tolerance of the samples in which noise is measured, mm; 0 if they are lossless.
+fn tolerance_mm(plot: &QualityPlot<'_>) -> f64 {
+    let settings = match plot.original {
+        Some(_) => plot.original_settings,
+        None => plot.take.settings,
     };
     let lossy = settings.filter(|settings| !settings.kind.is_lossless());
     lossy.map_or(0.0, |settings| settings.tolerance.mm())
 }
 
-/// Draws it as SVG.
+/// Draws the quality of the markers as SVG.
 ///
 /// # Errors
-/// `Nothing` when the take has no marker or no frame.
-pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
-    let motion = &wanted.coded.motion;
+/// `Nothing` if the take has no markers or frames.
+pub fn quality(plot: &QualityPlot<'_>) -> Result<String, ReportError> {
+    let motion = &plot.take.motion;
     let n_rows = motion.n_frames();
-    let all = MarkerQuality::all(wanted);
+    let all = MarkerQuality::all(plot);
     if all.is_empty() || n_rows == 0 {
         return Err(ReportError::Nothing(
-            "there is no frame of a marker in it: nothing to draw".to_owned(),
+            "the take has no markers or no frames: nothing to draw".to_owned(),
         ));
     }
-    let shown = shown(&all);
+    let shown = markers_to_draw(&all);
     let height = (HEAD + LINE * shown.len() as i32 + FOOT) as u32;
     sheet((WIDTH, height), |area| {
-        let title = format!("Quality of {}", shortened(wanted.name, 80));
-        words(area, &title, (24, 26), left_aligned(TITLE, INK))?;
-        words(area, &caption(wanted, &all, shown.len()), (24, 52), left_aligned(WORDS, DIM))?;
-        words(
-            area,
-            "seen (blue), gaps (orange)",
-            (GAPS.left, HEAD - 18),
-            left_aligned(WORDS, INK),
-        )?;
+        let title = format!("Quality of {}", shortened(plot.name, 80));
+        text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        text(area, &caption(plot, &all, shown.len()), (24, 52), left_aligned(BODY, DIM))?;
+        let head_y = HEAD - 18;
+        let title = "visible (blue), gaps (orange)";
+        text(area, title, (GAPS.left, head_y), left_aligned(BODY, INK))?;
         for (i, &marker) in shown.iter().enumerate() {
             let y = HEAD + LINE * i as i32 + LINE / 2;
             let label = shortened(&all[marker].label, 20);
-            words(area, &label, (GAPS.left - 12, y), right_aligned(SMALL, INK))?;
+            text(area, &label, (GAPS.left - 12, y), right_aligned(SMALL, INK))?;
             presence(area, &Column::of(motion, marker), y)?;
         }
         let base = HEAD + LINE * shown.len() as i32;
@@ -156,15 +151,15 @@ pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
             [("noise, each axis (mm)", noise, BLUE), ("largest error (mm)", errors, VERMILION)];
         let known = columns.into_iter().filter(|(_, values, _)| values.iter().any(Option::is_some));
         for (place, (head, values, colour)) in BARS.into_iter().zip(known) {
-            words(area, head, (place.left, HEAD - 18), left_aligned(WORDS, INK))?;
+            text(area, head, (place.left, head_y), left_aligned(BODY, INK))?;
             bars(area, place, base, values.into_iter(), colour, "mm")?;
         }
         Ok(())
     })
 }
 
-/// All in their order, or of too many the worst: most gaps first, then most noise.
-fn shown(all: &[MarkerQuality]) -> Vec<usize> {
+/// The markers to draw, in column order: all of them, or if they are too many those with fewest samples and most noise.
+fn markers_to_draw(all: &[MarkerQuality]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..all.len()).collect();
     if all.len() > MARKERS_MAX {
         order.sort_by(|&a, &b| {
@@ -177,7 +172,8 @@ fn shown(all: &[MarkerQuality]) -> Vec<usize> {
     order
 }
 
-fn presence(area: &Area<'_>, column: &Column, y: i32) -> Drawn {
+/// Draws the strip of a marker's gaps.
+fn presence(area: &Area<'_>, column: &Column, y: i32) -> DrawResult {
     let n = column.0.len().max(1) as f64;
     let width = f64::from(GAPS.right - GAPS.left);
     let x = |row: usize| GAPS.left + (row as f64 / n * width).round() as i32;
@@ -185,9 +181,9 @@ fn presence(area: &Area<'_>, column: &Column, y: i32) -> Drawn {
         Rectangle::new([(from, y - half), (to.max(from + 1), y + half)], colour.filled())
     };
     area.draw(&bar(GAPS.left, GAPS.right, 5, BLUE))?;
-    // A gap is never thinner than it can be seen; those that share a pixel are one.
+    // A gap is at least one pixel wide; those that share a pixel are merged.
     let mut drawn_to = i32::MIN;
-    for gap in crate::column::runs(column.0.iter().map(Option::is_none)) {
+    for gap in runs(column.0.iter().map(Option::is_none)) {
         let (from, to) = (x(gap.start), x(gap.end).max(x(gap.start) + 1));
         if to > drawn_to {
             area.draw(&bar(from, to, 7, ORANGE))?;
@@ -204,56 +200,54 @@ fn bars(
     values: impl Iterator<Item = Option<f64>> + Clone,
     colour: RGBColor,
     unit: &str,
-) -> Drawn {
+) -> DrawResult {
     let most = values.clone().flatten().fold(0.0, f64::max);
     let most = if most > 0.0 { most } else { 1.0 };
     let width = f64::from(place.right - place.left);
     for (i, value) in values.enumerate() {
         let y = HEAD + LINE * i as i32 + LINE / 2;
         let Some(value) = value else {
-            words(area, "-", (place.left + 4, y), left_aligned(SMALL, DIM))?;
+            text(area, "-", (place.left + 4, y), left_aligned(SMALL, DIM))?;
             continue;
         };
         let to = place.left + (value / most * width).round() as i32;
-        area.draw(&Rectangle::new(
-            [(place.left, y - 5), (to.max(place.left + 1), y + 5)],
-            colour.filled(),
-        ))?;
+        let corners = [(place.left, y - 5), (to.max(place.left + 1), y + 5)];
+        area.draw(&Rectangle::new(corners, colour.filled()))?;
     }
     scale(area, place, base, most, unit)
 }
 
-/// A line with its beginning, middle and end.
-fn scale(area: &Area<'_>, Span { left, right }: Span, y: i32, most: f64, unit: &str) -> Drawn {
+/// Draws a scale with ticks at its beginning, middle and end.
+fn scale(area: &Area<'_>, Span { left, right }: Span, y: i32, most: f64, unit: &str) -> DrawResult {
     let y = y + 6;
     area.draw(&PathElement::new(vec![(left, y), (right, y)], GRID.stroke_width(2)))?;
     for part in [0.0, 0.5, 1.0] {
         let x = left + (part * f64::from(right - left)).round() as i32;
         area.draw(&PathElement::new(vec![(x, y), (x, y + 5)], DIM.stroke_width(1)))?;
-        words(area, &tick(part * most, 0.5 * most), (x, y + 16), centred(SMALL, INK))?;
+        text(area, &tick(part * most, 0.5 * most), (x, y + 16), centred(SMALL, INK))?;
     }
-    words(area, unit, (left + (right - left) / 2, y + 36), centred(SMALL, DIM))
+    text(area, unit, (left + (right - left) / 2, y + 36), centred(SMALL, DIM))
 }
 
-fn caption(wanted: &Quality<'_>, all: &[MarkerQuality], n_shown: usize) -> String {
-    let motion = &wanted.coded.motion;
+fn caption(plot: &QualityPlot<'_>, all: &[MarkerQuality], n_shown: usize) -> String {
+    let motion = &plot.take.motion;
     let n_rows = motion.n_frames();
     let samples: usize = all.iter().map(|marker| marker.samples).sum();
     let part = 100.0 * samples as f64 / (n_rows * all.len()).max(1) as f64;
-    let mut words = format!(
-        "{}, {} markers, {n_rows} frames, {part:.1} % of the samples seen",
-        wanted.coded.how(),
+    let mut caption = format!(
+        "{}, {} markers, {n_rows} frames, {part:.1} % of the samples present",
+        plot.take.coding(),
         all.len()
     );
     if n_shown < all.len() {
-        words += &format!("; the {n_shown} with most gaps and noise");
+        caption += &format!("; shown: the {n_shown} with most gaps and noise");
     }
     if all.iter().any(|marker| marker.noise_mm.is_some()) {
-        words += "; noise from fourth differences";
-    } else if tolerance_mm(wanted) > 0.0 {
-        words += "; the tolerance hides the noise: --against the original shows it";
+        caption += "; noise from fourth differences";
+    } else if tolerance_mm(plot) > 0.0 {
+        caption += "; the tolerance hides the noise: give the original with --against";
     } else {
-        words += "; the noise cannot be told from motion or rounding";
+        caption += "; the noise cannot be separated from motion or rounding";
     }
-    words
+    caption
 }

@@ -1,4 +1,4 @@
-//! Bytes against tolerance, by resampler.
+//! Size of a take against the tolerance, by resampler.
 
 use plotters::{
     coord::combinators::{BindKeyPoints, IntoLogRange},
@@ -6,55 +6,55 @@ use plotters::{
 };
 
 use super::canvas::{
-    Area, BLUE, DIM, Drawn, FONT, GREEN, GRID, INK, PURPLE, TITLE, VERMILION, WORDS, left_aligned,
-    sheet, shortened, words,
+    Area, BLUE, BODY, DIM, DrawResult, FONT, GREEN, GRID, INK, PURPLE, TITLE, VERMILION,
+    left_aligned, sheet, shortened, text,
 };
 use crate::ReportError;
 
-/// Most takes on a sheet.
+/// Most panels on a sheet.
 const PANELS_MAX: usize = 6;
 
 const PANEL: (u32, u32) = (640, 560);
-/// Room for the names behind the lines.
+/// Width of the column of line names, right of a panel.
 const NAMES: u32 = 120;
-/// Least distance of two names.
+/// Smallest vertical distance of two names.
 const NAME_GAP: i32 = 18;
 const COLOURS: [RGBColor; 5] = [VERMILION, BLUE, GREEN, PURPLE, INK];
 
-/// One resampler.
+/// The sizes with one resampler.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SizeLine {
-    /// Its name.
+    /// The resampler's name.
     pub name: String,
-    /// Tolerance (mm) and bytes of the take.
+    /// Tolerance (mm) and size of the take (bytes).
     pub points: Vec<(f64, u64)>,
-    /// The same at every tolerance: drawn thin.
+    /// Whether the size does not depend on the tolerance; drawn as a thin dashed line.
     pub is_level: bool,
 }
 
-/// One take.
+/// The sizes of one take.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SizePanel {
-    /// Its name.
+    /// The take's name.
     pub name: String,
-    /// What it is, in a line.
+    /// A line about its contents.
     pub caption: String,
-    /// Its resamplers.
+    /// The sizes by resampler.
     pub lines: Vec<SizeLine>,
 }
 
-/// Draws a panel a take as SVG, all on the same axes.
+/// Draws one panel per take as SVG, all with the same axes.
 ///
 /// # Errors
-/// `InvalidArgument` for more takes than have room, `Nothing` without a line.
+/// `InvalidArgument` for too many takes, `Nothing` without any size.
 pub fn sizes(panels: &[SizePanel]) -> Result<String, ReportError> {
     let points = || panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.points);
     if points().next().is_none() {
-        return Err(ReportError::Nothing("no size was measured: nothing to draw".to_owned()));
+        return Err(ReportError::Nothing("no sizes measured: nothing to draw".to_owned()));
     }
     if panels.len() > PANELS_MAX {
         return Err(ReportError::InvalidArgument(format!(
-            "{} takes were given: {PANELS_MAX} have room on a sheet",
+            "{} takes are too many: give at most {PANELS_MAX}",
             panels.len()
         )));
     }
@@ -79,9 +79,9 @@ fn draw(
     panel: &SizePanel,
     tolerances_mm: std::ops::Range<f64>,
     bytes: std::ops::Range<f64>,
-) -> Drawn {
-    words(area, &shortened(&panel.name, 56), (24, 26), left_aligned(TITLE, INK))?;
-    words(area, &shortened(&panel.caption, 84), (24, 50), left_aligned(WORDS, DIM))?;
+) -> DrawResult {
+    text(area, &shortened(&panel.name, 56), (24, 26), left_aligned(TITLE, INK))?;
+    text(area, &shortened(&panel.caption, 84), (24, 50), left_aligned(BODY, DIM))?;
     let decades = |range: &std::ops::Range<f64>| -> Vec<f64> {
         let ticks = (-5..12).flat_map(|i| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(i)));
         ticks.filter(|tick| (0.999 * range.start..=1.001 * range.end).contains(tick)).collect()
@@ -107,8 +107,8 @@ fn draw(
         .y_desc("size of the take")
         .x_label_formatter(&|mm| format!("{}", (mm * 1e6).round() / 1e6))
         .y_label_formatter(&|bytes| with_unit(*bytes))
-        .label_style((FONT, WORDS).into_font().color(&INK))
-        .axis_desc_style((FONT, WORDS).into_font().color(&INK))
+        .label_style((FONT, BODY).into_font().color(&INK))
+        .axis_desc_style((FONT, BODY).into_font().color(&INK))
         .draw()?;
     let mut ends = Vec::new();
     for (line, colour) in panel.lines.iter().zip(COLOURS.iter().cycle()) {
@@ -127,27 +127,27 @@ fn draw(
     names_at_ends(area, &ends)
 }
 
-/// The end of a line on the sheet, its name and its colour.
+/// The end point of a line on the sheet, its name and its colour.
 pub(super) type End<'a> = ((i32, i32), &'a str, RGBColor);
 
-/// Names beside the ends of their lines.
-pub(super) fn names_at_ends(area: &Area<'_>, ends: &[End<'_>]) -> Drawn {
+/// Draws the names of lines beside their ends.
+pub(super) fn names_at_ends(area: &Area<'_>, ends: &[End<'_>]) -> DrawResult {
     let origin = area.get_base_pixel();
     let heights = spread(&ends.iter().map(|(end, ..)| end.1).collect::<Vec<_>>());
     for (((x, end_y), name, colour), y) in ends.iter().zip(heights) {
         let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
         area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
-        words(area, name, (x + 17, y), left_aligned(WORDS, *colour))?;
+        text(area, name, (x + 17, y), left_aligned(BODY, *colour))?;
     }
     Ok(())
 }
 
-/// Heights of names: near their lines' ends, never on each other.
+/// The heights of names: near the ends of their lines, without overlap.
 fn spread(ends: &[i32]) -> Vec<i32> {
     let mut order: Vec<usize> = (0..ends.len()).collect();
     order.sort_by_key(|&i| ends[i]);
     let mut heights = ends.to_vec();
-    // Two that are too close move apart by half of what is missing; neighbours follow in the next round.
+    // Names that are too close are moved apart, each by half the missing distance; neighbours follow in the next round.
     for _ in 0..200 {
         for pair in order.windows(2) {
             let missing = NAME_GAP - (heights[pair[1]] - heights[pair[0]]);

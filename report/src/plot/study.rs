@@ -1,11 +1,11 @@
-//! SR2 against the tolerance, a line a phase: the paper's beside the study's.
+//! SR2 against the tolerance, one line per phase: the study beside the paper.
 
 use plotters::prelude::*;
 
 use super::{
     canvas::{
-        Area, Axes, BLUE, DIM, Drawn, GREEN, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION, WORDS,
-        left_aligned, panel, sheet, words,
+        Area, Axes, BLUE, BODY, DIM, DrawResult, GREEN, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION,
+        left_aligned, panel, sheet, text,
     },
     sizes::names_at_ends,
 };
@@ -18,13 +18,13 @@ use crate::{
 const SIZE: (u32, u32) = (1280, 600);
 const NAMES: u32 = 130;
 
-/// A colour a column of table 1, in its order.
+/// The colours of the columns of table 1.
 const COLOURS: [RGBColor; 7] = [BLUE, SKY, VERMILION, ORANGE, GREEN, PURPLE, INK];
 
 /// Draws table 1 as SVG.
 ///
 /// # Errors
-/// `Nothing` when nothing was measured.
+/// `Nothing` if no phase was measured.
 pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
     let here = |piece: Piece, mm: f64| findings.sum(piece, Method::WorstSample, mm)?.counts.sr2();
     let found = lines(&findings.tolerances_mm, here);
@@ -36,15 +36,12 @@ pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
     let most = all().map(|point| point.1).fold(1.0, f64::max);
     let widest = all().map(|point| point.0).fold(1.0, f64::max);
     sheet(SIZE, |area| {
-        words(area, "SR2 by phase and tolerance", (24, 26), left_aligned(TITLE, INK))?;
-        let caption = "Stored items, a position and a time one each: original to asynchronous resampling (Shi et al. 2012, 8)";
-        words(area, caption, (24, 52), left_aligned(WORDS, DIM))?;
+        text(area, "SR2 by phase and tolerance", (24, 26), left_aligned(TITLE, INK))?;
+        let caption = "Ratio of stored items (positions and times), original to asynchronous resampling (Shi et al. 2012, eq. 8)";
+        text(area, caption, (24, 52), left_aligned(BODY, DIM))?;
         let (_, body) = area.split_vertically(66);
-        for (area, (title, lines)) in body
-            .split_evenly((1, 2))
-            .iter()
-            .zip([("these takes", &found), ("the paper", &published)])
-        {
+        let halves = [("these takes", &found), ("the paper", &published)];
+        for (area, (title, lines)) in body.split_evenly((1, 2)).iter().zip(halves) {
             draw(area, title, lines, widest, most)?;
         }
         Ok(())
@@ -63,13 +60,13 @@ fn lines(tolerances_mm: &[f64], sr2: impl Fn(Piece, f64) -> Option<f64>) -> Vec<
     paper::COLUMNS.iter().zip(&COLOURS).map(line).collect()
 }
 
-fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) -> Drawn {
-    words(area, title, (90, 14), left_aligned(WORDS, INK))?;
+fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) -> DrawResult {
+    text(area, title, (90, 14), left_aligned(BODY, INK))?;
     let axes = Axes {
         x: 0.0..widest * 1.02,
         y: 0.0..most * 1.05,
-        x_words: "tolerance (mm)",
-        y_words: "SR2",
+        x_title: "tolerance (mm)",
+        y_title: "SR2",
         margins: [28, NAMES, 6, 6],
     };
     let mut chart = panel(area, &axes)?;

@@ -1,5 +1,5 @@
-//! One marker: original samples, kept samples and the rebuilt curve, in space and against time (figure 2 of
-//! Shi et al. 2012).
+//! The trajectory of one marker: original samples, kept samples and the reconstruction, in space and against time
+//! (figure 2 of Shi et al. 2012).
 
 use std::ops::Range;
 
@@ -7,44 +7,44 @@ use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
 use super::canvas::{
-    Area, Axes, BLUE, DIM, Drawn, INK, SMALL, TITLE, VERMILION, WORDS, centred, left_aligned,
-    panel, range, sheet, shortened, words,
+    Area, Axes, BLUE, BODY, DIM, DrawResult, INK, SMALL, TITLE, VERMILION, centred, left_aligned,
+    panel, range, sheet, shortened, text,
 };
 use crate::{
     ReportError,
-    coded::Coded,
     column::{Column, Vector, distance, runs},
+    decoded::DecodedTake,
     up::Up,
 };
 
-/// Most rows of which every sample has a mark of its own; above it only the curve is drawn.
+/// Most rows with a circle for each sample; of more, only the curve is drawn.
 const MARKED_ROWS_MAX: usize = 1500;
 
-/// Most rows: beyond them nothing can be seen on a page, and a file has megabytes.
+/// Most rows: more are unreadable on a page, and make a file of megabytes.
 const ROWS_MAX: usize = 20_000;
 
 const SIZE: (u32, u32) = (1280, 860);
 const HEAD: i32 = 74;
 const LEFT: i32 = 560;
 
-/// What to draw.
+/// The contents of a plot of a trajectory.
 #[derive(Debug, Clone, Copy)]
-pub struct Trajectory<'a> {
+pub struct TrajectoryPlot<'a> {
     /// The take's name, for the title.
     pub name: &'a str,
     /// The take.
-    pub coded: &'a Coded,
-    /// What it was made of, where that is there.
+    pub take: &'a DecodedTake,
+    /// Its original, if available.
     pub original: Option<&'a Motion>,
-    /// The marker, by column.
+    /// The column of the marker.
     pub marker: usize,
-    /// Rows, from 0.
+    /// The first row and one past the last, from 0.
     pub rows: (usize, usize),
-    /// Which way is up.
+    /// The up direction.
     pub up: Up,
 }
 
-/// What is drawn, row by row.
+/// The rows to draw.
 struct Path {
     rows: Range<usize>,
     rate_hz: f64,
@@ -54,36 +54,36 @@ struct Path {
     is_marked: bool,
 }
 
-/// Draws it as SVG.
+/// Draws the trajectory as SVG.
 ///
 /// # Errors
-/// `Nothing` when there is no sample to draw, `InvalidArgument` when there are too many, or no such marker.
-pub fn trajectory(wanted: &Trajectory<'_>) -> Result<String, ReportError> {
-    let path = Path::of(wanted)?;
-    let label = &wanted.coded.motion.info.markers[wanted.marker].label;
+/// `Nothing` if there is no sample in these rows, `InvalidArgument` for too many rows or an unknown marker.
+pub fn trajectory(plot: &TrajectoryPlot<'_>) -> Result<String, ReportError> {
+    let path = Path::of(plot)?;
+    let label = &plot.take.motion.info.markers[plot.marker].label;
     sheet(SIZE, |area| {
-        let title = format!("{} of {}", shortened(label, 40), shortened(wanted.name, 60));
-        words(area, &title, (24, 26), left_aligned(TITLE, INK))?;
-        words(area, &path.caption(wanted), (24, 52), left_aligned(WORDS, DIM))?;
+        let title = format!("{} of {}", shortened(label, 40), shortened(plot.name, 60));
+        text(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        text(area, &path.caption(plot), (24, 52), left_aligned(BODY, DIM))?;
         let (head, body) = area.split_vertically(HEAD);
         legend(&head, &path)?;
         let (left, right) = body.split_horizontally(LEFT);
-        in_space(&left, &path, wanted.up)?;
-        against_time(&right, &path, wanted)
+        in_space(&left, &path, plot.up)?;
+        against_time(&right, &path, plot)
     })
 }
 
 impl Path {
-    fn of(wanted: &Trajectory<'_>) -> Result<Self, ReportError> {
-        let motion = &wanted.coded.motion;
-        let marker = wanted.marker;
+    fn of(plot: &TrajectoryPlot<'_>) -> Result<Self, ReportError> {
+        let motion = &plot.take.motion;
+        let marker = plot.marker;
         if marker >= motion.info.markers.len() {
             return Err(ReportError::InvalidArgument(format!("the take has no column {marker}")));
         }
-        let rows = wanted.rows.0..wanted.rows.1.min(motion.n_frames());
+        let rows = plot.rows.0..plot.rows.1.min(motion.n_frames());
         if rows.len() > ROWS_MAX {
             return Err(ReportError::InvalidArgument(format!(
-                "{} frames are more than a picture shows ({ROWS_MAX}): give --from and --to",
+                "{} frames are too many to plot (at most {ROWS_MAX}): give --from and --to",
                 rows.len()
             )));
         }
@@ -91,14 +91,14 @@ impl Path {
         let rebuilt = cut(Column::of(motion, marker));
         if rebuilt.n_samples() == 0 {
             return Err(ReportError::Nothing(format!(
-                "{} has no sample in these frames: there is nothing to draw",
+                "{} has no samples in these frames: nothing to draw",
                 motion.info.markers[marker].label
             )));
         }
-        let kept = wanted.coded.kept.get(marker).and_then(|kept| kept.get(rows.clone()));
+        let kept = plot.take.kept.get(marker).and_then(|kept| kept.get(rows.clone()));
         Ok(Self {
             rate_hz: motion.info.rate_hz.max(f64::MIN_POSITIVE),
-            original: wanted.original.map(|original| cut(Column::of(original, marker))),
+            original: plot.original.map(|original| cut(Column::of(original, marker))),
             kept: kept.unwrap_or_default().to_vec(),
             is_marked: rows.len() <= MARKED_ROWS_MAX,
             rebuilt,
@@ -110,7 +110,7 @@ impl Path {
         (self.rows.start + row) as f64 / self.rate_hz
     }
 
-    /// The curve between gaps.
+    /// The reconstruction as runs between gaps.
     fn curves(&self) -> impl Iterator<Item = Vec<(usize, Vector)>> + '_ {
         let runs = runs(self.rebuilt.0.iter().map(Option::is_some));
         runs.map(|run| run.filter_map(|row| Some((row, self.rebuilt.0[row]?))).collect())
@@ -134,43 +134,43 @@ impl Path {
         pairs.filter_map(|(row, (a, b))| Some((row, distance((*a)?, (*b)?)))).collect()
     }
 
-    fn caption(&self, wanted: &Trajectory<'_>) -> String {
+    fn caption(&self, plot: &TrajectoryPlot<'_>) -> String {
         let kept = self.kept.iter().filter(|kept| **kept).count();
-        let mut words = format!(
+        let mut caption = format!(
             "{}: {kept} of {} samples kept, {} Hz",
-            wanted.coded.how(),
+            plot.take.coding(),
             self.rebuilt.n_samples(),
             (self.rate_hz * 100.0).round() / 100.0
         );
         if let Some(worst) = self.errors_mm().iter().map(|e| e.1).reduce(f64::max) {
-            words += &format!(", at most {worst:.3} mm off");
+            caption += &format!(", max error {worst:.3} mm");
         }
         if !self.is_marked {
-            words += "; too many samples to mark each";
+            caption += "; too many samples to mark each";
         }
-        words
+        caption
     }
 }
 
-fn legend(area: &Area<'_>, path: &Path) -> Drawn {
+fn legend(area: &Area<'_>, path: &Path) -> DrawResult {
     let y = 26;
     let mut x = SIZE.0 as i32 - 470;
     if path.original.is_some() && path.is_marked {
         area.draw(&Circle::new((x, y), 4, DIM.stroke_width(1)))?;
-        words(area, "original samples", (x + 12, y), left_aligned(WORDS, INK))?;
+        text(area, "original samples", (x + 12, y), left_aligned(BODY, INK))?;
     }
     x += 170;
     if path.is_marked {
         area.draw(&Circle::new((x, y), 4, VERMILION.filled()))?;
-        words(area, "kept samples", (x + 12, y), left_aligned(WORDS, INK))?;
+        text(area, "kept samples", (x + 12, y), left_aligned(BODY, INK))?;
     }
     x += 142;
     area.draw(&PathElement::new(vec![(x - 8, y), (x + 12, y)], BLUE.stroke_width(2)))?;
-    words(area, "rebuilt curve", (x + 20, y), left_aligned(WORDS, INK))
+    text(area, "reconstruction", (x + 20, y), left_aligned(BODY, INK))
 }
 
-/// Seen from above at an angle, all axes at one scale.
-fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
+/// Draws the trajectory in an oblique view from above, with all axes at the same scale.
+fn in_space(area: &Area<'_>, path: &Path, up: Up) -> DrawResult {
     let project = projection(up);
     let all = path.rebuilt.0.iter().flatten().copied().chain(path.originals().map(|(_, at)| at));
     let points: Vec<(f64, f64)> = all.map(project).collect();
@@ -186,7 +186,7 @@ fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
         let py = top + 0.5 * room_y - (y - mid_y) * scale;
         (px.round() as i32, py.round() as i32)
     };
-    words(area, "in space", (40, 18), left_aligned(WORDS, INK))?;
+    text(area, "in space", (40, 18), left_aligned(BODY, INK))?;
     for (_, at) in path.originals() {
         area.draw(&Circle::new(place(at), 4, DIM.stroke_width(1)))?;
     }
@@ -197,11 +197,11 @@ fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
     for (_, at) in path.kept() {
         area.draw(&Circle::new(place(at), 3, VERMILION.filled()))?;
     }
-    // A length to measure by, and which way the axes go.
+    // A scale bar and the directions of the axes.
     let bar_mm = round_length(0.25 * room_x / scale);
     let (bar, base) = ((bar_mm * scale).round() as i32, height as i32 - 36);
     area.draw(&PathElement::new(vec![(170, base), (170 + bar, base)], INK.stroke_width(3)))?;
-    words(area, &format!("{bar_mm} mm"), (170, base + 18), left_aligned(WORDS, INK))?;
+    text(area, &format!("{bar_mm} mm"), (170, base + 18), left_aligned(BODY, INK))?;
     let corner = (74, base - 8);
     for (axis, name) in ["x", "y", "z"].iter().enumerate() {
         let mut unit = [0.0; 3];
@@ -211,12 +211,12 @@ fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
             (corner.0 + ((x - ox) * length) as i32, corner.1 - ((y - oy) * length) as i32)
         };
         area.draw(&PathElement::new(vec![corner, end(34.0)], DIM.stroke_width(1)))?;
-        words(area, name, end(46.0), centred(SMALL, DIM))?;
+        text(area, name, end(46.0), centred(SMALL, DIM))?;
     }
     Ok(())
 }
 
-/// From a point to the sheet: up is up, the other two axes go to the right, aslant.
+/// The oblique projection of a position: up stays up, the other two axes point to the right at an angle.
 fn projection(up: Up) -> impl Fn(Vector) -> (f64, f64) + Copy {
     let (right, depth) = ((up.axis + 1) % 3, (up.axis + 2) % 3);
     let ((turn_sin, turn_cos), (tilt_sin, tilt_cos)) =
@@ -229,33 +229,29 @@ fn projection(up: Up) -> impl Fn(Vector) -> (f64, f64) + Copy {
     }
 }
 
-/// The largest of 1, 2, 5, 10 ... that is no longer, mm.
+/// The largest of 1, 2, 5, 10 ... mm that does not exceed a length.
 fn round_length(mm: f64) -> f64 {
     let power = 10.0_f64.powf(mm.max(1e-6).log10().floor());
     let digit = [5.0, 2.0, 1.0].into_iter().find(|digit| digit * power <= mm);
     digit.unwrap_or(1.0) * power
 }
 
-fn against_time(area: &Area<'_>, path: &Path, wanted: &Trajectory<'_>) -> Drawn {
+fn against_time(area: &Area<'_>, path: &Path, plot: &TrajectoryPlot<'_>) -> DrawResult {
     let errors = path.errors_mm();
     let n_panels = if errors.is_empty() { 3 } else { 4 };
     let areas = area.split_evenly((n_panels, 1));
     let times = path.time_s(0)..path.time_s(path.rows.len().max(2) - 1);
     let is_last = |i: usize| i + 1 == n_panels;
-    let axes = |i: usize, y: Range<f64>, y_words: &'static str| Axes {
+    let axes = |i: usize, y: Range<f64>, y_title: &'static str| Axes {
         x: times.clone(),
         y,
-        x_words: if is_last(i) { "time (s)" } else { "" },
-        y_words,
+        x_title: if is_last(i) { "time (s)" } else { "" },
+        y_title,
         margins: [10, 24, 4, 4],
     };
     for (axis, name) in ["x (mm)", "y (mm)", "z (mm)"].into_iter().enumerate() {
-        let values = path
-            .rebuilt
-            .0
-            .iter()
-            .flatten()
-            .chain(path.original.iter().flat_map(|c| c.0.iter().flatten()));
+        let originals = path.original.iter().flat_map(|column| column.0.iter().flatten());
+        let values = path.rebuilt.0.iter().flatten().chain(originals);
         let y = range(values.map(|at| at[axis]));
         let mut chart = panel(&areas[axis], &axes(axis, y, name))?;
         let point = |(row, at): (usize, Vector)| (path.time_s(row), at[axis]);
@@ -271,12 +267,11 @@ fn against_time(area: &Area<'_>, path: &Path, wanted: &Trajectory<'_>) -> Drawn 
         return Ok(());
     }
     let tolerance_mm =
-        wanted.coded.settings.filter(|s| !s.kind.is_lossless()).map(|s| s.tolerance.mm());
+        plot.take.settings.filter(|s| !s.kind.is_lossless()).map(|s| s.tolerance.mm());
     let worst = errors.iter().map(|e| e.1).chain(tolerance_mm).fold(1e-3, f64::max);
     let mut chart = panel(&areas[3], &axes(3, 0.0..1.2 * worst, "error (mm)"))?;
-    for run in
-        runs((0..path.rows.len()).map(|row| errors.binary_search_by_key(&row, |e| e.0).is_ok()))
-    {
+    let is_known = |row: usize| errors.binary_search_by_key(&row, |e| e.0).is_ok();
+    for run in runs((0..path.rows.len()).map(is_known)) {
         let part = errors.iter().filter(|(row, _)| run.contains(row));
         let points = part.map(|&(row, mm)| (path.time_s(row), mm));
         chart.draw_series(LineSeries::new(points, INK.stroke_width(1)))?;
@@ -287,7 +282,7 @@ fn against_time(area: &Area<'_>, path: &Path, wanted: &Trajectory<'_>) -> Drawn 
         let (x, y) = chart.backend_coord(&(times.start, mm));
         let base = areas[3].get_base_pixel();
         let at = (x - base.0 + 8, y - base.1 - 9);
-        words(&areas[3], &format!("tolerance {mm} mm"), at, left_aligned(SMALL, VERMILION))?;
+        text(&areas[3], &format!("tolerance {mm} mm"), at, left_aligned(SMALL, VERMILION))?;
     }
     Ok(())
 }
@@ -297,7 +292,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lengths_to_measure_by_are_round() {
+    fn scale_bars_have_round_lengths() {
         for (mm, round) in [(1.0, 1.0), (1.9, 1.0), (137.0, 100.0), (260.0, 200.0), (0.7, 0.5)] {
             assert!((round_length(mm) - round).abs() < 1e-9, "{mm}");
         }

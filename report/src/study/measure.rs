@@ -1,4 +1,4 @@
-//! Measures one trial: every piece of it, with every method, at every tolerance.
+//! Measurement of one trial: every piece of it, with every method, at every tolerance.
 
 use std::{
     ops::Range,
@@ -9,16 +9,16 @@ use mocapd_codec::{Settings, Tolerance};
 use mocapd_take::motion::Motion;
 
 use super::{Cell, Coder, Method, Options, Piece, Results, Trial};
-use crate::{ReportError, coded::Coded, derivative, measures::Counts};
+use crate::{ReportError, decoded::DecodedTake, derivative, measures::Counts};
 
-/// Longest piece that the exhaustive search is tried on, frames: with the third power of them its work grows to half a
-/// second a channel and tolerance, and to half a minute a trial.
+/// Longest piece for the exhaustive search, frames. Its work grows with the third power of them: half a second per
+/// channel and tolerance, half a minute per trial.
 pub const EXHAUSTIVE_FRAMES_MAX: usize = 256;
 
-/// What is left of a trial to do: a piece, its frames, the methods and tolerances.
+/// A piece to measure, its frames, and the methods and tolerances (mm) to measure it with.
 type Task = (Piece, Range<usize>, Vec<Method>, Vec<f64>);
 
-/// Samples times settings that [`measure`] will code: what its progress counts up to.
+/// The final value of the progress of [`measure`]: samples times settings.
 #[must_use]
 pub fn work(trial: &Trial, options: &Options, with_exhaustive: bool) -> u64 {
     let n_markers = trial.motion.info.markers.len();
@@ -29,11 +29,11 @@ pub fn work(trial: &Trial, options: &Options, with_exhaustive: bool) -> u64 {
     samples.sum()
 }
 
-/// Codes all of it; `progress` counts samples. The exhaustive search is tried where it is asked for, on pieces up to
-/// [`EXHAUSTIVE_FRAMES_MAX`].
+/// Codes all pieces of a trial with all methods and tolerances; `progress` counts samples. With `with_exhaustive` the
+/// exhaustive search is tried on pieces up to [`EXHAUSTIVE_FRAMES_MAX`].
 ///
 /// # Errors
-/// When the coder refuses, or a take that it made is not what went in.
+/// If the coder fails, or a take that it made does not match its input.
 pub fn measure(
     trial: &Trial,
     options: &Options,
@@ -50,11 +50,13 @@ pub fn measure(
                     .map_err(|error| ReportError::InvalidArgument(error.to_string()))?;
                 let settings = Settings { kind: method.kind(), tolerance };
                 let bytes = coder.take(&motion, &settings).map_err(ReportError::Coder)?;
-                let coded = Coded::read(&bytes[..])?;
-                check(&coded, &motion, tolerance_mm)?;
-                results.add(cell(piece, method, tolerance_mm, &coded, &motion, bytes.len()));
+                let decoded = DecodedTake::read(&bytes[..])?;
+                check(&decoded, &motion, tolerance_mm)?;
+                let (counts, file_bytes) = (decoded.counts(), bytes.len() as u64);
+                let max_error_mm = decoded.max_error_mm(&motion);
+                results.add(Cell { piece, method, tolerance_mm, counts, file_bytes, max_error_mm });
                 if piece == Piece::Whole {
-                    whole(trial, method, tolerance_mm, &coded, options, &mut results)?;
+                    whole(trial, method, tolerance_mm, &decoded, options, &mut results)?;
                 }
                 progress.fetch_add(motion.positions_mm.len() as u64, Ordering::Relaxed);
             }
@@ -81,17 +83,13 @@ fn tasks(trial: &Trial, options: &Options, with_exhaustive: bool) -> Vec<Task> {
     tasks.push((Piece::Whole, 0..n_frames, methods(n_frames), tolerances.clone()));
     for &length in options.prefixes.iter().filter(|&&length| length <= n_frames) {
         let methods = vec![Method::WorstSample, Method::Dense];
-        tasks.push((
-            Piece::First(length),
-            0..length,
-            methods,
-            options.prefix_tolerances_mm.clone(),
-        ));
+        let tolerances = options.prefix_tolerances_mm.clone();
+        tasks.push((Piece::First(length), 0..length, methods, tolerances));
     }
     tasks
 }
 
-/// Those frames, with nothing beside the trajectories.
+/// The trajectories of these frames, without foreign data.
 fn part(motion: &Motion, frames: Range<usize>) -> Motion {
     let mut info = motion.info.clone();
     info.foreign.clear();
@@ -102,55 +100,36 @@ fn part(motion: &Motion, frames: Range<usize>) -> Motion {
     Motion { info, positions_mm }
 }
 
-/// What is counted is what is in the bytes: all of it, and within the tolerance.
-fn check(coded: &Coded, motion: &Motion, tolerance_mm: f64) -> Result<(), ReportError> {
+/// Checks a decoded take against its input: no problem, all samples, all errors within the tolerance.
+fn check(decoded: &DecodedTake, motion: &Motion, tolerance_mm: f64) -> Result<(), ReportError> {
     let n_samples = |motion: &Motion| {
         motion.positions_mm.iter().filter(|&&at| !mocapd_take::motion::is_gap(at)).count()
     };
-    let (found, expected) = (n_samples(&coded.motion), n_samples(motion));
-    let error_mm = coded.max_error_mm(motion);
-    if let Some(problem) = coded.problems.first() {
+    let (found, expected) = (n_samples(&decoded.motion), n_samples(motion));
+    let error_mm = decoded.max_error_mm(motion);
+    if let Some(problem) = decoded.problems.first() {
         return Err(ReportError::Coder(problem.to_string()));
     }
     if found != expected || error_mm > tolerance_mm {
         return Err(ReportError::Coder(format!(
-            "{found} samples came back of {expected}, at most {error_mm} mm off: this is a bug in mocapd"
+            "{found} of {expected} samples decoded, max error {error_mm} mm: this is a bug in mocapd"
         )));
     }
     Ok(())
 }
 
-fn cell(
-    piece: Piece,
-    method: Method,
-    tolerance_mm: f64,
-    coded: &Coded,
-    motion: &Motion,
-    file_bytes: usize,
-) -> Cell {
-    let counts = coded.counts();
-    Cell {
-        piece,
-        method,
-        tolerance_mm,
-        counts,
-        file_bytes: file_bytes as u64,
-        max_error_mm: coded.max_error_mm(motion),
-    }
-}
-
-/// What only a whole trial tells: knots by phase, and derivatives.
+/// Adds the results that only whole trials have: samples kept by phase, and derivatives.
 fn whole(
     trial: &Trial,
     method: Method,
     tolerance_mm: f64,
-    coded: &Coded,
+    decoded: &DecodedTake,
     options: &Options,
     results: &mut Results,
 ) -> Result<(), ReportError> {
     if method == Method::WorstSample {
         for part in trial.phases.iter().flatten() {
-            let counts = counts_within(coded, part.frames.clone());
+            let counts = counts_within(decoded, part.frames.clone());
             let piece = Piece::Within(part.phase);
             let (file_bytes, max_error_mm) = (0, 0.0);
             results.add(Cell { piece, method, tolerance_mm, counts, file_bytes, max_error_mm });
@@ -159,21 +138,19 @@ fn whole(
     if matches!(method, Method::WorstSample | Method::Dense)
         && options.cutoff_hz < 0.5 * trial.motion.info.rate_hz
     {
-        let found = derivative::by_marker(&coded.motion, &trial.motion, options.cutoff_hz)?;
+        let found = derivative::by_marker(&decoded.motion, &trial.motion, options.cutoff_hz)?;
         results.derivatives.push((method, tolerance_mm, found));
     }
     Ok(())
 }
 
-fn counts_within(coded: &Coded, frames: Range<usize>) -> Counts {
-    let part = Coded {
-        motion: part(&coded.motion, frames.clone()),
-        kept: coded
-            .kept
-            .iter()
-            .map(|kept| kept.get(frames.clone()).unwrap_or_default().to_vec())
-            .collect(),
-        settings: coded.settings,
+/// The counts of a range of frames of a decoded take.
+fn counts_within(decoded: &DecodedTake, frames: Range<usize>) -> Counts {
+    let cut = |kept: &Vec<bool>| kept.get(frames.clone()).unwrap_or_default().to_vec();
+    let part = DecodedTake {
+        motion: part(&decoded.motion, frames.clone()),
+        kept: decoded.kept.iter().map(cut).collect(),
+        settings: decoded.settings,
         problems: Vec::new(),
     };
     part.counts()

@@ -1,5 +1,5 @@
-//! The study of (Shi et al. 2012) again, on takes that are given: their two tables, what their measures leave
-//! out, both readings of their second step, and the default resampler beside them.
+//! The study of (Shi et al. 2012), repeated on given takes: their two tables, the size on disk that their measures
+//! leave out, both readings of their second step, and the default resampler for comparison.
 
 mod measure;
 mod options;
@@ -13,24 +13,24 @@ pub use self::{
     options::{Coder, Method, Options, Trial},
 };
 
-/// Bytes of a sample as raw float32.
+/// Size of a sample as raw float32, bytes.
 const RAW_SAMPLE_BYTES: u64 = 12;
 
-/// A stretch of a trial that is looked at on its own.
+/// A piece of a trial that has its own results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Piece {
     /// A phase, cut out and resampled on its own: table 1.
     Phase(Phase),
-    /// A phase inside the trial: what the whole trial's resampling keeps in it.
+    /// A phase within the resampling of the whole trial.
     Within(Phase),
-    /// The trial.
+    /// The whole trial.
     Whole,
-    /// So many frames from its first on: table 2.
+    /// The first frames of the trial, by number: table 2.
     First(usize),
 }
 
 impl Piece {
-    /// As tables say it.
+    /// The name in tables.
     #[must_use]
     pub fn name(self) -> String {
         match self {
@@ -42,46 +42,46 @@ impl Piece {
     }
 }
 
-/// One piece of one trial, with one method at one tolerance.
+/// The results of one piece of one trial, with one method at one tolerance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cell {
-    /// Which part of the trial.
+    /// The piece of the trial.
     pub piece: Piece,
-    /// How.
+    /// The method.
     pub method: Method,
-    /// At which tolerance, mm.
+    /// The tolerance, mm.
     pub tolerance_mm: f64,
-    /// What the paper's measures are made of.
+    /// The counts for the paper's measures.
     pub counts: Counts,
-    /// The take of it, everything included; 0 where it was not coded on its own.
+    /// Size of its take, bytes; 0 if the piece was not coded on its own.
     pub file_bytes: u64,
-    /// The largest distance of a sample, measured, mm.
+    /// The largest measured error of a sample, mm.
     pub max_error_mm: f64,
 }
 
-/// One trial.
+/// The results of one trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Results {
-    /// Its file's name.
+    /// Name of its file.
     pub name: String,
-    /// Frames a second.
+    /// Frame rate, Hz.
     pub rate_hz: f64,
-    /// Its frames.
+    /// Number of frames.
     pub frames: u64,
-    /// Its markers.
+    /// Number of markers.
     pub markers: u64,
     /// Its phases and their numbers of frames, or why there are none.
     pub phases: Result<Vec<(Phase, usize)>, String>,
-    /// Everything measured.
+    /// The results by piece, method and tolerance.
     pub cells: Vec<Cell>,
-    /// By method and tolerance (mm), each marker's errors of derivatives over the whole trial.
+    /// The derivative errors of each marker over the whole trial, by method and tolerance (mm).
     pub derivatives: Vec<(Method, f64, Vec<DerivativeError>)>,
 }
 
 impl Results {
     pub(super) fn new(trial: &Trial) -> Self {
         let info = &trial.motion.info;
-        let lengths = |parts: &Vec<crate::phases::Part>| {
+        let lengths = |parts: &Vec<crate::phases::PhaseSpan>| {
             parts.iter().map(|part| (part.phase, part.frames.len())).collect()
         };
         Self {
@@ -100,18 +100,18 @@ impl Results {
     }
 }
 
-/// Pieces of several trials together: items and bytes are added up before anything is divided.
+/// The results of several pieces together: items and bytes are summed before ratios are taken.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Sum {
-    /// Pieces.
+    /// Number of pieces.
     pub n: u64,
-    /// Of which asynchronous resampling needs fewer items than synchronous (10).
+    /// Number of pieces for which asynchronous resampling needs fewer items than synchronous (10).
     pub wins: u64,
-    /// Of all.
+    /// The summed counts.
     pub counts: Counts,
-    /// Of all takes.
+    /// The summed sizes of the takes, bytes.
     pub file_bytes: u64,
-    /// The largest of all, mm.
+    /// The largest error of all, mm.
     pub max_error_mm: f64,
 }
 
@@ -124,36 +124,36 @@ impl Sum {
         self.max_error_mm = self.max_error_mm.max(cell.max_error_mm);
     }
 
-    /// Raw float32 bytes to bytes on disk, everything included.
+    /// The ratio of raw float32 bytes to bytes on disk; `None` if the pieces were not coded on their own.
     #[must_use]
     pub fn ratio(&self) -> Option<f64> {
         crate::measures::ratio(RAW_SAMPLE_BYTES * self.counts.samples, self.file_bytes)
     }
 }
 
-/// All trials.
+/// The results of all trials.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Findings {
     /// Tolerances of table 1, mm.
     pub tolerances_mm: Vec<f64>,
-    /// Tolerances and lengths of table 2.
+    /// Tolerances of table 2, mm.
     pub prefix_tolerances_mm: Vec<f64>,
-    /// In frames.
+    /// Lengths of table 2, frames.
     pub prefixes: Vec<usize>,
-    /// Before derivatives, Hz.
+    /// Cutoff of the low-pass before derivatives, Hz.
     pub cutoff_hz: f64,
-    /// In the order in which they were given.
+    /// The trials, in the given order.
     pub trials: Vec<Results>,
 }
 
 impl Findings {
-    /// The sum over all trials that have such a piece; `None` where there is none.
+    /// The sum over all trials that have this piece; `None` if none has it.
     #[must_use]
     pub fn sum(&self, piece: Piece, method: Method, tolerance_mm: f64) -> Option<Sum> {
         self.sum_of(piece, method, tolerance_mm, |_| true)
     }
 
-    /// The same of the trials with such a piece that the exhaustive search was tried on.
+    /// The sum over those trials whose piece was also coded with the exhaustive search.
     #[must_use]
     pub fn sum_of_compared(&self, piece: Piece, method: Method, tolerance_mm: f64) -> Option<Sum> {
         let compared = |trial: &Results| {
@@ -180,7 +180,7 @@ impl Findings {
         (sum.n > 0).then_some(sum)
     }
 
-    /// Errors of derivatives over all trials and markers.
+    /// The derivative errors over all trials and markers; `None` if there are none.
     #[must_use]
     pub fn derivatives(&self, method: Method, tolerance_mm: f64) -> Option<DerivativeError> {
         let mut sum = DerivativeError::default();

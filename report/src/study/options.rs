@@ -1,28 +1,28 @@
-//! What is studied, and how.
+//! The inputs of the study: trials, methods, tolerances, and the coder.
 
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant};
 use mocapd_take::motion::Motion;
 
-use crate::phases::Part;
+use crate::phases::PhaseSpan;
 
-/// A resampler, and the reading of the published method.
+/// A resampler, and for the published method the reading of its step 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Method {
-    /// The published method; step 2 inserts the sample that is off the most.
+    /// The published method; step 2 inserts the sample with the largest error.
     WorstSample,
     /// The published method; step 2 tries every sample.
     Exhaustive,
-    /// Its synchronous rival, from the first reading's knots.
+    /// Synchronous resampling, at the union of the knots of [`WorstSample`](Self::WorstSample).
     Sync,
-    /// The default.
+    /// mocapd's default resampler.
     Dense,
 }
 
 impl Method {
-    /// All of them.
+    /// All methods.
     pub const ALL: [Self; 4] = [Self::WorstSample, Self::Exhaustive, Self::Sync, Self::Dense];
 
-    /// The resampler behind it.
+    /// The resampler of this method.
     #[must_use]
     pub fn kind(self) -> ResamplerKind {
         match self {
@@ -33,25 +33,25 @@ impl Method {
         }
     }
 
-    /// As `--resampler` takes it.
+    /// The name, as for `--resampler`.
     #[must_use]
     pub fn name(self) -> String {
         self.kind().to_string()
     }
 }
 
-/// One trial.
+/// A trial to study.
 #[derive(Debug, Clone)]
 pub struct Trial {
-    /// Its file's name.
+    /// Name of its file.
     pub name: String,
-    /// Its samples.
+    /// Its motion.
     pub motion: Motion,
-    /// Its phases, or why there are none: it is then studied as a whole only.
-    pub phases: Result<Vec<Part>, String>,
+    /// Its phases, or why there are none; it is then studied only as a whole.
+    pub phases: Result<Vec<PhaseSpan>, String>,
 }
 
-/// What is measured.
+/// The parameters of the study.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     /// Tolerances (`ErrLim`) of table 1, mm, ascending.
@@ -65,7 +65,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The paper's.
+    /// The parameters of the paper.
     fn default() -> Self {
         Self {
             tolerances_mm: super::paper::TOLERANCES_MM.to_vec(),
@@ -76,11 +76,11 @@ impl Default for Options {
     }
 }
 
-/// Makes takes in memory: every byte that a take of these samples would have on disk.
+/// Codes takes in memory, byte for byte as on disk.
 pub trait Coder {
-    /// Codes `motion` as `settings` say.
+    /// The bytes of a take of `motion` coded with `settings`.
     ///
     /// # Errors
-    /// Why it cannot be, in words.
+    /// A message if it cannot be coded.
     fn take(&self, motion: &Motion, settings: &Settings) -> Result<Vec<u8>, String>;
 }

@@ -1,9 +1,9 @@
-//! What (Shi et al. 2012) print.
+//! The published results of (Shi et al. 2012).
 
 use super::Piece;
 use crate::phases::Phase;
 
-/// `ErrLim` of table 1, mm.
+/// Tolerances (`ErrLim`) of table 1, mm.
 pub const TOLERANCES_MM: [f64; 5] = [1.0, 5.0, 10.0, 15.0, 20.0];
 
 /// Columns of table 1.
@@ -26,10 +26,10 @@ const TABLE_1: [[f64; 7]; 5] = [
     [6.15, 7.88, 3.16, 5.31, 11.1, 13.24, 9.45],
 ];
 
-/// `ErrLim` of table 2, mm.
+/// Tolerances (`ErrLim`) of table 2, mm.
 pub const PREFIX_TOLERANCES_MM: [f64; 2] = [10.0, 20.0];
 
-/// Lengths of table 2, frames from the first on.
+/// Lengths of table 2, frames from the beginning.
 pub const PREFIXES: [usize; 12] = [50, 100, 150, 200, 250, 300, 350, 400, 450, 500, 550, 600];
 
 /// Table 2: SR2 by `ErrLim` and length.
@@ -38,7 +38,7 @@ const TABLE_2: [[f64; 12]; 2] = [
     [12.8, 18.6, 17.3, 13.1, 16.0, 14.0, 5.0, 7.1, 6.3, 10.1, 13.2, 9.4],
 ];
 
-/// What the paper has for a piece at a tolerance, if it has.
+/// The SR2 that the paper prints for a piece at a tolerance; `None` if it has none.
 #[must_use]
 pub fn sr2(piece: Piece, tolerance_mm: f64) -> Option<f64> {
     let row = |tolerances: &[f64]| tolerances.iter().position(|&mm| mm == tolerance_mm);

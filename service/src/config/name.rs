@@ -1,18 +1,17 @@
-//! How takes are called that were started without a name: a template in which words are filled in.
+//! Names of takes that were started without one: a template with placeholders.
 
 use std::fmt;
 
 use jiff::civil::DateTime;
 
-use super::problem::{meant, short};
+use super::problem::{excerpt, suggestion_or_list};
 
-/// Bytes of a take's name without `.take`: file systems have room for 255, and what stands beside a take has a
-/// longer ending.
+/// Longest take name in bytes, without `.take`: file systems allow 255, and files beside a take have longer extensions.
 pub const NAME_BYTES_MAX: usize = 200;
 
-/// What no take's name has, wherever it comes from: separators of paths here and elsewhere, what other file systems
-/// refuse, what terminals obey, what cannot be seen and turns or hides the rest, and what stands for a letter that was
-/// lost.
+/// Whether a character is refused in every take name: path separators of this system and others, characters that other
+/// file systems refuse, control characters, invisible characters that reverse or hide the rest, and the replacement
+/// character of undecodable text.
 #[must_use]
 pub fn is_refused_in_name(c: char) -> bool {
     c.is_control()
@@ -20,17 +19,17 @@ pub fn is_refused_in_name(c: char) -> bool {
         || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fffd}')
 }
 
-/// Bytes that a word may become: a rig's name has 64, and no other one more.
-const WORD_BYTES_MAX: usize = 64;
+/// Longest text of a placeholder in bytes: a rig name has up to 64, and the others are shorter.
+const PLACEHOLDER_BYTES_MAX: usize = 64;
 
-/// What is filled in.
+/// The values of the placeholders.
 #[derive(Debug, Clone, Copy)]
 pub struct NameParts<'a> {
-    /// `{date}` and `{time}`: when the take begins, in the time zone of this machine.
+    /// `{date}` and `{time}`: when the take begins, in this machine's time zone.
     pub begin: DateTime,
     /// `{rig}`.
     pub rig: &'a str,
-    /// `{count}`: the first from 1 whose name is free; the caller counts.
+    /// `{count}`: the caller counts up from 1 until the name is free.
     pub count: u64,
 }
 
@@ -43,10 +42,10 @@ enum Part {
     Count,
 }
 
-const WORDS: [(&str, Part); 4] =
+const PLACEHOLDERS: [(&str, Part); 4] =
     [("date", Part::Date), ("time", Part::Time), ("rig", Part::Rig), ("count", Part::Count)];
 
-/// A template that gives a file name whatever is filled in: no path, not hidden, of a bounded length.
+/// A template whose result is always a file name: never a path, never hidden, of bounded length.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NameTemplate {
     text: String,
@@ -54,7 +53,7 @@ pub struct NameTemplate {
 }
 
 impl NameTemplate {
-    /// Reads a template.
+    /// Parses a template.
     ///
     /// # Errors
     /// What is wrong with it.
@@ -69,17 +68,18 @@ impl NameTemplate {
             rest = behind;
             if let Some(behind) = behind.strip_prefix('{') {
                 let Some((word, behind)) = behind.split_once('}') else {
-                    return Err("a '{' has no '}' behind it".to_owned());
+                    return Err("a '{' has no closing '}'".to_owned());
                 };
-                let known = WORDS.iter().find(|(name, _)| *name == word);
+                let known = PLACEHOLDERS.iter().find(|(name, _)| *name == word);
                 let (_, part) = known.ok_or_else(|| {
-                    let meant = meant(word, WORDS.iter().map(|(name, _)| *name));
-                    format!("nothing is filled in for {{{}}}: {meant}", short(word))
+                    let names = PLACEHOLDERS.iter().map(|(name, _)| *name);
+                    let hint = suggestion_or_list(word, names);
+                    format!("unknown placeholder {{{}}}: {hint}", excerpt(word))
                 })?;
                 parts.push(part.clone());
                 rest = behind;
             } else if !behind.is_empty() {
-                return Err("a '}' has no '{' before it".to_owned());
+                return Err("a '}' has no opening '{'".to_owned());
             }
         }
         let template = Self { text: text.to_owned(), parts };
@@ -92,30 +92,27 @@ impl NameTemplate {
             return Err("it is empty".to_owned());
         }
         if self.text.starts_with(['.', '-', ' ']) {
-            return Err("a take's name does not begin with a dot, a dash or a space".to_owned());
+            return Err("a take name cannot begin with a dot, a dash or a space".to_owned());
         }
         if self.text.ends_with([' ', '.']) {
-            return Err("a take's name does not end with a dot or a space".to_owned());
+            return Err("a take name cannot end with a dot or a space".to_owned());
         }
         if let Some(c) = self.text.chars().find(|&c| is_refused_in_name(c)) {
-            return Err(format!(
-                "'{}' cannot be in a take's name, which is no path",
-                c.escape_debug()
-            ));
+            return Err(format!("a take name cannot contain '{}'", c.escape_debug()));
         }
         if self.text.ends_with(".take") {
-            return Err(".take is added to it: leave it out".to_owned());
+            return Err(".take is appended automatically: leave it out".to_owned());
         }
         let longest: usize = self.parts.iter().map(Part::bytes_max).sum();
         if longest > NAME_BYTES_MAX {
             return Err(format!(
-                "it may become {longest} bytes long, and a name has at most {NAME_BYTES_MAX}"
+                "the name may become {longest} bytes long; the limit is {NAME_BYTES_MAX}"
             ));
         }
         Ok(())
     }
 
-    /// A take's name without `.take`: `2026-11-22_16-04-59_left`.
+    /// A take name without `.take`, such as `2026-11-22_16-04-59_left`.
     #[must_use]
     pub fn fill(&self, with: &NameParts<'_>) -> String {
         self.parts.iter().map(|part| part.filled(with)).collect()
@@ -136,9 +133,9 @@ impl Part {
     fn bytes_max(&self) -> usize {
         match self {
             Self::Text(text) => text.len(),
-            // A count has 20 digits at most, a date 13 bytes, a time 8.
+            // A count has at most 20 digits, a date 13 bytes, a time 8.
             Self::Date | Self::Time | Self::Count => 20,
-            Self::Rig => WORD_BYTES_MAX,
+            Self::Rig => PLACEHOLDER_BYTES_MAX,
         }
     }
 }
@@ -161,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_filled_in() {
+    fn placeholders_are_replaced() {
         assert_eq!(fill("{date}_{time}_{rig}"), "2026-01-02_03-04-05_left");
         assert_eq!(fill("S01 {rig}-{count}"), "S01 left-007");
         assert_eq!(fill("{count}{count}"), "007007");
@@ -169,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_name_says_why() {
+    fn invalid_templates_are_explained() {
         let mut reasons = HashSet::new();
         for (text, fact) in [
             ("", ""),
@@ -186,9 +183,9 @@ mod tests {
             ("{rig}.", ""),
             ("{rig}{rig}{rig}{rig}", "256"),
         ] {
-            let said = NameTemplate::parse(text).unwrap_err();
-            assert!(said.contains(fact), "{text}: {said}");
-            assert!(reasons.insert(said.clone()), "{text}: said before: {said}");
+            let reason = NameTemplate::parse(text).unwrap_err();
+            assert!(reason.contains(fact), "{text}: {reason}");
+            assert!(reasons.insert(reason.clone()), "{text}: duplicate message: {reason}");
         }
         for text in ["../x", "-rf", " x"] {
             assert_eq!(NameTemplate::parse(text), NameTemplate::parse(".hidden"), "{text}");

@@ -1,66 +1,66 @@
-//! What is wrong with a configuration: every thing at once, each with its place and what to write.
+//! The problems of a configuration, reported all at once, each with its location and the correction.
 
 use std::path::PathBuf;
 
-/// Problems that are told at once: more help nobody.
+/// Most problems that are reported: more would not help.
 pub const PROBLEMS_MAX: usize = 20;
 
-/// Where a value stands.
+/// The location of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Place {
-    /// In the file, both from 1; columns count characters.
+pub enum SourceLocation {
+    /// In the file. Line and column count from 1, the column in characters.
     At {
         /// The line.
         line: usize,
         /// The first character.
         column: usize,
     },
-    /// On the command line, behind this option.
+    /// On the command line, in this option.
     Option(&'static str),
-    /// Nowhere: it is a default, or left out.
+    /// Nowhere: the value is a default or missing.
     Nowhere,
 }
 
-/// One thing that is wrong.
+/// One problem of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Problem {
-    /// Where.
-    pub place: Place,
-    /// Of which key, such as `arm.pre_roll`; `None` for what is no key.
+pub struct ConfigProblem {
+    /// The location of the value.
+    pub place: SourceLocation,
+    /// The key, such as `arm.pre_roll`; `None` if the problem is not about a known key.
     pub key: Option<&'static str>,
     /// What was found, what is expected, and what to write.
     pub message: String,
 }
 
-/// Why there is no configuration.
+/// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
-    /// The file is not there.
+    /// The file does not exist.
     #[error("{} does not exist: write one with `mocapd config example > {}`", .0.display(), .0.display())]
     NotFound(PathBuf),
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read {}: {error}", .file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// Why; it is in the message, and so no source of its own.
+        /// The cause. It is part of the message, and therefore not a `source`.
         error: std::io::Error,
     },
-    /// Something in it cannot be meant.
+    /// The file has problems.
     #[error("{}", on_one_line(.name, .problems, *.more))]
     Refused {
-        /// What the file is called.
+        /// The name of the file.
         name: String,
-        /// What is wrong, in the order of the file: at least one, at most [`PROBLEMS_MAX`].
-        problems: Vec<Problem>,
-        /// How many more there are.
+        /// The problems in the order of the file: at least one, at most [`PROBLEMS_MAX`].
+        problems: Vec<ConfigProblem>,
+        /// How many problems were left out.
         more: usize,
     },
 }
 
 impl ConfigError {
-    /// One line for each thing that is wrong, with the file's name.
+    /// One line per problem, each with the name of the file.
     #[must_use]
     pub fn lines(&self) -> Vec<String> {
         match self {
@@ -76,21 +76,23 @@ impl ConfigError {
     }
 }
 
-impl Problem {
-    /// One line that says where and what.
+impl ConfigProblem {
+    /// The problem on one line, with its location.
     #[must_use]
     pub fn line(&self, name: &str) -> String {
         let message = &self.message;
         match self.place {
-            Place::At { line, column } => format!("{name} line {line}, column {column}: {message}"),
-            Place::Option(option) => format!("{option}: {message}"),
-            Place::Nowhere => format!("{name}: {message}"),
+            SourceLocation::At { line, column } => {
+                format!("{name} line {line}, column {column}: {message}")
+            }
+            SourceLocation::Option(option) => format!("{option}: {message}"),
+            SourceLocation::Nowhere => format!("{name}: {message}"),
         }
     }
 }
 
-/// All of it on one line, for who prints an error as one.
-fn on_one_line(name: &str, problems: &[Problem], more: usize) -> String {
+/// The first problem and the number of the others, on one line.
+fn on_one_line(name: &str, problems: &[ConfigProblem], more: usize) -> String {
     let first = problems.first().map(|problem| problem.line(name)).unwrap_or_default();
     match problems.len().saturating_sub(1) + more {
         0 => first,
@@ -98,8 +100,8 @@ fn on_one_line(name: &str, problems: &[Problem], more: usize) -> String {
     }
 }
 
-impl Place {
-    /// Line and column of a byte of a text.
+impl SourceLocation {
+    /// The line and column of a byte of the text.
     pub(super) fn of_byte(text: &str, byte: usize) -> Self {
         let before = text.get(..byte).unwrap_or(text);
         let line_start = before.rfind('\n').map_or(0, |at| at + 1);
@@ -108,11 +110,11 @@ impl Place {
     }
 }
 
-/// Letters of a found text that a message repeats.
+/// Longest quotation of a value in a message, in characters.
 const SHOWN_MAX: usize = 60;
 
-/// A text of anybody in a message: on its line, and no longer than a message bears.
-pub(crate) fn short(text: &str) -> String {
+/// Quotes a text in a message: on one line, shortened.
+pub(crate) fn excerpt(text: &str) -> String {
     let mut shown: String = text.chars().take(SHOWN_MAX).flat_map(char::escape_debug).collect();
     if text.chars().nth(SHOWN_MAX).is_some() {
         shown.push_str("...");
@@ -120,18 +122,21 @@ pub(crate) fn short(text: &str) -> String {
     shown
 }
 
-/// What was probably meant, or all that there is.
-pub(super) fn meant(word: &str, known: impl Iterator<Item = &'static str> + Clone) -> String {
+/// A suggestion for a misspelled name, or the list of valid names.
+pub(super) fn suggestion_or_list(
+    word: &str,
+    known: impl Iterator<Item = &'static str> + Clone,
+) -> String {
     suggestion(word, known.clone())
-        .unwrap_or_else(|| format!("there are {}", known.collect::<Vec<_>>().join(", ")))
+        .unwrap_or_else(|| format!("expected one of {}", known.collect::<Vec<_>>().join(", ")))
 }
 
-/// A word that is compared with ours: longer ones are none of them.
-const WORD_BYTES_MAX: usize = 64;
+/// Longest word in bytes for which a suggestion is searched: no valid name is longer.
+const SUGGESTION_BYTES_MAX: usize = 64;
 
-/// What was probably meant, when one is near: at most two letters away, a third of a long word, or `warning` for `warn`.
+/// The nearest valid name: at most two edits away, or a third of a long name, or a prefix as in `warning` for `warn`.
 pub(super) fn suggestion(word: &str, known: impl Iterator<Item = &'static str>) -> Option<String> {
-    if word.len() > WORD_BYTES_MAX {
+    if word.len() > SUGGESTION_BYTES_MAX {
         return None;
     }
     let word = word.to_lowercase();

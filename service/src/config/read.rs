@@ -1,5 +1,5 @@
-//! From a file, or a text, and what the command line overrides, to a checked configuration: each key alone, then those
-//! that depend on each other, and all that is wrong at once.
+//! Reads a configuration from a file or text and the command line: first each key by itself, then keys that depend on
+//! each other. All problems are reported at once.
 
 use std::{
     borrow::Cow,
@@ -18,21 +18,21 @@ use toml::{
 };
 
 use super::{
-    ArmConfig, Config, ConfigError, DeviceConfig, HttpConfig, NameTemplate, PROBLEMS_MAX, Place,
-    Problem, TakeConfig, TriggerConfig,
+    ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig, NameTemplate,
+    PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
     key::{Given, Key, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
-    problem::{meant, short},
+    problem::{excerpt, suggestion_or_list},
 };
 use crate::{log::Level, subject::SubjectFiles, units::duration_text};
 
-/// Where the configuration is when nobody says otherwise.
+/// The configuration file if none is given.
 pub const CONFIG_PATH: &str = "/etc/mocapd/mocapd.toml";
 
-/// Bytes of a configuration: the example, which has every key with what it is for, has 10 kB.
+/// Largest configuration in bytes: the example, with every key and its purpose, has 10 kB.
 pub const CONFIG_BYTES_MAX: usize = 1 << 20;
 
-/// What the command line says instead of the file, as it was typed.
+/// Values from the command line that replace those of the file, as typed.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Overrides {
     /// `--device`, for `device.uri`.
@@ -43,19 +43,19 @@ pub struct Overrides {
     pub listen: Option<String>,
 }
 
-/// Of the process and the file, what defaults depend on.
+/// Properties of the process and the file that defaults depend on.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Surroundings {
-    /// systemd's folder for what the service keeps.
+pub struct Environment {
+    /// The first folder of `$STATE_DIRECTORY`, which persists.
     pub state_directory: Option<PathBuf>,
-    /// systemd's folder for what is gone with the service.
+    /// The first folder of `$RUNTIME_DIRECTORY`, which is removed when the service stops.
     pub runtime_directory: Option<PathBuf>,
-    /// The configuration's file name without its ending.
+    /// The name of the configuration file without its extension.
     pub file_stem: Option<String>,
 }
 
-impl Surroundings {
-    /// Of this process and a file.
+impl Environment {
+    /// Reads the environment of this process, for a configuration file.
     #[must_use]
     pub fn of_process(file: &Path) -> Self {
         Self {
@@ -66,8 +66,8 @@ impl Surroundings {
     }
 }
 
-/// systemd gives more than one with colons between them: the first is the service's own. It writes UTF-8, and no
-/// control character into it; whatever else somebody set cannot be written into a file.
+/// The first folder of a variable: systemd separates several by colons, and the first is the service's own. systemd
+/// writes UTF-8 without control characters; any other value cannot be written to a configuration file.
 fn folder(variable: &str) -> Option<PathBuf> {
     let value = env::var(variable).ok()?;
     let first = value.split(':').next().unwrap_or_default();
@@ -75,10 +75,10 @@ fn folder(variable: &str) -> Option<PathBuf> {
 }
 
 impl Config {
-    /// Reads a file, for this process.
+    /// Reads a configuration file, with the environment of this process.
     ///
     /// # Errors
-    /// That it cannot be read, or everything that is wrong with it.
+    /// The file cannot be read, or it has problems: all of them.
     pub fn load(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
         let unreadable = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => ConfigError::NotFound(file.to_owned()),
@@ -88,24 +88,24 @@ impl Config {
         let mut bytes = Vec::new();
         opened.take(CONFIG_BYTES_MAX as u64 + 1).read_to_end(&mut bytes).map_err(unreadable)?;
         let name = file.display().to_string();
-        Self::parse(&name, &bytes, &Surroundings::of_process(file), overrides)
+        Self::parse(&name, &bytes, &Environment::of_process(file), overrides)
     }
 
-    /// Reads a text; errors call it `name`.
+    /// Parses a configuration; errors call it `name`.
     ///
     /// # Errors
-    /// [`Refused`](ConfigError::Refused), with everything that is wrong with it.
+    /// [`Refused`](ConfigError::Refused), with all problems.
     pub fn parse(
         name: &str,
         bytes: &[u8],
-        surroundings: &Surroundings,
+        environment: &Environment,
         overrides: &Overrides,
     ) -> Result<Self, ConfigError> {
         let text = text(bytes).map_err(|problem| refused(name, vec![problem]))?;
         let (document, errors) = DeTable::parse_recoverable(text);
-        // Where its TOML is broken, that is all that is told: what follows from it would be guessed.
+        // Syntax errors are reported alone: whatever follows from them would be a guess.
         if !errors.is_empty() {
-            let problems = errors.iter().map(|error| broken(text, error)).collect();
+            let problems = errors.iter().map(|error| syntax_problem(text, error)).collect();
             return Err(refused(name, problems));
         }
         let options = [
@@ -113,44 +113,42 @@ impl Config {
             ("take.directory", "--directory", &overrides.directory),
             ("http.listen", "--listen", &overrides.listen),
         ];
-        let options = options.map(|(path, option, said)| {
-            let value = said.as_deref().map(|said| DeValue::String(Cow::Borrowed(said)));
-            (path, Place::Option(option), value)
+        let options = options.map(|(path, option, value)| {
+            let value = value.as_deref().map(|value| DeValue::String(Cow::Borrowed(value)));
+            (path, SourceLocation::Option(option), value)
         });
-        let mut reading = Reading { text, given: BTreeMap::new(), problems: Vec::new() };
+        let mut reader = ConfigReader { text, given: BTreeMap::new(), problems: Vec::new() };
         for (name, value) in document.get_ref() {
-            reading.section(name, value);
+            reader.section(name, value);
         }
         for (path, place, value) in &options {
             if let Some(value) = value {
-                reading.given.insert(path, (*place, value));
+                reader.given.insert(path, (*place, value));
             }
         }
-        let mut config = Self::unread().map_err(|problem| refused(name, vec![problem]))?;
+        let mut config = Self::blank().map_err(|problem| refused(name, vec![problem]))?;
         for key in KEYS {
-            reading.key(key, &mut config);
+            reader.key(key, &mut config);
         }
-        reading.surroundings(&mut config, surroundings);
-        reading.codec(&mut config);
-        reading.pre_roll(&config);
-        reading.listen(&config);
-        if reading.problems.is_empty() { Ok(config) } else { Err(refused(name, reading.problems)) }
+        reader.environment_defaults(&mut config, environment);
+        reader.codec(&mut config);
+        reader.pre_roll(&config);
+        reader.listen(&config);
+        if reader.problems.is_empty() { Ok(config) } else { Err(refused(name, reader.problems)) }
     }
 
-    /// What every key then replaces by its value.
-    fn unread() -> Result<Self, Problem> {
-        let bug = |message| Problem { place: Place::Nowhere, key: None, message };
+    /// A configuration whose values are all replaced key by key.
+    fn blank() -> Result<Self, ConfigProblem> {
+        let bug = |message| ConfigProblem { place: SourceLocation::Nowhere, key: None, message };
         let tolerance = Tolerance::from_mm(Tolerance::MIN_MM);
+        let tolerance = tolerance.map_err(|error| bug(error.to_string()))?;
         Ok(Self {
             rig_name: String::new(),
             device: DeviceConfig::default(),
             take: TakeConfig {
                 directory: PathBuf::new(),
                 name: NameTemplate::parse("{date}").map_err(bug)?,
-                codec: Settings {
-                    kind: ResamplerKind::default(),
-                    tolerance: tolerance.map_err(|error| bug(error.to_string()))?,
-                },
+                codec: Settings { kind: ResamplerKind::default(), tolerance },
                 stretch: Duration::ZERO,
                 sync: Duration::ZERO,
                 keep_free_bytes: 0,
@@ -166,58 +164,58 @@ impl Config {
     }
 }
 
-/// What is given for keys, by their paths, and what is wrong with it.
-struct Reading<'a> {
+/// Collects the given values by key path, and their problems.
+struct ConfigReader<'a> {
     text: &'a str,
-    given: BTreeMap<&'static str, (Place, &'a DeValue<'a>)>,
-    problems: Vec<Problem>,
+    given: BTreeMap<&'static str, (SourceLocation, &'a DeValue<'a>)>,
+    problems: Vec<ConfigProblem>,
 }
 
-impl<'a> Reading<'a> {
-    /// Keys of a section of the document, and what is no key of ours.
+impl<'a> ConfigReader<'a> {
+    /// Reads the keys of a section, and reports unknown sections and keys.
     fn section(&mut self, name: &Spanned<DeString<'_>>, value: &'a Spanned<DeValue<'a>>) {
         let word = name.get_ref().as_ref();
         let known = SECTIONS.iter().map(|(section, _)| *section);
         let Some(section) = known.clone().find(|section| *section == word) else {
-            let message = match of_section(word) {
-                Some(section) => format!("'{word}' stands in no section: put it under [{section}]"),
-                None => format!("unknown section [{}]: {}", short(word), meant(word, known)),
+            let message = match section_of(word) {
+                Some(section) => format!("'{word}' is not in a section: move it below [{section}]"),
+                None => {
+                    let hint = suggestion_or_list(word, known);
+                    format!("unknown section [{}]: {hint}", excerpt(word))
+                }
             };
             return self.refuse_name(name, message);
         };
         let Some(table) = value.get_ref().as_table() else {
             let found = found(value.get_ref());
-            return self.refuse_name(
-                name,
-                format!("{section} is {found}: write [{section}] above its keys"),
-            );
+            let message = format!("{section} is {found}: write [{section}] above its keys");
+            return self.refuse_name(name, message);
         };
         for (name, value) in table {
             let word = name.get_ref().as_ref();
             let here = KEYS.iter().filter(|key| key.section() == section);
             if let Some(key) = here.clone().find(|key| key.name() == word) {
-                let place = Place::of_byte(self.text, value.span().start);
+                let place = SourceLocation::of_byte(self.text, value.span().start);
                 self.given.insert(key.path, (place, value.get_ref()));
                 continue;
             }
-            let message = match of_section(word) {
-                Some(other) => format!("'{word}' is no key of [{section}]: it stands in [{other}]"),
-                None => format!(
-                    "unknown key '{}' in [{section}]: {}",
-                    short(word),
-                    meant(word, here.map(Key::name))
-                ),
+            let message = match section_of(word) {
+                Some(other) => format!("'{word}' belongs in [{other}], not in [{section}]"),
+                None => {
+                    let hint = suggestion_or_list(word, here.map(Key::name));
+                    format!("unknown key '{}' in [{section}]: {hint}", excerpt(word))
+                }
             };
             self.refuse_name(name, message);
         }
     }
 
     fn refuse_name(&mut self, name: &Spanned<DeString<'_>>, message: String) {
-        let place = Place::of_byte(self.text, name.span().start);
-        self.problems.push(Problem { place, key: None, message });
+        let place = SourceLocation::of_byte(self.text, name.span().start);
+        self.problems.push(ConfigProblem { place, key: None, message });
     }
 
-    /// The value of a key, or its default.
+    /// Reads the value of a key, or its default.
     fn key(&mut self, key: &'static Key, config: &mut Config) {
         let read = |place, value: &DeValue<'_>, text: &str, config: &mut Config| {
             (key.field.read)(config, &Given { key, value, place, text })
@@ -227,8 +225,8 @@ impl<'a> Reading<'a> {
             Some((place, value)) => read(*place, value, self.text, config),
             None if !key.has_default() => Ok(()),
             None => match DeValue::parse(&default) {
-                Ok(value) => read(Place::Nowhere, value.get_ref(), &default, config),
-                Err(error) => Err(vec![broken(&default, &error)]),
+                Ok(value) => read(SourceLocation::Nowhere, value.get_ref(), &default, config),
+                Err(error) => Err(vec![syntax_problem(&default, &error)]),
             },
         };
         self.problems.extend(done.err().into_iter().flatten());
@@ -238,42 +236,42 @@ impl<'a> Reading<'a> {
         self.given.contains_key(path)
     }
 
-    /// Whether nothing is wrong with these.
-    fn are_good(&self, paths: &[&str]) -> bool {
+    /// Whether none of these keys has a problem.
+    fn are_valid(&self, paths: &[&str]) -> bool {
         self.problems.iter().all(|problem| problem.key.is_none_or(|key| !paths.contains(&key)))
     }
 
-    /// Says what is wrong with a key, where it stands.
+    /// Reports a problem of a key at the location of its value.
     fn refuse(&mut self, path: &'static str, message: String) {
-        let place = self.given.get(path).map_or(Place::Nowhere, |(place, _)| *place);
-        self.problems.push(Problem { place, key: Some(path), message });
+        let place = self.given.get(path).map_or(SourceLocation::Nowhere, |(place, _)| *place);
+        self.problems.push(ConfigProblem { place, key: Some(path), message });
     }
 
-    /// Defaults that depend on where mocapd runs.
-    fn surroundings(&mut self, config: &mut Config, surroundings: &Surroundings) {
+    /// Fills in the defaults that depend on the environment.
+    fn environment_defaults(&mut self, config: &mut Config, environment: &Environment) {
         if !self.is_given("rig.name") {
-            let stem = surroundings.file_stem.as_deref().filter(|stem| *stem != "mocapd");
+            let stem = environment.file_stem.as_deref().filter(|stem| *stem != "mocapd");
             let stem = stem.unwrap_or("rig");
             config.rig_name = stem.to_owned();
             if rig_name(stem).is_err() {
-                let (stem, advice) = (short(stem), advice("rig.name"));
+                let (stem, advice) = (excerpt(stem), advice("rig.name"));
                 let message = format!(
-                    "the file's name, {stem}, can be no rig's: give rig.name in the file; {advice}"
+                    "the file name, {stem}, cannot be the rig's name: set rig.name in the file; {advice}"
                 );
                 self.refuse("rig.name", message);
             }
         }
         if !self.is_given("take.directory") {
-            let directory = surroundings.state_directory.clone();
+            let directory = environment.state_directory.clone();
             config.take.directory = directory.unwrap_or_else(|| PathBuf::from("."));
         }
         if !self.is_given("http.socket") {
-            let folder = surroundings.runtime_directory.as_deref();
+            let folder = environment.runtime_directory.as_deref();
             let socket = folder.unwrap_or(Path::new("/run/mocapd")).join("mocapd.sock");
             if socket.as_os_str().len() > SOCKET_BYTES_MAX {
-                let folder = short(&folder.unwrap_or(&socket).to_string_lossy());
+                let folder = excerpt(&folder.unwrap_or(&socket).to_string_lossy());
                 let message = format!(
-                    "RUNTIME_DIRECTORY is {folder}, too long for a socket in it: {}",
+                    "RUNTIME_DIRECTORY is {folder}, too long for a socket path: {}",
                     advice("http.socket")
                 );
                 self.refuse("http.socket", message);
@@ -282,28 +280,28 @@ impl<'a> Reading<'a> {
         }
     }
 
-    /// `lossless`, `resampler` and `tolerance` together.
+    /// Combines `lossless`, `resampler` and `tolerance`.
     fn codec(&mut self, config: &mut Config) {
-        if !self.are_good(&["take.tolerance", "take.lossless", "take.resampler"]) {
+        if !self.are_valid(&["take.tolerance", "take.lossless", "take.resampler"]) {
             return;
         }
         let codec = &mut config.take.codec;
-        let (kind, said) = (codec.kind, self.given.get("take.lossless"));
-        let said = said.and_then(|(_, value)| value.as_bool());
-        if let Some(is_lossless) = said
+        let (kind, value) = (codec.kind, self.given.get("take.lossless"));
+        let value = value.and_then(|(_, value)| value.as_bool());
+        if let Some(is_lossless) = value
             && self.is_given("take.resampler")
             && is_lossless != kind.is_lossless()
         {
             let message = format!(
-                "lossless = {is_lossless} and resampler = \"{kind}\" say different things: take one out"
+                "lossless = {is_lossless} contradicts resampler = \"{kind}\": remove one of them"
             );
             self.refuse("take.lossless", message);
-        } else if said == Some(true) || kind.is_lossless() {
+        } else if value == Some(true) || kind.is_lossless() {
             if self.is_given("take.tolerance") {
-                let message = "a take that is lossless keeps every bit and has no tolerance: take one of them out";
+                let message = "a lossless take has no tolerance: remove tolerance or lossless";
                 self.refuse("take.tolerance", message.to_owned());
             }
-            // Its tolerance is ignored; the smallest there is, so that a mistake would cost bytes and no precision.
+            // The tolerance is ignored. It is the smallest one, so that a mistake would cost bytes, not precision.
             let tolerance = Tolerance::from_mm(Tolerance::MIN_MM).unwrap_or(codec.tolerance);
             *codec = Settings { kind: ResamplerKind::Lossless, tolerance };
         }
@@ -311,27 +309,27 @@ impl<'a> Reading<'a> {
 
     fn pre_roll(&mut self, config: &Config) {
         let (kept, included) = (config.arm.pre_roll, config.arm.include_pre_roll);
-        if !self.are_good(&["arm.pre_roll", "arm.include_pre_roll"]) || included <= kept {
+        if !self.are_valid(&["arm.pre_roll", "arm.include_pre_roll"]) || included <= kept {
             return;
         }
         let message = format!(
-            "include_pre_roll is {} and only {} are kept: raise pre_roll or lower it",
+            "include_pre_roll is {}, but only {} are kept: raise pre_roll or lower include_pre_roll",
             duration_text(included),
             duration_text(kept)
         );
-        // Where only one of them stands in the file, it is that one.
+        // If only one of the two is in the file, it is the one to change.
         let is_given = self.is_given("arm.include_pre_roll");
         self.refuse(if is_given { "arm.include_pre_roll" } else { "arm.pre_roll" }, message);
     }
 
-    /// Other machines need a token.
+    /// An address that other machines can reach needs a token.
     fn listen(&mut self, config: &Config) {
         if let Some(listen) = config.http.listen
             && !listen.ip().to_canonical().is_loopback()
             && !self.is_given("http.token_file")
         {
             let message = format!(
-                "http.listen is {listen}, which other machines reach: give http.token_file too, \
+                "other machines can reach http.listen = {listen}: set http.token_file too, \
                  or listen on 127.0.0.1:{}",
                 listen.port()
             );
@@ -340,8 +338,8 @@ impl<'a> Reading<'a> {
     }
 }
 
-/// The section of a key that was written elsewhere.
-fn of_section(word: &str) -> Option<&'static str> {
+/// The section that a misplaced key belongs to.
+fn section_of(word: &str) -> Option<&'static str> {
     KEYS.iter().find(|key| key.name() == word).map(Key::section)
 }
 
@@ -349,39 +347,39 @@ fn advice(path: &str) -> String {
     KEYS.iter().find(|key| key.path == path).map(Key::advice).unwrap_or_default()
 }
 
-fn text(bytes: &[u8]) -> Result<&str, Problem> {
-    let problem = |place, message| Problem { place, key: None, message };
+fn text(bytes: &[u8]) -> Result<&str, ConfigProblem> {
+    let problem = |place, message| ConfigProblem { place, key: None, message };
     if bytes.len() > CONFIG_BYTES_MAX {
-        let message = "a configuration has at most 1 MiB, and this has more: is it another file?";
-        return Err(problem(Place::Nowhere, message.to_owned()));
+        let message = "the file is larger than 1 MiB: is it a configuration?";
+        return Err(problem(SourceLocation::Nowhere, message.to_owned()));
     }
     std::str::from_utf8(bytes).map_err(|error| {
         let (valid, _) = bytes.split_at(error.valid_up_to());
         let valid = str::from_utf8(valid).unwrap_or_default();
-        let message = "here is a byte that is no UTF-8: save the file as UTF-8";
-        problem(Place::of_byte(valid, valid.len()), message.to_owned())
+        let message = "invalid UTF-8: save the file as UTF-8";
+        problem(SourceLocation::of_byte(valid, valid.len()), message.to_owned())
     })
 }
 
-fn refused(name: &str, mut problems: Vec<Problem>) -> ConfigError {
+fn refused(name: &str, mut problems: Vec<ConfigProblem>) -> ConfigError {
     problems.sort_by_key(|problem| problem.place);
     let more = problems.len().saturating_sub(PROBLEMS_MAX);
     problems.truncate(PROBLEMS_MAX);
     ConfigError::Refused { name: name.to_owned(), problems, more }
 }
 
-fn broken(text: &str, error: &toml::de::Error) -> Problem {
+fn syntax_problem(text: &str, error: &toml::de::Error) -> ConfigProblem {
     let at = error.span().map_or(0, |span| span.start);
-    let words = error.message().lines().collect::<Vec<_>>().join(", ");
-    Problem { place: Place::of_byte(text, at), key: None, message: words + hint(text, at) }
+    let message = error.message().lines().collect::<Vec<_>>().join(", ") + hint(text, at);
+    ConfigProblem { place: SourceLocation::of_byte(text, at), key: None, message }
 }
 
-/// For what people write most often: `pre_roll = 10s`, a value with a unit and without quotes.
+/// Explains the most frequent error: `pre_roll = 10s`, a value with a unit but without quotes.
 fn hint(text: &str, byte: usize) -> &'static str {
     let start = text.get(..byte).and_then(|before| before.rfind('\n')).map_or(0, |at| at + 1);
     let line = text.get(start..).unwrap_or_default().lines().next().unwrap_or_default();
     let value = line.split_once('=').map_or("", |(_, value)| value.trim_start());
     let quoted = value.starts_with(['"', '\'', '[', '{']);
     let is_bare = !quoted && value.contains(|c: char| c.is_alphanumeric() || c == '/');
-    if is_bare { "; texts, and values with a unit, stand in quotes, such as \"10s\"" } else { "" }
+    if is_bare { "; texts and values with a unit need quotes, such as \"10s\"" } else { "" }
 }

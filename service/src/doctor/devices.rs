@@ -1,4 +1,4 @@
-//! Rigs and lines: who may open them, and how soon their bytes arrive.
+//! Devices and serial lines: who may open them, and how soon their bytes arrive.
 
 use std::{fs, path::Path};
 
@@ -6,45 +6,44 @@ use mocapd_drivers::{registry, transport::Access};
 
 use super::Finding;
 
-/// USB serial adapters that keep bytes for a while.
+/// USB serial adapters, some of which hold bytes back.
 const ADAPTERS: &str = "/sys/bus/usb-serial/devices";
 
-/// What the kernel lets all USB transfers hold.
+/// Limit on the memory of all USB transfers.
 const USBFS_MIB: &str = "/sys/module/usbcore/parameters/usbfs_memory_mb";
 
-/// Its default leaves room for one rig and little else.
+/// The kernel's default is enough for one rig and little else.
 const USBFS_MIB_LEAST: u64 = 16;
 
-pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
+pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
     match registry::devices() {
-        Err(error) => tell(Finding::warning("devices", error.to_string(), "mount /sys and /dev")),
+        Err(error) => report(Finding::warning("devices", error.to_string(), "mount /sys and /dev")),
         Ok(devices) if devices.is_empty() => {
-            tell(Finding::note("devices", "none is attached; `mocapd demo` needs none"));
+            report(Finding::note("devices", "none attached (`mocapd demo` needs none)"));
         }
         Ok(devices) => {
             for device in devices.into_iter().filter(|device| device.family.is_some()) {
                 let what = device.candidate.location.to_string();
-                tell(match device.access {
+                report(match device.access {
                     Access::Accessible => Finding::good(&what, "can be opened"),
-                    Access::Refused(error) => Finding::failure(
-                        &what,
-                        error.to_string(),
-                        "see there: it says what to type",
-                    ),
+                    Access::Refused(error) => {
+                        let remedy = "follow the instructions in the message";
+                        Finding::failure(&what, error.to_string(), remedy)
+                    }
                 });
             }
         }
     }
     for adapter in adapters(Path::new(ADAPTERS)) {
-        tell(adapter);
+        report(adapter);
     }
     if let Some(finding) = fs::read_to_string(USBFS_MIB).ok().and_then(|text| usbfs(&text)) {
-        tell(finding);
+        report(finding);
     }
-    tell(rules(&["/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"]));
+    report(rules(&["/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"]));
 }
 
-/// The latency timers of adapters that have one.
+/// Checks the latency timers of serial adapters.
 fn adapters(folder: &Path) -> Vec<Finding> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
     let mut found = Vec::new();
@@ -53,13 +52,10 @@ fn adapters(folder: &Path) -> Vec<Finding> {
         let Ok(text) = fs::read_to_string(&timer) else { continue };
         let Ok(ms) = text.trim().parse::<u32>() else { continue };
         let what = format!("latency timer of {}", entry.file_name().display());
-        let seen = format!("keeps bytes for {ms} ms");
+        let seen = format!("holds bytes back for {ms} ms");
         let type_this =
             format!("`echo 1 | sudo tee {}`, or install systemd/60-mocapd.rules", timer.display());
-        found.push(match ms {
-            0 | 1 => Finding::good(&what, seen),
-            _ => Finding::warning(&what, seen, type_this),
-        });
+        found.push(Finding::warning_if(ms > 1, &what, seen, &type_this));
     }
     found.sort_by(|a, b| a.what.cmp(&b.what));
     found
@@ -83,7 +79,7 @@ fn rules(folders: &[&str]) -> Finding {
         Some(path) => Finding::good(what, format!("{} is installed", path.display())),
         None => Finding::warning(
             what,
-            format!("{NAME} is not installed: rigs and adapters may be root's, and late"),
+            format!("{NAME} is not installed: devices may be root's only, and adapters slow"),
             format!(
                 "`sudo install -m 644 systemd/{NAME} /etc/udev/rules.d/ && sudo udevadm control --reload`"
             ),
@@ -97,7 +93,7 @@ mod tests {
     use crate::doctor::Verdict;
 
     #[test]
-    fn an_adapter_that_waits_is_told_of_with_what_to_type() {
+    fn an_adapter_that_holds_bytes_back_is_reported_with_the_command() {
         let sysfs = tempfile::tempdir().unwrap();
         for (port, ms) in [("ttyUSB0", "16\n"), ("ttyUSB1", "1\n")] {
             fs::create_dir(sysfs.path().join(port)).unwrap();

@@ -1,4 +1,4 @@
-//! The disk that takes would go to: what kind it is, how much it has left, how fast it writes and syncs.
+//! The disk for takes: its file system, free space, write speed and sync time.
 
 use std::{
     fs::File,
@@ -7,52 +7,52 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::{latency::Latency, pipeline::HELD_MIN_BYTES};
+use mocapd_acquire::{latency::LatencyHistogram, pipeline::RESERVE_MIN_BYTES};
 use rustix::fs::{statfs, statvfs};
 
 use super::Finding;
 
-/// What is written to see how fast that goes: enough to be past a cache's first answer, little enough for a card.
+/// Bytes written to measure the speed: more than a cache absorbs at first, few enough for a memory card.
 const WRITTEN_BYTES: usize = 32 << 20;
 const BLOCK_BYTES: usize = 1 << 20;
 
-/// Half a second of a large rig, and its sync: as a recording does twice a second.
+/// Half a second of a large rig, synced twice a second as in a recording.
 const STRETCH_BYTES: usize = 64 << 10;
 const SYNCS: usize = 40;
 
-/// A disk that takes longer for all of it is slow enough to be told of.
+/// Time limit for each measurement: a disk that needs longer is slow enough to be reported.
 const LONG: Duration = Duration::from_secs(10);
 
-/// 200 markers x 1000 Hz without any loss are 2.4 MB/s before coding; twice that leaves room.
+/// Slowest acceptable speed: 200 markers x 1000 Hz uncompressed are 2.4 MB/s; this is twice as much.
 const LEAST_BYTES_PER_S: f64 = 5e6;
 
-/// An hour of 64 markers x 240 Hz at half a millimetre, at 60 kB/s.
+/// One hour of 64 markers x 240 Hz at half a millimetre, at 60 kB/s.
 const HOUR_BYTES: u64 = 216_000_000;
 
-/// Between two syncs.
+/// Longest acceptable sync in nanoseconds: the time between two syncs.
 const SYNC_NS_MAX: u64 = 500_000_000;
 
-pub(super) fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(Finding)) {
+pub(super) fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Finding)) {
     match statvfs(folder) {
         Err(error) => {
             let seen = format!("{}: {}", folder.display(), io::Error::from(error));
-            tell(Finding::failure("disk", seen, "give another folder with --dir"));
+            report(Finding::failure("disk", seen, "choose another folder with --dir"));
         }
         Ok(disk) => {
             let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
-            tell(space(free_bytes, keep_free_bytes));
+            report(space(free_bytes, keep_free_bytes));
             if let Ok(disk) = statfs(folder) {
-                // Some kernels' numbers are signed.
-                tell(kind(disk.f_type as u64 & 0xffff_ffff));
+                // The number is signed in some kernels.
+                report(kind(disk.f_type as u64 & 0xffff_ffff));
             }
-            // What a recording would not take is not taken to measure, either.
+            // Space that a recording would not use is not used for measurements, either.
             let spare = free_bytes.saturating_sub(keep_free_bytes);
-            if spare < HELD_MIN_BYTES {
+            if spare < RESERVE_MIN_BYTES {
                 return;
             }
             match measure(folder, spare / 2) {
-                Ok(measured) => measured.into_iter().for_each(tell),
-                Err(error) => tell(cannot_write(folder, &error)),
+                Ok(measured) => measured.into_iter().for_each(report),
+                Err(error) => report(cannot_write(folder, &error)),
             }
         }
     }
@@ -62,9 +62,9 @@ fn cannot_write(folder: &Path, error: &io::Error) -> Finding {
     let seen = format!("cannot write to {}: {error}", folder.display());
     let remedy = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "delete something, or give another folder with --dir"
+            "delete some files, or choose another folder with --dir"
         }
-        _ => "give another folder with --dir, or mend its permissions",
+        _ => "choose another folder with --dir, or correct its permissions",
     };
     Finding::failure("disk", seen, remedy)
 }
@@ -74,51 +74,49 @@ fn space(free_bytes: u64, keep_free_bytes: u64) -> Finding {
     let what = "disk space";
     let left = free_bytes.saturating_sub(keep_free_bytes);
     let seen =
-        format!("{:.0} MB free, of which {:.0} stay free", mb(free_bytes), mb(keep_free_bytes));
-    if left < HELD_MIN_BYTES {
-        Finding::failure(what, seen, "delete something, or record to another disk")
+        format!("{:.0} MB free, of which {:.0} are kept free", mb(free_bytes), mb(keep_free_bytes));
+    if left < RESERVE_MIN_BYTES {
+        Finding::failure(what, seen, "delete some files, or record to another disk")
     } else if left < HOUR_BYTES {
-        Finding::warning(what, seen, "delete something: an hour of a large rig may not fit")
+        Finding::warning(what, seen, "delete some files: an hour of a large rig may not fit")
     } else {
         Finding::good(what, seen)
     }
 }
 
-/// By the number that the kernel gives its file system, statfs(2).
+/// Checks the type number of the file system, see statfs(2).
 fn kind(f_type: u64) -> Finding {
     let what = "file system";
-    let network = "record to a local disk, and copy the take afterwards";
+    let network = "record to a local disk and copy the take afterwards";
     match f_type {
         0xef53 => Finding::good(what, "ext4"),
         0x9123_683e => Finding::good(what, "btrfs"),
         0x5846_5342 => Finding::good(what, "XFS"),
         0xf2f5_2010 => Finding::good(what, "F2FS"),
         0x2fc1_2fc1 => Finding::good(what, "ZFS"),
-        0x794c_7630 => Finding::note(what, "an overlay: that of a container may go with it"),
+        0x794c_7630 => Finding::note(what, "overlay: in a container, takes may be deleted with it"),
         0x0102_1994 | 0x8584_58f6 => {
-            Finding::warning(what, "in memory: gone when the power is", "record to a disk")
+            Finding::warning(what, "in memory: lost when the power is", "record to a disk")
         }
-        0x6969 => Finding::warning(what, "NFS: it stops when the network does", network),
+        0x6969 => Finding::warning(what, "NFS: stops working when the network does", network),
         0xff53_4d42 | 0xfe53_4d42 | 0x517b => {
-            Finding::warning(what, "SMB: it stops when the network does", network)
+            Finding::warning(what, "SMB: stops working when the network does", network)
         }
-        0x4d44 => Finding::warning(
-            what,
-            "FAT: no file can be larger than 4 GB, and a power cut may damage all of it",
-            "record to ext4, XFS or btrfs",
-        ),
-        0x6573_5546 => Finding::note(what, "FUSE: its program decides what a sync does"),
-        0x0102_1997 | 0x786f_4256 => Finding::warning(
-            what,
-            "a folder of another machine, as virtual machines share it",
-            network,
-        ),
-        0x2011_bab0 => Finding::note(what, "exFAT: a power cut may damage all of it"),
-        other => Finding::note(what, format!("number {other:#x}, which mocapd does not know")),
+        0x4d44 => {
+            let seen = "FAT: files are limited to 4 GB, and a power cut may damage all of them";
+            Finding::warning(what, seen, "record to ext4, XFS or btrfs")
+        }
+        0x6573_5546 => Finding::note(what, "FUSE: its program decides whether a sync is effective"),
+        0x0102_1997 | 0x786f_4256 => {
+            let seen = "a folder of another machine, shared with a virtual machine";
+            Finding::warning(what, seen, network)
+        }
+        0x2011_bab0 => Finding::note(what, "exFAT: a power cut may damage all files"),
+        other => Finding::note(what, format!("unknown type {other:#x}")),
     }
 }
 
-/// Writes at most so many bytes.
+/// Measures write speed and sync time with at most `bytes_max` bytes.
 fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
     let bytes_max = usize::try_from(bytes_max).unwrap_or(usize::MAX);
     let syncs_max = SYNCS.min(bytes_max / 2 / STRETCH_BYTES).max(1);
@@ -133,7 +131,7 @@ fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
     }
     file.sync_data()?;
     let bytes_per_s = written as f64 / begun.elapsed().as_secs_f64();
-    let mut syncs = Latency::default();
+    let mut syncs = LatencyHistogram::default();
     let begun = Instant::now();
     for _ in 0..syncs_max {
         file.write_all(&block[..STRETCH_BYTES])?;
@@ -147,7 +145,7 @@ fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
     Ok([speed(bytes_per_s), sync(&syncs)])
 }
 
-/// A file without a name, or with one that is removed at once: nothing is left behind when this is killed.
+/// Opens a file without a name, or removes its name at once: nothing is left behind if this process is killed.
 fn tempfile_in(folder: &Path) -> io::Result<File> {
     use rustix::fs::{CWD, Mode, OFlags, openat};
 
@@ -163,28 +161,16 @@ fn tempfile_in(folder: &Path) -> io::Result<File> {
 
 fn speed(bytes_per_s: f64) -> Finding {
     let seen = format!("writes {:.0} MB/s", bytes_per_s / 1e6);
-    if bytes_per_s < LEAST_BYTES_PER_S {
-        Finding::warning("disk speed", seen, "record to a faster disk, or with a tolerance")
-    } else {
-        Finding::good("disk speed", seen)
-    }
+    let remedy = "record to a faster disk, or with a tolerance";
+    Finding::warning_if(bytes_per_s < LEAST_BYTES_PER_S, "disk speed", seen, remedy)
 }
 
-fn sync(syncs: &Latency) -> Finding {
+fn sync(syncs: &LatencyHistogram) -> Finding {
     let ms = |ns: u64| ns as f64 * 1e-6;
     let (p50, max) = (syncs.quantile_ns(0.5), syncs.max_ns());
-    let seen = format!(
-        "{:.1} ms half of the time, {:.1} ms at most of {}",
-        ms(p50),
-        ms(max),
-        syncs.count()
-    );
-    if max > SYNC_NS_MAX {
-        let remedy = "record to another disk: a power cut may cost more than the last second";
-        Finding::warning("disk syncs", seen, remedy)
-    } else {
-        Finding::good("disk syncs", seen)
-    }
+    let seen = format!("median {:.1} ms, maximum {:.1} ms of {}", ms(p50), ms(max), syncs.count());
+    let remedy = "record to another disk: a power cut may cost more than the last second";
+    Finding::warning_if(max > SYNC_NS_MAX, "disk syncs", seen, remedy)
 }
 
 #[cfg(test)]
@@ -193,7 +179,7 @@ mod tests {
     use crate::doctor::Verdict;
 
     #[test]
-    fn what_is_found_of_disks() {
+    fn findings_about_disks() {
         assert_eq!(space(10 << 30, 256 << 20).verdict, Verdict::Good);
         assert_eq!(space(300 << 20, 256 << 20).verdict, Verdict::Warning);
         assert_eq!(space(257 << 20, 256 << 20).verdict, Verdict::Failure);
@@ -201,7 +187,7 @@ mod tests {
         assert!(kind(0x4d44).seen.contains("4 GB"));
         assert!(kind(0x1234).seen.contains("0x1234"));
         assert_eq!(speed(1e6).verdict, Verdict::Warning);
-        let mut syncs = Latency::default();
+        let mut syncs = LatencyHistogram::default();
         syncs.add(3_000_000);
         assert_eq!(sync(&syncs).verdict, Verdict::Good);
         syncs.add(900_000_000);

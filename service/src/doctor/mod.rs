@@ -1,4 +1,4 @@
-//! Whether this machine can record: each finding says what was looked at, and what to type where something is wrong.
+//! Checks whether this machine can record. Each finding says what was checked, and what to do if something is wrong.
 
 mod devices;
 mod disk;
@@ -11,31 +11,31 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::latency::Latency;
+use mocapd_acquire::latency::LatencyHistogram;
 
-/// How much a finding matters.
+/// The severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
     /// As it should be.
     Good,
-    /// To be known; nothing is wrong.
+    /// Worth knowing, but nothing is wrong.
     Note,
-    /// A recording goes, and may lose more than it should.
+    /// Recording works, but may lose more than it should.
     Warning,
-    /// A recording cannot go so.
+    /// Recording does not work.
     Failure,
 }
 
-/// What was found of one thing.
+/// The result of one check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// `disk speed`, `serial:/dev/ttyUSB0`...
+    /// What was checked, such as `disk speed` or `serial:/dev/ttyUSB0`.
     pub what: String,
-    /// How it is.
+    /// The severity.
     pub verdict: Verdict,
-    /// What was seen, with its figures.
+    /// The result, with figures.
     pub seen: String,
-    /// What to type or to do, where something is to be done.
+    /// What to type or do, if anything.
     pub remedy: Option<String>,
 }
 
@@ -56,79 +56,73 @@ impl Finding {
     fn failure(what: &str, seen: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { verdict: Verdict::Failure, ..Self::warning(what, seen, remedy) }
     }
+
+    /// A warning if the value is out of its bounds.
+    fn warning_if(is_bad: bool, what: &str, seen: String, remedy: &str) -> Self {
+        if is_bad { Self::warning(what, seen, remedy) } else { Self::good(what, seen) }
+    }
 }
 
-/// Looks at everything, telling each finding as it comes; takes some seconds. Takes would go to `folder`, of whose
-/// disk so much is to stay free.
-pub fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(Finding)) {
-    devices::examine(tell);
-    disk::examine(folder, keep_free_bytes, tell);
-    clocks(tell);
-    processors_and_memory(tell);
-    service::examine(tell);
+/// Runs all checks and reports each finding as soon as it is known; takes some seconds. `folder` is the one for takes,
+/// of whose disk `keep_free_bytes` are to stay free.
+pub fn examine(folder: &Path, keep_free_bytes: u64, report: &mut dyn FnMut(Finding)) {
+    devices::examine(report);
+    disk::examine(folder, keep_free_bytes, report);
+    clocks(report);
+    processors_and_memory(report);
+    service::examine(report);
 }
 
 const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
 
-/// Sleeps that are timed, and how long each is.
+/// Number and length of the sleeps for measuring the timer latency.
 const SLEEPS: usize = 300;
 const SLEEP: Duration = Duration::from_millis(1);
 
-/// A reader that is woken later has sixteen frames of 1000 Hz at once: nothing is lost, and latency is.
+/// Latest acceptable wake-up in nanoseconds: the reader then gets 16 frames of 1000 Hz at once, with more latency but
+/// no loss.
 const LATE_NS_MAX: u64 = 16_000_000;
 
-fn clocks(tell: &mut dyn FnMut(Finding)) {
+fn clocks(report: &mut dyn FnMut(Finding)) {
     if let Ok(text) = fs::read_to_string(SOURCE) {
-        tell(source(text.trim()));
+        report(source(text.trim()));
     }
-    tell(wakes());
-    tell(synchronised(timedatectl().as_deref()));
+    report(timer_latency());
+    report(synchronised(timedatectl().as_deref()));
 }
 
 fn source(name: &str) -> Finding {
     let what = "clock source";
     match name {
-        "hpet" | "acpi_pm" | "pit" | "jiffies" | "refined-jiffies" => Finding::warning(
-            what,
-            format!("{name}: slow to read, and coarse"),
-            "`dmesg | grep -i tsc` says why the processor's own clock is not used",
-        ),
+        "hpet" | "acpi_pm" | "pit" | "jiffies" | "refined-jiffies" => {
+            let remedy = "`dmesg | grep -i tsc` shows why the processor's own clock is not used";
+            Finding::warning(what, format!("{name}: slow to read, and of low resolution"), remedy)
+        }
         _ => Finding::good(what, name),
     }
 }
 
-/// How late a thread that sleeps is woken: what a reader would see of it.
-fn wakes() -> Finding {
-    let mut late = Latency::default();
+/// Measures how late a sleeping thread is woken, as the reader would be.
+fn timer_latency() -> Finding {
+    let mut late = LatencyHistogram::default();
     for _ in 0..SLEEPS {
         let before = Instant::now();
         std::thread::sleep(SLEEP);
         late.add(before.elapsed().saturating_sub(SLEEP).as_nanos() as u64);
     }
-    late_wakes(&late)
+    timer_finding(&late)
 }
 
-fn late_wakes(late: &Latency) -> Finding {
+fn timer_finding(late: &LatencyHistogram) -> Finding {
     let us = |ns: u64| ns / 1000;
     let (p99, max) = (late.quantile_ns(0.99), late.max_ns());
-    let seen = format!(
-        "sleepers wake {} us late (p99), {} us at most of {}",
-        us(p99),
-        us(max),
-        late.count()
-    );
-    if p99 > LATE_NS_MAX {
-        Finding::warning(
-            "wake-ups",
-            seen,
-            "close what else runs here, or give mocapd a core of its own",
-        )
-    } else {
-        Finding::good("wake-ups", seen)
-    }
+    let seen =
+        format!("timer latency {} us (p99), {} us (maximum of {})", us(p99), us(max), late.count());
+    let remedy = "close other programs, or reserve a core for mocapd";
+    Finding::warning_if(p99 > LATE_NS_MAX, "wake-ups", seen, remedy)
 }
 
-/// What systemd says of the time; `None` where it does not.
+/// Whether systemd reports a synchronised clock; `None` without an answer.
 fn timedatectl() -> Option<String> {
     let mut command = Command::new("timedatectl");
     command.args(["show", "--property=NTPSynchronized", "--value"]);
@@ -139,35 +133,34 @@ fn timedatectl() -> Option<String> {
 fn synchronised(answer: Option<&str>) -> Finding {
     let what = "time of day";
     match answer {
-        Some("yes") => Finding::good(what, "follows a time server"),
-        Some("no") => Finding::warning(
-            what,
-            "follows no time server: a take says when it was made by it",
-            "`sudo timedatectl set-ntp true`",
-        ),
-        _ => Finding::note(what, "systemd does not tell whether it follows a time server"),
+        Some("yes") => Finding::good(what, "synchronised with a time server"),
+        Some("no") => {
+            let seen = "not synchronised: the creation time of takes may be wrong";
+            Finding::warning(what, seen, "`sudo timedatectl set-ntp true`")
+        }
+        _ => Finding::note(what, "systemd does not report whether it is synchronised"),
     }
 }
 
-/// The rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much for everything else.
+/// Memory for the rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much again for everything
+/// else.
 const MEMORY_MIB_LEAST: u64 = 600;
 
-fn processors_and_memory(tell: &mut dyn FnMut(Finding)) {
+fn processors_and_memory(report: &mut dyn FnMut(Finding)) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    tell(processors(cores));
+    report(processors(cores));
     if let Some(finding) = fs::read_to_string("/proc/meminfo").ok().and_then(|text| memory(&text)) {
-        tell(finding);
+        report(finding);
     }
 }
 
 fn processors(cores: usize) -> Finding {
     let what = "processors";
     match cores {
-        1 => Finding::warning(
-            what,
-            "one: reading, coding and writing share it",
-            "record with --resampler fast",
-        ),
+        1 => {
+            let seen = "only one: reading, compressing and writing share it";
+            Finding::warning(what, seen, "record with --resampler fast")
+        }
         n => Finding::good(what, format!("{n}")),
     }
 }
@@ -176,11 +169,7 @@ fn memory(text: &str) -> Option<Finding> {
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let mib = line.split_whitespace().next()?.parse::<u64>().ok()? / 1024;
     let seen = format!("{mib} MiB available");
-    Some(if mib < MEMORY_MIB_LEAST {
-        Finding::warning("memory", seen, "close what else runs here")
-    } else {
-        Finding::good("memory", seen)
-    })
+    Some(Finding::warning_if(mib < MEMORY_MIB_LEAST, "memory", seen, "close other programs"))
 }
 
 #[cfg(test)]
@@ -188,21 +177,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_found_of_clocks() {
+    fn findings_about_clocks() {
         assert_eq!(source("tsc").verdict, Verdict::Good);
         assert_eq!(source("hpet").verdict, Verdict::Warning);
         assert_eq!(synchronised(Some("yes")).verdict, Verdict::Good);
         assert!(synchronised(Some("no")).remedy.unwrap().contains("set-ntp"));
         assert_eq!(synchronised(None).verdict, Verdict::Note);
-        let mut late = Latency::default();
+        let mut late = LatencyHistogram::default();
         (0..100).for_each(|_| late.add(60_000));
-        assert_eq!(late_wakes(&late).verdict, Verdict::Good);
+        assert_eq!(timer_finding(&late).verdict, Verdict::Good);
         (0..10).for_each(|_| late.add(30_000_000));
-        assert_eq!(late_wakes(&late).verdict, Verdict::Warning);
+        assert_eq!(timer_finding(&late).verdict, Verdict::Warning);
     }
 
     #[test]
-    fn what_is_found_of_the_machine() {
+    fn findings_about_the_machine() {
         assert_eq!(processors(1).verdict, Verdict::Warning);
         assert_eq!(processors(4).verdict, Verdict::Good);
         let text = "MemTotal:  8000000 kB\nMemAvailable:  4000000 kB\n";

@@ -1,4 +1,4 @@
-//! The service: whether it is installed, which rigs it has, how each is, and who may speak to it.
+//! The service: whether it is installed, which rigs are configured and how they are doing, and who may access it.
 
 use std::{
     fs,
@@ -6,41 +6,41 @@ use std::{
     process::{Command, Stdio},
 };
 
-use super::{Finding, Verdict};
+use super::Finding;
 
-/// Where units are.
+/// Folders of systemd units.
 const UNITS: [&str; 3] = ["/etc/systemd/system", "/usr/lib/systemd/system", "/lib/systemd/system"];
 
-/// Where a rig's configuration is: NAME.toml is `mocapd@NAME`'s.
+/// Folder of the configurations: NAME.toml belongs to `mocapd@NAME`.
 const CONFIGURATIONS: &str = "/etc/mocapd";
 
-/// Comes with the package, and is no rig.
+/// The example of the package, which is not a rig.
 const EXAMPLE: &str = "example";
 
-/// Rigs that are told of: a machine has one, or a few.
+/// Most rigs that are reported: a machine has one or a few.
 const RIGS_MAX: usize = 64;
 
-pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
-    // What runs on a machine without systemd starts it in another way.
+pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
+    // Without systemd, the service is started in another way.
     if Path::new("/run/systemd/system").exists() {
         let rigs = rigs(Path::new(CONFIGURATIONS));
-        tell(installed(&UNITS, &rigs));
-        rigs.iter().filter_map(|name| Some(rig(name, &state(name)?))).for_each(&mut *tell);
+        report(installed(&UNITS, &rigs));
+        rigs.iter().filter_map(|name| Some(rig(name, &state(name)?))).for_each(&mut *report);
     }
     let Ok(groups) = fs::read_to_string("/etc/group") else { return };
-    let me = Me::now();
+    let me = CurrentUser::now();
     let why = ["open serial ports and rigs", "read the service's takes and speak to it"];
     for (name, why) in ["dialout", "mocapd"].into_iter().zip(why) {
-        group(&groups, &me, name, why).into_iter().for_each(&mut *tell);
+        group(&groups, &me, name, why).into_iter().for_each(&mut *report);
     }
 }
 
-/// Names of the rigs that are configured.
+/// The names of the configured rigs.
 fn rigs(folder: &Path) -> Vec<String> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
     let names = entries.flatten().filter_map(|entry| {
         let name = entry.file_name().into_string().ok()?.strip_suffix(".toml")?.to_owned();
-        // What systemd would write in another way is not looked for.
+        // Names that systemd would escape are skipped.
         let is_plain = name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.:".contains(c));
         (is_plain && name != EXAMPLE).then_some(name)
     });
@@ -52,19 +52,19 @@ fn rigs(folder: &Path) -> Vec<String> {
 fn installed(folders: &[&str], rigs: &[String]) -> Finding {
     let what = "service";
     if !folders.iter().any(|folder| Path::new(folder).join("mocapd@.service").exists()) {
-        return Finding::note(what, "not installed: recordings are started by hand");
+        return Finding::note(what, "not installed: recordings must be started by hand");
     }
     if rigs.is_empty() {
         let remedy = format!(
             "`sudo cp {CONFIGURATIONS}/{EXAMPLE}.toml {CONFIGURATIONS}/NAME.toml`, edit it, and \
              `sudo systemctl enable --now mocapd@NAME`"
         );
-        return with_remedy(Finding::note(what, "installed; no rig is configured"), remedy);
+        return with_remedy(Finding::note(what, "installed, but no rig is configured"), remedy);
     }
     Finding::good(what, format!("installed; rigs: {}", rigs.join(", ")))
 }
 
-/// What systemd knows of a unit.
+/// The state of a unit according to systemd.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct UnitState {
     active: String,
@@ -97,27 +97,27 @@ fn rig(name: &str, state: &UnitState) -> Finding {
     let what = format!("mocapd@{name}");
     let status = match state.status.as_str() {
         "" => String::new(),
-        words => format!(": {words}"),
+        text => format!(": {text}"),
     };
     let at_boot = state.enabled.starts_with("enabled");
     match (state.active.as_str(), at_boot) {
         ("active" | "reloading", true) => {
-            Finding::good(&what, format!("runs, and is started at boot{status}"))
+            Finding::good(&what, format!("running, and started at boot{status}"))
         }
         ("active" | "reloading", false) => with_remedy(
-            Finding::good(&what, format!("runs; it is not started at boot{status}")),
+            Finding::good(&what, format!("running, but not started at boot{status}")),
             format!("`sudo systemctl enable {what}` starts it at boot"),
         ),
         ("failed", _) => Finding::failure(
             &what,
             "has failed",
-            format!("`journalctl -u {what} -n 50` says why; then `sudo systemctl restart {what}`"),
+            format!("`journalctl -u {what} -n 50` shows why; then `sudo systemctl restart {what}`"),
         ),
         ("activating" | "deactivating", _) => {
-            Finding::note(&what, format!("is {}{status}", state.active))
+            Finding::note(&what, format!("{}{status}", state.active))
         }
         _ => with_remedy(
-            Finding::note(&what, "does not run"),
+            Finding::note(&what, "not running"),
             format!("`sudo systemctl enable --now {what}`"),
         ),
     }
@@ -127,15 +127,15 @@ fn with_remedy(finding: Finding, remedy: impl Into<String>) -> Finding {
     Finding { remedy: Some(remedy.into()), ..finding }
 }
 
-/// Who asks.
+/// The user who runs the check.
 #[derive(Debug)]
-struct Me {
+struct CurrentUser {
     name: Option<String>,
     is_root: bool,
     groups: Vec<u32>,
 }
 
-impl Me {
+impl CurrentUser {
     fn now() -> Self {
         let uid = rustix::process::getuid().as_raw();
         let mut groups = vec![rustix::process::getegid().as_raw()];
@@ -151,37 +151,33 @@ impl Me {
     }
 }
 
-/// Whether one is in a group; nothing where there is no such group.
-fn group(groups: &str, me: &Me, name: &str, why: &str) -> Option<Finding> {
+/// Checks membership of a group; `None` if the group does not exist.
+fn group(groups: &str, me: &CurrentUser, name: &str, why: &str) -> Option<Finding> {
     let line = groups.lines().find(|line| line.split(':').next() == Some(name))?;
     let mut fields = line.split(':').skip(2);
     let id: u32 = fields.next()?.parse().ok()?;
     let mut members = fields.next().unwrap_or_default().split(',');
     let what = format!("group {name}");
     if me.is_root {
-        return Some(Finding::good(&what, "root may do without"));
+        return Some(Finding::good(&what, "not needed by root"));
     }
     if me.groups.contains(&id) {
         return Some(Finding::good(&what, format!("you may {why}")));
     }
     let is_member = me.name.as_deref().is_some_and(|me| members.any(|member| member == me));
-    let seen = format!("you are not in it: you may not {why}");
-    Some(match is_member {
-        true => Finding::warning(&what, "you are in it since you logged in", "log in again"),
-        false => Finding {
-            verdict: Verdict::Note,
-            ..Finding::warning(
-                &what,
-                seen,
-                format!("`sudo usermod -aG {name} $USER`, and log in again"),
-            )
-        },
-    })
+    if is_member {
+        let seen = "you became a member after logging in";
+        return Some(Finding::warning(&what, seen, "log in again"));
+    }
+    let seen = format!("you are not a member: you may not {why}");
+    let remedy = format!("`sudo usermod -aG {name} $USER`, and log in again");
+    Some(with_remedy(Finding::note(&what, seen), remedy))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::doctor::Verdict;
 
     #[test]
     fn whether_it_is_installed_and_has_rigs() {
@@ -222,14 +218,14 @@ mod tests {
     }
 
     #[test]
-    fn who_is_in_a_group_and_who_has_to_log_in_again() {
+    fn group_members_and_those_who_have_to_log_in_again() {
         let groups = "root:x:0:\ndialout:x:20:ann\nmocapd:x:990:ann,bob\n";
-        let me = |name: &str, groups: &[u32]| Me {
+        let me = |name: &str, groups: &[u32]| CurrentUser {
             name: Some(name.to_owned()),
             is_root: false,
             groups: groups.to_vec(),
         };
-        let found = |me: &Me| group(groups, me, "mocapd", "read takes").unwrap();
+        let found = |me: &CurrentUser| group(groups, me, "mocapd", "read takes").unwrap();
         let member = found(&me("ann", &[1000, 990]));
         assert_eq!((member.verdict, member.remedy), (Verdict::Good, None));
         assert!(member.seen.contains("read takes"), "{}", member.seen);
@@ -238,7 +234,7 @@ mod tests {
         let outside = found(&me("eve", &[1002]));
         assert_eq!(outside.verdict, Verdict::Note);
         assert!(outside.remedy.unwrap().contains(join));
-        let root = Me { is_root: true, ..me("root", &[0]) };
+        let root = CurrentUser { is_root: true, ..me("root", &[0]) };
         assert_eq!(found(&root).verdict, Verdict::Good);
         assert_eq!(group(groups, &root, "uucp", "x"), None);
     }

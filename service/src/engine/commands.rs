@@ -1,4 +1,4 @@
-//! What people ask for, one thing at a time.
+//! Executes the commands of clients, one at a time.
 
 use std::{
     path::PathBuf,
@@ -11,7 +11,7 @@ use mocapd_acquire::{
     files::TakeFile,
     header,
     host_clock::monotonic_ns,
-    pipeline::{FirstRow, NewTake, check_room},
+    pipeline::{FirstRow, NewTake, check_disk_space},
     threads,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind};
@@ -21,83 +21,82 @@ use super::{
     session::{NamedTake, OpenTake},
 };
 use crate::{
-    config::in_keys,
+    config::message_with_keys,
     control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
     notify,
     status::ServiceEventKind,
 };
 
-/// How long a device may take to be opened and started.
-const ARMED_WITHIN: Duration = Duration::from_secs(10);
+/// Longest time to open and start a device.
+const ARM_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long the first frame may take to be on disk.
-const FIRST_WITHIN: Duration = Duration::from_secs(5);
+/// Longest wait until the first frame is on disk.
+const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long a take may take to be closed: a disk that stalls for half a minute is waited for.
-const CLOSED_WITHIN: Duration = Duration::from_secs(40);
+/// Longest wait until a take is closed: a disk may stall for half a minute.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(40);
 
-/// How long the copy of a take that was removed may take when the service stops: 30 GB at 50 MB a second.
-const COPIED_WITHIN: Duration = Duration::from_secs(600);
+/// Longest wait, when the service stops, until a removed take is copied: 30 GB at 50 MB a second.
+const COPY_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Between two requests for more time to stop in.
-const EXTEND_EVERY: Duration = Duration::from_secs(10);
+/// Time between two requests to systemd for more time to stop.
+const EXTEND_INTERVAL: Duration = Duration::from_secs(10);
 
-/// How long the reader may take to place a mark.
-const MARKED_WITHIN: Duration = Duration::from_secs(1);
+/// Longest wait until the reader has placed a mark.
+const MARK_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Longest text of a mark and of notes, in bytes.
+/// Longest text of a mark or of notes, in bytes.
 const TEXT_BYTES_MAX: usize = 1024;
 
-/// Names that are tried for a take that nobody named.
+/// Names to try for a take without a name.
 const NAMES_MAX: u32 = 10_000;
 
-/// The right to carry out a command.
-type Command<'a> = MutexGuard<'a, ()>;
+/// Proof that the caller holds the command lock.
+type CommandGuard<'a> = MutexGuard<'a, ()>;
 
 impl Inner {
-    /// Makes the device run.
-    pub(super) fn arm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
-        let until = Instant::now() + ARMED_WITHIN;
+    /// Arms the service: starts the device.
+    pub(super) fn arm(&self, _command: &CommandGuard<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARM_TIMEOUT;
         let mut core = self.core();
         core.failure = None;
-        core.wanted = true;
+        core.arm_requested = true;
         core.device.obstacle = None;
         self.changed.notify_all();
         loop {
             if self.is_stopping() {
                 return Err(stopping());
             }
-            // One that is being ended is none.
+            // A session that is being ended does not count.
             let runs = |s: &super::session::Session| !s.stop.load(Ordering::Relaxed);
             if core.session.as_ref().is_some_and(runs) {
                 return Ok(());
             }
             if let Some(obstacle) = &core.device.obstacle {
-                let words = format!("{obstacle}; the device is armed as soon as it is there");
-                return Err(Refusal::new(RefusalKind::Device, words));
+                let message = format!("{obstacle}; it is armed as soon as the device is available");
+                return Err(Refusal::device(message));
             }
             if Instant::now() >= until {
-                let words = "the device does not start: look at the status, and try again";
-                return Err(Refusal::new(RefusalKind::Device, words));
+                let message = "the device does not start: check the status, and try again";
+                return Err(Refusal::device(message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
         }
     }
 
-    pub(super) fn disarm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
-        let until = Instant::now() + ARMED_WITHIN;
+    pub(super) fn disarm(&self, _command: &CommandGuard<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARM_TIMEOUT;
         let mut core = self.core();
         if let Some(take) = &core.take {
-            return Err(is_recorded(take));
+            return Err(already_recording(take));
         }
-        core.wanted = false;
+        core.arm_requested = false;
         core.failure = None;
         while let Some(session) = &core.session {
             session.stop.store(true, Ordering::Relaxed);
             if Instant::now() >= until {
-                let words = "the device does not stop: look at the status";
-                return Err(Refusal::new(RefusalKind::Device, words));
+                return Err(Refusal::device("the device does not stop: check the status"));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
@@ -107,13 +106,13 @@ impl Inner {
 
     pub(super) fn start_take(
         &self,
-        command: &Command<'_>,
+        command: &CommandGuard<'_>,
         start: &Start,
     ) -> Result<Started, Refusal> {
-        let asked_ns = monotonic_ns();
+        let requested_ns = monotonic_ns();
         let core = self.core();
         if let Some(take) = &core.take {
-            return Err(is_recorded(take));
+            return Err(already_recording(take));
         }
         let pre_roll = match start.pre_roll_s {
             None => core.options.arm.include_pre_roll,
@@ -121,15 +120,15 @@ impl Inner {
         };
         let away = core.away();
         drop(core);
-        if let Some(words) = away {
-            return Err(Refusal::new(RefusalKind::Device, words));
+        if let Some(message) = away {
+            return Err(Refusal::device(message));
         }
         let (name, notes) = (start.name.as_deref(), start.notes.as_deref());
-        let (named, take) = self.new_take(name, notes, pre_roll, asked_ns)?;
+        let (named, take) = self.new_take(name, notes, pre_roll, requested_ns)?;
         let begun = self.arm(command).and_then(|()| self.begin_take(&named, take));
         let first = begun.inspect_err(|_| named.discard())?;
-        let Ok(first) = first.recv_timeout(FIRST_WITHIN) else {
-            return Err(self.begun_in_vain(command));
+        let Ok(first) = first.recv_timeout(FIRST_FRAME_TIMEOUT) else {
+            return Err(self.no_first_frame(command));
         };
         let mut core = self.core();
         if let Some(take) = &mut core.take {
@@ -137,31 +136,28 @@ impl Inner {
         }
         let kept_open = std::mem::take(&mut core.kept_open);
         drop(core);
-        // A large file without a name takes its time to close.
+        // Closing a large file without a name takes time.
         drop(kept_open);
         let NamedTake { id, name, path, .. } = named;
         let notes = notes.filter(|notes| !notes.is_empty());
         let kind = ServiceEventKind::TakeStarted;
-        self.say_noted(kind, &format!("recording {name}"), Some(&name), notes);
-        let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
+        self.publish_with_notes(kind, &format!("recording {name}"), Some(&name), notes);
+        let before_request_s = requested_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
         let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
-        let first_frame = FirstFrame {
-            device_ticks: first.device_ticks,
-            arrival_ns: first.arrival_ns,
-            before_request_s,
-        };
+        let FirstRow { device_ticks, arrival_ns, .. } = first;
+        let first_frame = FirstFrame { device_ticks, arrival_ns, before_request_s };
         Ok(Started { take_id: id, name, path, first_frame, remarks })
     }
 
-    /// From now on it is being recorded. Gives where its first row is told.
+    /// Makes the take the current one. Returns the channel that delivers its first row.
     fn begin_take(&self, named: &NamedTake, take: NewTake) -> Result<Receiver<FirstRow>, Refusal> {
         let mut core = self.core();
-        let Some(session) = &mut core.session else { return Err(gone()) };
+        let Some(session) = &mut core.session else { return Err(device_gone()) };
         let begun = session.takes.begin(session.with_header(take)).map_err(|e| busy(&e))?;
         let take = OpenTake {
             named: named.clone(),
-            file_told: session.progress.file_changes(),
-            asked_unix_ms: super::status::unix_ms(),
+            changes_reported: session.progress.file_changes(),
+            requested_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz: session.header.rate_hz,
             first: None,
@@ -174,52 +170,48 @@ impl Inner {
         Ok(begun.first)
     }
 
-    /// No frame came: the take ends, and so does its file.
-    fn begun_in_vain(&self, command: &Command<'_>) -> Refusal {
+    /// No frame arrived in time: ends the take and its file.
+    fn no_first_frame(&self, command: &CommandGuard<'_>) -> Refusal {
         let away = self.core().away();
         let refused = self.stop_take(command, EndingKind::Stopped);
         match refused {
-            // A frame came after all, and a moment too late.
-            Ok(stopped) => Refusal::new(
-                RefusalKind::Device,
-                format!(
-                    "no frame was on disk within {} s: is the device capturing? What came is in {}",
-                    FIRST_WITHIN.as_secs(),
-                    stopped.path.display()
-                ),
-            ),
-            Err(refusal) => away.map_or(refusal, |words| Refusal::new(RefusalKind::Device, words)),
+            // A frame arrived after all, a moment too late.
+            Ok(stopped) => Refusal::device(format!(
+                "no frame was on disk within {} s: is the device capturing? The frames that came late are in {}",
+                FIRST_FRAME_TIMEOUT.as_secs(),
+                stopped.path.display()
+            )),
+            Err(refusal) => away.map_or(refusal, Refusal::device),
         }
     }
 
-    /// Ends the take, by the right to carry out a command.
+    /// Stops the current take. The caller holds the command lock.
     pub(super) fn stop_take(
         &self,
-        _command: &Command<'_>,
+        _command: &CommandGuard<'_>,
         ending: EndingKind,
     ) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
-            if let Some(words) = &core.data_lost {
-                let words = format!("no take is being recorded: {words}");
-                return Err(Refusal::new(RefusalKind::DataLost, words));
+            if let Some(message) = &core.data_lost {
+                let message = format!("no take is being recorded: {message}");
+                return Err(Refusal::new(RefusalKind::DataLost, message));
             }
-            // A take that failed is over, and the answer is what it came to.
+            // A take that failed is over: the reply says why.
             if let Some(failure) = &core.failure {
-                let words = format!("no take is being recorded: {failure}");
-                return Err(Refusal::new(RefusalKind::Conflict, words));
+                return Err(Refusal::conflict(format!("no take is being recorded: {failure}")));
             }
             let before = core.last_take.as_ref().and_then(|take| Some((&take.name, take.ending?)));
-            let words = before.map_or_else(
+            let message = before.map_or_else(
                 || "no take is being recorded".to_owned(),
                 |(name, ending)| format!("no take is being recorded: {name} has ended ({ending})"),
             );
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(Refusal::conflict(message));
         };
         let is_first = take.ending.is_none();
         take.ending.get_or_insert(ending);
         let ended = take.ended.clone();
-        // Without a session its end is on the way.
+        // Without a session the take is already being ended.
         if let Some(session) = &mut core.session
             && is_first
             && let Err(error) = session.takes.end(ending)
@@ -230,12 +222,11 @@ impl Inner {
             return Err(busy(&error));
         }
         drop(core);
-        match ended.recv_timeout(CLOSED_WITHIN) {
+        match ended.recv_timeout(CLOSE_TIMEOUT) {
             Ok(end) => self.finish_take(end),
             Err(RecvTimeoutError::Disconnected) => self.finish_unanswered(),
-            Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
-                RefusalKind::Unavailable,
-                "the disk has not taken the end of the take yet: it is closed as soon as it does; look at the status",
+            Err(RecvTimeoutError::Timeout) => Err(Refusal::unavailable(
+                "the disk is stalled and the take is not closed yet: it will be closed once the disk responds; check the status",
             )),
         }
     }
@@ -244,98 +235,92 @@ impl Inner {
         check_text(text, "a mark")?;
         let core = self.core();
         let (Some(session), Some(take)) = (&core.session, &core.take) else {
-            let words = "no take is being recorded: nothing to mark";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(Refusal::conflict("no take is being recorded: there is nothing to mark"));
         };
         if take.ending.is_some() {
-            let words = "the take is being ended: a mark would be behind it";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "the take is being stopped: the mark would come after its end";
+            return Err(Refusal::conflict(message));
         }
         let name = take.named.name.clone();
         let Some(rows_before) = take.first.map(|first| first.row) else {
-            let words = "the take has no frame yet: mark it when it has begun";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            let message = "the take has no frame yet: set the mark once it has begun";
+            return Err(Refusal::conflict(message));
         };
         let row = session.takes.mark(text, monotonic_ns());
         drop(core);
         let row = row.map_err(|error| busy(&error))?;
-        let row = row.row.recv_timeout(MARKED_WITHIN).map_err(|_| {
-            let words = "the mark was not placed in time: the device is away or the host too slow";
-            Refusal::new(RefusalKind::Unavailable, words)
+        let row = row.row.recv_timeout(MARK_TIMEOUT).map_err(|_| {
+            let message = "the mark was not placed in time: no device, or a host that is too slow";
+            Refusal::unavailable(message)
         })?;
-        self.say_event(
-            ServiceEventKind::Mark,
-            if text.is_empty() { "a mark" } else { text },
-            Some(&name),
-        );
+        let message = if text.is_empty() { "a mark" } else { text };
+        self.publish(ServiceEventKind::Mark, message, Some(&name));
         Ok(Marked { row: row.saturating_sub(rows_before) })
     }
 
-    pub(super) fn save_held(
+    pub(super) fn save_pre_roll(
         &self,
-        _command: &Command<'_>,
+        _command: &CommandGuard<'_>,
         save: &SaveLast,
     ) -> Result<Stopped, Refusal> {
-        let asked_ns = monotonic_ns();
+        let requested_ns = monotonic_ns();
         let last = seconds(save.seconds, "seconds")?;
         if last.is_zero() {
-            let words = "seconds is 0: nothing would be saved";
-            return Err(Refusal::new(RefusalKind::Invalid, words));
+            let message = "seconds is 0: there is nothing to save";
+            return Err(Refusal::new(RefusalKind::Invalid, message));
         }
         if self.core().session.is_none() {
-            let words = "not armed: nothing is held";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(Refusal::conflict("not armed: the pre-roll is empty"));
         }
-        let (named, take) = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
+        let (named, take) = self.new_take(save.name.as_deref(), None, last, requested_ns)?;
         let mut core = self.core();
         let saved = match &mut core.session {
             Some(session) => {
                 let saved = session.takes.save(session.with_header(take));
                 saved.map(|saved| (saved.ended, session.header.rate_hz)).map_err(|e| busy(&e))
             }
-            None => Err(gone()),
+            None => Err(device_gone()),
         };
         let _closing = self.closing(&mut core);
         drop(core);
-        let late =
-            |_| Refusal::new(RefusalKind::Unavailable, "the disk has not taken the take yet");
+        let late = |_| Refusal::unavailable("the disk is stalled: still writing the take");
         let end = saved.and_then(|(ended, rate_hz)| {
-            Ok((ended.recv_timeout(CLOSED_WITHIN).map_err(late)?, rate_hz))
+            Ok((ended.recv_timeout(CLOSE_TIMEOUT).map_err(late)?, rate_hz))
         });
         let (end, rate_hz) = end.inspect_err(|_| named.discard())?;
         Ok(with_shortfall(self.closed(end, &named, rate_hz)?, last))
     }
 
-    /// A file for a take, whose name is nobody's yet.
+    /// Creates the file of a new take under a free name.
     fn new_take(
         &self,
         name: Option<&str>,
         notes: Option<&str>,
         pre_roll: Duration,
-        asked_ns: u64,
+        requested_ns: u64,
     ) -> Result<(NamedTake, NewTake), Refusal> {
         if self.is_stopping() {
             return Err(stopping());
         }
         let options = std::sync::Arc::clone(&self.core().options);
-        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, in_keys(error));
+        let refused = |kind| move |error| Refusal::new(kind, message_with_keys(&error));
         let (name, path) = self.free_name(name, &options)?;
-        check_room(&path, options.take.keep_free_bytes)
-            .map_err(|error| refused(RefusalKind::Disk, &error))?;
+        check_disk_space(&path, options.take.keep_free_bytes)
+            .map_err(refused(RefusalKind::Disk))?;
         let notes = notes.filter(|notes| !notes.is_empty());
         if let Some(notes) = notes {
             check_text(notes, "notes")?;
         }
-        let header = header::new(&options.take.codec, 1.0)
-            .map_err(|error| refused(RefusalKind::Internal, &error))?;
-        let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
+        let header =
+            header::new(&options.take.codec, 1.0).map_err(refused(RefusalKind::Internal))?;
+        let output = TakeFile::create(&path).map_err(refused(RefusalKind::Disk))?;
         let file = output.id();
-        let notes = notes.map(|text| Event::new(EventKind::Mark, asked_ns, text));
+        let notes = notes.map(|text| Event::new(EventKind::Mark, requested_ns, text));
         let id = header.take_id_text();
         let take = NewTake {
             subject: options.subject.clone(),
             pre_roll,
-            asked_ns,
+            requested_ns,
             notes,
             keep_free_bytes: options.take.keep_free_bytes,
             ..NewTake::new(output, header)
@@ -351,18 +336,18 @@ impl Inner {
         let path = |name: &str| options.take.directory.join(format!("{name}.take"));
         let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
         if let Some(name) = name {
-            let name = names::checked(name)?;
+            let name = names::normalised(name)?;
             let path = path(name);
             if !is_free(&path) {
-                let words = format!("a take called {name} exists: choose another name");
-                return Err(Refusal::new(RefusalKind::Exists, words));
+                let message = format!("a take called {name} exists: choose another name");
+                return Err(Refusal::new(RefusalKind::Exists, message));
             }
             return Ok((name.to_owned(), path));
         }
         for count in 1..NAMES_MAX {
             let name = options.name_take(count);
-            let name = names::checked(&name)?.to_owned();
-            // A template without a count gets one when it has to.
+            let name = names::normalised(&name)?.to_owned();
+            // A template without `{count}` gets a number appended if needed.
             let counted = format!("{name}-{count}");
             let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
             let path = path(&name);
@@ -370,11 +355,11 @@ impl Inner {
                 return Ok((name, path));
             }
         }
-        let words = "every name that the configuration gives is taken: name the take";
-        Err(Refusal::new(RefusalKind::Exists, words))
+        let message = "all names that take.name can give exist already: give the take a name";
+        Err(Refusal::new(RefusalKind::Exists, message))
     }
 
-    /// Another thread may still be closing a take: a disk that stalls is waited for, and a copy as long as it takes.
+    /// Waits until no take is being closed by another thread: longer if a removed take is being copied.
     fn wait_until_closed(&self) {
         let begun = Instant::now();
         let mut extended: Option<Instant> = None;
@@ -382,70 +367,68 @@ impl Inner {
             let core = self.core();
             let (is_open, is_closing) = (core.take.is_some(), core.closing > 0);
             drop(core);
-            let within = if is_closing { COPIED_WITHIN } else { CLOSED_WITHIN };
+            let within = if is_closing { COPY_TIMEOUT } else { CLOSE_TIMEOUT };
             if !(is_open || is_closing) || begun.elapsed() >= within {
                 return;
             }
-            if extended.is_none_or(|last| last.elapsed() >= EXTEND_EVERY) {
-                notify::extend_stop(2 * EXTEND_EVERY + super::STOP_WITHIN);
+            if extended.is_none_or(|last| last.elapsed() >= EXTEND_INTERVAL) {
+                notify::extend_stop(2 * EXTEND_INTERVAL + super::STOP_TIMEOUT);
                 extended = Some(Instant::now());
             }
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
-    /// Finishes what is being recorded, and tells everybody that it is over.
+    /// Finishes the take in progress, and tells all threads and viewers that the service is ending.
     pub(super) fn shut_down(&self) {
         if self.stopping.swap(true, Ordering::SeqCst) {
             return;
         }
-        // A client's stop may be under way: then that one closes the take.
-        let command = self.command_within(super::STOP_WITHIN);
+        // If a client's stop is under way, that one closes the take.
+        let command = self.command_within(super::STOP_TIMEOUT);
         let is_mine = command.as_ref().ok().filter(|_| self.core().take.is_some());
         let close = || {
             if let Some(command) = is_mine {
                 drop(self.stop_take(command, EndingKind::ServiceStopped));
             }
         };
-        threads::beside("mocapd-close", close, || self.wait_until_closed());
+        threads::run_alongside("mocapd-close", close, || self.wait_until_closed());
         drop(command);
         if let Some(session) = &self.core().session {
             session.stop.store(true, Ordering::Relaxed);
         }
-        self.core().wanted = false;
+        self.core().arm_requested = false;
         self.viewers.close();
         self.changed.notify_all();
     }
 }
 
-/// More may be asked for than is held: the answer says by how much.
-fn with_shortfall(mut saved: Stopped, asked: Duration) -> Stopped {
-    /// A take ends at the frame that came last, and frames are rounded to rows.
+/// Adds how much less was held than requested.
+fn with_shortfall(mut saved: Stopped, requested: Duration) -> Stopped {
+    /// A take ends at the latest frame, and frames are rounded to rows.
     const MARGIN_S: f64 = 0.1;
-    let (asked_s, held_s) = (asked.as_secs_f64(), saved.seconds);
-    if asked_s <= held_s + MARGIN_S {
+    let (requested_s, held_s) = (requested.as_secs_f64(), saved.seconds);
+    if requested_s <= held_s + MARGIN_S {
         return saved;
     }
-    saved.short_by_s = asked_s - held_s;
-    saved
-        .remarks
-        .push(format!("{held_s:.1} s were held, not the {asked_s:.1} s that were asked for"));
+    saved.short_by_s = requested_s - held_s;
+    saved.remarks.push(format!("only {held_s:.1} s of the requested {requested_s:.1} s were held"));
     saved
 }
 
-/// Takes begin at key stretches: what the take has of the time before is told when it is not what was asked for.
-fn pre_roll_remark(asked: Duration, before_request_s: f64) -> Option<String> {
+/// Takes begin at key stretches: remarks on a pre-roll that differs noticeably from the requested one.
+fn pre_roll_remark(requested: Duration, before_request_s: f64) -> Option<String> {
     /// Keys are a second apart while armed.
     const USUAL_S: f64 = 1.6;
-    let asked_s = asked.as_secs_f64();
-    if asked_s > before_request_s + 0.1 {
+    let requested_s = requested.as_secs_f64();
+    if requested_s > before_request_s + 0.1 {
         return Some(format!(
-            "{before_request_s:.1} s of pre-roll were held, not the {asked_s:.1} s that were asked for"
+            "only {before_request_s:.1} s of the requested {requested_s:.1} s of pre-roll were held"
         ));
     }
-    (asked_s > 0.0 && before_request_s > asked_s + USUAL_S).then(|| {
+    (requested_s > 0.0 && before_request_s > requested_s + USUAL_S).then(|| {
         format!(
-            "the take begins {before_request_s:.1} s before the request, not {asked_s:.1} s: takes begin at key stretches, which are 10 s apart in what was recorded before"
+            "the take begins {before_request_s:.1} s before the request, not {requested_s:.1} s: takes begin at key stretches, which are up to 10 s apart in what was recorded before"
         )
     })
 }
@@ -455,32 +438,31 @@ fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {
     if (0.0..=SECONDS_MAX).contains(&value) {
         return Ok(Duration::from_secs_f64(value));
     }
-    let words = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
-    Err(Refusal::new(RefusalKind::Invalid, words))
+    let message = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
+    Err(Refusal::new(RefusalKind::Invalid, message))
 }
 
 fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
     if text.len() <= TEXT_BYTES_MAX && !text.contains('\0') {
         return Ok(());
     }
-    let words = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
-    Err(Refusal::new(RefusalKind::Invalid, words))
+    let message = format!("{what} may have at most {TEXT_BYTES_MAX} bytes and no NUL");
+    Err(Refusal::new(RefusalKind::Invalid, message))
 }
 
-fn is_recorded(take: &OpenTake) -> Refusal {
-    let words = format!("the take {} is being recorded: stop it first", take.named.name);
-    Refusal::new(RefusalKind::Conflict, words)
+fn already_recording(take: &OpenTake) -> Refusal {
+    Refusal::conflict(format!("the take {} is being recorded: stop it first", take.named.name))
 }
 
-/// The pipeline has not yet done what it was asked before.
+/// The pipeline has not executed the previous command yet.
 fn busy(error: &anyhow::Error) -> Refusal {
-    Refusal::new(RefusalKind::Unavailable, format!("{error:#}"))
+    Refusal::unavailable(format!("{error:#}"))
 }
 
 fn stopping() -> Refusal {
-    Refusal::new(RefusalKind::Unavailable, "the service is stopping")
+    Refusal::unavailable("the service is stopping")
 }
 
-fn gone() -> Refusal {
-    Refusal::new(RefusalKind::Device, "the device has just gone away: try again")
+fn device_gone() -> Refusal {
+    Refusal::device("the device has just disconnected: try again")
 }

@@ -1,4 +1,4 @@
-//! What happens, told to everybody who listens.
+//! Publishes the events of the service to its subscribers.
 
 use std::{
     collections::VecDeque,
@@ -18,78 +18,78 @@ use crate::{
     status::{ServiceEvent, ServiceEventKind, State},
 };
 
-/// Events that wait for a listener; one that takes none for so many loses the oldest.
+/// Most events waiting for a subscriber; beyond that, the oldest is dropped.
 const WAITING_MAX: usize = 256;
 
-/// Listeners: connections are bounded by whoever lets them in, and this is beyond that.
-const LISTENERS_MAX: usize = 256;
+/// Most subscribers. The HTTP server limits its connections to fewer.
+const SUBSCRIBERS_MAX: usize = 256;
 
-/// Words from the reader's thread that wait to be told: it never waits itself.
-const SAID_MAX: usize = 64;
+/// Most deferred messages: the reader's thread must never wait.
+const DEFERRED_MAX: usize = 64;
 
-/// The listeners.
+/// The subscribers, and the messages of threads that must not wait.
 #[derive(Debug)]
-pub(super) struct Events {
-    listeners: Mutex<Listeners>,
-    said: Sender<String>,
-    said_out: Receiver<String>,
+pub(super) struct EventPublisher {
+    subscribers: Mutex<Subscribers>,
+    deferred: Sender<String>,
+    deferred_out: Receiver<String>,
 }
 
 #[derive(Debug, Default)]
-struct Listeners {
+struct Subscribers {
     number: u64,
-    all: VecDeque<Listener>,
+    all: VecDeque<Subscriber>,
 }
 
 #[derive(Debug)]
-struct Listener {
+struct Subscriber {
     events: Sender<Arc<ServiceEvent>>,
-    /// To drop the oldest by.
+    /// A receiver of the same channel, to drop the oldest event.
     oldest: Receiver<Arc<ServiceEvent>>,
     missed: Arc<AtomicU64>,
 }
 
-impl Default for Events {
+impl Default for EventPublisher {
     fn default() -> Self {
-        let (said, said_out) = bounded(SAID_MAX);
-        Self { listeners: Mutex::default(), said, said_out }
+        let (deferred, deferred_out) = bounded(DEFERRED_MAX);
+        Self { subscribers: Mutex::default(), deferred, deferred_out }
     }
 }
 
-impl Events {
+impl EventPublisher {
     pub(super) fn subscribe(&self) -> EventFeed {
         let (events, feed) = bounded(WAITING_MAX);
         let missed = Arc::new(AtomicU64::new(0));
-        let mut listeners = lock(&self.listeners);
-        if listeners.all.len() == LISTENERS_MAX {
-            listeners.all.pop_front();
+        let mut subscribers = lock(&self.subscribers);
+        if subscribers.all.len() == SUBSCRIBERS_MAX {
+            subscribers.all.pop_front();
         }
         let oldest = feed.clone();
-        listeners.all.push_back(Listener { events, oldest, missed: Arc::clone(&missed) });
+        subscribers.all.push_back(Subscriber { events, oldest, missed: Arc::clone(&missed) });
         EventFeed { events: feed, missed }
     }
 
-    /// Words from a thread that must not wait. They become events soon.
-    pub(super) fn say(&self, words: &str) {
-        // Of a device that chatters, what does not fit is in its take's events all the same.
-        self.said.try_send(words.to_owned()).ok();
+    /// Queues a message of a thread that must not wait. It becomes an event soon.
+    pub(super) fn defer(&self, message: &str) {
+        // If the queue is full, a device's message is still stored among its take's events.
+        self.deferred.try_send(message.to_owned()).ok();
     }
 
-    pub(super) fn said(&self) -> Option<String> {
-        self.said_out.try_recv().ok()
+    pub(super) fn next_deferred(&self) -> Option<String> {
+        self.deferred_out.try_recv().ok()
     }
 
-    fn tell(
+    fn publish(
         &self,
         kind: ServiceEventKind,
         message: &str,
         state: State,
         (take, notes): (Option<String>, Option<String>),
     ) {
-        let mut listeners = lock(&self.listeners);
-        listeners.number += 1;
+        let mut subscribers = lock(&self.subscribers);
+        subscribers.number += 1;
         let event = Arc::new(ServiceEvent {
-            number: listeners.number,
+            number: subscribers.number,
             unix_ms: super::status::unix_ms(),
             kind,
             message: message.to_owned(),
@@ -97,13 +97,13 @@ impl Events {
             take,
             notes,
         });
-        listeners.all.retain(|listener| listener.tell(&event));
+        subscribers.all.retain(|subscriber| subscriber.send(&event));
     }
 }
 
-impl Listener {
-    /// `false` when it is gone: nobody but this holds the other end.
-    fn tell(&self, event: &Arc<ServiceEvent>) -> bool {
+impl Subscriber {
+    /// Sends an event. Returns `false` if the subscriber is gone: its counter has no other owner.
+    fn send(&self, event: &Arc<ServiceEvent>) -> bool {
         if Arc::strong_count(&self.missed) == 1 {
             return false;
         }
@@ -116,13 +116,13 @@ impl Listener {
 }
 
 impl Inner {
-    /// Tells an event, and logs it. Not from the reader's thread, and not with the state locked.
-    pub(super) fn say_event(&self, kind: ServiceEventKind, message: &str, take: Option<&str>) {
-        self.say_noted(kind, message, take, None);
+    /// Publishes and logs an event. Neither call it from the reader's thread nor with the state locked.
+    pub(super) fn publish(&self, kind: ServiceEventKind, message: &str, take: Option<&str>) {
+        self.publish_with_notes(kind, message, take, None);
     }
 
-    /// The same, with the notes of a take.
-    pub(super) fn say_noted(
+    /// Publishes and logs an event with the notes of a take.
+    pub(super) fn publish_with_notes(
         &self,
         kind: ServiceEventKind,
         message: &str,
@@ -131,9 +131,9 @@ impl Inner {
     ) {
         let state = self.core().state();
         let about = (take.map(str::to_owned), notes.map(str::to_owned));
-        self.events.tell(kind, message, state, about);
+        self.events.publish(kind, message, state, about);
         let device = self.core().device.uri.clone();
-        // Listeners get the text exactly, in JSON; the log shows it.
+        // Subscribers get the exact text in JSON; the log gets it escaped.
         let [take, device, message] = [take.unwrap_or_default(), &device, message].map(visible);
         let (take, device) = (take.as_ref(), device.as_ref());
         match kind {

@@ -1,10 +1,10 @@
-//! What a take came to.
+//! Closes takes and reports how they ended.
 
 use std::path::Path;
 
 use mocapd_acquire::{
-    files::{FileState, Settled},
-    pipeline::{NothingRecorded, TakeEnd, TakeFailed, TakeOutput, Written},
+    files::{FileState, SettledFile},
+    pipeline::{NothingRecorded, TakeAccount, TakeFailed, TakeOutput, TakeResult},
 };
 use mocapd_take::record::EndingKind;
 
@@ -19,20 +19,19 @@ use crate::{
 };
 
 impl Inner {
-    /// The take that was recorded is closed, or cannot be.
-    pub(super) fn finish_take(&self, end: TakeEnd) -> Result<Stopped, Refusal> {
+    /// Closes the current take, or reports that it could not be closed.
+    pub(super) fn finish_take(&self, end: TakeResult) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = core.take.take() else {
-            let words = "the take was ended by somebody else: look at the status";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(Refusal::conflict("the take has already been stopped: check the status"));
         };
         let _closing = self.closing(&mut core);
-        // Whoever sees that the take has ended must not take the one before it for what it came to.
+        // While this take is being closed, clients must not mistake the previous one for it.
         let before = core.last_take.take();
         drop(core);
         self.changed.notify_all();
         let closed = self.closed(end, &take.named, take.rate_hz);
-        // Nothing came of it that is in the list.
+        // If the take left no file, the previous one is still the last.
         let mut core = self.core();
         if core.last_take.is_none() {
             core.last_take = before;
@@ -41,36 +40,35 @@ impl Inner {
         closed
     }
 
-    /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
+    /// Handles a take whose end will not be reported: the pipeline ended before the take began, or its writer died.
     pub(super) fn finish_unanswered(&self) -> Result<Stopped, Refusal> {
         let path = self.core().take.as_ref().map(|take| take.named.path.clone());
         let is_empty = path.and_then(|path| path.metadata().ok()).is_some_and(|f| f.len() == 0);
         if !is_empty {
-            let error = anyhow::anyhow!("the writer is gone");
+            let error = anyhow::anyhow!("the writer thread has ended");
             return self.finish_take(Err(TakeFailed::without_output(error)));
         }
         if let Some(take) = self.core().take.take() {
             take.named.discard();
         }
-        let words = "the device went away before the take began: try again";
-        Err(Refusal::new(RefusalKind::Device, words))
+        Err(Refusal::device("the device disconnected before the take began: try again"))
     }
 
-    /// A take was written to its end, or not.
+    /// Handles the end of a take: written completely, or failed.
     pub(super) fn closed(
         &self,
-        end: TakeEnd,
+        end: TakeResult,
         take: &NamedTake,
         rate_hz: f64,
     ) -> Result<Stopped, Refusal> {
-        let (written, mut output) = end.map_err(|failed| self.broken(failed, take))?;
+        let (written, mut output) = end.map_err(|failed| self.write_failed(failed, take))?;
         if written.ledger.recorded == 0 {
-            return Err(self.empty(written.ending.kind, take));
+            return Err(self.discard_empty(written.ending.kind, take));
         }
         let name = &take.name;
         let settled = output.settle();
-        if let Some(words) = settled.words() {
-            self.say_event(ServiceEventKind::Warning, &words, Some(name));
+        if let Some(message) = settled.message() {
+            self.publish(ServiceEventKind::Warning, &message, Some(name));
         }
         let stopped = stopped(&written, take, &settled, rate_hz);
         self.remember(&written, &settled, &stopped);
@@ -78,44 +76,44 @@ impl Inner {
             return Err(self.vanished(name, &settled, output));
         }
         let ending = written.ending.kind;
-        // The ledger counts what was written, and that is not in the file any more.
+        // The ledger counts what was written, which the truncated file no longer contains.
         let lost = if ending == EndingKind::Truncated || settled.state == FileState::Truncated {
-            "all frames behind the cut are lost: `mocapd recover` keeps those before it".to_owned()
+            "all frames after the cut are lost: `mocapd recover` keeps those before it".to_owned()
         } else {
             format!("{} frames lost", written.ledger.frames_lost())
         };
         let Stopped { name: name_now, seconds, bytes, .. } = &stopped;
-        let words =
-            format!("{name_now} is closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
+        let message =
+            format!("{name_now} closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
         let kind = match ending {
             EndingKind::Saved => ServiceEventKind::TakeSaved,
             _ => ServiceEventKind::TakeStopped,
         };
-        self.say_event(kind, &words, Some(name));
+        self.publish(kind, &message, Some(name));
         if ending == EndingKind::DiskFull {
-            let words = "the disk is full: no take is begun before something is deleted";
-            self.say_event(ServiceEventKind::Warning, words, None);
+            let message = "the disk is full: delete something before starting another take";
+            self.publish(ServiceEventKind::Warning, message, None);
         }
         Ok(stopped)
     }
 
-    /// Only the header was written: an empty take helps nobody.
-    fn empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
+    /// Removes a take of which only the header was written.
+    fn discard_empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
         take.discard();
         if ending == EndingKind::Saved {
-            let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
-            return Refusal::new(RefusalKind::Conflict, words);
+            return Refusal::conflict("no frames are held for that time: ask for more seconds");
         }
         let name = &take.name;
-        let words = format!("no frame came, so there is no take {name}: is the device capturing?");
-        self.say_event(ServiceEventKind::Warning, &words, Some(name));
-        Refusal::new(RefusalKind::Device, words)
+        let message =
+            format!("no frame arrived, so there is no take {name}: is the device capturing?");
+        self.publish(ServiceEventKind::Warning, &message, Some(name));
+        Refusal::device(message)
     }
 
-    /// What the status tells of it from now on.
-    fn remember(&self, written: &Written, settled: &Settled, stopped: &Stopped) {
+    /// Stores the take as the last one in the status.
+    fn remember(&self, written: &TakeAccount, settled: &SettledFile, stopped: &Stopped) {
         let ending = &written.ending;
-        // As the list has it; where no name leads to it, as it was written.
+        // The same summary as in the list; if no name leads to the file, the data of the writer.
         let listed = settled.path.as_deref().and_then(summary_of);
         let mut summary = listed.unwrap_or_else(|| TakeSummary {
             name: stopped.name.clone(),
@@ -126,7 +124,7 @@ impl Inner {
             take_id: stopped.take_id.clone(),
             ..TakeSummary::default()
         });
-        // A take that was cut short has no place for it.
+        // A truncated file cannot store its ending.
         summary.ending = Some(ending.kind);
         summary.ending_detail.clone_from(&ending.detail);
         let has_lost = settled.path.is_none()
@@ -134,32 +132,32 @@ impl Inner {
             || matches!(ending.kind, EndingKind::Truncated | EndingKind::Unmounted);
         let lost = || {
             let ended = || format!("the take {} has ended ({})", stopped.name, ending.kind);
-            settled.words().unwrap_or_else(ended)
+            settled.message().unwrap_or_else(ended)
         };
         let mut core = self.core();
         core.last_take = Some(summary);
         core.data_lost = has_lost.then(lost);
     }
 
-    /// The take has ended, and no name leads to its file.
-    fn vanished(&self, name: &str, settled: &Settled, file: Box<dyn TakeOutput>) -> Refusal {
-        let words = self.keep_open(settled, file);
+    /// The take has ended, but its file has no name any more.
+    fn vanished(&self, name: &str, settled: &SettledFile, file: Box<dyn TakeOutput>) -> Refusal {
+        let message = self.keep_open(settled, file);
         let mut core = self.core();
-        core.failure = Some(words.clone());
-        core.data_lost = Some(words.clone());
+        core.failure = Some(message.clone());
+        core.data_lost = Some(message.clone());
         drop(core);
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::Failure, &words, Some(name));
-        Refusal::new(RefusalKind::Vanished, words)
+        self.publish(ServiceEventKind::Failure, &message, Some(name));
+        Refusal::new(RefusalKind::Vanished, message)
     }
 
-    /// Keeps a file open that no name leads to, where that helps, and says so.
-    fn keep_open(&self, settled: &Settled, file: Box<dyn TakeOutput>) -> String {
-        let words = settled.words().unwrap_or_default();
-        // A file system that was unmounted waits for the file to be closed.
+    /// Keeps a file without a name open if that helps, and returns the message about it.
+    fn keep_open(&self, settled: &SettledFile, file: Box<dyn TakeOutput>) -> String {
+        let message = settled.message().unwrap_or_default();
+        // An unmounted file system waits for the file to be closed.
         let displaced = settled.displaced.as_ref();
         let Some(displaced) = displaced.filter(|_| settled.state != FileState::Unmounted) else {
-            return words;
+            return message;
         };
         let mut core = self.core();
         let is_full = core.kept_open.len() == KEPT_OPEN_MAX;
@@ -168,37 +166,37 @@ impl Inner {
         drop(core);
         if let Some(oldest) = oldest {
             let left = oldest.displaced().map(|oldest| oldest.created_as.display().to_string());
-            let words = format!(
-                "{KEPT_OPEN_MAX} removed takes are kept open: the oldest is given up, {}",
+            let message = format!(
+                "{KEPT_OPEN_MAX} removed takes are already kept open: giving up the oldest, {}",
                 left.unwrap_or_default()
             );
-            // A large file without a name takes its time to close.
+            // Closing a large file without a name takes time.
             drop(oldest);
-            self.say_event(ServiceEventKind::Warning, &words, None);
+            self.publish(ServiceEventKind::Warning, &message, None);
         }
         let open_at = displaced.open_at.display();
         format!(
-            "{words}; it stays open until the next take has begun or the service ends: cp {open_at} NEW.take"
+            "{message}; it stays open until the next take has begun or the service stops: cp {open_at} NEW.take"
         )
     }
 
-    /// The take could not be written to its end. What is in it stays.
-    fn broken(&self, failed: TakeFailed, take: &NamedTake) -> Refusal {
+    /// Handles a take that could not be completed. What was written of it is kept.
+    fn write_failed(&self, failed: TakeFailed, take: &NamedTake) -> Refusal {
         let NamedTake { name, path, file, .. } = take;
         let TakeFailed { error, output } = failed;
-        let words = if error.is::<NothingRecorded>() {
+        let message = if error.is::<NothingRecorded>() {
             let left = match file.remove(path) {
                 Ok(()) => format!("there is no take {name}"),
-                Err(e) => format!("{} holds nothing and cannot be removed ({e})", path.display()),
+                Err(e) => format!("{} is empty and cannot be removed ({e})", path.display()),
             };
-            format!("{error:#}: {left}; look at the disk, and try again")
+            format!("{error:#}: {left}; check the disk, and try again")
         } else {
-            format!("the take {name} ends early: {error:#}; {}", self.left_of(output))
+            format!("the take {name} ended early: {error:#}; {}", self.remains(output))
         };
         let mut core = self.core();
-        core.failure = Some(words.clone());
-        // The pipeline goes on without a take, and its pre-roll with keys as often as that needs. A save that failed
-        // leaves the take beside it alone.
+        core.failure = Some(message.clone());
+        // The pipeline continues without a take, and writes the keys that the pre-roll needs. A failed save does not
+        // affect the take in progress.
         if core.take.is_none()
             && let Some(session) = &mut core.session
         {
@@ -206,32 +204,30 @@ impl Inner {
         }
         drop(core);
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::Failure, &words, Some(name));
-        Refusal::new(RefusalKind::Disk, words)
+        self.publish(ServiceEventKind::Failure, &message, Some(name));
+        Refusal::new(RefusalKind::Disk, message)
     }
-}
 
-impl Inner {
-    /// What is left of a take that could not be written to its end, and where.
-    fn left_of(&self, output: Option<Box<dyn TakeOutput>>) -> String {
+    /// What remains of a take that could not be completed, and where.
+    fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` closes it";
-        let Some(mut file) = output else { return format!("of what is in it, {recover}") };
+        let Some(mut file) = output else { return recover.to_owned() };
         let settled = file.settle();
-        match (settled.words(), &settled.path) {
-            (None, _) => format!("what is in it can be read, and {recover}"),
-            (Some(words), Some(_)) => format!("{words}, and {recover}"),
+        match (settled.message(), &settled.path) {
+            (None, _) => format!("its content can be read, and {recover}"),
+            (Some(message), Some(_)) => format!("{message}, and {recover}"),
             (Some(_), None) => self.keep_open(&settled, file),
         }
     }
 
-    /// Until what this returns is dropped, the service does not end: a take that was removed is copied.
+    /// Keeps the service from ending until the returned guard is dropped: a removed take is being copied.
     pub(super) fn closing(&self, core: &mut Core) -> Closing<'_> {
         core.closing += 1;
         Closing(self)
     }
 }
 
-/// A take is being closed.
+/// Counts a take as being closed until it is dropped.
 pub(super) struct Closing<'a>(&'a Inner);
 
 impl Drop for Closing<'_> {
@@ -241,10 +237,10 @@ impl Drop for Closing<'_> {
     }
 }
 
-fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) -> Stopped {
+fn stopped(written: &TakeAccount, take: &NamedTake, file: &SettledFile, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
-    // What it is called now is what it can be asked for by. Events have the name that it was announced with.
+    // The reply has the current name, by which the take can be requested. Events have the name it started with.
     let stem = file.path.as_deref().and_then(Path::file_stem);
     Stopped {
         take_id: take.id.clone(),
@@ -257,7 +253,7 @@ fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) ->
         ending: Some(written.ending.kind),
         ledger: ledger.into(),
         short_by_s: 0.0,
-        remarks: file.words().into_iter().collect(),
+        remarks: file.message().into_iter().collect(),
     }
 }
 
@@ -281,7 +277,7 @@ mod tests {
         heartbeat::Heartbeat,
     };
 
-    /// One that has no device.
+    /// An engine without a device.
     fn engine(directory: &Path) -> Engine {
         let options = EngineOptions {
             rig: "test".to_owned(),
@@ -346,7 +342,7 @@ mod tests {
         drop(core);
     }
 
-    /// Keeps what the status says of the last take while this one is being closed.
+    /// Records the last take in the status while this one is being closed.
     struct SeenWhileClosing(Arc<Inner>, Arc<Mutex<Option<TakeSummary>>>);
 
     impl Write for SeenWhileClosing {
@@ -364,10 +360,10 @@ mod tests {
             Ok(())
         }
 
-        fn settle(&mut self) -> Settled {
+        fn settle(&mut self) -> SettledFile {
             self.1.lock().unwrap().clone_from(&self.0.core().last_take);
             let path = Some("now.take".into());
-            Settled { path, ..Settled::default() }
+            SettledFile { path, ..SettledFile::default() }
         }
     }
 
@@ -387,17 +383,17 @@ mod tests {
                     path: dir.path().join("now.take"),
                     file: FileId::of(&dir.path().metadata().unwrap()),
                 },
-                asked_unix_ms: 0,
+                requested_unix_ms: 0,
                 begun: Instant::now(),
                 rate_hz: 100.0,
                 first: None,
                 ended: crossbeam_channel::never(),
-                file_told: 0,
+                changes_reported: 0,
                 ending: None,
             });
         };
         let end = |recorded| {
-            let mut written = Written::default();
+            let mut written = TakeAccount::default();
             written.ledger.recorded = recorded;
             let output = SeenWhileClosing(Arc::clone(&engine.inner), Arc::clone(&seen));
             engine.inner.finish_take(Ok((written, Box::new(output))))

@@ -1,4 +1,4 @@
-//! The takes in the service's folder.
+//! Lists the takes in the service's folder.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -22,25 +22,25 @@ use crate::{
     status::TakeSummary,
 };
 
-/// Files of a folder that are looked at: more is no folder of takes.
+/// Most files of the folder that are read: larger folders are not folders of takes.
 const FILES_MAX: usize = 100_000;
 
-/// Takes whose ends are remembered, some 300 bytes each: four times the longest list.
-const REMEMBERED_MAX: usize = 4000;
+/// Most cached summaries, some 300 bytes each: four times the longest list.
+const CACHED_MAX: usize = 4000;
 
-/// What the ends of files said, by path.
+/// Summaries of files by path, valid while the stamp stays the same.
 #[derive(Debug, Default)]
-pub(super) struct Remembered(HashMap<PathBuf, (Stamp, TakeSummary)>);
+pub(super) struct SummaryCache(HashMap<PathBuf, (FileStamp, TakeSummary)>);
 
-/// A file that has the same ones holds the same bytes.
+/// Identity, size and modification time: if they are unchanged, so is the content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Stamp {
+struct FileStamp {
     file: FileId,
     bytes: u64,
     modified_ns: i128,
 }
 
-impl Stamp {
+impl FileStamp {
     fn of(file: &Metadata) -> Self {
         Self {
             file: FileId::of(file),
@@ -50,14 +50,14 @@ impl Stamp {
     }
 }
 
-impl Remembered {
-    fn get(&self, path: &Path, stamp: Stamp) -> Option<TakeSummary> {
+impl SummaryCache {
+    fn get(&self, path: &Path, stamp: FileStamp) -> Option<TakeSummary> {
         let (known, summary) = self.0.get(path)?;
         (*known == stamp).then(|| summary.clone())
     }
 
-    fn add(&mut self, listed: Vec<(PathBuf, Stamp, TakeSummary)>) {
-        if self.0.len() + listed.len() > REMEMBERED_MAX {
+    fn add(&mut self, listed: Vec<(PathBuf, FileStamp, TakeSummary)>) {
+        if self.0.len() + listed.len() > CACHED_MAX {
             let kept: HashSet<&PathBuf> = listed.iter().map(|(path, ..)| path).collect();
             self.0.retain(|path, _| kept.contains(path));
         }
@@ -69,13 +69,13 @@ impl Inner {
     pub(super) fn list_takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
         let core = self.core();
         let directory = core.options.take.directory.clone();
-        // By what it is: its name may be another one by now.
+        // Identified by the file, because its name may have changed.
         let open = core.take.as_ref().map(|take| take.named.file);
         let last = core.last_take.clone();
         drop(core);
         let cannot = |error: std::io::Error| {
-            let words = format!("cannot read the folder {}: {error}", directory.display());
-            Refusal::new(RefusalKind::Disk, words)
+            let message = format!("cannot read the folder {}: {error}", directory.display());
+            Refusal::new(RefusalKind::Disk, message)
         };
         let mut found = Vec::new();
         for entry in fs::read_dir(&directory).map_err(cannot)?.take(FILES_MAX).flatten() {
@@ -84,7 +84,7 @@ impl Inner {
             let Ok(file) = entry.metadata() else { continue };
             if is_take && file.is_file() {
                 let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-                found.push((modified, Stamp::of(&file), path));
+                found.push((modified, FileStamp::of(&file), path));
             }
         }
         found.sort_by(|(a, _, a_path), (b, _, b_path)| (b, b_path).cmp(&(a, a_path)));
@@ -92,19 +92,19 @@ impl Inner {
         let mut new = Vec::new();
         let mut summaries = Vec::with_capacity(found.len());
         for (modified, stamp, path) in found {
-            if let Some(known) = lock(&self.remembered).get(&path, stamp) {
+            if let Some(known) = lock(&self.summaries).get(&path, stamp) {
                 summaries.push(known);
                 continue;
             }
             let is_open = open == Some(stamp.file);
-            let (summary, is_lasting) = look_into(&path, stamp.bytes, modified, is_open);
+            let (summary, is_lasting) = summarise(&path, stamp.bytes, modified, is_open);
             if is_lasting {
                 new.push((path, stamp, summary.clone()));
             }
             summaries.push(summary);
         }
-        lock(&self.remembered).add(new);
-        // Why the newest ended is known, also where it could not be written.
+        lock(&self.summaries).add(new);
+        // The reason why the latest take ended is known even if it could not be written.
         for summary in &mut summaries {
             if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id)
                 && summary.ending.is_none()
@@ -118,9 +118,9 @@ impl Inner {
     }
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
-        let name = names::checked_as_it_is(name)?;
+        let name = names::check(name)?;
         let directory = self.core().options.take.directory.clone();
-        // The name as the list has it, else as a file's.
+        // The name as listed, or else as a file name.
         for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
             let path = directory.join(format!("{name}.take"));
             // A link could lead out of the folder.
@@ -132,15 +132,15 @@ impl Inner {
     }
 }
 
-/// What the two ends of a file that is closed tell; `None` where it is not there.
+/// The summary of a closed file from its header and end; `None` if there is no file.
 pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
     let file = path.symlink_metadata().ok().filter(Metadata::is_file)?;
     let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-    Some(look_into(path, file.len(), modified, false).0)
+    Some(summarise(path, file.len(), modified, false).0)
 }
 
-/// What the two ends of a file tell, and whether that lasts as long as the file does not change.
-fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
+/// The summary of a file from its header and end, and whether it stays valid until the file changes.
+fn summarise(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
     let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let mut summary = TakeSummary {
         name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
@@ -152,13 +152,13 @@ fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
     let opened = plain_file::open(path).map_err(TakeError::Io);
     let read = opened.and_then(|mut file| {
         let ends = TakeEnds::read(&mut file)?;
-        // By this service, or by another recorder.
+        // By this service or by another recorder.
         summary.is_open |= ends.end.is_none() && is_being_written(&file);
         Ok(ends)
     });
     let ends = match read {
         Ok(ends) => ends,
-        // What a disk cannot read now, it may read the next time.
+        // The disk may be able to read it next time.
         Err(TakeError::Io(_)) => return (summary, false),
         Err(_) => {
             summary.health = TakeHealth::Unreadable;

@@ -1,4 +1,4 @@
-//! The hub's thread: from the pipeline's tap to people's eyes.
+//! The thread that passes frames from the pipeline's tap to viewers and to the marker statistics.
 
 use std::{
     collections::VecDeque,
@@ -12,38 +12,38 @@ use std::{
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_acquire::{
     host_clock::monotonic_ns,
-    pipeline::{Progress, TapHead, TapOut, lock},
+    pipeline::{PipelineProgress, PreviewFrame, PreviewReceiver, lock},
 };
-use mocapd_report::labels::bones;
+use mocapd_report::labels::marker_lines;
 use mocapd_take::{
     motion::Position,
     record::{Header, Subject},
 };
 
-use super::{Inner, quality::Judgements};
+use super::{Inner, quality::MarkerStatistics};
 use crate::{
     live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
-    subject::{FaceUnderMarkers, live_limbs, with_limbs},
+    subject::{FaceOverlay, live_limbs, with_limbs},
 };
 
-/// Between two looks at the tap: it holds a quarter of a second.
-const LOOK_EVERY: Duration = Duration::from_millis(8);
+/// Time between polls of the tap, which holds a quarter of a second.
+const POLL_INTERVAL: Duration = Duration::from_millis(8);
 
-/// Messages that wait for a viewer: a tenth of a second. Later ones are newer, so these are dropped first.
+/// Most messages waiting for a viewer, a tenth of a second. Newer ones replace the oldest.
 const WAITING_MAX: usize = 4;
 
-/// Viewers: connections are bounded by whoever lets them in, and this is beyond that.
+/// Most viewers. The HTTP server limits its connections to fewer.
 const VIEWERS_MAX: usize = 64;
 
-/// A pipeline that was armed.
+/// A pipeline that has been armed.
 #[derive(Debug)]
 pub(super) struct NewSession {
-    pub(super) tap: TapOut,
-    pub(super) progress: Arc<Progress>,
+    pub(super) tap: PreviewReceiver,
+    pub(super) progress: Arc<PipelineProgress>,
     pub(super) header: Header,
 }
 
-/// Who looks.
+/// The viewers of the live view.
 #[derive(Debug, Default)]
 pub(super) struct Viewers {
     all: Mutex<VecDeque<Viewer>>,
@@ -54,19 +54,19 @@ pub(super) struct Viewers {
 struct Viewer {
     messages: Sender<LiveMessage>,
     oldest: Receiver<LiveMessage>,
-    /// The other end: gone when the viewer is.
+    /// The viewer's end of the feed: gone when the viewer is.
     feed: Weak<()>,
     table: Option<Arc<LiveTable>>,
 }
 
-/// What it works with.
+/// The state of the hub's thread.
 #[derive(Debug)]
 pub(super) struct Hub {
     inner: Arc<Inner>,
     sessions: Receiver<NewSession>,
     session: Option<NewSession>,
     table: Arc<LiveTable>,
-    face: Option<FaceUnderMarkers>,
+    face: Option<FaceOverlay>,
     positions: Vec<Position>,
 }
 
@@ -89,8 +89,8 @@ impl Viewers {
         lock(&self.all).clear();
     }
 
-    fn show(&self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) {
-        lock(&self.all).retain_mut(|viewer| viewer.show(table, frame));
+    fn send(&self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) {
+        lock(&self.all).retain_mut(|viewer| viewer.send(table, frame));
     }
 
     fn is_empty(&self) -> bool {
@@ -99,14 +99,14 @@ impl Viewers {
 }
 
 impl Viewer {
-    /// `false` when it is gone.
-    fn show(&mut self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) -> bool {
+    /// Sends a frame, and the table if needed. Returns `false` if the viewer is gone.
+    fn send(&mut self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) -> bool {
         if self.feed.strong_count() == 0 {
             return false;
         }
         let knows = self.table.as_ref().is_some_and(|known| Arc::ptr_eq(known, table));
         if !knows {
-            // Frames of another table are of no use to it.
+            // Frames of the previous table are of no use to it.
             while self.oldest.try_recv().is_ok() {}
             if self.messages.try_send(LiveMessage::Table(Arc::clone(table))).is_ok() {
                 self.table = Some(Arc::clone(table));
@@ -114,7 +114,7 @@ impl Viewer {
         }
         let frame = LiveMessage::Frame(Arc::clone(frame));
         if let Err(TrySendError::Full(frame)) = self.messages.try_send(frame) {
-            // Its table is still there: then it has not begun to read.
+            // If the table is still waiting, the viewer has not started to read.
             match self.oldest.try_recv() {
                 Ok(LiveMessage::Table(_)) => self.table = None,
                 _ => drop(self.messages.try_send(frame)),
@@ -126,7 +126,7 @@ impl Viewer {
 
 impl Hub {
     pub(super) fn new(inner: &Arc<Inner>) -> (Self, Sender<NewSession>) {
-        // One that is over is followed by the next: two wait at most.
+        // At most two wait: a session that is over, and its successor.
         let (sessions_in, sessions) = bounded(2);
         let hub = Self {
             inner: Arc::clone(inner),
@@ -140,7 +140,7 @@ impl Hub {
     }
 
     pub(super) fn run(mut self) {
-        // Without a session there is nothing to look at. Whoever begins sessions is gone when the service stops.
+        // Without a session there is nothing to poll. The sender is dropped when the service stops.
         while let Ok(session) = self.sessions.recv() {
             self.begin(session);
             while self.session.as_ref().is_some_and(|session| !session.tap.is_over()) {
@@ -150,46 +150,46 @@ impl Hub {
                 if let Ok(session) = self.sessions.try_recv() {
                     self.begin(session);
                 }
-                self.show_frames();
-                std::thread::sleep(LOOK_EVERY);
+                self.publish_frames();
+                std::thread::sleep(POLL_INTERVAL);
             }
             self.session = None;
         }
     }
 
     fn begin(&mut self, session: NewSession) {
-        *lock(&self.inner.judgements) = Judgements::new(session.header.rate_hz);
+        *lock(&self.inner.statistics) = MarkerStatistics::new(session.header.rate_hz);
         self.session = Some(session);
         self.table = Arc::default();
     }
 
-    fn show_frames(&mut self) {
+    fn publish_frames(&mut self) {
         let Some(session) = &mut self.session else { return };
-        // A monotonic time in microseconds since 1970.
+        // Converts the host's monotonic clock to microseconds since 1970.
         let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
         let offset_us = since_1970.unwrap_or_default().as_micros() as u64 - monotonic_ns() / 1000;
         while let Some(head) = session.tap.next(&mut self.positions) {
             if self.table.labels.len() != head.n_channels {
                 let subject = self.inner.core().options.subject.clone();
                 let mut table = table(session, subject.as_deref());
-                // A marker that has just appeared has no name before the writer has met it: it is shown then.
+                // A marker that has just appeared has no label until the writer has seen it, and is shown then.
                 if table.labels.len() != self.table.labels.len() {
-                    self.face = FaceUnderMarkers::new(subject.as_deref(), &table.labels);
-                    table.face = self.face.as_ref().map(FaceUnderMarkers::wireframe);
+                    self.face = FaceOverlay::new(subject.as_deref(), &table.labels);
+                    table.face = self.face.as_ref().map(FaceOverlay::wireframe);
                     self.table = Arc::new(table);
                 }
                 self.positions.truncate(self.table.labels.len());
             }
-            lock(&self.inner.judgements).frame(&head, &self.positions);
-            if !head.is_shown || self.inner.viewers.is_empty() {
+            lock(&self.inner.statistics).frame(&head, &self.positions);
+            if !head.is_displayed || self.inner.viewers.is_empty() {
                 continue;
             }
-            let TapHead { row, device_ticks, arrival_ns, .. } = head;
+            let PreviewFrame { row, device_ticks, arrival_ns, .. } = head;
             let arrival_unix_us = offset_us + arrival_ns / 1000;
             let positions_mm = self.positions.clone();
             let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
             let frame = LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face };
-            self.inner.viewers.show(&self.table, &Arc::new(frame));
+            self.inner.viewers.send(&self.table, &Arc::new(frame));
         }
     }
 }
@@ -199,7 +199,7 @@ fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
     let labels: Vec<String> = channels.iter().map(|channel| channel.label.clone()).collect();
     let limbs = live_limbs(subject, &labels);
     LiveTable {
-        bones: with_limbs(bones(&labels), &limbs),
+        bones: with_limbs(marker_lines(&labels), &limbs),
         limbs,
         face: None,
         labels,

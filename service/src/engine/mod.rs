@@ -1,21 +1,21 @@
-//! The engine: one rig under supervision, and one take at a time.
+//! The engine: supervises one rig, and records one take at a time.
 //!
 //! ```text
-//! mocapd-rig     opens the device, arms the pipeline, reads; waits for a device that is away
-//! mocapd-hub     shows frames to viewers, and judges markers
-//! mocapd-watch   ends takes whose time, disk or device is over; tells what happened
-//! mocapd-recover recovers the takes that a killed service left, and ends
+//! mocapd-rig     opens the device, arms the pipeline, reads frames; waits for a device that has disconnected
+//! mocapd-hub     passes frames to viewers and to the marker statistics
+//! mocapd-watch   ends takes at their maximum length or when the disk or device fails; publishes events
+//! mocapd-recover recovers the takes that a killed service left, then ends
 //! callers        start, stop, mark: one command at a time
 //! ```
 //!
-//! The state is a value behind a lock that is held for moments: neither a disk nor a device is waited for under it.
+//! The state is a value behind a lock that is held only briefly: never while waiting for a disk or a device.
 
-mod answers;
 mod commands;
 mod events;
 mod finish;
 mod folder;
 mod hub;
+mod idempotency;
 mod names;
 mod options;
 mod quality;
@@ -28,7 +28,7 @@ mod watcher;
 use std::{
     path::PathBuf,
     sync::{
-        Arc, Condvar, Mutex, MutexGuard,
+        Arc, Condvar, Mutex, MutexGuard, TryLockError,
         atomic::{AtomicBool, AtomicU64},
     },
     thread::JoinHandle,
@@ -40,49 +40,48 @@ use mocapd_take::record::EndingKind;
 
 pub use self::options::EngineOptions;
 use self::{
-    answers::Answers,
-    events::Events,
-    folder::Remembered,
+    events::EventPublisher,
+    folder::SummaryCache,
     hub::{Hub, Viewers},
-    quality::Judgements,
+    idempotency::IdempotentReplies,
+    quality::MarkerStatistics,
     session::{Core, Rates},
 };
 use super::{
     control::{
-        Control, EventFeed, Mark, Marked, Refusal, RefusalKind, Request, SaveLast, Start, Started,
-        Stopped,
+        Control, EventFeed, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped,
     },
     live::LiveFeed,
     status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
 };
 
-/// How long a command waits for the one before it: as long as that may take with a disk that stalls.
-const COMMAND_WITHIN: Duration = Duration::from_secs(60);
+/// Longest wait for the previous command, which may be waiting for a stalled disk.
+const COMMAND_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// How long the service takes to stop at most: systemd kills it later.
-const STOP_WITHIN: Duration = Duration::from_secs(5);
+/// Longest time for the service to stop: systemd kills it later.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The service without its doors.
+/// The service without its interfaces.
 #[derive(Debug)]
 pub struct Engine {
     inner: Arc<Inner>,
     threads: Mutex<Vec<JoinHandle<()>>>,
 }
 
-/// What its threads share.
+/// State shared by the engine's threads.
 #[derive(Debug)]
 struct Inner {
     core: Mutex<Core>,
-    /// Told when `core` changed in a way that somebody may wait for.
+    /// Notified when `core` has changed in a way that others may wait for.
     changed: Condvar,
-    /// Held by the command that is being carried out.
+    /// Held while a command is executed.
     command: Mutex<()>,
-    answers: Mutex<Answers>,
-    events: Events,
+    replies: Mutex<IdempotentReplies>,
+    events: EventPublisher,
     viewers: Viewers,
-    judgements: Mutex<Judgements>,
-    /// What the takes of the folder said of themselves.
-    remembered: Mutex<Remembered>,
+    statistics: Mutex<MarkerStatistics>,
+    /// Summaries of the takes in the folder.
+    summaries: Mutex<SummaryCache>,
     rates: Rates,
     stopping: AtomicBool,
     began: Instant,
@@ -91,71 +90,68 @@ struct Inner {
 }
 
 impl Engine {
-    /// Starts its threads. The device is opened when it is armed.
+    /// Starts the engine's threads. The device is opened when the engine is armed.
     ///
     /// # Errors
-    /// When a thread cannot be started.
+    /// A thread cannot be started.
     pub fn start(options: EngineOptions, heartbeat: &Heartbeat) -> anyhow::Result<Self> {
         let arm_at_start = options.arm.at_start;
         let inner = Arc::new(Inner {
             core: Mutex::new(Core::new(options)),
             changed: Condvar::new(),
             command: Mutex::new(()),
-            answers: Mutex::new(Answers::default()),
-            events: Events::default(),
+            replies: Mutex::new(IdempotentReplies::default()),
+            events: EventPublisher::default(),
             viewers: Viewers::default(),
-            judgements: Mutex::new(Judgements::default()),
-            remembered: Mutex::default(),
+            statistics: Mutex::new(MarkerStatistics::default()),
+            summaries: Mutex::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
             began: Instant::now(),
             heartbeat: heartbeat.clone(),
             sessions: AtomicU64::new(0),
         });
-        lock(&inner.core).wanted = arm_at_start;
+        lock(&inner.core).arm_requested = arm_at_start;
         let cut_off = recoveries::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
         let watched = Arc::clone(&inner);
-        let mut threads = Vec::new();
         if !cut_off.is_empty() {
             let inner = Arc::clone(&inner);
             let run = move || recoveries::run(&inner, cut_off);
-            // It ends by itself, or when the service does.
+            // It ends when it is done, or with the service.
             drop(threads::spawn("mocapd-recover", run)?);
         }
-        threads.extend([
+        let threads = vec![
             threads::spawn("mocapd-hub", move || hub.run())?,
             threads::spawn("mocapd-rig", move || supervisor::run(&supervised, &sessions))?,
             threads::spawn("mocapd-watch", move || watcher::run(&watched))?,
-        ]);
+        ];
         Ok(Self { inner, threads: Mutex::new(threads) })
     }
 
-    /// Takes over other options: from the next take on, or the next time that it is armed.
+    /// Applies other options: with the next take, or when next armed.
     pub fn reload(&self, options: EngineOptions) {
-        let mut core = lock(&self.inner.core);
-        core.options = Arc::new(options);
-        drop(core);
-        self.inner.say_event(ServiceEventKind::State, "the configuration was read again", None);
+        self.inner.core().options = Arc::new(options);
+        self.inner.publish(ServiceEventKind::State, "configuration reloaded", None);
     }
 
-    /// Finishes the take, stops the device, and ends the threads.
+    /// Finishes the take, stops the device and ends the threads.
     pub fn stop_service(&self) {
         self.inner.shut_down();
-        let until = Instant::now() + STOP_WITHIN;
+        let until = Instant::now() + STOP_TIMEOUT;
         for thread in lock(&self.threads).drain(..) {
             while !thread.is_finished() && Instant::now() < until {
                 std::thread::sleep(Duration::from_millis(5));
             }
             if thread.is_finished() {
-                // A thread that panicked has told so already.
+                // A thread that panicked has reported it already.
                 drop(thread.join());
             }
         }
     }
 
-    /// Whether a thread of it has ended though nobody stopped it: nothing works any more then.
+    /// Whether a thread has ended without being stopped: the engine is unusable then.
     #[must_use]
     pub fn has_died(&self) -> bool {
         let stopping = self.inner.is_stopping();
@@ -174,9 +170,9 @@ impl Inner {
         lock(&self.core)
     }
 
-    /// The right to carry out a command.
+    /// Takes the command lock.
     fn command(&self) -> Result<MutexGuard<'_, ()>, Refusal> {
-        self.command_within(COMMAND_WITHIN)
+        self.command_within(COMMAND_TIMEOUT)
     }
 
     fn command_within(&self, at_most: Duration) -> Result<MutexGuard<'_, ()>, Refusal> {
@@ -184,16 +180,13 @@ impl Inner {
         loop {
             match self.command.try_lock() {
                 Ok(guard) => return Ok(guard),
-                Err(std::sync::TryLockError::Poisoned(poisoned)) => {
-                    return Ok(poisoned.into_inner());
-                }
-                Err(std::sync::TryLockError::WouldBlock) if Instant::now() < until => {
+                Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
+                Err(TryLockError::WouldBlock) if Instant::now() < until => {
                     std::thread::sleep(Duration::from_millis(2));
                 }
-                Err(std::sync::TryLockError::WouldBlock) => {
-                    return Err(Refusal::new(
-                        RefusalKind::Unavailable,
-                        "another command is still being carried out: wait, and look at the status",
+                Err(TryLockError::WouldBlock) => {
+                    return Err(Refusal::unavailable(
+                        "another command is still being executed: wait, and check the status",
                     ));
                 }
             }
@@ -242,7 +235,7 @@ impl Control for Engine {
 
     fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
         self.inner.once("save_last", save.request_id.as_deref(), |inner| {
-            inner.save_held(&inner.command()?, save)
+            inner.save_pre_roll(&inner.command()?, save)
         })
     }
 
@@ -261,8 +254,8 @@ impl Control for Engine {
         self.inner.status().take.filter(|take| take.take_id == id)
     }
 
-    fn tell(&self, kind: ServiceEventKind, message: &str) {
-        self.inner.say_event(kind, message, None);
+    fn notify(&self, kind: ServiceEventKind, message: &str) {
+        self.inner.publish(kind, message, None);
     }
 
     fn events(&self) -> EventFeed {
@@ -275,9 +268,9 @@ impl Control for Engine {
 }
 
 impl Status {
-    /// In one line: what systemd shows.
+    /// The status in one line, as systemd shows it.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn summary(&self) -> String {
         let outage = self.device.outage.map(|outage| {
             let what = if self.device.presence == Presence::Silent { "frames" } else { "device" };
             format!("no {what} for {:.0} s", outage.seconds)
@@ -285,9 +278,9 @@ impl Status {
         match (self.state, outage, &self.take, &self.failure) {
             (State::Failed, _, _, Some(failure)) => format!("failed: {failure}"),
             (State::Recording, Some(outage), Some(take), _) => {
-                format!("{outage}: recording {} waits", take.name)
+                format!("{outage}: recording of {} paused", take.name)
             }
-            (State::Armed, Some(outage), ..) => format!("{outage}: armed, and nothing comes"),
+            (State::Armed, Some(outage), ..) => format!("{outage}: armed, but no frames arrive"),
             (State::Recording, None, Some(take), _) => {
                 format!("recording {}: {:.0} s", take.name, take.seconds)
             }

@@ -1,38 +1,36 @@
-//! Names of takes, as people and programs give them.
+//! Checks names of takes given by people and programs.
 
 use crate::{
     config::{NAME_BYTES_MAX, is_refused_in_name},
     control::{Refusal, RefusalKind},
 };
 
-/// A name for a new take: a file's in the takes' folder and nothing else. `.take` is ours to add, once.
-pub(super) fn checked(name: &str) -> Result<&str, Refusal> {
+/// Normalises the name of a new take: a file name without path. The extension `.take` is removed and added once later.
+pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
     let mut name = name;
     while let Some(shorter) = without_ending(name) {
         name = shorter;
     }
-    checked_as_it_is(name)
+    check(name)
 }
 
-/// Without `.take`, where it ends so.
+/// The name without `.take`; `None` if it does not end so.
 pub(super) fn without_ending(name: &str) -> Option<&str> {
     let (shorter, ending) = name.split_at_checked(name.len().checked_sub(".take".len())?)?;
     ending.eq_ignore_ascii_case(".take").then_some(shorter)
 }
 
-/// The name of a take that is there: files that others put into the folder may end in `.take.take`.
-pub(super) fn checked_as_it_is(name: &str) -> Result<&str, Refusal> {
-    let invalid = |words: String| Err(Refusal::new(RefusalKind::Invalid, words));
+/// Checks the name of an existing take. Files put into the folder by others may end in `.take.take`.
+pub(super) fn check(name: &str) -> Result<&str, Refusal> {
+    let invalid = |message: String| Err(Refusal::new(RefusalKind::Invalid, message));
     if name.is_empty() || name.len() > NAME_BYTES_MAX {
-        return invalid(format!("a take's name has 1 to {NAME_BYTES_MAX} bytes"));
+        return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes"));
     }
     if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
-        return invalid(format!(
-            "a take cannot be called {name:?}: begin with a letter or a number"
-        ));
+        return invalid(format!("a take cannot be named {name:?}: begin with a letter or digit"));
     }
     if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
-        return invalid(format!("a take's name cannot have {wrong:?}: it is a file's"));
+        return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));
     }
     Ok(name)
 }
@@ -44,12 +42,12 @@ mod tests {
     #[test]
     fn names_are_names_and_never_paths() {
         for good in ["jump", "Max Müller 3", "2026-11-22_walk", "a.b", "x.take"] {
-            assert!(checked(good).is_ok(), "{good}");
+            assert!(normalised(good).is_ok(), "{good}");
         }
         for (given, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
-            assert_eq!(checked(given).unwrap(), name);
+            assert_eq!(normalised(given).unwrap(), name);
         }
-        assert_eq!(checked_as_it_is("x.take").unwrap(), "x.take");
+        assert_eq!(check("x.take").unwrap(), "x.take");
         let long = "x".repeat(201);
         for bad in [
             "",
@@ -67,7 +65,7 @@ mod tests {
             "turned \u{202e}round",
             &long,
         ] {
-            assert_eq!(checked(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");
+            assert_eq!(normalised(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the engine has to know.
+//! The options of the engine.
 
 use std::sync::Arc;
 
@@ -7,28 +7,30 @@ use jiff::Zoned;
 use mocapd_drivers::{registry, uri::DeviceUri};
 use mocapd_take::record::Subject;
 
-use crate::config::{ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, choose};
+use crate::config::{
+    ArmConfig, Config, DeviceChoice, DeviceConfig, NameParts, TakeConfig, auto_device,
+};
 
 /// The engine's part of a configuration.
 #[derive(Debug, Clone)]
 pub struct EngineOptions {
     /// Name of the rig.
     pub rig: String,
-    /// Which device, and how it runs.
+    /// The device to record, and its settings.
     pub device: DeviceConfig,
-    /// Where takes go, and how they are written.
+    /// Where takes are written, and how.
     pub take: TakeConfig,
-    /// Who is captured: stands in every take.
+    /// The subject, stored in every take.
     pub subject: Option<Arc<Subject>>,
-    /// What is kept while no take is recorded.
+    /// What is kept in memory between takes.
     pub arm: ArmConfig,
 }
 
 impl EngineOptions {
-    /// As a configuration has them; who is captured is read from its files.
+    /// Takes the options from a configuration, and reads the subject's files.
     ///
     /// # Errors
-    /// What is wrong with these files.
+    /// If a file of the subject is missing or invalid.
     pub fn load(config: &Config) -> anyhow::Result<Self> {
         Ok(Self {
             rig: config.rig_name.clone(),
@@ -39,17 +41,17 @@ impl EngineOptions {
         })
     }
 
-    /// Which device it is now.
+    /// The device to open: the configured one, or the one found automatically.
     pub(super) fn find_device(&self) -> anyhow::Result<DeviceUri> {
         match &self.device.uri {
             DeviceChoice::At(uri) => Ok(uri.clone()),
             auto @ DeviceChoice::Auto => {
-                choose(auto, &registry::devices()?).map_err(|error| anyhow!(error))
+                auto_device(auto, &registry::devices()?).map_err(|error| anyhow!(error))
             }
         }
     }
 
-    /// The name of a take that was started without one; where it exists, the next `count` is tried.
+    /// A name for a take that was started without one; if it exists, the caller tries the next `count`.
     pub(super) fn name_take(&self, count: u32) -> String {
         let (begin, count) = (Zoned::now().datetime(), u64::from(count));
         self.take.name.fill(&NameParts { begin, rig: &self.rig, count })

@@ -1,60 +1,60 @@
-//! What the frames of the tap tell of a marker: its noise, and whether it changed places with another.
+//! Marker statistics from the frames of the tap: noise, and suspected swaps of markers.
 
-use mocapd_acquire::pipeline::{TapHead, lock};
+use mocapd_acquire::pipeline::{PreviewFrame, lock};
 use mocapd_report::{column::sample, noise::NoiseEstimator};
 use mocapd_take::motion::{Position, is_gap};
 
 use super::Inner;
 use crate::status::MarkerQuality;
 
-/// Between two figures of the noise: the median of a window is not for every frame.
+/// Time between two noise estimates in nanoseconds: the median over a window is too expensive for every frame.
 const NOISE_EVERY_NS: u64 = 1_000_000_000;
 
-/// Fourth differences that a figure is of, the newest: it scatters by 4 %. At 36 a burst of the tap, and four of these a
-/// second, they are of the last 11 seconds, and take 12 KB a marker.
+/// Fourth differences used for an estimate, the newest: its standard error is 4 %. At 36 per burst of the tap and four
+/// bursts a second they cover the last 11 seconds, and take 12 KB per marker.
 const NOISE_DIFFERENCES: usize = 1536;
 
-/// A marker that is where another was a frame ago, as near as this, in millimetres: what it moved in a thirtieth of a
-/// second at a walk.
+/// Largest distance in millimetres from another marker's previous position to suspect a swap: what a marker moves in a
+/// thirtieth of a second at a walk.
 const SWAPPED_MM: f64 = 40.0;
 
-/// And was so far from it then, in millimetres: nearer, nobody could tell.
+/// Smallest distance in millimetres between the two previous positions: closer markers cannot be distinguished.
 const APART_MM: f64 = 120.0;
 
-/// By slot.
+/// Statistics by slot.
 #[derive(Debug, Default)]
-pub(super) struct Judgements {
+pub(super) struct MarkerStatistics {
     rate_hz: f64,
-    markers: Vec<Judged>,
-    /// Positions of the last frame that was shown.
+    markers: Vec<MarkerRecord>,
+    /// Positions of the latest frame sent to viewers.
     before: Vec<Position>,
-    /// The row of the last frame.
+    /// Row of the latest frame.
     last_row: Option<u64>,
     noise_ns: u64,
 }
 
 #[derive(Debug, Clone)]
-struct Judged {
+struct MarkerRecord {
     noise: NoiseEstimator,
     noise_mm: Option<f64>,
     swaps: u64,
 }
 
-impl Default for Judged {
+impl Default for MarkerRecord {
     fn default() -> Self {
         Self { noise: NoiseEstimator::new(NOISE_DIFFERENCES), noise_mm: None, swaps: 0 }
     }
 }
 
-impl Judgements {
+impl MarkerStatistics {
     pub(super) fn new(rate_hz: f64) -> Self {
         Self { rate_hz, ..Self::default() }
     }
 
-    /// A frame of the tap.
-    pub(super) fn frame(&mut self, head: &TapHead, positions: &[Position]) {
-        self.markers.resize_with(positions.len(), Judged::default);
-        // Between two bursts, and where frames were lost, samples do not follow each other.
+    /// Adds a frame of the tap.
+    pub(super) fn frame(&mut self, head: &PreviewFrame, positions: &[Position]) {
+        self.markers.resize_with(positions.len(), MarkerRecord::default);
+        // Samples are not consecutive between two bursts, and where frames were lost.
         if self.last_row.is_none_or(|last| head.row != last + 1) {
             self.markers.iter_mut().for_each(|marker| marker.noise.end_run());
         }
@@ -66,21 +66,21 @@ impl Judgements {
             self.noise_ns = head.arrival_ns;
             self.markers.iter_mut().for_each(|marker| marker.noise_mm = marker.noise.noise_mm());
         }
-        if head.is_shown {
+        if head.is_displayed {
             self.find_swaps(positions);
             self.before.clear();
             self.before.extend_from_slice(positions);
         }
     }
 
-    /// Two that are each where the other was.
+    /// Finds pairs of markers that exchanged their positions.
     fn find_swaps(&mut self, positions: &[Position]) {
         if self.before.len() != positions.len() {
             return;
         }
         for (slot, &now) in positions.iter().enumerate() {
             let was = self.before[slot];
-            // Most markers end here: they moved little.
+            // Ends here for most markers, which moved little.
             if is_gap(now) || is_gap(was) || apart_mm(now, was) < APART_MM {
                 continue;
             }
@@ -94,7 +94,7 @@ impl Judgements {
     }
 }
 
-/// Infinite where one of them is not seen.
+/// The distance between two positions; infinite if one is not seen.
 fn apart_mm(a: Position, b: Position) -> f64 {
     let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
     let apart = squares.sum::<f64>().sqrt();
@@ -108,17 +108,17 @@ impl Inner {
         let (progress, seen) = (session.progress.clone(), session.seen.clone());
         drop(core);
         let channels = lock(&progress.channels).clone();
-        let judgements = lock(&self.judgements);
+        let statistics = lock(&self.statistics);
         let of_slot = |(slot, channel): (usize, mocapd_take::record::Channel)| {
             let seen = seen.get(slot).unwrap_or_default();
-            let judged = judgements.markers.get(slot);
+            let judged = statistics.markers.get(slot);
             let noise_mm = judged.and_then(|judged| judged.noise_mm);
             MarkerQuality {
                 label: channel.label,
                 labelled: channel.labelled,
                 visible: seen.present as f64 / seen.rows.max(1) as f64,
                 gaps: seen.gaps,
-                longest_gap_s: seen.longest_gap as f64 / judgements.rate_hz.max(1e-3),
+                longest_gap_s: seen.longest_gap as f64 / statistics.rate_hz.max(1e-3),
                 noise_mm,
                 still_sigma_mm: noise_mm,
                 swaps_suspected: judged.map_or(0, |judged| judged.swaps),
@@ -134,21 +134,22 @@ mod tests {
 
     const RATE_HZ: u64 = 240;
 
-    /// Bursts of the tap for 12 s, and one frame in eight between them.
-    fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<Judged> {
-        let mut judgements = Judgements::new(RATE_HZ as f64);
+    /// Plays bursts of the tap for 12 s, and one frame in eight between them.
+    fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<MarkerRecord> {
+        let mut statistics = MarkerStatistics::new(RATE_HZ as f64);
         for row in 0..12 * RATE_HZ {
-            let is_shown = row % 8 == 0;
-            if is_shown || row % 60 < 16 {
+            let is_displayed = row % 8 == 0;
+            if is_displayed || row % 60 < 16 {
                 let arrival_ns = 1_000_000_000 + row * 1_000_000_000 / RATE_HZ;
-                let head = TapHead { row, arrival_ns, is_shown, ..TapHead::default() };
-                judgements.frame(&head, &position(row));
+                let head =
+                    PreviewFrame { row, arrival_ns, is_displayed, ..PreviewFrame::default() };
+                statistics.frame(&head, &position(row));
             }
         }
-        judgements.markers
+        statistics.markers
     }
 
-    /// A normal number: the same for the same arguments.
+    /// A pseudo-random normal number: the same for the same arguments.
     fn normal(seed: u64, row: u64) -> f32 {
         let mut state =
             seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ row.wrapping_mul(0xD1B5_4A32_D192_ED03);

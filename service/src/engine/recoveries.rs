@@ -1,4 +1,4 @@
-//! Takes that a kill or a power cut left without an end, closed again when the service starts.
+//! Recovers takes that a kill or power cut left without an end, when the service starts.
 
 use std::{
     io::BufWriter,
@@ -12,22 +12,22 @@ use mocapd_acquire::{
     header::SOFTWARE,
     health::TakeHealth,
 };
-use mocapd_take::recovery::{Survey, mend_start};
+use mocapd_take::recovery::{RecoveryScan, repair_start};
 
 use super::{Inner, folder::summary_of};
 use crate::status::{ServiceEventKind, TakeSummary};
 
-/// Takes that are looked at: those of a bad day. Older ones are `mocapd recover`'s.
+/// Most takes that are recovered at startup. Older ones are left to `mocapd recover`.
 const TAKES_MAX: usize = 64;
 
-/// Stands behind the name of a take that was closed again, and a dot before it.
+/// Extension of recovered takes, before `.take`.
 const RECOVERED: &str = "recovered";
 
-/// Recoveries of takes of one name: more are somebody's game.
+/// Most recovered takes of one name.
 const RECOVERED_MAX: u32 = 100;
 
-/// Takes that are cut off, and have not been closed again. To be asked before a take is begun: one that is being written
-/// has no end, either.
+/// Takes that are cut off and have not been recovered yet. To be called before a take is started, because a take in
+/// progress has no end either.
 pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     let Ok(takes) = inner.list_takes(TAKES_MAX) else { return Vec::new() };
     let is_cut_off = |take: &TakeSummary| take.health == TakeHealth::CutOff && take.bytes > 0;
@@ -40,7 +40,7 @@ pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     open.map(|(path, _)| path).collect()
 }
 
-/// Where a recovery of it may be: another take of its name may have been recovered before.
+/// Possible paths of a recovered take: another take of the same name may have been recovered before.
 fn recovered_paths(path: &Path) -> impl Iterator<Item = PathBuf> {
     (1..=RECOVERED_MAX).map(|number| {
         path.with_extension(match number {
@@ -50,7 +50,7 @@ fn recovered_paths(path: &Path) -> impl Iterator<Item = PathBuf> {
     })
 }
 
-/// Closes them, each beside itself: what was written is not touched.
+/// Recovers each take into a new file; the original stays unchanged.
 pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
     for path in takes {
         if inner.is_stopping() {
@@ -59,27 +59,24 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let output = recovered_paths(&path).find(|path| path.symlink_metadata().is_err());
         let Some(output) = output else { continue };
-        match recover(&path, &output) {
+        let message = match recover(&path, &output) {
             Ok(losses) => {
                 let to = output.file_stem().unwrap_or_default().to_string_lossy();
-                let words = format!("the take {name} was cut off, and is closed as {to}: {losses}");
-                inner.say_event(ServiceEventKind::Warning, &words, Some(&name));
+                format!("the take {name} was cut off; recovered as {to}: {losses}")
             }
-            Err(error) => {
-                let words = format!("the take {name} is cut off and cannot be closed: {error:#}");
-                inner.say_event(ServiceEventKind::Warning, &words, Some(&name));
-            }
-        }
+            Err(error) => format!("the take {name} is cut off; recovery failed: {error:#}"),
+        };
+        inner.publish(ServiceEventKind::Warning, &message, Some(&name));
     }
 }
 
 fn recover(path: &Path, output: &Path) -> anyhow::Result<String> {
     let reading = || format!("cannot read {}", path.display());
-    let (mut input, _) = mend_start(SparseFile::open(path)?).with_context(reading)?;
-    let survey = Survey::read(&mut input).with_context(reading)?;
+    let (mut input, _) = repair_start(SparseFile::open(path)?).with_context(reading)?;
+    let scan = RecoveryScan::read(&mut input).with_context(reading)?;
     let mut file = NewFile::create(output)?;
-    survey.write(&mut input, BufWriter::new(&mut file), SOFTWARE)?;
+    scan.write(&mut input, BufWriter::new(&mut file), SOFTWARE)?;
     file.keep()?;
-    let losses = survey.losses_in_words();
-    Ok(if survey.lost_anything() { losses } else { "all that was written is there".to_owned() })
+    let losses = scan.loss_summary();
+    Ok(if scan.lost_anything() { losses } else { "nothing that was written is lost".to_owned() })
 }

@@ -1,4 +1,4 @@
-//! What the engine's threads know together.
+//! State shared by the engine's threads.
 
 use std::{
     path::PathBuf,
@@ -12,7 +12,10 @@ use std::{
 use crossbeam_channel::Receiver;
 use mocapd_acquire::{
     files::FileId,
-    pipeline::{FirstRow, NewTake, Progress, SeenCounters, TakeEnd, TakeOutput, Takes},
+    pipeline::{
+        CommandSender, FirstRow, NewTake, PipelineProgress, TakeOutput, TakeResult,
+        VisibilityCounters,
+    },
 };
 use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
@@ -20,15 +23,15 @@ use mocapd_take::record::{EndingKind, Header};
 use super::options::EngineOptions;
 use crate::status::TakeSummary;
 
-/// Removed files that are kept open: as many as may vanish one after the other, and few, for each fills the disk.
+/// Most removed files that are kept open: several takes may be removed in a row, but each occupies the disk.
 pub(super) const KEPT_OPEN_MAX: usize = 4;
 
-/// The state. What `State` calls it follows from this.
+/// The engine's state, from which [`State`](crate::status::State) is derived.
 #[derive(Debug)]
 pub(super) struct Core {
     pub(super) options: Arc<EngineOptions>,
-    /// It is to be armed.
-    pub(super) wanted: bool,
+    /// Whether the device should be armed, now or when it is back.
+    pub(super) arm_requested: bool,
     pub(super) failure: Option<String>,
     pub(super) device: KnownDevice,
     /// While armed.
@@ -36,16 +39,16 @@ pub(super) struct Core {
     /// While recording.
     pub(super) take: Option<OpenTake>,
     pub(super) last_take: Option<TakeSummary>,
-    /// Takes that are not recorded any more and still being closed or copied.
+    /// Number of takes that are no longer recorded but still being closed or copied.
     pub(super) closing: u32,
-    /// How the last take lost data, where a program that asks to stop it has to learn of that.
+    /// How the last take lost data; a program that asks to stop it has to learn of it.
     pub(super) data_lost: Option<String>,
-    /// The files of takes that were removed and could not be saved: they can be copied from /proc until the next take
-    /// has begun. At most [`KEPT_OPEN_MAX`].
+    /// Files of removed takes that could not be saved: they can be copied from /proc until the next take has begun. At
+    /// most [`KEPT_OPEN_MAX`].
     pub(super) kept_open: Vec<Box<dyn TakeOutput>>,
 }
 
-/// What is known of the device, whether it is there or not.
+/// What is known of the device, whether it is connected or not.
 #[derive(Debug, Default)]
 pub(super) struct KnownDevice {
     pub(super) uri: String,
@@ -54,42 +57,42 @@ pub(super) struct KnownDevice {
     pub(super) hello: Hello,
     pub(super) driver: String,
     pub(super) markers: usize,
-    /// To be found again by.
+    /// Identity by which it is found again.
     pub(super) identity: Option<Candidate>,
 }
 
-/// The device runs.
+/// A session: the time for which the device runs.
 #[derive(Debug)]
 pub(super) struct Session {
     pub(super) number: u64,
-    pub(super) takes: Takes,
-    pub(super) progress: Arc<Progress>,
-    pub(super) seen: SeenCounters,
-    /// Of its takes, but for what is each one's own.
+    pub(super) takes: CommandSender,
+    pub(super) progress: Arc<PipelineProgress>,
+    pub(super) seen: VisibilityCounters,
+    /// The header of its takes, except for their own fields.
     pub(super) header: Header,
     pub(super) slots: usize,
-    /// How much it was told to hold.
+    /// Length of the pre-roll.
     pub(super) pre_roll: Duration,
-    /// How long a device that went away is waited for.
+    /// How long to wait for a device that has disconnected.
     pub(super) reconnect: Duration,
     /// When it was armed, in nanoseconds of the monotonic clock.
     pub(super) armed_ns: u64,
-    /// Ends it.
+    /// Ends the session when set.
     pub(super) stop: Arc<AtomicBool>,
 }
 
 impl Session {
-    /// A take with the header of this session's, but for what is its own.
+    /// Gives a take the session's header, and keeps the take's own fields.
     pub(super) fn with_header(&self, take: NewTake) -> NewTake {
         let Header { take_id, created_unix_ms, .. } = take.header;
         NewTake { header: Header { take_id, created_unix_ms, ..self.header.clone() }, ..take }
     }
 }
 
-/// A take by its name and its file.
+/// The name and file of a take.
 #[derive(Debug, Clone)]
 pub(super) struct NamedTake {
-    /// 32 hexadecimal digits.
+    /// Id of the take, 32 hexadecimal digits.
     pub(super) id: String,
     pub(super) name: String,
     pub(super) path: PathBuf,
@@ -97,53 +100,53 @@ pub(super) struct NamedTake {
 }
 
 impl NamedTake {
-    /// It does not come to it: an empty file helps nobody.
+    /// Removes the empty file of a take that does not begin.
     pub(super) fn discard(&self) {
-        // A disk that failed may fail here, too, and the file is listed as unreadable then.
+        // A failed disk may fail here as well; the file is then listed as unreadable.
         self.file.remove(&self.path).ok();
     }
 }
 
-/// A take that is being written.
+/// The take being recorded.
 #[derive(Debug)]
 pub(super) struct OpenTake {
     pub(super) named: NamedTake,
-    pub(super) asked_unix_ms: i64,
+    pub(super) requested_unix_ms: i64,
     pub(super) begun: Instant,
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
-    pub(super) ended: Receiver<TakeEnd>,
-    /// How many changes of its file have been reported.
-    pub(super) file_told: u32,
-    /// Why it was told to end, once it was.
+    pub(super) ended: Receiver<TakeResult>,
+    /// Number of changes to its file that have been reported.
+    pub(super) changes_reported: u32,
+    /// The requested ending, once one was requested.
     pub(super) ending: Option<EndingKind>,
 }
 
-/// Figures that are measured now and then; f64 by their bits.
+/// Rates that are measured regularly; f64 values are stored as bits.
 #[derive(Debug, Default)]
 pub(super) struct Rates {
-    /// The session that `frames_hz` is of, from its beginning to its end; 0: of none.
+    /// The session measured by `frames_hz` from its beginning; 0 if there is none.
     pub(super) session: AtomicU64,
     pub(super) frames_hz: AtomicU64,
     pub(super) cpu_cores: AtomicU64,
-    /// Bytes free in the takes' folder, and one more; 0 while nobody can tell.
+    /// Free bytes in the takes' folder plus one; 0 while unknown.
     pub(super) free_bytes: AtomicU64,
 }
 
 impl Core {
-    /// That the device is away, and what to do, while it is.
+    /// A message with the remedy, while the device is away.
     pub(super) fn away(&self) -> Option<String> {
         let session = self.session.as_ref()?;
-        session.progress.is_away.load(Ordering::Relaxed).then(|| {
-            "the device is away: plug it in or switch it on, and it goes on by itself".to_owned()
-        })
+        let message =
+            "the device is absent: plug it in or switch it on; recording continues by itself";
+        session.progress.is_away.load(Ordering::Relaxed).then(|| message.to_owned())
     }
 
     pub(super) fn new(options: EngineOptions) -> Self {
         Self {
             device: KnownDevice { uri: options.device.uri.to_string(), ..KnownDevice::default() },
             options: Arc::new(options),
-            wanted: false,
+            arm_requested: false,
             failure: None,
             session: None,
             take: None,

@@ -1,4 +1,4 @@
-//! How things stand, put together from the state and the data plane's counters.
+//! Assembles the status from the state and the counters of the data plane.
 
 use std::{
     path::Path,
@@ -9,7 +9,7 @@ use std::{
 use mocapd_acquire::{
     header::SOFTWARE,
     host_clock::monotonic_ns,
-    pipeline::{HELD_MIN_BYTES, lock},
+    pipeline::{RESERVE_MIN_BYTES, lock},
 };
 use rustix::fs::statvfs;
 
@@ -37,12 +37,10 @@ impl Core {
         }
     }
 
-    fn presence(&self, measured_hz: f64, measured_in: u64) -> Presence {
+    fn presence(&self, rate_hz: f64, measured_in: u64) -> Presence {
         match &self.session {
             Some(session) if session.progress.is_away.load(Ordering::Relaxed) => Presence::Absent,
-            Some(session) if measured_hz == 0.0 && measured_in == session.number => {
-                Presence::Silent
-            }
+            Some(session) if rate_hz == 0.0 && measured_in == session.number => Presence::Silent,
             Some(_) => Presence::Streaming,
             None if self.device.present => Presence::Present,
             None => Presence::Absent,
@@ -50,13 +48,13 @@ impl Core {
     }
 }
 
-fn get(n: &AtomicU64) -> u64 {
+fn load(n: &AtomicU64) -> u64 {
     n.load(Ordering::Relaxed)
 }
 
 impl Inner {
     pub(super) fn status(&self) -> Status {
-        let measured_hz = f64::from_bits(get(&self.rates.frames_hz));
+        let measured_hz = f64::from_bits(load(&self.rates.frames_hz));
         let core = self.core();
         let options = &core.options;
         let mut status = Status {
@@ -67,20 +65,18 @@ impl Inner {
             uptime_s: self.began.elapsed().as_secs_f64(),
             device: DeviceStatus {
                 uri: core.device.uri.clone(),
-                presence: core.presence(measured_hz, get(&self.rates.session)),
+                presence: core.presence(measured_hz, load(&self.rates.session)),
                 model: core.device.hello.model.clone(),
                 serial: core.device.hello.serial.clone(),
                 firmware: core.device.hello.firmware.clone(),
                 driver: core.device.driver.clone(),
-                rate_hz: f64::from(core.device.hello.rate_mhz) / 1000.0,
+                rate_hz: f64::from(core.device.hello.rate_millihertz) / 1000.0,
                 markers: core.device.markers,
                 obstacle: core.device.obstacle.clone().or_else(|| core.away()),
-                outages: 0,
-                is_awaited: false,
-                outage: None,
+                ..DeviceStatus::default()
             },
             input: InputStatus {
-                cpu_cores: f64::from_bits(get(&self.rates.cpu_cores)),
+                cpu_cores: f64::from_bits(load(&self.rates.cpu_cores)),
                 ..InputStatus::default()
             },
             pre_roll: PreRollStatus {
@@ -91,27 +87,24 @@ impl Inner {
             last_take: core.last_take.clone(),
             disk: DiskStatus {
                 directory: options.take.directory.display().to_string(),
-                free_bytes: None,
+                free_bytes: load(&self.rates.free_bytes).checked_sub(1),
                 keep_free_bytes: options.take.keep_free_bytes,
                 left_s: None,
             },
         };
-        status.device.is_awaited = core.wanted && status.device.presence == Presence::Absent;
-        core.tell_session(&mut status, measured_hz);
+        status.device.is_awaited = core.arm_requested && status.device.presence == Presence::Absent;
+        core.fill_session(&mut status, measured_hz);
         drop(core);
-        status.disk.free_bytes = get(&self.rates.free_bytes).checked_sub(1);
-        if status.disk.left_s.is_none() {
-            status.disk.left_s = estimated_left_s(&status);
-        }
+        status.disk.left_s = status.disk.left_s.or_else(|| estimated_left_s(&status));
         status
     }
 }
 
 impl Core {
-    fn tell_session(&self, status: &mut Status, measured_hz: f64) {
+    fn fill_session(&self, status: &mut Status, measured_hz: f64) {
         let Some(session) = &self.session else { return };
         let progress = &session.progress;
-        status.device.outages = u32::try_from(get(&progress.outages)).unwrap_or(u32::MAX);
+        status.device.outages = u32::try_from(load(&progress.outages)).unwrap_or(u32::MAX);
         status.device.markers = lock(&progress.channels).len();
         status.device.outage = match status.device.presence {
             Presence::Absent => Some(session.outage(Some(session.reconnect))),
@@ -119,26 +112,26 @@ impl Core {
             Presence::Present | Presence::Streaming | Presence::Other => None,
         };
         let input = &mut status.input;
-        input.frames = get(&progress.frames);
-        input.lost = get(&progress.lost);
+        input.frames = load(&progress.frames);
+        input.lost = load(&progress.lost);
         input.measured_hz = measured_hz;
-        input.ring_fill = get(&progress.ring_fill_permille) as f64 / 1000.0;
-        input.ring_latency_p99_us = get(&progress.ring_latency_p99_ns).div_ceil(1000);
-        input.jitter_p99_us = get(&progress.jitter_p99_us);
+        input.ring_fill = load(&progress.ring_fill_permille) as f64 / 1000.0;
+        input.ring_latency_p99_us = load(&progress.ring_latency_p99_ns).div_ceil(1000);
+        input.jitter_p99_us = load(&progress.jitter_p99_us);
         input.drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 / 1e3;
         status.pre_roll.wanted_s = session.pre_roll.as_secs_f64();
-        status.pre_roll.held_s = get(&progress.held_ms) as f64 / 1e3;
-        status.pre_roll.held_bytes = get(&progress.held_bytes);
-        status.pre_roll.is_cut = progress.held_cut.load(Ordering::Relaxed);
+        status.pre_roll.held_s = load(&progress.pre_roll_ms) as f64 / 1e3;
+        status.pre_roll.held_bytes = load(&progress.pre_roll_bytes);
+        status.pre_roll.is_cut = progress.pre_roll_is_cut.load(Ordering::Relaxed);
         let Some(take) = &self.take else { return };
-        let left_s = get(&progress.disk_left_s);
+        let left_s = load(&progress.disk_left_s);
         status.disk.left_s = (left_s != u64::MAX && left_s > 0).then_some(left_s);
         let now = lock(&progress.take).clone().unwrap_or_default();
         status.take = Some(TakeStatus {
             take_id: take.named.id.clone(),
             name: take.named.name.clone(),
             path: take.named.path.display().to_string(),
-            started_unix_ms: take.asked_unix_ms,
+            started_unix_ms: take.requested_unix_ms,
             rows: now.rows,
             seconds: now.rows as f64 / take.rate_hz,
             bytes: now.bytes,
@@ -150,15 +143,15 @@ impl Core {
             max_error_mm: now.max_error_mm,
             ledger: (&now.ledger).into(),
             file: progress.file_state(),
-            file_notice: progress.displaced().map(|displaced| displaced.words()),
+            file_notice: progress.displaced().map(|displaced| displaced.message()),
         });
     }
 }
 
 impl Session {
-    /// The time since the last frame. A device that is away is given up after `patience`.
+    /// The time since the last frame. The device is given up after `patience`.
     fn outage(&self, patience: Option<Duration>) -> OutageStatus {
-        let since_ns = get(&self.progress.last_arrival_ns).max(self.armed_ns);
+        let since_ns = load(&self.progress.last_arrival_ns).max(self.armed_ns);
         let seconds = monotonic_ns().saturating_sub(since_ns) as f64 * 1e-9;
         OutageStatus {
             seconds,
@@ -168,21 +161,21 @@ impl Session {
     }
 }
 
-/// What a disk may be slow to tell.
+/// Free space in bytes. The disk may be slow to answer.
 pub(super) fn free_bytes(directory: &Path) -> Option<u64> {
     let disk = statvfs(directory).ok()?;
     Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Before a take has a rate, what the pre-roll takes tells it.
+/// Before a take has a rate of its own, it is estimated from the pre-roll.
 fn estimated_left_s(status: &Status) -> Option<u64> {
     let held = &status.pre_roll;
     if held.held_s < 2.0 || held.held_bytes == 0 {
         return None;
     }
     let bytes_per_s = held.held_bytes as f64 / held.held_s;
-    // What closing a take needs is not for its frames.
-    let kept = status.disk.keep_free_bytes.saturating_add(HELD_MIN_BYTES);
+    // The space needed to close a take is not available for its frames.
+    let kept = status.disk.keep_free_bytes.saturating_add(RESERVE_MIN_BYTES);
     let spare = status.disk.free_bytes?.saturating_sub(kept);
     Some((spare as f64 / bytes_per_s) as u64)
 }

@@ -1,4 +1,4 @@
-//! The rig's thread: finds the device, arms the pipeline, reads, and begins again when that is over.
+//! The rig's thread: finds the device, arms the pipeline, reads frames, and starts again when that ends.
 
 use std::{
     sync::{
@@ -29,45 +29,44 @@ use super::{
     session::{Core, KnownDevice, Session},
 };
 use crate::{
-    config::{in_keys, with_key},
+    config::{key_hint, message_with_keys},
     status::ServiceEventKind,
 };
 
-/// Between two looks for a device that is not there or does not answer.
-const TRY_EVERY: Duration = Duration::from_millis(500);
+/// Time between attempts to open a device that is missing or does not respond.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Between two looks whether an idle device is attached.
-const PRESENCE_EVERY: Duration = Duration::from_secs(2);
+/// Time between checks whether an idle device is connected.
+const PRESENCE_INTERVAL: Duration = Duration::from_secs(2);
 
-/// A device that ends its stream at once, again and again, is started no oftener.
+/// Shortest session: limits restarts of a device that keeps ending its stream at once.
 const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
 
-/// Until the service ends.
+/// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
     let mut watch = UsbWatch::new();
     while !inner.is_stopping() {
-        if !inner.core().wanted {
-            inner.look_for_device();
-            inner.wait_while(PRESENCE_EVERY, |core| !core.wanted);
+        if !inner.core().arm_requested {
+            inner.check_presence();
+            inner.wait_while(PRESENCE_INTERVAL, |core| !core.arm_requested);
             continue;
         }
         let begun = Instant::now();
         match inner.open() {
             Ok((rig, log)) => {
-                let has_frames = inner.run_session(rig, sessions);
-                if has_frames {
+                if inner.run_session(rig, sessions) {
                     inner.finish_log(log);
                 } else {
                     discard(log);
                 }
                 let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
-                if inner.core().wanted && !inner.is_stopping() {
+                if inner.core().arm_requested && !inner.is_stopping() {
                     std::thread::sleep(rest);
                 }
             }
             Err(error) => {
-                inner.met(&in_keys(&error));
-                watch.wait(TRY_EVERY);
+                inner.report_obstacle(&message_with_keys(&error));
+                watch.wait(RETRY_INTERVAL);
             }
         }
     }
@@ -78,14 +77,14 @@ impl Inner {
         self.stopping.load(Ordering::Relaxed)
     }
 
-    /// While something is so that whoever changes it notifies of, and the service is not stopping, or so long.
+    /// Waits while `is_so` holds (changes are notified), at most `at_most`, and not while the service is stopping.
     pub(super) fn wait_while(&self, at_most: Duration, is_so: impl Fn(&Core) -> bool) {
         let core = self.core();
         let goes_on = |core: &mut Core| is_so(core) && !self.is_stopping();
         drop(self.changed.wait_timeout_while(core, at_most, goes_on));
     }
 
-    fn look_for_device(&self) {
+    fn check_presence(&self) {
         let options = Arc::clone(&self.core().options);
         let found = options.find_device();
         let present = found.as_ref().is_ok_and(is_attached);
@@ -95,22 +94,21 @@ impl Inner {
         core.device.obstacle = found.err().map(|error| format!("{error:#}"));
         drop(core);
         if changed {
-            let what =
-                if present { "the device is attached" } else { "the device is not attached" };
-            self.say_event(ServiceEventKind::Device, what, None);
+            let what = if present { "device connected" } else { "device disconnected" };
+            self.publish(ServiceEventKind::Device, what, None);
         }
     }
 
-    /// Something is in the way of arming: told once.
-    fn met(&self, words: &str) {
+    /// Reports an obstacle to arming, once.
+    fn report_obstacle(&self, message: &str) {
         let mut core = self.core();
-        let is_new = core.device.obstacle.as_deref() != Some(words);
-        core.device.obstacle = Some(words.to_owned());
+        let is_new = core.device.obstacle.as_deref() != Some(message);
+        core.device.obstacle = Some(message.to_owned());
         core.device.present = false;
         drop(core);
         self.changed.notify_all();
         if is_new {
-            self.say_event(ServiceEventKind::Warning, words, None);
+            self.publish(ServiceEventKind::Warning, message, None);
         }
     }
 
@@ -121,23 +119,16 @@ impl Inner {
         drop(core);
         let uri = options.find_device()?;
         let log = options.device.raw_log.then(|| begin_log(&options)).transpose()?;
-        let opened = self.open_logged(&uri, identity.filter(|_| uri.to_string() == known), &log);
-        let mut rig = match opened {
+        let identity = identity.filter(|_| uri.to_string() == known);
+        let mut rig = match open_rig(&options, &uri, identity, &log) {
             Ok(rig) => rig,
             Err(error) => {
                 discard(log);
                 return Err(error);
             }
         };
-        if let Some(rate_hz) = options.device.rate_hz
-            && let Err(error) = rig.set_rate(rate_hz)
-        {
-            drop(rig);
-            discard(log);
-            return Err(error);
-        }
         rig.wait_for_replug(options.take.reconnect);
-        rig.risk_at_most(options.take.stretch, options.take.sync);
+        rig.limit_loss(options.take.stretch, options.take.sync);
         let mut core = self.core();
         core.device = KnownDevice {
             uri: uri.to_string(),
@@ -152,94 +143,72 @@ impl Inner {
         Ok((rig, log))
     }
 
-    fn open_logged(
-        &self,
-        uri: &DeviceUri,
-        identity: Option<Candidate>,
-        log: &Option<RawLog>,
-    ) -> anyhow::Result<Rig> {
-        let tap = log.as_ref().map(RawLog::tap);
-        match identity {
-            Some(identity) => Rig::open_again(uri, &identity, tap),
-            None => Rig::open_logged(uri, tap),
-        }
-    }
-
-    /// The device is not read any more.
+    /// Closes the raw log once the device is no longer read.
     fn finish_log(&self, log: Option<RawLog>) {
         let Some(log) = log else { return };
         let name = log.path().display().to_string();
-        match log.finish() {
-            Ok(logged) if logged.is_whole() => {}
-            Ok(logged) => self.say_event(
-                ServiceEventKind::Warning,
-                &format!(
-                    "{} bytes of the line are not in the raw log {name}",
-                    logged.missing_bytes
-                ),
-                None,
-            ),
-            Err(error) => {
-                self.say_event(
-                    ServiceEventKind::Warning,
-                    &format!("the raw log {name}: {error:#}"),
-                    None,
-                );
+        let message = match log.finish() {
+            Ok(logged) if logged.is_whole() => return,
+            Ok(logged) => {
+                let n = logged.missing_bytes;
+                format!("{n} received bytes are missing from the raw log {name}")
             }
-        }
+            Err(error) => format!("the raw log {name}: {error:#}"),
+        };
+        self.publish(ServiceEventKind::Warning, &message, None);
     }
 
-    /// Whether a frame came.
+    /// Runs a session. Returns whether a frame arrived.
     fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) -> bool {
         let stop = Arc::new(AtomicBool::new(false));
         let (intake, pipeline) = match self.begin_session(&rig, &stop, sessions) {
             Ok(begun) => begun,
             Err(error) => {
-                self.met(&format!("{error:#}"));
+                self.report_obstacle(&format!("{error:#}"));
                 return false;
             }
         };
-        self.say_event(ServiceEventKind::State, "armed", None);
-        let say = |words: &str| self.events.say(words);
+        self.publish(ServiceEventKind::State, "armed", None);
+        let say = |message: &str| self.events.defer(message);
         let options = ReadOptions {
             stop: &stop,
             rows_max: None,
             length: None,
-            for_one_take: false,
-            say: &say,
+            single_take: false,
+            notify: &say,
             how_to_end: "",
-            how_to_set: with_key,
+            how_to_set: key_hint,
         };
         let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);
-        // No take begins here any more, and one that is written ends.
+        // From here no take can begin, and one in progress ends.
         self.core().session = None;
         let joined = pipeline.join();
-        let words = match (&read, &joined) {
+        let message = match (&read, &joined) {
             (_, Err(error)) => {
                 self.fail(&format!("{error:#}"));
-                "the data plane failed"
+                "data plane failed"
             }
             (Err(error), _) => {
-                self.met(&in_keys(error));
-                "the device cannot be read"
+                self.report_obstacle(&message_with_keys(error));
+                "device cannot be read"
             }
             (Ok(recording), _) => match recording.ending {
                 EndingKind::DeviceEnded => {
-                    // A replay that is over: it is not begun again by itself.
-                    self.core().wanted = false;
-                    "the device has ended its stream"
+                    // A replay that is over is not started again automatically.
+                    self.core().arm_requested = false;
+                    "device ended its stream"
                 }
-                EndingKind::DeviceGone => "the device is gone",
+                EndingKind::DeviceGone => "device gone",
                 EndingKind::CutOff => {
                     self.fail("the data plane failed: see the log");
-                    "the data plane failed"
+                    "data plane failed"
                 }
                 _ => "disarmed",
             },
         };
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::State, words, None);
+        self.publish(ServiceEventKind::State, message, None);
         progress.frames.load(Ordering::Relaxed) > 0
     }
 
@@ -275,12 +244,12 @@ impl Inner {
             stop: Arc::clone(stop),
             header: header.clone(),
         };
-        // The hub forgets the one before: it looks here in every round.
+        // The hub drops the previous session: it checks this channel in every round.
         sessions.try_send(NewSession { tap: armed.tap, progress, header }).ok();
         let mut core = self.core();
         core.session = Some(session);
-        // What was asked while it was being armed.
-        if !core.wanted || self.is_stopping() {
+        // A disarm or stop may have been requested during arming.
+        if !core.arm_requested || self.is_stopping() {
             stop.store(true, Ordering::Relaxed);
         }
         drop(core);
@@ -288,22 +257,40 @@ impl Inner {
         Ok((intake, pipeline))
     }
 
-    /// The data plane failed: somebody has to look.
-    pub(super) fn fail(&self, words: &str) {
-        self.core().failure = Some(words.to_owned());
+    /// Reports a failure of the data plane, which needs attention.
+    pub(super) fn fail(&self, message: &str) {
+        self.core().failure = Some(message.to_owned());
         self.changed.notify_all();
-        self.say_event(ServiceEventKind::Failure, words, None);
+        self.publish(ServiceEventKind::Failure, message, None);
     }
 }
 
-/// A log of the line, named by the time.
+/// Opens the device, at the port where it is now, and sets its rate.
+fn open_rig(
+    options: &EngineOptions,
+    uri: &DeviceUri,
+    identity: Option<Candidate>,
+    log: &Option<RawLog>,
+) -> anyhow::Result<Rig> {
+    let tap = log.as_ref().map(RawLog::tap);
+    let mut rig = match identity {
+        Some(identity) => Rig::reopen(uri, &identity, tap)?,
+        None => Rig::open_logged(uri, tap)?,
+    };
+    if let Some(rate_hz) = options.device.rate_hz {
+        rig.set_rate(rate_hz)?;
+    }
+    Ok(rig)
+}
+
+/// Starts a raw log named by the time.
 fn begin_log(options: &EngineOptions) -> anyhow::Result<RawLog> {
     let now = Zoned::now().strftime("%Y-%m-%d_%H%M%S%.3f");
     let name = format!("{now}_{}.rawlog", options.rig);
     RawLog::start(&options.take.directory.join(name), options.take.sync)
 }
 
-/// A log of a device that was not there helps nobody.
+/// Removes the raw log of a session without frames.
 fn discard(log: Option<RawLog>) {
     let Some(log) = log else { return };
     let path = log.path().to_owned();
@@ -311,7 +298,7 @@ fn discard(log: Option<RawLog>) {
     std::fs::remove_file(path).ok();
 }
 
-/// Whether something is at the place, without opening it.
+/// Whether a device is attached at the location, without opening it.
 fn is_attached(uri: &DeviceUri) -> bool {
     match &uri.location {
         Location::Serial { path, .. } => path.exists(),

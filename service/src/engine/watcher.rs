@@ -1,4 +1,4 @@
-//! The watcher's thread: takes that end by themselves, figures that need two looks, and words of other threads.
+//! The watcher's thread: ends takes that are over, measures rates, and publishes messages of other threads.
 
 use std::{
     sync::{Arc, atomic::Ordering},
@@ -8,64 +8,65 @@ use std::{
 use crossbeam_channel::TryRecvError;
 use mocapd_acquire::{
     files::FileState,
-    heartbeat::{Beat, Who},
+    heartbeat::{HeartbeatHandle, ThreadRole},
+    pipeline::lock,
 };
 use mocapd_take::record::EndingKind;
 
 use super::{Inner, session::Core, status::free_bytes};
 use crate::{process, status::ServiceEventKind};
 
-/// Between two looks.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Time between polls.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Between two figures of a rate.
-const RATES_EVERY: Duration = Duration::from_secs(1);
+/// Time between measurements of a rate.
+const RATES_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Until the service ends.
+/// Runs until the service ends.
 pub(super) fn run(inner: &Arc<Inner>) {
-    // Without it nobody would know that this thread hangs; with sixty others it is not needed.
-    let beat = inner.heartbeat.beat(Who::Supervisor).ok();
-    let mut rates = Measured::default();
+    // With sixty other threads registered, a heartbeat may be refused. Then the watchdog does not watch this thread.
+    let beat = inner.heartbeat.register(ThreadRole::Supervisor).ok();
+    let mut rates = RateMeter::default();
     while !inner.is_stopping() {
         if let Some(beat) = &beat {
-            beat.moved();
+            beat.beat();
         }
-        inner.tell_what_was_said();
-        // A take that ends by itself is waited for, and its disk may stall.
+        inner.publish_deferred();
+        // Waits for the end of a take, during which the disk may stall.
         if let Some(beat) = &beat {
             beat.at_disk();
         }
-        inner.end_what_is_over();
-        rates.look(inner, beat.as_ref());
-        // Without a session only the disk changes.
-        let is_idle = inner.core().session.is_none();
-        if is_idle {
-            inner.wait_while(RATES_EVERY, |core| core.session.is_none());
+        inner.end_finished_takes();
+        rates.update(inner, beat.as_ref());
+        // Without a session only the free disk space changes.
+        if inner.core().session.is_none() {
+            inner.wait_while(RATES_INTERVAL, |core| core.session.is_none());
         } else {
-            inner.wait_while(LOOK_EVERY, |_| true);
+            inner.wait_while(POLL_INTERVAL, |_| true);
         }
     }
-    inner.tell_what_was_said();
+    inner.publish_deferred();
 }
 
 impl Inner {
-    fn tell_what_was_said(&self) {
-        while let Some(words) = self.events.said() {
+    fn publish_deferred(&self) {
+        while let Some(message) = self.events.next_deferred() {
             let take = self.core().take.as_ref().map(|take| take.named.name.clone());
-            self.say_event(ServiceEventKind::Device, &words, take.as_deref());
+            self.publish(ServiceEventKind::Device, &message, take.as_deref());
         }
     }
 
-    /// Takes whose length, disk, device or writer is over. Not while somebody carries out a command: that one will tell.
-    fn end_what_is_over(&self) {
+    /// Ends takes at their maximum length, or whose disk, device or writer has failed. Not while a command is executed,
+    /// which reports the end itself.
+    fn end_finished_takes(&self) {
         let Ok(command) = self.command.try_lock() else { return };
-        self.warn_of_file();
+        self.report_file_changes();
         let core = self.core();
-        let why = core.why_over();
+        let why = core.due_ending();
         let ended = core.take.as_ref().map(|take| take.ended.try_recv());
         let exhausted = core.is_exhausted();
         drop(core);
-        // What there is to say stands in the events.
+        // The events have the details.
         match (ended, why) {
             (Some(Ok(end)), _) => drop(self.finish_take(end)),
             (Some(Err(TryRecvError::Disconnected)), _) => drop(self.finish_unanswered()),
@@ -73,42 +74,36 @@ impl Inner {
             _ => {}
         }
         if exhausted {
-            self.say_event(
-                ServiceEventKind::Warning,
-                "every channel of the reserve is used by markers that appeared: the pre-roll begins anew",
-                None,
-            );
+            let message =
+                "all reserve channels are used by markers that appeared: restarting the pre-roll";
+            self.publish(ServiceEventKind::Warning, message, None);
             if let Some(session) = &self.core().session {
                 session.stop.store(true, Ordering::Relaxed);
             }
         }
     }
-}
 
-impl Inner {
-    /// Says once what others did to the take's file; how that ends a take is said with its end.
-    fn warn_of_file(&self) {
+    /// Reports changes to the take's file once; a change that ends the take is reported with its end.
+    fn report_file_changes(&self) {
         let mut core = self.core();
-        let Some(progress) = core.session.as_ref().map(|session| Arc::clone(&session.progress))
-        else {
-            return;
-        };
+        let Some(session) = &core.session else { return };
+        let progress = Arc::clone(&session.progress);
         let Some(take) = &mut core.take else { return };
         let changes = progress.file_changes();
-        let is_new = std::mem::replace(&mut take.file_told, changes) != changes;
+        let is_new = std::mem::replace(&mut take.changes_reported, changes) != changes;
         let name = take.named.name.clone();
         drop(core);
         if is_new
             && !progress.file_state().ends_take()
             && let Some(displaced) = progress.displaced()
         {
-            self.say_event(ServiceEventKind::Warning, &displaced.words(), Some(&name));
+            self.publish(ServiceEventKind::Warning, &displaced.message(), Some(&name));
         }
     }
 }
 
 impl Core {
-    fn why_over(&self) -> Option<EndingKind> {
+    fn due_ending(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
         if self.options.take.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
             return Some(EndingKind::Length);
@@ -122,26 +117,23 @@ impl Core {
         session.progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull)
     }
 
-    /// Markers that came and went have used up the channels: without a take they can be forgotten.
+    /// Markers that appeared and vanished have used up the channels: without a take, they can be forgotten.
     fn is_exhausted(&self) -> bool {
-        self.take.is_none()
-            && self.session.as_ref().is_some_and(|session| {
-                !session.stop.load(Ordering::Relaxed)
-                    && mocapd_acquire::pipeline::lock(&session.progress.channels).len()
-                        >= session.slots
-            })
+        let (None, Some(session)) = (&self.take, &self.session) else { return false };
+        !session.stop.load(Ordering::Relaxed)
+            && lock(&session.progress.channels).len() >= session.slots
     }
 }
 
-/// Counters at the last look.
+/// Measures rates between two updates.
 #[derive(Debug, Default)]
-struct Measured {
+struct RateMeter {
     last: Option<(Instant, u64, u64, f64)>,
 }
 
-impl Measured {
-    fn look(&mut self, inner: &Inner, beat: Option<&Beat>) {
-        if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_EVERY) {
+impl RateMeter {
+    fn update(&mut self, inner: &Inner, beat: Option<&HeartbeatHandle>) {
+        if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_INTERVAL) {
             return;
         }
         let now = Instant::now();
@@ -162,11 +154,10 @@ impl Measured {
             let is_same = session == number;
             let came = if is_same { frames.saturating_sub(before) } else { frames };
             inner.rates.session.store(if is_same { number } else { 0 }, Ordering::Relaxed);
-            let put = |to: &std::sync::atomic::AtomicU64, rate: f64| {
-                to.store(rate.to_bits(), Ordering::Relaxed);
-            };
-            put(&inner.rates.frames_hz, came as f64 / passed_s);
-            put(&inner.rates.cpu_cores, (cpu_s - cpu_before_s).max(0.0) / passed_s);
+            let frames_hz = came as f64 / passed_s;
+            inner.rates.frames_hz.store(frames_hz.to_bits(), Ordering::Relaxed);
+            let cpu_cores = (cpu_s - cpu_before_s).max(0.0) / passed_s;
+            inner.rates.cpu_cores.store(cpu_cores.to_bits(), Ordering::Relaxed);
         }
         self.last = Some((now, number, frames, cpu_s));
     }

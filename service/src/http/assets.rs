@@ -1,4 +1,4 @@
-//! The dashboard: files of `web/`, in the program itself.
+//! The dashboard's files: the folder `web/`, compiled into the program.
 
 use std::ffi::OsStr;
 
@@ -12,10 +12,11 @@ use sha2::{Digest, Sha256};
 
 use super::problem::Problem;
 
-/// What is served: the folder as it was when the program was built.
+/// The folder as it was when the program was built.
 static WEB: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../web");
 
-/// What a file is by its name; bytes, where browsers would have to guess.
+/// The media type of a file by its extension; `application/octet-stream` for any other extension, so that no browser
+/// guesses.
 fn content_type(file: &File<'_>) -> &'static str {
     match file.path().extension().and_then(OsStr::to_str).unwrap_or_default() {
         "html" => "text/html; charset=utf-8",
@@ -33,7 +34,7 @@ const BYTES: &str = "application/octet-stream";
 /// The page that a browser opens.
 const PAGE: &str = "index.html";
 
-/// A file of the dashboard; everything else that is no route is not there.
+/// Serves a file of the dashboard; any other path without a route is "not found".
 pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let path = uri.path().strip_prefix('/').unwrap_or(uri.path());
     let found = WEB.get_file(if path.is_empty() { PAGE } else { path });
@@ -41,10 +42,10 @@ pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Prob
     let digest = Sha256::digest(asset.contents());
     let tag: String = digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
     let tag = format!("\"{tag}\"");
-    let known = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|said| said.to_str().ok());
-    let is_known = known.flat_map(|said| said.split(',')).any(|said| {
-        let said = said.trim();
-        said == "*" || said.strip_prefix("W/").unwrap_or(said) == tag
+    let known = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|tags| tags.to_str().ok());
+    let is_known = known.flat_map(|tags| tags.split(',')).any(|known| {
+        let known = known.trim();
+        known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag
     });
     let mut response = if is_known {
         StatusCode::NOT_MODIFIED.into_response()
@@ -53,7 +54,7 @@ pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Prob
     };
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type(asset)));
-    // Asked for again each time, and answered with 304 until the program is another.
+    // Browsers revalidate at every use; the reply is 304 until the program changes.
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     let tag = HeaderValue::try_from(tag).map_err(|error| Problem::internal(error.to_string()))?;
     headers.insert(header::ETAG, tag);

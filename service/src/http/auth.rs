@@ -1,5 +1,5 @@
-//! Who may come in over TCP: who knows the token, a secret out of a file that only the service may read, and whose
-//! browser has shown it.
+//! Authentication over TCP: a token from a file that only the service may read, and sessions of browsers that have sent
+//! it.
 
 use std::{
     collections::VecDeque,
@@ -21,31 +21,31 @@ use rustix::{
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-/// Browsers that are logged in at once; the one that came first has to log in again.
+/// Most browsers logged in at once; beyond that, the oldest session ends.
 const SESSIONS_MAX: usize = 64;
 
-/// How long a browser stays logged in: a day in the studio.
+/// Length of a browser session: a day in the studio.
 pub(super) const SESSION_MAX: Duration = Duration::from_secs(12 * 3600);
 
-/// Of the cookie.
+/// Name of the session cookie.
 pub(super) const COOKIE: &str = "mocapd_session";
 
-/// Hashes are compared, so that neither content nor length of a secret shows in the time that it takes.
+/// Hashes are compared in constant time, so that neither content nor length of a secret shows in the timing.
 type Hash = [u8; 32];
 
 fn hash(secret: &[u8]) -> Hash {
     Sha256::digest(secret).into()
 }
 
-/// The token, and the sessions that it opened.
+/// The token, and the sessions opened with it.
 #[derive(Debug)]
 pub(super) struct Auth {
     token: Option<Hash>,
-    sessions: Mutex<VecDeque<Session>>,
+    sessions: Mutex<VecDeque<LoginSession>>,
 }
 
 #[derive(Debug)]
-struct Session {
+struct LoginSession {
     id: Hash,
     until: Instant,
 }
@@ -58,26 +58,25 @@ impl Auth {
         }
     }
 
-    /// Whether a token is needed at all.
+    /// Whether a token is required.
     pub(super) fn is_on(&self) -> bool {
         self.token.is_some()
     }
 
-    /// Whether this is the token; anything is where there is none.
-    pub(super) fn is_token(&self, said: &[u8]) -> bool {
-        self.token.as_ref().is_none_or(|token| bool::from(hash(said).ct_eq(token)))
+    /// Whether this is the token; always true if none is required.
+    pub(super) fn is_token(&self, sent: &[u8]) -> bool {
+        self.token.as_ref().is_none_or(|token| bool::from(hash(sent).ct_eq(token)))
     }
 
-    /// Whether a request shows the token, or the cookie of a session.
-    pub(super) fn lets_in(&self, headers: &HeaderMap) -> bool {
+    /// Whether a request has the token or the cookie of a session.
+    pub(super) fn is_authorized(&self, headers: &HeaderMap) -> bool {
         if self.token.is_none() {
             return true;
         }
-        if let Some(said) = headers.get(header::AUTHORIZATION) {
-            let said = said.as_bytes();
-            let scheme =
-                said.get(..7).is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer "));
-            return scheme && self.is_token(said[7..].trim_ascii());
+        if let Some(sent) = headers.get(header::AUTHORIZATION) {
+            let sent = sent.as_bytes();
+            let is_bearer = sent.get(..7).is_some_and(|s| s.eq_ignore_ascii_case(b"bearer "));
+            return is_bearer && self.is_token(sent[7..].trim_ascii());
         }
         session_id(headers).is_some_and(|id| self.is_session(id))
     }
@@ -90,25 +89,25 @@ impl Auth {
         sessions.iter().any(|session| bool::from(session.id.ct_eq(&id)))
     }
 
-    /// Begins a session: the id for the cookie.
+    /// Opens a session and returns its id for the cookie.
     ///
     /// # Errors
-    /// Of the system, which has no random bytes.
+    /// The system has no random bytes.
     pub(super) fn open_session(&self) -> rustix::io::Result<String> {
         let mut random = [0; 32];
-        // Up to 256 bytes come whole.
+        // Up to 256 bytes are never returned in part.
         getrandom(&mut random, GetRandomFlags::empty())?;
         let id: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
         if sessions.len() == SESSIONS_MAX {
             sessions.pop_front();
         }
-        sessions
-            .push_back(Session { id: hash(id.as_bytes()), until: Instant::now() + SESSION_MAX });
+        let until = Instant::now() + SESSION_MAX;
+        sessions.push_back(LoginSession { id: hash(id.as_bytes()), until });
         Ok(id)
     }
 
-    /// Ends the session of a request.
+    /// Closes the session of a request.
     pub(super) fn close_session(&self, headers: &HeaderMap) {
         if let Some(id) = session_id(headers) {
             let id = hash(id.as_bytes());
@@ -126,55 +125,55 @@ fn session_id(headers: &HeaderMap) -> Option<&str> {
     })
 }
 
-/// Bytes of a token file: a token and a line end.
+/// Largest token file in bytes: a token and a line end.
 const FILE_BYTES_MAX: u64 = 1024;
 
-/// Letters of a token at least: sixteen of base64 are 96 bits, which nobody tries out over a network.
+/// Shortest token: sixteen base64 characters are 96 bits, which cannot be guessed over a network.
 pub(super) const TOKEN_BYTES_MIN: usize = 16;
 
-/// What callers over TCP must know. It is never printed.
+/// The secret that clients over TCP must send. It is never printed.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
-/// Why a token file is not used.
+/// Why a token file is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TokenError {
-    /// There is none, or it cannot be read.
+    /// The file does not exist or cannot be read.
     #[error("cannot read the token file {}: {error}; make one with `(umask 077; openssl rand -hex 32 > {})`", .file.display(), .file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// Why; it is in the message, and so no source of its own.
+        /// The cause. It is part of the message, and therefore not a `source`.
         error: io::Error,
     },
-    /// It is a folder, a pipe, a device.
-    #[error("the token file {} is no plain file", .0.display())]
+    /// It is a folder, a pipe or a device.
+    #[error("the token file {} is not a regular file", .0.display())]
     NotAFile(PathBuf),
     /// Others may read or change it.
-    #[error("the token file {} has mode {mode:04o}, and others may use it: chmod 600 {}", .file.display(), .file.display())]
-    Open {
+    #[error("the token file {} has mode {mode:04o}, so others can access it: chmod 600 {}", .file.display(), .file.display())]
+    Permissions {
         /// The file.
         file: PathBuf,
         /// Its mode.
         mode: u32,
     },
-    /// It is somebody else's, who may change it.
-    #[error("the token file {} belongs to user {owner}, and the service runs as user {user}: chown it", .file.display())]
+    /// Another user owns it, and may change it.
+    #[error("the token file {} belongs to user {owner}, but the service runs as user {user}: chown it", .file.display())]
     Foreign {
         /// The file.
         file: PathBuf,
-        /// Whose it is.
+        /// Its owner.
         owner: u32,
-        /// Who asks.
+        /// The user of the service.
         user: u32,
     },
-    /// What is in it is no token.
-    #[error("the token file {} {why}: write one line of at least 16 letters, digits or signs without spaces", .file.display())]
-    NoToken {
+    /// Its content is not a token.
+    #[error("the token file {} {why}: write one line of at least 16 visible ASCII characters without spaces", .file.display())]
+    Malformed {
         /// The file.
         file: PathBuf,
-        /// What is in it.
+        /// What is wrong with it.
         why: &'static str,
     },
 }
@@ -183,52 +182,52 @@ impl Token {
     /// Reads and checks a token file.
     ///
     /// # Errors
-    /// Why it is not used, and what to do.
+    /// The file is refused; the message says what to do.
     pub fn read(file: &Path) -> Result<Self, TokenError> {
         Self::read_as(file, geteuid().as_raw())
     }
 
-    /// The same for a service that runs as another user, as far as this one may read it.
+    /// Reads a token file for a service that runs as `user`.
     fn read_as(file: &Path, user: u32) -> Result<Self, TokenError> {
         let unreadable = |error| TokenError::Unreadable { file: file.to_owned(), error };
-        // A pipe that nobody writes to would be waited for.
+        // Opening a pipe without a writer must not block.
         let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let mut opened =
             File::from(open(file, flags, Mode::empty()).map_err(|e| unreadable(e.into()))?);
-        // Of what is open, so that it cannot be another file by now.
+        // Checks the opened file, which cannot be replaced any more.
         let meta = opened.metadata().map_err(unreadable)?;
         if !meta.is_file() {
             return Err(TokenError::NotAFile(file.to_owned()));
         }
         let mode = meta.mode() & 0o7777;
         if mode & !0o600 != 0 {
-            return Err(TokenError::Open { file: file.to_owned(), mode });
+            return Err(TokenError::Permissions { file: file.to_owned(), mode });
         }
         if meta.uid() != user {
             return Err(TokenError::Foreign { file: file.to_owned(), owner: meta.uid(), user });
         }
         let mut text = String::new();
         let limited = opened.by_ref().take(FILE_BYTES_MAX + 1).read_to_string(&mut text);
-        let no_token = |why| TokenError::NoToken { file: file.to_owned(), why };
+        let no_token = |why| TokenError::Malformed { file: file.to_owned(), why };
         limited.map_err(|error| match error.kind() {
-            io::ErrorKind::InvalidData => no_token("holds no text"),
+            io::ErrorKind::InvalidData => no_token("is not text"),
             _ => unreadable(error),
         })?;
         let token = text.strip_suffix('\n').unwrap_or(&text);
         let token = token.strip_suffix('\r').unwrap_or(token);
         if text.len() as u64 > FILE_BYTES_MAX {
-            return Err(no_token("has more than 1024 bytes"));
+            return Err(no_token("is longer than 1024 bytes"));
         }
         if token.len() < TOKEN_BYTES_MIN {
             return Err(no_token("is too short"));
         }
         if !token.bytes().all(|byte| byte.is_ascii_graphic()) {
-            return Err(no_token("has spaces, more lines or other letters in it"));
+            return Err(no_token("contains spaces, several lines or other characters"));
         }
         Ok(Self(token.to_owned()))
     }
 
-    /// The token itself, for whoever compares it with what callers say.
+    /// The token itself, to compare with what clients send.
     #[must_use]
     pub fn into_text(self) -> String {
         self.0
@@ -256,8 +255,8 @@ mod tests {
     #[test]
     fn the_token_and_nothing_like_it() {
         let auth = Auth::new(Some("0123456789abcdef"));
-        let lets_in = |value: &str| auth.lets_in(&with(header::AUTHORIZATION, value));
-        assert!(lets_in("Bearer 0123456789abcdef") && lets_in("bearer  0123456789abcdef"));
+        let accepts = |value: &str| auth.is_authorized(&with(header::AUTHORIZATION, value));
+        assert!(accepts("Bearer 0123456789abcdef") && accepts("bearer  0123456789abcdef"));
         for value in [
             "",
             "Bearer",
@@ -266,10 +265,10 @@ mod tests {
             "Bearer 0123456789abcde",
             "Basic 0123456789abcdef",
         ] {
-            assert!(!lets_in(value), "{value}");
+            assert!(!accepts(value), "{value}");
         }
-        assert!(!auth.lets_in(&HeaderMap::new()));
-        assert!(Auth::new(None).lets_in(&HeaderMap::new()));
+        assert!(!auth.is_authorized(&HeaderMap::new()));
+        assert!(Auth::new(None).is_authorized(&HeaderMap::new()));
     }
 
     #[test]
@@ -277,17 +276,17 @@ mod tests {
         let auth = Auth::new(Some("0123456789abcdef"));
         let cookie = |id: &str| with(header::COOKIE, &format!("a=b; {COOKIE}={id}; c=d"));
         let first = auth.open_session().unwrap();
-        assert!(auth.lets_in(&cookie(&first)));
-        assert!(!auth.lets_in(&cookie("")) && !auth.lets_in(&cookie(&first[1..])));
+        assert!(auth.is_authorized(&cookie(&first)));
+        assert!(!auth.is_authorized(&cookie("")) && !auth.is_authorized(&cookie(&first[1..])));
         let more: Vec<_> = (0..SESSIONS_MAX).map(|_| auth.open_session().unwrap()).collect();
-        assert!(!auth.lets_in(&cookie(&first)), "the first made room");
-        assert!(more.iter().all(|id| auth.lets_in(&cookie(id))));
+        assert!(!auth.is_authorized(&cookie(&first)), "the first made room");
+        assert!(more.iter().all(|id| auth.is_authorized(&cookie(id))));
         auth.close_session(&cookie(&more[0]));
-        assert!(!auth.lets_in(&cookie(&more[0])) && auth.lets_in(&cookie(&more[1])));
-        // A wrong token is not mended by a good cookie.
+        assert!(!auth.is_authorized(&cookie(&more[0])) && auth.is_authorized(&cookie(&more[1])));
+        // A valid cookie does not make up for a wrong token.
         let mut both = cookie(&more[1]);
         both.insert(header::AUTHORIZATION, HeaderValue::from_static("Bearer no"));
-        assert!(!auth.lets_in(&both));
+        assert!(!auth.is_authorized(&both));
     }
 
     const SECRET: &str = "0123456789abcdef";
@@ -309,7 +308,7 @@ mod tests {
 
     fn no_token(content: &[u8]) -> &'static str {
         match refused(0o600, content) {
-            TokenError::NoToken { why, .. } => why,
+            TokenError::Malformed { why, .. } => why,
             other => panic!("{other:?}"),
         }
     }
@@ -325,10 +324,10 @@ mod tests {
     }
 
     #[test]
-    fn what_others_may_read_or_change_is_refused() {
+    fn files_that_others_may_read_or_change_are_refused() {
         for mode in [0o640, 0o604, 0o620, 0o602, 0o644, 0o700, 0o1600] {
             let open = refused(mode, SECRET.as_bytes());
-            assert!(matches!(open, TokenError::Open { mode: found, .. } if found == mode));
+            assert!(matches!(open, TokenError::Permissions { mode: found, .. } if found == mode));
             assert!(open.to_string().contains("chmod 600"), "{open}");
         }
         let (_dir, path) = file(0o600, SECRET.as_bytes());
@@ -341,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_token_is_refused() {
+    fn invalid_tokens_are_refused() {
         let short = no_token(b"");
         assert_eq!(no_token(b"0123456789abcde\n"), short);
         let space = no_token(b"0123456789 abcdef");
@@ -353,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_is_refused_at_once() {
+    fn anything_but_a_file_is_refused_at_once() {
         let dir = tempfile::tempdir().unwrap();
         let missing = Token::read(&dir.path().join("none")).unwrap_err();
         assert!(

@@ -1,9 +1,9 @@
-//! Bodies of requests: JSON, small, soon.
+//! Bodies of requests: JSON, small, and received within a time limit.
 
 use axum::{
-    body::{Body, to_bytes},
+    body::{Body, Bytes, to_bytes},
     extract::{FromRequest, Request},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderName, HeaderValue, header},
 };
 use serde::de::DeserializeOwned;
 
@@ -13,15 +13,15 @@ use super::{
 };
 use crate::control::{self, Mark, SaveLast, Start};
 
-/// Bytes of a body at most: the longest note that anybody types, many times over.
+/// Largest body in bytes: many times the longest note that anybody types.
 const BODY_BYTES_MAX: usize = 64 << 10;
 
-/// Of a request's id, as a header can carry it.
+/// Longest request id, as a header can carry it.
 const ID_BYTES_MAX: usize = 64;
 
 const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 
-/// A request with an id, by which the service knows one that it carried out already.
+/// A request with an id, by which the service recognises repetitions.
 pub(super) trait Identified: DeserializeOwned {
     fn request_id(&mut self) -> &mut Option<String>;
 }
@@ -38,32 +38,29 @@ macro_rules! identified {
 
 identified!(control::Request, Start, Mark, SaveLast);
 
-/// A JSON object as the body, or nothing, which is an empty object.
+/// A JSON object as the body; an empty body counts as an empty object.
 #[derive(Debug)]
-pub(super) struct Asked<T>(pub(super) T);
+pub(super) struct JsonBody<T>(pub(super) T);
 
-impl<T: Identified> FromRequest<Shared> for Asked<T> {
+impl<T: Identified> FromRequest<Shared> for JsonBody<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, app: &Shared) -> Result<Self, Problem> {
         let (parts, body) = request.into_parts();
-        // What a form on another site can send is never of this type.
+        // HTML forms of other sites cannot send this type.
         if !is_type(&parts.headers, "application/json") {
-            return Err(Problem::new(
-                StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                ProblemKind::UnsupportedMediaType,
-                "send `content-type: application/json`, with or without a body",
-            ));
+            let message = "send `content-type: application/json`, with or without a body";
+            return Err(Problem::of(ProblemKind::UnsupportedMediaType, message));
         }
         let bytes = read(body, &parts.headers, app).await?;
-        // serde would take a list for an object whose names were left out.
-        let mut asked: T = match bytes.trim_ascii().first() {
+        // serde would accept a list in place of an object.
+        let mut request: T = match bytes.trim_ascii().first() {
             None if bytes.is_empty() => parse(b"{}")?,
             Some(b'{') => parse(&bytes)?,
-            _ => return Err(Problem::invalid("the body is no JSON object")),
+            _ => return Err(Problem::invalid("the body is not a JSON object")),
         };
-        let id = asked.request_id();
-        let key = parts.headers.get(IDEMPOTENCY_KEY).map(key_of).transpose()?;
+        let id = request.request_id();
+        let key = parts.headers.get(IDEMPOTENCY_KEY).map(idempotency_key).transpose()?;
         match (key, id.as_deref()) {
             (Some(key), Some(id)) if key != id => {
                 return Err(Problem::invalid("Idempotency-Key and request_id differ: send one"));
@@ -72,25 +69,25 @@ impl<T: Identified> FromRequest<Shared> for Asked<T> {
             (None, _) => {}
         }
         if id.as_deref().is_some_and(|id| !is_request_id(id)) {
-            let words =
-                format!("a request's id has 1 to {ID_BYTES_MAX} printable ASCII characters");
-            return Err(Problem::invalid(words));
+            let message =
+                format!("a request id has 1 to {ID_BYTES_MAX} printable ASCII characters");
+            return Err(Problem::invalid(message));
         }
-        Ok(Self(asked))
+        Ok(Self(request))
     }
 }
 
 fn parse<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
     serde_json::from_slice(text)
-        .map_err(|error| Problem::invalid(format!("the body is not what is asked for: {error}")))
+        .map_err(|error| Problem::invalid(format!("unexpected request body: {error}")))
 }
 
-/// The header's value, with or without the quotes that its draft has it in.
-fn key_of(value: &HeaderValue) -> Result<String, Problem> {
+/// The key in the header, with or without the quotes of the draft standard.
+fn idempotency_key(value: &HeaderValue) -> Result<String, Problem> {
     let text = value.to_str().unwrap_or_default();
     let key = text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text);
     if key.is_empty() {
-        return Err(Problem::invalid("Idempotency-Key is empty, or not of ASCII characters"));
+        return Err(Problem::invalid("Idempotency-Key is empty or not ASCII"));
     }
     Ok(key.to_owned())
 }
@@ -99,37 +96,32 @@ fn is_request_id(id: &str) -> bool {
     (1..=ID_BYTES_MAX).contains(&id.len()) && id.bytes().all(|byte| (b' '..=b'~').contains(&byte))
 }
 
-/// Whether the body is said to be of this type; parameters may follow.
-pub(super) fn is_type(headers: &HeaderMap, wanted: &str) -> bool {
-    let said = headers.get(header::CONTENT_TYPE).and_then(|said| said.to_str().ok());
-    said.is_some_and(|said| {
-        said.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(wanted)
+/// Whether the body is declared to be of this type, ignoring parameters.
+pub(super) fn is_type(headers: &HeaderMap, media_type: &str) -> bool {
+    let value = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
+    value.is_some_and(|value| {
+        value.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(media_type)
     })
 }
 
-/// The whole body, within its bound and its time.
-pub(super) async fn read(
-    body: Body,
-    headers: &HeaderMap,
-    app: &Shared,
-) -> Result<axum::body::Bytes, Problem> {
+/// Reads the whole body, within its size and time limits.
+pub(super) async fn read(body: Body, headers: &HeaderMap, app: &Shared) -> Result<Bytes, Problem> {
     let too_large = || {
-        let words = format!("the body is larger than {BODY_BYTES_MAX} bytes");
-        Problem::new(StatusCode::PAYLOAD_TOO_LARGE, ProblemKind::TooLarge, words)
+        let message = format!("the body is larger than {BODY_BYTES_MAX} bytes");
+        Problem::of(ProblemKind::TooLarge, message)
     };
-    let said =
-        headers.get(header::CONTENT_LENGTH).and_then(|said| said.to_str().ok()?.parse().ok());
-    if said.is_some_and(|said: u64| said > BODY_BYTES_MAX as u64) {
+    let value =
+        headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    if value.is_some_and(|value: u64| value > BODY_BYTES_MAX as u64) {
         return Err(too_large());
     }
     match tokio::time::timeout(app.limits.body, to_bytes(body, BODY_BYTES_MAX)).await {
         Ok(Ok(bytes)) => Ok(bytes),
         Ok(Err(error)) if is_over_limit(&error) => Err(too_large()),
-        Ok(Err(_)) => Err(Problem::invalid("the body ended early, or its chunks are none")),
-        Err(_) => Err(Problem::new(
-            StatusCode::REQUEST_TIMEOUT,
+        Ok(Err(_)) => Err(Problem::invalid("the body ended early or is badly chunked")),
+        Err(_) => Err(Problem::of(
             ProblemKind::Timeout,
-            format!("the body did not come within {} s", app.limits.body.as_secs_f64()),
+            format!("the body did not arrive within {} s", app.limits.body.as_secs_f64()),
         )),
     }
 }

@@ -1,5 +1,5 @@
-//! What the service sends to everybody who listens, each from one feed of it: events, with those of lately, and frames,
-//! coded once, the newest few for whoever is slow.
+//! Distributes events and live frames to all HTTP clients, each from one feed of the service. Recent events are kept
+//! for clients that reconnect; frames are encoded once, and slow viewers get the newest.
 
 use std::{
     collections::VecDeque,
@@ -12,7 +12,7 @@ use std::{
 
 use axum::body::Bytes;
 use crossbeam_channel::{Receiver, Sender, bounded, select};
-use mocapd_acquire::threads::Stopped;
+use mocapd_acquire::threads::StopReceiver;
 use tokio::sync::broadcast;
 
 use super::Counts;
@@ -22,35 +22,35 @@ use crate::{
     status::ServiceEvent,
 };
 
-/// Events that are kept for those who come back: an hour of a busy session, some hundred kilobytes.
+/// Events kept for clients that reconnect: an hour of a busy session, some hundred kilobytes.
 const KEPT_MAX: usize = 512;
 
-/// Events that a listener may be behind before it loses the oldest.
+/// Most events that a subscriber may lag behind before it loses the oldest.
 const EVENTS_BEHIND_MAX: usize = 128;
 
-/// The hub of events. They are told apart by their numbers: a gap in them is what somebody missed, wherever it was lost.
+/// Distributes events. Their numbers are consecutive, so a gap shows what a subscriber missed, wherever it was lost.
 #[derive(Debug)]
-pub(super) struct EventHub {
-    /// Which run of the service it is: numbers begin again with each.
+pub(super) struct EventBroadcast {
+    /// Identifies this run of the service: numbers start again with each.
     pub(super) run: String,
     kept: Mutex<VecDeque<Arc<ServiceEvent>>>,
     sender: broadcast::Sender<Arc<ServiceEvent>>,
     counts: Arc<Counts>,
 }
 
-impl EventHub {
+impl EventBroadcast {
     pub(super) fn new(run: String, counts: Arc<Counts>) -> Self {
         let kept = Mutex::new(VecDeque::with_capacity(KEPT_MAX));
         Self { run, kept, sender: broadcast::Sender::new(EVENTS_BEHIND_MAX), counts }
     }
 
-    /// Listens until it is stopped, or the feed ends: the work of a thread of its own. The feed was opened before, so that
+    /// Forwards events until it is stopped or the feed ends, on its own thread. The feed was opened earlier, so that
     /// nothing is missed.
-    pub(super) fn listen(&self, feed: &EventFeed, stopped: &Stopped) {
+    pub(super) fn forward(&self, feed: &EventFeed, stopped: &StopReceiver) {
         loop {
             select! {
                 recv(feed.events) -> event => match event {
-                    Ok(event) => self.tell(event),
+                    Ok(event) => self.publish(event),
                     Err(_) => return,
                 },
                 recv(stopped.channel()) -> _ => return,
@@ -59,96 +59,97 @@ impl EventHub {
         }
     }
 
-    fn tell(&self, event: Arc<ServiceEvent>) {
+    fn publish(&self, event: Arc<ServiceEvent>) {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.len() == KEPT_MAX {
             kept.pop_front();
         }
         kept.push_back(Arc::clone(&event));
-        // Under the lock, so that `follow` gets each event once. Nobody may listen.
+        // Sent under the lock, so that `follow` gets each event once. There may be no receivers.
         self.sender.send(event).ok();
     }
 
-    /// What was kept since event `after`, and what comes from now on. Without a number only the latter.
-    pub(super) fn follow(&self, after: Option<u64>) -> Following {
+    /// Subscribes to the kept events after number `after` and to all future ones; without a number, only to future
+    /// ones.
+    pub(super) fn follow(&self, after: Option<u64>) -> EventSubscription {
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         let last = kept.back().map_or(0, |event| event.number);
         let since = after.unwrap_or(last);
         let backlog = kept.iter().filter(|event| event.number > since).cloned().collect();
-        Following { backlog, coming: self.sender.subscribe(), told: since }
+        EventSubscription { backlog, coming: self.sender.subscribe(), last_number: since }
     }
 }
 
-/// One listener.
+/// The subscription of one client.
 #[derive(Debug)]
-pub(super) struct Following {
+pub(super) struct EventSubscription {
     backlog: VecDeque<Arc<ServiceEvent>>,
     coming: broadcast::Receiver<Arc<ServiceEvent>>,
-    told: u64,
+    last_number: u64,
 }
 
-/// An event, and how many before it are gone.
+/// An event, and the number of events lost before it.
 #[derive(Debug)]
-pub(super) struct Told {
+pub(super) struct Delivery {
     pub(super) event: Arc<ServiceEvent>,
     pub(super) missed: u64,
 }
 
-impl Following {
-    /// The next event. `None`: there will be none.
-    pub(super) async fn next(&mut self) -> Option<Told> {
+impl EventSubscription {
+    /// Waits for the next event; `None` if there will be no more.
+    pub(super) async fn next(&mut self) -> Option<Delivery> {
         let event = match self.backlog.pop_front() {
             Some(event) => event,
             None => loop {
                 match self.coming.recv().await {
                     Ok(event) => break event,
-                    // The numbers tell how many.
+                    // The numbers show how many are lost.
                     Err(broadcast::error::RecvError::Lagged(_)) => {}
                     Err(broadcast::error::RecvError::Closed) => return None,
                 }
             },
         };
-        let missed = event.number.saturating_sub(self.told + 1);
-        self.told = event.number;
-        Some(Told { event, missed })
+        let missed = event.number.saturating_sub(self.last_number + 1);
+        self.last_number = event.number;
+        Some(Delivery { event, missed })
     }
 }
 
-/// Messages that a viewer may be behind: a quarter of a second. A frame of 200 markers has 2.4 KB, and is held once
-/// for all viewers.
+/// Most messages that a viewer may lag behind: a quarter of a second. A frame of 200 markers has 2.4 KB and is shared
+/// by all viewers.
 const FRAMES_BEHIND_MAX: usize = 8;
 
-/// Between looks whether there still are viewers, and whether the server ends, where no frame comes.
-const LOOK: Duration = Duration::from_millis(100);
+/// Time between checks for viewers and for the end of the server while no frames arrive.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Markers, as they go to a viewer.
+/// The marker table as it is sent.
 #[derive(Debug)]
-pub(super) struct Table {
+pub(super) struct EncodedTable {
     number: u64,
     bytes: Bytes,
 }
 
-/// What viewers are sent.
+/// A message for viewers.
 #[derive(Debug, Clone)]
-pub(super) enum Shown {
-    Table(Arc<Table>),
-    /// A frame, and the markers that it has: a viewer that missed the table gets it with the frame.
-    Frame(Option<Arc<Table>>, Bytes),
+pub(super) enum LiveUpdate {
+    Table(Arc<EncodedTable>),
+    /// A frame with its table: a viewer that missed the table gets it before the frame.
+    Frame(Option<Arc<EncodedTable>>, Bytes),
     Over,
 }
 
-/// The hub of frames.
+/// Distributes live frames.
 #[derive(Debug)]
-pub(super) struct LiveHub {
-    sender: broadcast::Sender<Shown>,
-    table: Mutex<Option<Arc<Table>>>,
+pub(super) struct LiveBroadcast {
+    sender: broadcast::Sender<LiveUpdate>,
+    table: Mutex<Option<Arc<EncodedTable>>>,
     is_over: AtomicBool,
     wake: Sender<()>,
     woken: Receiver<()>,
     counts: Arc<Counts>,
 }
 
-impl LiveHub {
+impl LiveBroadcast {
     pub(super) fn new(counts: Arc<Counts>) -> Self {
         let (wake, woken) = bounded(1);
         let (table, is_over) = (Mutex::new(None), AtomicBool::new(false));
@@ -162,8 +163,8 @@ impl LiveHub {
         }
     }
 
-    /// Looks while anybody does, until it is stopped: the work of a thread of its own.
-    pub(super) fn run(&self, control: &dyn Control, stopped: &Stopped) {
+    /// Forwards frames while there are viewers, until it is stopped, on its own thread.
+    pub(super) fn run(&self, control: &dyn Control, stopped: &StopReceiver) {
         while !stopped.is_stopped() && !self.is_over() {
             if self.sender.receiver_count() == 0 {
                 select! {
@@ -172,23 +173,23 @@ impl LiveHub {
                 }
                 continue;
             }
-            self.show(&control.live(), stopped);
+            self.forward(&control.live(), stopped);
         }
     }
 
-    fn show(&self, feed: &LiveFeed, stopped: &Stopped) {
+    fn forward(&self, feed: &LiveFeed, stopped: &StopReceiver) {
         while self.sender.receiver_count() > 0 && !stopped.is_stopped() {
-            let asked = Instant::now();
-            match feed.next(LOOK) {
+            let start = Instant::now();
+            match feed.next(POLL_INTERVAL) {
                 Some(message) => self.put(&message),
                 None if feed.is_over() => {
                     self.is_over.store(true, Ordering::Relaxed);
-                    self.send(Shown::Over);
+                    self.send(LiveUpdate::Over);
                     return;
                 }
-                // A feed that lost its other end answers at once: it is opened again, and not all the time.
-                None if asked.elapsed() < LOOK / 2 => {
-                    std::thread::sleep(LOOK);
+                // A feed whose sender is gone returns immediately: it is opened again after a pause.
+                None if start.elapsed() < POLL_INTERVAL / 2 => {
+                    std::thread::sleep(POLL_INTERVAL);
                     return;
                 }
                 None => {}
@@ -204,47 +205,47 @@ impl LiveHub {
         let shown = match message {
             LiveMessage::Table(_) => {
                 let number = table.as_ref().map_or(1, |table| table.number + 1);
-                let new = Arc::new(Table { number, bytes });
+                let new = Arc::new(EncodedTable { number, bytes });
                 *table = Some(Arc::clone(&new));
-                Shown::Table(new)
+                LiveUpdate::Table(new)
             }
-            LiveMessage::Frame(_) => Shown::Frame(table.clone(), bytes),
+            LiveMessage::Frame(_) => LiveUpdate::Frame(table.clone(), bytes),
         };
         self.send(shown);
     }
 
-    fn send(&self, shown: Shown) {
-        // The last viewer may have left by now.
+    fn send(&self, shown: LiveUpdate) {
+        // The last viewer may have left.
         self.sender.send(shown).ok();
     }
 
-    /// Whether no more frames will come.
+    /// Whether there will be no more frames.
     pub(super) fn is_over(&self) -> bool {
         self.is_over.load(Ordering::Relaxed)
     }
 
-    pub(super) fn view(&self) -> Viewing {
+    pub(super) fn view(&self) -> LiveSubscription {
         let table = self.table.lock().unwrap_or_else(PoisonError::into_inner);
         let coming = self.sender.subscribe();
-        let first = table.as_ref().map(|table| Shown::Table(Arc::clone(table)));
+        let first = table.as_ref().map(|table| LiveUpdate::Table(Arc::clone(table)));
         drop(table);
-        // Full: it was woken already.
+        // If the channel is full, the thread has been woken already.
         self.wake.try_send(()).ok();
-        Viewing { first, coming, table_seen: 0, counts: Arc::clone(&self.counts) }
+        LiveSubscription { first, coming, table_seen: 0, counts: Arc::clone(&self.counts) }
     }
 }
 
-/// One viewer.
+/// The subscription of one viewer.
 #[derive(Debug)]
-pub(super) struct Viewing {
-    first: Option<Shown>,
-    coming: broadcast::Receiver<Shown>,
+pub(super) struct LiveSubscription {
+    first: Option<LiveUpdate>,
+    coming: broadcast::Receiver<LiveUpdate>,
     table_seen: u64,
     counts: Arc<Counts>,
 }
 
-impl Viewing {
-    /// The bytes to send next. `None`: there will be none.
+impl LiveSubscription {
+    /// Waits for the bytes to send next; `None` if there will be no more.
     pub(super) async fn next(&mut self) -> Option<Bytes> {
         loop {
             let shown = match self.first.take() {
@@ -259,18 +260,18 @@ impl Viewing {
                 },
             };
             match shown {
-                Shown::Over => return None,
-                Shown::Table(table) if table.number == self.table_seen => {}
-                Shown::Table(table) => {
+                LiveUpdate::Over => return None,
+                LiveUpdate::Table(table) if table.number == self.table_seen => {}
+                LiveUpdate::Table(table) => {
                     self.table_seen = table.number;
                     return Some(table.bytes.clone());
                 }
-                Shown::Frame(Some(table), frame) if table.number != self.table_seen => {
-                    self.first = Some(Shown::Frame(Some(Arc::clone(&table)), frame));
+                LiveUpdate::Frame(Some(table), frame) if table.number != self.table_seen => {
+                    self.first = Some(LiveUpdate::Frame(Some(Arc::clone(&table)), frame));
                     self.table_seen = table.number;
                     return Some(table.bytes.clone());
                 }
-                Shown::Frame(_, frame) => return Some(frame),
+                LiveUpdate::Frame(_, frame) => return Some(frame),
             }
         }
     }
@@ -293,27 +294,27 @@ mod tests {
         })
     }
 
-    fn next(following: &mut Following) -> (u64, u64) {
+    fn next(subscription: &mut EventSubscription) -> (u64, u64) {
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        let told = runtime.block_on(following.next()).unwrap();
-        (told.event.number, told.missed)
+        let delivery = runtime.block_on(subscription.next()).unwrap();
+        (delivery.event.number, delivery.missed)
     }
 
     #[test]
-    fn history_is_bounded_and_gaps_are_told() {
-        let hub = EventHub::new("r".to_owned(), Arc::default());
+    fn history_is_bounded_and_gaps_are_reported() {
+        let hub = EventBroadcast::new("r".to_owned(), Arc::default());
         let total = KEPT_MAX as u64 + 10;
-        (1..=total).for_each(|number| hub.tell(event(number)));
+        (1..=total).for_each(|number| hub.publish(event(number)));
         let mut resumed = hub.follow(Some(3));
         assert_eq!(next(&mut resumed), (11, 7), "4 to 10 are gone");
         assert_eq!(next(&mut resumed), (12, 0));
         let mut new = hub.follow(None);
-        // Lost before it came here, by a feed that was not read.
-        hub.tell(event(total + 3));
+        // Lost earlier, by a feed that was not read.
+        hub.publish(event(total + 3));
         assert_eq!(next(&mut new), (total + 3, 2));
-        // Behind by more than is held for one: the oldest are gone.
+        // Lagging by more events than are kept for a subscriber: the oldest are lost.
         (total + 4..total + 4 + 2 * EVENTS_BEHIND_MAX as u64)
-            .for_each(|number| hub.tell(event(number)));
+            .for_each(|number| hub.publish(event(number)));
         let (number, missed) = next(&mut new);
         assert_eq!(
             (number, missed),

@@ -1,4 +1,4 @@
-//! How things stand, and what changes something.
+//! Routes for the status and for commands.
 
 use std::sync::Arc;
 
@@ -11,35 +11,35 @@ use mocapd_acquire::listing::{self, ListedDevice};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Shared, Via, body::Asked, problem::Problem};
+use super::{Shared, Via, body::JsonBody, problem::Problem};
 use crate::{
     control::{Control, Mark, Marked, Refusal, Request, SaveLast, Start, Started, Stopped},
     status::{MarkerQuality, State as ServiceState, Status},
 };
 
-/// Everything at one time
+/// The whole status at one moment
 #[utoipa::path(get, path = "/v1/status", tag = "status", responses((status = 200, body = Status)))]
 pub(super) async fn status(State(app): State<Shared>) -> Json<Status> {
     Json(app.control.status())
 }
 
-/// By marker, how well it is seen
+/// How well each marker is seen
 #[utoipa::path(get, path = "/v1/quality", tag = "status",
     responses((status = 200, body = Vec<MarkerQuality>)))]
 pub(super) async fn quality(State(app): State<Shared>) -> Json<Vec<MarkerQuality>> {
     Json(app.control.quality())
 }
 
-/// That the service lives.
+/// The health of the service.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub(super) struct Health {
     /// What the service is doing.
     state: ServiceState,
 }
 
-/// Whether the service does what it is for
+/// Whether the service is working
 ///
-/// 503 with the reason when it has failed; without a token, where one is needed, without the reason.
+/// 503 with the reason if it has failed; the reason is omitted for clients that have not sent a required token.
 #[utoipa::path(get, path = "/healthz", tag = "status", responses((status = 200, body = Health)),
     security(()))]
 pub(super) async fn healthz(
@@ -51,92 +51,80 @@ pub(super) async fn healthz(
     if status.state != ServiceState::Failed {
         return Ok(Json(Health { state: status.state }));
     }
-    let knows = matches!(via, Via::Unix) || app.auth.lets_in(&headers);
+    let knows = matches!(via, Via::Unix) || app.auth.is_authorized(&headers);
     let reason = status.failure.filter(|_| knows);
-    let words = reason.unwrap_or_else(|| "the service has failed: see /v1/status".to_owned());
-    let mut problem = Problem::internal(words);
+    let message = reason.unwrap_or_else(|| "the service has failed: see /v1/status".to_owned());
+    let mut problem = Problem::internal(message);
     problem.status = StatusCode::SERVICE_UNAVAILABLE.as_u16();
     Err(problem)
 }
 
-/// What is attached, which driver claims it, or why it cannot be opened
+/// Attached devices, with the driver that recognises each, or why it cannot be opened
 ///
-/// No device is opened for it.
+/// No device is opened.
 #[utoipa::path(get, path = "/v1/devices", tag = "status",
     responses((status = 200, body = Vec<ListedDevice>)))]
 pub(super) async fn devices(State(app): State<Shared>) -> Result<Json<Vec<ListedDevice>>, Problem> {
-    let listed = app.lanes.files.run(listing::devices).await?;
+    let listed = app.queues.files.run(listing::devices).await?;
     Ok(Json(listed.map_err(|error| Problem::internal(error.to_string()))?))
 }
 
 type Answer<T> = Result<Json<T>, Problem>;
 
-/// Carries it out on a thread that may wait.
-async fn carry_out<T: Send + 'static>(
+/// Executes a command on a thread that may wait.
+async fn execute<T: Send + 'static>(
     app: &Shared,
     what: impl FnOnce(&dyn Control) -> Result<T, Refusal> + Send + 'static,
 ) -> Answer<T> {
     let control = Arc::clone(&app.control);
-    let done = app.lanes.commands.run(move || what(control.as_ref())).await?;
+    let done = app.queues.commands.run(move || what(control.as_ref())).await?;
     Ok(Json(done?))
 }
 
-/// Start the device, and keep what it sends for the pre-roll
+/// Start the device and keep its frames for the pre-roll
 ///
-/// Armed already: nothing to do.
+/// Does nothing if armed already.
 #[utoipa::path(post, path = "/v1/arm", tag = "commands", request_body = Request,
     responses((status = 200, body = Status)))]
-pub(super) async fn arm(State(app): State<Shared>, Asked(asked): Asked<Request>) -> Answer<Status> {
-    carry_out(&app, move |control| control.arm(&asked)).await
+pub(super) async fn arm(app: State<Shared>, request: JsonBody<Request>) -> Answer<Status> {
+    execute(&app, move |control| control.arm(&request.0)).await
 }
 
-/// Stop the device and forget the pre-roll
+/// Stop the device and discard the pre-roll
 #[utoipa::path(post, path = "/v1/disarm", tag = "commands", request_body = Request,
     responses((status = 200, body = Status)))]
-pub(super) async fn disarm(
-    State(app): State<Shared>,
-    Asked(asked): Asked<Request>,
-) -> Answer<Status> {
-    carry_out(&app, move |control| control.disarm(&asked)).await
+pub(super) async fn disarm(app: State<Shared>, request: JsonBody<Request>) -> Answer<Status> {
+    execute(&app, move |control| control.disarm(&request.0)).await
 }
 
-/// Begin a take
+/// Start a take
 ///
-/// Answers when its first frame would survive a power cut. An idle service is armed first.
+/// Replies when the first frame would survive a power cut. An idle service is armed first.
 #[utoipa::path(post, path = "/v1/start", tag = "commands", request_body = Start,
     responses((status = 200, body = Started)))]
-pub(super) async fn start(
-    State(app): State<Shared>,
-    Asked(asked): Asked<Start>,
-) -> Answer<Started> {
-    carry_out(&app, move |control| control.start(&asked)).await
+pub(super) async fn start(app: State<Shared>, request: JsonBody<Start>) -> Answer<Started> {
+    execute(&app, move |control| control.start(&request.0)).await
 }
 
-/// End the take
+/// Stop the take
 ///
-/// Answers when its ledger would survive a power cut.
+/// Replies when the ledger would survive a power cut.
 #[utoipa::path(post, path = "/v1/stop", tag = "commands", request_body = Request,
     responses((status = 200, body = Stopped)))]
-pub(super) async fn stop(
-    State(app): State<Shared>,
-    Asked(asked): Asked<Request>,
-) -> Answer<Stopped> {
-    carry_out(&app, move |control| control.stop(&asked)).await
+pub(super) async fn stop(app: State<Shared>, request: JsonBody<Request>) -> Answer<Stopped> {
+    execute(&app, move |control| control.stop(&request.0)).await
 }
 
-/// Put a mark into the take at the frame that comes next
+/// Put a mark into the take at the next frame
 #[utoipa::path(post, path = "/v1/mark", tag = "commands", request_body = Mark,
     responses((status = 200, body = Marked)))]
-pub(super) async fn mark(State(app): State<Shared>, Asked(asked): Asked<Mark>) -> Answer<Marked> {
-    carry_out(&app, move |control| control.mark(&asked)).await
+pub(super) async fn mark(app: State<Shared>, request: JsonBody<Mark>) -> Answer<Marked> {
+    execute(&app, move |control| control.mark(&request.0)).await
 }
 
-/// Write a take of what the pre-roll holds, and go on
+/// Write the pre-roll as a take, and continue
 #[utoipa::path(post, path = "/v1/save-last", tag = "commands", request_body = SaveLast,
     responses((status = 200, body = Stopped)))]
-pub(super) async fn save_last(
-    State(app): State<Shared>,
-    Asked(asked): Asked<SaveLast>,
-) -> Answer<Stopped> {
-    carry_out(&app, move |control| control.save_last(&asked)).await
+pub(super) async fn save_last(app: State<Shared>, request: JsonBody<SaveLast>) -> Answer<Stopped> {
+    execute(&app, move |control| control.save_last(&request.0)).await
 }

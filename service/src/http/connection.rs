@@ -1,4 +1,4 @@
-//! Connections: how many, how long, and what becomes of one; its other end must take in something from time to time.
+//! Connections: their number, their time limits, and how each is served. Clients must keep reading their replies.
 
 use std::{
     io,
@@ -24,44 +24,44 @@ use tokio::{
 use tower_service::Service;
 
 use super::{
-    Counts, Open, Via,
+    Counts, OpenConnection, Via,
     options::{LINGER_MAX, TimeLimits},
-    places::{Peer, Place, Places, Taken},
+    slots::{ConnectionSlot, ConnectionSlots, Peer, SlotGuard},
     unless, until,
 };
 
-/// Bytes of a request's head at most: browsers send one or two kilobytes, cookies of other ports included.
+/// Largest request head in bytes: browsers send one or two kilobytes, including cookies of other ports.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 
-/// Header lines at most; browsers send some twenty.
+/// Most header lines: browsers send some twenty.
 const HEADERS_MAX: usize = 64;
 
-/// For such a one to read its answer and to close.
+/// Time for a rejected client to read the reply and close.
 const LINGER_TIME_MAX: Duration = Duration::from_secs(1);
 
-/// Before accepting is tried again when the process has no descriptor left.
+/// Time before accepting again when the process has no file descriptors left.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 
-/// What all connections of one listener share.
+/// State shared by all connections of one listener.
 #[derive(Clone)]
-pub(super) struct Doorway {
+pub(super) struct Acceptor {
     pub(super) router: Router,
     pub(super) limits: TimeLimits,
     pub(super) counts: Arc<Counts>,
-    pub(super) places: Arc<Places>,
+    pub(super) slots: Arc<ConnectionSlots>,
     pub(super) lingering: Arc<Semaphore>,
     pub(super) stopping: watch::Receiver<bool>,
-    /// Held by every connection: when all are gone the other end knows.
+    /// Held by every connection, so that the sender notices when all are closed.
     pub(super) alive: watch::Receiver<()>,
 }
 
-impl std::fmt::Debug for Doorway {
+impl std::fmt::Debug for Acceptor {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Doorway").field("places", &self.places).finish_non_exhaustive()
+        f.debug_struct("Acceptor").field("slots", &self.slots).finish_non_exhaustive()
     }
 }
 
-impl Doorway {
+impl Acceptor {
     pub(super) fn lingering() -> Arc<Semaphore> {
         Arc::new(Semaphore::new(LINGER_MAX))
     }
@@ -83,13 +83,12 @@ impl Doorway {
         while let Some(accepted) = until(&mut self.stopping, listener.accept()).await {
             match accepted {
                 Ok((stream, from)) => {
-                    // Answers are written whole; an event is to leave at once. Refused, it is later by some ms.
+                    // Replies are written whole, and events should leave at once. If this fails, they are some ms
+                    // later.
                     stream.set_nodelay(true).ok();
-                    match stream.local_addr() {
-                        Ok(local) => {
-                            self.admit(stream, Via::Tcp(local), Peer::of_address(from.ip()));
-                        }
-                        // It was reset before it was accepted.
+                    match stream.local_addr().map(Via::Tcp) {
+                        Ok(via) => self.admit(stream, via, Peer::of_address(from.ip())),
+                        // The connection was reset before it was accepted.
                         Err(_) => Counts::add(&self.counts.connections_refused, 1),
                     }
                     yield_now().await;
@@ -99,33 +98,32 @@ impl Doorway {
         }
     }
 
-    /// Callers yield behind it: a connection that made room closes before the next one is accepted, so that a rush of
-    /// them holds one descriptor more than there are places.
+    /// Callers yield afterwards, so that an evicted connection closes before the next is accepted: even in a rush, at
+    /// most one descriptor more than there are slots is open.
     fn admit<S: Stream>(&self, stream: S, via: Via, peer: Peer) {
-        let Some(taken) = self.places.take(peer) else {
+        let Some(guard) = self.slots.take(peer) else {
             Counts::add(&self.counts.connections_refused, 1);
-            self.turn_away(stream);
+            self.reject(stream);
             return;
         };
-        let open = Open::new(Arc::clone(&self.counts));
-        let doorway = self.clone();
+        let open = OpenConnection::new(Arc::clone(&self.counts));
+        let acceptor = self.clone();
         tokio::spawn(async move {
-            doorway.serve(stream, via, &taken).await;
-            drop((open, taken));
+            acceptor.serve(stream, via, &guard).await;
+            drop((open, guard));
         });
     }
 
-    async fn serve<S: Stream>(mut self, stream: S, via: Via, taken: &Taken) {
-        let io =
-            TokioIo::new(StallGuard::new(stream, Arc::clone(taken.place()), self.limits.stall));
+    async fn serve<S: Stream>(mut self, stream: S, via: Via, guard: &SlotGuard) {
+        let io = TokioIo::new(StallGuard::new(stream, Arc::clone(guard.slot()), self.limits.stall));
         let router = self.router.clone();
-        let place = Arc::clone(taken.place());
+        let slot = Arc::clone(guard.slot());
         let service = service_fn(move |request: Request<Incoming>| {
-            let mut request = request.map(|body| place.request_body(Body::new(body)));
+            let mut request = request.map(|body| slot.request_body(Body::new(body)));
             request.extensions_mut().insert(via);
-            request.extensions_mut().insert(Arc::clone(&place));
-            let (place, answer) = (Arc::clone(&place), router.clone().call(request));
-            async move { answer.await.map(|response| response.map(|body| place.response_body(body))) }
+            request.extensions_mut().insert(Arc::clone(&slot));
+            let (slot, answer) = (Arc::clone(&slot), router.clone().call(request));
+            async move { answer.await.map(|response| response.map(|body| slot.response_body(body))) }
         });
         let mut server = http1::Builder::new();
         server
@@ -134,16 +132,16 @@ impl Doorway {
             .max_buf_size(HEAD_BYTES_MAX)
             .max_headers(HEADERS_MAX);
         let mut connection = server.serve_connection(io, service);
-        // What breaks a connection (a reset, a head that is none, a limit) was answered as far as it can be.
-        let served = unless(taken.place().evicted(), Pin::new(&mut connection));
+        // A broken connection (a reset, an invalid header, a limit) already got its reply if that was possible.
+        let served = unless(guard.slot().evicted(), Pin::new(&mut connection));
         match until(&mut self.stopping, served).await {
             Some(Some(_)) => {}
             Some(None) => {
                 Counts::add(&self.counts.connections_evicted, 1);
-                // Behind an answer, another one would be taken for that of the next request.
-                if !taken.place().has_answered() {
+                // After a reply, another one would be taken for the reply to the next request.
+                if !guard.slot().has_answered() {
                     let stream = connection.into_parts().io.into_inner().into_inner();
-                    self.turn_away(stream);
+                    self.reject(stream);
                 }
             }
             None => {
@@ -154,8 +152,8 @@ impl Doorway {
         drop(self.alive);
     }
 
-    /// Answers 503 and closes, without waiting for the other end.
-    fn turn_away<S: Stream>(&self, stream: S) {
+    /// Replies 503 and closes, without waiting for the client.
+    fn reject<S: Stream>(&self, stream: S) {
         const BODY: &str = r#"{"status":503,"kind":"unavailable","message":"too many connections: close one, or try again in a second"}"#;
         let answer = format!(
             "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\n\
@@ -163,43 +161,43 @@ impl Doorway {
             BODY.len()
         );
         let socket = SockRef::from(&stream);
-        // It does not block, and a buffer that nothing was written to holds more than that.
+        // The call does not block, and an unused send buffer is large enough.
         socket.send(answer.as_bytes()).ok();
         socket.shutdown(Shutdown::Write).ok();
-        if let Ok(place) = Arc::clone(&self.lingering).try_acquire_owned() {
-            tokio::spawn(linger(stream, place));
+        if let Ok(permit) = Arc::clone(&self.lingering).try_acquire_owned() {
+            tokio::spawn(linger(stream, permit));
         }
     }
 }
 
-/// What both kinds of sockets are.
+/// The properties of both kinds of sockets.
 pub(super) trait Stream: AsyncRead + AsyncWrite + AsFd + Unpin + Send + 'static {}
 
 impl<S: AsyncRead + AsyncWrite + AsFd + Unpin + Send + 'static> Stream for S {}
 
-/// Reads until the other end closes, so that no reset overtakes what it was sent.
-async fn linger<S: Stream>(mut stream: S, place: OwnedSemaphorePermit) {
+/// Reads until the client closes, so that no reset overtakes the reply.
+async fn linger<S: Stream>(mut stream: S, permit: OwnedSemaphorePermit) {
     let mut dropped = [0; 1024];
     let to_the_end = async { while stream.read(&mut dropped).await.is_ok_and(|n| n > 0) {} };
-    // It is closed in any case.
+    // The connection is closed in any case.
     timeout(LINGER_TIME_MAX, to_the_end).await.ok();
-    drop(place);
+    drop(permit);
 }
 
-/// Fails a write that waits for longer than `stall_max`. Nothing else bounds a client that asks for a large answer
+/// Fails a write that is blocked for longer than `stall_max`. Nothing else limits a client that requests a large reply
 /// and never reads it.
 #[derive(Debug)]
 pub(super) struct StallGuard<S> {
     stream: S,
-    place: Arc<Place>,
+    slot: Arc<ConnectionSlot>,
     stall_max: Duration,
     deadline: Pin<Box<Sleep>>,
     is_waiting: bool,
 }
 
 impl<S> StallGuard<S> {
-    pub(super) fn new(stream: S, place: Arc<Place>, stall_max: Duration) -> Self {
-        Self { stream, place, stall_max, deadline: Box::pin(sleep(stall_max)), is_waiting: false }
+    pub(super) fn new(stream: S, slot: Arc<ConnectionSlot>, stall_max: Duration) -> Self {
+        Self { stream, slot, stall_max, deadline: Box::pin(sleep(stall_max)), is_waiting: false }
     }
 
     pub(super) fn into_inner(self) -> S {
@@ -219,10 +217,7 @@ impl<S> StallGuard<S> {
             self.is_waiting = true;
             self.deadline.as_mut().reset(Instant::now() + self.stall_max);
         }
-        match self.deadline.as_mut().poll(cx) {
-            Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
-            Poll::Pending => Poll::Pending,
-        }
+        self.deadline.as_mut().poll(cx).map(|()| Err(io::ErrorKind::TimedOut.into()))
     }
 }
 
@@ -260,10 +255,10 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for StallGuard<S> {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // hyper flushes when its buffer is empty, and after each answer.
+        // hyper flushes when its buffer is empty, and after each reply.
         let polled = Pin::new(&mut self.stream).poll_flush(cx);
         if matches!(polled, Poll::Ready(Ok(()))) {
-            self.place.flushed();
+            self.slot.flushed();
         }
         self.watch(cx, polled)
     }
@@ -284,13 +279,13 @@ mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     use super::{
-        super::places::{Peer, Places},
+        super::slots::{ConnectionSlots, Peer},
         *,
     };
 
     const BODY_BYTES: usize = 10_000;
 
-    /// What the connection takes before the client reads.
+    /// Bytes that the connection buffers until the client reads.
     const PIPE_BYTES: usize = 256;
 
     #[test]
@@ -298,30 +293,30 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
         runtime.block_on(async {
             let peer = |last| Peer::of_address(IpAddr::from([192, 0, 2, last]));
-            let places = Places::new(1);
-            let taken = places.take(peer(1)).unwrap();
-            taken.place().authorize();
+            let slots = ConnectionSlots::new(1);
+            let guard = slots.take(peer(1)).unwrap();
+            guard.slot().authorize();
             let (mut client, server) = tokio::io::duplex(PIPE_BYTES);
-            let place = Arc::clone(taken.place());
+            let slot = Arc::clone(guard.slot());
             let service = service_fn(move |request: Request<Incoming>| {
-                drop(place.request_body(Body::new(request.into_body())));
-                // One frame, which hyper takes as a whole.
-                let answer = Response::new(place.response_body(Body::from(vec![b'x'; BODY_BYTES])));
+                drop(slot.request_body(Body::new(request.into_body())));
+                // One frame, which hyper accepts as a whole.
+                let answer = Response::new(slot.response_body(Body::from(vec![b'x'; BODY_BYTES])));
                 async move { Ok::<_, Infallible>(answer) }
             });
             let stall_max = Duration::from_secs(600);
-            let io = TokioIo::new(StallGuard::new(server, Arc::clone(taken.place()), stall_max));
+            let io = TokioIo::new(StallGuard::new(server, Arc::clone(guard.slot()), stall_max));
             let connection = tokio::spawn(http1::Builder::new().serve_connection(io, service));
             for _ in 0..2 {
                 client.write_all(b"GET / HTTP/1.1\r\nhost: a\r\n\r\n").await.unwrap();
                 let mut begun = [0; PIPE_BYTES];
                 client.read_exact(&mut begun).await.unwrap();
-                assert!(places.take(peer(2)).is_none(), "its answer is not sent");
+                assert!(slots.take(peer(2)).is_none(), "its answer is not sent");
                 let head_bytes = begun.windows(4).position(|end| end == b"\r\n\r\n").unwrap() + 4;
                 let mut rest = vec![0; head_bytes + BODY_BYTES - PIPE_BYTES];
                 client.read_exact(&mut rest).await.unwrap();
             }
-            assert!(places.take(peer(2)).is_some(), "it is idle");
+            assert!(slots.take(peer(2)).is_some(), "it is idle");
             connection.abort();
         });
     }

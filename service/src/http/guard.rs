@@ -1,7 +1,7 @@
-//! What every request has to pass: its name for us, where it comes from, and whether it may.
+//! Checks every request: its host name, its origin, and its authorization.
 //!
-//! A page on another site can make a browser send us requests, and a name that it owns can be made to point here
-//! (DNS rebinding). The first shows in `Origin` and `Sec-Fetch-Site`, the second in `Host`.
+//! A page on another site can make a browser send requests here, and a host name of its owner can be pointed here (DNS
+//! rebinding). The first shows in `Origin` and `Sec-Fetch-Site`, the second in `Host`.
 
 use std::{
     net::{IpAddr, Ipv6Addr},
@@ -18,23 +18,23 @@ use axum::{
 use super::{
     Counts, Shared, Via,
     login::{self, LOGIN_PATH},
-    places::Place,
     problem::{PROBLEM_JSON, Problem, ProblemKind},
+    slots::ConnectionSlot,
 };
 
-/// Bytes of path and query at most; the longest that means something has a take's name, percent-encoded.
+/// Longest path and query in bytes: the longest useful one has a percent-encoded take name.
 const URI_BYTES_MAX: usize = 4096;
 
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
-/// Nothing from anywhere else, no inline code, no frames around it.
+/// Nothing from other origins, no inline code, no embedding in frames.
 const CONTENT_SECURITY_POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; font-src 'self'; \
      connect-src 'self'; worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; \
      frame-ancestors 'none'",
 );
 
-/// Lets a request through to its route, or says why not.
+/// Passes a request to its route, or refuses it.
 pub(super) async fn guard(State(app): State<Shared>, request: Request, next: Next) -> Response {
     match check(&app, &request) {
         Ok(()) => next.run(request).await,
@@ -45,26 +45,26 @@ pub(super) async fn guard(State(app): State<Shared>, request: Request, next: Nex
 fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     let refuse = |problem: Problem| Err(Box::new(problem.into_response()));
     let (uri, headers) = (request.uri(), request.headers());
-    let said = uri.path_and_query().map_or(0, |said| said.as_str().len());
-    if said > URI_BYTES_MAX {
-        let words = format!("a path of {said} bytes: {URI_BYTES_MAX} at most");
-        return refuse(Problem::new(StatusCode::URI_TOO_LONG, ProblemKind::TooLarge, words));
+    let value = uri.path_and_query().map_or(0, |value| value.as_str().len());
+    if value > URI_BYTES_MAX {
+        let message = format!("the path has {value} bytes; at most {URI_BYTES_MAX} are allowed");
+        return refuse(Problem::new(StatusCode::URI_TOO_LONG, ProblemKind::TooLarge, message));
     }
     let via = request.extensions().get::<Via>().copied();
     let host = host(uri, headers);
-    // Nobody's browser reaches a Unix socket by itself: a proxy does, under a name of its own.
+    // Browsers cannot reach a Unix socket themselves; a proxy does, under its own name.
     if !matches!(via, Some(Via::Unix)) {
         match &host {
-            Some(host) if is_ours(host, via, &app.allowed_hosts.borrow()) => {}
+            Some(host) if is_known_host(host, via, &app.allowed_hosts.borrow()) => {}
             Some(host) => {
-                let words = format!(
-                    "'{}' is not a name of this service: put it into allowed_hosts, if it is",
+                let message = format!(
+                    "unknown host name '{}'; add it to http.allowed_hosts if it is this service's",
                     host.host()
                 );
                 let (status, kind) = (StatusCode::MISDIRECTED_REQUEST, ProblemKind::Forbidden);
-                return refuse(Problem::new(status, kind, words));
+                return refuse(Problem::new(status, kind, message));
             }
-            None => return refuse(Problem::invalid("the header Host is missing, or is no host")),
+            None => return refuse(Problem::invalid("the Host header is missing or invalid")),
         }
     }
     if changes(request.method())
@@ -72,21 +72,21 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     {
         return refuse(problem);
     }
-    let is_authorized = matches!(via, Some(Via::Unix)) || app.auth.lets_in(headers);
-    if is_authorized && let Some(place) = request.extensions().get::<Arc<Place>>() {
-        place.authorize();
+    let is_authorized = matches!(via, Some(Via::Unix)) || app.auth.is_authorized(headers);
+    if is_authorized && let Some(slot) = request.extensions().get::<Arc<ConnectionSlot>>() {
+        slot.authorize();
     }
     if is_authorized || is_open(uri.path()) {
         return Ok(());
     }
-    if request.method() == Method::GET && login::is_wanted(headers) {
+    if request.method() == Method::GET && login::wants_html(headers) {
         return Err(Box::new(Redirect::to(LOGIN_PATH).into_response()));
     }
-    let words = "a token is needed: send `Authorization: Bearer …`, or log in at /login";
-    refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words))
+    let message = "a token is required: send `Authorization: Bearer …`, or log in at /login";
+    refuse(Problem::of(ProblemKind::Unauthorized, message))
 }
 
-/// What can be had without a token: the way in with what it looks like, and whether the service lives.
+/// Paths that need no token: the login page with its files, and the health check.
 fn is_open(path: &str) -> bool {
     matches!(path, "/login" | "/style.css" | "/icon.svg" | "/healthz")
 }
@@ -95,7 +95,7 @@ fn changes(method: &Method) -> bool {
     !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// The host that the client means. `None`: none, several, or none that is one.
+/// The host that the client addresses; `None` if it is missing, repeated or invalid.
 fn host(uri: &Uri, headers: &HeaderMap) -> Option<Authority> {
     let mut hosts = headers.get_all(header::HOST).iter();
     let host = hosts.next()?;
@@ -104,59 +104,51 @@ fn host(uri: &Uri, headers: &HeaderMap) -> Option<Authority> {
     }
     let host: Authority = host.to_str().ok()?.parse().ok()?;
     match uri.authority() {
-        // `GET http://host/ HTTP/1.1`, as to a proxy, has to mean the same.
+        // `GET http://host/ HTTP/1.1`, as sent to a proxy, must name the same host.
         Some(other) if !other.as_str().eq_ignore_ascii_case(host.as_str()) => None,
         _ => Some(host),
     }
 }
 
-/// Whether that is a name of this service. Ports are not looked at: `ssh -L` gives others.
-fn is_ours(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
+/// Whether this is a host name of the service. Ports are ignored, because `ssh -L` changes them.
+fn is_known_host(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
     let name = host.host().trim_start_matches('[').trim_end_matches(']');
-    if name.eq_ignore_ascii_case("localhost")
-        || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(name))
-    {
+    let is_name = |known: &str| known.eq_ignore_ascii_case(name);
+    if is_name("localhost") || allowed.iter().any(|allowed| is_name(allowed)) {
         return true;
     }
     let Ok(address) = name.parse::<IpAddr>() else { return false };
-    let local = match via {
-        Some(Via::Tcp(local)) => Some(local.ip().to_canonical()),
-        _ => None,
-    };
-    address.to_canonical() == IpAddr::from([127, 0, 0, 1])
+    let address = address.to_canonical();
+    address == IpAddr::from([127, 0, 0, 1])
         || address == IpAddr::from(Ipv6Addr::LOCALHOST)
-        || Some(address.to_canonical()) == local
+        || matches!(via, Some(Via::Tcp(local)) if local.ip().to_canonical() == address)
 }
 
-/// Whether what changes something comes from our own pages, or from no page at all.
+/// Refuses a changing request unless it comes from our own pages or from no page at all.
 fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Problem> {
-    let forbidden =
-        |words: String| Problem::new(StatusCode::FORBIDDEN, ProblemKind::Forbidden, words);
+    let forbidden = |message: String| Problem::of(ProblemKind::Forbidden, message);
     let mut origins = headers.get_all(header::ORIGIN).iter();
     if let Some(origin) = origins.next() {
-        let said = origin.to_str().unwrap_or_default();
-        let from = said.strip_prefix("http://").or_else(|| said.strip_prefix("https://"));
+        let value = origin.to_str().unwrap_or_default();
+        let from = value.strip_prefix("http://").or_else(|| value.strip_prefix("https://"));
         let same = from
             .is_some_and(|from| host.is_some_and(|host| host.as_str().eq_ignore_ascii_case(from)));
         if !same || origins.next().is_some() {
-            return Err(forbidden(format!(
-                "a page of '{}' may not change anything here",
-                said.escape_default()
-            )));
+            let origin = value.escape_default();
+            return Err(forbidden(format!("pages of '{origin}' may not change anything here")));
         }
     }
     match headers.get(SEC_FETCH_SITE).map(HeaderValue::as_bytes) {
         None | Some(b"same-origin" | b"none") => Ok(()),
-        Some(_) => Err(forbidden("a page of another site may not change anything here".to_owned())),
+        Some(_) => Err(forbidden("pages of other sites may not change anything here".to_owned())),
     }
 }
 
-/// Makes every refusal a problem in JSON, or a page for a browser that shows it, and adds the headers that keep browsers
-/// to themselves.
+/// Turns every error response into a problem in JSON, or into a page for a browser, and adds security headers.
 pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let is_api = path.starts_with("/v1/");
-    let is_page = !is_api && login::is_wanted(request.headers());
+    let is_page = !is_api && login::wants_html(request.headers());
     Counts::add(&app.counts.requests, 1);
     let mut response = next.run(request).await;
     let status = response.status();
@@ -180,13 +172,11 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
     }
     let headers = response.headers_mut();
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    // Not `no-referrer`: with that, browsers send the form of /login with `Origin: null`, which is no page of ours.
+    // Not `no-referrer`: with that, browsers send the form of /login with `Origin: null`, which would be refused.
     headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("same-origin"));
     headers.insert(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY);
-    headers.insert(
-        HeaderName::from_static("cross-origin-resource-policy"),
-        HeaderValue::from_static("same-origin"),
-    );
+    let resource_policy = HeaderName::from_static("cross-origin-resource-policy");
+    headers.insert(resource_policy, HeaderValue::from_static("same-origin"));
     if is_api {
         headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     }
@@ -199,7 +189,7 @@ mod tests {
 
     fn ours(host: &str, local: &str) -> bool {
         let via = Some(Via::Tcp(local.parse().unwrap()));
-        is_ours(&host.parse().unwrap(), via, &["rig.lab".to_owned()])
+        is_known_host(&host.parse().unwrap(), via, &["rig.lab".to_owned()])
     }
 
     #[test]

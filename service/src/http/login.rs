@@ -1,11 +1,11 @@
-//! A browser shows the token once, and holds a cookie from then on. The pages that the service itself writes: the form
-//! for it, and refusals for people who look at them in a browser.
+//! Login of browsers: the token is sent once, and a cookie from then on. Also the HTML pages for the login form and for
+//! errors.
 
 use std::time::Duration;
 
 use axum::{
     extract::{Request, State},
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, header},
     response::{Html, IntoResponse, Redirect, Response},
 };
 
@@ -16,51 +16,44 @@ use super::{
     problem::{Problem, ProblemKind},
 };
 
-/// Before a wrong token is answered: guessing over one connection is slow, and connections are counted.
+/// Delay before a wrong token is refused: guessing over one connection is slow, and connections are limited.
 const WRONG_TOKEN_WAIT: Duration = Duration::from_millis(500);
 
-/// A page that asks for the token
+/// The login page
 #[utoipa::path(get, path = "/login", tag = "login",
     responses((status = 200, body = String, content_type = "text/html")), security(()))]
 pub(super) async fn page() -> Html<String> {
     Html(LOGIN.replace(PLACE, ""))
 }
 
-/// What the page sends.
+/// The fields of the login form.
 #[derive(Debug, utoipa::ToSchema)]
-#[expect(dead_code, reason = "it stands in the description only: the one field is read by hand")]
+#[expect(dead_code, reason = "for the API description only: the one field is parsed by hand")]
 pub(super) struct Login {
     /// The token.
     token: String,
 }
 
-/// Log a browser in
+/// Log in a browser
 ///
-/// Answers with a cookie that scripts cannot read and other sites' pages cannot use. A client that accepts HTML gets a
-/// refusal as the form again, with the reason.
+/// Replies with a cookie that scripts cannot read and pages of other sites cannot use. Clients that accept HTML get the
+/// form again if they are refused, with the reason.
 #[utoipa::path(post, path = "/login", tag = "login", security(()),
     request_body(content = inline(Login), content_type = "application/x-www-form-urlencoded"),
     responses((status = 303, description = "Logged in: to the dashboard"),
         (status = 401, description = "Not the token", body = Problem,
             content_type = "application/problem+json")))]
-pub(super) async fn login(
-    State(app): State<Shared>,
-    request: Request,
-) -> Result<Response, Problem> {
+pub(super) async fn login(app: State<Shared>, request: Request) -> Result<Response, Problem> {
     let (parts, body) = request.into_parts();
     if !body::is_type(&parts.headers, "application/x-www-form-urlencoded") {
-        return Err(Problem::new(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            ProblemKind::UnsupportedMediaType,
-            "send the form of /login",
-        ));
+        return Err(Problem::of(ProblemKind::UnsupportedMediaType, "send the form of /login"));
     }
     let form = body::read(body, &parts.headers, &app).await?;
-    let said = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
-    if !app.auth.is_token(said.as_bytes()) {
+    let token = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
+    if !app.auth.is_token(token.as_bytes()) {
         tokio::time::sleep(WRONG_TOKEN_WAIT).await;
-        let words = "wrong token: it stands in the file that the configuration names";
-        return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words));
+        let message = "wrong token: the service's configuration names the file that contains it";
+        return Err(Problem::of(ProblemKind::Unauthorized, message));
     }
     let mut response = Redirect::to("/").into_response();
     if app.auth.is_on() {
@@ -71,13 +64,10 @@ pub(super) async fn login(
     Ok(response)
 }
 
-/// Log a browser out
+/// Log out a browser
 #[utoipa::path(post, path = "/logout", tag = "login",
     responses((status = 303, description = "Logged out: to the login page")))]
-pub(super) async fn logout(
-    State(app): State<Shared>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
+pub(super) async fn logout(app: State<Shared>, headers: HeaderMap) -> Result<Response, Problem> {
     app.auth.close_session(&headers);
     let mut response = Redirect::to("/login").into_response();
     set_cookie(&mut response, "", Duration::ZERO)?;
@@ -93,7 +83,7 @@ fn set_cookie(response: &mut Response, value: &str, life: Duration) -> Result<()
     Ok(())
 }
 
-/// The field `token` of a form. It may have been pasted with a line end.
+/// The field `token` of a form, without a line end that was pasted with it.
 fn token_of(form: &[u8]) -> Option<String> {
     let (_, token) = form_urlencoded::parse(form).find(|(name, _)| name == "token")?;
     Some(token.trim_ascii().to_owned())
@@ -105,16 +95,17 @@ const LOGIN: &str = include_str!("login.html");
 
 const REFUSAL: &str = include_str!("problem.html");
 
-/// Where a page says what was refused.
+/// Where a page shows the error.
 const PLACE: &str = "<!-- problem -->";
 
-/// Whether the client is a browser that shows what comes: `fetch` and programs accept anything, not HTML first of all.
-pub(super) fn is_wanted(headers: &HeaderMap) -> bool {
+/// Whether the client is a browser that shows the response: `fetch` and programs accept anything, not HTML in
+/// particular.
+pub(super) fn wants_html(headers: &HeaderMap) -> bool {
     let accepts = headers.get(header::ACCEPT).and_then(|accepts| accepts.to_str().ok());
     accepts.is_some_and(|accepts| accepts.contains("text/html"))
 }
 
-/// A refusal as a page: at the login the form again.
+/// An error as a page; at the login, the form again.
 pub(super) fn refusal(path: &str, problem: &Problem) -> Html<String> {
     let (page, message) = match problem.kind {
         ProblemKind::Unauthorized if path == LOGIN_PATH => (LOGIN, "Wrong token.".to_owned()),
@@ -124,7 +115,7 @@ pub(super) fn refusal(path: &str, problem: &Problem) -> Html<String> {
     Html(page.replace(PLACE, &format!("<p role=\"alert\">{message}</p>")))
 }
 
-/// Text as HTML: a message may hold what a request said.
+/// Escapes text for HTML: a message may contain parts of a request.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -143,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_request_said_is_no_markup() {
+    fn text_of_a_request_is_escaped() {
         let problem = Problem::invalid("'<b>&\"'");
         let Html(page) = refusal("/", &problem);
         assert!(page.contains("'&lt;b&gt;&amp;&quot;'") && !page.contains("<b>"), "{page}");

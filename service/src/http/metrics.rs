@@ -1,7 +1,7 @@
-//! The figures of the status for Prometheus.
+//! The figures of the status as Prometheus metrics.
 
 use std::{
-    fmt::Error,
+    fmt,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -26,9 +26,9 @@ use crate::status::{State, Status, TakeStatus, TakeSummary};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";
 
-/// The figures of the status, for Prometheus
+/// Metrics for Prometheus
 ///
-/// In the text format of `OpenMetrics`, if the client accepts that, and else in Prometheus' own.
+/// In the `OpenMetrics` text format if the client accepts it, otherwise in Prometheus' classic text format.
 #[utoipa::path(get, path = "/metrics", tag = "status", responses((status = 200, content(
     (String = "text/plain; version=0.0.4; charset=utf-8"),
     (String = "application/openmetrics-text; version=1.0.0; charset=utf-8")))))]
@@ -37,7 +37,7 @@ pub(super) async fn metrics(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let mut registry = Registry::with_prefix("mocapd");
-    let figures = Figures { status: app.control.status(), counts: Arc::clone(&app.counts) };
+    let figures = StatusMetrics { status: app.control.status(), counts: Arc::clone(&app.counts) };
     registry.register_collector(Box::new(figures));
     let mut text = String::new();
     encode(&mut text, &registry).map_err(|error| Problem::internal(error.to_string()))?;
@@ -50,8 +50,9 @@ pub(super) async fn metrics(
     Ok(([(header::CONTENT_TYPE, content_type)], text).into_response())
 }
 
-/// The text as it was before `OpenMetrics`: there a counter's help and type stand under its full name, units are part of
-/// the name only, and there is no end. Read the new way by an old reader, counters would have no help.
+/// Converts `OpenMetrics` to the classic text format, in which the help and type of a counter stand under its full
+/// name, a unit is only part of the name, and there is no end marker. Classic readers would otherwise find no help for
+/// counters.
 fn classic(text: &str) -> String {
     let counters: Vec<&str> = text
         .lines()
@@ -59,8 +60,8 @@ fn classic(text: &str) -> String {
         .collect();
     let mut out = String::with_capacity(text.len());
     for line in text.lines().filter(|line| !line.starts_with("# UNIT ") && *line != "# EOF") {
-        let mut words = line.splitn(4, ' ');
-        match (words.next(), words.next(), words.next(), words.next()) {
+        let mut parts = line.splitn(4, ' ');
+        match (parts.next(), parts.next(), parts.next(), parts.next()) {
             (Some("#"), Some(what), Some(name), Some(rest)) if counters.contains(&name) => {
                 out += &format!("# {what} {name}_total {rest}\n");
             }
@@ -73,16 +74,16 @@ fn classic(text: &str) -> String {
     out
 }
 
-/// The figures at one time: names in Prometheus' base units, and what each means.
+/// The status at one moment: names in Prometheus' base units, each with its help text.
 #[derive(Debug)]
-struct Figures {
+struct StatusMetrics {
     status: Status,
     counts: Arc<Counts>,
 }
 
-impl Collector for Figures {
-    fn encode(&self, encoder: DescriptorEncoder<'_>) -> Result<(), Error> {
-        let mut out = Out(encoder);
+impl Collector for StatusMetrics {
+    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        let mut out = MetricWriter(encoder);
         self.service(&mut out)?;
         self.device(&mut out)?;
         self.input(&mut out)?;
@@ -98,35 +99,23 @@ impl Collector for Figures {
     }
 }
 
-/// Writes one figure after the other.
-struct Out<'a>(DescriptorEncoder<'a>);
+/// Writes metrics one after another.
+struct MetricWriter<'a>(DescriptorEncoder<'a>);
 
-impl Out<'_> {
-    /// A name ends with its unit, where it has one.
-    fn gauge(
-        &mut self,
-        name: &str,
-        help: &str,
-        unit: Option<&Unit>,
-        value: f64,
-    ) -> Result<(), Error> {
+impl MetricWriter<'_> {
+    /// A gauge; its name ends with the unit, if there is one.
+    fn gauge(&mut self, name: &str, help: &str, unit: Option<&Unit>, value: f64) -> fmt::Result {
         let metric = self.0.encode_descriptor(name, help, unit, MetricType::Gauge)?;
         ConstGauge::new(value).encode(metric)
     }
 
-    fn counter(&mut self, name: &str, help: &str, value: u64) -> Result<(), Error> {
+    fn counter(&mut self, name: &str, help: &str, value: u64) -> fmt::Result {
         let metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
         ConstCounter::new(value).encode(metric)
     }
 
-    /// One figure with several values, told apart by a label.
-    fn by(
-        &mut self,
-        name: &str,
-        help: &str,
-        label: &str,
-        values: &[(&str, u64)],
-    ) -> Result<(), Error> {
+    /// A gauge with several values, distinguished by a label.
+    fn by(&mut self, name: &str, help: &str, label: &str, values: &[(&str, u64)]) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
         for &(which, value) in values {
             ConstGauge::new(value as f64).encode(metric.encode_family(&[(label, which)])?)?;
@@ -134,8 +123,8 @@ impl Out<'_> {
         Ok(())
     }
 
-    /// Which one of several it is.
-    fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> Result<(), Error> {
+    /// A gauge with one value per state: 1 for the current state, 0 for the others.
+    fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> fmt::Result {
         let values: Vec<_> = names.iter().map(|&which| (which, u64::from(which == is))).collect();
         let label = name.rsplit('_').next().unwrap_or(name);
         self.by(name, help, label, &values)
@@ -146,7 +135,7 @@ fn flag(is: bool) -> f64 {
     f64::from(u8::from(is))
 }
 
-/// Figures with what they mean. A gauge may have a unit; a value without one is a number.
+/// Metrics with their help texts. A gauge may have a unit.
 macro_rules! figures {
     ($out:ident: $(#[doc = $help:literal] $kind:ident $name:ident $(in $unit:ident)? = $value:expr;)*) => {
         $(figures!(@$kind $out, stringify!($name), $help.trim_ascii(), $($unit)?, $value)?;)*
@@ -168,15 +157,15 @@ macro_rules! figures {
     };
 }
 
-impl Figures {
-    fn service(&self, out: &mut Out<'_>) -> Result<(), Error> {
+impl StatusMetrics {
+    fn service(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let status = &self.status;
         let mut build =
             out.0.encode_descriptor("build_info", "Program and rig", None, MetricType::Gauge)?;
         let labels = [("software", status.software.as_str()), ("rig", status.rig.as_str())];
         ConstGauge::new(1.0).encode(build.encode_family(&labels)?)?;
         figures! { out:
-            /// Since the service was started
+            /// Time since the service was started
             gauge uptime in Seconds = status.uptime_s;
         }
         let state = match status.state {
@@ -186,54 +175,54 @@ impl Figures {
             State::Failed => "failed",
         };
         let names = ["idle", "armed", "recording", "failed"];
-        out.one_of("state", "What the service is doing: 1 for the state it is in", &names, state)
+        out.one_of("state", "State of the service: 1 for the current state", &names, state)
     }
 
-    fn device(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn device(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let device = &self.status.device;
         let names = ["absent", "present", "streaming", "silent"];
-        let help = "Whether the device is there: 1 for how it is";
+        let help = "Presence of the device: 1 for the current one";
         out.one_of("device_presence", help, &names, &device.presence.to_string())?;
         let outage = device.outage.unwrap_or_default();
         figures! { out:
-            /// Frames a second that the device states
+            /// Frame rate that the device reports
             gauge device_rate in Hertz = device.rate_hz;
-            /// Markers announced, and those that appeared since
+            /// Markers announced by the device, and those that appeared since
             gauge device_markers = device.markers as f64;
-            /// Times that the device went away and came back since it was armed
+            /// Times that the device disconnected and came back since it was armed
             counter device_outages = u64::from(device.outages);
             /// 1 while the device is absent and waited for
             gauge device_is_awaited = flag(device.is_awaited);
-            /// Since the last frame, while the device should stream and does not; 0 while it does
+            /// Time since the last frame while the device should stream but does not; otherwise 0
             gauge device_outage in Seconds = outage.seconds;
-            /// Frames that were due in that time
+            /// Frames due during that time
             gauge device_outage_frames = outage.frames as f64;
         }
         if let Some(ends_in_s) = outage.ends_in_s {
             figures! { out:
-                /// Until a device that is away is given up, and its take ends
+                /// Time until an absent device is given up and its take ends
                 gauge device_outage_ends_in in Seconds = ends_in_s;
             }
         }
         Ok(())
     }
 
-    fn input(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn input(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let input = &self.status.input;
         figures! { out:
-            /// Frames taken in since the device was armed
+            /// Frames received since the device was armed
             counter input_frames = input.frames;
-            /// Frames lost since the device was armed, for whatever reason
+            /// Frames lost since the device was armed, for any reason
             counter input_frames_lost = input.lost;
-            /// Frames a second over the last seconds, as they arrived
+            /// Frame rate over the last seconds, by arrival
             gauge input_measured_rate in Hertz = input.measured_hz;
-            /// How full the fullest ring is
+            /// Fill level of the fullest ring
             gauge input_ring_fill in Ratio = input.ring_fill;
-            /// From a frame's last byte to its place in every ring: 99 of 100 frames, at most
+            /// Time from a frame's last byte to its place in every ring, 99th percentile
             gauge input_ring_latency_p99 in Seconds = input.ring_latency_p99_us as f64 / 1e6;
-            /// What 99 of 100 frames were no later than after the clock's line; 0 while unknown
+            /// Delay of frames after the line fitted to the clock, 99th percentile; 0 while unknown
             gauge input_jitter_p99 in Seconds = input.jitter_p99_us as f64 / 1e6;
-            /// How much faster the host's clock runs than the device's
+            /// Relative drift: how much faster the host's clock runs than the device's
             gauge input_clock_drift in Ratio = input.drift_ppm / 1e6;
             /// Processor time of all threads over the last seconds, in cores
             gauge cpu_cores = input.cpu_cores;
@@ -241,83 +230,83 @@ impl Figures {
         Ok(())
     }
 
-    fn pre_roll_and_disk(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn pre_roll_and_disk(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let (pre_roll, disk) = (&self.status.pre_roll, &self.status.disk);
         figures! { out:
-            /// Pre-roll that is to be held
+            /// Configured length of the pre-roll
             gauge pre_roll_wanted in Seconds = pre_roll.wanted_s;
-            /// Pre-roll that is held
+            /// Length of the pre-roll held
             gauge pre_roll_held in Seconds = pre_roll.held_s;
-            /// What the pre-roll takes
+            /// Memory used by the pre-roll
             gauge pre_roll_memory in Bytes = pre_roll.held_bytes as f64;
-            /// 1 when less is held than wanted because of the bound on memory
+            /// 1 if the memory limit keeps the pre-roll shorter than configured
             gauge pre_roll_is_cut = flag(pre_roll.is_cut);
         }
         if let Some(free) = disk.free_bytes {
             figures! { out:
-                /// Free on the disk of the takes' folder
+                /// Free space on the disk of the takes' folder
                 gauge disk_free in Bytes = free as f64;
             }
         }
         figures! { out:
-            /// What stays free: a take that comes there is closed
+            /// Space to keep free: a take that reaches it is closed
             gauge disk_keep_free in Bytes = disk.keep_free_bytes as f64;
         }
         if let Some(left) = disk.left_s {
             figures! { out:
-                /// How long a take can go on at the rate of the last half a minute
+                /// How long a take can continue at the rate of the last half minute
                 gauge disk_left in Seconds = left as f64;
             }
         }
         Ok(())
     }
 
-    fn http(&self, out: &mut Out<'_>) -> Result<(), Error> {
+    fn http(&self, out: &mut MetricWriter<'_>) -> fmt::Result {
         let counts = &self.counts;
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         figures! { out:
-            /// Connections to the API that are open
+            /// Open connections to the API
             gauge http_connections = count(&counts.connections) as f64;
-            /// Connections that were closed at once: there were too many
+            /// Connections rejected because there were too many
             counter http_connections_refused = count(&counts.connections_refused);
-            /// Connections without a request in progress that were closed to make room for others
+            /// Connections without a request in progress that were closed in favour of new ones
             counter http_connections_evicted = count(&counts.connections_evicted);
             /// Requests to the API
             counter http_requests = count(&counts.requests);
-            /// Requests that were answered with 400 or more
+            /// Requests that got a status of 400 or above
             counter http_requests_refused = count(&counts.requests_refused);
-            /// Messages of the live stream that viewers were too slow for
+            /// Messages of the live stream skipped because viewers were too slow
             counter http_live_messages_skipped = count(&counts.live_frames_skipped);
-            /// Events that the API itself was too slow for
+            /// Events missed because the API itself was too slow
             counter http_events_missed = count(&counts.events_missed);
         }
         Ok(())
     }
 }
 
-fn of_take(take: &TakeStatus, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_take(take: &TakeStatus, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
-        /// When the take was asked for, since 1970
+        /// Time of the take's start request, since 1970
         gauge take_started_timestamp in Seconds = take.started_unix_ms as f64 / 1e3;
-        /// Rows of the take so far, lost ones included
+        /// Rows of the take so far, including lost frames
         gauge take_rows = take.rows as f64;
-        /// What the rows of the take make
+        /// Length of the take
         gauge take_length in Seconds = take.seconds;
-        /// The take's file
+        /// Size of the take's file
         gauge take_size in Bytes = take.bytes as f64;
-        /// What of the take would survive a power cut
+        /// Bytes of the take that would survive a power cut
         gauge take_durable in Bytes = take.durable_bytes as f64;
-        /// 12 bytes a present sample, over the bytes of the file; 0 before there are any
+        /// 12 bytes per present sample, divided by the size of the file; 0 before there are samples
         gauge take_compression in Ratio = take.ratio;
-        /// Largest error of a sample of the take so far
+        /// Largest error of any sample of the take so far
         gauge take_max_error in Meters = take.max_error_mm / 1e3;
     }
     Ok(())
 }
 
-fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_ledger(ledger: &LedgerDocument, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
-        /// Frames that the device sent for the take, as far as is known
+        /// Frames that the device sent for the take, if known
         gauge take_frames_sent = ledger.frames_sent as f64;
     }
     let frames = [
@@ -329,9 +318,9 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         ("duplicate", ledger.duplicates),
         ("unknown_after_disconnect", ledger.unknown_after_disconnect),
     ];
-    out.by("take_frames", "What became of the take's frames", "fate", &frames)?;
+    out.by("take_frames", "Frames of the take by fate", "fate", &frames)?;
     figures! { out:
-        /// Samples that the take's frames should have
+        /// Samples that the take's frames should contain
         gauge take_samples_announced = ledger.samples_announced as f64;
     }
     let samples = [
@@ -339,17 +328,17 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         ("occluded", ledger.samples_occluded),
         ("not_finite", ledger.samples_not_finite),
     ];
-    out.by("take_samples", "What became of the take's samples", "fate", &samples)?;
+    out.by("take_samples", "Samples of the take by fate", "fate", &samples)?;
     figures! { out:
-        /// Samples of markers that there was no channel for
+        /// Samples of markers without a channel
         gauge take_markers_dropped = ledger.markers_dropped as f64;
-        /// Counters that contradict themselves
+        /// Contradictions between the ledger's counters
         gauge take_contradictions = ledger.contradictions.len() as f64;
-        /// 1 when what was sent and what became of it are equal
+        /// 1 if every frame and sample sent is accounted for
         gauge take_ledger_closes = flag(ledger.closes);
-        /// Frames sent less those whose fate is known; 0 when the ledger closes
+        /// Frames sent minus frames accounted for; 0 if the ledger closes
         gauge take_frame_balance = ledger.frame_balance as f64;
-        /// Samples announced less those whose fate is known; 0 when the ledger closes
+        /// Samples announced minus samples accounted for; 0 if the ledger closes
         gauge take_sample_balance = ledger.sample_balance as f64;
     }
     let bytes = [("received", ledger.link_bytes), ("skipped", ledger.link_bytes_skipped)];
@@ -358,25 +347,25 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         ("damaged", ledger.link_messages_damaged),
         ("unknown", ledger.link_messages_unknown),
     ];
-    let help = "Bytes of the line during the take; those skipped were received, too";
+    let help = "Bytes received during the take; those skipped are also counted as received";
     out.by("take_link_bytes", help, "fate", &bytes)?;
-    out.by("take_link_messages", "Messages of the line during the take", "fate", &messages)
+    out.by("take_link_messages", "Messages received during the take", "fate", &messages)
 }
 
-fn of_last_take(take: &TakeSummary, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_last_take(take: &TakeSummary, out: &mut MetricWriter<'_>) -> fmt::Result {
     figures! { out:
-        /// The file of the take before
+        /// Size of the previous take's file
         gauge last_take_size in Bytes = take.bytes as f64;
-        /// When the take before was last written, since 1970
+        /// Last modification of the previous take, since 1970
         gauge last_take_modified_timestamp in Seconds = take.modified_unix_ms as f64 / 1e3;
-        /// Length of the take before; 0 while unknown
+        /// Length of the previous take; 0 while unknown
         gauge last_take_length in Seconds = take.seconds;
-        /// Markers of the take before; 0 while unknown
+        /// Markers of the previous take; 0 while unknown
         gauge last_take_markers = take.markers as f64;
     }
-    let names = TakeHealth::ALL.map(TakeHealth::word);
-    let help = "How the take before is: 1 for what is known";
-    out.one_of("last_take_health", help, &names, take.health.word())
+    let names = TakeHealth::ALL.map(TakeHealth::name);
+    let help = "Health of the previous take: 1 for the current one";
+    out.one_of("last_take_health", help, &names, take.health.name())
 }
 
 #[cfg(test)]
@@ -388,13 +377,13 @@ mod tests {
 
     fn text(status: Status) -> String {
         let mut registry = Registry::with_prefix("mocapd");
-        registry.register_collector(Box::new(Figures { status, counts: Arc::default() }));
+        registry.register_collector(Box::new(StatusMetrics { status, counts: Arc::default() }));
         let mut text = String::new();
         encode(&mut text, &registry).unwrap();
         text
     }
 
-    /// Gives every number in a document one that stands nowhere else, and tells where.
+    /// Replaces every number in a document by a unique one, and records its path.
     fn number(value: &mut Value, path: &str, numbers: &mut Vec<(String, u64)>) {
         match value {
             Value::Object(fields) => {

@@ -1,13 +1,14 @@
-//! The service over HTTP: a small API, what happens as it happens, and the dashboard.
+//! The HTTP server: the API, event and live streams, and the dashboard.
 //!
 //! ```text
 //! Unix socket ─┐                                                   ┌─► Control::status: at once
-//!              ├─► connection: bounds, ─► guard: Host, ─► route ───┼─► lane ─► Control::start …: a thread that may wait
-//! TCP ─────────┘   time limits            Origin, token            └─► hub ◄── Control::events, live: a thread each
+//!              ├─► connection: limits, ─► guard: Host, ─► route ───┼─► queue ─► Control::start …: a thread that may wait
+//! TCP ─────────┘   time-outs              Origin, token            └─► hub ◄── Control::events, live: a thread each
 //! ```
 //!
-//! Each listener has a thread of its own, `mocapd-socket` and `mocapd-tcp`, and a bounded number of threads for what
-//! waits, so that clients of one never wait for those of the other; the data plane knows nothing of it. docs/api.md has the routes and what is promised of them.
+//! Each listener has its own thread, `mocapd-socket` and `mocapd-tcp`, and a limited number of threads for blocking
+//! work, so that clients of one never wait for those of the other. The data plane knows nothing of it. docs/api.md
+//! describes the routes and their guarantees.
 
 mod assets;
 mod auth;
@@ -16,16 +17,16 @@ mod broadcast;
 mod commands;
 mod connection;
 mod guard;
-mod lanes;
 mod login;
 mod metrics;
 mod options;
-mod places;
 mod problem;
 mod routes;
 mod server;
+mod slots;
 mod streams;
 mod takes;
+mod work_queues;
 
 use std::{
     net::SocketAddr,
@@ -42,8 +43,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use self::{
     auth::Auth,
-    broadcast::{EventHub, LiveHub},
-    lanes::Lanes,
+    broadcast::{EventBroadcast, LiveBroadcast},
+    work_queues::WorkQueues,
 };
 pub use self::{
     auth::{Token, TokenError},
@@ -55,72 +56,68 @@ pub use self::{
 };
 use crate::control::Control;
 
-/// The service, and what the server has around it, for the requests of one listener. What can be used up is each
-/// listener's own, so that clients of one never wait for those of another.
+/// The state shared by the requests of one listener. Limited resources belong to each listener, so that clients of one
+/// never wait for those of the other.
 #[derive(Debug)]
 struct App {
     control: Arc<dyn Control>,
-    lanes: Lanes,
+    queues: WorkQueues,
     auth: Arc<Auth>,
     counts: Arc<Counts>,
     limits: TimeLimits,
     allowed_hosts: watch::Receiver<Vec<String>>,
-    events: Arc<EventHub>,
-    live: Arc<LiveHub>,
-    /// The API's description of itself.
+    events: Arc<EventBroadcast>,
+    live: Arc<LiveBroadcast>,
+    /// The OpenAPI description.
     document: Bytes,
-    /// Answers that go on for as long as the client likes: half of the listener's connections, so that
-    /// requests get through.
+    /// Limits replies of unlimited duration to half of the listener's connections, so that requests get through.
     streams: Arc<Semaphore>,
-    /// Turns true when the server ends.
+    /// Becomes true when the server stops.
     stopping: watch::Receiver<bool>,
 }
 
-/// What handlers are given.
+/// The state passed to handlers.
 type Shared = Arc<App>;
 
-/// Held by an answer that goes on.
-type StreamPlace = OwnedSemaphorePermit;
+/// Held by a reply of unlimited duration.
+type StreamPermit = OwnedSemaphorePermit;
 
 impl App {
-    /// A place for an answer that goes on for as long as the client likes.
+    /// A permit for a reply of unlimited duration.
     ///
     /// # Errors
-    /// 503 when there are too many.
-    fn stream_place(&self) -> Result<StreamPlace, Problem> {
-        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
-            Problem::unavailable(
-                "too many streams and downloads: close one, or try again in a second",
-            )
-        })
+    /// 503 if there are too many.
+    fn stream_permit(&self) -> Result<StreamPermit, Problem> {
+        let message = "too many streams and downloads: close one, or try again in a second";
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| Problem::unavailable(message))
     }
 }
 
-/// Which way a request came.
+/// How a request reached the server.
 #[derive(Debug, Clone, Copy)]
 enum Via {
-    /// The Unix socket: its mode says who may come in.
+    /// Over the Unix socket, whose mode decides who may connect.
     Unix,
     /// TCP, to this address.
     Tcp(SocketAddr),
 }
 
-/// What the server counts of itself, for /metrics: of all connections since the start.
+/// Counters of the server since its start, for /metrics.
 #[derive(Debug, Default)]
 struct Counts {
-    /// Open now.
+    /// Open connections.
     connections: AtomicU64,
-    /// Closed at once, because there were too many.
+    /// Connections rejected because there were too many.
     connections_refused: AtomicU64,
-    /// Closed to make room for another one.
+    /// Connections evicted in favour of new ones.
     connections_evicted: AtomicU64,
-    /// Requests that reached a route, or found none.
+    /// Requests, including those for unknown routes.
     requests: AtomicU64,
-    /// Of these, answered with 400 or more.
+    /// Requests that got a status of 400 or above.
     requests_refused: AtomicU64,
-    /// Frames that viewers were too slow for.
+    /// Live messages that slow viewers skipped.
     live_frames_skipped: AtomicU64,
-    /// Events that listeners missed.
+    /// Events that subscribers missed.
     events_missed: AtomicU64,
 }
 
@@ -130,24 +127,24 @@ impl Counts {
     }
 }
 
-/// Counts a connection as open while it lives.
+/// Counts a connection as open until it is dropped.
 #[derive(Debug)]
-struct Open(Arc<Counts>);
+struct OpenConnection(Arc<Counts>);
 
-impl Open {
+impl OpenConnection {
     fn new(counts: Arc<Counts>) -> Self {
         counts.connections.fetch_add(1, Ordering::Relaxed);
         Self(counts)
     }
 }
 
-impl Drop for Open {
+impl Drop for OpenConnection {
     fn drop(&mut self) {
         self.0.connections.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
-/// Awaits `work`, or `event`: `None`.
+/// Awaits `work`; `None` if `event` comes first.
 async fn unless<T>(event: impl Future<Output = ()>, work: impl Future<Output = T>) -> Option<T> {
     match select(pin!(event), pin!(work)).await {
         Either::Left(_) => None,
@@ -155,12 +152,12 @@ async fn unless<T>(event: impl Future<Output = ()>, work: impl Future<Output = T
     }
 }
 
-/// Awaits `work`, or that the server stops: `None`.
+/// Awaits `work`; `None` if the server stops first.
 async fn until<T>(
     stopping: &mut watch::Receiver<bool>,
     work: impl Future<Output = T>,
 ) -> Option<T> {
-    // Its sender lives as long as the server: an error is the end as well.
+    // The sender lives as long as the server: an error also means the end.
     let stop = async { drop(stopping.wait_for(|&stopping| stopping).await) };
     unless(stop, work).await
 }

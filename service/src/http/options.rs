@@ -1,53 +1,54 @@
-//! What the server is started with.
+//! Options of the HTTP server.
 
 use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use anyhow::{bail, ensure};
 
-use super::{auth::TOKEN_BYTES_MIN, lanes};
+use super::{auth::TOKEN_BYTES_MIN, work_queues};
 
-/// Connections at once at most, each on the Unix socket and on TCP: a studio's browsers and scripts, each with a few, and
-/// room for those that never finish a request. Each costs 50 KB at most. Connections must leave descriptors for takes.
+/// Most connections, for the Unix socket and for TCP separately: enough for a studio's browsers and scripts with a few
+/// each, and for those that never finish a request. Each costs at most 50 KB. Connections must leave file descriptors
+/// for takes.
 pub const CONNECTIONS_MAX: usize = 256;
 
-/// Connections that were refused or evicted and are read until their end closes, at once. Closed with bytes unread, the
-/// kernel sends a reset, which may overtake the answer; beyond this bound that risk is taken.
+/// Most rejected or evicted connections that are read until their client closes. If a socket is closed with unread
+/// bytes, the kernel sends a reset, which may overtake the reply; beyond this limit that risk is accepted.
 pub(super) const LINGER_MAX: usize = 32;
 
-/// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
-/// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the
-/// socket always gets in.
-pub(super) const UNIX_MORE: usize = lanes::REQUESTS_MAX;
+/// Connections of the Unix socket beyond `connections_max`: the number of requests that can be running or waiting at
+/// once. Half of `connections_max` can be streams, so that even at worst enough connections can be evicted: a user
+/// with access to the socket always gets a connection.
+pub(super) const UNIX_MORE: usize = work_queues::REQUESTS_MAX;
 
-/// Descriptors that a process may open unless it is given more: Linux' and systemd's soft limit.
+/// File descriptors that a process has by default: the soft limit of Linux and systemd.
 const DESCRIPTORS: usize = 1024;
 
 /// Descriptors for everything but connections: the device, the take and its folder, the journal, timers and listeners
-/// are some 40, and each of the 14 threads of the listeners opens a few files.
+/// need some 40, and each of the 14 threads of the listeners opens a few files.
 const DESCRIPTORS_ELSEWHERE: usize = 128;
 
-/// Of each of two listeners: its connections, a file for each that is a download (half of them), those that are being
-/// turned away, and one that has just made room; of the socket its further places.
+/// For each of two listeners: its connections, a file for each download (half of them), rejected connections, and one
+/// that has just been evicted; for the Unix socket, also its further connections.
 const DESCRIPTORS_OF_CONNECTIONS: usize =
     2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_MORE;
 
 // 2 * (256 + 128 + 32 + 1) + 55 + 128 = 1017.
 const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESCRIPTORS);
 
-/// Where the service is spoken to, and by whom.
+/// Where the server listens, and for whom.
 #[derive(Clone)]
 pub struct HttpOptions {
-    /// The Unix socket. Who may open it may do everything; its mode is 0660.
+    /// The Unix socket. Its users have full access; its mode is 0660.
     pub unix_socket: Option<PathBuf>,
-    /// An address besides: loopback, or any with a token.
+    /// The TCP address: loopback, or any with a token.
     pub tcp: Option<SocketAddr>,
-    /// What clients on TCP must know. Without one everybody on this machine may do everything.
+    /// The token that clients over TCP must send. Without one, everybody on this machine may do everything.
     pub token: Option<String>,
-    /// Names by which the service is reached besides `localhost` and its addresses, without a port.
+    /// Host names of the service besides `localhost` and its addresses, without ports.
     pub allowed_hosts: Vec<String>,
-    /// Connections at once, each on the Unix socket and on TCP. More are told so and closed.
+    /// Most connections, for the Unix socket and for TCP separately. Further ones are rejected.
     pub connections_max: usize,
-    /// How long things may take.
+    /// Time limits.
     pub limits: TimeLimits,
 }
 
@@ -78,18 +79,18 @@ impl std::fmt::Debug for HttpOptions {
     }
 }
 
-/// How long a client may take.
+/// Time limits for clients and requests.
 #[derive(Debug, Clone, Copy)]
 pub struct TimeLimits {
-    /// For the head of a request, and between two requests on one connection.
+    /// For the head of a request, and between two requests on a connection.
     pub head: Duration,
     /// For the body of a request.
     pub body: Duration,
-    /// To take in anything at all of an answer.
+    /// For a client to read any part of a reply.
     pub stall: Duration,
-    /// For the service to carry out a request. The work goes on; the client is told so.
+    /// For the service to execute a request. Execution continues afterwards, and the client is informed.
     pub work: Duration,
-    /// Between signs of life on a stream of events that has nothing to tell.
+    /// Between signs of life on an idle event stream.
     pub keep_alive: Duration,
 }
 
@@ -99,7 +100,7 @@ impl Default for TimeLimits {
             head: Duration::from_secs(10),
             body: Duration::from_secs(10),
             stall: Duration::from_secs(30),
-            // A stop waits for a disk that may stall half a minute before anything is lost.
+            // A stop waits for a disk that may stall for half a minute before anything is lost.
             work: Duration::from_secs(60),
             keep_alive: Duration::from_secs(15),
         }
@@ -107,22 +108,22 @@ impl Default for TimeLimits {
 }
 
 impl HttpOptions {
-    /// Refuses what would be of no use, or open to everybody.
+    /// Refuses options that are useless, or that would let everybody in.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         ensure!(
             self.unix_socket.is_some() || self.tcp.is_some(),
-            "the HTTP API has neither a socket nor an address: give one, or leave it out"
+            "the HTTP server has neither a socket nor an address: set one of them, or leave the server out"
         );
         ensure!(
             (1..=CONNECTIONS_MAX).contains(&self.connections_max),
-            "{} connections at once: give 1 to {CONNECTIONS_MAX}",
+            "connections_max is {}: set 1 to {CONNECTIONS_MAX}",
             self.connections_max
         );
         if let Some(token) = &self.token {
             ensure!(
                 token.len() >= TOKEN_BYTES_MIN && token.bytes().all(|byte| byte.is_ascii_graphic()),
-                "the token has to be {TOKEN_BYTES_MIN} or more visible ASCII characters: \
-                 try `openssl rand -hex 32`"
+                "the token must have {TOKEN_BYTES_MIN} or more visible ASCII characters: \
+                 create one with `openssl rand -hex 32`"
             );
         }
         if let Some(address) = self.tcp
@@ -131,13 +132,13 @@ impl HttpOptions {
         {
             bail!(
                 "{address} is open to the network and there is no token: set one, or listen on \
-                 127.0.0.1 and come through ssh -L"
+                 127.0.0.1 and connect through ssh -L"
             );
         }
         for host in &self.allowed_hosts {
             ensure!(
                 !host.is_empty() && !host.contains(['/', '*', '@', ' ']) && !has_port(host),
-                "'{host}' is no name of a host: give it as it stands in the browser, without scheme and port"
+                "'{host}' is not a host name: write it as in the browser, without scheme and port"
             );
         }
         Ok(())

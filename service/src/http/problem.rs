@@ -1,4 +1,4 @@
-//! What went wrong, as `application/problem+json`.
+//! Errors as `application/problem+json` (RFC 9457).
 
 use axum::{
     body::Body,
@@ -13,12 +13,12 @@ pub use crate::control::RefusalKind as ProblemKind;
 
 pub(super) const PROBLEM_JSON: &str = "application/problem+json";
 
-/// Why a request was not carried out, and what to do. Every answer of 400 and above is one.
+/// Why a request was not executed, and what to do. Every reply with a status of 400 or above is one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Problem {
-    /// The HTTP status once more.
+    /// The HTTP status.
     pub status: u16,
-    /// What kind of thing stands in the way.
+    /// The kind of the reason.
     pub kind: ProblemKind,
     /// One line for people: what was found, and what to do.
     pub message: String,
@@ -29,30 +29,35 @@ impl Problem {
         Self { status: status.as_u16(), kind, message: message.into() }
     }
 
+    /// A problem with the usual status of its kind.
+    pub(super) fn of(kind: ProblemKind, message: impl Into<String>) -> Self {
+        Refusal::new(kind, message).into()
+    }
+
     pub(super) fn invalid(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, ProblemKind::Invalid, message)
+        Self::of(ProblemKind::Invalid, message)
     }
 
     pub(super) fn not_found(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::NOT_FOUND, ProblemKind::NotFound, message)
+        Self::of(ProblemKind::NotFound, message)
     }
 
     pub(super) fn unavailable(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, ProblemKind::Unavailable, message)
+        Self::of(ProblemKind::Unavailable, message)
     }
 
     pub(super) fn internal(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::INTERNAL_SERVER_ERROR, ProblemKind::Internal, message)
+        Self::of(ProblemKind::Internal, message)
     }
 
-    /// For an answer that axum or hyper made, which has a status and hardly a word.
+    /// For a response of axum or hyper, which has a status but hardly a message.
     pub(super) fn of_status(status: StatusCode) -> Self {
-        let (kind, words) = match status {
+        let (kind, message) = match status {
             StatusCode::NOT_FOUND => {
-                (ProblemKind::NotFound, "there is nothing here: see /openapi.json")
+                (ProblemKind::NotFound, "not found: see /openapi.json for the routes")
             }
             StatusCode::METHOD_NOT_ALLOWED => {
-                (ProblemKind::MethodNotAllowed, "not with this method: see the header Allow")
+                (ProblemKind::MethodNotAllowed, "method not allowed: see the Allow header")
             }
             StatusCode::PAYLOAD_TOO_LARGE => (ProblemKind::TooLarge, "the body is too large"),
             StatusCode::UNSUPPORTED_MEDIA_TYPE => {
@@ -61,9 +66,9 @@ impl Problem {
             status if status.is_server_error() => {
                 (ProblemKind::Internal, "this is a bug in mocapd")
             }
-            _ => (ProblemKind::Invalid, "the request makes no sense"),
+            _ => (ProblemKind::Invalid, "invalid request"),
         };
-        Self::new(status, kind, words)
+        Self::new(status, kind, message)
     }
 
     pub(super) fn status_code(&self) -> StatusCode {
@@ -79,7 +84,7 @@ impl From<Refusal> for Problem {
             ProblemKind::Conflict | ProblemKind::Exists | ProblemKind::DataLost => {
                 StatusCode::CONFLICT
             }
-            // To the client the service is what stands before the device.
+            // For the client, the service is a gateway to the device.
             ProblemKind::Device => StatusCode::BAD_GATEWAY,
             ProblemKind::Disk => StatusCode::INSUFFICIENT_STORAGE,
             ProblemKind::Vanished => StatusCode::GONE,
@@ -99,7 +104,7 @@ impl From<Refusal> for Problem {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        // Strings and numbers are always JSON.
+        // Strings and numbers can always be written as JSON.
         let body = serde_json::to_vec(&self).unwrap_or_default();
         let mut response = Response::new(Body::from(body));
         *response.status_mut() = self.status_code();

@@ -1,4 +1,4 @@
-//! Which path leads where, and the API's description of itself.
+//! The routes, and their OpenAPI description.
 
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ use super::{
     streams, takes,
 };
 
-/// The routes that are described. Route and description are one thing: neither is without the other.
+/// The described routes. Route and description are one item: neither exists without the other.
 fn described() -> OpenApiRouter<Shared> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(commands::status))
@@ -55,12 +55,12 @@ fn described() -> OpenApiRouter<Shared> {
 /// The API as `OpenAPI` 3.1, in JSON.
 ///
 /// # Errors
-/// A bug: it is not JSON.
+/// The description cannot be written as JSON, which would be a bug.
 pub fn openapi() -> serde_json::Result<String> {
     finish(described().into_openapi()).to_pretty_json()
 }
 
-/// Everything that can be asked for.
+/// All routes.
 pub(super) fn router(app: &Shared) -> Router {
     let (mut router, _) = described().split_for_parts();
     for path in assets::paths() {
@@ -73,25 +73,25 @@ pub(super) fn router(app: &Shared) -> Router {
     router.with_state(Arc::clone(app))
 }
 
-/// What stands over all routes.
+/// The parts of the description that concern all routes.
 #[derive(Debug, OpenApi)]
 #[openapi(
     info(
         title = "mocapd",
-        description = "A recorder for optical motion capture, as a service. docs/api.md has the words to it.",
+        description = "A recorder for optical motion capture, as a service. docs/api.md explains it.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
     components(schemas(Problem)),
     security((), ("token" = []), ("session" = [])),
     modifiers(&Security),
     tags(
-        (name = "status", description = "How things stand"),
-        (name = "commands", description = "What changes something. Each waits until it is true. One with a \
-            `request_id`, or the header `Idempotency-Key`, of an earlier one is not carried out again: it gets the \
-            answer of the first."),
+        (name = "status", description = "The status of the service and its device"),
+        (name = "commands", description = "Commands that change something. Each waits for its effect. A request with the \
+            `request_id`, or the header `Idempotency-Key`, of an earlier one is not executed again: it gets the \
+            reply to the first."),
         (name = "takes", description = "The takes in the service's folder"),
-        (name = "streams", description = "Answers that go on until the client closes"),
-        (name = "login", description = "For browsers, where a token is needed")
+        (name = "streams", description = "Replies that continue until the client closes the connection"),
+        (name = "login", description = "For browsers, if a token is required")
     )
 )]
 pub(super) struct Document;
@@ -112,18 +112,16 @@ impl Modify for Security {
 /// This description
 #[utoipa::path(get, path = "/openapi.json", tag = "status",
     responses((status = 200, description = "`OpenAPI` 3.1", body = Object)))]
-pub(super) async fn document(
-    State(app): State<Shared>,
-) -> ([(HeaderName, &'static str); 1], Bytes) {
+pub(super) async fn document(app: State<Shared>) -> ([(HeaderName, &'static str); 1], Bytes) {
     ([(header::CONTENT_TYPE, "application/json")], app.document.clone())
 }
 
-/// Adds what holds for every route: whatever is not described is a problem.
+/// Adds what applies to every route: any other response is a problem.
 pub(super) fn finish(mut document: openapi::OpenApi) -> openapi::OpenApi {
     for item in document.paths.paths.values_mut() {
         for operation in [&mut item.get, &mut item.post].into_iter().flatten() {
             add_problem(operation);
-            // OpenAPI wants words for every response.
+            // OpenAPI requires a description for every response.
             for response in operation.responses.responses.values_mut() {
                 if let RefOr::T(response) = response
                     && response.description.is_empty()
@@ -139,7 +137,7 @@ pub(super) fn finish(mut document: openapi::OpenApi) -> openapi::OpenApi {
 fn add_problem(operation: &mut Operation) {
     let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
     let problem = ResponseBuilder::new()
-        .description("Not carried out: why, and what to do")
+        .description("Not executed: the reason, and what to do")
         .content(PROBLEM_JSON, content)
         .build();
     operation.responses.responses.entry("default".to_owned()).or_insert_with(|| problem.into());

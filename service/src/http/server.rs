@@ -1,4 +1,4 @@
-//! The threads of the listeners: started, and ended.
+//! Starts and stops the listeners' threads.
 
 use std::{
     fs,
@@ -14,7 +14,7 @@ use std::{
 use anyhow::{Context, bail};
 use axum::body::Bytes;
 use jiff::Timestamp;
-use mocapd_acquire::threads::{self, Stopper};
+use mocapd_acquire::threads::{self, StopSender};
 use tokio::{
     net::{TcpListener, TcpSocket, UnixListener, UnixSocket},
     runtime::{Builder, Runtime},
@@ -24,34 +24,34 @@ use tokio::{
 use super::{
     App, Counts,
     auth::Auth,
-    broadcast::{EventHub, LiveHub},
-    connection::Doorway,
-    lanes::{self, Lanes},
+    broadcast::{EventBroadcast, LiveBroadcast},
+    connection::Acceptor,
     options::{HttpOptions, UNIX_MORE},
-    places::Places,
     routes,
+    slots::ConnectionSlots,
+    work_queues::{self, WorkQueues},
 };
 use crate::control::Control;
 
-/// The HTTP API while it runs.
+/// The running HTTP server.
 #[derive(Debug)]
 pub struct HttpServer {
     stop: watch::Sender<bool>,
     within: watch::Sender<Duration>,
-    /// Of the listeners.
+    /// The listeners' threads.
     threads: Vec<JoinHandle<()>>,
-    hub_stopper: Option<Stopper>,
-    /// Those that listen to the service for everybody.
-    hub_threads: Vec<JoinHandle<()>>,
+    broadcast_stopper: Option<StopSender>,
+    /// The threads that forward events and live frames.
+    broadcast_threads: Vec<JoinHandle<()>>,
     tcp: Option<SocketAddr>,
     allowed_hosts: watch::Sender<Vec<String>>,
 }
 
 impl HttpServer {
-    /// Listens, and answers from threads of its own.
+    /// Listens, and serves from its own threads.
     ///
     /// # Errors
-    /// Options that are of no use or let everybody in; a socket or an address that cannot be had.
+    /// The options are useless or would let everybody in, or a socket or address is unavailable.
     pub fn start(options: HttpOptions, control: Arc<dyn Control>) -> anyhow::Result<Self> {
         options.check()?;
         let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits } =
@@ -66,30 +66,30 @@ impl HttpServer {
         let counts = Arc::new(Counts::default());
         let run = format!("{:x}", Timestamp::now().as_millisecond());
         let feed = control.events();
-        let events = Arc::new(EventHub::new(run, Arc::clone(&counts)));
-        let live = Arc::new(LiveHub::new(Arc::clone(&counts)));
+        let events = Arc::new(EventBroadcast::new(run, Arc::clone(&counts)));
+        let live = Arc::new(LiveBroadcast::new(Arc::clone(&counts)));
         let auth = Arc::new(Auth::new(token.as_deref()));
         let document: Bytes = routes::openapi()?.into();
-        let (hub_stopper, stopped) = threads::stop();
+        let (broadcast_stopper, stopped) = threads::stop_channel();
         let mut server = Self {
             stop,
             within,
             threads: Vec::with_capacity(2),
-            hub_stopper: Some(hub_stopper),
-            hub_threads: Vec::with_capacity(2),
+            broadcast_stopper: Some(broadcast_stopper),
+            broadcast_threads: Vec::with_capacity(2),
             tcp: tcp_address,
             allowed_hosts: allow_hosts,
         };
         let (hub, is_stopped) = (Arc::clone(&events), stopped.clone());
-        let listen = move || hub.listen(&feed, &is_stopped);
-        server.hub_threads.push(threads::spawn("mocapd-events", listen)?);
+        let listen = move || hub.forward(&feed, &is_stopped);
+        server.broadcast_threads.push(threads::spawn("mocapd-events", listen)?);
         let (hub, shown) = (Arc::clone(&live), Arc::clone(&control));
         let run = move || hub.run(shown.as_ref(), &stopped);
-        server.hub_threads.push(threads::spawn("mocapd-live", run)?);
-        let serving = move |places: usize| {
+        server.broadcast_threads.push(threads::spawn("mocapd-live", run)?);
+        let serving = move |slots: usize| {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
-                lanes: Lanes::new(limits.work),
+                queues: WorkQueues::new(limits.work),
                 auth: Arc::clone(&auth),
                 counts: Arc::clone(&counts),
                 events: Arc::clone(&events),
@@ -100,51 +100,50 @@ impl HttpServer {
                 streams: Arc::new(Semaphore::new(connections_max.div_ceil(2))),
                 stopping: stopping.clone(),
             });
-            // Nothing is ever sent: that the other ends are gone is the message.
+            // Nothing is ever sent: the channel tells when all connections are closed.
             let (gone, alive) = watch::channel(());
-            let doorway = Doorway {
+            let acceptor = Acceptor {
                 router: routes::router(&app),
                 limits,
                 counts: Arc::clone(&counts),
-                places: Places::new(places),
-                lingering: Doorway::lingering(),
+                slots: ConnectionSlots::new(slots),
+                lingering: Acceptor::lingering(),
                 stopping: stopping.clone(),
                 alive,
             };
-            Serving { doorway, gone, how_long: how_long.clone() }
+            Serving { acceptor, gone, how_long: how_long.clone() }
         };
         if let Some(Listening { runtime, listener }) = unix {
             let serving = serving(connections_max + UNIX_MORE);
             let run = move || {
-                let UnixDoor { listener, file } = listener;
-                serving.run(runtime, |doorway| doorway.serve_unix(listener), file);
+                let BoundSocket { listener, file } = listener;
+                serving.run(runtime, |acceptor| acceptor.serve_unix(listener), file);
             };
             server.threads.push(threads::spawn("mocapd-socket", run)?);
         }
         if let Some(Listening { runtime, listener }) = tcp {
             let serving = serving(connections_max);
-            let run = move || serving.run(runtime, |doorway| doorway.serve_tcp(listener), ());
+            let run = move || serving.run(runtime, |acceptor| acceptor.serve_tcp(listener), ());
             server.threads.push(threads::spawn("mocapd-tcp", run)?);
         }
         Ok(server)
     }
 
-    /// The TCP address that it listens on; the port is the one that was given for 0.
+    /// The TCP address, with the actual port if 0 was configured.
     #[must_use]
     pub fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp
     }
 
-    /// Takes over the names by which the service is reached besides `localhost` and its addresses, from the next request on.
+    /// Replaces the host names of the service besides `localhost` and its addresses, from the next request on.
     pub fn allow_hosts(&self, names: Vec<String>) {
         self.allowed_hosts.send_replace(names);
     }
 
-    /// Lets nobody in any more, lets requests that are being carried out finish, ends streams, and returns after
-    /// `within` at most.
+    /// Accepts no more connections, ends streams, and lets running requests finish, for at most `within`.
     ///
     /// # Errors
-    /// When one of its threads panicked.
+    /// One of its threads panicked.
     pub fn stop(mut self, within: Duration) -> anyhow::Result<()> {
         self.end(within)
     }
@@ -152,21 +151,21 @@ impl HttpServer {
     fn end(&mut self, within: Duration) -> anyhow::Result<()> {
         self.within.send_replace(within);
         self.stop.send_replace(true);
-        // One that panicked has ended already, which `join` reports.
+        // A thread that panicked has ended already; `join` reports it.
         let joined = self.threads.drain(..).map(threads::join).fold(Ok(()), Result::and);
-        drop(self.hub_stopper.take());
-        self.hub_threads.drain(..).map(threads::join).fold(joined, Result::and)
+        drop(self.broadcast_stopper.take());
+        self.broadcast_threads.drain(..).map(threads::join).fold(joined, Result::and)
     }
 }
 
 impl Drop for HttpServer {
     fn drop(&mut self) {
-        // Whoever wants to hear of a panic calls `stop`.
+        // A panic is reported only by `stop`.
         self.end(Duration::ZERO).ok();
     }
 }
 
-/// A listener, and the runtime that it belongs to.
+/// A listener with its runtime.
 struct Listening<L> {
     runtime: Runtime,
     listener: L,
@@ -177,7 +176,7 @@ impl<L> Listening<L> {
         let runtime = Builder::new_current_thread()
             .enable_io()
             .enable_time()
-            .max_blocking_threads(lanes::THREADS)
+            .max_blocking_threads(work_queues::THREADS)
             .thread_name("mocapd-http-job")
             .build()
             .context("cannot start the runtime of the HTTP API")?;
@@ -188,26 +187,26 @@ impl<L> Listening<L> {
     }
 }
 
-/// What the thread of a listener works with.
+/// The state of a listener's thread.
 struct Serving {
-    doorway: Doorway,
+    acceptor: Acceptor,
     gone: watch::Sender<()>,
     how_long: watch::Receiver<Duration>,
 }
 
 impl Serving {
-    /// Accepts until the server stops, drops `file`, and waits for connections as long as it may.
+    /// Accepts connections until the server stops, drops `file`, and waits for open connections up to the time limit.
     fn run<F: Future<Output = ()> + Send + 'static>(
         self,
         runtime: Runtime,
-        accept: impl FnOnce(Doorway) -> F,
+        accept: impl FnOnce(Acceptor) -> F,
         file: impl Sized,
     ) {
-        let Self { doorway, gone, how_long } = self;
+        let Self { acceptor, gone, how_long } = self;
         let deadline = runtime.block_on(async move {
-            let mut stopping = doorway.stopping.clone();
-            tokio::spawn(accept(doorway));
-            // Its sender lives as long as the server: an error is the end as well.
+            let mut stopping = acceptor.stopping.clone();
+            tokio::spawn(accept(acceptor));
+            // The sender lives as long as the server: an error also means the end.
             stopping.wait_for(|&stopping| stopping).await.ok();
             drop(file);
             let within = *how_long.borrow();
@@ -215,81 +214,81 @@ impl Serving {
             tokio::time::timeout(within, gone.closed()).await.ok();
             deadline
         });
-        // Jobs that the service does not finish in time are left to themselves.
+        // Work that is not finished in time is abandoned.
         runtime.shutdown_timeout(deadline.saturating_duration_since(Instant::now()));
     }
 }
 
-/// Connections that the kernel holds until they are accepted, which is at once.
+/// Connections that the kernel queues until they are accepted, which happens immediately.
 const BACKLOG: u32 = 128;
 
-/// Who may open the socket: its owner and its group, who may then do everything.
+/// The socket's mode: its owner and group may open it, and then do everything.
 const SOCKET_MODE: u32 = 0o660;
 
-/// A listening Unix socket. Its file goes with it.
+/// A listening Unix socket, and its file.
 #[derive(Debug)]
-struct UnixDoor {
+struct BoundSocket {
     listener: UnixListener,
     file: SocketFile,
 }
 
-/// The file of a socket; it is removed when this is dropped.
+/// The file of a socket; removed when dropped.
 #[derive(Debug)]
 struct SocketFile {
     path: PathBuf,
     inode: u64,
 }
 
-/// Listens on `path`. A socket that a killed service left there makes way; one that answers does not.
-fn listen_unix(path: &Path) -> anyhow::Result<UnixDoor> {
-    make_way(path)?;
+/// Listens on `path`. Replaces a socket left behind by a killed service, but not one that responds.
+fn listen_unix(path: &Path) -> anyhow::Result<BoundSocket> {
+    remove_stale_socket(path)?;
     let context = || format!("cannot listen on {}", path.display());
     let socket = UnixSocket::new_stream().with_context(context)?;
     socket.bind(path).with_context(context)?;
-    // Before it listens nobody can connect, so nobody comes in with another mode.
+    // No client can connect before it listens, so the mode applies to all connections.
     fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE)).with_context(context)?;
     let inode = fs::symlink_metadata(path).with_context(context)?.ino();
     let file = SocketFile { path: path.to_owned(), inode };
     let listener = socket.listen(BACKLOG).with_context(context)?;
-    Ok(UnixDoor { listener, file })
+    Ok(BoundSocket { listener, file })
 }
 
-fn make_way(path: &Path) -> anyhow::Result<()> {
+fn remove_stale_socket(path: &Path) -> anyhow::Result<()> {
     let found = match fs::symlink_metadata(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        found => found.with_context(|| format!("cannot look at {}", path.display()))?,
+        found => found.with_context(|| format!("cannot read {}", path.display()))?,
     };
     if !found.file_type().is_socket() {
-        bail!("{} exists and is no socket: name another path, or move it away", path.display());
+        bail!("{} exists and is no socket: choose another path, or move it away", path.display());
     }
     match std::os::unix::net::UnixStream::connect(path) {
-        Ok(_) => bail!("another service answers on {}: stop it first", path.display()),
+        Ok(_) => bail!("another service is running on {}: stop it first", path.display()),
         Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path)
-            .with_context(|| format!("cannot remove {}, which nobody answers on", path.display())),
-        // Full, or not ours: somebody may be behind it.
+            .with_context(|| format!("cannot remove the unused socket {}", path.display())),
+        // Its queue is full, or we may not connect: a service may be running.
         Err(error) => Err(error).with_context(|| {
-            format!("cannot tell whether a service answers on {}", path.display())
+            format!("cannot determine whether a service is running on {}", path.display())
         }),
     }
 }
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        // Another service's by now, where this one's was taken away.
+        // It may have been replaced by another service's socket.
         if fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
-            // One that stays is removed by the next start.
+            // If it cannot be removed, the next start removes it.
             fs::remove_file(&self.path).ok();
         }
     }
 }
 
-/// Listens on an address.
+/// Listens on a TCP address.
 fn listen_tcp(address: SocketAddr) -> anyhow::Result<TcpListener> {
     let context =
-        || format!("cannot listen on {address}: choose another port, or stop what listens there");
+        || format!("cannot listen on {address}: choose another port, or stop what uses it");
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() };
     let socket = socket.with_context(context)?;
-    // A port that was left a moment ago can be used again.
+    // A port can be reused immediately after it was closed.
     socket.set_reuseaddr(true).with_context(context)?;
     socket.bind(address).with_context(context)?;
     socket.listen(BACKLOG).with_context(context)
@@ -305,7 +304,7 @@ mod tests {
         let _inside = runtime.enter();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.sock");
-        // Left behind: closed without its file.
+        // Left behind: closed without removing its file.
         drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
         let door = listen_unix(&path).unwrap();
         let mode = fs::metadata(&path).unwrap().permissions().mode();

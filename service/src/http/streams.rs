@@ -1,13 +1,13 @@
-//! Answers that go on until the client closes: what happens, as server-sent events, and frames for people's eyes.
+//! Replies that continue until the client closes: events as server-sent events, and live frames.
 
 use std::convert::Infallible;
 
 use axum::{
     body::Body,
     extract::{Query, State, rejection::QueryRejection},
-    http::{HeaderMap, HeaderName, HeaderValue, header},
+    http::{HeaderMap, HeaderName, header},
     response::{
-        Response,
+        IntoResponse, Response,
         sse::{Event, KeepAlive, Sse},
     },
 };
@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Shared, StreamPlace,
-    broadcast::{Following, Told},
+    Shared, StreamPermit,
+    broadcast::{Delivery, EventSubscription},
     problem::Problem,
     until,
 };
@@ -30,22 +30,22 @@ pub(super) struct After {
     after: Option<u64>,
 }
 
-/// Events that are gone: the listener was too slow, or away for too long.
+/// Reports lost events: the client was too slow, or was away for too long.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct Missed {
-    /// How many; null where the service was started anew meanwhile, and nobody knows.
+    /// Number of lost events; null if it is unknown because the service was restarted.
     missed: Option<u64>,
 }
 
-/// What happens, as it happens
+/// Events as they happen
 ///
-/// Server-sent events: `event` is the kind, `data` the event in JSON, `id` its number in this run of the service. With
-/// `Last-Event-ID` it goes on where that one was, as far as events are kept. What is missing is told by an event
-/// `missed`.
+/// Server-sent events: `event` is the kind, `data` the event in JSON, and `id` its number in this run of the service.
+/// With `Last-Event-ID` the stream continues after that event, as far back as events are kept. An event `missed`
+/// reports lost events.
 #[utoipa::path(get, path = "/v1/events", tag = "streams",
     params(("after" = Option<u64>, Query, description =
-            "Begin behind the event of this number, as far back as is kept; 0 for all of them"),
-        ("Last-Event-ID" = Option<String>, Header, description = "The last id that was seen")),
+            "Start after the event with this number, as far back as events are kept; 0 for all of them"),
+        ("Last-Event-ID" = Option<String>, Header, description = "Id of the last event received")),
     responses((status = 200, description = "Events, until the client closes", body = ServiceEvent,
         content_type = "text/event-stream")))]
 pub(super) async fn events(
@@ -54,30 +54,30 @@ pub(super) async fn events(
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
     let Query(After { after }) =
-        after.map_err(|_| Problem::invalid("`after` is the number of an event"))?;
+        after.map_err(|_| Problem::invalid("`after` must be the number of an event"))?;
     let resumed =
         headers.get(LAST_EVENT_ID).and_then(|id| resume(id.to_str().ok()?, &app.events.run));
-    let (after, anew) = match resumed {
+    let (after, is_other_run) = match resumed {
         Some(Resumed::At(number)) => (Some(number), false),
-        Some(Resumed::Anew) => (Some(0), true),
+        Some(Resumed::OtherRun) => (Some(0), true),
         None => (after, false),
     };
-    let following = app.events.follow(after);
-    let place = app.stream_place()?;
+    let subscription = app.events.follow(after);
+    let _permit = app.stream_permit()?;
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
-    let listener = Listener { app, following, pending: None, anew, _place: place };
-    Ok(Sse::new(stream::unfold(listener, Listener::next)).keep_alive(keep_alive))
+    let events = EventStream { app, subscription, pending: None, is_other_run, _permit };
+    Ok(Sse::new(stream::unfold(events, EventStream::next)).keep_alive(keep_alive))
 }
 
 #[derive(Debug, PartialEq, Eq)]
 enum Resumed {
-    /// In this run of the service.
+    /// After this event of the current run.
     At(u64),
-    /// In another one, or nobody knows where.
-    Anew,
+    /// After an event of another run, or an unknown one.
+    OtherRun,
 }
 
-/// An id is `RUN-NUMBER`; a bare number means this run.
+/// Parses an id `RUN-NUMBER`; a bare number refers to the current run.
 fn resume(id: &str, run: &str) -> Option<Resumed> {
     let id = id.trim();
     if id.is_empty() {
@@ -86,40 +86,40 @@ fn resume(id: &str, run: &str) -> Option<Resumed> {
     let (of, number) = id.rsplit_once('-').unwrap_or((run, id));
     Some(match number.parse() {
         Ok(number) if of == run => Resumed::At(number),
-        _ => Resumed::Anew,
+        _ => Resumed::OtherRun,
     })
 }
 
-struct Listener {
+struct EventStream {
     app: Shared,
-    following: Following,
-    pending: Option<Told>,
-    /// It has to be told first that this is another run.
-    anew: bool,
-    _place: StreamPlace,
+    subscription: EventSubscription,
+    pending: Option<Delivery>,
+    /// Whether the client must first be informed that this is another run.
+    is_other_run: bool,
+    _permit: StreamPermit,
 }
 
-impl Listener {
+impl EventStream {
     async fn next(mut self) -> Option<(Result<Event, Infallible>, Self)> {
-        if std::mem::take(&mut self.anew) {
+        if std::mem::take(&mut self.is_other_run) {
             return Some((Ok(missed(None)), self));
         }
-        let told = match self.pending.take() {
-            Some(told) => told,
+        let delivery = match self.pending.take() {
+            Some(delivery) => delivery,
             None => {
                 let mut stopping = self.app.stopping.clone();
-                until(&mut stopping, self.following.next()).await??
+                until(&mut stopping, self.subscription.next()).await??
             }
         };
-        if told.missed > 0 {
-            let event = missed(Some(told.missed));
-            self.pending = Some(Told { missed: 0, ..told });
+        if delivery.missed > 0 {
+            let event = missed(Some(delivery.missed));
+            self.pending = Some(Delivery { missed: 0, ..delivery });
             return Some((Ok(event), self));
         }
-        let id = format!("{}-{}", self.app.events.run, told.event.number);
-        // Strings and numbers are always JSON, on one line.
-        let data = serde_json::to_string(told.event.as_ref()).unwrap_or_default();
-        let kind = told.event.kind.to_string();
+        let id = format!("{}-{}", self.app.events.run, delivery.event.number);
+        // Strings and numbers can always be written as JSON, on one line.
+        let data = serde_json::to_string(delivery.event.as_ref()).unwrap_or_default();
+        let kind = delivery.event.kind.to_string();
         Some((Ok(Event::default().id(id).event(kind).data(data)), self))
     }
 }
@@ -129,32 +129,30 @@ fn missed(missed: Option<u64>) -> Event {
     Event::default().event("missed").data(data)
 }
 
-/// Some thirty frames a second, the newest ones
+/// The newest live frames, some thirty a second
 ///
-/// A stream of messages, little endian: u32 length of what follows, u8 kind. Kind 1 is JSON: the markers, before the
-/// first frame and whenever they change. Kind 2 is a frame: three bytes of zero, u64 row, u64 device ticks, u64
-/// arrival in microseconds since 1970, then three f32 a marker in millimetres, NaN where it is not seen. Kind 3 stands
-/// behind the frame that it belongs to, where the subject's face is seen: three bytes of zero, then for each axis three
-/// f32 that a vertex of the face is multiplied by, and one that is added. A viewer that is too slow misses frames, and
-/// never the markers.
+/// A stream of messages, little endian: u32 length of what follows, u8 kind. Kind 1 is the table of markers in JSON,
+/// sent before the first frame and whenever the markers change. Kind 2 is a frame: three zero bytes, u64 row, u64
+/// device ticks, u64 arrival in microseconds since 1970, then three f32 per marker in millimetres, NaN if it is not
+/// seen. Kind 3 follows the frame that it belongs to if the subject's face is seen: three zero bytes, then for each
+/// axis three f32 factors of a vertex of the face, and one f32 offset. A slow viewer misses frames, but never the
+/// table.
 #[utoipa::path(get, path = "/v1/live", tag = "streams",
     responses((status = 200, description = "Messages, until the client closes", body = Vec<u8>,
         content_type = "application/octet-stream")))]
 pub(super) async fn live(State(app): State<Shared>) -> Result<Response, Problem> {
-    let place = app.stream_place()?;
+    let permit = app.stream_permit()?;
     if app.live.is_over() {
-        return Err(Problem::unavailable("the service is stopping: there are no more frames"));
+        return Err(Problem::unavailable("the service is stopping: there are no more live frames"));
     }
-    let viewing = app.live.view();
-    let state = (app.stopping.clone(), viewing, place);
-    let messages = stream::unfold(state, |(mut stopping, mut viewing, place)| async move {
-        let bytes = until(&mut stopping, viewing.next()).await??;
-        Some((Ok::<_, Infallible>(bytes), (stopping, viewing, place)))
+    let subscription = app.live.view();
+    let state = (app.stopping.clone(), subscription, permit);
+    let messages = stream::unfold(state, |(mut stopping, mut subscription, permit)| async move {
+        let bytes = until(&mut stopping, subscription.next()).await??;
+        Some((Ok::<_, Infallible>(bytes), (stopping, subscription, permit)))
     });
-    let mut response = Response::new(Body::from_stream(messages));
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
-    Ok(response)
+    let content_type = [(header::CONTENT_TYPE, "application/octet-stream")];
+    Ok((content_type, Body::from_stream(messages)).into_response())
 }
 
 #[cfg(test)]
@@ -167,7 +165,7 @@ mod tests {
         assert_eq!(resume(" 7 ", "18f"), Some(Resumed::At(7)));
         assert_eq!(resume("", "18f"), None);
         for id in ["17a-7", "18f-", "18f-x", "x", "18f--1"] {
-            assert_eq!(resume(id, "18f"), Some(Resumed::Anew), "{id}");
+            assert_eq!(resume(id, "18f"), Some(Resumed::OtherRun), "{id}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The takes of the service's folder: which there are, one of them as it is, and one read to its end.
+//! The takes in the service's folder: list, download and verify them.
 
 use std::{
     fs::File,
@@ -36,8 +36,8 @@ use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use super::{
-    Shared, StreamPlace,
-    body::Asked,
+    Shared, StreamPermit,
+    body::JsonBody,
     problem::{Problem, ProblemKind},
 };
 use crate::{
@@ -45,11 +45,11 @@ use crate::{
     status::TakeSummary,
 };
 
-/// Takes that are listed where nobody says how many, and at most.
+/// Takes listed by default, and the most that can be requested.
 const LIMIT: usize = 100;
 const LIMIT_MAX: usize = 1000;
 
-/// Bytes of a name at most: more no file system takes.
+/// Longest name in bytes: no file system allows more.
 const NAME_BYTES_MAX: usize = 255;
 
 #[derive(Debug, Deserialize)]
@@ -60,45 +60,45 @@ pub(super) struct Listing {
 /// The takes in the service's folder, newest first
 #[utoipa::path(get, path = "/v1/takes", tag = "takes", 
     params(("limit" = Option<usize>, Query, minimum = 1, maximum = 1000,
-        description = "How many at most; 100 where it is not said")),
+        description = "Most takes to list; 100 by default")),
     responses((status = 200, body = Vec<TakeSummary>)))]
 pub(super) async fn takes(
     State(app): State<Shared>,
     listing: Result<Query<Listing>, QueryRejection>,
 ) -> Result<Json<Vec<TakeSummary>>, Problem> {
-    let refused = || Problem::invalid(format!("`limit` is a number of takes: 1 to {LIMIT_MAX}"));
+    let refused = || Problem::invalid(format!("`limit` must be a number from 1 to {LIMIT_MAX}"));
     let Query(listing) = listing.map_err(|_| refused())?;
     let limit = listing.limit.unwrap_or(LIMIT);
     if !(1..=LIMIT_MAX).contains(&limit) {
         return Err(refused());
     }
     let control = Arc::clone(&app.control);
-    Ok(Json(app.lanes.files.run(move || control.takes(limit)).await??))
+    Ok(Json(app.queues.files.run(move || control.takes(limit)).await??))
 }
 
-/// A take's file.
+/// An opened take file.
 #[derive(Debug)]
-pub(super) struct OpenTake {
+pub(super) struct OpenedTake {
     pub(super) file: File,
-    /// Its bytes; of a take that is being written, those that would survive a power cut.
+    /// Its length; for a take that is being written, the bytes that would survive a power cut.
     pub(super) len: u64,
     /// Whether it is being written.
     pub(super) is_growing: bool,
-    /// Changes whenever the file does. `None` while it grows.
+    /// The entity tag, which changes whenever the file does; `None` while the file grows.
     pub(super) tag: Option<String>,
 }
 
-/// Opens a take by its name. Waits for the disk.
+/// Opens a take by its name. May wait for the disk.
 ///
 /// # Errors
-/// 404 for what is no take, and for what leads anywhere else.
-pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Problem> {
-    let not_there = || Problem::not_found("there is no take of that name: see /v1/takes");
+/// 404 if it is not a take, or if the name leads elsewhere.
+pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenedTake, Problem> {
+    let not_there = || Problem::not_found("no take has this name: see /v1/takes");
     if !is_name(name) {
         return Err(not_there());
     }
     let path = control.take_path(name)?;
-    // A link may lead anywhere, and a pipe would be waited for: neither is a take.
+    // A link may lead anywhere, and opening a pipe may block: neither is a take.
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = match rustix::fs::open(&path, flags, Mode::empty()) {
         Ok(descriptor) => File::from(descriptor),
@@ -109,15 +109,11 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Proble
     if !found.is_file() {
         return Err(not_there());
     }
-    // Asked behind the metadata: a take that ends in between has all of these bytes on disk.
+    // Queried after the metadata: if the take ends in between, all of these bytes are on disk.
     let growing = control.live_take(FileId::of(&found));
-    let tag = format!(
-        "\"{:x}-{:x}-{:x}\"",
-        found.len(),
-        found.mtime_nsec() + found.mtime() * 1_000_000_000,
-        found.ino()
-    );
-    Ok(OpenTake {
+    let modified_ns = found.mtime_nsec() + found.mtime() * 1_000_000_000;
+    let tag = format!("\"{:x}-{modified_ns:x}-{:x}\"", found.len(), found.ino());
+    Ok(OpenedTake {
         file,
         len: growing.as_ref().map_or(found.len(), |take| take.durable_bytes.min(found.len())),
         is_growing: growing.is_some(),
@@ -126,11 +122,10 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Proble
 }
 
 pub(super) fn unreadable(error: &io::Error) -> Problem {
-    let words = format!("the take cannot be read: {error}");
-    Problem::new(StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk, words)
+    Problem::of(ProblemKind::Disk, format!("cannot read the take: {error}"))
 }
 
-/// Whether that can be a name in a folder. The service looks as well; a path is read here only.
+/// Whether the name is a plain file name. The service checks it as well, but a path must not get that far.
 fn is_name(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= NAME_BYTES_MAX
@@ -139,21 +134,21 @@ fn is_name(name: &str) -> bool {
         && !name.contains(char::is_control)
 }
 
-/// Bytes that are read at once: a disk's while, and what a slow client costs in memory.
-const PIECE_BYTES: u64 = 128 << 10;
+/// Size of a chunk: read quickly by a disk, and the memory that a slow client costs.
+const CHUNK_BYTES: u64 = 128 << 10;
 
-/// The file of a take
+/// Download a take
 ///
-/// Ranges of bytes are answered with 206. Of a take that is being written it gives what would survive a power cut,
-/// which never changes again: ask for the rest later, by a range.
+/// Byte ranges get 206. Of a take that is being written, the download contains what would survive a power cut; these
+/// bytes never change, and the rest can be requested later by a range.
 #[utoipa::path(get, path = "/v1/takes/{name}/download", tag = "takes",
     params(("name" = String, Path, description = "The take's name, without `.take`")),
     responses((status = 200, description = "The file", body = Vec<u8>,
             content_type = "application/octet-stream"),
         (status = 206, description = "The bytes of a range", body = Vec<u8>,
             content_type = "application/octet-stream"),
-        (status = 304, description = "The client has it"),
-        (status = 416, description = "The bytes asked for are not there", body = Problem,
+        (status = 304, description = "The client's copy is current"),
+        (status = 416, description = "The requested range is not satisfiable", body = Problem,
             content_type = "application/problem+json")))]
 pub(super) async fn download(
     State(app): State<Shared>,
@@ -161,37 +156,39 @@ pub(super) async fn download(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let name = take_name(name)?;
-    let place = app.stream_place()?;
-    let (control, asked) = (Arc::clone(&app.control), name.clone());
-    let take = app.lanes.files.run(move || open(control.as_ref(), &asked)).await??;
-    answer(app, take, &name, &headers, place)
+    let permit = app.stream_permit()?;
+    let (control, requested) = (Arc::clone(&app.control), name.clone());
+    let take = app.queues.files.run(move || open(control.as_ref(), &requested)).await??;
+    answer(app, take, &name, &headers, permit)
 }
 
-/// The name in a path.
+/// The take name in a request's path.
 pub(super) fn take_name(name: Result<Path<String>, PathRejection>) -> Result<String, Problem> {
-    name.map(|Path(name)| name).map_err(|_| Problem::invalid("the take's name is no UTF-8"))
+    name.map(|Path(name)| name).map_err(|_| Problem::invalid("the take name is not UTF-8"))
 }
 
 fn answer(
     app: Shared,
-    take: OpenTake,
+    take: OpenedTake,
     name: &str,
     headers: &HeaderMap,
-    place: StreamPlace,
+    permit: StreamPermit,
 ) -> Result<Response, Problem> {
-    let said = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+    let header_text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
     let tag = take.tag.as_deref();
-    if tag.is_some_and(|tag| said(header::IF_NONE_MATCH) == Some(tag)) {
+    if tag.is_some_and(|tag| header_text(header::IF_NONE_MATCH) == Some(tag)) {
         return Ok(StatusCode::NOT_MODIFIED.into_response());
     }
-    // Bytes that are there never change while a take grows. A date is never the tag: then it is sent whole.
-    let same = said(header::IF_RANGE).is_none_or(|known| take.is_growing || Some(known) == tag);
-    let (status, bytes) = match wanted(said(header::RANGE).filter(|_| same), take.len) {
-        Wanted::Whole => (StatusCode::OK, 0..take.len),
-        Wanted::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
-        Wanted::Nothing => return not_there(take.len),
+    // The bytes of a growing take never change. A date is never equal to the tag: the whole file is sent then.
+    let if_range = header_text(header::IF_RANGE);
+    let same = if_range.is_none_or(|known| take.is_growing || Some(known) == tag);
+    let range = header_text(header::RANGE).filter(|_| same);
+    let (status, bytes) = match requested_range(range, take.len) {
+        RequestedRange::Whole => (StatusCode::OK, 0..take.len),
+        RequestedRange::Partial(range) => (StatusCode::PARTIAL_CONTENT, range),
+        RequestedRange::Unsatisfiable => return unsatisfiable(take.len),
     };
-    let mut response = Response::new(pieces(app, take.file, bytes.clone(), place));
+    let mut response = Response::new(chunks(app, take.file, bytes.clone(), permit));
     *response.status_mut() = status;
     let out = response.headers_mut();
     out.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
@@ -208,9 +205,9 @@ fn answer(
     Ok(response)
 }
 
-fn not_there(len: u64) -> Result<Response, Problem> {
-    let words = format!("there are {len} bytes, and the range lies behind them");
-    let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, ProblemKind::Range, words);
+fn unsatisfiable(len: u64) -> Result<Response, Problem> {
+    let message = format!("the range is outside of the file, which has {len} bytes");
+    let problem = Problem::of(ProblemKind::Range, message);
     let mut response = problem.into_response();
     response.headers_mut().insert(header::CONTENT_RANGE, value(&format!("bytes */{len}"))?);
     Ok(response)
@@ -220,12 +217,10 @@ fn value(text: &str) -> Result<HeaderValue, Problem> {
     HeaderValue::from_str(text).map_err(|error| Problem::internal(error.to_string()))
 }
 
-/// The name that a browser saves it under: in ASCII for old ones, and as it is (RFC 6266).
+/// The file name for browsers: in ASCII for old ones, and in UTF-8 (RFC 6266).
 fn disposition(name: &str) -> String {
-    let plain: String = name
-        .chars()
-        .map(|c| if c.is_ascii_graphic() && !"\"\\%;".contains(c) || c == ' ' { c } else { '_' })
-        .collect();
+    let is_plain = |c: char| c.is_ascii_graphic() && !"\"\\%;".contains(c) || c == ' ';
+    let plain: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
     let mut exact = String::with_capacity(name.len());
     for byte in name.bytes() {
         if byte.is_ascii_alphanumeric() || b"-._".contains(&byte) {
@@ -237,20 +232,20 @@ fn disposition(name: &str) -> String {
     format!("attachment; filename=\"{plain}.take\"; filename*=UTF-8''{exact}.take")
 }
 
-/// Reads a piece when the one before is gone: a slow client costs one piece, and holds no thread.
-fn pieces(app: Shared, file: File, bytes: Range<u64>, place: StreamPlace) -> Body {
-    let state = (app, Arc::new(file), bytes, place);
-    Body::from_stream(stream::unfold(state, |(app, file, bytes, place)| async move {
+/// Reads each chunk after the previous one was sent: a slow client costs the memory of one chunk and no thread.
+fn chunks(app: Shared, file: File, bytes: Range<u64>, permit: StreamPermit) -> Body {
+    let state = (app, Arc::new(file), bytes, permit);
+    Body::from_stream(stream::unfold(state, |(app, file, bytes, permit)| async move {
         if bytes.is_empty() {
             return None;
         }
-        let len = PIECE_BYTES.min(bytes.end - bytes.start);
+        let len = CHUNK_BYTES.min(bytes.end - bytes.start);
         let (from, source) = (bytes.start, Arc::clone(&file));
-        let read = app.lanes.files.run_patiently(move || read(&source, from, len)).await;
-        // What was announced and does not come closes the connection: the client sees that it is cut off.
+        let read = app.queues.files.run_when_free(move || read(&source, from, len)).await;
+        // A failed read closes the connection, so that the client notices the incomplete download.
         let piece = read.unwrap_or_else(|problem| Err(io::Error::other(problem.message)));
         let rest = if piece.is_ok() { from + len..bytes.end } else { bytes.end..bytes.end };
-        Some((piece, (app, file, rest, place)))
+        Some((piece, (app, file, rest, permit)))
     }))
 }
 
@@ -260,125 +255,126 @@ fn read(file: &File, from: u64, len: u64) -> io::Result<Bytes> {
     Ok(piece.into())
 }
 
-/// What the header `Range` comes to for a file of so many bytes.
+/// The part of a file selected by a `Range` header.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Wanted {
-    /// All of it: nothing else was asked for, or nothing that is understood here, which a server may pass over.
+pub(super) enum RequestedRange {
+    /// The whole file: no range was requested, or one that is not supported, which a server may ignore.
     Whole,
     /// These bytes.
-    Part(Range<u64>),
-    /// Bytes that are not there.
-    Nothing,
+    Partial(Range<u64>),
+    /// No byte of the file.
+    Unsatisfiable,
 }
 
-pub(super) fn wanted(header: Option<&str>, len: u64) -> Wanted {
+pub(super) fn requested_range(header: Option<&str>, len: u64) -> RequestedRange {
     let Some((unit, spec)) = header.and_then(|header| header.split_once('=')) else {
-        return Wanted::Whole;
+        return RequestedRange::Whole;
     };
     if !unit.trim().eq_ignore_ascii_case("bytes") {
-        return Wanted::Whole;
+        return RequestedRange::Whole;
     }
-    let Some((first, last)) = spec.trim().split_once('-') else { return Wanted::Whole };
+    let Some((first, last)) = spec.trim().split_once('-') else { return RequestedRange::Whole };
     let range = match (number(first), number(last)) {
         (Some(first), Some(last)) if first <= last => first..last.saturating_add(1).min(len),
         (Some(first), None) if last.is_empty() => first..len,
         (None, Some(last)) if first.is_empty() => len.saturating_sub(last)..len,
-        // Several ranges, or none.
-        _ => return Wanted::Whole,
+        // Several ranges, or an invalid one.
+        _ => return RequestedRange::Whole,
     };
-    if range.is_empty() { Wanted::Nothing } else { Wanted::Part(range) }
+    if range.is_empty() { RequestedRange::Unsatisfiable } else { RequestedRange::Partial(range) }
 }
 
-/// Digits alone: `parse` would take a sign. More than fit are more than any file has.
+/// Parses digits only, because `parse` would accept a sign. Numbers that do not fit exceed any file.
 fn number(text: &str) -> Option<u64> {
     let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     digits.then(|| text.parse().unwrap_or(u64::MAX))
 }
 
-/// Problems and contradictions that are told each: a badly damaged take has one a stretch.
-const TOLD_MAX: usize = 100;
+/// Most problems and contradictions listed each: a badly damaged take has one per stretch.
+const LISTED_MAX: usize = 100;
 
-/// What was found in a take.
+/// The result of verifying a take.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeCheck {
-    /// Without `.take`.
+    /// Name without `.take`.
     pub name: String,
-    /// How it is, as the list has it, and `damaged` where what lies between its ends is.
+    /// Health as in the list, or `damaged` if there is damage between header and end.
     pub health: TakeHealth,
-    /// Why it ended, as `stop` tells it; empty where the take does not say.
+    /// Why it ended, as in the response to `stop`; empty if the take does not say.
     #[serde(default)]
     pub ending: String,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub bytes: u64,
-    /// Frames: rows, lost ones included.
+    /// Number of frames: rows, including lost frames.
     pub frames: u64,
-    /// Seconds that they make.
+    /// Length in seconds.
     pub seconds: f64,
-    /// Frames a second.
+    /// Frame rate in Hz.
     pub rate_hz: f64,
-    /// Markers.
+    /// Number of markers.
     pub markers: usize,
-    /// Samples present.
+    /// Number of present samples.
     pub samples: u64,
-    /// What no sample may be off by more than, in millimetres; 0 where every bit is kept.
+    /// Largest error allowed for any sample, in millimetres; 0 for a lossless take.
     pub tolerance_mm: f64,
-    /// Largest error that the take states, in millimetres.
+    /// Largest error stated in the take, in millimetres.
     pub max_error_mm: f64,
-    /// Whether the ledger does not close or tells of other samples, then what is missing or damaged: the first hundred.
+    /// Whether the ledger does not close or disagrees with the samples, then what is missing or damaged: the first
+    /// hundred problems.
     pub problems: Vec<String>,
-    /// What the take says of itself and is not so: the first hundred.
+    /// Statements of the take about itself that are wrong: the first hundred.
     pub contradictions: Vec<String>,
     /// Its last ledger.
     pub ledger: Option<LedgerDocument>,
 }
 
-/// Read a take to its end and check it
+/// Verify a take by reading all of it
 ///
-/// Checksums, every block, the ledger. One take at a time; a client that goes away ends it.
+/// Checks checksums, every block and the ledger. One take at a time; verification stops if the client disconnects.
 #[utoipa::path(post, path = "/v1/takes/{name}/verify", tag = "takes", request_body = Request,
     params(("name" = String, Path, description = "The take's name, without `.take`")),
     responses((status = 200, body = TakeCheck)))]
 pub(super) async fn verify(
     State(app): State<Shared>,
     name: Result<Path<String>, PathRejection>,
-    Asked(_): Asked<Request>,
+    JsonBody(_): JsonBody<Request>,
 ) -> Result<Json<TakeCheck>, Problem> {
     let name = take_name(name)?;
-    // Dropped with the request, which is when the client is gone.
-    let wanted = Arc::new(());
-    let (control, asked) = (Arc::clone(&app.control), name);
-    let (is_wanted, stopping) = (Arc::downgrade(&wanted), app.stopping.clone());
+    // Dropped with the request, which ends when the client disconnects.
+    let client = Arc::new(());
+    let control = Arc::clone(&app.control);
+    let (client_alive, stopping) = (Arc::downgrade(&client), app.stopping.clone());
     let work = move || {
-        let take = open(control.as_ref(), &asked)?;
+        let take = open(control.as_ref(), &name)?;
         if take.is_growing {
-            let words = format!("{asked} is being recorded: stop it first");
-            return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, words));
+            let message = format!("{name} is being recorded: stop it first");
+            return Err(Problem::of(ProblemKind::Conflict, message));
         }
-        let input = While { input: SparseFile::of(take.file), is_wanted, stopping };
-        check(asked, take.len, Summary::read(BufReader::new(input)))
+        let input = CancellableReader { input: SparseFile::of(take.file), client_alive, stopping };
+        check(name, take.len, Summary::read(BufReader::new(input)))
     };
-    let checked = app.lanes.checks.run(work).await?;
-    drop(wanted);
+    let checked = app.queues.checks.run(work).await?;
+    drop(client);
     Ok(Json(checked?))
 }
 
-/// Reads while somebody wants to know.
-struct While<R> {
+/// A reader that fails once the client has disconnected or the server stops.
+struct CancellableReader<R> {
     input: R,
-    is_wanted: Weak<()>,
+    client_alive: Weak<()>,
     stopping: watch::Receiver<bool>,
 }
 
-impl<R: Read> Read for While<R> {
+impl<R: Read> Read for CancellableReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if self.is_wanted.strong_count() == 0 || *self.stopping.borrow() {
-            return Err(io::Error::other("nobody waits for the check any more"));
+        if self.client_alive.strong_count() == 0 || *self.stopping.borrow() {
+            return Err(io::Error::other("verification cancelled: the client has disconnected"));
         }
         self.input.read(buffer)
     }
 }
 
-impl<R: Seek> Seek for While<R> {
+impl<R: Seek> Seek for CancellableReader<R> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.input.seek(to)
     }
@@ -395,9 +391,9 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         }
     };
     let Verdict { problems, mut contradictions, .. } = Verdict::of(&summary);
-    contradictions.truncate(TOLD_MAX);
+    contradictions.truncate(LISTED_MAX);
     let header = &summary.take.header;
-    let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
+    let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.name());
     Ok(TakeCheck {
         name,
         health: summary.health(),
@@ -410,7 +406,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         samples: summary.samples(),
         tolerance_mm: header.tolerance_mm,
         max_error_mm: summary.max_error_mm(),
-        problems: problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
+        problems: problems.iter().take(LISTED_MAX).map(ToString::to_string).collect(),
         contradictions,
         ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
     })
@@ -421,7 +417,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_leads_elsewhere_is_no_name() {
+    fn names_that_lead_elsewhere_are_refused() {
         for name in ["jump-001", "a b", "knie é", "x.y", "a..b"] {
             assert!(is_name(name), "{name}");
         }
@@ -442,9 +438,9 @@ mod tests {
     }
 
     #[test]
-    fn ranges_and_what_is_none() {
-        let of_ten = |header| wanted(Some(header), 10);
-        assert_eq!(wanted(None, 10), Wanted::Whole);
+    fn valid_and_invalid_ranges() {
+        let of_ten = |header| requested_range(Some(header), 10);
+        assert_eq!(requested_range(None, 10), RequestedRange::Whole);
         for (header, range) in [
             ("bytes=0-0", 0..1),
             ("bytes=2-5", 2..6),
@@ -454,10 +450,10 @@ mod tests {
             ("bytes=-99", 0..10),
             ("bytes=0-9", 0..10),
         ] {
-            assert_eq!(of_ten(header), Wanted::Part(range), "{header}");
+            assert_eq!(of_ten(header), RequestedRange::Partial(range), "{header}");
         }
         for header in ["bytes=10-", "bytes=10-12", "bytes=-0", "bytes=99999999999999999999-"] {
-            assert_eq!(of_ten(header), Wanted::Nothing, "{header}");
+            assert_eq!(of_ten(header), RequestedRange::Unsatisfiable, "{header}");
         }
         for header in [
             "",
@@ -470,8 +466,8 @@ mod tests {
             "rows=1-2",
             "bytes=+1-2",
         ] {
-            assert_eq!(of_ten(header), Wanted::Whole, "{header}");
+            assert_eq!(of_ten(header), RequestedRange::Whole, "{header}");
         }
-        assert_eq!(wanted(Some("bytes=0-"), 0), Wanted::Nothing);
+        assert_eq!(requested_range(Some("bytes=0-"), 0), RequestedRange::Unsatisfiable);
     }
 }

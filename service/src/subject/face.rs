@@ -1,4 +1,4 @@
-//! The take's face under its markers.
+//! Places the subject's face under its markers in each frame.
 
 use std::collections::HashMap;
 
@@ -12,12 +12,12 @@ use mocapd_take::{motion::Position, record::Subject};
 
 use crate::live::{FacePose, LiveFace};
 
-/// That the wireframe has every place where a marker sits: one that is nowhere would hold nothing, and nobody would know.
+/// Checks that the wireframe has every vertex where a marker sits: a missing one would silently hold nothing.
 ///
 /// # Errors
-/// Which places it does not have, and which it has.
+/// The missing places, and the available ones.
 pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Result<()> {
-    const TOLD: usize = 5;
+    const LISTED_MAX: usize = 5;
     let n = face.vertices_mm.len();
     let is_nowhere = |marker: &&Marker| marker.place.vertex(&face.features, n).is_none();
     let nowhere: Vec<String> = mapping
@@ -29,21 +29,21 @@ pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Resu
             Place::Vertex(index) => format!("{} at {index}", marker.label),
         })
         .collect();
-    let others = match nowhere.len().saturating_sub(TOLD) {
+    let others = match nowhere.len().saturating_sub(LISTED_MAX) {
         0 => String::new(),
         more => format!(", and {more} more"),
     };
-    let told: Vec<_> = nowhere.iter().take(TOLD).map(String::as_str).collect();
+    let listed: Vec<_> = nowhere.iter().take(LISTED_MAX).map(String::as_str).collect();
     ensure!(
         nowhere.is_empty(),
-        "places that the face does not have: {}{others}; it has vertices from 0 to {}, and the names under \"features\" in its file",
-        told.join(", "),
+        "the face does not have these places: {}{others}; it has vertices 0 to {}, and the names under \"features\" in its file",
+        listed.join(", "),
         n.saturating_sub(1)
     );
     Ok(())
 }
 
-/// Slots by label, with and without what stands before its `:`.
+/// Slots by label, each with and without the prefix before `:`.
 pub(super) fn slots(labels: &[String]) -> HashMap<String, usize> {
     let mut slots = HashMap::new();
     for (slot, label) in labels.iter().enumerate() {
@@ -53,16 +53,16 @@ pub(super) fn slots(labels: &[String]) -> HashMap<String, usize> {
     slots
 }
 
-/// A face, and the markers that it is laid under.
+/// A face, and the markers that hold it.
 #[derive(Debug)]
-pub struct FaceUnderMarkers {
+pub struct FaceOverlay {
     face: FittedFace,
     mapping: Mapping,
     slots: HashMap<String, usize>,
 }
 
-impl FaceUnderMarkers {
-    /// Of a subject that was checked when it was read; `None` where it has no face, or nothing says which marker sits where.
+impl FaceOverlay {
+    /// For a subject that was checked when it was read; `None` if it has no face, or no mapping of markers.
     #[must_use]
     pub fn new(subject: Option<&Subject>, labels: &[String]) -> Option<Self> {
         let face = super::face(subject).ok()??;
@@ -70,14 +70,14 @@ impl FaceUnderMarkers {
         Some(Self { face, mapping, slots: slots(labels) })
     }
 
-    /// The wireframe, for who draws it.
+    /// The wireframe for drawing.
     #[must_use]
     pub fn wireframe(&self) -> LiveFace {
         let vertices_mm = self.face.vertices_mm.iter().map(|at| at.map(|v| v as f32)).collect();
         LiveFace { vertices_mm, lines: self.face.lines.clone() }
     }
 
-    /// Where it is in a frame; `None` where too few of its markers are seen.
+    /// The placement of the face in a frame; `None` if too few of its markers are seen.
     #[must_use]
     pub fn pose(&self, positions_mm: &[Position]) -> Option<FacePose> {
         let marker = |label: &str| {
@@ -114,9 +114,9 @@ mod tests {
     #[test]
     fn it_is_laid_under_its_markers() {
         let labels = ["x", "S1:d", "S1:c", "b", "a"].map(str::to_owned);
-        let face = FaceUnderMarkers::new(Some(&subject()), &labels).unwrap();
+        let face = FaceOverlay::new(Some(&subject()), &labels).unwrap();
         assert_eq!(face.wireframe().vertices_mm.len(), 5);
-        // Twice as large, turned by a right angle about z, and moved.
+        // Scaled by two, rotated by a right angle about z, and translated.
         let placed = |[x, y, z]: [f32; 3]| [100.0 - 2.0 * y, 7.0 + 2.0 * x, 2.0 * z - 50.0];
         let vertices = face.wireframe().vertices_mm;
         let mut positions = [[9.0; 3], vertices[3], vertices[2], vertices[1], vertices[0]];
@@ -138,11 +138,11 @@ mod tests {
     #[test]
     fn without_a_face_or_a_mapping_there_is_nothing_to_draw() {
         let labels = ["a".to_owned()];
-        assert!(FaceUnderMarkers::new(None, &labels).is_none());
+        assert!(FaceOverlay::new(None, &labels).is_none());
         let mut alone = Subject::default();
         alone.set(Subject::FACE, FACE.as_bytes().to_vec());
-        assert!(FaceUnderMarkers::new(Some(&alone), &labels).is_none());
+        assert!(FaceOverlay::new(Some(&alone), &labels).is_none());
         alone.set(Subject::FACE_MARKERS, b"{}".to_vec());
-        assert!(FaceUnderMarkers::new(Some(&alone), &labels).is_none());
+        assert!(FaceOverlay::new(Some(&alone), &labels).is_none());
     }
 }

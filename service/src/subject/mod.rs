@@ -1,6 +1,7 @@
-//! Who is captured: the skeleton and the face that a take carries, out of files, and between its markers.
+//! The subject: reads its skeleton and face from files for a take, and finds its limbs among the markers.
 //!
-//! A take stores them as plain data (SUBJECT in docs/take-format.md). What is none is refused before it gets into a take.
+//! A take stores both as documents (SUBJECT in docs/take-format.md). Invalid documents are refused before they get into
+//! a take.
 
 mod face;
 
@@ -19,30 +20,30 @@ use mocapd_face::{
 use mocapd_report::limbs::{Limb, limbs};
 use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
 
-pub use self::face::FaceUnderMarkers;
+pub use self::face::FaceOverlay;
 use crate::live::LiveLimb;
 
-/// Bytes of a subject's name: a line on a screen.
+/// Longest name of a subject in bytes: a line on a screen.
 pub const NAME_BYTES_MAX: usize = 128;
 
-/// What is known of the subject, and where it lies: `[subject]`, and the options of `record` and `import`.
+/// The files of a subject: `[subject]`, and the options of `record` and `import`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SubjectFiles {
-    /// What they are called.
+    /// Name of the subject.
     pub name: Option<String>,
     /// A `skeleton.json`.
     pub skeleton: Option<PathBuf>,
     /// A `face.json`.
     pub face: Option<PathBuf>,
-    /// Which marker sits where on the face.
+    /// The markers on the face, and where they sit.
     pub face_markers: Option<PathBuf>,
 }
 
 impl SubjectFiles {
-    /// Reads and checks them all; `None` where nothing is said of a subject.
+    /// Reads and checks all files; `None` if nothing is configured.
     ///
     /// # Errors
-    /// Which file is missing, too large, or is not what it should be.
+    /// A file is missing, too large or invalid.
     pub fn load(&self) -> anyhow::Result<Option<Subject>> {
         let name = self.name.clone().unwrap_or_default();
         let mut subject = Subject { name, documents: Vec::new() };
@@ -59,7 +60,7 @@ impl SubjectFiles {
         if let Some(path) = &self.face_markers {
             let shown = path.display();
             let Some(wireframe) = wireframe else {
-                bail!("{shown} says where markers sit on a face, and no face is given: give both");
+                bail!("{shown} maps markers to a face, but no face is given: give both");
             };
             let (data, mapping) = read(path, Mapping::from_json)?;
             face::check_places(&wireframe, &mapping).with_context(|| format!("{shown}"))?;
@@ -69,13 +70,13 @@ impl SubjectFiles {
     }
 }
 
-/// What makes a document of bytes.
+/// Parses a document.
 type Reader<T, E> = fn(&[u8]) -> Result<T, E>;
 
-/// A document of a subject: its bytes, whole, and what they say.
+/// Reads a document of a subject: its bytes, and its parsed content.
 ///
 /// # Errors
-/// That it is not there, larger than a take can hold, or not what it should be.
+/// The file is missing, too large for a take, or invalid.
 pub fn read<T, E>(path: &Path, from_json: Reader<T, E>) -> anyhow::Result<(Vec<u8>, T)>
 where
     E: Error + Send + Sync + 'static,
@@ -85,26 +86,26 @@ where
     Ok((data, document))
 }
 
-/// The skeleton that a take carries; `None` where it has none.
+/// The skeleton in a take; `None` if there is none.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The document is invalid.
 pub fn skeleton(subject: Option<&Subject>) -> anyhow::Result<Option<Skeleton>> {
     document(subject, Subject::SKELETON, Skeleton::from_json)
 }
 
-/// The face that a take carries; `None` where it has none.
+/// The face in a take; `None` if there is none.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The document is invalid.
 pub fn face(subject: Option<&Subject>) -> anyhow::Result<Option<FittedFace>> {
     document(subject, Subject::FACE, FittedFace::from_json)
 }
 
-/// Which marker sits where on it; `None` where nothing says so.
+/// The mapping of markers to the face in a take; `None` if there is none.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The document is invalid.
 pub fn mapping(subject: Option<&Subject>) -> anyhow::Result<Option<Mapping>> {
     document(subject, Subject::FACE_MARKERS, Mapping::from_json)
 }
@@ -121,13 +122,14 @@ where
     data.map(from_json).transpose().with_context(|| format!("the take's {kind}"))
 }
 
-/// The limbs of the subject's skeleton between these labels. It was checked when it was read: here nothing is said of it.
+/// The limbs of the subject's skeleton between markers with these labels. The skeleton was checked when it was read:
+/// errors are ignored here.
 fn limbs_between(subject: Option<&Subject>, labels: &[String]) -> Option<Vec<Limb>> {
     let bones = skeleton(subject).ok()??.bones;
     Some(limbs(&bones, labels, subject.map_or("", |subject| subject.name.as_str())).0)
 }
 
-/// The limbs of the subject's skeleton between these slots, for viewers.
+/// The limbs of the subject's skeleton by slots, for viewers.
 #[must_use]
 pub fn live_limbs(subject: Option<&Subject>, labels: &[String]) -> Vec<LiveLimb> {
     let named = &labels[..labels.len().min(usize::from(u16::MAX) + 1)];
@@ -140,7 +142,7 @@ pub fn live_limbs(subject: Option<&Subject>, labels: &[String]) -> Vec<LiveLimb>
     limbs_between(subject, named).iter().flatten().map(limb).collect()
 }
 
-/// Lines by label, and those of limbs that are not among them.
+/// Adds the lines of limbs to those found by labels, without duplicates.
 #[must_use]
 pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]> {
     for LiveLimb { ends: [a, b], .. } in limbs {
@@ -151,14 +153,14 @@ pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]>
     bones
 }
 
-/// What of the subject will show nothing with these labels, in words. Documents were checked when they were read: here nothing is
-/// said of them.
+/// Messages about parts of the subject that match no markers with these labels. The documents were checked when they
+/// were read: errors are ignored here.
 #[must_use]
-pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
-    let mut words = Vec::new();
+pub fn unused_part_notes(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
+    let mut notes = Vec::new();
     if limbs_between(subject, labels).is_some_and(|limbs| limbs.is_empty()) {
-        words.push(
-            "no bone of the skeleton has a marker at both its ends, by the labels: it is in the take and shows nothing".to_owned(),
+        notes.push(
+            "no bone of the skeleton has markers at both ends according to the labels: it is stored in the take but has no effect".to_owned(),
         );
     }
     if let Ok(Some(Mapping { markers })) = mapping(subject) {
@@ -166,16 +168,16 @@ pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
         let n_here = markers.iter().filter(|marker| slots.contains_key(&marker.label)).count();
         let n = markers.len();
         if n_here < MARKERS_MIN {
-            words.push(format!(
-                "{n_here} of the {n} markers of the face are in the take, {MARKERS_MIN} are needed: it shows no face"
+            notes.push(format!(
+                "only {n_here} of the {n} markers of the face are in the take, {MARKERS_MIN} are needed: the face is not shown"
             ));
         } else if n_here < n {
-            words.push(format!(
-                "{n_here} of the {n} markers of the face are in the take: they alone hold it"
+            notes.push(format!(
+                "only {n_here} of the {n} markers of the face are in the take: they alone place it"
             ));
         }
     }
-    words
+    notes
 }
 
 #[cfg(test)]

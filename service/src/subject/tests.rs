@@ -1,6 +1,6 @@
 use std::{collections::HashSet, fs};
 
-use mocapd_report::labels::bones;
+use mocapd_report::labels::marker_lines;
 use mocapd_simulator::generator::{BONES, SITES};
 
 use super::*;
@@ -74,7 +74,7 @@ fn files_become_a_subject_byte_for_byte() {
 }
 
 #[test]
-fn what_is_no_skeleton_says_why() {
+fn invalid_skeletons_are_explained() {
     let refused = |text: &str| format!("{:#}", Skeleton::from_json(text.as_bytes()).unwrap_err());
     let mut reasons = HashSet::new();
     let made_by = "`mocapd subject body -o`";
@@ -100,14 +100,14 @@ fn what_is_no_skeleton_says_why() {
 }
 
 #[test]
-fn what_is_no_face_says_why() {
+fn invalid_faces_are_explained() {
     let refused = |text: &str| format!("{:#}", FittedFace::from_json(text.as_bytes()).unwrap_err());
     let nowhere = refused(&FACE.replace("[[0,1]]", "[[0,2]]"));
     let flat = refused(&FACE.replace("[1,2,3]", "[1,2]"));
     let (skeleton, list) = (refused(SKELETON), refused("[]"));
     assert!(skeleton.contains("mocapd-skeleton"), "{skeleton}");
     assert!(list.contains("`mocapd subject face -o`"), "{list}");
-    // The parser's words stand behind.
+    // The parser's message comes after it.
     let cut = refused(&FACE[..40]);
     assert!(cut.contains("EOF while parsing"), "{cut}");
     let reasons = HashSet::from([nowhere, flat, skeleton, list, cut]);
@@ -124,7 +124,7 @@ fn labels(names: &[&str]) -> Vec<String> {
 
 /// The lines as pairs of names, each pair and all pairs in alphabetical order.
 fn names(labels: &[String]) -> Vec<[&str; 2]> {
-    let mut lines: Vec<[&str; 2]> = bones(labels)
+    let mut lines: Vec<[&str; 2]> = marker_lines(labels)
         .iter()
         .map(|line| {
             let mut pair = line.map(|slot| labels[usize::from(slot)].as_str());
@@ -155,7 +155,7 @@ fn the_generators_sites_get_the_generators_bones() {
 fn markers_on_segments_get_no_lines() {
     let mut with_clusters = labels(&SITES);
     with_clusters.extend(labels(&["trunk_1", "l_thigh_1", "r_upper_arm_2", "head_1"]));
-    assert_eq!(bones(&with_clusters), bones(&labels(&SITES)));
+    assert_eq!(marker_lines(&with_clusters), marker_lines(&labels(&SITES)));
 }
 
 #[test]
@@ -167,9 +167,9 @@ fn limbs_of_the_subjects_skeleton_come_with_their_lengths() {
     subject.set(Subject::SKELETON, skeleton.as_bytes().to_vec());
     let two = labels(&["Bob:LHIP", "Bob:LKNE", "Ann:LANK", "Ann:LKNE", "Ann:LHJC"]);
     let limbs = live_limbs(Some(&subject), &two);
-    let told: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
-    assert_eq!(told, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
-    // No line is drawn twice, whichever way it goes.
+    let found: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
+    assert_eq!(found, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
+    // No line is drawn twice, regardless of its direction.
     assert_eq!(with_limbs(vec![[2, 3], [0, 1]], &limbs), [[2, 3], [0, 1], [4, 3]]);
     assert!(live_limbs(None, &two).is_empty());
     subject.set(Subject::SKELETON, b"{}".to_vec());

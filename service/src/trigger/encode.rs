@@ -1,50 +1,49 @@
-//! What we send: our starts and stops, as others understand them.
+//! Encodes the triggers that announce our takes to other programs.
 
 use super::{StopResult, TEXT_BYTES_MAX, TakeName, Trigger};
 
-/// Numbers of packets end before this one: programs were seen that take ten digits and no more.
+/// Packet numbers stay below this: some programs accept ten digits at most.
 const PACKET_IDS_END: u64 = 10_000_000_000;
 
-/// Numbers of each second of a day: no program sends more triggers.
+/// Packet numbers per second of the day: no program sends more triggers.
 const IDS_PER_SECOND: u64 = 100_000;
 
-/// The number to begin with: another one each second of a day, so that a service that is started again does not
-/// repeat itself.
+/// The first packet number. It differs every second of a day, so that a restarted service does not repeat numbers.
 #[must_use]
 pub fn first_packet_id(unix_seconds: u64) -> u64 {
     unix_seconds % 86_400 * IDS_PER_SECOND + 1
 }
 
-/// Makes our datagrams, each with a number of its own that grows.
+/// Makes our datagrams and numbers them.
 #[derive(Debug)]
 pub struct Announcer {
     rig: String,
-    mark: u64,
+    instance_id: u64,
     next_packet_id: u64,
 }
 
 impl Announcer {
-    /// For a rig of this name; `mark` is any number that nobody else has, by which the
-    /// [`Listener`](super::Listener) knows our own datagrams.
+    /// An announcer for the rig `rig`. `instance_id` is a random number by which the [`Listener`](super::Listener)
+    /// recognises our own datagrams.
     #[must_use]
-    pub fn new(rig: &str, mark: u64, first_packet_id: u64) -> Self {
+    pub fn new(rig: &str, instance_id: u64, first_packet_id: u64) -> Self {
         let next_packet_id = first_packet_id % PACKET_IDS_END;
-        Self { rig: rig.to_owned(), mark, next_packet_id }
+        Self { rig: rig.to_owned(), instance_id, next_packet_id }
     }
 
-    /// A take began.
+    /// A take has started.
     #[must_use]
     pub fn start(&mut self, name: &TakeName, notes: &str) -> Vec<u8> {
         self.datagram("CaptureStart", None, name, Some(notes))
     }
 
-    /// It ended.
+    /// A take has stopped.
     #[must_use]
     pub fn stop(&mut self, name: &TakeName, result: &StopResult) -> Vec<u8> {
         self.datagram("CaptureStop", Some(result), name, None)
     }
 
-    /// It is whole on the disk.
+    /// A take is completely on the disk.
     #[must_use]
     pub fn complete(&mut self, name: &TakeName) -> Vec<u8> {
         self.datagram("CaptureComplete", None, name, None)
@@ -59,38 +58,36 @@ impl Announcer {
     ) -> Vec<u8> {
         let packet_id = self.next_packet_id;
         self.next_packet_id = (packet_id + 1) % PACKET_IDS_END;
-        let result = result
-            .map(|result| format!(" RESULT=\"{}\"", escaped(result.word())))
-            .unwrap_or_default();
-        let notes =
-            notes.map(|notes| format!("<Notes VALUE=\"{}\"/>", escaped(notes))).unwrap_or_default();
-        // Where our takes are is nobody's business, and no delay is needed: the take has begun.
+        let result = result.map(|result| format!(" RESULT=\"{}\"", escaped(result.word())));
+        let notes = notes.map(|notes| format!("<Notes VALUE=\"{}\"/>", escaped(notes)));
+        let [result, notes] = [result, notes].map(Option::unwrap_or_default);
+        // The path of our takes is not disclosed, and no delay is needed: the take has already begun.
         format!(
             "<?xml version=\"1.0\" encoding=\"UTF-8\" standalone=\"no\"?><{element}{result}>\
              <Name VALUE=\"{}\"/>{notes}<Description VALUE=\"{}\"/><DatabasePath VALUE=\"\"/>\
              <Delay VALUE=\"0\"/><PacketID VALUE=\"{packet_id}\"/></{element}>\0",
             escaped(name.text()),
-            escaped(&description(&self.rig, self.mark)),
+            escaped(&description(&self.rig, self.instance_id)),
         )
         .into_bytes()
     }
 }
 
-/// Who sent it, with the mark at its end.
-fn description(rig: &str, mark: u64) -> String {
-    format!("mocapd {rig} {mark:016x}")
+/// The description of the sender, with the instance id at its end.
+fn description(rig: &str, instance_id: u64) -> String {
+    format!("mocapd {rig} {instance_id:016x}")
 }
 
-/// Whether a trigger is one of an announcer with this mark.
-pub(super) fn has_mark(trigger: &Trigger, mark: u64) -> bool {
-    let mark = format!(" {mark:016x}");
+/// Whether a trigger comes from the announcer with this instance id.
+pub(super) fn is_from_instance(trigger: &Trigger, instance_id: u64) -> bool {
+    let instance_id = format!(" {instance_id:016x}");
     let is_ours = |(what, text): &(String, String)| {
-        what == "Description" && text.starts_with("mocapd ") && text.ends_with(&mark)
+        what == "Description" && text.starts_with("mocapd ") && text.ends_with(&instance_id)
     };
-    trigger.capture().about.said.iter().any(is_ours)
+    trigger.capture().about.fields.iter().any(is_ours)
 }
 
-/// A text as an attribute's value, of a bounded length; what XML cannot hold is replaced.
+/// Escapes a text as an XML attribute of bounded length, and replaces characters that XML does not allow.
 fn escaped(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {

@@ -1,4 +1,4 @@
-//! Who is listened to, and what of it is new.
+//! Accepts or refuses datagrams by their sender, and recognises repeats.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -11,91 +11,92 @@ use std::{
 
 use ipnet::IpNet;
 
-use super::{Refusal, Trigger, encode, parse};
-use crate::config::problem::short;
+use super::{Trigger, TriggerError, encode, parse};
+use crate::config::problem::excerpt;
 
-/// What became of a datagram that was understood.
+/// A datagram that was parsed and accepted.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Heard {
-    /// Somebody else's, for the first time.
+pub enum Incoming {
+    /// A trigger of another program, received for the first time.
     Trigger(Trigger),
-    /// Heard before: senders repeat theirs.
+    /// A repeat: senders repeat their datagrams.
     Repeat,
-    /// Our own, which came back as broadcasts do.
+    /// Our own trigger, which came back, as broadcasts do.
     Own,
 }
 
-/// Hears datagrams, one after another.
+/// Filters received datagrams.
 #[derive(Debug)]
 pub struct Listener {
     allow_from: Vec<Network>,
     delay_max: Duration,
-    mark: u64,
-    seen: Seen,
+    instance_id: u64,
+    seen: RecentTriggers,
 }
 
 impl Listener {
-    /// Listens to these networks, or to everybody where there are none, for delays of at most `delay_max`; `mark` is the
-    /// [`Announcer`](super::Announcer)'s, so that our own datagrams are known.
+    /// Accepts datagrams from these networks, or from everywhere if there are none, with delays of at most `delay_max`.
+    /// `instance_id` is that of the [`Announcer`](super::Announcer), to recognise our own datagrams.
     #[must_use]
-    pub fn new(allow_from: Vec<Network>, delay_max: Duration, mark: u64) -> Self {
-        Self { allow_from, delay_max, mark, seen: Seen::default() }
+    pub fn new(allow_from: Vec<Network>, delay_max: Duration, instance_id: u64) -> Self {
+        Self { allow_from, delay_max, instance_id, seen: RecentTriggers::default() }
     }
 
-    /// Whether a sender is one of those that are named.
+    /// Whether `trigger.allow_from` lists the sender.
     #[must_use]
     pub fn is_known(&self, from: IpAddr) -> bool {
         self.allow_from.iter().any(|allowed| allowed.contains(from.to_canonical()))
     }
 
-    /// A datagram that came `now`, a time that only grows. `exists` says whether there is a take of a name: a start
-    /// of one is refused. That is also what ends every echo: whoever tells us of our own take names one that exists.
+    /// Checks a datagram received at `now`, a time that never decreases. `exists` tells whether a take of a name
+    /// exists: its start is refused. That also ends every echo, because a program that announces our own take to us
+    /// names one that exists.
     ///
     /// # Errors
-    /// Why it starts and stops nothing.
-    pub fn hear(
+    /// Why the datagram has no effect.
+    pub fn receive(
         &mut self,
         from: IpAddr,
         datagram: &[u8],
         now: Duration,
         exists: &dyn Fn(&str) -> bool,
-    ) -> Result<Heard, Refusal> {
+    ) -> Result<Incoming, TriggerError> {
         let from = from.to_canonical();
         if !self.allow_from.is_empty() && !self.is_known(from) {
-            return Err(Refusal::NotAllowed(from));
+            return Err(TriggerError::NotAllowed(from));
         }
         let trigger = parse(datagram)?;
-        if encode::has_mark(&trigger, self.mark) {
-            return Ok(Heard::Own);
+        if encode::is_from_instance(&trigger, self.instance_id) {
+            return Ok(Incoming::Own);
         }
         if self.seen.is_repeat(from, &trigger, datagram, now) {
-            return Ok(Heard::Repeat);
+            return Ok(Incoming::Repeat);
         }
         if trigger.delay() > self.delay_max {
-            return Err(Refusal::DelayTooLong { found: trigger.delay(), max: self.delay_max });
+            return Err(TriggerError::DelayTooLong { found: trigger.delay(), max: self.delay_max });
         }
         if let Trigger::Start(start) = &trigger
             && let Some(name) = &start.name
             && exists(name.text())
         {
-            return Err(Refusal::NameTaken(name.to_string()));
+            return Err(TriggerError::NameTaken(name.to_string()));
         }
-        Ok(Heard::Trigger(trigger))
+        Ok(Incoming::Trigger(trigger))
     }
 
-    /// A trigger out of this datagram found no place in the queue. Its repeats are then the sender's next attempts, and
-    /// must not pass for repeats of one that was carried out.
+    /// Forgets a trigger that did not fit into the queue: its repeats are new attempts of the sender, not repeats of an
+    /// executed trigger.
     pub fn forget(&mut self, from: IpAddr, trigger: &Trigger, datagram: &[u8]) {
         self.seen.forget(from.to_canonical(), trigger, datagram);
     }
 }
 
-/// A network, such as `192.168.10.0/24`; a single address is one of all its bits.
+/// A network, such as `192.168.10.0/24`, or a single address.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Network(IpNet);
 
 impl Network {
-    /// Whether an address is in it. An IPv4 address that came over IPv6 is the IPv4 address.
+    /// Whether it contains an address. An IPv4 address received over IPv6 counts as the IPv4 address.
     #[must_use]
     pub fn contains(&self, address: IpAddr) -> bool {
         self.0.contains(&address.to_canonical())
@@ -106,10 +107,9 @@ impl FromStr for Network {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (address, prefix) =
-            text.split_once('/').map_or((text, None), |(address, prefix)| (address, Some(prefix)));
-        let no_address = |_| "it is no address and no network".to_owned();
-        let address: IpAddr = address.parse().map_err(no_address)?;
+        let (address, prefix) = text.split_once('/').unzip();
+        let no_address = |_| "it is neither an address nor a network".to_owned();
+        let address: IpAddr = address.unwrap_or(text).parse().map_err(no_address)?;
         if address != address.to_canonical() {
             return Err(format!("write it as the IPv4 address {}", address.to_canonical()));
         }
@@ -119,11 +119,11 @@ impl FromStr for Network {
         let bits = prefix.parse().ok().filter(|_| is_number);
         let network = bits.and_then(|bits| IpNet::new(address, bits).ok()).ok_or_else(|| {
             let bits = alone.max_prefix_len();
-            format!("its prefix '{}' is no number from 0 to {bits}", short(prefix))
+            format!("its prefix '{}' is not a number from 0 to {bits}", excerpt(prefix))
         })?;
         if network != network.trunc() {
             return Err(format!(
-                "it has bits behind its prefix: write {}, or {address} for this one alone",
+                "it has bits set after its prefix: write {}, or {address} for this address alone",
                 network.trunc()
             ));
         }
@@ -140,16 +140,16 @@ impl fmt::Display for Network {
     }
 }
 
-/// How long a number is remembered: repeats come within seconds, and a sender that was started again counts anew.
+/// How long packet numbers are remembered: repeats come within seconds, and a restarted sender may count anew.
 pub const REMEMBERED: Duration = Duration::from_secs(60);
 
-/// Numbers remembered of one sender: more than one a second is no laboratory.
+/// Numbers remembered per sender: no laboratory needs more than one a second.
 pub const IDS_MAX: usize = 64;
 
-/// Senders remembered: the one that was silent for longest is forgotten.
+/// Senders remembered; beyond that, the one that was silent for longest is forgotten.
 pub const SENDERS_MAX: usize = 64;
 
-/// What makes a datagram the same as another one: its element and its number, or all of its bytes where it has none.
+/// Identifies repeated datagrams: by element and packet number, or by all bytes if there is no number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Identity {
     Packet(&'static str, u64),
@@ -169,14 +169,14 @@ impl Identity {
     }
 }
 
-/// 64 senders of 64 numbers, 40 bytes each: 160 kB at most.
+/// Recently received triggers: 64 senders with 64 numbers of 40 bytes each, 160 kB at most.
 #[derive(Debug, Default)]
-pub(super) struct Seen {
+pub(super) struct RecentTriggers {
     senders: HashMap<IpAddr, VecDeque<(Identity, Duration)>>,
 }
 
-impl Seen {
-    /// Whether it is a repeat; it is remembered in any case, until it is [forgotten](Self::forget).
+impl RecentTriggers {
+    /// Whether the datagram is a repeat. It is remembered in any case, until it is [forgotten](Self::forget).
     pub(super) fn is_repeat(
         &mut self,
         from: IpAddr,
@@ -185,7 +185,7 @@ impl Seen {
         now: Duration,
     ) -> bool {
         let identity = Identity::of(trigger, datagram);
-        self.make_room(from, now);
+        self.evict(from, now);
         let heard = self.senders.entry(from).or_insert_with(|| VecDeque::with_capacity(IDS_MAX));
         if let Some(known) = heard.iter_mut().find(|(known, _)| *known == identity) {
             known.1 = now;
@@ -198,7 +198,7 @@ impl Seen {
         false
     }
 
-    /// Forgets a datagram that was not accepted: the next one like it is no repeat.
+    /// Forgets a datagram that was not accepted: the next one like it is not a repeat.
     pub(super) fn forget(&mut self, from: IpAddr, trigger: &Trigger, datagram: &[u8]) {
         let identity = Identity::of(trigger, datagram);
         if let Some(heard) = self.senders.get_mut(&from) {
@@ -206,23 +206,21 @@ impl Seen {
         }
     }
 
-    fn make_room(&mut self, from: IpAddr, now: Duration) {
+    fn evict(&mut self, from: IpAddr, now: Duration) {
         let is_old = |at: &Duration| now.saturating_sub(*at) > REMEMBERED;
         for heard in self.senders.values_mut() {
             heard.retain(|(_, at)| !is_old(at));
         }
         self.senders.retain(|_, heard| !heard.is_empty());
         if self.senders.len() == SENDERS_MAX && !self.senders.contains_key(&from) {
-            let last =
-                |heard: &VecDeque<(Identity, Duration)>| heard.iter().map(|(_, at)| *at).max();
-            let silent =
-                self.senders.iter().min_by_key(|(_, heard)| last(heard)).map(|(ip, _)| *ip);
-            silent.map(|ip| self.senders.remove(&ip));
+            let last = |heard: &VecDeque<(_, Duration)>| heard.iter().map(|(_, at)| *at).max();
+            let silent = self.senders.iter().min_by_key(|(_, heard)| last(heard));
+            silent.map(|(ip, _)| *ip).map(|ip| self.senders.remove(&ip));
         }
     }
 
     #[cfg(test)]
-    pub(super) fn n_remembered(&self) -> (usize, usize) {
+    pub(super) fn sizes(&self) -> (usize, usize) {
         (self.senders.len(), self.senders.values().map(VecDeque::len).sum())
     }
 }
@@ -250,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_says_why() {
+    fn invalid_networks_are_explained() {
         let refused = |text: &str| text.parse::<Network>().unwrap_err();
         let no_address = refused("").replace("''", "");
         assert_eq!(refused("lab").replace("'lab'", ""), no_address);
@@ -262,9 +260,9 @@ mod tests {
             ("::/129", &["0 to 128"]),
             ("::ffff:10.0.0.1", &["10.0.0.1"]),
         ] {
-            let said = refused(text);
-            assert!(facts.iter().all(|fact| said.contains(fact)), "{text}: {said}");
-            assert_ne!(said.replace(&format!("'{text}'"), ""), no_address);
+            let reason = refused(text);
+            assert!(facts.iter().all(|fact| reason.contains(fact)), "{text}: {reason}");
+            assert_ne!(reason.replace(&format!("'{text}'"), ""), no_address);
         }
     }
 }

@@ -1,7 +1,8 @@
-//! Capture triggers: `<CaptureStart>` and `<CaptureStop>` in UDP datagrams, as motion capture programs send and
-//! hear them. docs/triggers.md has the bytes.
+//! Capture triggers: `<CaptureStart>` and `<CaptureStop>` in UDP datagrams, as motion capture programs send and receive
+//! them. docs/triggers.md specifies the bytes.
 //!
-//! All but [`socket`] and [`Queue`] is sans-io: a datagram's bytes and the time go in, a [`Trigger`] or a [`Refusal`] comes out.
+//! Everything except [`socket`] and [`TriggerQueue`] is sans-io: a datagram and the time go in, and a [`Trigger`] or a
+//! [`TriggerError`] comes out.
 
 mod encode;
 mod listener;
@@ -16,51 +17,54 @@ use std::{net::IpAddr, time::Duration};
 
 pub use self::{
     encode::{Announcer, first_packet_id},
-    listener::{Heard, IDS_MAX, Listener, Network, REMEMBERED, SENDERS_MAX},
+    listener::{IDS_MAX, Incoming, Listener, Network, REMEMBERED, SENDERS_MAX},
     parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, parse},
-    queue::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Queue, Received, Waiting},
-    socket::Quiet,
+    queue::{
+        DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, PendingTriggers, ReceivedTrigger,
+        TriggerQueue,
+    },
+    socket::RateLimit,
 };
 
-/// What a datagram asks for, or tells.
+/// A request or notification in a datagram.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Trigger {
-    /// `<CaptureStart>`: a take begins.
+    /// `<CaptureStart>`: a take starts.
     Start(Capture),
-    /// `<CaptureStop>`: it ends.
+    /// `<CaptureStop>`: a take stops.
     Stop(Capture),
-    /// `<CaptureComplete>`: its files are written, says another program: nothing has to be done.
+    /// `<CaptureComplete>`: another program has written its files. Nothing has to be done.
     Complete(Capture),
 }
 
-/// What it says of a capture.
+/// The content of a trigger.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Capture {
-    /// How the take of a start is to be called; `None` where the sender leaves it to us. Which take a stop means: one of
-    /// another name is to go on. `None` means the one that is being recorded when it comes, or else one that its sender
-    /// has started.
+    /// For a start, the name of the new take; `None` leaves it to us. For a stop, the take to stop: one of another name
+    /// continues. `None` means the take that is being recorded when the datagram arrives, or otherwise one started by
+    /// the same sender.
     pub name: Option<TakeName>,
-    /// How a take that ended did at the sender; `None` where it does not say.
+    /// The result of a stopped take at the sender; `None` if missing.
     pub result: Option<StopResult>,
-    /// How long after the datagram the capture begins or ends; zero where nothing is said.
+    /// The time from the datagram to the start or stop; zero if missing.
     pub delay: Duration,
-    /// What else it says.
+    /// The other elements.
     pub about: About,
 }
 
-/// What a datagram says beside its name, for the take's event. Nothing here is ever used as a path.
+/// The other elements of a datagram, for the take's event. Nothing of it is ever used as a path.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct About {
-    /// The sender's number of the datagram: its repeats have the same.
+    /// The sender's packet number: repeats have the same one.
     pub packet_id: Option<u64>,
-    /// `Notes`, `Description`, `DatabasePath` and whatever else stands in it, with what it says, in the order of the
-    /// datagram; what says nothing is left out.
-    pub said: Vec<(String, String)>,
-    /// What was cut or replaced in it, in words.
+    /// `Notes`, `Description`, `DatabasePath` and all other elements with their values, in the order of the datagram.
+    /// Empty ones are omitted.
+    pub fields: Vec<(String, String)>,
+    /// Messages about what was shortened or replaced.
     pub changed: Vec<String>,
 }
 
-/// How a capture ended.
+/// The result of a capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum StopResult {
     /// `SUCCESS`.
@@ -69,12 +73,12 @@ pub enum StopResult {
     Fail,
     /// `CANCEL`.
     Cancel,
-    /// Another word.
+    /// Any other word.
     Other(String),
 }
 
 impl StopResult {
-    /// As it is written.
+    /// The word in the datagram.
     #[must_use]
     pub fn word(&self) -> &str {
         match self {
@@ -87,14 +91,14 @@ impl StopResult {
 }
 
 impl Trigger {
-    /// What it says.
+    /// The content of the trigger.
     #[must_use]
     pub fn capture(&self) -> &Capture {
         let (Self::Start(capture) | Self::Stop(capture) | Self::Complete(capture)) = self;
         capture
     }
 
-    /// How long after the datagram it is to be carried out. A completion asks for nothing, and so waits for nothing.
+    /// The time from the datagram to its execution. A completion requests nothing and is not delayed.
     #[must_use]
     pub fn delay(&self) -> Duration {
         match self {
@@ -103,7 +107,7 @@ impl Trigger {
         }
     }
 
-    /// The element that it is.
+    /// The name of the XML element.
     #[must_use]
     pub fn element(&self) -> &'static str {
         match self {
@@ -113,7 +117,7 @@ impl Trigger {
         }
     }
 
-    /// One line for the take's event: everything that it says, as text.
+    /// All content as one line, for the take's event.
     #[must_use]
     pub fn note(&self, from: IpAddr) -> String {
         let mut note = format!("{} from {}", self.element(), from.to_canonical());
@@ -127,7 +131,7 @@ impl Trigger {
         if let Some(result) = result {
             note += &format!(", result {}", result.word());
         }
-        for (what, text) in &about.said {
+        for (what, text) in &about.fields {
             note += &format!(", {what} \"{text}\"");
         }
         for changed in &about.changed {
@@ -137,58 +141,60 @@ impl Trigger {
     }
 }
 
-/// Why a datagram starts and stops nothing. One line each: what was found, and what to do where somebody can do something.
+/// Why a datagram has no effect: what was found, and what to do about it, on one line.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Refusal {
-    /// The sender is not one of those that are listened to.
+pub enum TriggerError {
+    /// The sender is not in `trigger.allow_from`.
     #[error("{0} is not in trigger.allow_from")]
     NotAllowed(IpAddr),
-    /// Longer than a trigger is.
-    #[error("it has {0} bytes, and a trigger has at most {max}", max = DATAGRAM_BYTES_MAX)]
+    /// The datagram is too long.
+    #[error("a datagram of {0} bytes: triggers have at most {max}", max = DATAGRAM_BYTES_MAX)]
     TooLong(usize),
-    /// Its letters cannot be known.
-    #[error("its letters cannot be read ({0}): triggers are UTF-8")]
+    /// Its text cannot be decoded.
+    #[error("unsupported encoding ({0}): triggers are UTF-8")]
     Encoding(String),
-    /// It is no XML, or more of it than a trigger has.
-    #[error("it is no trigger: {0}")]
+    /// It is not XML, or has more parts than a trigger.
+    #[error("not a trigger: {0}")]
     Xml(String),
-    /// Its outermost element is another one.
-    #[error("<{0}> is no trigger: CaptureStart, CaptureStop and CaptureComplete are")]
+    /// The root element is not a trigger.
+    #[error("<{0}> is not a trigger: expected CaptureStart, CaptureStop or CaptureComplete")]
     Element(String),
-    /// A number that cannot be meant.
-    #[error("its {what} is \"{found}\": {wanted}")]
+    /// A number is invalid.
+    #[error("{what} is \"{found}\": {wanted}")]
     Number {
-        /// Which.
+        /// The element.
         what: &'static str,
-        /// What stands there.
+        /// The value found.
         found: String,
         /// What is expected.
         wanted: &'static str,
     },
-    /// A delay above what is configured.
-    #[error("its Delay is {} ms: trigger.delay_max is {} ms", found.as_millis(), max.as_millis())]
+    /// The delay exceeds the configured limit.
+    #[error("its Delay of {} ms exceeds trigger.delay_max, {} ms", found.as_millis(), max.as_millis())]
     DelayTooLong {
-        /// What it asks for.
+        /// The requested delay.
         found: Duration,
-        /// What is allowed.
+        /// The longest delay allowed.
         max: Duration,
     },
-    /// Its sender, which is not in `trigger.allow_from`, has too many that wait already.
-    #[error("{waiting} of {sender} wait already, and it is not in trigger.allow_from")]
+    /// Too many triggers of the sender, which is not in `trigger.allow_from`, are pending.
+    #[error(
+        "{waiting} triggers of {sender}, which is not in trigger.allow_from, are pending already"
+    )]
     TooManyOfSender {
-        /// How many.
+        /// Number of its pending triggers.
         waiting: usize,
-        /// Whose.
+        /// The sender.
         sender: IpAddr,
     },
-    /// Too many wait already.
-    #[error("{0} triggers wait already")]
+    /// Too many triggers are pending.
+    #[error("{0} triggers are pending already")]
     TooMany(usize),
-    /// Of the name nothing can be kept.
-    #[error("a take cannot be called \"{0}\": send another name")]
+    /// No part of the name is usable.
+    #[error("\"{0}\" is not a usable take name: send another one")]
     Name(String),
-    /// A start with the name of a take that exists.
-    #[error("a take called {0} exists, and none is overwritten: send another name")]
+    /// The name of a start belongs to an existing take.
+    #[error("a take named {0} exists and is never overwritten: send another name")]
     NameTaken(String),
 }

@@ -1,81 +1,82 @@
-//! A datagram's bytes as a trigger.
+//! Parses datagrams.
 
 use std::{fmt, time::Duration};
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use super::{About, Capture, Refusal, StopResult, Trigger};
+use super::{About, Capture, StopResult, Trigger, TriggerError};
 use crate::config::{NAME_BYTES_MAX, is_refused_in_name};
 
-/// Bytes of a trigger: no UDP datagram has more.
+/// Largest trigger in bytes: no UDP datagram is larger.
 pub const DATAGRAM_BYTES_MAX: usize = 64 << 10;
 
-/// Elements, texts and comments in it: programs send six to ten elements, with spaces between them.
+/// Most elements, texts and comments: programs send six to ten elements, with white space between them.
 const NODES_MAX: u32 = 128;
 
-/// Equals signs in it, one an attribute: an element compares each of its attributes with the ones before it.
+/// Most equals signs, one per attribute: XML parsers compare each attribute of an element with the previous ones.
 const ATTRIBUTES_MAX: usize = 256;
 
-/// Bytes of a text that is kept, such as the notes: an event of a take is a line.
+/// Longest text that is kept, in bytes, such as notes: an event of a take is one line.
 pub const TEXT_BYTES_MAX: usize = 1024;
 
-/// Elements that are kept beside those we know.
-const SAID_MAX: usize = 16;
+/// Most other elements that are kept.
+const FIELDS_MAX: usize = 16;
 
-/// The longest lead time that can be meant, and that `trigger.delay_max` can allow: more is a number of something else.
+/// Longest delay, which also limits `trigger.delay_max`: a larger number cannot be a lead time.
 pub const DELAY_MAX: Duration = Duration::from_secs(60);
 
-/// Letters of a found text that a refusal repeats.
+/// Longest quotation of a value in a message, in characters.
 const SHOWN_MAX: usize = 60;
 
-/// What a datagram asks for.
+/// Parses a datagram.
 ///
 /// # Errors
-/// Why it is none, or which of its values cannot be meant.
-pub fn parse(datagram: &[u8]) -> Result<Trigger, Refusal> {
+/// It is not a trigger, or one of its values is invalid.
+pub fn parse(datagram: &[u8]) -> Result<Trigger, TriggerError> {
     if datagram.len() > DATAGRAM_BYTES_MAX {
-        return Err(Refusal::TooLong(datagram.len()));
+        return Err(TriggerError::TooLong(datagram.len()));
     }
     let text = text(datagram)?;
     if text.bytes().filter(|byte| *byte == b'=').count() > ATTRIBUTES_MAX {
-        return Err(Refusal::Xml(format!("it has more than {ATTRIBUTES_MAX} attributes")));
+        return Err(TriggerError::Xml(format!("more than {ATTRIBUTES_MAX} attributes")));
     }
-    // No DTD, and so no entities of its own that would grow.
+    // Document types are refused, and with them entities that would expand.
     let options =
         ParsingOptions { allow_dtd: false, nodes_limit: NODES_MAX, entity_resolver: None };
     let document = Document::parse_with_options(text, options)
-        .map_err(|error| Refusal::Xml(cut(&error.to_string(), 200)))?;
+        .map_err(|error| TriggerError::Xml(cut(&error.to_string(), 200)))?;
     let root = document.root_element();
     let element = root.tag_name().name();
     match element {
         "CaptureStart" => Ok(Trigger::Start(Capture { result: None, ..capture(root)? })),
         "CaptureStop" => capture(root).map(Trigger::Stop),
         "CaptureComplete" => capture(root).map(Trigger::Complete),
-        _ => Err(Refusal::Element(cut(element, SHOWN_MAX))),
+        _ => Err(TriggerError::Element(cut(element, SHOWN_MAX))),
     }
 }
 
-/// Without the 0 at the end and the mark at the beginning, where there are any.
-fn text(datagram: &[u8]) -> Result<&str, Refusal> {
-    let text = std::str::from_utf8(datagram)
-        .map_err(|error| Refusal::Encoding(format!("byte {} is no UTF-8", error.valid_up_to())))?;
+/// Decodes the text, without a final 0 or a byte order mark.
+fn text(datagram: &[u8]) -> Result<&str, TriggerError> {
+    let text = std::str::from_utf8(datagram).map_err(|error| {
+        TriggerError::Encoding(format!("byte {} is not UTF-8", error.valid_up_to()))
+    })?;
     let is_space = |c: char| " \t\r\n".contains(c);
     let text = text.trim_end_matches(|c| c == '\0' || is_space(c));
     let text = text.trim_start_matches('\u{feff}').trim_start_matches(is_space);
     if text.contains('\0') {
-        return Err(Refusal::Encoding("a 0 stands in the middle".to_owned()));
+        return Err(TriggerError::Encoding("a 0 byte within the text".to_owned()));
     }
     let Some(encoding) = declared_encoding(text) else { return Ok(text) };
     let is = |names: &[&str]| names.iter().any(|name| encoding.eq_ignore_ascii_case(name));
-    // In these, what is ASCII is the same.
+    // Their ASCII characters are encoded as in UTF-8.
     let agrees = text.is_ascii() && is(&["iso-8859-1", "windows-1252"]);
     if agrees || is(&["utf-8", "utf8", "us-ascii", "ascii"]) {
         return Ok(text);
     }
-    Err(Refusal::Encoding(format!("it says that they are {}", cut(encoding, SHOWN_MAX))))
+    Err(TriggerError::Encoding(format!("declared as {}", cut(encoding, SHOWN_MAX))))
 }
 
-/// What stands behind `encoding=` in the declaration, which is the reader's to obey.
+/// The encoding in the XML declaration, which the parser does not check.
 fn declared_encoding(text: &str) -> Option<&str> {
     let (declaration, _) = text.trim_start().strip_prefix("<?xml")?.split_once("?>")?;
     let (_, rest) = declaration.split_once("encoding")?;
@@ -84,8 +85,8 @@ fn declared_encoding(text: &str) -> Option<&str> {
     rest[1..].split(quote).next()
 }
 
-/// What the elements in it say. Of two of a name the first is meant, and the second one is kept as a text.
-fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
+/// Reads the child elements. If an element is repeated, the first counts, and the others are kept as texts.
+fn capture(root: Node<'_, '_>) -> Result<Capture, TriggerError> {
     let (mut name, mut delay, mut about) = (None, None, About::default());
     for node in root.children().filter(Node::is_element) {
         let element = node.tag_name().name();
@@ -95,73 +96,70 @@ fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
             "Name" if name.is_none() => name = Some(take_name(value, &mut about)?),
             "Delay" if delay.is_none() => delay = Some(milliseconds(value)?),
             "PacketID" if about.packet_id.is_none() => about.packet_id = Some(packet_id(value)?),
-            _ => keep(element, value, &mut about),
+            _ => keep_field(element, value, &mut about),
         }
     }
     let result = attribute(root, "RESULT").map(|word| match word.trim() {
         "SUCCESS" => StopResult::Success,
         "FAIL" => StopResult::Fail,
         "CANCEL" => StopResult::Cancel,
-        other => StopResult::Other(cut(&plain(other), SHOWN_MAX)),
+        other => StopResult::Other(cut(&printable(other), SHOWN_MAX)),
     });
     Ok(Capture { name, result, delay: delay.unwrap_or_default(), about })
 }
 
-/// Programs write attributes in capitals; a lower-case one is meant as such.
+/// Programs write attributes in capitals; lower case is accepted, too.
 fn attribute<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
-    node.attributes()
-        .find(|found| found.name().eq_ignore_ascii_case(name))
-        .map(|found| found.value())
+    let mut attributes = node.attributes();
+    Some(attributes.find(|found| found.name().eq_ignore_ascii_case(name))?.value())
 }
 
-fn take_name(value: &str, about: &mut About) -> Result<TakeName, Refusal> {
-    let name = TakeName::of(value).ok_or_else(|| Refusal::Name(cut(&plain(value), SHOWN_MAX)))?;
+fn take_name(value: &str, about: &mut About) -> Result<TakeName, TriggerError> {
+    let sent = cut(&printable(value), SHOWN_MAX);
+    let Some(name) = TakeName::of(value) else { return Err(TriggerError::Name(sent)) };
     if name.was_changed() {
-        let sent = cut(&plain(value), SHOWN_MAX);
-        about.changed.push(format!("the name \"{sent}\" became {name}"));
+        about.changed.push(format!("the name \"{sent}\" was changed to {name}"));
     }
     Ok(name)
 }
 
-fn packet_id(value: &str) -> Result<u64, Refusal> {
+fn packet_id(value: &str) -> Result<u64, TriggerError> {
     let text = value.trim();
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
-    text.parse().ok().filter(|_| is_number).ok_or_else(|| Refusal::Number {
-        what: "PacketID",
-        found: cut(&plain(value), SHOWN_MAX),
-        wanted: "send a whole number",
-    })
+    let id = text.parse().ok().filter(|_| is_number);
+    id.ok_or_else(|| number_error("PacketID", value, "send a whole number"))
 }
 
-fn milliseconds(value: &str) -> Result<Duration, Refusal> {
+fn milliseconds(value: &str) -> Result<Duration, TriggerError> {
     let found = value.trim().parse::<f64>().ok();
     let delay = found.filter(|ms| (0.0..=DELAY_MAX.as_millis() as f64).contains(ms));
-    delay.map(|ms| Duration::from_secs_f64(ms / 1000.0)).ok_or_else(|| Refusal::Number {
-        what: "Delay",
-        found: cut(&plain(value), SHOWN_MAX),
-        wanted: "send milliseconds, 0 to 60000",
-    })
+    let delay = delay.map(|ms| Duration::from_secs_f64(ms / 1000.0));
+    delay.ok_or_else(|| number_error("Delay", value, "send milliseconds, 0 to 60000"))
 }
 
-fn keep(element: &str, value: &str, about: &mut About) {
+fn number_error(what: &'static str, value: &str, wanted: &'static str) -> TriggerError {
+    TriggerError::Number { what, found: cut(&printable(value), SHOWN_MAX), wanted }
+}
+
+fn keep_field(element: &str, value: &str, about: &mut About) {
     let element = cut(element, SHOWN_MAX);
-    if about.said.len() == SAID_MAX {
-        let words = format!("more than {SAID_MAX} elements, the rest is left out");
-        if about.changed.last() != Some(&words) {
-            about.changed.push(words);
+    if about.fields.len() == FIELDS_MAX {
+        let message = format!("more than {FIELDS_MAX} elements, the others were dropped");
+        if about.changed.last() != Some(&message) {
+            about.changed.push(message);
         }
         return;
     }
-    let text = plain(value);
+    let text = printable(value);
     let kept = cut(&text, TEXT_BYTES_MAX);
     if kept.len() != text.len() {
-        about.changed.push(format!("{element} had {} bytes", value.len()));
+        about.changed.push(format!("{element} was cut from {} bytes", value.len()));
     }
-    about.said.push((element, kept));
+    about.fields.push((element, kept));
 }
 
-/// On one line, with nothing that a terminal would obey.
-fn plain(text: &str) -> String {
+/// Makes a text one line without control characters.
+fn printable(text: &str) -> String {
     let shown = |c: char| match c {
         '\n' | '\r' | '\t' => ' ',
         c if c.is_control() => char::REPLACEMENT_CHARACTER,
@@ -170,7 +168,7 @@ fn plain(text: &str) -> String {
     text.trim().chars().map(shown).collect()
 }
 
-/// At most so many bytes, with dots behind it where it was longer.
+/// Shortens a text to a number of bytes, with dots appended.
 fn cut(text: &str, bytes_max: usize) -> String {
     if text.len() <= bytes_max {
         return text.to_owned();
@@ -178,7 +176,8 @@ fn cut(text: &str, bytes_max: usize) -> String {
     format!("{}...", &text[..text.floor_char_boundary(bytes_max)])
 }
 
-/// A file name without `.take`: no path, not hidden, nothing that a terminal obeys, of a bounded length.
+/// A take name without `.take`: a file name that is never a path, not hidden, without control characters, of bounded
+/// length.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TakeName {
     text: String,
@@ -186,7 +185,7 @@ pub struct TakeName {
 }
 
 impl TakeName {
-    /// What can be kept of a text; `None` when nothing can.
+    /// Derives a valid name from a text; `None` if nothing of it is usable.
     #[must_use]
     pub fn of(sent: &str) -> Option<Self> {
         let text: String =
@@ -205,14 +204,14 @@ impl TakeName {
         &self.text
     }
 
-    /// Whether another one was sent.
+    /// Whether the name differs from the text that was sent.
     #[must_use]
     pub fn was_changed(&self) -> bool {
         self.was_changed
     }
 }
 
-/// Without what may not end it: `.take` is ours to add, once.
+/// Removes endings that a name may not have. `.take` is added once later.
 fn ended(mut text: &str) -> &str {
     loop {
         let trimmed = text.trim_end_matches(|c: char| c == '.' || c.is_whitespace());
@@ -239,7 +238,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_is_kept_and_a_path_is_none() {
+    fn a_name_is_kept_and_a_path_is_changed() {
         for name in ["walk_03", "S01 walk 3", "Läufer.2", "歩く"] {
             let kept = TakeName::of(name).unwrap();
             assert_eq!((kept.text(), kept.was_changed()), (name, false));
@@ -273,7 +272,7 @@ mod tests {
         assert_eq!(kept.text(), "ä".repeat(NAME_BYTES_MAX / 2));
         let kept = TakeName::of(&format!("a{}", "ä".repeat(1000))).unwrap();
         assert_eq!(kept.text().len(), NAME_BYTES_MAX - 1);
-        // What the cut leaves at the end is no dot.
+        // The cut must not leave a dot at the end.
         let kept = TakeName::of(&format!("{}{}x", "a".repeat(190), ".".repeat(20))).unwrap();
         assert_eq!(kept.text(), "a".repeat(190));
         let kept = TakeName::of(&format!("{}.take.x", "a".repeat(195))).unwrap();

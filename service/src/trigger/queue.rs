@@ -1,58 +1,58 @@
-//! Triggers that were accepted and wait for their time, in a bounded number.
+//! Accepted triggers that wait for execution, in limited numbers.
 //!
-//! A trigger without a delay is due at once, and is carried out as soon as the one before it is. One with a delay is due
-//! later: it is a deadline here, and holds up nothing else. [`Waiting`] is sans-io: the time goes in, due triggers come
-//! out. [`Queue`] is it in real time, between the thread that hears triggers and the one that carries them out.
+//! A trigger without a delay is due immediately, and executed after the previous one. A delayed trigger is due later
+//! and holds up nothing else. [`PendingTriggers`] is sans-io: the time goes in, and due triggers come out. [`TriggerQueue`]
+//! applies it in real time, between the thread that receives triggers and the one that executes them.
 
 use std::{
     net::{IpAddr, SocketAddr},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use mocapd_acquire::pipeline::lock;
 
-use super::{Refusal, Trigger};
+use super::{Trigger, TriggerError};
 
-/// Triggers without a delay that are not carried out yet. That takes milliseconds, and a laboratory sends one in
-/// seconds: when so many wait the service is stuck, and a start that comes out minutes later would start nothing that
-/// anybody meant.
+/// Most undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few seconds: if so
+/// many wait, the service is stuck, and a start executed minutes later would record nothing that anybody wanted.
 pub const DUE_MAX: usize = 16;
 
-/// Of these, those of a sender that is not in `trigger.allow_from`: the end of a take and the start of the next one, and
-/// as many again.
+/// Of these, the most of one sender that is not in `trigger.allow_from`: the stop of one take and the start of the
+/// next, twice.
 pub const DUE_EACH_MAX: usize = 4;
 
-/// Delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
+/// Most delayed triggers of all senders in `trigger.allow_from`: a start and a stop of eight machines.
 pub const DELAYED_MAX: usize = 16;
 
-/// Delayed triggers of all other senders, one of each: eight machines that nobody has named.
+/// Most delayed triggers of all other senders, one each: eight unlisted machines.
 pub const DELAYED_OTHERS_MAX: usize = 8;
 
-/// A trigger that was accepted.
+/// An accepted trigger.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Received {
-    /// Who sent it.
+pub struct ReceivedTrigger {
+    /// The sender.
     pub from: SocketAddr,
-    /// What it asks for.
+    /// The trigger.
     pub trigger: Trigger,
-    /// Whether `trigger.allow_from` names the sender.
+    /// Whether `trigger.allow_from` lists the sender.
     pub is_known: bool,
-    /// The take that was being recorded when it came.
+    /// The take that was being recorded when it arrived.
     pub recording: Option<String>,
 }
 
-impl Received {
-    /// Its address, by which senders are told apart.
+impl ReceivedTrigger {
+    /// The address that identifies the sender.
     #[must_use]
     pub fn sender(&self) -> IpAddr {
         self.from.ip().to_canonical()
     }
 }
 
-/// Those that wait.
+/// The pending triggers.
 #[derive(Debug, Default)]
-pub struct Waiting {
+pub struct PendingTriggers {
     entries: Vec<Entry>,
     next_number: u64,
 }
@@ -60,18 +60,18 @@ pub struct Waiting {
 #[derive(Debug)]
 struct Entry {
     due: Duration,
-    /// In the order of arrival.
+    /// In order of arrival.
     number: u64,
     is_delayed: bool,
-    received: Received,
+    received: ReceivedTrigger,
 }
 
-impl Waiting {
-    /// Accepts a trigger that came `now`.
+impl PendingTriggers {
+    /// Accepts a trigger received at `now`.
     ///
     /// # Errors
-    /// Too many wait already.
-    pub fn push(&mut self, received: Received, now: Duration) -> Result<(), Refusal> {
+    /// Too many triggers are pending.
+    pub fn push(&mut self, received: ReceivedTrigger, now: Duration) -> Result<(), TriggerError> {
         let delay = received.trigger.delay();
         let is_delayed = delay > Duration::ZERO;
         let (sender, is_known) = (received.sender(), received.is_known);
@@ -86,10 +86,10 @@ impl Waiting {
             (true, false) => (DELAYED_OTHERS_MAX, Some(1)),
         };
         if own_max.is_some_and(|max| own >= max) {
-            return Err(Refusal::TooManyOfSender { waiting: own, sender });
+            return Err(TriggerError::TooManyOfSender { waiting: own, sender });
         }
         if all >= all_max {
-            return Err(Refusal::TooMany(all));
+            return Err(TriggerError::TooMany(all));
         }
         let number = self.next_number;
         self.next_number += 1;
@@ -97,34 +97,34 @@ impl Waiting {
         Ok(())
     }
 
-    /// How many wait.
+    /// The number of pending triggers.
     #[must_use]
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Whether none waits.
+    /// Whether no trigger is pending.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// When the next one is due.
+    /// The time when the next trigger is due.
     #[must_use]
     pub fn next_due(&self) -> Option<Duration> {
         self.entries.iter().map(|entry| entry.due).min()
     }
 
-    /// The next one that is due `now`, in the order of their times.
-    pub fn take_due(&mut self, now: Duration) -> Option<Received> {
+    /// Takes the next trigger due at `now`, in order of due times.
+    pub fn take_due(&mut self, now: Duration) -> Option<ReceivedTrigger> {
         let due = |at: &usize| self.entries[*at].due <= now;
         let order = |at: &usize| (self.entries[*at].due, self.entries[*at].number);
         let at = (0..self.entries.len()).filter(due).min_by_key(order)?;
         Some(self.entries.swap_remove(at).received)
     }
 
-    /// Forgets the starts of a sender that wait: of the take of this name, or all where the sender's stop has none.
-    /// Returns how many there were.
+    /// Cancels pending starts of a sender: those of the named take, or all if `name` is `None`. Returns how many there
+    /// were.
     pub fn cancel_starts(&mut self, from: SocketAddr, name: Option<&str>) -> usize {
         let before = self.entries.len();
         self.entries.retain(|entry| {
@@ -139,67 +139,63 @@ impl Waiting {
     }
 }
 
-/// Those that wait, between two threads.
+/// The pending triggers, shared by two threads.
 #[derive(Debug, Clone)]
-pub struct Queue {
-    waiting: Arc<Mutex<Waiting>>,
-    /// One message at most: that the first deadline may be another one.
+pub struct TriggerQueue {
+    waiting: Arc<Mutex<PendingTriggers>>,
+    /// Holds at most one message: the next due time may have changed.
     wake: Sender<()>,
     woken: Receiver<()>,
     begin: Instant,
 }
 
-impl Default for Queue {
+impl Default for TriggerQueue {
     fn default() -> Self {
         let (wake, woken) = bounded(1);
         Self { waiting: Arc::default(), wake, woken, begin: Instant::now() }
     }
 }
 
-impl Queue {
-    /// The time that deadlines are compared with.
+impl TriggerQueue {
+    /// The time for comparison with due times.
     #[must_use]
     pub fn now(&self) -> Duration {
         self.begin.elapsed()
     }
 
-    /// Accepts one that has just come.
+    /// Accepts a trigger that has just arrived.
     ///
     /// # Errors
-    /// Too many wait already.
-    pub fn push(&self, received: Received) -> Result<(), Refusal> {
-        self.lock().push(received, self.now())?;
-        // A message that is there already wakes as well.
+    /// Too many triggers are pending.
+    pub fn push(&self, received: ReceivedTrigger) -> Result<(), TriggerError> {
+        lock(&self.waiting).push(received, self.now())?;
+        // If the channel is full, the receiver will wake up anyway.
         self.wake.try_send(()).ok();
         Ok(())
     }
 
-    /// The next one that is due now.
+    /// Takes the next trigger that is due now.
     #[must_use]
-    pub fn take_due(&self) -> Option<Received> {
-        self.lock().take_due(self.now())
+    pub fn take_due(&self) -> Option<ReceivedTrigger> {
+        lock(&self.waiting).take_due(self.now())
     }
 
-    /// How long until the next one that waits is due; `None` when none waits.
+    /// The time until the next trigger is due; `None` if none is pending.
     #[must_use]
     pub fn due_in(&self) -> Option<Duration> {
-        Some(self.lock().next_due()?.saturating_sub(self.now()))
+        Some(lock(&self.waiting).next_due()?.saturating_sub(self.now()))
     }
 
-    /// Something comes when what is due next may be something else.
+    /// Receives a message when the next due time may have changed.
     #[must_use]
     pub fn woken(&self) -> &Receiver<()> {
         &self.woken
     }
 
-    /// As [`Waiting::cancel_starts`].
+    /// Cancels pending starts: see [`PendingTriggers::cancel_starts`].
     #[must_use]
     pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
-        self.lock().cancel_starts(from, name)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.waiting).cancel_starts(from, name)
     }
 }
 
@@ -207,9 +203,9 @@ impl Queue {
 mod tests {
     use super::{super::Capture, *};
 
-    fn start(sender: u8, is_known: bool, delay_ms: u64) -> Received {
+    fn start(sender: u8, is_known: bool, delay_ms: u64) -> ReceivedTrigger {
         let delay = Duration::from_millis(delay_ms);
-        Received {
+        ReceivedTrigger {
             from: SocketAddr::from(([192, 0, 2, sender], 1)),
             trigger: Trigger::Start(Capture { delay, ..Capture::default() }),
             is_known,
@@ -219,7 +215,7 @@ mod tests {
 
     #[test]
     fn the_first_that_is_due_comes_first() {
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingTriggers::default();
         let at = Duration::from_millis;
         for (sender, delay_ms) in [(1, 300), (2, 100), (3, 0), (4, 0)] {
             waiting.push(start(sender, true, delay_ms), at(1000)).unwrap();
@@ -233,16 +229,16 @@ mod tests {
     }
 
     #[test]
-    fn one_delayed_trigger_a_stranger_and_eight_in_all() {
-        let mut waiting = Waiting::default();
+    fn one_delayed_trigger_per_unlisted_sender_and_eight_in_all() {
+        let mut waiting = PendingTriggers::default();
         let mut push = |received| waiting.push(received, Duration::ZERO);
         for sender in 0..DELAYED_OTHERS_MAX as u8 {
             push(start(sender, false, 1)).unwrap();
             let again = push(start(sender, false, 1));
-            assert!(matches!(again, Err(Refusal::TooManyOfSender { waiting: 1, .. })));
+            assert!(matches!(again, Err(TriggerError::TooManyOfSender { waiting: 1, .. })));
         }
-        assert_eq!(push(start(99, false, 1)), Err(Refusal::TooMany(DELAYED_OTHERS_MAX)));
-        // They take nothing from what is due at once, nor from senders that are known.
+        assert_eq!(push(start(99, false, 1)), Err(TriggerError::TooMany(DELAYED_OTHERS_MAX)));
+        // They take nothing away from undelayed triggers, or from listed senders.
         for _ in 0..DUE_EACH_MAX {
             push(start(0, false, 0)).unwrap();
         }
@@ -251,29 +247,30 @@ mod tests {
         for _ in 0..DELAYED_MAX {
             push(start(100, true, 1)).unwrap();
         }
-        assert_eq!(push(start(100, true, 1)), Err(Refusal::TooMany(DELAYED_MAX)));
+        assert_eq!(push(start(100, true, 1)), Err(TriggerError::TooMany(DELAYED_MAX)));
     }
 
     #[test]
-    fn a_known_sender_has_no_limit_of_its_own() {
+    fn a_listed_sender_has_no_limit_of_its_own() {
         for (delay_ms, max) in [(0, DUE_MAX), (1, DELAYED_MAX)] {
-            let mut waiting = Waiting::default();
+            let mut waiting = PendingTriggers::default();
             for _ in 0..max {
                 waiting.push(start(1, true, delay_ms), Duration::ZERO).unwrap();
             }
             for sender in [1, 2] {
                 let refused = waiting.push(start(sender, true, delay_ms), Duration::ZERO);
-                assert_eq!(refused, Err(Refusal::TooMany(max)));
+                assert_eq!(refused, Err(TriggerError::TooMany(max)));
             }
         }
     }
 
     #[test]
     fn a_stop_cancels_the_starts_of_its_sender() {
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingTriggers::default();
         waiting.push(start(1, true, 10), Duration::ZERO).unwrap();
         waiting.push(start(2, true, 10), Duration::ZERO).unwrap();
-        let stop = Received { trigger: Trigger::Stop(Capture::default()), ..start(1, true, 0) };
+        let stop =
+            ReceivedTrigger { trigger: Trigger::Stop(Capture::default()), ..start(1, true, 0) };
         assert_eq!(waiting.cancel_starts(stop.from, None), 1);
         assert_eq!(waiting.take_due(Duration::from_secs(1)), Some(start(2, true, 10)));
         assert_eq!(waiting.next_due(), None);

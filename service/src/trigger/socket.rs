@@ -1,4 +1,4 @@
-//! Triggers on the network: a thread that hears them, and a sender.
+//! Triggers on the network: a receiving thread, and a sender.
 
 use std::{
     io,
@@ -16,98 +16,100 @@ use rustix::{
     pipe::{PipeFlags, pipe_with},
 };
 
-use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Queue, Received};
+use super::{DATAGRAM_BYTES_MAX, Incoming, Listener, ReceivedTrigger, TriggerQueue};
 
-/// A network that is down is down for a while.
-const TRY_AGAIN_AFTER: Duration = Duration::from_millis(100);
+/// Delay before trying again: a network that is down stays down for a while.
+const RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Hears triggers until it is dropped.
+/// The thread that receives triggers, until it is dropped.
 #[derive(Debug)]
-pub struct Hearing {
+pub struct ListenerThread {
     stop: Option<OwnedFd>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for Hearing {
+impl Drop for ListenerThread {
     fn drop(&mut self) {
-        // Its other end is readable then.
+        // Dropping this end makes the other one readable.
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has told so already.
+            // A thread that panicked has reported it already.
             drop(thread.join());
         }
     }
 }
 
-/// What the thread that hears triggers asks the service.
-pub struct Questions {
-    /// Whether there is a take of a name.
+/// Queries of the receiving thread to the service.
+pub struct TakeQueries {
+    /// Whether a take of this name exists.
     pub exists: Box<dyn Fn(&str) -> bool + Send>,
-    /// Which take is being recorded.
+    /// The name of the take being recorded.
     pub recording: Box<dyn Fn() -> Option<String> + Send>,
 }
 
-impl std::fmt::Debug for Questions {
+impl std::fmt::Debug for TakeQueries {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Questions").finish_non_exhaustive()
+        f.debug_struct("TakeQueries").finish_non_exhaustive()
     }
 }
 
-/// Opens the socket.
+/// Binds the socket.
 ///
 /// # Errors
-/// Why not, and what helps.
+/// The address cannot be used; the message says what to do.
 pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
     let socket = UdpSocket::bind(listen).map_err(|error| match error.kind() {
         io::ErrorKind::AddrInUse => anyhow!(
-            "cannot hear triggers on {listen}: another program does; `ss -ulpn` shows which, or choose another port"
+            "cannot receive triggers on {listen}: another program uses this port; `ss -ulpn` shows which one, or choose another port"
         ),
         io::ErrorKind::PermissionDenied => anyhow!(
-            "cannot hear triggers on {listen}: ports below 1024 need CAP_NET_BIND_SERVICE; \
-             give it in the unit (AmbientCapabilities=), or choose another port"
+            "cannot receive triggers on {listen}: ports below 1024 need CAP_NET_BIND_SERVICE; \
+             grant it in the unit (AmbientCapabilities=), or choose another port"
         ),
         io::ErrorKind::AddrNotAvailable => anyhow!(
-            "cannot hear triggers on {listen}: no interface has this address; `ip address` shows them, \
+            "cannot receive triggers on {listen}: no interface has this address; `ip address` lists them, \
              or use 0.0.0.0:{}",
             listen.port()
         ),
-        _ => anyhow!("cannot hear triggers on {listen}: {error}"),
+        _ => anyhow!("cannot receive triggers on {listen}: {error}"),
     })?;
-    // It is waited for beside the stop, and a datagram that is not whole is none.
-    socket.set_nonblocking(true).context("a socket cannot be read without waiting")?;
+    // The thread polls it together with the stop signal; a read must not block, even if a datagram turns out to be
+    // invalid.
+    socket.set_nonblocking(true).context("cannot make the trigger socket non-blocking")?;
     Ok(socket)
 }
 
-/// Hears triggers on a thread of its own until what it returns is dropped. `say` is told what is refused, a few words at a time.
+/// Receives triggers on a new thread until the returned value is dropped. `report` gets messages about refused
+/// datagrams, limited in number.
 ///
 /// # Errors
-/// When the system refuses the thread or a pipe.
+/// The system refuses the thread or a pipe.
 pub fn listen(
     socket: UdpSocket,
     mut listener: Listener,
-    questions: Questions,
-    queue: Queue,
-    mut say: impl FnMut(&str) + Send + 'static,
-) -> anyhow::Result<Hearing> {
+    queries: TakeQueries,
+    queue: TriggerQueue,
+    mut report: impl FnMut(&str) + Send + 'static,
+) -> anyhow::Result<ListenerThread> {
     let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).context("cannot open a pipe")?;
     let thread = threads::spawn("mocapd-trigger", move || {
-        let mut quiet = Quiet::default();
+        let mut rate_limit = RateLimit::default();
         let mut buffer = vec![0; DATAGRAM_BYTES_MAX];
-        while comes(&socket, &stopped) {
+        while wait_readable(&socket, &stopped) {
             let received = socket.recv_from(&mut buffer);
             let now = queue.now();
-            let words = match received {
+            let message = match received {
                 Ok((n_bytes, from)) => {
                     let datagram = buffer.get(..n_bytes).unwrap_or_default();
-                    let heard = listener.hear(from.ip(), datagram, now, &questions.exists);
+                    let heard = listener.receive(from.ip(), datagram, now, &queries.exists);
                     let accepted = heard.and_then(|heard| match heard {
-                        Heard::Repeat | Heard::Own => Ok(()),
-                        Heard::Trigger(trigger) => {
-                            let pushed = queue.push(Received {
+                        Incoming::Repeat | Incoming::Own => Ok(()),
+                        Incoming::Trigger(trigger) => {
+                            let pushed = queue.push(ReceivedTrigger {
                                 from,
                                 trigger: trigger.clone(),
                                 is_known: listener.is_known(from.ip()),
-                                recording: (questions.recording)(),
+                                recording: (queries.recording)(),
                             });
                             if pushed.is_err() {
                                 listener.forget(from.ip(), &trigger, datagram);
@@ -115,34 +117,32 @@ pub fn listen(
                             pushed
                         }
                     });
-                    match accepted {
-                        Ok(()) => continue,
-                        Err(refusal) => format!("a datagram from {from} is refused: {refusal}"),
-                    }
+                    let Err(refusal) = accepted else { continue };
+                    format!("refused a datagram from {from}: {refusal}")
                 }
                 Err(error) if is_idle(&error) => continue,
                 Err(error) => {
-                    std::thread::sleep(TRY_AGAIN_AFTER);
-                    format!("cannot hear triggers: {error}")
+                    std::thread::sleep(RETRY_DELAY);
+                    format!("cannot receive triggers: {error}")
                 }
             };
-            if let Some(words) = quiet.say(&words, now) {
-                say(&words);
+            if let Some(message) = rate_limit.admit(&message, now) {
+                report(&message);
             }
         }
     })?;
-    Ok(Hearing { stop: Some(stop), thread: Some(thread) })
+    Ok(ListenerThread { stop: Some(stop), thread: Some(thread) })
 }
 
-/// Waits for a datagram. `false`: it is time to end.
-fn comes(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
+/// Waits for a datagram. Returns `false` if the thread has to stop.
+fn wait_readable(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
     let mut fds = [PollFd::new(socket, PollFlags::IN), PollFd::new(stopped, PollFlags::IN)];
     match poll(&mut fds, None) {
         Ok(_) => fds[1].revents().is_empty(),
         Err(Errno::INTR) => true,
-        // Without memory it is tried again, like a network that is down.
+        // Out of memory: tried again, as after a network failure.
         Err(_) => {
-            std::thread::sleep(TRY_AGAIN_AFTER);
+            std::thread::sleep(RETRY_DELAY);
             true
         }
     }
@@ -153,24 +153,24 @@ fn is_idle(error: &io::Error) -> bool {
     matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
 }
 
-/// Sends datagrams, to broadcast addresses too.
+/// Sends datagrams, also to broadcast addresses.
 #[derive(Debug)]
-pub struct Teller {
+pub struct TriggerSender {
     to: Vec<SocketAddr>,
     ipv4: Option<UdpSocket>,
     ipv6: Option<UdpSocket>,
 }
 
-impl Teller {
-    /// For these addresses.
+impl TriggerSender {
+    /// A sender to these addresses.
     ///
     /// # Errors
-    /// When the system gives no socket.
+    /// The system refuses a socket.
     pub fn new(to: Vec<SocketAddr>) -> anyhow::Result<Self> {
         let socket = |wanted: bool, any: IpAddr| {
             let open = || -> io::Result<UdpSocket> {
                 let socket = UdpSocket::bind((any, 0))?;
-                // Nobody waits for a network card: what it cannot take is lost, and told.
+                // A busy network card must not block: what it cannot take is lost, and reported.
                 socket.set_nonblocking(true)?;
                 if any.is_ipv4() {
                     socket.set_broadcast(true)?;
@@ -184,46 +184,46 @@ impl Teller {
         Ok(Self { to, ipv4, ipv6 })
     }
 
-    /// Sends one to all of them. Returns what could not be sent, a line each.
+    /// Sends a datagram to all addresses. Returns a message for each that failed.
     #[must_use]
-    pub fn tell(&self, datagram: &[u8]) -> Vec<String> {
+    pub fn send(&self, datagram: &[u8]) -> Vec<String> {
         let mut failed = Vec::new();
         for to in &self.to {
             let Some(socket) = (if to.is_ipv4() { &self.ipv4 } else { &self.ipv6 }) else {
                 continue;
             };
             if let Err(error) = socket.send_to(datagram, to) {
-                failed.push(format!("a trigger could not be sent to {to}: {error}"));
+                failed.push(format!("cannot send a trigger to {to}: {error}"));
             }
         }
         failed
     }
 }
 
-/// Words at once.
+/// Messages passed at once.
 const BURST: u32 = 5;
 
-/// One more after so long.
-const EACH: Duration = Duration::from_secs(10);
+/// Time after which one more is passed.
+const REFILL_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Lets a few words through, and counts the others: anybody can send a thousand datagrams a second.
+/// Passes a few messages and counts the others: anybody can send a thousand datagrams a second.
 #[derive(Debug)]
-pub struct Quiet {
+pub struct RateLimit {
     left: u32,
     since: Duration,
     held_back: u64,
 }
 
-impl Default for Quiet {
+impl Default for RateLimit {
     fn default() -> Self {
         Self { left: BURST, since: Duration::ZERO, held_back: 0 }
     }
 }
 
-impl Quiet {
-    /// The words, when it is time for them, with how many were held back since the last ones.
-    pub fn say(&mut self, words: &str, now: Duration) -> Option<String> {
-        let earned = now.saturating_sub(self.since).as_secs() / EACH.as_secs();
+impl RateLimit {
+    /// Returns the message if it may be passed, with the number suppressed since the last one.
+    pub fn admit(&mut self, message: &str, now: Duration) -> Option<String> {
+        let earned = now.saturating_sub(self.since).as_secs() / REFILL_INTERVAL.as_secs();
         if earned > 0 {
             let earned = u32::try_from(earned).unwrap_or(u32::MAX);
             self.left = self.left.saturating_add(earned).min(BURST);
@@ -236,8 +236,8 @@ impl Quiet {
         self.left -= 1;
         let held_back = std::mem::take(&mut self.held_back);
         Some(match held_back {
-            0 => words.to_owned(),
-            n => format!("{words}; {n} more were not told"),
+            0 => message.to_owned(),
+            n => format!("{message}; {n} similar messages suppressed"),
         })
     }
 }
@@ -247,15 +247,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_flood_becomes_a_few_words() {
-        let mut quiet = Quiet::default();
-        let said: Vec<String> =
-            (0..60_000_u64).filter_map(|ms| quiet.say("no", Duration::from_millis(ms))).collect();
-        assert_eq!(said.len(), 5 + 5, "{said:?}");
-        assert_eq!(said[4], "no");
-        assert!(said[5].starts_with("no") && said[5].contains("9995"), "{}", said[5]);
-        // What was silent for long may say a few again, and no more.
-        let later = (0..100).filter(|_| quiet.say("no", Duration::from_secs(86_400)).is_some());
+    fn a_flood_becomes_a_few_messages() {
+        let mut limit = RateLimit::default();
+        let passed: Vec<String> =
+            (0..60_000_u64).filter_map(|ms| limit.admit("no", Duration::from_millis(ms))).collect();
+        assert_eq!(passed.len(), 5 + 5, "{passed:?}");
+        assert_eq!(passed[4], "no");
+        assert!(passed[5].starts_with("no") && passed[5].contains("9995"), "{}", passed[5]);
+        // After a long silence a few may pass again, and no more.
+        let later = (0..100).filter(|_| limit.admit("no", Duration::from_secs(86_400)).is_some());
         assert_eq!(later.count(), 5);
     }
 }

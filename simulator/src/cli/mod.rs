@@ -1,7 +1,7 @@
 //! The command line.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -10,7 +10,7 @@ use clap_complete::Shell;
 mod generate;
 mod serve;
 
-/// A simulated motion-capture device: replays recorded or generated motion.
+/// Simulated motion-capture devices that play recorded or generated motion.
 #[derive(Debug, Parser)]
 #[command(name = "mocapd-sim", version, propagate_version = true)]
 pub(crate) struct Cli {
@@ -20,24 +20,31 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Be the device, until Ctrl-C.
+    /// Serve a simulated device until Ctrl-C.
     ///
-    /// Prints one line on stdout: the path for a host to open. It sends when the host says Start.
-    /// Exit codes: 0 done, 1 failed, 2 a value was refused.
+    /// Prints one line on stdout: the path for a host to open. The device sends frames once the host sends Start.
+    /// Exit codes: 0 done, 1 failed, 2 usage error.
     Serve(Box<serve::ServeArgs>),
-    /// Write a data set of generated jumps: a C3D file each, and the phases of all.
+    /// Write a data set of generated jumps: one C3D file per jump, and the phases of all.
     ///
-    /// The default is of the size of the one of Shi et al. 2012: 326 standing long jumps by 10 subjects at 60 Hz.
+    /// The default has the size of the data set of Shi et al. 2012: 326 standing long jumps by 10 subjects at 60 Hz.
     Generate(generate::GenerateArgs),
-    /// Print what a shell needs to complete this command line
+    /// Print the completion script for a shell
     #[command(hide = true)]
-    Completions(Completions),
-    /// Write the pages of the manual, replacing those that are there
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
+    /// Write the manual pages, replacing existing ones
     #[command(hide = true)]
-    Man(Pages),
+    Man {
+        /// An existing folder for the pages
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
 }
 
-/// What ended the program, and the exit code that says so.
+/// The error that ended the program, and its exit code.
 #[derive(Debug)]
 pub(crate) struct Failure {
     pub(crate) code: u8,
@@ -45,7 +52,7 @@ pub(crate) struct Failure {
 }
 
 impl Failure {
-    /// A value that was refused.
+    /// A usage error.
     fn usage(error: impl Into<anyhow::Error>) -> Self {
         Self { code: 2, error: error.into() }
     }
@@ -61,56 +68,42 @@ pub(crate) fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Generate(args) => generate::run(args),
-        Command::Completions(args) => completions(args),
-        Command::Man(args) => pages(args),
+        Command::Completions { shell } => completions(*shell),
+        Command::Man { out } => pages(out),
     }
 }
 
-#[derive(Debug, clap::Args)]
-pub(crate) struct Completions {
-    /// The shell
-    shell: Shell,
-}
-
-#[derive(Debug, clap::Args)]
-pub(crate) struct Pages {
-    /// Folder for them, which exists
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-}
-
-fn completions(args: &Completions) -> Result<(), Failure> {
+fn completions(shell: Shell) -> Result<(), Failure> {
     let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "mocapd-sim", &mut text);
+    clap_complete::generate(shell, &mut Cli::command(), "mocapd-sim", &mut text);
     Ok(std::io::stdout().write_all(&text)?)
 }
 
-fn pages(args: &Pages) -> Result<(), Failure> {
-    clap_mangen::generate_to(Cli::command(), &args.out)
-        .with_context(|| format!("cannot write pages to {}", args.out.display()))?;
-    Ok(())
+fn pages(out: &Path) -> Result<(), Failure> {
+    let written = clap_mangen::generate_to(Cli::command(), out);
+    Ok(written.with_context(|| format!("cannot write pages to {}", out.display()))?)
 }
 
-/// A length in millimetres: `0.05mm`, `50um`, `1cm`; a bare number is millimetres.
+/// Parses a length in millimetres: `0.05mm`, `50um`, `1cm`; a bare number is millimetres.
 pub(super) fn length_mm(text: &str) -> Result<f64, String> {
     with_unit(text, &[("mm", 1.0), ("um", 1e-3), ("cm", 10.0), ("", 1.0)], "0.05mm")
 }
 
-/// A duration in seconds: `10s`, `500ms`, `2min`; a bare number is seconds.
+/// Parses a duration in seconds: `10s`, `500ms`, `2min`; a bare number is seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     let units = [("min", 60.0), ("ms", 1e-3), ("s", 1.0), ("", 1.0)];
     let value = with_unit(text, &units, "10s")?;
-    if value > 0.0 { Ok(value) } else { Err("it must be more than 0".to_owned()) }
+    if value > 0.0 { Ok(value) } else { Err("must be greater than 0".to_owned()) }
 }
 
 fn with_unit(text: &str, units: &[(&str, f64)], example: &str) -> Result<f64, String> {
-    let said = || format!("'{text}' is no such value, write it like {example}");
+    let invalid = || format!("invalid value '{text}': write it like {example}");
     let (number, factor) = units
         .iter()
         .find_map(|(unit, factor)| text.strip_suffix(unit).map(|number| (number, factor)))
-        .ok_or_else(said)?;
-    let number: f64 = number.trim().parse().map_err(|_| said())?;
-    if number.is_finite() && number >= 0.0 { Ok(number * factor) } else { Err(said()) }
+        .ok_or_else(invalid)?;
+    let number: f64 = number.trim().parse().map_err(|_| invalid())?;
+    if number.is_finite() && number >= 0.0 { Ok(number * factor) } else { Err(invalid()) }
 }
 
 #[cfg(test)]
@@ -122,7 +115,7 @@ mod tests {
     #[test]
     fn every_subcommand_has_a_page() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(pages(&Pages { out: folder.path().to_owned() }).is_ok());
+        assert!(pages(folder.path()).is_ok());
         let visible = Cli::command();
         let visible = visible.get_subcommands().filter(|sub| !sub.is_hide_set());
         let mut names: Vec<_> =
@@ -139,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn units_are_understood() {
+    fn units_are_parsed() {
         assert_eq!(length_mm("0.5mm"), Ok(0.5));
         assert_eq!(length_mm("50 um"), Ok(0.05));
         assert_eq!(length_mm("0"), Ok(0.0));

@@ -1,16 +1,16 @@
-//! The device's own clock: it begins at 0, and drifts.
+//! The device's own clock: it starts at 0 and drifts.
 
 use super::{DeviceError, SECOND_NS, TICK_HZ};
 
-/// The most that a clock drifts, in parts per million: a tenth.
+/// Largest drift, parts per million: a tenth.
 const DRIFT_MAX_PPM: f64 = 100_000.0;
 
-/// In whole numbers, so that no tick depends on how long it has run.
+/// A drifting clock in integer arithmetic: rounding errors do not accumulate over time.
 #[derive(Debug)]
 pub(super) struct DeviceClock {
-    /// Nanoseconds of the caller's clock in 10^9 of the device's.
+    /// Nanoseconds of the caller's clock per 10^9 of the device's.
     scale: u64,
-    /// The caller's clock when the device's was 0.
+    /// The caller's clock when the device's clock was 0.
     epoch_ns: Option<u64>,
 }
 
@@ -23,24 +23,24 @@ impl DeviceClock {
         Ok(Self { scale, epoch_ns: None })
     }
 
-    /// The device is switched on, unless it was before.
+    /// Starts the clock, unless it is running.
     pub(super) fn begin(&mut self, now_ns: u64) {
         self.epoch_ns.get_or_insert(now_ns);
     }
 
-    /// It has lost its power: the next [`begin`](Self::begin) is its first.
+    /// Stops the clock until the next [`begin`](Self::begin), which starts it from 0.
     pub(super) fn reset(&mut self) {
         self.epoch_ns = None;
     }
 
-    /// What it shows at the caller's time.
+    /// The device's time at the caller's time `at_ns`, in ticks.
     pub(super) fn ticks(&self, at_ns: u64) -> u64 {
         let since_ns = at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns));
         let ticks = u128::from(since_ns) * u128::from(TICK_HZ) / u128::from(self.scale);
         u64::try_from(ticks).unwrap_or(u64::MAX)
     }
 
-    /// How much of the caller's time passes in so much of the device's.
+    /// The duration on the caller's clock of `device_ns` on the device's.
     pub(super) fn caller_ns(&self, device_ns: u64) -> u64 {
         let ns = u128::from(device_ns) * u128::from(self.scale) / u128::from(SECOND_NS);
         u64::try_from(ns).unwrap_or(u64::MAX)
@@ -52,12 +52,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_loses_what_it_is_told_to() {
+    fn the_clock_drifts_as_set() {
         let mut clock = DeviceClock::new(200.0).unwrap();
-        assert_eq!(clock.ticks(77), 0, "not switched on");
+        assert_eq!(clock.ticks(77), 0, "not started");
         clock.begin(5_000);
         clock.begin(6_000);
-        // After 5001 s of the host it shows 5000 s.
+        // After 5001 s on the host's clock it shows 5000 s.
         assert_eq!(clock.ticks(5_000 + 5_001 * SECOND_NS), 5_000 * TICK_HZ);
         assert_eq!(clock.caller_ns(5_000 * SECOND_NS), 5_001 * SECOND_NS);
         let gains = DeviceClock::new(-200.0).unwrap();

@@ -1,81 +1,80 @@
-//! The truth about what was sent, for whoever checks a recording against it.
+//! The log of what a device sent: the ground truth for checking recordings.
 
 use crate::faults::{KINDS, Kind, Kinds};
 
-/// What became of frames.
+/// Frame and sample counters of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SentCounters {
-    /// Frames whose time came.
+    /// Frames produced.
     pub frames_produced: u64,
-    /// Of these, the ones that never left the device: its own queue was full, or it is polled and the
-    /// next frame came before a request fetched them.
+    /// Produced frames that never left the device: its queue was full, or it is polled and produced the next frame
+    /// before a request fetched this one.
     pub frames_dropped: u64,
-    /// Frames of a polled device for which nobody asked any more: no request came in their run after
-    /// them, so no host can know that they were made. They are not among those dropped.
+    /// Frames that a polled device produced after the last request of a run. No host can know of them, so they do not
+    /// count as dropped.
     pub frames_unasked: u64,
-    /// Marker samples in the frames that left it.
+    /// Marker samples in the frames that left the device.
     pub samples: u64,
-    /// Markers that these frames listed as occluded, or left out because they were not seen.
+    /// Markers that these frames listed as occluded, or omitted because they were not visible.
     pub samples_occluded: u64,
 }
 
-/// What a device did since it was made.
+/// What a device has done since it was made.
 ///
 /// Over all runs, without faults, `frames_produced` is the sum of `frames_sent`, `frames_waiting`, `frames_discarded`,
 /// `frames_dropped` and `frames_unasked`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SentLog {
-    /// Since the last Start.
+    /// Counters since the last Start.
     pub run: SentCounters,
-    /// Since the device was made.
+    /// Counters since the device was made.
     pub total: SentCounters,
-    /// Starts that were accepted.
+    /// Starts accepted.
     pub starts: u64,
-    /// Start and `SetRate` commands that were refused.
+    /// Start and `SetRate` commands refused.
     pub refused: u64,
-    /// Ends of stream that were queued.
+    /// Ends of stream queued.
     pub ends: u64,
-    /// Answers and reports that found no room, because the host does not read what it asks for.
+    /// Answers and reports dropped because the host did not read and the queue was full.
     pub answers_dropped: u64,
     /// Frames that the line took whole, over all runs.
     pub frames_sent: u64,
-    /// Frames still in the device's queue; of a polled device those that a request may still fetch, or
-    /// miss.
+    /// Frames still in the device's queue; for a polled device, those that a request may still fetch or miss.
     pub frames_waiting: u64,
-    /// Frames that waited when a host said Identify: they were not its own, and did not leave.
+    /// Frames discarded from the queue because a host sent Identify: they belonged to an earlier session.
     pub frames_discarded: u64,
     /// Bytes that the line took.
     pub bytes_sent: u64,
-    /// What became of the frames on a line with faults.
+    /// Totals by fate, on a line with faults.
     pub faults: Option<FaultTotals>,
-    /// One entry a frame, when asked for and not taken away by then.
+    /// One entry per frame, if the frame log is on; emptied by [`take_frames`](super::LineDevice::take_frames).
     pub frames: Vec<SentFrame>,
 }
 
-/// One frame whose time came.
+/// One frame that the device produced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SentFrame {
-    /// Which Start it followed, from 1.
+    /// Number of the run (of the Start before it), from 1.
     pub run: u64,
-    /// Its number on the wire: it counts on from run to run, and wraps.
+    /// Frame counter on the wire; it continues from run to run, modulo 2^32.
     pub seq: u32,
     /// The device's clock, in ticks.
     pub device_ticks: u64,
-    /// Markers with a position in it.
+    /// Number of markers with a position.
     pub present: u32,
     /// It never left the device: see [`SentCounters::frames_dropped`].
     pub dropped: bool,
-    /// Nobody asked for it, nor for any after it: see [`SentCounters::frames_unasked`].
+    /// It was produced after the last request: see [`SentCounters::frames_unasked`].
     pub unasked: bool,
-    /// The caller's clock when its time came: of a device on a line the host's monotonic one, in nanoseconds.
+    /// The caller's clock when the frame was due, nanoseconds; on a line, the host's monotonic clock.
     pub host_ns: u64,
 }
 
 impl SentFrame {
-    /// The first line of a log file.
+    /// The header of a log file.
     pub const CSV_HEADER: &'static str = "run,seq,device_ticks,present,dropped,host_ns,unasked";
 
-    /// One line of a log file, without its end.
+    /// One row of a log file, without a line end.
     #[must_use]
     pub fn to_csv(self) -> String {
         let Self { run, seq, device_ticks, present, dropped, unasked, host_ns } = self;
@@ -87,26 +86,26 @@ impl SentFrame {
 /// What became of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fate {
-    /// It went over the line whole, and in order.
+    /// Arrived whole and in order.
     Whole,
-    /// Whole, but after a later one.
+    /// Arrived whole, but after a later frame.
     Late,
-    /// Whole, after the line was plugged in again and before a host asked for frames.
+    /// Arrived whole, after the cable was plugged in again and before a host asked for frames.
     Unasked,
-    /// Not as it was: the faults that touched it say why.
+    /// Arrived changed; `faults` tells by what.
     Damaged,
-    /// Left out altogether.
+    /// Did not arrive.
     Lost,
-    /// Dropped by the device's own queue.
+    /// Dropped by the device because its queue was full.
     Dropped,
-    /// It waited when a host said Identify, or the device lost its power.
+    /// Discarded from the queue by a host's Identify or a loss of power.
     Discarded,
-    /// The line did not take it until the end.
+    /// Still queued at the end.
     Waiting,
 }
 
 impl Fate {
-    /// As the log writes it.
+    /// Its name in log files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -125,24 +124,24 @@ impl Fate {
 /// A frame and its fate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameFate {
-    /// What the device made of it: its number is the one on the wire, true or not.
+    /// The frame as the device sent it; its number is the one on the wire, true or not.
     pub frame: SentFrame,
-    /// How many in a row this is told of, of which `frame` is the first: 1, but for very many that were dropped.
+    /// How many consecutive frames this describes, starting with `frame`: 1, except in long series of dropped frames.
     pub frames: u64,
     /// What became of it.
     pub fate: Fate,
-    /// How often it went whole after the first time.
+    /// How many more whole copies arrived after the first.
     pub again: u32,
-    /// The faults that touched its bytes.
+    /// The kinds of faults that touched its bytes.
     pub faults: Kinds,
 }
 
 impl FrameFate {
-    /// The first line of a log file.
+    /// The header of a log file.
     pub const CSV_HEADER: &'static str =
         "run,seq,device_ticks,present,dropped,host_ns,unasked,fate,again,faults,frames";
 
-    /// One line of a log file, without its end.
+    /// One row of a log file, without a line end.
     #[must_use]
     pub fn to_csv(self) -> String {
         let Self { frame, frames, fate, again, faults } = self;
@@ -150,22 +149,22 @@ impl FrameFate {
     }
 }
 
-/// Frames by their fates, since the device was made.
+/// Frames by fate and faults by kind, since the device was made.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FaultTotals {
-    /// By [`Fate`].
+    /// Frames, indexed by [`Fate`].
     fates: [u64; Fate::Waiting as usize + 1],
-    /// Further copies of whole frames.
+    /// Extra copies of whole frames.
     pub again: u64,
-    /// Of the damaged and lost ones, those that each kind touched, by [`Kind`]. One that two kinds touched is with
+    /// Damaged and lost frames that each kind touched, indexed by [`Kind`]. A frame that two kinds touched counts for
     /// both.
     pub by_kind: [u64; KINDS.len()],
-    /// What each kind did at all, whatever became of the frames.
-    pub parts: Parts,
+    /// Effects of each kind, whatever became of the frames.
+    pub counts: FaultCounts,
 }
 
 impl FaultTotals {
-    /// Frames of one fate.
+    /// The number of frames with this fate.
     #[must_use]
     pub fn of(&self, fate: Fate) -> u64 {
         self.fates[fate as usize]
@@ -173,8 +172,8 @@ impl FaultTotals {
 
     pub(crate) fn add(&mut self, fate: &FrameFate) {
         self.fates[fate.fate as usize] += fate.frames;
-        for kind in fate.faults.iter().filter(|kind| !kind.is_of_a_moment()) {
-            self.parts.add(kind, fate.frames);
+        for kind in fate.faults.iter().filter(|kind| !kind.is_counted_by_occurrence()) {
+            self.counts.add(kind, fate.frames);
         }
         self.again += u64::from(fate.again);
         if matches!(fate.fate, Fate::Damaged | Fate::Lost) {
@@ -184,13 +183,13 @@ impl FaultTotals {
         }
     }
 
-    /// In words: what went whole, and what did not, by kind.
+    /// One line of text: frames by fate, and damaged or lost frames and effects by kind.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn summary(&self) -> String {
         let kinds = KINDS.iter().zip(self.by_kind).filter(|(_, n)| *n > 0);
         let kinds: Vec<String> = kinds.map(|(keys, n)| format!("{n} by {}", keys.name)).collect();
         let by = if kinds.is_empty() { String::new() } else { format!(" ({})", kinds.join(", ")) };
-        let mut words = format!(
+        let mut text = format!(
             "faults: {} frames sent whole, {} damaged and {} lost{by}",
             self.of(Fate::Whole),
             self.of(Fate::Damaged),
@@ -198,59 +197,55 @@ impl FaultTotals {
         );
         for (n, what) in [
             (self.of(Fate::Late), "late"),
-            (self.again, "sent again"),
-            (self.of(Fate::Unasked), "sent unasked"),
+            (self.again, "duplicated"),
+            (self.of(Fate::Unasked), "sent before a host asked"),
             (self.of(Fate::Dropped), "dropped by the full queue"),
             (self.of(Fate::Discarded), "discarded"),
-            (self.of(Fate::Waiting), "never taken"),
+            (self.of(Fate::Waiting), "not sent"),
         ] {
             if n > 0 {
-                words.push_str(&format!(", {n} {what}"));
+                text.push_str(&format!(", {n} {what}"));
             }
         }
-        words + &self.parts.words()
+        text + &self.counts.text()
     }
 }
 
-/// For each kind the frames that it changed or hit, or how often it happened.
+/// Effects of each kind of fault: frames that it affected, or occurrences.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Parts([u64; KINDS.len()]);
+pub struct FaultCounts([u64; KINDS.len()]);
 
-impl Parts {
+impl FaultCounts {
     pub(crate) fn add(&mut self, kind: Kind, n: u64) {
-        if let Some(part) = self.0.get_mut(kind as usize) {
-            *part += n;
+        if let Some(count) = self.0.get_mut(kind as usize) {
+            *count += n;
         }
     }
 
-    /// These and those.
-    pub(crate) fn join(mut self, others: Self) -> Self {
-        self.0.iter_mut().zip(others.0).for_each(|(part, other)| *part += other);
+    /// The sums by kind.
+    pub(crate) fn merge(mut self, others: Self) -> Self {
+        self.0.iter_mut().zip(others.0).for_each(|(count, other)| *count += other);
         self
     }
 
-    /// Of one kind: frames, or times.
+    /// The count of one kind: frames, or occurrences.
     #[must_use]
     pub fn of(&self, kind: Kind) -> u64 {
         self.0.get(kind as usize).copied().unwrap_or(0)
     }
 
-    /// Behind the fates; empty when nothing happened.
-    fn words(self) -> String {
-        let told = KINDS.iter().zip(self.0).filter(|(_, n)| *n > 0).map(|(keys, n)| {
+    /// The end of a summary; empty when no fault had an effect.
+    fn text(self) -> String {
+        let effects = KINDS.iter().zip(self.0).filter(|(_, n)| *n > 0).map(|(keys, n)| {
             let name = keys.name;
-            match (keys.kind.is_of_a_moment(), n) {
+            match (keys.kind.is_counted_by_occurrence(), n) {
                 (true, 1) => format!("{name} once"),
                 (true, _) => format!("{name} {n} times"),
                 (false, 1) => format!("{name} in 1 frame"),
                 (false, _) => format!("{name} in {n} frames"),
             }
         });
-        let told: Vec<String> = told.collect();
-        if told.is_empty() {
-            String::new()
-        } else {
-            format!("; what happened: {}", told.join(", "))
-        }
+        let texts: Vec<String> = effects.collect();
+        if texts.is_empty() { String::new() } else { format!("; effects: {}", texts.join(", ")) }
     }
 }

@@ -1,12 +1,13 @@
-//! A device over a motion, sans-io: the host's bytes and the time go in, the device's bytes come out.
+//! A simulated device of the link protocol that plays a motion. Sans-io: the host's bytes and the time go in, the
+//! device's bytes come out.
 //!
-//! Times are nanoseconds of one monotonic clock, whichever the caller has.
+//! Times are nanoseconds of one monotonic clock of the caller's choice.
 
 mod clock;
+mod commands;
 mod log;
 mod outbox;
 mod settings;
-mod talk;
 
 #[cfg(test)]
 mod tests;
@@ -18,9 +19,9 @@ use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes
 use mocapd_take::motion::{Marker, Motion, Position, is_gap};
 
 use clock::DeviceClock;
-pub use log::{Fate, FaultTotals, FrameFate, Parts, SentCounters, SentFrame, SentLog};
+pub use log::{Fate, FaultCounts, FaultTotals, FrameFate, SentCounters, SentFrame, SentLog};
 pub(crate) use outbox::Outbox;
-pub use settings::{DeviceError, DeviceSettings, RATE_MHZ, TICK_HZ};
+pub use settings::{DeviceError, DeviceSettings, RATE_MILLIHERTZ, TICK_HZ};
 pub(crate) use settings::{Rates, frame_after_ns};
 
 pub use crate::line::LineDevice;
@@ -43,24 +44,24 @@ pub struct Device {
     rates: Rates,
     outbox: Outbox,
     run: Option<Run>,
-    /// An end of stream that found no room yet.
-    owed_end: Option<Status>,
-    end_said: bool,
-    /// The motion was played to its end, and no host has stopped or started it since: its end may have been lost.
+    /// An end of stream that waits for room in the queue.
+    pending_end: Option<Status>,
+    end_sent: bool,
+    /// The motion was played to its end, and no host has stopped or started it since: its `EndOfStream` may be lost.
     finished: bool,
     log: SentLog,
     warnings: Vec<String>,
     clock: DeviceClock,
     faults: Option<SourceFaults>,
     first_start_ns: Option<u64>,
-    /// The next frame's number on the wire: since power-up, while the log counts since the device was made.
+    /// The next frame's number on the wire. It counts from power-up; the log counts since the device was made.
     counter: u32,
     commands: Vec<Command>,
     row: Vec<Position>,
     samples: Vec<MarkerSample>,
 }
 
-/// From a Start to its end.
+/// A run, from Start to its end: when it started and when the next Status is due.
 #[derive(Debug, Clone, Copy)]
 struct Run {
     start_ns: u64,
@@ -68,10 +69,11 @@ struct Run {
 }
 
 impl Device {
-    /// A device that is switched on, and waits.
+    /// Creates a device that is switched on and waits for its host.
     ///
     /// # Errors
-    /// When there is nothing to send, or a rate, a speed or a text is out of range.
+    /// When the motion is empty or has too many markers, when a rate, speed or drift is out of range, or when the link
+    /// cannot carry a text.
     pub fn new(
         motion: impl Into<Arc<Motion>>,
         settings: DeviceSettings,
@@ -92,14 +94,14 @@ impl Device {
         let clock = DeviceClock::new(settings.drift_ppm)?;
         let faults = settings.faults.clone();
         let faults = faults.map(|script| SourceFaults::new(script, found));
-        let (table, warnings) = announce(&motion.info.markers);
+        let (table, warnings) = marker_table(&motion.info.markers);
         let hello = Hello {
             model: "mocapd-sim".to_owned(),
             serial: settings.serial.clone(),
             firmware: env!("CARGO_PKG_VERSION").to_owned(),
-            rate_mhz: rates.rate_mhz,
-            rate_min_mhz: *RATE_MHZ.start(),
-            rate_max_mhz: *RATE_MHZ.end(),
+            rate_millihertz: rates.rate_millihertz,
+            rate_min_millihertz: *RATE_MILLIHERTZ.start(),
+            rate_max_millihertz: *RATE_MILLIHERTZ.end(),
             tick_hz: TICK_HZ,
             up_axis: motion.info.up.code(),
             markers_max: (found + ghosts) as u16,
@@ -113,8 +115,8 @@ impl Device {
             rates,
             outbox: Outbox::default(),
             run: None,
-            owed_end: None,
-            end_said: false,
+            pending_end: None,
+            end_sent: false,
             finished: false,
             log: SentLog::default(),
             warnings,
@@ -127,26 +129,26 @@ impl Device {
             samples: Vec::new(),
             settings,
         };
-        device.adopt_rate(rates.rate_mhz);
+        device.adopt_rate(rates.rate_millihertz);
         let mut trial = Vec::new();
         device.link.hello(&device.hello, &mut trial)?;
         device.link.markers(&device.table, &mut trial)?;
         Ok(device)
     }
 
-    /// Who it says it is.
+    /// The Hello that it sends.
     #[must_use]
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// What of the motion could not be said as it was, one sentence each.
+    /// One sentence for each label that had to be changed for the link.
     #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// Whether frames are due: between a Start and its end.
+    /// Whether a run is in progress, between Start and its end.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.run.is_some()
@@ -163,7 +165,7 @@ impl Device {
     }
 
     fn frame_time_ns(&self, run: &Run) -> u64 {
-        let after_ns = frame_after_ns(self.log.run.frames_produced, self.hello.rate_mhz);
+        let after_ns = frame_after_ns(self.log.run.frames_produced, self.hello.rate_millihertz);
         run.start_ns.saturating_add(self.clock.caller_ns(after_ns))
     }
 
@@ -172,7 +174,7 @@ impl Device {
         let (Some(faults), Some(since_ns)) = (&self.faults, self.since_ns(at_ns)) else {
             return ticks;
         };
-        ticks.saturating_add_signed(faults.clock_ahead_ns(since_ns) / NS_PER_TICK)
+        ticks.saturating_add_signed(faults.clock_offset_ns(since_ns) / NS_PER_TICK)
     }
 
     fn since_ns(&self, at_ns: u64) -> Option<u64> {
@@ -187,21 +189,21 @@ impl Device {
         }
     }
 
-    /// The device is switched off: what it was about to say is gone.
+    /// The device loses its power, and everything in its memory.
     pub(crate) fn lose_power(&mut self) {
         self.run = None;
-        self.owed_end = None;
-        self.end_said = false;
+        self.pending_end = None;
+        self.end_sent = false;
         self.finished = false;
         self.outbox.discard();
         self.clock.reset();
         self.counter = 0;
         if let Some(faults) = &mut self.faults {
-            faults.begin_anew();
+            faults.reset();
         }
     }
 
-    /// It is switched on again. `greets`: its line is open, and it says who it is.
+    /// The device is switched on again; with `greets`, on an open line, it sends Hello unasked.
     pub(crate) fn power_up(&mut self, now_ns: u64, greets: bool) {
         self.clock.begin(now_ns);
         if greets {
@@ -209,9 +211,9 @@ impl Device {
         }
     }
 
-    /// What the faults inside it had a part in.
-    pub(crate) fn fault_parts(&self) -> Parts {
-        self.faults.as_ref().map(|faults| faults.parts).unwrap_or_default()
+    /// Effects of the faults inside the device.
+    pub(crate) fn fault_counts(&self) -> FaultCounts {
+        self.faults.as_ref().map(|faults| faults.counts).unwrap_or_default()
     }
 
     fn add_ghosts(&mut self, since_ns: u64) {
@@ -220,14 +222,14 @@ impl Device {
         faults.add_ghosts(since_ns, &mut self.samples);
         if !ghosts.is_empty() {
             self.answer(|link, out| {
-                // No label is too long, and there are few enough.
-                let said = link.markers(&ghosts, out);
-                debug_assert!(said.is_ok());
+                // Ghosts have no labels, and their number was checked.
+                let outcome = link.markers(&ghosts, out);
+                debug_assert!(outcome.is_ok());
             });
         }
     }
 
-    /// One frame, whose time has come, into the queue or lost.
+    /// Produces one frame, and queues it or drops it when the queue is full.
     fn produce(&mut self, at_ns: u64) {
         let number = self.log.run.frames_produced;
         let n_frames = self.replay.n_frames().max(1);
@@ -238,9 +240,9 @@ impl Device {
         if let Some(faults) = &mut self.faults {
             seq = faults.counter(seq, since_ns);
             faults.positions(since_ns, &mut self.row);
-            faults.stamped(since_ns);
+            faults.count_clock_faults(since_ns);
         }
-        let present = list(&self.table, &self.row, &mut self.samples);
+        let present = fill_samples(&self.table, &self.row, &mut self.samples);
         self.add_ghosts(since_ns);
         let device_ticks = self.ticks(at_ns);
         let frame = Frame { seq, device_ticks, timecode: None, markers: &self.samples };
@@ -248,7 +250,7 @@ impl Device {
         let mut dropped = !self.outbox.has_room(frame_bytes_max(n_markers_max));
         if !dropped {
             let (link, form) = (&mut self.link, self.settings.form);
-            // Ids ascend and are few enough by construction; a frame the link refused would not have left.
+            // Ids ascend and fit by construction. If the link refused a frame, it would count as dropped.
             self.outbox.put(true, |out| dropped = link.frame(form, &frame, out).is_err());
         }
         for counters in [&mut self.log.run, &mut self.log.total] {
@@ -280,7 +282,7 @@ impl LineDevice for Device {
         let mut commands = std::mem::take(&mut self.commands);
         self.link.push(bytes, &mut |command| commands.push(command));
         for command in commands.drain(..) {
-            self.obey(command, now_ns);
+            self.execute(command, now_ns);
         }
         self.commands = commands;
     }
@@ -300,7 +302,7 @@ impl LineDevice for Device {
             }
             self.produce(next_ns);
         };
-        self.say_end();
+        self.send_end_of_stream();
         next_ns
     }
 
@@ -313,11 +315,11 @@ impl LineDevice for Device {
     }
 
     fn has_ended(&self) -> bool {
-        self.run.is_none() && self.owed_end.is_none() && self.end_said
+        self.run.is_none() && self.pending_end.is_none() && self.end_sent
     }
 
     fn log(&self) -> SentLog {
-        self.outbox.completed(&self.log)
+        self.outbox.complete_log(&self.log)
     }
 
     fn keep_frame_log(&mut self) {
@@ -329,42 +331,37 @@ impl LineDevice for Device {
     }
 }
 
-// The marker table: columns of a motion as ids and labels of a device.
-
-/// One entry a column, its id the column, and what had to be changed in the labels.
+/// The device's marker table, one entry per column of the motion with the column as id, and warnings about changed
+/// labels.
 ///
-/// Unlabelled slots are announced with a temporary id and no name.
-fn announce(markers: &[Marker]) -> (Vec<MarkerInfo>, Vec<String>) {
+/// Unlabelled markers get a temporary id and an empty label.
+fn marker_table(markers: &[Marker]) -> (Vec<MarkerInfo>, Vec<String>) {
     let mut warnings = Vec::new();
-    let table = (0u16..)
-        .zip(markers)
-        .map(|(id, marker)| {
-            let label = if marker.labelled { marker.label.as_str() } else { "" };
-            let sayable = sayable(label);
-            if sayable != label {
-                warnings.push(format!(
-                    "label '{}' cannot travel on the link, sent as '{sayable}'",
-                    label.escape_debug()
-                ));
-            }
-            MarkerInfo { id, label: sayable, labelled: marker.labelled }
-        })
-        .collect();
+    let mut table = Vec::with_capacity(markers.len());
+    for (id, marker) in (0u16..).zip(markers) {
+        let label = if marker.labelled { marker.label.as_str() } else { "" };
+        let sent = link_label(label);
+        if sent != label {
+            let label = label.escape_debug();
+            warnings.push(format!("the link cannot carry the label '{label}': sent as '{sent}'"));
+        }
+        table.push(MarkerInfo { id, label: sent, labelled: marker.labelled });
+    }
     (table, warnings)
 }
 
-/// Without control characters, cut to what the link carries.
-fn sayable(label: &str) -> String {
+/// Replaces control characters by `_`, and truncates the label to what the link carries.
+fn link_label(label: &str) -> String {
     let clean: String = label.chars().map(|c| if c.is_control() { '_' } else { c }).collect();
     let end = (0..=clean.len().min(LABEL_BYTES_MAX)).rev().find(|i| clean.is_char_boundary(*i));
     clean.get(..end.unwrap_or(0)).unwrap_or_default().to_owned()
 }
 
-/// Fills `samples` with one frame, and counts the positions in it.
+/// Fills `samples` with one frame, and returns the number of positions in it.
 ///
-/// A labelled marker without a position is listed as occluded; an unlabelled one is not listed, as nobody can
-/// say that it still exists.
-fn list(table: &[MarkerInfo], row: &[Position], samples: &mut Vec<MarkerSample>) -> u32 {
+/// A labelled marker without a position is listed as occluded. An unlabelled one is omitted, because it is unknown
+/// whether it still exists.
+fn fill_samples(table: &[MarkerInfo], row: &[Position], samples: &mut Vec<MarkerSample>) -> u32 {
     samples.clear();
     let mut present = 0;
     for (marker, &position_mm) in table.iter().zip(row) {

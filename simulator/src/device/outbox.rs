@@ -1,19 +1,19 @@
-//! What the device has said and the line has not taken yet: bounded, in whole messages.
+//! The device's bounded output queue of whole messages.
 
 use std::collections::VecDeque;
 
 use super::SentLog;
 
-/// Least memory for messages, bytes: a pty of the kernel holds as much.
+/// Smallest capacity, bytes: as much as a kernel pty holds.
 const CAPACITY_MIN: usize = 64 << 10;
 
-/// Most memory for messages, bytes: 1.3 s of 200 markers at 1000 Hz (3.1 MB/s).
+/// Largest capacity, bytes: 1.3 s of 200 markers at 1000 Hz (3.1 MB/s).
 const CAPACITY_MAX: usize = 4 << 20;
 
-/// Frames that always fit, however large they are.
+/// Frames that always fit, whatever their size.
 const FRAMES_MIN: usize = 4;
 
-/// A queue of bytes whose frames are counted when the line has taken them whole.
+/// A queue of bytes that counts a frame as sent once the line has taken all of it.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
     bytes: Vec<u8>,
@@ -28,19 +28,19 @@ pub(crate) struct Outbox {
 }
 
 impl Outbox {
-    /// Room for a second of frames, between 64 KiB and 4 MiB, or as much as is asked for.
-    pub(crate) fn resize(&mut self, frame_bytes: usize, rate_mhz: u32, asked: Option<usize>) {
-        let second = frame_bytes as u64 * u64::from(rate_mhz) / 1000;
+    /// Sets the capacity to `size` bytes, or to one second of frames, between 64 KiB and 4 MiB.
+    pub(crate) fn resize(&mut self, frame_bytes: usize, rate_millihertz: u32, size: Option<usize>) {
+        let second = frame_bytes as u64 * u64::from(rate_millihertz) / 1000;
         let second = usize::try_from(second).unwrap_or(CAPACITY_MAX);
-        let room = asked.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
-        self.capacity = room.max(FRAMES_MIN * frame_bytes);
+        let capacity = size.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
+        self.capacity = capacity.max(FRAMES_MIN * frame_bytes);
     }
 
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         self.pending().len() + bytes <= self.capacity
     }
 
-    /// Queues what `write` appends. `true` marks it as a frame.
+    /// Queues the bytes that `write` appends; `is_frame` says whether they are a frame.
     pub(crate) fn put(&mut self, is_frame: bool, write: impl FnOnce(&mut Vec<u8>)) {
         let start = self.bytes.len();
         write(&mut self.bytes);
@@ -54,25 +54,24 @@ impl Outbox {
         self.bytes.get(self.head..).unwrap_or_default()
     }
 
-    /// The line took so many bytes.
+    /// The line took the first `n` bytes.
     pub(crate) fn sent(&mut self, n: usize) {
         self.head = (self.head + n).min(self.bytes.len());
         let sent = self.bytes_sent();
-        while self.frame_ends.front().is_some_and(|end| *end <= sent) {
-            self.frame_ends.pop_front();
+        while self.frame_ends.pop_front_if(|end| *end <= sent).is_some() {
             self.frames_sent += 1;
         }
         if self.head == self.bytes.len() {
             self.bytes.clear();
             self.head = 0;
         } else if self.head > self.bytes.len() / 2 {
-            // Moves at most as many bytes as were sent since the last time.
+            // Amortised: moves at most as many bytes as were sent since the last move.
             self.bytes.drain(..self.head);
             self.head = 0;
         }
     }
 
-    /// Forgets what the line has not taken. What it has taken of a message stays on the line, unfinished.
+    /// Discards the bytes that the line has not taken. A message that it took in part stays incomplete on the line.
     pub(crate) fn discard(&mut self) {
         self.queued = self.bytes_sent();
         self.frames_discarded += self.frames_waiting();
@@ -81,8 +80,8 @@ impl Outbox {
         self.head = 0;
     }
 
-    /// A log with what is known here: what left, what waits, and what was thrown away.
-    pub(crate) fn completed(&self, log: &SentLog) -> SentLog {
+    /// Fills in the queue's counters of a log: frames sent, waiting and discarded, and bytes sent.
+    pub(crate) fn complete_log(&self, log: &SentLog) -> SentLog {
         SentLog {
             frames_sent: self.frames_sent,
             frames_waiting: self.frames_waiting(),

@@ -1,4 +1,4 @@
-//! What a simulated device is told, the rates that come of it, and why it may refuse to be one.
+//! Settings of a simulated device, the rates that follow from them, and the errors of bad ones.
 
 use std::sync::Arc;
 
@@ -9,37 +9,35 @@ use super::SECOND_NS;
 use crate::faults::Script;
 use crate::replay::Replay;
 
-/// The rates a simulated device runs at, in millihertz: 1 Hz to 10 kHz.
-pub const RATE_MHZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
+/// Frame rates of a simulated device, in millihertz: 1 Hz to 10 kHz.
+pub const RATE_MILLIHERTZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
 
-/// Ticks a second of the device's clock: one every 100 ns, an integer of nanoseconds.
+/// Ticks per second of the device's clock: one every 100 ns, a whole number of nanoseconds.
 pub const TICK_HZ: u64 = 10_000_000;
 
 /// How the device plays its motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceSettings {
-    /// Serial number it gives.
+    /// Serial number in Hello.
     pub serial: String,
-    /// Resample to this rate, Hz; `None` for the recorded one.
+    /// Resample the motion to this rate, Hz; `None` keeps the recorded rate.
     pub rate_hz: Option<f64>,
-    /// Times faster than it was recorded, 0.001 to 1000, to the nearest 0.001. It multiplies the rate that
-    /// Hello gives.
+    /// Playback speed, 0.001 to 1000, rounded to 0.001. It multiplies the rate in Hello.
     pub speed: f64,
-    /// Begin again after the last frame, and never end.
+    /// Restart after the last frame, and never end.
     pub looping: bool,
-    /// How positions travel.
+    /// Encoding of positions in frames.
     pub form: FrameForm,
-    /// What the line carries in bytes a second; 0 when it is not limited.
+    /// Capacity of the line, bytes per second; 0 for unlimited.
     pub line_bytes_per_s: u64,
-    /// How much slower than the caller's clock the device's runs, in parts per million: the host's drift, as a
-    /// recorder tells it. Within 100 000 either way.
+    /// Drift of the device's clock against the caller's, parts per million, -100 000 to 100 000. A positive value makes
+    /// it slow; recorders report the same number.
     pub drift_ppm: f64,
-    /// Bytes of frames kept for a host that does not read; `None` for a second's worth, at most 4 MiB.
+    /// Size of the queue of frames for a host that does not read; `None` for one second of frames, at most 4 MiB.
     pub queue_bytes: Option<usize>,
-    /// What goes wrong inside the device; what goes wrong behind it is a
-    /// [`FaultyDevice`](crate::faults::FaultyDevice)'s.
+    /// Faults inside the device. [`FaultyDevice`](crate::faults::FaultyDevice) applies those of wire and connection.
     pub faults: Option<Arc<Script>>,
-    /// Keep a [`SentFrame`](super::SentFrame) for every frame. Whoever asks for them takes them away.
+    /// Keep a [`SentFrame`](super::SentFrame) for every frame; the caller must take them regularly.
     pub log_frames: bool,
 }
 
@@ -64,121 +62,119 @@ impl Default for DeviceSettings {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
-    /// Nothing to send.
-    #[error("no markers: a device needs at least one, choose another file")]
+    /// The motion has no markers.
+    #[error("the motion has no markers: choose a file with at least one")]
     NoMarkers,
-    /// Nothing to send.
-    #[error("no frames: the motion is empty, choose another file")]
+    /// The motion has no frames.
+    #[error("the motion has no frames: choose another file")]
     NoFrames,
-    /// More than the link carries.
-    #[error("{found} markers are more than the link's {max}: choose a file with fewer")]
+    /// More markers than the link carries.
+    #[error("{found} markers, but the link carries at most {max}: choose a file with fewer")]
     TooManyMarkers {
-        /// In the motion.
+        /// Markers of the motion, with the ghosts of the fault script.
         found: usize,
-        /// What the link's frames hold.
+        /// The link's limit.
         max: usize,
     },
-    /// The motion's own rate makes no device.
+    /// The motion's own rate is out of range.
     #[error("the motion's rate is {found_hz} Hz, expected 1 to 10000: choose another file")]
     MotionRate {
-        /// As the file has it.
+        /// The rate in the file, Hz.
         found_hz: f64,
     },
-    /// The rate that was asked for.
-    #[error("rate {found_hz} Hz is out of range: give 1 to 10000")]
+    /// The requested rate is out of range.
+    #[error("rate {found_hz} Hz is out of range: expected 1 to 10000")]
     Rate {
-        /// As it was given.
+        /// The requested rate, Hz.
         found_hz: f64,
     },
-    /// The speed that was asked for.
-    #[error("speed {found} is out of range: give 0.001 to 1000")]
+    /// The requested speed is out of range.
+    #[error("speed {found} is out of range: expected 0.001 to 1000")]
     Speed {
-        /// As it was given.
+        /// The requested speed.
         found: f64,
     },
-    /// The drift that was asked for.
-    #[error("drift {found_ppm} ppm is out of range: give -100000 to 100000")]
+    /// The requested clock drift is out of range.
+    #[error("drift {found_ppm} ppm is out of range: expected -100000 to 100000")]
     Drift {
-        /// As it was given.
+        /// The requested drift, parts per million.
         found_ppm: f64,
     },
-    /// Rate times speed.
+    /// Rate times speed is out of range.
     #[error(
         "{rate_hz} Hz at speed {speed} would be {product_hz} Hz, expected 1 to 10000: change the speed or give a rate"
     )]
     Product {
-        /// Before the speed.
+        /// The rate before the speed is applied, Hz.
         rate_hz: f64,
-        /// The factor.
+        /// The speed.
         speed: f64,
-        /// The rate that the device would have.
+        /// Their product, Hz.
         product_hz: f64,
     },
-    /// A text that the link cannot carry.
+    /// The link cannot carry a text.
     #[error(transparent)]
     Encode(#[from] mocapd_drivers::link::EncodeError),
 }
 
-/// Rates in millihertz that fit each other.
+/// The rates that follow from a motion, a requested rate and a speed, in millihertz.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rates {
-    /// Of the recording.
-    recorded_mhz: u32,
-    /// Of the recording, times the speed: the rate at which every recorded frame is played as it is. `None` when
-    /// the device cannot run at it, and another one was asked for.
-    native_mhz: Option<u32>,
-    /// The one to begin with.
-    pub(crate) rate_mhz: u32,
-    /// The speed in thousandths.
+    /// The recorded rate.
+    recorded_millihertz: u32,
+    /// Recorded rate times speed: the rate that plays every recorded frame unchanged. `None` when it is out of range
+    /// but another rate was requested.
+    native_millihertz: Option<u32>,
+    /// The initial rate.
+    pub(crate) rate_millihertz: u32,
+    /// Speed in thousandths.
     speed_milli: u64,
 }
 
 impl Rates {
-    pub(crate) fn new(
-        motion: &Motion,
-        wanted_hz: Option<f64>,
-        speed: f64,
-    ) -> Result<Self, DeviceError> {
+    pub(crate) fn new(motion: &Motion, hz: Option<f64>, speed: f64) -> Result<Self, DeviceError> {
         let found_hz = motion.info.rate_hz;
-        let recorded_mhz = to_mhz(found_hz).ok_or(DeviceError::MotionRate { found_hz })?;
+        let recorded_millihertz =
+            to_millihertz(found_hz).ok_or(DeviceError::MotionRate { found_hz })?;
         if !(0.001..=1000.0).contains(&speed) {
             return Err(DeviceError::Speed { found: speed });
         }
         let speed_milli = (speed * 1000.0).round() as u64;
-        let faster = |rate_mhz: u32| {
-            let product_hz = f64::from(rate_mhz) * speed_milli as f64 / 1e6;
-            let rate_hz = f64::from(rate_mhz) / 1000.0;
-            to_mhz(product_hz).ok_or(DeviceError::Product { rate_hz, speed, product_hz })
+        let faster = |rate_millihertz: u32| {
+            let product_hz = f64::from(rate_millihertz) * speed_milli as f64 / 1e6;
+            let rate_hz = f64::from(rate_millihertz) / 1000.0;
+            to_millihertz(product_hz).ok_or(DeviceError::Product { rate_hz, speed, product_hz })
         };
-        let (native_mhz, rate_mhz) = match wanted_hz {
-            None => faster(recorded_mhz).map(|native| (Some(native), native))?,
+        let (native_millihertz, rate_millihertz) = match hz {
+            None => faster(recorded_millihertz).map(|native| (Some(native), native))?,
             Some(found_hz) => {
-                let asked = to_mhz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
-                (faster(recorded_mhz).ok(), faster(asked)?)
+                let asked = to_millihertz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
+                (faster(recorded_millihertz).ok(), faster(asked)?)
             }
         };
-        Ok(Self { recorded_mhz, native_mhz, rate_mhz, speed_milli })
+        Ok(Self { recorded_millihertz, native_millihertz, rate_millihertz, speed_milli })
     }
 
-    /// The motion at a rate that the device can run at.
-    pub(crate) fn replay(&self, motion: Arc<Motion>, rate_mhz: u32) -> Replay {
-        let recorded = u64::from(self.recorded_mhz) * self.speed_milli;
+    /// The motion, resampled to a rate in [`RATE_MILLIHERTZ`].
+    pub(crate) fn replay(&self, motion: Arc<Motion>, rate_millihertz: u32) -> Replay {
+        let recorded = u64::from(self.recorded_millihertz) * self.speed_milli;
         let resampled = || {
-            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_mhz) * 1000)
-                .filter(|_| Some(rate_mhz) != self.native_mhz)
+            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_millihertz) * 1000)
+                .filter(|_| Some(rate_millihertz) != self.native_millihertz)
         };
         resampled().unwrap_or_else(|| Replay::native(motion))
     }
 }
 
-/// To the nearest millihertz, when a device can run at it.
-fn to_mhz(rate_hz: f64) -> Option<u32> {
-    let mhz = (rate_hz * 1000.0).round();
-    (f64::from(*RATE_MHZ.start())..=f64::from(*RATE_MHZ.end())).contains(&mhz).then_some(mhz as u32)
+/// Rounds to millihertz; `None` outside [`RATE_MILLIHERTZ`].
+fn to_millihertz(rate_hz: f64) -> Option<u32> {
+    let rate = (rate_hz * 1000.0).round();
+    let range = f64::from(*RATE_MILLIHERTZ.start())..=f64::from(*RATE_MILLIHERTZ.end());
+    range.contains(&rate).then_some(rate as u32)
 }
 
-/// When a frame is due after the first, by the device's clock.
-pub(crate) fn frame_after_ns(number: u64, rate_mhz: u32) -> u64 {
-    let after = u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_mhz.max(1));
-    u64::try_from(after).unwrap_or(u64::MAX)
+/// Time from the first frame to frame `number`, nanoseconds of the device's clock.
+pub(crate) fn frame_after_ns(number: u64, rate_millihertz: u32) -> u64 {
+    let ns = u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_millihertz.max(1));
+    u64::try_from(ns).unwrap_or(u64::MAX)
 }

@@ -1,22 +1,22 @@
-//! What goes wrong with the connection: when nothing is handed over, and when there is none.
+//! Faults of the connection: stalls, bursts, pulled cables and losses of power.
 
 use super::kinds::{Fault, Kind};
-use super::script::{Script, Windowed, nanoseconds};
-use crate::device::Parts;
-use crate::line::Batch;
+use super::script::{ScheduledFault, Script, nanoseconds};
+use crate::device::FaultCounts;
+use crate::line::LatencyTimer;
 
-/// The state of the connection at a time.
+/// The state of the connection at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct State {
+pub(super) struct ConnectionState {
     /// The cable is in.
     pub(super) plugged: bool,
     /// The device is switched on.
     pub(super) powered: bool,
-    /// What it says is handed over.
+    /// Bytes are handed over.
     pub(super) flows: bool,
 }
 
-/// One thing that is not there for a while.
+/// A stall, pulled cable or loss of power, from its start to its end.
 #[derive(Debug, Clone, Copy)]
 struct Outage {
     kind: Kind,
@@ -25,7 +25,7 @@ struct Outage {
     keeps_port: bool,
 }
 
-/// While what waits is handed over once in a while only.
+/// A window in which waiting bytes are handed over once per period only.
 #[derive(Debug, Clone, Copy)]
 struct Burst {
     from_ns: u64,
@@ -35,40 +35,38 @@ struct Burst {
 
 /// The faults of a script that act on the connection. Times are nanoseconds since the first Start.
 #[derive(Debug)]
-pub(super) struct Connection {
+pub(super) struct ConnectionFaults {
     outages: Vec<Outage>,
     bursts: Vec<Burst>,
-    batch: Option<Batch>,
+    timer: Option<LatencyTimer>,
 }
 
-impl Connection {
+impl ConnectionFaults {
     pub(super) fn new(script: &Script) -> Self {
         let mut outages = Vec::new();
         let mut bursts = Vec::new();
-        for windowed in &script.faults {
-            let kind = windowed.fault.kind();
-            match windowed.fault {
+        for &ScheduledFault { ref fault, from_ns, to_ns } in &script.faults {
+            let kind = fault.kind();
+            match *fault {
                 Fault::Stall { at_s, for_s }
                 | Fault::Unplug { at_s, for_s }
                 | Fault::PowerLoss { at_s, for_s, .. } => {
                     let (from_ns, to_ns) = (nanoseconds(at_s), nanoseconds(at_s + for_s));
-                    let keeps_port =
-                        matches!(windowed.fault, Fault::PowerLoss { keeps_port, .. } if keeps_port);
+                    let keeps_port = matches!(fault, Fault::PowerLoss { keeps_port: true, .. });
                     outages.push(Outage { kind, from_ns, to_ns, keeps_port });
                 }
                 Fault::Bursts { period_ms } => {
-                    let Windowed { from_ns, to_ns, .. } = *windowed;
                     bursts.push(Burst { from_ns, to_ns, period_ns: period_ms * 1_000_000 });
                 }
                 _ => {}
             }
         }
-        Self { outages, bursts, batch: None }
+        Self { outages, bursts, timer: None }
     }
 
-    /// What is there at a time.
-    pub(super) fn state(&self, since_ns: u64) -> State {
-        let mut state = State { plugged: true, powered: true, flows: true };
+    /// The state at `since_ns` after the first Start.
+    pub(super) fn state(&self, since_ns: u64) -> ConnectionState {
+        let mut state = ConnectionState { plugged: true, powered: true, flows: true };
         for outage in &self.outages {
             if (outage.from_ns..outage.to_ns).contains(&since_ns) {
                 state.plugged &= outage.kind == Kind::Stall || outage.keeps_port;
@@ -79,40 +77,40 @@ impl Connection {
         state
     }
 
-    /// When it changes next.
+    /// The time of the next change; `u64::MAX` when none is left.
     pub(super) fn next_ns(&self, since_ns: u64) -> u64 {
         let edges = self.outages.iter().flat_map(|outage| [outage.from_ns, outage.to_ns]);
         let edge = edges.filter(|at| *at > since_ns).min().unwrap_or(u64::MAX);
-        edge.min(self.batch.as_ref().map_or(u64::MAX, |batch| batch.next_ns))
+        edge.min(self.timer.as_ref().map_or(u64::MAX, |timer| timer.next_ns))
     }
 
-    /// The outages that have begun.
-    pub(super) fn parts(&self, since_ns: u64) -> Parts {
-        let mut parts = Parts::default();
+    /// How many outages of each kind have begun.
+    pub(super) fn counts(&self, since_ns: u64) -> FaultCounts {
+        let mut counts = FaultCounts::default();
         for outage in self.outages.iter().filter(|outage| outage.from_ns <= since_ns) {
-            parts.add(outage.kind, 1);
+            counts.add(outage.kind, 1);
         }
-        parts
+        counts
     }
 
     /// How many of the `waiting` bytes may be handed over.
     pub(super) fn allowed(&self, waiting: usize) -> usize {
-        self.batch.as_ref().map_or(waiting, |batch| batch.released.min(waiting))
+        self.timer.as_ref().map_or(waiting, |timer| timer.released.min(waiting))
     }
 
-    /// Time passed. `waiting` bytes were there all the while.
+    /// Advances the latency timer. `waiting` bytes have been waiting since the last call.
     pub(super) fn tick(&mut self, since_ns: u64, waiting: usize) {
         let on = self.bursts.iter().find(|burst| (burst.from_ns..burst.to_ns).contains(&since_ns));
-        match (on, &mut self.batch) {
-            (None, batch) => *batch = None,
-            (Some(_), Some(batch)) => batch.tick(since_ns, waiting),
-            (Some(burst), batch) => *batch = Some(Batch::new(burst.period_ns, since_ns)),
+        match (on, &mut self.timer) {
+            (None, timer) => *timer = None,
+            (Some(_), Some(timer)) => timer.tick(since_ns, waiting),
+            (Some(burst), timer) => *timer = Some(LatencyTimer::new(burst.period_ns, since_ns)),
         }
     }
 
     pub(super) fn sent(&mut self, n: usize) {
-        if let Some(batch) = &mut self.batch {
-            batch.sent(n);
+        if let Some(timer) = &mut self.timer {
+            timer.sent(n);
         }
     }
 }

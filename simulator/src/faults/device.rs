@@ -1,74 +1,75 @@
-//! A device on a line with faults: the device itself, what damages its bytes, and what cuts it off.
+//! A device behind a faulty line: the device itself, damage to its bytes, and outages of the connection.
 
 use std::sync::Arc;
 
-use super::connection::{Connection, State};
+use super::connection::{ConnectionFaults, ConnectionState};
 use super::kinds::Kind;
 use super::script::Script;
-use super::wire::Wire;
+use super::wire::WireFaults;
 use crate::device::{Device, FrameFate, LineDevice, SentFrame, SentLog};
 
-/// A [`Device`] whose script has its way with it, sans-io as the device is.
+/// A [`Device`] behind the faults of a script; sans-io, like the device itself.
 ///
-/// What the script does inside the device is the device's own: it has the same script in its settings.
+/// The device applies the faults inside it (motion, counter, clock): its settings hold the same script.
 #[derive(Debug)]
 pub struct FaultyDevice {
     device: Device,
-    wire: Wire,
-    connection: Connection,
-    state: State,
+    wire: WireFaults,
+    connection: ConnectionFaults,
+    state: ConnectionState,
     first_start_ns: Option<u64>,
-    /// Of the last turn, since then.
-    seen_ns: Option<u64>,
+    /// Time of the last state update, since the first Start.
+    last_update_ns: Option<u64>,
     discarded: u64,
     starts: u64,
-    /// Plugged in again, and no host has said anything: nothing leaves it.
-    unheard: bool,
+    /// The cable is back in and no host has sent anything yet: no bytes leave the device.
+    awaits_host: bool,
 }
 
 impl FaultyDevice {
-    /// A device with faults. It should have been made with the same script in its settings.
+    /// Wraps a device whose settings hold the same script.
     #[must_use]
     pub fn new(mut device: Device, script: &Arc<Script>) -> Self {
         device.keep_frame_log();
         Self {
             device,
-            wire: Wire::new(Arc::clone(script)),
-            connection: Connection::new(script),
-            state: State { plugged: true, powered: true, flows: true },
+            wire: WireFaults::new(Arc::clone(script)),
+            connection: ConnectionFaults::new(script),
+            state: ConnectionState { plugged: true, powered: true, flows: true },
             first_start_ns: None,
-            seen_ns: None,
+            last_update_ns: None,
             discarded: 0,
             starts: 0,
-            unheard: false,
+            awaits_host: false,
         }
     }
 
-    /// Frames whose fate is known, in the order in which they were produced, when they were asked for.
+    /// Takes the frames whose fate is known, in order of production. Empty without
+    /// [`keep_frame_log`](LineDevice::keep_frame_log).
     pub fn take_fates(&mut self) -> Vec<FrameFate> {
-        self.wire.account.take_frames()
+        self.wire.fates.take_frames()
     }
 
     fn since_ns(&self, now_ns: u64) -> Option<u64> {
         self.first_start_ns.map(|start_ns| now_ns.saturating_sub(start_ns))
     }
 
-    /// Frames that the device made, and those that it will not hand over.
+    /// Passes newly produced and discarded frames on to the fate tracker.
     fn collect(&mut self) {
         for frame in self.device.take_frames() {
-            self.wire.account.produced(frame);
+            self.wire.fates.produced(frame);
         }
         let discarded = self.device.log().frames_discarded;
-        self.wire.account.discarded(discarded - self.discarded);
+        self.wire.fates.discarded(discarded - self.discarded);
         self.discarded = discarded;
     }
 
-    /// What the device said goes on its way, in whole messages.
-    fn carry(&mut self) {
+    /// Moves whole messages from the device to the faulty wire.
+    fn forward_messages(&mut self) {
         let first_start_ns = self.first_start_ns.unwrap_or(0);
         while self.wire.has_room() {
             let pending = self.device.pending();
-            // A 0x00 in front of a message is filler, and part of it.
+            // A 0x00 in front of a message is filler and travels with it.
             let start = pending.iter().take_while(|byte| **byte == 0).count();
             let rest = pending.get(start..).unwrap_or_default();
             let Some(end) = rest.iter().position(|byte| *byte == 0) else { break };
@@ -80,14 +81,14 @@ impl FaultyDevice {
         }
     }
 
-    /// What begins or ends at this time does.
-    fn turn(&mut self, now_ns: u64) {
+    /// Applies the outages that begin or end at this time.
+    fn update_state(&mut self, now_ns: u64) {
         let Some(since_ns) = self.since_ns(now_ns) else { return };
-        self.seen_ns = Some(since_ns);
+        self.last_update_ns = Some(since_ns);
         let (before, now) = (self.state, self.connection.state(since_ns));
         self.state = now;
         if before.powered && !now.powered {
-            // What it was about to say is lost with its memory.
+            // Its queue is lost with its memory.
             self.collect();
             self.device.lose_power();
             self.collect();
@@ -99,38 +100,38 @@ impl FaultyDevice {
             self.device.power_up(now_ns, now.plugged && before.plugged);
         }
         if !before.plugged && now.plugged {
-            self.unheard = true;
-            self.wire.account.set_unasked(true);
+            self.awaits_host = true;
+            self.wire.fates.set_unasked(true);
         }
     }
 }
 
 impl LineDevice for FaultyDevice {
     fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
-        self.turn(now_ns);
+        self.update_state(now_ns);
         if !self.state.plugged || !self.state.powered {
             return;
         }
-        self.unheard = false;
+        self.awaits_host = false;
         self.device.on_bytes(bytes, now_ns);
         self.collect();
         let starts = self.device.log().starts;
         if starts > self.starts {
             self.starts = starts;
             self.first_start_ns.get_or_insert(now_ns);
-            self.wire.account.set_unasked(false);
+            self.wire.fates.set_unasked(false);
         }
     }
 
     fn poll(&mut self, now_ns: u64) -> u64 {
-        self.turn(now_ns);
+        self.update_state(now_ns);
         let mut wake_ns = u64::MAX;
         if self.state.powered {
             wake_ns = self.device.poll(now_ns);
             self.collect();
         }
-        if self.state.flows && !self.unheard {
-            self.carry();
+        if self.state.flows && !self.awaits_host {
+            self.forward_messages();
         }
         let Some(since_ns) = self.since_ns(now_ns) else { return wake_ns };
         self.connection.tick(since_ns, self.wire.out.len());
@@ -139,7 +140,7 @@ impl LineDevice for FaultyDevice {
     }
 
     fn pending(&self) -> &[u8] {
-        if !self.state.flows || self.unheard {
+        if !self.state.flows || self.awaits_host {
             return &[];
         }
         let out = &self.wire.out;
@@ -162,19 +163,19 @@ impl LineDevice for FaultyDevice {
     }
 
     fn log(&self) -> SentLog {
-        let mut totals = self.wire.account.totals();
-        let begun = self.seen_ns.map(|since_ns| self.connection.parts(since_ns));
-        for parts in [self.device.fault_parts(), self.wire.parts, begun.unwrap_or_default()] {
-            totals.parts = totals.parts.join(parts);
+        let mut totals = self.wire.fates.totals();
+        let begun = self.last_update_ns.map(|since_ns| self.connection.counts(since_ns));
+        for counts in [self.device.fault_counts(), self.wire.counts, begun.unwrap_or_default()] {
+            totals.counts = totals.counts.merge(counts);
         }
         SentLog { faults: Some(totals), ..self.device.log() }
     }
 
     fn keep_frame_log(&mut self) {
-        self.wire.account.keep_frames();
+        self.wire.fates.keep_frames();
     }
 
-    /// Those whose fate is known.
+    /// Takes the frames whose fate is known.
     fn take_frames(&mut self) -> Vec<SentFrame> {
         self.take_fates().into_iter().map(|fate| fate.frame).collect()
     }
@@ -189,6 +190,6 @@ impl LineDevice for FaultyDevice {
 
     fn close(&mut self) {
         self.collect();
-        self.wire.account.close();
+        self.wire.fates.close();
     }
 }

@@ -1,12 +1,12 @@
-//! What goes wrong between a rig and a recorder, by a script: seeded, so that it goes wrong in the same way again.
+//! Scripted fault injection between a device and a recorder. A script has a seed, so a run can be repeated exactly.
 //!
-//! Three layers, all sans-io: `source` changes what the device says before it is bytes, `wire` the bytes, and
-//! `connection` says when there is none. `account` knows what became of every frame. `docs/faults.md` has all
-//! keys.
+//! Three layers, all sans-io: `source` changes motion, counter and clock before frames are encoded, `wire` damages the
+//! encoded bytes, and `connection` stalls or cuts the link. `fates` tracks what became of every frame.
+//! `docs/faults.md` lists all keys.
 
-mod account;
 mod connection;
 mod device;
+mod fates;
 mod kinds;
 mod script;
 mod source;
@@ -15,8 +15,11 @@ mod wire;
 #[cfg(test)]
 mod tests;
 
-pub use crate::device::{Fate, FaultTotals, FrameFate, Parts};
+pub use crate::device::{Fate, FaultCounts, FaultTotals, FrameFate};
 pub use device::FaultyDevice;
-pub use kinds::{Fault, KINDS, Key, Kind, KindKeys, Kinds, TIME_MAX_S, WINDOW};
-pub use script::{Agreement, Expect, FAULTS_MAX, SCRIPT_BYTES_MAX, Script, ScriptError, Windowed};
+pub use kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, Kinds, TIME_MAX_S, WINDOW};
+pub use script::{
+    ExpectedRecording, FAULTS_MAX, LedgerMatch, SCRIPT_BYTES_MAX, ScheduledFault, Script,
+    ScriptError,
+};
 pub(crate) use source::SourceFaults;

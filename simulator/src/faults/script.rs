@@ -1,69 +1,69 @@
-//! Fault scripts: TOML as written, checked key by key, into faults. What is refused has its place, and what to write.
+//! Parses fault scripts: TOML, checked key by key. Errors name the line and say what to write there.
 
 use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::kinds::{Fault, KINDS, Key, Kind, KindKeys, WINDOW};
+use super::kinds::{Fault, KINDS, KeySpec, Kind, KindSpec, WINDOW};
 
-/// Bytes of a script: the longest that ships has 2 kB.
+/// Most bytes in a script; the longest that ships has 2 kB.
 pub const SCRIPT_BYTES_MAX: usize = 256 << 10;
 
-/// Faults in a script.
+/// Most faults in a script.
 pub const FAULTS_MAX: usize = 64;
 
-/// What goes wrong, and when. The same script and motion give the same damage.
+/// A fault script. The same script and motion give the same damage.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
-    /// What all that is random comes from.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Every fault, as written.
-    pub faults: Vec<Windowed>,
-    /// What a recording of it comes to: for tests, the device does not look at it.
-    pub expect: Option<Expect>,
+    /// The faults, in the script's order.
+    pub faults: Vec<ScheduledFault>,
+    /// What a recording should come to. Tests read it; the device does not.
+    pub expect: Option<ExpectedRecording>,
 }
 
-/// A fault and when it is there.
+/// A fault and the window in which it acts.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Windowed {
-    /// Which one.
+pub struct ScheduledFault {
+    /// The fault.
     pub fault: Fault,
-    /// From this time on, in nanoseconds since the first Start.
+    /// Start of the window, nanoseconds since the first Start.
     pub from_ns: u64,
-    /// Until before this time.
+    /// End of the window (exclusive), nanoseconds since the first Start.
     pub to_ns: u64,
 }
 
-impl Windowed {
-    /// Whether it is there at this time.
+impl ScheduledFault {
+    /// Whether the window contains this time.
     #[must_use]
     pub fn is_on(&self, since_ns: u64) -> bool {
         (self.from_ns..self.to_ns).contains(&since_ns)
     }
 }
 
-/// Why a script is none: one line.
+/// An error in a script, in one line of text.
 #[derive(Debug, thiserror::Error)]
 #[error("{name} line {line}: {message}")]
 pub struct ScriptError {
-    /// The script.
+    /// The script's name.
     pub name: String,
-    /// Where, from 1.
+    /// Line number, from 1.
     pub line: usize,
-    /// What cannot be meant, and what to write.
+    /// What is wrong and what to write.
     pub message: String,
 }
 
 #[derive(Deserialize)]
-struct Written {
+struct ScriptFile {
     seed: u64,
     #[serde(default)]
-    fault: Vec<WrittenFault>,
-    expect: Option<Expect>,
+    fault: Vec<FaultTable>,
+    expect: Option<ExpectedRecording>,
 }
 
 #[derive(Deserialize)]
-struct WrittenFault {
+struct FaultTable {
     #[serde(flatten)]
     fault: Fault,
     #[serde(default)]
@@ -72,10 +72,10 @@ struct WrittenFault {
 }
 
 impl Script {
-    /// Reads a script; errors call it `name`.
+    /// Parses a script; errors call it `name`.
     ///
     /// # Errors
-    /// With the line, and what to write there.
+    /// When the text is not TOML, a key is unknown or missing, or a value is out of range.
     pub fn parse(name: &str, text: &str) -> Result<Self, ScriptError> {
         let refused = |at: usize, message: String| {
             let line = 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
@@ -83,42 +83,44 @@ impl Script {
             ScriptError { name: name.to_owned(), line, message }
         };
         if text.len() > SCRIPT_BYTES_MAX {
-            return Err(refused(0, format!("a script has at most {SCRIPT_BYTES_MAX} bytes")));
+            return Err(refused(0, format!("the script is longer than {SCRIPT_BYTES_MAX} bytes")));
         }
         check(text).map_err(|(at, message)| refused(at, message))?;
-        let written: Written = toml::from_str(text).map_err(|error| {
+        let written: ScriptFile = toml::from_str(text).map_err(|error| {
             refused(error.span().map_or(0, |span| span.start), error.message().to_owned())
         })?;
-        let windowed = |WrittenFault { fault, from_s, to_s }| Windowed {
+        let scheduled = |FaultTable { fault, from_s, to_s }| ScheduledFault {
             fault,
             from_ns: nanoseconds(from_s),
             to_ns: to_s.map_or(u64::MAX, nanoseconds),
         };
-        let faults = written.fault.into_iter().map(windowed).collect();
+        let faults = written.fault.into_iter().map(scheduled).collect();
         Ok(Self { seed: written.seed, faults, expect: written.expect })
     }
 
-    /// Whether a fault of this kind is in it.
+    /// Whether the script has a fault of this kind.
     #[must_use]
     pub fn has(&self, kind: Kind) -> bool {
-        self.faults.iter().any(|windowed| windowed.fault.kind() == kind)
+        self.faults.iter().any(|scheduled| scheduled.fault.kind() == kind)
     }
 
-    /// Whether it needs a line that can be taken away and brought back under its name.
+    /// Whether the script pulls the cable, which needs a line that can come back under the same name.
     #[must_use]
     pub fn unplugs(&self) -> bool {
-        self.faults.iter().any(|windowed| {
-            matches!(
-                windowed.fault,
-                Fault::Unplug { .. } | Fault::PowerLoss { keeps_port: false, .. }
-            )
+        self.faults.iter().any(|ScheduledFault { fault, .. }| {
+            matches!(fault, Fault::Unplug { .. } | Fault::PowerLoss { keeps_port: false, .. })
         })
     }
 
-    /// The markers that are not there, at most at once.
+    /// The faults that are on, with their indices.
+    pub(super) fn active(&self, since_ns: u64) -> impl Iterator<Item = (usize, &ScheduledFault)> {
+        self.faults.iter().enumerate().filter(move |(_, scheduled)| scheduled.is_on(since_ns))
+    }
+
+    /// The most ghost markers that can be visible at once.
     #[must_use]
     pub fn n_ghosts(&self) -> usize {
-        let counts = self.faults.iter().map(|windowed| match windowed.fault {
+        let counts = self.faults.iter().map(|scheduled| match scheduled.fault {
             Fault::Ghosts { count } => usize::from(count),
             _ => 0,
         });
@@ -126,109 +128,103 @@ impl Script {
     }
 }
 
-/// Of a time that was checked.
+/// Converts a checked time, which fits.
 pub(super) fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// What a recording under the script comes to.
+/// What a recording of a device under the script should come to.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
-pub struct Expect {
+pub struct ExpectedRecording {
     /// The recorder's exit code.
     pub exit: u8,
-    /// What its ledger agrees with.
+    /// How closely its ledger matches the device's log.
     #[serde(default)]
-    pub ledger: Agreement,
-    /// A piece of each contradiction that its ledger tells; no other may be told.
+    pub ledger: LedgerMatch,
+    /// A part of each contradiction in its ledger; there must be no others.
     #[serde(default)]
     pub contradictions: Vec<String>,
-    /// A piece of each event that stands in the take; no other may.
+    /// A part of each event in the take; there must be no others.
     #[serde(default)]
     pub events: Vec<String>,
-    /// Frames that must be missing or double, so that the script is not one that does nothing.
+    /// Least number of missing or duplicate frames, which shows that the script has an effect.
     #[serde(default)]
     pub at_least: u64,
 }
 
-/// How far a ledger agrees with the device's log.
+/// How closely a ledger matches the device's log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
-pub enum Agreement {
-    /// Every count is the log's.
+pub enum LedgerMatch {
+    /// Every count equals the log's.
     #[default]
     Exact,
-    /// Counter and clock began anew: frames that were due meanwhile are by the host's clock, all else is the log's.
+    /// Counter and clock restarted: the frames due meanwhile are estimated from the host's clock, all other counts
+    /// equal the log's.
     ByHostClock,
 }
 
-/// What is wrong, and at which byte.
-type Wrong = (usize, String);
+/// Byte offset and message of an error.
+type CheckError = (usize, String);
 
-/// The tables and keys beside the faults.
+/// The tables and keys at the top level.
 const TOP: &[&str] = &["seed", "fault", "expect"];
 const LEDGER: &[&str] = &["exact", "by-host-clock"];
 const EXPECT: &[&str] = &["exit", "ledger", "contradictions", "events", "at_least"];
 
-fn check(text: &str) -> Result<(), Wrong> {
+fn check(text: &str) -> Result<(), CheckError> {
     let document = DeTable::parse(text)
         .map_err(|error| (error.span().map_or(0, |span| span.start), error.message().to_owned()))?;
     let table = document.get_ref();
-    only(table, TOP, "a script")?;
-    match table.get("seed") {
-        None => {
-            return Err((
-                0,
-                "no seed: write `seed = 1` in front, so that it can be repeated".to_owned(),
-            ));
-        }
-        Some(seed) => whole("seed", seed, i64::MAX)?,
-    }
+    check_keys(table, TOP, "a script")?;
+    let Some(seed) = table.get("seed") else {
+        let message = "missing seed: add `seed = 1` at the top, so that runs are repeatable";
+        return Err((0, message.to_owned()));
+    };
+    check_whole("seed", seed, i64::MAX)?;
     if let Some(value) = table.get("expect") {
-        expect(value)?;
+        check_expect(value)?;
     }
     let Some(faults) = table.get("fault") else { return Ok(()) };
     let Some(list) = faults.get_ref().as_array() else {
-        return Err((faults.span().start, "write [[fault]], in double brackets".to_owned()));
+        return Err((faults.span().start, "expected [[fault]], in double brackets".to_owned()));
     };
     if list.len() > FAULTS_MAX {
-        return Err((faults.span().start, format!("a script has at most {FAULTS_MAX} faults")));
+        let message = format!("{} faults are more than the {FAULTS_MAX} of a script", list.len());
+        return Err((faults.span().start, message));
     }
-    list.iter().try_for_each(fault)
+    list.iter().try_for_each(check_fault)
 }
 
-fn only(table: &DeTable<'_>, known: &[&str], where_: &str) -> Result<(), Wrong> {
-    for key in table.keys() {
-        if !known.contains(&key.get_ref().as_ref()) {
-            return Err(unknown(key, known, where_));
-        }
-    }
-    Ok(())
-}
-
-fn unknown(key: &Spanned<std::borrow::Cow<'_, str>>, known: &[&str], where_: &str) -> Wrong {
+fn check_keys(table: &DeTable<'_>, known: &[&str], where_: &str) -> Result<(), CheckError> {
+    let Some(key) = table.keys().find(|key| !known.contains(&key.get_ref().as_ref())) else {
+        return Ok(());
+    };
     let word = key.get_ref();
-    let meant = match nearest(word, known.iter().copied()) {
-        Some(name) => format!("did you mean '{name}'?"),
-        None => format!("it has {}", known.join(", ")),
-    };
-    (key.span().start, format!("unknown key '{}' in {where_}: {meant}", word.escape_debug()))
+    let hint = hint(word, known);
+    Err((key.span().start, format!("unknown key '{}' in {where_}: {hint}", word.escape_debug())))
 }
 
-/// What a script says of a recording of it.
-fn expect(value: &Spanned<DeValue<'_>>) -> Result<(), Wrong> {
+/// The nearest known word, or all of them.
+fn hint(word: &str, known: &[&str]) -> String {
+    match nearest(word, known.iter().copied()) {
+        Some(name) => format!("did you mean '{name}'?"),
+        None => format!("expected one of {}", known.join(", ")),
+    }
+}
+
+fn check_expect(value: &Spanned<DeValue<'_>>) -> Result<(), CheckError> {
+    let at = value.span().start;
     let Some(table) = value.get_ref().as_table() else {
-        return Err((value.span().start, "write [expect], in brackets".to_owned()));
+        return Err((at, "expected [expect], in brackets".to_owned()));
     };
-    only(table, EXPECT, "[expect]")?;
+    check_keys(table, EXPECT, "[expect]")?;
     for (key, max) in [("exit", i64::from(u8::MAX)), ("at_least", i64::MAX)] {
         match table.get(key) {
-            Some(value) => whole(key, value, max)?,
+            Some(value) => check_whole(key, value, max)?,
             None if key == "exit" => {
-                return Err((
-                    value.span().start,
-                    "[expect] needs 'exit' (an exit code)".to_owned(),
-                ));
+                return Err((at, "[expect] needs 'exit' (an exit code)".to_owned()));
             }
             None => {}
         }
@@ -236,38 +232,32 @@ fn expect(value: &Spanned<DeValue<'_>>) -> Result<(), Wrong> {
     if let Some(ledger) = table.get("ledger")
         && !ledger.get_ref().as_str().is_some_and(|word| LEDGER.contains(&word))
     {
-        return Err((ledger.span().start, format!("ledger is one of {}", LEDGER.join(", "))));
+        return Err((ledger.span().start, format!("ledger must be one of {}", LEDGER.join(", "))));
     }
     for key in ["contradictions", "events"] {
         let Some(list) = table.get(key) else { continue };
         let texts = list.get_ref().as_array();
         if !texts.is_some_and(|texts| texts.iter().all(|text| text.get_ref().is_str())) {
-            return Err((list.span().start, format!("{key} is a list of texts: give [\"...\"]")));
+            return Err((list.span().start, format!("{key} is not a list of strings [\"...\"]")));
         }
     }
     Ok(())
 }
 
-/// A count.
-fn whole(name: &str, value: &Spanned<DeValue<'_>>, max: i64) -> Result<(), Wrong> {
-    let fits = match value.get_ref() {
-        DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix())
-            .is_ok_and(|n| (0..=max).contains(&n)),
-        _ => false,
-    };
-    if fits {
+fn check_whole(name: &str, value: &Spanned<DeValue<'_>>, max: i64) -> Result<(), CheckError> {
+    if integer(value.get_ref()).is_some_and(|n| (0..=max).contains(&n)) {
         return Ok(());
     }
     let wrong = wrong_type(value, name, "a number").unwrap_or(format!("{name} is out of range"));
-    Err((value.span().start, format!("{wrong}: give a whole number from 0 to {max}")))
+    Err((value.span().start, format!("{wrong}: expected a whole number from 0 to {max}")))
 }
 
-/// That a value is not even of the type that belongs there.
+/// The message for a value of another type; `None` when the type is right.
 fn wrong_type(value: &Spanned<DeValue<'_>>, name: &str, wanted: &str) -> Option<String> {
     let found = match value.get_ref() {
-        DeValue::String(_) => "a text",
+        DeValue::String(_) => "a string",
         DeValue::Integer(_) | DeValue::Float(_) => "a number",
-        DeValue::Boolean(_) => "true or false",
+        DeValue::Boolean(_) => "a boolean",
         DeValue::Datetime(_) => "a date",
         DeValue::Array(_) => "a list",
         DeValue::Table(_) => "a table",
@@ -275,45 +265,39 @@ fn wrong_type(value: &Spanned<DeValue<'_>>, name: &str, wanted: &str) -> Option<
     (found != wanted).then(|| format!("{name} is {found}, not {wanted}"))
 }
 
-fn fault(value: &Spanned<DeValue<'_>>) -> Result<(), Wrong> {
+fn check_fault(value: &Spanned<DeValue<'_>>) -> Result<(), CheckError> {
     let at = value.span().start;
     let Some(table) = value.get_ref().as_table() else {
-        return Err((at, "write [[fault]], in double brackets".to_owned()));
+        return Err((at, "expected [[fault]], in double brackets".to_owned()));
     };
-    let kinds = || KINDS.iter().map(|keys| keys.name);
-    let all = || kinds().collect::<Vec<_>>().join(", ");
+    let kinds: Vec<_> = KINDS.iter().map(|keys| keys.name).collect();
+    let all = || kinds.join(", ");
     let Some(written) = table.get("kind") else {
-        return Err((at, format!("a fault without a kind: it is one of {}", all())));
+        return Err((at, format!("missing key 'kind': expected one of {}", all())));
     };
-    if let Some(wrong) = wrong_type(written, "kind", "a text") {
-        return Err((written.span().start, format!("{wrong}: it is one of {}", all())));
+    if let Some(wrong) = wrong_type(written, "kind", "a string") {
+        return Err((written.span().start, format!("{wrong}: expected one of {}", all())));
     }
     let word = written.get_ref().as_str().unwrap_or("");
     let Some(keys) = KINDS.iter().find(|keys| keys.name == word) else {
-        let meant = match nearest(word, kinds()) {
-            Some(name) => format!("did you mean '{name}'?"),
-            None => format!("it is one of {}", all()),
-        };
-        let message = format!("unknown kind of fault '{}': {meant}", word.escape_debug());
+        let hint = hint(word, &kinds);
+        let message = format!("unknown kind of fault '{}': {hint}", word.escape_debug());
         return Err((written.span().start, message));
     };
-    keys_of(table, keys, at)
+    check_fault_keys(table, keys, at)
 }
 
-fn keys_of(table: &DeTable<'_>, kind: &KindKeys, at: usize) -> Result<(), Wrong> {
-    let window: &[Key] = if kind.windowed { WINDOW } else { &[] };
+fn check_fault_keys(table: &DeTable<'_>, kind: &KindSpec, at: usize) -> Result<(), CheckError> {
+    let window: &[KeySpec] = if kind.windowed { WINDOW } else { &[] };
     let keys = || kind.keys.iter().chain(window);
     let known: Vec<&str> = std::iter::once("kind").chain(keys().map(|key| key.name)).collect();
-    only(table, &known, &format!("a fault of kind '{}'", kind.name))?;
+    let what = format!("a fault of kind '{}'", kind.name);
+    check_keys(table, &known, &what)?;
     for key in keys() {
         match table.get(key.name) {
-            Some(value) => in_range(value, key)?,
+            Some(value) => check_range(value, key)?,
             None if key.optional => {}
-            None => {
-                let message =
-                    format!("a fault of kind '{}' needs '{}' ({})", kind.name, key.name, key.unit);
-                return Err((at, message));
-            }
+            None => return Err((at, format!("{what} needs '{}' ({})", key.name, key.unit))),
         }
     }
     let time = |name| table.get(name).and_then(|value| number(value.get_ref()));
@@ -325,18 +309,20 @@ fn keys_of(table: &DeTable<'_>, kind: &KindKeys, at: usize) -> Result<(), Wrong>
     }
 }
 
+fn integer(value: &DeValue<'_>) -> Option<i64> {
+    let integer = value.as_integer()?;
+    i64::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
 fn number(value: &DeValue<'_>) -> Option<f64> {
     match value {
-        DeValue::Integer(integer) => {
-            i64::from_str_radix(integer.as_str(), integer.radix()).ok().map(|n| n as f64)
-        }
         DeValue::Float(float) => float.as_str().parse().ok(),
-        _ => None,
+        other => integer(other).map(|n| n as f64),
     }
 }
 
-fn in_range(value: &Spanned<DeValue<'_>>, key: &Key) -> Result<(), Wrong> {
-    let Key { name, unit, min, max, .. } = key;
+fn check_range(value: &Spanned<DeValue<'_>>, key: &KeySpec) -> Result<(), CheckError> {
+    let KeySpec { name, unit, min, max, .. } = key;
     let is_bool = *unit == "bool";
     let is_whole = ["frames", "markers", "bytes", "greetings", "ms"].contains(unit);
     let fits = match value.get_ref() {
@@ -352,18 +338,17 @@ fn in_range(value: &Spanned<DeValue<'_>>, key: &Key) -> Result<(), Wrong> {
         (_, true) => format!("a whole number from {min} to {max} ({unit})"),
         _ => format!("{min} to {max} ({unit})"),
     };
-    let type_wanted = if is_bool { "true or false" } else { "a number" };
-    let wrong =
-        wrong_type(value, name, type_wanted).unwrap_or_else(|| format!("{name} is out of range"));
-    Err((value.span().start, format!("{wrong}: give {wanted}")))
+    let type_wanted = if is_bool { "a boolean" } else { "a number" };
+    let wrong = wrong_type(value, name, type_wanted).unwrap_or(format!("{name} is out of range"));
+    Err((value.span().start, format!("{wrong}: expected {wanted}")))
 }
 
-/// The known word that is meant, when one is near: at most two letters away, or a third of a long word.
+/// The nearest known word within an edit distance of 2, or of a third of a longer word's length.
 fn nearest<'a>(word: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     known
         .map(|name| (strsim::levenshtein(word, name), name))
-        .filter(|(away, name)| *away <= 2.max(name.len() / 3))
-        .min_by_key(|(away, _)| *away)
+        .filter(|(distance, name)| *distance <= 2.max(name.len() / 3))
+        .min_by_key(|(distance, _)| *distance)
         .map(|(_, name)| name)
 }
 

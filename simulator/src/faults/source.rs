@@ -1,7 +1,7 @@
-//! What goes wrong before a frame becomes bytes: the motion, the counter, the clock.
+//! Faults inside the device: in the motion, the frame counter and the clock, before a frame is encoded.
 //!
-//! All of it is a function of the script and of the time since the first Start, which for a frame is its place on the
-//! device's own grid: the same frames are changed in the same way however busy the host is.
+//! Each is a function of the script and of the time since the first Start. A frame's time is its place on the device's
+//! own grid, so the same frames change in the same way however busy the host is.
 
 use std::sync::Arc;
 
@@ -10,114 +10,115 @@ use mocapd_take::motion::{GAP, Position, is_gap};
 
 use super::kinds::{Fault, Kind};
 use super::script::{Script, nanoseconds};
-use crate::device::Parts;
+use crate::device::FaultCounts;
 use crate::generator::Rng;
 
-/// Ghosts stay within so much of the origin on each axis: a volume's size.
+/// Ghosts appear within this distance of the origin on each axis: the size of a capture volume.
 const GHOST_RANGE_MM: f64 = 3000.0;
 
-/// A ghost moves on after so long.
-const GHOST_STAYS_NS: u64 = 250_000_000;
+/// How long a ghost stays at one place.
+const GHOST_STAY_NS: u64 = 250_000_000;
 
-/// Ghosts are there for so much of the time.
-const GHOST_PART: f64 = 0.7;
+/// Probability that a ghost is visible at one place.
+const GHOST_VISIBLE: f64 = 0.7;
 
 /// The faults of a script that act inside the device.
 #[derive(Debug)]
 pub(crate) struct SourceFaults {
     script: Arc<Script>,
     n_markers: usize,
-    /// What the counter on the wire is ahead of the true one.
-    ahead: u32,
-    jumped: Vec<usize>,
-    /// Clock jumps that a frame was stamped after.
-    leapt: Vec<usize>,
-    told_ghosts: bool,
-    /// What they had a part in so far.
-    pub(crate) parts: Parts,
+    /// The counter on the wire less the true one, modulo 2^32.
+    counter_offset: u32,
+    /// Counter jumps that have happened, and clock jumps before the last frame, as indices into the script.
+    jumps_done: Vec<usize>,
+    ghosts_announced: bool,
+    /// What each kind has done so far.
+    pub(crate) counts: FaultCounts,
 }
 
 impl SourceFaults {
     pub(crate) fn new(script: Arc<Script>, n_markers: usize) -> Self {
-        let (jumped, leapt) = (Vec::new(), Vec::new());
-        let parts = Parts::default();
-        Self { script, n_markers, ahead: 0, jumped, leapt, told_ghosts: false, parts }
+        Self {
+            script,
+            n_markers,
+            counter_offset: 0,
+            jumps_done: Vec::new(),
+            ghosts_announced: false,
+            counts: FaultCounts::default(),
+        }
     }
 
-    /// A frame is stamped by the device's clock.
-    pub(crate) fn stamped(&mut self, since_ns: u64) {
-        for (index, windowed) in self.script.faults.iter().enumerate() {
-            match windowed.fault {
-                Fault::ClockDrift { .. } if windowed.is_on(since_ns) => {
-                    self.parts.add(Kind::ClockDrift, 1);
+    /// Counts the clock faults that affect the timestamp of a frame.
+    pub(crate) fn count_clock_faults(&mut self, since_ns: u64) {
+        for (index, scheduled) in self.script.faults.iter().enumerate() {
+            match scheduled.fault {
+                Fault::ClockDrift { .. } if scheduled.is_on(since_ns) => {
+                    self.counts.add(Kind::ClockDrift, 1);
                 }
                 Fault::ClockJump { at_s, .. }
-                    if nanoseconds(at_s) <= since_ns && !self.leapt.contains(&index) =>
+                    if nanoseconds(at_s) <= since_ns && !self.jumps_done.contains(&index) =>
                 {
-                    self.leapt.push(index);
-                    self.parts.add(Kind::ClockJump, 1);
+                    self.jumps_done.push(index);
+                    self.counts.add(Kind::ClockJump, 1);
                 }
                 _ => {}
             }
         }
     }
 
-    /// What the device's clock is ahead of itself, in nanoseconds: what jumps and drift came to until then.
-    pub(crate) fn clock_ahead_ns(&self, since_ns: u64) -> i64 {
-        let ahead = |windowed: &super::script::Windowed| match windowed.fault {
+    /// The device clock's offset from jumps and drift up to this time, nanoseconds; positive when it is ahead.
+    pub(crate) fn clock_offset_ns(&self, since_ns: u64) -> i64 {
+        let offset_ns = |scheduled: &super::script::ScheduledFault| match scheduled.fault {
             Fault::ClockJump { at_s, by_s } if nanoseconds(at_s) <= since_ns => by_s * 1e9,
             Fault::ClockDrift { ppm } => {
-                let lasted = since_ns.min(windowed.to_ns).saturating_sub(windowed.from_ns);
-                // As --drift-ppm: a clock that drifts by more than 0 loses.
+                let lasted = since_ns.min(scheduled.to_ns).saturating_sub(scheduled.from_ns);
+                // The sign of --drift-ppm: a clock with a positive drift loses time.
                 -(lasted as f64) * ppm * 1e-6
             }
             _ => 0.0,
         };
-        self.script.faults.iter().map(ahead).sum::<f64>().round() as i64
+        self.script.faults.iter().map(offset_ns).sum::<f64>().round() as i64
     }
 
-    /// The counter of a frame, as the device says it. `number` is the true one.
+    /// The frame counter that the device sends; `number` is the true one.
     pub(crate) fn counter(&mut self, number: u32, since_ns: u64) -> u32 {
-        for (index, windowed) in self.script.faults.iter().enumerate() {
-            match windowed.fault {
+        for (index, scheduled) in self.script.faults.iter().enumerate() {
+            match scheduled.fault {
                 Fault::CounterJump { at_s, by }
-                    if nanoseconds(at_s) <= since_ns && !self.jumped.contains(&index) =>
+                    if nanoseconds(at_s) <= since_ns && !self.jumps_done.contains(&index) =>
                 {
-                    self.jumped.push(index);
-                    self.parts.add(Kind::CounterJump, 1);
-                    self.ahead = self.ahead.wrapping_add_signed(by);
+                    self.jumps_done.push(index);
+                    self.counts.add(Kind::CounterJump, 1);
+                    self.counter_offset = self.counter_offset.wrapping_add_signed(by);
                 }
-                // The first frame has none before it to repeat.
-                Fault::CounterRepeat { rate } if number > 0 && windowed.is_on(since_ns) => {
+                // The first frame has no predecessor to repeat.
+                Fault::CounterRepeat { rate } if number > 0 && scheduled.is_on(since_ns) => {
                     let repeats = stream(&self.script, index, number.into()).unit() < rate;
-                    self.parts.add(Kind::CounterRepeat, repeats.into());
-                    self.ahead = self.ahead.wrapping_sub(u32::from(repeats));
+                    self.counts.add(Kind::CounterRepeat, repeats.into());
+                    self.counter_offset = self.counter_offset.wrapping_sub(u32::from(repeats));
                 }
                 _ => {}
             }
         }
-        number.wrapping_add(self.ahead)
+        number.wrapping_add(self.counter_offset)
     }
 
-    /// The positions of a frame.
+    /// Applies swaps and occlusions to the positions of a frame.
     pub(crate) fn positions(&mut self, since_ns: u64, row: &mut [Position]) {
-        for (index, windowed) in self.script.faults.iter().enumerate() {
-            if !windowed.is_on(since_ns) {
-                continue;
-            }
-            match windowed.fault {
+        for (index, scheduled) in self.script.active(since_ns) {
+            match scheduled.fault {
                 Fault::Swaps { every_s, for_s } => {
-                    let (time_ns, every_ns) = (since_ns - windowed.from_ns, nanoseconds(every_s));
+                    let (time_ns, every_ns) = (since_ns - scheduled.from_ns, nanoseconds(every_s));
                     if time_ns % every_ns.max(1) < nanoseconds(for_s) && row.len() > 1 {
                         let mut rng = stream(&self.script, index, time_ns / every_ns.max(1));
                         let one = rng.below(row.len());
                         let other = rng.below(row.len() - 1);
                         row.swap(one, if other >= one { other + 1 } else { other });
-                        self.parts.add(Kind::Swaps, 1);
+                        self.counts.add(Kind::Swaps, 1);
                     }
                 }
                 Fault::OcclusionStorm { part, gap_s } => {
-                    let slot = (since_ns - windowed.from_ns) / nanoseconds(gap_s).max(1);
+                    let slot = (since_ns - scheduled.from_ns) / nanoseconds(gap_s).max(1);
                     let mut rng = stream(&self.script, index, slot);
                     let mut hides = false;
                     for position in row.iter_mut() {
@@ -126,53 +127,53 @@ impl SourceFaults {
                             *position = GAP;
                         }
                     }
-                    self.parts.add(Kind::OcclusionStorm, hides.into());
+                    self.counts.add(Kind::OcclusionStorm, hides.into());
                 }
                 _ => {}
             }
         }
     }
 
-    /// Adds the markers that are not there, their ids above all others.
+    /// Appends the ghost markers; their ids follow those of the real markers.
     pub(crate) fn add_ghosts(&mut self, since_ns: u64, samples: &mut Vec<MarkerSample>) {
         let mut id = self.n_markers as u16;
         let before = samples.len();
-        for (index, windowed) in self.script.faults.iter().enumerate() {
-            let Fault::Ghosts { count } = windowed.fault else { continue };
-            let mut rng = stream(&self.script, index, since_ns / GHOST_STAYS_NS);
+        for (index, scheduled) in self.script.faults.iter().enumerate() {
+            let Fault::Ghosts { count } = scheduled.fault else { continue };
+            let mut rng = stream(&self.script, index, since_ns / GHOST_STAY_NS);
             for id in (id..).take(usize::from(count)) {
                 let mut axis = || rng.between(-GHOST_RANGE_MM, GHOST_RANGE_MM) as f32;
                 let position_mm = [axis(), axis(), axis()];
-                if rng.unit() < GHOST_PART && windowed.is_on(since_ns) {
+                if rng.unit() < GHOST_VISIBLE && scheduled.is_on(since_ns) {
                     samples.push(MarkerSample { id, position_mm, ..MarkerSample::default() });
                 }
             }
             id += count;
         }
-        self.parts.add(Kind::Ghosts, (samples.len() > before).into());
+        self.counts.add(Kind::Ghosts, (samples.len() > before).into());
     }
 
-    /// What the device says of them before the first is seen; nothing once it has.
+    /// The ghosts' entries for the marker table, once, when the first ghost fault begins; empty otherwise.
     pub(crate) fn announce_ghosts(&mut self, since_ns: u64) -> Vec<MarkerInfo> {
-        let mut ghosts = self.script.faults.iter().filter(|windowed| {
-            matches!(windowed.fault, Fault::Ghosts { .. }) && windowed.from_ns <= since_ns
+        let mut ghosts = self.script.faults.iter().filter(|scheduled| {
+            matches!(scheduled.fault, Fault::Ghosts { .. }) && scheduled.from_ns <= since_ns
         });
-        if self.told_ghosts || ghosts.next().is_none() {
+        if self.ghosts_announced || ghosts.next().is_none() {
             return Vec::new();
         }
-        self.told_ghosts = true;
+        self.ghosts_announced = true;
         let ids = (self.n_markers as u16..).take(self.script.n_ghosts());
         ids.map(|id| MarkerInfo { id, label: String::new(), labelled: false }).collect()
     }
 
-    /// The device lost its power.
-    pub(crate) fn begin_anew(&mut self) {
-        self.ahead = 0;
-        self.told_ghosts = false;
+    /// Forgets what a loss of power erases: the counter offset and the announced ghosts.
+    pub(crate) fn reset(&mut self) {
+        self.counter_offset = 0;
+        self.ghosts_announced = false;
     }
 }
 
-/// The random numbers of one fault at one place.
+/// The random numbers of one fault for one frame, message or time slot.
 pub(super) fn stream(script: &Script, fault: usize, index: u64) -> Rng {
     Rng::stream(script.seed.wrapping_add((fault as u64 + 1) << 32), index)
 }

@@ -15,7 +15,7 @@ fn parse(rest: &str) -> Result<Script, String> {
     Script::parse("a.toml", &format!("seed = 1\n{rest}")).map_err(|error| error.to_string())
 }
 
-/// The line and the words of a refusal: one line, with these facts in it.
+/// Line and message of the error for a script: the text is one line and holds these facts.
 #[track_caller]
 fn refused(script: &str, facts: &[&str]) -> (usize, String) {
     let error = Script::parse("a.toml", script).unwrap_err();
@@ -29,7 +29,7 @@ fn refused(script: &str, facts: &[&str]) -> (usize, String) {
 }
 
 #[test]
-fn what_cannot_be_meant_is_refused_with_its_line_and_what_to_write() {
+fn errors_name_the_line_and_what_to_write() {
     let flips = "[[fault]]\nkind = 'bit-flips'\n";
     let many = "[[fault]]\nkind = 'bursts'\nperiod_ms = 2\n".repeat(FAULTS_MAX + 1);
     let cases: [(&str, usize, &[&str]); 23] = [
@@ -65,7 +65,7 @@ fn what_cannot_be_meant_is_refused_with_its_line_and_what_to_write() {
     for (rest, line, facts) in cases {
         let (found, message) = refused(&format!("seed = 1\n{rest}"), facts);
         assert_eq!(found, line, "{message}");
-        assert!(messages.insert(message.clone()), "said of two mistakes: {message}");
+        assert!(messages.insert(message.clone()), "one message for two mistakes: {message}");
     }
     for (rest, line, facts) in [
         ("[[fault]]\nkind = 'gremlins'", 3, &["'gremlins'", "bit-flips, dropped-bytes"][..]),
@@ -82,15 +82,15 @@ fn what_cannot_be_meant_is_refused_with_its_line_and_what_to_write() {
     let facts = ["seed", &i64::MAX.to_string()];
     let seeds = ["'x'", "-1", "1.5"].map(|seed| refused(&format!("seed = {seed}"), &facts));
     assert!(seeds.iter().all(|(line, _)| *line == 1), "{seeds:?}");
-    assert_ne!(seeds[0], seeds[1], "a text is no number out of range");
+    assert_ne!(seeds[0], seeds[1], "a wrong type and a wrong range differ");
 }
 
-/// Every kind with all of its keys, each at its least.
+/// A script with every kind and all of its keys, each at its minimum.
 fn all_kinds() -> String {
     let mut text = String::new();
     for kind in KINDS {
         text.push_str(&format!("[[fault]]\nkind = '{}'\n", kind.name));
-        for Key { name, unit, min, .. } in kind.keys {
+        for KeySpec { name, unit, min, .. } in kind.keys {
             let value = if *unit == "bool" { "false".to_owned() } else { min.to_string() };
             text.push_str(&format!("{name} = {value}\n"));
         }
@@ -102,19 +102,19 @@ fn all_kinds() -> String {
 }
 
 #[test]
-fn every_kind_is_read_with_all_its_keys() {
+fn every_kind_parses_with_all_its_keys() {
     let script = parse(&all_kinds()).unwrap();
     assert_eq!(script.faults.len(), KINDS.len());
-    for (windowed, keys) in script.faults.iter().zip(KINDS) {
-        assert_eq!(windowed.fault.kind(), keys.kind);
+    for (scheduled, keys) in script.faults.iter().zip(KINDS) {
+        assert_eq!(scheduled.fault.kind(), keys.kind);
         let to_ns = if keys.windowed { 2_500_000_000 } else { u64::MAX };
-        assert_eq!(windowed.to_ns, to_ns);
+        assert_eq!(scheduled.to_ns, to_ns);
     }
 }
 
-/// The page has a row for every key, with its unit and its range.
+/// docs/faults.md has a row for every key, with its unit and its range.
 #[test]
-fn the_page_says_what_the_program_reads() {
+fn the_document_lists_every_key() {
     let page = std::fs::read_to_string(DOCUMENT).unwrap();
     let rows: Vec<Vec<&str>> = page
         .lines()
@@ -141,12 +141,12 @@ fn the_page_says_what_the_program_reads() {
             assert_eq!(row[4].ends_with("if left out"), key.optional, "{row:?}");
         }
     }
-    assert_eq!(rows.next(), None, "a row for a key that is none");
+    assert_eq!(rows.next(), None, "a row for a key that does not exist");
 }
 
-/// A device with faults in virtual time, and a host at the other end that takes `chunk` bytes at a time. Pings come
-/// every `ping_ns`. Gives the fates, and the numbers of the frames that came through.
-fn played(script: &Script, chunk: usize, ping_ns: u64) -> (Vec<FrameFate>, Vec<u32>) {
+/// Plays a device with faults in virtual time to a host that takes `chunk` bytes at a time and pings every `ping_ns`.
+/// Returns the fates, and the counters of the frames that the host decoded.
+fn play(script: &Script, chunk: usize, ping_ns: u64) -> (Vec<FrameFate>, Vec<u32>) {
     let script = Arc::new(script.clone());
     let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
     let settings =
@@ -187,24 +187,24 @@ fn played(script: &Script, chunk: usize, ping_ns: u64) -> (Vec<FrameFate>, Vec<u
 }
 
 #[test]
-fn a_script_hits_the_same_frames_however_the_line_takes_them() {
+fn chunk_size_does_not_change_which_frames_are_hit() {
     for name in ["lost-frames", "late-frames", "doubled-frames", "bit-flips", "occlusion-storm"] {
         let text = std::fs::read_to_string(format!("{SHIPPED}/{name}.toml")).unwrap();
         let script = Script::parse(name, &text).unwrap();
         let hit = |(fates, _): &(Vec<FrameFate>, _)| -> Vec<_> {
             fates.iter().map(|f| (f.frame.seq, f.frame.present, f.fate, f.again)).collect()
         };
-        let one = played(&script, usize::MAX, u64::MAX);
+        let one = play(&script, usize::MAX, u64::MAX);
         assert_eq!(one.0.len(), 480);
-        assert_eq!(hit(&one), hit(&played(&script, 7, u64::MAX)), "{name}");
+        assert_eq!(hit(&one), hit(&play(&script, 7, u64::MAX)), "{name}");
         let other = Script { seed: script.seed + 100, ..script };
-        assert_ne!(hit(&one), hit(&played(&other, usize::MAX, u64::MAX)), "{name}");
+        assert_ne!(hit(&one), hit(&play(&other, usize::MAX, u64::MAX)), "{name}");
     }
 }
 
-/// The account against a receiver that decodes what left: they share no code but the envelope.
+/// The fates against a receiver that decodes the damaged bytes; the two share no code but the framing.
 #[test]
-fn the_account_is_what_a_receiver_finds() {
+fn fates_agree_with_a_receiver() {
     let mut hit = 0;
     for seed in 0..20 {
         let script = parse(&format!(
@@ -217,13 +217,13 @@ fn the_account_is_what_a_receiver_finds() {
             1 + seed * 3
         ));
         let script = Script { seed, ..script.unwrap() };
-        let (fates, mut seqs) = played(&script, 100, 3_000_000);
-        let mut accounted: Vec<u32> = Vec::new();
+        let (fates, mut seqs) = play(&script, 100, 3_000_000);
+        let mut expected: Vec<u32> = Vec::new();
         for fate in &fates {
             let times = u32::from(matches!(fate.fate, Fate::Whole | Fate::Late)) + fate.again;
-            accounted.extend(std::iter::repeat_n(fate.frame.seq, times as usize));
+            expected.extend(std::iter::repeat_n(fate.frame.seq, times as usize));
         }
-        // In order: those that are whole and not late.
+        // Whole frames that are not late arrive in order.
         let mut last = None;
         for (seq, fate) in fates.iter().filter(|f| f.fate == Fate::Whole).map(|f| (f.frame.seq, f))
         {
@@ -231,7 +231,7 @@ fn the_account_is_what_a_receiver_finds() {
             last = Some(seq);
         }
         seqs.sort_unstable();
-        assert_eq!(seqs, accounted, "seed {seed}");
+        assert_eq!(seqs, expected, "seed {seed}");
         assert_eq!(fates.len(), 480);
         let damaged = fates.iter().filter(|f| f.fate == Fate::Damaged);
         hit += damaged.clone().count();
@@ -240,9 +240,9 @@ fn the_account_is_what_a_receiver_finds() {
     assert!(hit > 1000, "{hit} damaged frames");
 }
 
-/// What harms no frame is counted as well.
+/// Totals also count faults that harm no frame.
 #[test]
-fn the_totals_say_what_each_kind_did() {
+fn totals_count_what_each_kind_did() {
     for (name, kinds) in [
         ("lying-counter", &[(Kind::CounterJump, Some(3)), (Kind::CounterRepeat, None)][..]),
         ("clock-back", &[(Kind::ClockJump, Some(1))]),
@@ -255,11 +255,11 @@ fn the_totals_say_what_each_kind_did() {
         let text = std::fs::read_to_string(format!("{SHIPPED}/{name}.toml")).unwrap();
         let script = Script::parse(name, &text).unwrap();
         let totals = totals(&script);
-        let words = totals.words();
+        let summary = totals.summary();
         for (kind, times) in kinds {
-            let did = totals.parts.of(*kind);
-            assert!(did > 0 && times.is_none_or(|times| did == times), "{name}: {did}: {words}");
-            assert!(words.contains(KINDS[*kind as usize].name), "{name}: {words}");
+            let did = totals.counts.of(*kind);
+            assert!(did > 0 && times.is_none_or(|times| did == times), "{name}: {did}: {summary}");
+            assert!(summary.contains(KINDS[*kind as usize].name), "{name}: {summary}");
         }
         if name != "swaps-and-ghosts" {
             assert_eq!((totals.of(Fate::Damaged), totals.of(Fate::Lost)), (0, 0), "{name}");

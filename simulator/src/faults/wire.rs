@@ -1,85 +1,85 @@
-//! What goes wrong with bytes on their way: messages in, damaged bytes out.
+//! Faults on the wire: messages in, damaged bytes out.
 //!
-//! A frame's damage is a function of the script and of its number, and that of other messages of theirs: pings come when
-//! the host likes, and do not change what happens to frames. Only a 0x00 that is hit joins a message to whichever comes
-//! behind it.
+//! A frame's damage is a function of the script and the frame's number; other messages are numbered separately, so the
+//! timing of pings does not change what happens to frames. The one exception: a damaged 0x00 joins its message to the
+//! one that follows.
 
 use std::sync::Arc;
 
 use mocapd_drivers::device::{DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
 
-use super::account::Account;
+use super::fates::FateTracker;
 use super::kinds::{Fault, Kind, Kinds};
 use super::script::Script;
 use super::source::stream;
-use crate::device::{Parts, SentFrame};
+use crate::device::{FaultCounts, SentFrame};
 
-/// Damaged bytes that wait for the line before no more are asked of the device: a pty of the kernel holds as many.
+/// With this many damaged bytes waiting for the line, no more are taken from the device: as many as a kernel pty holds.
 const OUT_BYTES_MAX: usize = 64 << 10;
 
-/// Copies of a frame have streams of random numbers of their own.
-const COPIES: u64 = 4;
+/// Most copies of one frame; each copy has its own stream of random numbers.
+const COPIES_MAX: u64 = 4;
 
-/// What is no frame has its streams behind those of all frames.
-const OTHERS: u64 = 1 << 40;
+/// First random stream of messages that are not frames: above the streams of all frames.
+const OTHER_STREAMS: u64 = 1 << 40;
 
-/// What becomes of a byte that is hit, and of a bit of it.
+/// Appends what becomes of a hit byte; the second argument selects a bit.
 type Damage = fn(u8, usize, &mut Vec<u8>);
 
-/// A message that is held back.
+/// A frame that is held back.
 #[derive(Debug)]
-struct Held {
-    /// How many frames go first.
+struct LateFrame {
+    /// How many frames go before it.
     frames_left: u32,
     number: u64,
     bytes: Vec<u8>,
 }
 
-/// The line, as far as it damages what it carries.
+/// The faults of a script that act on encoded messages.
 #[derive(Debug)]
-pub(super) struct Wire {
+pub(super) struct WireFaults {
     script: Arc<Script>,
-    pub(super) account: Account,
-    /// A host without faults: it tells what a message is.
+    pub(super) fates: FateTracker,
+    /// An undamaged decoder, to tell the kinds of messages apart.
     reader: HostLink,
-    late: Vec<Held>,
-    /// What the line should carry next.
+    late: Vec<LateFrame>,
+    /// Bytes for the line.
     pub(super) out: Vec<u8>,
-    others: u64,
-    greetings: u64,
-    /// The time of the last frame since the first Start: what is no frame has none of its own.
+    n_others: u64,
+    n_greetings: u64,
+    /// Time of the last frame since the first Start, which also stands for messages without a time of their own.
     since_ns: Option<u64>,
-    /// The faults that hit the 0x00 before the next message.
-    spoilt: Kinds,
+    /// Kinds that destroyed the 0x00 of the last message, which now runs into the next one.
+    unterminated: Kinds,
     scratch: Vec<u8>,
-    /// Beside those that frames were touched by.
-    pub(super) parts: Parts,
+    /// Counts beyond those that follow from the frames' fates.
+    pub(super) counts: FaultCounts,
 }
 
-/// What a message is, as far as it matters here.
+/// The kinds of messages that faults distinguish.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Message {
+enum MessageKind {
     Frame,
     Hello,
     End,
     Other,
 }
 
-impl Wire {
+impl WireFaults {
     pub(super) fn new(script: Arc<Script>) -> Self {
         Self {
             script,
-            account: Account::default(),
+            fates: FateTracker::default(),
             reader: HostLink::new(),
             late: Vec::new(),
             out: Vec::new(),
-            others: 0,
-            greetings: 0,
+            n_others: 0,
+            n_greetings: 0,
             since_ns: None,
-            spoilt: Kinds::default(),
+            unterminated: Kinds::default(),
             scratch: Vec::new(),
-            parts: Parts::default(),
+            counts: FaultCounts::default(),
         }
     }
 
@@ -87,52 +87,52 @@ impl Wire {
         self.out.len() < OUT_BYTES_MAX
     }
 
-    /// Whether every message that came in went out.
+    /// Whether no message is left to send.
     pub(super) fn is_empty(&self) -> bool {
         self.out.is_empty() && self.late.is_empty()
     }
 
-    /// The line took so many bytes.
+    /// The line took the first `n` bytes.
     pub(super) fn sent(&mut self, n: usize) {
         let n = n.min(self.out.len());
-        self.account.taken(self.out.get(..n).unwrap_or_default());
+        self.fates.taken(self.out.get(..n).unwrap_or_default());
         self.out.drain(..n);
     }
 
-    /// What is on its way is gone.
+    /// Discards everything in flight, because of a fault of this kind.
     pub(super) fn cut(&mut self, kind: Kind) {
         self.out.clear();
         self.late.clear();
-        self.spoilt = Kinds::default();
-        self.account.cut(kind);
+        self.unterminated = Kinds::default();
+        self.fates.cut(kind);
     }
 
-    /// One message of the device, with its 0x00. `since` gives a frame's time since the first Start.
+    /// Takes one message of the device, with its 0x00. `since` gives a frame's time since the first Start, nanoseconds.
     pub(super) fn message(&mut self, bytes: &[u8], since: impl FnOnce(&SentFrame) -> u64) {
-        let mut message = Message::Other;
+        let mut message = MessageKind::Other;
         self.reader.push(bytes, &mut |event| {
             message = match event {
-                DeviceEvent::Frame(_) => Message::Frame,
-                DeviceEvent::Hello(_) => Message::Hello,
-                DeviceEvent::EndOfStream(_) => Message::End,
-                _ => Message::Other,
+                DeviceEvent::Frame(_) => MessageKind::Frame,
+                DeviceEvent::Hello(_) => MessageKind::Hello,
+                DeviceEvent::EndOfStream(_) => MessageKind::End,
+                _ => MessageKind::Other,
             };
         });
         match message {
-            Message::Frame => {
-                if let Some((number, frame)) = self.account.handed_over(bytes) {
+            MessageKind::Frame => {
+                if let Some((number, frame)) = self.fates.handed_over(bytes) {
                     self.since_ns = Some(since(&frame));
                     self.frame(number, bytes);
                     return;
                 }
             }
-            Message::Hello => self.garbage(),
-            // No frame comes after it.
-            Message::End => self.release(u32::MAX),
-            Message::Other => {}
+            MessageKind::Hello => self.garbage(),
+            // The last frame is out: no more follow for late ones to wait for.
+            MessageKind::End => self.release(u32::MAX),
+            MessageKind::Other => {}
         }
-        self.others += 1;
-        self.put(bytes, OTHERS + self.others, None);
+        self.n_others += 1;
+        self.put(bytes, OTHER_STREAMS + self.n_others, None);
     }
 
     fn frame(&mut self, number: u64, bytes: &[u8]) {
@@ -140,65 +140,62 @@ impl Wire {
         let script = Arc::clone(&self.script);
         let mut copies = 1;
         let mut late = None;
-        for (index, windowed) in script.faults.iter().enumerate() {
-            if !windowed.is_on(since_ns) {
-                continue;
-            }
+        for (index, scheduled) in script.active(since_ns) {
             let hits = |number, rate| stream(&script, index, number).unit() < rate;
-            match windowed.fault {
+            match scheduled.fault {
                 Fault::LostFrames { rate, run }
                     if (number.saturating_sub(run - 1)..=number).any(|n| hits(n, rate)) =>
                 {
-                    self.account.lost(number, Kind::LostFrames);
+                    self.fates.lost(number, Kind::LostFrames);
                     copies = 0;
                 }
                 Fault::DoubledFrames { rate } if hits(number, rate) => {
                     copies *= 2;
-                    self.parts.add(Kind::DoubledFrames, u64::from(copies > 0));
+                    self.counts.add(Kind::DoubledFrames, u64::from(copies > 0));
                 }
-                Fault::Bursts { .. } => self.parts.add(Kind::Bursts, 1),
+                Fault::Bursts { .. } => self.counts.add(Kind::Bursts, 1),
                 Fault::LateFrames { rate, by } if hits(number, rate) => late = Some(by),
                 _ => {}
             }
         }
-        let copies = copies.min(COPIES);
+        let copies = copies.min(COPIES_MAX);
         match late {
             Some(frames_left) if copies > 0 => {
-                self.account.touch(number, Kinds::of(Kind::LateFrames));
-                // One more than it is late by: this frame itself is counted below.
+                self.fates.touch(number, Kinds::of(Kind::LateFrames));
+                // One more than it is late by, because the release below counts this frame itself.
                 let frames_left = frames_left + 1;
-                self.late.push(Held { frames_left, number, bytes: bytes.to_vec() });
+                self.late.push(LateFrame { frames_left, number, bytes: bytes.to_vec() });
             }
             _ => {
                 for copy in 0..copies {
-                    self.put(bytes, number * COPIES + copy, Some(number));
+                    self.put(bytes, number * COPIES_MAX + copy, Some(number));
                 }
             }
         }
         self.release(1);
     }
 
-    /// So many frames went by, or will never.
+    /// Counts `frames` as passed, and sends the late frames that are due.
     fn release(&mut self, frames: u32) {
-        for held in &mut self.late {
-            held.frames_left = held.frames_left.saturating_sub(frames);
+        for frame in &mut self.late {
+            frame.frames_left = frame.frames_left.saturating_sub(frames);
         }
-        while let Some(due) = self.late.iter().position(|held| held.frames_left == 0) {
-            let Held { number, bytes, .. } = self.late.remove(due);
-            self.put(&bytes, number * COPIES, Some(number));
+        while let Some(due) = self.late.iter().position(|frame| frame.frames_left == 0) {
+            let LateFrame { number, bytes, .. } = self.late.remove(due);
+            self.put(&bytes, number * COPIES_MAX, Some(number));
         }
     }
 
     fn garbage(&mut self) {
-        self.greetings += 1;
+        self.n_greetings += 1;
         let script = Arc::clone(&self.script);
-        for (index, windowed) in script.faults.iter().enumerate() {
-            match windowed.fault {
-                Fault::Garbage { bytes, times } if self.greetings <= times => {
-                    let mut rng = stream(&script, index, self.greetings);
+        for (index, scheduled) in script.faults.iter().enumerate() {
+            match scheduled.fault {
+                Fault::Garbage { bytes, times } if self.n_greetings <= times => {
+                    let mut rng = stream(&script, index, self.n_greetings);
                     let garbage: Vec<u8> = (0..bytes).map(|_| rng.next_u64() as u8).collect();
-                    self.account.put(garbage.len(), None);
-                    self.parts.add(Kind::Garbage, 1);
+                    self.fates.queued(garbage.len(), None);
+                    self.counts.add(Kind::Garbage, 1);
                     self.out.extend(garbage);
                 }
                 _ => {}
@@ -206,18 +203,17 @@ impl Wire {
         }
     }
 
-    /// A message to the line, as it is when the faults are through with it.
+    /// Damages a message as the script says, and queues it for the line.
     fn put(&mut self, bytes: &[u8], stream_index: u64, number: Option<u64>) {
-        let mut touched = std::mem::take(&mut self.spoilt);
+        let mut touched = std::mem::take(&mut self.unterminated);
         let script = Arc::clone(&self.script);
         let mut now = std::mem::take(&mut self.scratch);
         now.clear();
         now.extend_from_slice(bytes);
-        // Until the first frame nothing is late enough to be hit.
+        // Windowed faults hit nothing before the first frame.
         let since_ns = self.since_ns.unwrap_or(u64::MAX);
-        let faults = script.faults.iter().enumerate().filter(|(_, w)| w.is_on(since_ns));
-        for (index, windowed) in faults {
-            let (rate, how): (f64, Damage) = match windowed.fault {
+        for (index, scheduled) in script.active(since_ns) {
+            let (rate, damage): (f64, Damage) = match scheduled.fault {
                 Fault::BitFlips { rate } => (rate, |byte, bit, out| out.push(byte ^ 1 << bit)),
                 Fault::DroppedBytes { rate } => (rate, |_, _, _| {}),
                 Fault::DoubledBytes { rate } => (rate, |byte, _, out| out.extend([byte; 2])),
@@ -227,21 +223,21 @@ impl Wire {
             let before = std::mem::take(&mut now);
             for byte in before {
                 if rng.unit() < rate {
-                    how(byte, rng.below(8), &mut now);
-                    touched.add(Kinds::of(windowed.fault.kind()));
+                    damage(byte, rng.below(8), &mut now);
+                    touched.add(Kinds::of(scheduled.fault.kind()));
                 } else {
                     now.push(byte);
                 }
             }
         }
         if now.last() != Some(&0) {
-            // It is not closed, and takes what comes next with it.
-            self.spoilt = touched;
+            // Its terminator is gone: it runs into the next message.
+            self.unterminated = touched;
         }
         if let Some(number) = number {
-            self.account.touch(number, touched);
+            self.fates.touch(number, touched);
         }
-        self.account.put(now.len(), number);
+        self.fates.queued(now.len(), number);
         self.out.extend_from_slice(&now);
         self.scratch = now;
     }

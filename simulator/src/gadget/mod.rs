@@ -1,8 +1,9 @@
-//! A USB device on a machine that can be one: a Raspberry Pi Zero beside the rig, or `dummy_hcd`.
+//! The simulator as a USB device (gadget), on a machine with a USB device controller: a Raspberry Pi Zero beside the
+//! rig, or any Linux machine with `dummy_hcd`.
 //!
-//! Linux gives a program its own device through configfs and `FunctionFS`, which the usb-gadget crate drives.
-//! [`Bulk`] is the device of `docs/link-protocol.md` section 6: one vendor interface with a bulk pair. [`Serial`] is a
-//! CDC-ACM port.
+//! Linux programs define USB devices through configfs and `FunctionFS`, which the usb-gadget crate drives. [`Bulk`]
+//! is the device of `docs/link-protocol.md` section 6, one vendor interface with a pair of bulk endpoints. [`Serial`]
+//! is a CDC-ACM port.
 
 use std::io::{self, ErrorKind};
 use std::path::Path;
@@ -16,29 +17,29 @@ use usb_gadget::{Class, Config, Gadget, Id, RegGadget, Strings, Udc, registered,
 mod bulk;
 mod serial;
 
-/// The vendor of pid.codes, whose products 0001 to 0010 anybody may use for tests.
+/// The vendor id of pid.codes, whose product ids 0001 to 0010 are free to use for tests.
 pub const VENDOR_ID: u16 = 0x1209;
 
-/// The product that is a bulk pair.
+/// Product id of the device with bulk endpoints.
 pub const BULK_PRODUCT_ID: u16 = 0x0001;
 
-/// The product that is a serial port.
+/// Product id of the serial port.
 pub const SERIAL_PRODUCT_ID: u16 = 0x0002;
 
-/// What the strings say; udev makes names of both.
+/// String descriptors; udev builds device names from both.
 const MANUFACTURER: &str = "mocapd";
 const PRODUCT: &str = "mocapd-sim";
 
-/// Which device to be, and where.
+/// Serial number and controller of a gadget.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GadgetSettings {
     /// The serial number in its descriptors: 1 to 32 letters, digits, `-`, `_` and `.`.
     pub serial: String,
-    /// The controller's name in `/sys/class/udc`; `None` for the first that is free.
+    /// The controller's name in `/sys/class/udc`; `None` for the first free one.
     pub controller: Option<String>,
 }
 
-/// A gadget in configfs, bound to its controller. Dropping it unplugs it and takes it away.
+/// Creates a gadget in configfs and binds it to its controller. Dropping it unplugs and removes it.
 fn plug_in(
     settings: &GadgetSettings,
     product_id: u16,
@@ -55,7 +56,7 @@ fn plug_in(
     let mut gadget = Gadget::new(Class::INTERFACE_SPECIFIC, id, strings)
         .with_config(Config::new("mocapd link").with_function(function));
     gadget.name = Some(gadget_name());
-    let made = gadget.register().map_err(GadgetError::making)?;
+    let made = gadget.register().map_err(GadgetError::from_io)?;
     made.bind(Some(&controller)).map_err(|source| {
         let controller = controller.name().to_string_lossy().into_owned();
         GadgetError::Bind { controller, source }
@@ -63,10 +64,10 @@ fn plug_in(
     Ok(made)
 }
 
-/// How gadgets of ours are called in configfs, before the process that made them.
-const NAME: &str = "mocapd-sim-";
+/// Prefix of the simulator's gadgets in configfs; the process id follows.
+const NAME_PREFIX: &str = "mocapd-sim-";
 
-/// The controller of that name, or the first that is free, by name.
+/// The controller of this name, or the first free one in order of names.
 fn free_controller(wanted: Option<&str>) -> Result<Udc, GadgetError> {
     let mut all = udcs().unwrap_or_default();
     if all.is_empty() {
@@ -87,98 +88,96 @@ fn free_controller(wanted: Option<&str>) -> Result<Udc, GadgetError> {
     free.ok_or(GadgetError::ControllerBusy { found })
 }
 
-/// A name for a gadget of this process.
+/// A new name for a gadget of this process.
 fn gadget_name() -> String {
     static MADE: AtomicU32 = AtomicU32::new(0);
-    format!("{NAME}{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed))
+    format!("{NAME_PREFIX}{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed))
 }
 
-/// A simulator that was killed could not take its gadget away.
+/// Removes the gadgets of simulators that were killed.
 fn remove_leftovers() {
     for gadget in registered().unwrap_or_default() {
         let name = gadget.name().to_string_lossy().into_owned();
-        let process = name.strip_prefix(NAME).and_then(|rest| rest.split('-').next());
+        let process = name.strip_prefix(NAME_PREFIX).and_then(|rest| rest.split('-').next());
         let is_left = process.is_some_and(|process| !Path::new("/proc").join(process).exists());
         if is_left && gadget.remove().is_err() {
-            // Then its controller counts as taken, and the error says so.
+            // Its controller then counts as busy, which the error reports.
         }
     }
 }
 
-/// What can go wrong with a gadget.
+/// Errors of a USB gadget.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GadgetError {
-    /// The machine cannot be a USB device.
+    /// The machine has no USB device controller.
     #[error(
         "this machine has no USB device controller: use one that has, such as a Raspberry Pi Zero \
-         (docs/hardware-in-the-loop.md), or load a made-up one with `sudo modprobe dummy_hcd`"
+         (docs/hardware-in-the-loop.md), or load a virtual one with `sudo modprobe dummy_hcd`"
     )]
     NoController,
-    /// All of them are taken, or the one asked for is.
+    /// The requested controller, or every controller, is busy.
     #[error(
         "no USB device controller is free ({found}): stop the other gadget, or name another one with --udc"
     )]
     ControllerBusy {
-        /// Their names.
+        /// Names of the controllers.
         found: String,
     },
-    /// There is none of that name.
+    /// No controller has the requested name.
     #[error("no USB device controller is called '{name}': this machine has {found}")]
     NoSuchController {
-        /// As it was given.
+        /// The requested name.
         name: String,
-        /// Their names.
+        /// Names of the controllers.
         found: String,
     },
-    /// Not a name.
-    #[error("'{found}' is no serial number: give 1 to 32 letters, digits, '-', '_' or '.'")]
+    /// The serial number is malformed.
+    #[error("bad serial number '{found}': expected 1 to 32 letters, digits, '-', '_' or '.'")]
     SerialNumber {
-        /// As it was given.
+        /// The serial number.
         found: String,
     },
     /// configfs belongs to root.
-    #[error("only root may make a USB gadget: run it with sudo")]
+    #[error("creating a USB gadget needs root: run it with sudo")]
     NotRoot,
-    /// A kernel's part is not there.
-    #[error("the kernel's USB gadget parts are not there: type `{remedy}`")]
-    NotThere {
-        /// What to type.
+    /// A kernel module or file system is missing.
+    #[error("the kernel's USB gadget support is not loaded: run `{remedy}`")]
+    NoSupport {
+        /// The command to run.
         remedy: &'static str,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// The kernel did not take the gadget.
-    #[error("making the USB gadget failed")]
+    /// The kernel refused the gadget.
+    #[error("cannot create the USB gadget")]
     Make(#[source] io::Error),
-    /// The controller did not take the gadget.
-    #[error("the USB device controller {controller} does not take the gadget")]
+    /// The controller refused the gadget.
+    #[error("the USB device controller {controller} refused the gadget")]
     Bind {
-        /// Its name.
+        /// Name of the controller.
         controller: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
 
 impl GadgetError {
-    /// Why configfs or `FunctionFS` did not do what was asked.
-    pub(super) fn making(source: io::Error) -> Self {
-        let says = |part: &str| source.to_string().contains(part);
+    /// The error for a failure of configfs or `FunctionFS`, with its remedy if known.
+    pub(super) fn from_io(source: io::Error) -> Self {
+        let nodev = source.raw_os_error() == Some(rustix::io::Errno::NODEV.raw_os_error());
+        let mentions = |part: &str| source.to_string().contains(part);
         let remedy = match source.kind() {
             ErrorKind::PermissionDenied => return Self::NotRoot,
-            ErrorKind::NotFound if says("configfs is not mounted") => {
+            ErrorKind::NotFound if mentions("configfs is not mounted") => {
                 "sudo mount -t configfs none /sys/kernel/config"
             }
-            ErrorKind::NotFound if says("usb_gadget") => "sudo modprobe libcomposite",
-            // A function that no module knows, or a file system that no module knows.
-            ErrorKind::NotFound => "sudo modprobe -a usb_f_fs usb_f_acm",
-            _ if source.raw_os_error() == Some(rustix::io::Errno::NODEV.raw_os_error()) => {
-                "sudo modprobe -a usb_f_fs usb_f_acm"
-            }
+            ErrorKind::NotFound if mentions("usb_gadget") => "sudo modprobe libcomposite",
+            // The module of a function or of a file system is missing.
+            kind if kind == ErrorKind::NotFound || nodev => "sudo modprobe -a usb_f_fs usb_f_acm",
             _ => return Self::Make(source),
         };
-        Self::NotThere { remedy, source }
+        Self::NoSupport { remedy, source }
     }
 }
 
@@ -188,19 +187,20 @@ mod tests {
 
     #[test]
     fn each_missing_part_has_its_command() {
-        let making = |kind, text| GadgetError::making(io::Error::new(kind, text));
+        let from_io = |kind, text| GadgetError::from_io(io::Error::new(kind, text));
         let command = |error: GadgetError| match &error {
-            GadgetError::NotThere { remedy, .. } if error.to_string().contains(remedy) => *remedy,
+            GadgetError::NoSupport { remedy, .. } if error.to_string().contains(remedy) => *remedy,
             _ => panic!("{error:?}"),
         };
-        let no_mount = making(ErrorKind::NotFound, "configfs is not mounted");
+        let no_mount = from_io(ErrorKind::NotFound, "configfs is not mounted");
         assert!(command(no_mount).starts_with("sudo mount -t configfs "));
-        let no_module = making(ErrorKind::NotFound, "usb_gadget not found in configfs");
+        let no_module = from_io(ErrorKind::NotFound, "usb_gadget not found in configfs");
         assert_eq!(command(no_module), "sudo modprobe libcomposite");
-        let no_permission = making(ErrorKind::PermissionDenied, "");
+        let no_permission = from_io(ErrorKind::PermissionDenied, "");
         assert!(matches!(no_permission, GadgetError::NotRoot), "{no_permission:?}");
-        let no_filesystem = GadgetError::making(io::Error::from_raw_os_error(19));
+        let no_filesystem = GadgetError::from_io(io::Error::from_raw_os_error(19));
         assert_eq!(command(no_filesystem), "sudo modprobe -a usb_f_fs usb_f_acm");
-        assert!(matches!(GadgetError::making(ErrorKind::OutOfMemory.into()), GadgetError::Make(_)));
+        let other = GadgetError::from_io(ErrorKind::OutOfMemory.into());
+        assert!(matches!(other, GadgetError::Make(_)));
     }
 }

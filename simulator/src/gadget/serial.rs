@@ -1,4 +1,4 @@
-//! A serial port: to the host it is `/dev/ttyACM0`, to us `/dev/ttyGS0`.
+//! A serial port as a USB gadget: the host sees `/dev/ttyACM0`, the simulator uses `/dev/ttyGS0`.
 
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -15,9 +15,9 @@ use super::{GadgetError, GadgetSettings, MANUFACTURER, PRODUCT, SERIAL_PRODUCT_I
 use crate::line::Line;
 use crate::pty::{or_nothing, wait_readable};
 
-/// No call says what the host has not read yet. The kernel keeps 8 KiB, which full speed carries in 10 ms: after
-/// this long the host either has it or does not read.
-const UNREAD: Duration = Duration::from_millis(250);
+/// No call tells how much the host has not read yet. The kernel buffers 8 KiB, which full speed carries in 10 ms: after
+/// this time the host either has it or does not read.
+const UNREAD_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// The device's end of a CDC-ACM port.
 #[derive(Debug)]
@@ -32,10 +32,10 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Plugs it in.
+    /// Creates the gadget and plugs it in.
     ///
     /// # Errors
-    /// When this machine cannot be a USB device, or not now.
+    /// When this machine has no free USB device controller, lacks kernel support, or the process lacks rights.
     pub fn plug_in(settings: &GadgetSettings) -> Result<Self, GadgetError> {
         let (function, handle) = Function::new(SerialClass::Acm);
         let plugged = plug_in(settings, SERIAL_PRODUCT_ID, handle)?;
@@ -50,14 +50,14 @@ impl Serial {
         })
     }
 
-    /// Where a host with udev finds it.
+    /// The path under which a host with udev finds it.
     #[must_use]
     pub fn host_path(&self) -> PathBuf {
         format!("/dev/serial/by-id/usb-{MANUFACTURER}_{PRODUCT}_{}-if00", self.serial).into()
     }
 
-    /// After the cable was pulled the port is hung up, and must be opened anew.
-    fn is_hung_up(&mut self, outcome: io::Result<usize>, may_be_empty: bool) -> io::Result<usize> {
+    /// Closes a port that has hung up because the cable was pulled; it must be reopened.
+    fn on_hang_up(&mut self, outcome: io::Result<usize>, may_be_empty: bool) -> io::Result<usize> {
         match outcome {
             Ok(0) if may_be_empty => Ok(0),
             Ok(0) | Err(_) => {
@@ -87,14 +87,14 @@ impl Line for Serial {
         let Some(fd) = &self.open else { return Ok(0) };
         let outcome = or_nothing(rustix::io::write(fd, bytes));
         self.written = Instant::now();
-        self.is_hung_up(outcome, true)
+        self.on_hang_up(outcome, true)
     }
 
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let Some(fd) = &self.open else { return Ok(0) };
         match rustix::io::read(fd, buffer) {
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-            outcome => self.is_hung_up(outcome.map_err(Into::into), false),
+            outcome => self.on_hang_up(outcome.map_err(Into::into), false),
         }
     }
 
@@ -108,18 +108,18 @@ impl Line for Serial {
         }
     }
 
-    /// A port that cannot take more is not waited for by reading.
+    /// Just sleeps: waiting for input would return at once.
     fn wait_for_room(&mut self, at_most: Duration) -> io::Result<bool> {
         std::thread::sleep(at_most);
         Ok(true)
     }
 
     fn unread(&mut self) -> io::Result<u64> {
-        // A port that has hung up holds nothing for anybody.
-        Ok(u64::from(self.open.is_some() && self.written.elapsed() < UNREAD))
+        // A port that has hung up holds no bytes.
+        Ok(u64::from(self.open.is_some() && self.written.elapsed() < UNREAD_TIMEOUT))
     }
 
-    fn tend(&mut self) -> io::Result<()> {
+    fn maintain(&mut self) -> io::Result<()> {
         if self.open.is_none() {
             self.open = open(&self.port).ok();
         }

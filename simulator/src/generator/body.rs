@@ -1,9 +1,9 @@
-//! A body of rigid segments: from a pose to the 15 sites, and to further markers in rigid clusters on the segments.
+//! A body of rigid segments: computes the 15 sites of a pose, and further markers in rigid clusters on the segments.
 
 use super::geometry::{V3, add, cross, dot, norm, offset, scale, sin_cos, sub, unit};
 use super::rng::Rng;
 
-/// The sites of Shi et al. 2012, in the order of the first 15 columns.
+/// The marker sites of Shi et al. 2012, in the order of the first 15 columns.
 pub const SITES: [&str; 15] = [
     "head",
     "throat",
@@ -22,7 +22,7 @@ pub const SITES: [&str; 15] = [
     "r_ankle",
 ];
 
-/// Which sites are joined by a rigid bone, as indices into [`SITES`].
+/// Pairs of sites joined by a rigid bone, as indices into [`SITES`].
 pub const BONES: [(usize, usize); 14] = [
     (2, 1),
     (1, 0),
@@ -55,10 +55,10 @@ pub(super) struct Body {
     half_shoulders: f64,
     upper_arm: f64,
     forearm: f64,
-    /// Hip line to the throat, which is taken half way between the shoulder line and the chin.
+    /// Hip line to throat; the throat is half way between shoulder line and chin.
     trunk: f64,
     shoulder_drop: f64,
-    /// Throat to the middle of the head, at the height of the eyes.
+    /// Throat to the middle of the head at eye level.
     head: f64,
 }
 
@@ -70,21 +70,21 @@ pub(super) struct Arm {
     pub(super) abduction: f64,
 }
 
-/// What the body does at one time, in the room's axes.
+/// Pose of the body at one time, in the axes of the capture volume.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pose {
     /// Middle of the hip line.
     pub(super) pelvis: V3,
-    /// Cosine and sine of where the body faces, from +x towards +y.
+    /// Cosine and sine of the heading, from +x towards +y.
     pub(super) facing: [f64; 2],
-    /// Forward lean of the trunk and further nod of the head, radians.
+    /// Forward lean of the trunk, and pitch of the head relative to it, radians.
     pub(super) lean: f64,
-    pub(super) nod: f64,
+    pub(super) head_pitch: f64,
     /// Shoulder line against hip line about the vertical, radians.
     pub(super) twist: f64,
     /// Left, right.
     pub(super) arms: [Arm; 2],
-    /// Left, right: where the ankles should be.
+    /// Left, right: target positions of the ankles.
     pub(super) ankles: [V3; 2],
 }
 
@@ -107,12 +107,12 @@ impl Body {
         }
     }
 
-    /// Hip to ankle with a straight knee.
+    /// Hip to ankle with a straight knee, metres.
     pub(super) fn leg(&self) -> f64 {
         self.thigh + self.shank
     }
 
-    /// The 15 sites of a pose, in the order of [`SITES`], and the two lateral axes (hips, shoulders) to the left.
+    /// The 15 sites of a pose, in the order of [`SITES`], and the lateral axes of hips and shoulders, to the left.
     pub(super) fn place(&self, pose: &Pose) -> ([V3; 15], [V3; 2]) {
         let [cos_yaw, sin_yaw] = pose.facing;
         let up = [0.0, 0.0, 1.0];
@@ -123,12 +123,12 @@ impl Body {
             offset([0.0; 3], [forward, left, up], [s, 0.0, c])
         };
         let spine = lean(pose.lean);
-        // The chest turns about the spine, so that it stays square to it.
+        // The chest turns about the spine, so its axes stay perpendicular to it.
         let (sin_twist, cos_twist) = sin_cos(pose.twist);
         let front = cross(left, spine);
         let chest_left = offset([0.0; 3], [left, front, up], [cos_twist, -sin_twist, 0.0]);
         let throat = add(pose.pelvis, scale(spine, self.trunk));
-        let head = add(throat, scale(lean(pose.lean + pose.nod), self.head));
+        let head = add(throat, scale(lean(pose.lean + pose.head_pitch), self.head));
         let mut sites = [[0.0; 3]; 15];
         (sites[0], sites[1], sites[2]) = (head, throat, pose.pelvis);
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
@@ -156,9 +156,9 @@ impl Body {
         (sites, [left, chest_left])
     }
 
-    /// Knee and ankle for a wanted ankle: two bones, the knee in front.
+    /// Two-bone inverse kinematics: knee and ankle for a target ankle, with the knee in front.
     ///
-    /// An ankle out of reach is drawn in along the leg, smoothly, so that the bones keep their lengths.
+    /// A target out of reach is moved smoothly towards the hip, so that the bones keep their lengths.
     fn bend_leg(&self, hip: V3, wanted: V3, left: V3) -> (V3, V3) {
         let way = sub(wanted, hip);
         let down = unit(way);
@@ -173,7 +173,7 @@ impl Body {
         (knee, ankle)
     }
 
-    /// Up to 98.8 % of the leg untouched, beyond it bent towards 99.9 % with two continuous derivatives.
+    /// Limits the reach: unchanged up to 98.8 % of the leg, then approaching 99.9 % with two continuous derivatives.
     fn soft_reach(&self, reach: f64) -> f64 {
         let (free, room) = (0.988 * self.leg(), 0.011 * self.leg());
         if reach <= free {
@@ -184,64 +184,48 @@ impl Body {
     }
 }
 
-/// A segment that carries markers.
-struct Segment {
-    name: &'static str,
-    /// Its ends, as indices into the sites.
-    ends: (usize, usize),
-    /// Whether the shoulder line, not the hip line, says which way it is turned.
-    follows_chest: bool,
-    /// How far markers sit from the line between the ends, metres.
-    radius_m: f64,
-}
+/// A body segment that carries markers: its name; its ends, as indices into the sites; whether its rotation about its
+/// axis follows the shoulder line rather than the hip line; the distance of the markers from the axis, metres.
+type Segment = (&'static str, (usize, usize), bool, f64);
 
-const fn segment(
-    name: &'static str,
-    ends: (usize, usize),
-    follows_chest: bool,
-    radius_m: f64,
-) -> Segment {
-    Segment { name, ends, follows_chest, radius_m }
-}
-
-/// Radii are those of an adult's limbs to the nearest half centimetre; they only place markers.
+/// Radii of an adult's limbs to the nearest half centimetre; they only place markers.
 const SEGMENTS: [Segment; 10] = [
-    segment("trunk", (2, 1), true, 0.130),
-    segment("l_thigh", (9, 10), false, 0.075),
-    segment("r_thigh", (12, 13), false, 0.075),
-    segment("l_shank", (10, 11), false, 0.055),
-    segment("r_shank", (13, 14), false, 0.055),
-    segment("l_upper_arm", (3, 4), true, 0.045),
-    segment("r_upper_arm", (6, 7), true, 0.045),
-    segment("l_forearm", (4, 5), true, 0.035),
-    segment("r_forearm", (7, 8), true, 0.035),
-    segment("head", (1, 0), true, 0.090),
+    ("trunk", (2, 1), true, 0.130),
+    ("l_thigh", (9, 10), false, 0.075),
+    ("r_thigh", (12, 13), false, 0.075),
+    ("l_shank", (10, 11), false, 0.055),
+    ("r_shank", (13, 14), false, 0.055),
+    ("l_upper_arm", (3, 4), true, 0.045),
+    ("r_upper_arm", (6, 7), true, 0.045),
+    ("l_forearm", (4, 5), true, 0.035),
+    ("r_forearm", (7, 8), true, 0.035),
+    ("head", (1, 0), true, 0.090),
 ];
 
-/// One marker stuck to a segment.
+/// A marker attached to a segment.
 #[derive(Debug, Clone)]
-pub(super) struct Stuck {
+pub(super) struct SegmentMarker {
     pub(super) label: String,
     pub(super) ends: (usize, usize),
     follows_chest: bool,
-    /// Metres along the segment, to its left and across both.
+    /// Offset along the segment, to its left and perpendicular to both, metres.
     at: V3,
-    /// Part of the segment's length at which it sits.
+    /// Position along the segment, as a fraction of its length.
     along: f64,
 }
 
-/// So many markers beyond the sites, dealt to the segments in turn.
-pub(super) fn stick(n: usize, seed: u64) -> Vec<Stuck> {
+/// Places `n` markers beyond the sites, on one segment after another.
+pub(super) fn segment_markers(n: usize, seed: u64) -> Vec<SegmentMarker> {
     (0..n)
         .map(|i| {
-            let segment = &SEGMENTS[i % SEGMENTS.len()];
+            let (name, ends, follows_chest, radius_m) = SEGMENTS[i % SEGMENTS.len()];
             let mut rng = Rng::stream(seed, 0x1_0000 + i as u64);
             let (sin, cos) = sin_cos(rng.between(-std::f64::consts::PI, std::f64::consts::PI));
-            let radius = segment.radius_m * rng.between(0.85, 1.1);
-            Stuck {
-                label: format!("{}_{}", segment.name, i / SEGMENTS.len() + 1),
-                ends: segment.ends,
-                follows_chest: segment.follows_chest,
+            let radius = radius_m * rng.between(0.85, 1.1);
+            SegmentMarker {
+                label: format!("{name}_{}", i / SEGMENTS.len() + 1),
+                ends,
+                follows_chest,
                 at: [0.0, radius * sin, radius * cos],
                 along: rng.between(0.12, 0.88),
             }
@@ -249,14 +233,14 @@ pub(super) fn stick(n: usize, seed: u64) -> Vec<Stuck> {
         .collect()
 }
 
-/// Where a marker is, from the sites and the lateral axes (hips, chest).
-pub(super) fn place_stuck(stuck: &Stuck, sites: &[V3; SITES.len()], lateral: &[V3; 2]) -> V3 {
-    let (from, to) = (sites[stuck.ends.0], sites[stuck.ends.1]);
+/// Position of a segment marker, from the sites and the lateral axes of hips and chest.
+pub(super) fn marker_position(marker: &SegmentMarker, sites: &[V3; 15], lateral: &[V3; 2]) -> V3 {
+    let (from, to) = (sites[marker.ends.0], sites[marker.ends.1]);
     let bone = sub(to, from);
     let along = unit(bone);
-    let left = lateral[usize::from(stuck.follows_chest)];
+    let left = lateral[usize::from(marker.follows_chest)];
     let left = unit(sub(left, scale(along, dot(left, along))));
-    let at = [stuck.at[0], stuck.at[1], stuck.at[2]];
-    let base = offset(from, [bone, left, along], [stuck.along, 0.0, at[0]]);
+    let at = [marker.at[0], marker.at[1], marker.at[2]];
+    let base = offset(from, [bone, left, along], [marker.along, 0.0, at[0]]);
     offset(base, [left, cross(along, left), along], [at[1], at[2], 0.0])
 }

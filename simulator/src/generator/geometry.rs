@@ -1,4 +1,4 @@
-//! Vectors, a sine that gives the same bits on every machine, and keyed curves.
+//! Vectors, a sine that gives the same bits on every machine, and keyframed curves.
 
 /// A point or direction: x forward, y left, z up; metres.
 pub(super) type V3 = [f64; 3];
@@ -27,7 +27,7 @@ pub(super) fn norm(a: V3) -> f64 {
     dot(a, a).sqrt()
 }
 
-/// Unit length; a zero vector stays zero.
+/// Scales a vector to unit length; a zero vector stays zero.
 pub(super) fn unit(a: V3) -> V3 {
     let n = norm(a);
     if n > 0.0 { scale(a, 1.0 / n) } else { a }
@@ -35,23 +35,22 @@ pub(super) fn unit(a: V3) -> V3 {
 
 /// `at` plus weighted axes.
 pub(super) fn offset(at: V3, axes: [V3; 3], weights: V3) -> V3 {
-    add(
-        add(add(at, scale(axes[0], weights[0])), scale(axes[1], weights[1])),
-        scale(axes[2], weights[2]),
-    )
+    let [x, y, z] = std::array::from_fn(|i| scale(axes[i], weights[i]));
+    add(add(add(at, x), y), z)
 }
 
 /// Sine and cosine of an angle in radians, within 1e-15 for angles below 1000.
 ///
-/// The C library's differ in the last bit from version to version; this one is only + - * and so never does.
+/// Those of the C library differ in the last bit from version to version. This one uses only + - *, which round alike
+/// everywhere.
 pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     const HALF_PI_HIGH: f64 = std::f64::consts::FRAC_PI_2;
-    /// What f64 leaves of pi / 2.
+    /// The remainder of pi / 2 beyond f64.
     const HALF_PI_LOW: f64 = 6.123_233_995_736_766e-17;
     let quadrant = (angle / HALF_PI_HIGH).round();
     let x = (angle - quadrant * HALF_PI_HIGH) - quadrant * HALF_PI_LOW;
     let x2 = x * x;
-    // Taylor: on |x| <= pi / 4 the first term left out is below 1e-17.
+    // Taylor series: for |x| <= pi / 4 the first omitted term is below 1e-17.
     let (mut sin, mut cos) = (0.0, 0.0);
     for k in (1..=8u32).rev() {
         let k = f64::from(k);
@@ -67,56 +66,56 @@ pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     }
 }
 
-/// The lowest polynomial from 0 to 1 with no velocity and no acceleration at its ends; held outside 0..1.
+/// The polynomial of lowest degree from 0 to 1 with zero velocity and acceleration at its ends; constant outside 0..1.
 ///
-/// It is also the path of least jerk between two rests (Flash and Hogan, J. Neurosci. 5(7), 1985, eq. 3).
+/// It is also the minimum-jerk path between two rests (Flash and Hogan, J. Neurosci. 5(7), 1985, eq. 3).
 pub(super) fn smooth_step(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }
 
-// Keyed curves: quintic pieces that meet with the same value, velocity and acceleration.
+// Keyframed curves: quintic segments that meet with equal value, velocity and acceleration.
 
-/// What a curve does at one time: value, velocity and acceleration in the curve's own unit.
+/// Value, velocity and acceleration of a curve at one time, in the curve's own unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Key {
+pub(super) struct Keyframe {
     pub(super) time_s: f64,
     pub(super) value: f64,
     pub(super) velocity: f64,
     pub(super) acceleration: f64,
 }
 
-/// A curve through keys: twice continuously differentiable, constant before the first and after the last.
+/// A curve through keyframes: twice continuously differentiable, constant before the first and after the last.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Curve {
-    keys: Vec<Key>,
+    keyframes: Vec<Keyframe>,
 }
 
 impl Curve {
-    /// A curve that rests at a value from a time on.
+    /// Creates a curve with one keyframe at rest.
     pub(super) fn resting(time_s: f64, value: f64) -> Self {
         let mut curve = Self::default();
         curve.rest(time_s, value);
         curve
     }
 
-    /// A key at rest. Times must ascend: a key before the last one is moved just behind it.
+    /// Appends a keyframe at rest.
     pub(super) fn rest(&mut self, time_s: f64, value: f64) {
-        self.pass(Key { time_s, value, velocity: 0.0, acceleration: 0.0 });
+        self.pass(Keyframe { time_s, value, velocity: 0.0, acceleration: 0.0 });
     }
 
-    /// A key passed in motion.
-    pub(super) fn pass(&mut self, mut key: Key) {
-        if let Some(last) = self.keys.last() {
-            key.time_s = key.time_s.max(last.time_s + 1e-3);
+    /// Appends a keyframe in motion. Times must ascend: a keyframe before the last one moves to just after it.
+    pub(super) fn pass(&mut self, mut keyframe: Keyframe) {
+        if let Some(last) = self.keyframes.last() {
+            keyframe.time_s = keyframe.time_s.max(last.time_s + 1e-3);
         }
-        self.keys.push(key);
+        self.keyframes.push(keyframe);
     }
 
-    /// The value at a time.
+    /// The curve's value at a time.
     pub(super) fn at(&self, time_s: f64) -> f64 {
-        let next = self.keys.partition_point(|k| k.time_s <= time_s);
-        match (next.checked_sub(1).and_then(|i| self.keys.get(i)), self.keys.get(next)) {
+        let next = self.keyframes.partition_point(|k| k.time_s <= time_s);
+        match (next.checked_sub(1).and_then(|i| self.keyframes.get(i)), self.keyframes.get(next)) {
             (Some(a), Some(b)) => quintic(a, b, time_s),
             (Some(k), None) | (None, Some(k)) => k.value,
             (None, None) => 0.0,
@@ -124,8 +123,8 @@ impl Curve {
     }
 }
 
-/// The quintic Hermite piece between two keys.
-fn quintic(a: &Key, b: &Key, time_s: f64) -> f64 {
+/// The quintic Hermite segment between two keyframes.
+fn quintic(a: &Keyframe, b: &Keyframe, time_s: f64) -> f64 {
     let h = b.time_s - a.time_s;
     let x = (time_s - a.time_s) / h;
     let (va, vb) = (a.velocity * h, b.velocity * h);
@@ -152,9 +151,9 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_met_with_their_derivatives() {
+    fn curves_match_keyframes_and_their_derivatives() {
         let mut curve = Curve::resting(0.0, 1.0);
-        curve.pass(Key { time_s: 0.5, value: 2.0, velocity: 3.0, acceleration: -9.81 });
+        curve.pass(Keyframe { time_s: 0.5, value: 2.0, velocity: 3.0, acceleration: -9.81 });
         curve.rest(1.25, 0.5);
         let e = 1e-4;
         for side in [-1.0, 1.0] {

@@ -1,8 +1,8 @@
-//! A standing long jump, generated: the motion of Shi et al. 2012 without their data.
+//! Generates standing long jumps: the motion of Shi et al. 2012 without their data.
 //!
-//! Axes: x forward at the start, y left, z up; the floor is z = 0. Joint curves are keyed (`plan`), legs are
-//! bent onto planted feet (`body`), flight is a parabola, and the subject walks back, so that a take of any
-//! length stays in a volume of about 6 m. Nothing depends on the machine: a seed gives the same bits everywhere.
+//! Axes: x forward at the start, y left, z up; the floor is z = 0. Joint angles follow keyframed curves (`plan`),
+//! inverse kinematics place the legs on planted feet (`body`), and flight is a parabola. The subject walks back after
+//! each jump, so a take of any length stays in a volume of about 6 m. A seed gives the same bits on every machine.
 
 mod body;
 mod geometry;
@@ -25,11 +25,11 @@ pub use spec::{
     SetJump, TRIALS_MAX,
 };
 
-/// A generated take, and what happens in it.
+/// A generated motion and its phases.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Jump {
-    /// The samples, millimetres, z up.
+    /// The motion, millimetres, z up.
     pub motion: Motion,
-    /// Each phase and its first frame, in order; a phase too short for a frame is left out.
+    /// Each phase and its first frame, in order; a phase shorter than a frame is omitted.
     pub phases: Vec<(Phase, usize)>,
 }

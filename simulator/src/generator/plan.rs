@@ -1,15 +1,15 @@
-//! One jump from standing to touch-down and up again: the keyed curves of a trial, in the style of its subject.
+//! The keyframed curves of one jump, from standing to touch-down and up again, in the style of its subject.
 //!
-//! Keys carry value, velocity and acceleration, so that the ground phases meet the flight parabola with two
+//! Keyframes carry value, velocity and acceleration, so that the ground phases meet the flight parabola with two
 //! continuous derivatives.
 
 use super::body::Body;
-use super::geometry::{Curve, Key, sin_cos};
+use super::geometry::{Curve, Keyframe, sin_cos};
 use super::rng::Rng;
 
-/// When each phase begins, seconds from the start of the trial.
+/// Start of each phase, seconds from the start of the trial.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Times {
+pub(super) struct PhaseTimes {
     pub(super) swings: f64,
     pub(super) last_swing: f64,
     pub(super) take_off: f64,
@@ -18,7 +18,7 @@ pub(super) struct Times {
     pub(super) walk: f64,
 }
 
-/// How one trial goes, drawn from its seed.
+/// Distances, durations and amplitudes of one trial, drawn from the seed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Style {
     pub(super) jump_m: f64,
@@ -31,14 +31,14 @@ pub(super) struct Style {
     pub(super) flight_s: f64,
     pub(super) settle_s: f64,
     /// Factor on the arm swings.
-    pub(super) arms: f64,
-    /// What the right side does later (s) and further (radians) than the left.
+    pub(super) arm_amplitude: f64,
+    /// Left-right asymmetry: how much later (s) and further (radians) the right side moves than the left.
     pub(super) right_late_s: f64,
     pub(super) right_more: f64,
 }
 
 impl Style {
-    /// A subject's habit.
+    /// The habitual style of a subject.
     pub(super) fn of_subject(stature_m: f64, rng: &mut Rng) -> Self {
         Self {
             jump_m: (stature_m * rng.between(1.22, 1.38)).clamp(2.05, 2.55),
@@ -50,49 +50,49 @@ impl Style {
             push_s: rng.between(0.28, 0.32),
             flight_s: rng.between(0.45, 0.48),
             settle_s: rng.between(0.9, 1.1),
-            arms: rng.between(0.85, 1.1),
+            arm_amplitude: rng.between(0.85, 1.1),
             right_late_s: rng.between(-0.012, 0.012),
             right_more: rng.between(-0.05, 0.05),
         }
     }
 
-    /// The same subject once more: nothing is repeated to the millisecond.
+    /// Varies the style from trial to trial by a few per cent.
     pub(super) fn vary(mut self, rng: &mut Rng) -> Self {
         self.jump_m *= rng.between(0.98, 1.02);
-        for time in
-            [&mut self.stand_s, &mut self.half_swing_s, &mut self.pause_s, &mut self.settle_s]
-        {
+        let Self { stand_s, half_swing_s, pause_s, settle_s, .. } = &mut self;
+        for time in [stand_s, half_swing_s, pause_s, settle_s] {
             *time *= rng.between(0.94, 1.06);
         }
-        self.arms *= rng.between(0.96, 1.04);
+        self.arm_amplitude *= rng.between(0.96, 1.04);
         self
     }
 
-    pub(super) fn times(&self) -> Times {
+    pub(super) fn times(&self) -> PhaseTimes {
         let swings = self.stand_s;
         let last_swing = swings + f64::from(self.n_half_swings) * self.half_swing_s;
         let take_off = last_swing + self.crouch_s + self.pause_s;
         let flight = take_off + self.push_s;
         let touch_down = flight + self.flight_s;
-        Times { swings, last_swing, take_off, flight, touch_down, walk: touch_down + self.settle_s }
+        let walk = touch_down + self.settle_s;
+        PhaseTimes { swings, last_swing, take_off, flight, touch_down, walk }
     }
 
-    /// Ends of the preparatory swings: time, and whether the arms are in front.
+    /// Turning points of the preparatory arm swings: time, and whether the arms are in front.
     pub(super) fn extremes(&self) -> impl Iterator<Item = (f64, bool)> + '_ {
         (1..=self.n_half_swings)
             .map(|i| (self.stand_s + f64::from(i) * self.half_swing_s, i % 2 == 1))
     }
 }
 
-/// Standard gravity rounded as the field writes it, m/s^2.
+/// Standard gravity, rounded as is usual in biomechanics, m/s^2.
 pub(super) const GRAVITY_M_S2: f64 = 9.81;
 
-/// Shoulder and elbow of an arm at rest, radians: a trial begins and ends with them, so that trials join.
+/// Shoulder and elbow angle of a hanging arm, radians. A trial starts and ends with them, so that trials join smoothly.
 const HANGING: (f64, f64) = (0.08, 0.22);
 
-/// Everything that is keyed over a trial: x forward and z up in metres, angles in radians.
+/// The keyframed curves of a trial: x forward and z up in metres, angles in radians.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Keyed {
+pub(super) struct JointCurves {
     pub(super) pelvis_x: Curve,
     pub(super) pelvis_z: Curve,
     pub(super) lean: Curve,
@@ -102,65 +102,60 @@ pub(super) struct Keyed {
     pub(super) elbow: [Curve; 2],
     pub(super) ankle_x: [Curve; 2],
     pub(super) ankle_z: [Curve; 2],
-    /// In flight: hip line to ankle, its length in metres and its angle from straight down, forward positive.
+    /// In flight, from the hip line to the ankle: length in metres, and angle from straight down, forward positive.
     pub(super) leg_length: Curve,
     pub(super) leg_angle: [Curve; 2],
 }
 
-/// A moving point in the plane of the jump.
+/// Position, velocity and acceleration of a point in the plane of the jump.
 #[derive(Debug, Clone, Copy)]
-struct Moving {
+struct PointState {
     at: [f64; 2],
     velocity: [f64; 2],
     acceleration: [f64; 2],
 }
 
-impl Moving {
-    fn key(&self, axis: usize, time_s: f64) -> Key {
+impl PointState {
+    fn keyframe(&self, axis: usize, time_s: f64) -> Keyframe {
         let [value, velocity, acceleration] =
             [self.at, self.velocity, self.acceleration].map(|v| v[axis]);
-        Key { time_s, value, velocity, acceleration }
+        Keyframe { time_s, value, velocity, acceleration }
     }
 }
 
-/// A leg at one end of the flight: (length, its rate), (angle, its rate).
+/// A leg at take-off or touch-down: (length, rate of change), (angle, rate of change).
 type Leg = [(f64, f64); 2];
 
-/// The ankle of a leg below a moving pelvis: plane polar kinematics, without angular or radial acceleration.
-fn ankle_below(pelvis: &Moving, [(r, dr), (angle, da)]: Leg) -> Moving {
+/// The ankle of a leg below a moving pelvis: planar polar kinematics without angular or radial acceleration.
+fn ankle_below(pelvis: &PointState, [(r, dr), (angle, da)]: Leg) -> PointState {
     let (s, c) = sin_cos(angle);
     let (radial, around) = ([s, -c], [c, s]);
     let sum = |base: [f64; 2], kr: f64, ka: f64| {
         [base[0] + kr * radial[0] + ka * around[0], base[1] + kr * radial[1] + ka * around[1]]
     };
-    Moving {
+    PointState {
         at: sum(pelvis.at, r, 0.0),
         velocity: sum(pelvis.velocity, dr, r * da),
         acceleration: sum(pelvis.acceleration, -r * da * da, 2.0 * dr * da),
     }
 }
 
-impl Keyed {
-    /// `stand_m` and `walk_m` are the pelvis heights when standing and walking, `walk_end_s` when the walk ends.
-    pub(super) fn new(
-        body: &Body,
-        style: &Style,
-        stand_m: f64,
-        walk_m: f64,
-        walk_end_s: f64,
-    ) -> Self {
-        let mut keyed = Self::default();
+impl JointCurves {
+    /// Builds the curves. `stand_m` and `walk_m` are the pelvis heights of standing and walking, `end_s` is the end
+    /// of the walk.
+    pub(super) fn new(body: &Body, style: &Style, stand_m: f64, walk_m: f64, end_s: f64) -> Self {
+        let mut curves = Self::default();
         let times = style.times();
-        keyed.upper_body(style, &times);
-        keyed.legs(body, style, &times, stand_m);
-        keyed.pelvis_z.rest(times.walk, stand_m);
-        keyed.pelvis_z.rest(times.walk + 0.45, walk_m);
-        keyed.pelvis_z.rest(walk_end_s - 0.45, walk_m);
-        keyed.pelvis_z.rest(walk_end_s, stand_m);
-        keyed
+        curves.upper_body(style, &times);
+        curves.legs(body, style, &times, stand_m);
+        curves.pelvis_z.rest(times.walk, stand_m);
+        curves.pelvis_z.rest(times.walk + 0.45, walk_m);
+        curves.pelvis_z.rest(end_s - 0.45, walk_m);
+        curves.pelvis_z.rest(end_s, stand_m);
+        curves
     }
 
-    fn upper_body(&mut self, style: &Style, t: &Times) {
+    fn upper_body(&mut self, style: &Style, t: &PhaseTimes) {
         self.lean = Curve::resting(t.swings, 0.04);
         self.abduction = Curve::resting(t.take_off, 0.12);
         for (time_s, in_front) in style.extremes() {
@@ -185,10 +180,8 @@ impl Keyed {
             *elbow = Curve::resting(t.swings, HANGING.1);
             for (i, (time_s, in_front)) in style.extremes().enumerate() {
                 let grow = 0.8 + 0.08 * i as f64;
-                swing.rest(
-                    time_s + late_s,
-                    style.arms * grow * if in_front { 1.35 } else { -0.62 } + more,
-                );
+                let angle = style.arm_amplitude * grow * if in_front { 1.35 } else { -0.62 };
+                swing.rest(time_s + late_s, angle + more);
                 elbow.rest(time_s + 1.5 * late_s, if in_front { 0.55 } else { 0.25 });
             }
             for (time_s, angle, bend) in [
@@ -198,7 +191,7 @@ impl Keyed {
                 (t.touch_down, 1.25, 0.35),
                 (t.touch_down + 0.22, 0.72, 0.30),
             ] {
-                swing.rest(time_s + late_s, style.arms * angle + more);
+                swing.rest(time_s + late_s, style.arm_amplitude * angle + more);
                 elbow.rest(time_s + 1.5 * late_s, bend);
             }
             swing.rest(t.walk - 0.02, HANGING.0);
@@ -206,29 +199,27 @@ impl Keyed {
         }
     }
 
-    fn legs(&mut self, body: &Body, style: &Style, t: &Times, stand_m: f64) {
+    fn legs(&mut self, body: &Body, style: &Style, t: &PhaseTimes, stand_m: f64) {
         let (leg, ankle_m, size) = (body.leg(), body.ankle_height, body.stature / 1.75);
         let (at_take_off, at_touch_down): (Leg, Leg) =
             ([(0.972 * leg, 0.25), (-0.58, -0.6)], [(0.84 * leg, -1.5), (0.62, 0.0)]);
         let below = |pelvis: [f64; 2], legs: Leg| {
-            ankle_below(&Moving { at: pelvis, velocity: [0.0; 2], acceleration: [0.0; 2] }, legs).at
+            let still = PointState { at: pelvis, velocity: [0.0; 2], acceleration: [0.0; 2] };
+            ankle_below(&still, legs).at
         };
-        // Where the ankles are at both ends of the flight gives the pelvis, and that the parabola.
+        // The ankles at both ends of the flight give the pelvis, and the pelvis gives the parabola.
         let hang = (below([0.0; 2], at_take_off), below([0.0; 2], at_touch_down));
         let from = [0.15 * size - hang.0[0], ankle_m + 0.15 * size - hang.0[1]];
         let to = [style.jump_m - 0.07 - hang.1[0], ankle_m + 0.055 - hang.1[1]];
-        let f = style.flight_s;
+        let (f, push_s) = (style.flight_s, style.push_s);
         let velocity = [(to[0] - from[0]) / f, (to[1] - from[1]) / f + 0.5 * GRAVITY_M_S2 * f];
         let acceleration = [0.0, -GRAVITY_M_S2];
-        let leaving = Moving { at: from, velocity, acceleration };
+        let leaving = PointState { at: from, velocity, acceleration };
         let falling = [velocity[0], velocity[1] - GRAVITY_M_S2 * f];
-        let landing = Moving { at: to, velocity: falling, acceleration };
+        let landing = PointState { at: to, velocity: falling, acceleration };
 
-        // Half the final speed times the push: from there the body only ever gets faster.
-        let low = [
-            from[0] - 0.50 * velocity[0] * style.push_s,
-            from[1] - 0.56 * velocity[1] * style.push_s,
-        ];
+        // Half the final speed times the push time: from there the body accelerates throughout.
+        let low = [from[0] - 0.50 * velocity[0] * push_s, from[1] - 0.56 * velocity[1] * push_s];
         let absorb_s = 0.2;
         let bottom =
             [style.jump_m - 0.12, (to[1] + 0.5 * falling[1] * absorb_s).max(ankle_m + 0.36 * leg)];
@@ -243,21 +234,17 @@ impl Keyed {
         self.pelvis_z.rest(push - style.pause_s, low[1] + 0.02);
         for (curve, axis) in [(&mut self.pelvis_x, 0), (&mut self.pelvis_z, 1)] {
             curve.rest(push, low[axis]);
-            curve.pass(leaving.key(axis, t.flight));
-            curve.pass(landing.key(axis, t.touch_down));
+            curve.pass(leaving.keyframe(axis, t.flight));
+            curve.pass(landing.keyframe(axis, t.touch_down));
         }
+        let moving =
+            |time_s, (value, velocity)| Keyframe { time_s, value, velocity, acceleration: 0.0 };
         let bottom_s = t.touch_down + absorb_s;
-        self.pelvis_x.pass(Key {
-            time_s: bottom_s,
-            value: bottom[0],
-            velocity: 0.3,
-            acceleration: 0.0,
-        });
+        self.pelvis_x.pass(moving(bottom_s, (bottom[0], 0.3)));
         self.pelvis_z.rest(bottom_s, bottom[1]);
         self.pelvis_x.rest(t.walk - 0.1, style.jump_m);
         self.pelvis_z.rest(t.walk - 0.02, stand_m);
 
-        let moving = |time_s, (value, velocity)| Key { time_s, value, velocity, acceleration: 0.0 };
         let tuck_s = t.flight + 0.5 * f;
         self.leg_length.pass(moving(t.flight, at_take_off[0]));
         self.leg_length.rest(tuck_s, 0.64 * leg);
@@ -272,12 +259,11 @@ impl Keyed {
             let lift = ankle_below(&leaving, at_take_off);
             let touch = ankle_below(&landing, landing_leg);
             let plant = [touch.at[0] + 0.5 * touch.velocity[0] * 0.08, ankle_m];
-            for (curve, axis, ground) in
-                [(&mut self.ankle_x[side], 0, 0.0), (&mut self.ankle_z[side], 1, ankle_m)]
-            {
+            let ankle = [(&mut self.ankle_x[side], 0, 0.0), (&mut self.ankle_z[side], 1, ankle_m)];
+            for (curve, axis, ground) in ankle {
                 *curve = Curve::resting(t.flight - 0.2, ground);
-                curve.pass(lift.key(axis, t.flight));
-                curve.pass(touch.key(axis, t.touch_down));
+                curve.pass(lift.keyframe(axis, t.flight));
+                curve.pass(touch.keyframe(axis, t.touch_down));
                 curve.rest(t.touch_down + 0.08, plant[axis]);
             }
         }

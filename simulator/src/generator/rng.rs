@@ -1,4 +1,4 @@
-//! The generator's own random numbers, so that a seed gives the same bits in every version and on every machine.
+//! Random numbers that are the same for a seed in every version and on every machine.
 //!
 //! xoshiro256++ (Blackman and Vigna, "Scrambled linear pseudorandom number generators", ACM TOMS 47(4), 2021),
 //! its state filled by `SplitMix64` (Steele, Lea and Flood, OOPSLA 2014), as its authors advise.
@@ -18,14 +18,14 @@ fn splitmix64(state: &mut u64) -> u64 {
 }
 
 impl Rng {
-    /// The stream that belongs to a seed.
+    /// The stream of a seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut s = seed;
         Self { state: std::array::from_fn(|_| splitmix64(&mut s)) }
     }
 
-    /// One of many streams under a seed: a marker's noise stays the same when other markers are added.
+    /// One of many independent streams of a seed, so that a marker's noise does not change when markers are added.
     #[must_use]
     pub fn stream(seed: u64, index: u64) -> Self {
         let mut s = index.wrapping_add(0x5851_f42d_4c95_7f2d);
@@ -51,7 +51,7 @@ impl Rng {
         (self.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// One of the numbers below `n`; 0 where there is none.
+    /// A number from 0 to `n - 1`; 0 if `n` is 0.
     pub fn below(&mut self, n: usize) -> usize {
         ((self.unit() * n as f64) as usize).min(n.saturating_sub(1))
     }
@@ -63,14 +63,14 @@ impl Rng {
 
     /// Mean 0, variance 1, nearly normal: the sum of 12 uniforms less 6 (Irwin 1927; Hall 1927).
     ///
-    /// It needs no logarithm, whose last bit differs between C libraries. Its tails end at 6 sigma.
+    /// It needs no logarithm, whose last bit differs between C libraries. The tails end at 6 sigma.
     pub fn normal(&mut self) -> f64 {
         let mut sum = 0u64;
         for _ in 0..3 {
             let bits = self.next_u64();
             sum += (bits & 0xffff) + (bits >> 16 & 0xffff) + (bits >> 32 & 0xffff) + (bits >> 48);
         }
-        // Each of the 12 parts stands for the middle of its 1/65536: hence the 6.
+        // Each of the 12 parts stands for the middle of its bin of 1/65536, which adds 12 / 2 = 6.
         (sum as f64 + 6.0) / 65536.0 - 6.0
     }
 }
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn first_numbers_of_the_published_algorithm() {
-        // State 1 2 3 4: worked by hand from the paper's definition, rotl(1 + 4, 23) + 1.
+        // State 1 2 3 4, computed by hand from the paper's definition: rotl(1 + 4, 23) + 1.
         let mut rng = Rng { state: [1, 2, 3, 4] };
         assert_eq!(rng.next_u64(), (5 << 23) + 1);
         assert_eq!(rng.next_u64(), 58_720_359);

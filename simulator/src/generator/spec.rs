@@ -1,4 +1,4 @@
-//! What to generate, the loop that does it, what a camera system adds to the truth, and sets of trials as a study has them.
+//! What to generate, the loop that generates it, the errors of a camera system, and sets of jumps by several subjects.
 
 use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis};
 
@@ -8,50 +8,51 @@ use super::rng::Rng;
 use super::subject::Subject;
 use super::{Jump, body};
 
-/// The rates that can be generated, Hz.
+/// Frame rates that can be generated, Hz.
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
 
-/// The most samples one generated take may have: 100 million, 1.2 GB in memory.
+/// Most samples in a generated motion: 100 million, 1.2 GB in memory.
 pub const SAMPLES_MAX: u64 = 100_000_000;
 
-/// The most markers: what the link's table holds.
+/// Most markers: the capacity of the link's marker table.
 pub const MARKERS_MAX: usize = mocapd_drivers::link::MARKERS_MAX;
 
-/// The most trials of one subject: each is drawn after all before it.
+/// Most trials of one subject. Drawing one requires drawing all before it.
 pub const TRIALS_MAX: u32 = 100_000;
 
-/// How much is hidden from the cameras.
+/// Occlusion: gaps in every marker's samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Occlusion {
-    /// Part of each marker's samples that is missing, 0 to 0.9.
+    /// Fraction of each marker's samples that is missing, 0 to 0.9.
     pub fraction: f64,
-    /// Mean length of a gap, seconds; gaps reach three times that.
+    /// Mean length of a gap, seconds; the longest are three times as long.
     pub mean_gap_s: f64,
 }
 
 /// What to generate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JumpSpec {
-    /// Says which subject jumps, how, and every bit of the noise.
+    /// Seed of the subject, its movements and the noise.
     pub seed: u64,
-    /// Which of the subject's trials comes first, from 0: the same body and habits, another jump.
+    /// Number of the subject's first trial, from 0: the same body and habits, another jump.
     pub first_trial: u32,
-    /// Frames a second, in [`RATE_HZ`].
+    /// Frames per second, in [`RATE_HZ`].
     pub rate_hz: f64,
-    /// How long; `None` for one whole trial (11 to 16 s). More than a trial repeats it with small changes.
+    /// Duration, seconds; `None` for one whole trial (11 to 16 s). A longer motion goes on with varied trials.
     pub seconds: Option<f64>,
-    /// 1 to [`MARKERS_MAX`]: the first are the sites, the others sit on the segments in rigid clusters.
+    /// Number of markers, 1 to [`MARKERS_MAX`]: first the 15 sites, then rigid clusters on the segments.
     pub n_markers: usize,
     /// Standard deviation of the white noise on each axis, millimetres.
     pub noise_mm: f64,
-    /// Size of the soft-tissue wobble after touch-down, millimetres at its softest.
-    pub wobble_mm: f64,
+    /// Amplitude of the soft-tissue vibration after touch-down, millimetres at the softest site.
+    pub soft_tissue_mm: f64,
     /// Gaps, if any.
     pub occlusion: Option<Occlusion>,
 }
 
 impl JumpSpec {
-    /// One trial of the 15 sites as a good camera system sees it: 0.05 mm noise, 3 mm wobble, no gaps.
+    /// One trial of the 15 sites as a good camera system measures it: 0.05 mm noise, 3 mm soft-tissue vibration, no
+    /// gaps.
     #[must_use]
     pub fn new(seed: u64, rate_hz: f64) -> Self {
         Self {
@@ -61,21 +62,21 @@ impl JumpSpec {
             seconds: None,
             n_markers: SITES.len(),
             noise_mm: 0.05,
-            wobble_mm: 3.0,
+            soft_tissue_mm: 3.0,
             occlusion: None,
         }
     }
 
-    /// The same without noise, wobble or gaps: mathematically smooth curves.
+    /// Removes noise, soft-tissue vibration and gaps: the curves are then mathematically smooth.
     #[must_use]
     pub fn clean(self) -> Self {
-        Self { noise_mm: 0.0, wobble_mm: 0.0, occlusion: None, ..self }
+        Self { noise_mm: 0.0, soft_tissue_mm: 0.0, occlusion: None, ..self }
     }
 
-    /// Generates it.
+    /// Generates the motion.
     ///
     /// # Errors
-    /// When a value is out of its range; the message names it and the range.
+    /// When a value is out of range, or the motion has more than [`SAMPLES_MAX`] samples.
     pub fn generate(&self) -> Result<Jump, GenerateError> {
         self.check()?;
         let mut subject = Subject::new(self.seed, self.first_trial);
@@ -87,33 +88,33 @@ impl JumpSpec {
         }
         let n_frames = n_frames as usize;
         subject.extend_to(seconds);
-        // What the cameras add is another one's in every trial; markers sit where they sat.
+        // Each trial has its own measurement noise; the markers stay where they are attached.
         let noise_seed =
             self.seed ^ u64::from(self.first_trial).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let stuck = body::stick(self.n_markers.saturating_sub(SITES.len()), self.seed);
+        let cluster = body::segment_markers(self.n_markers.saturating_sub(SITES.len()), self.seed);
         let labels =
-            SITES.iter().map(|s| (*s).to_owned()).chain(stuck.iter().map(|s| s.label.clone()));
+            SITES.iter().map(|s| (*s).to_owned()).chain(cluster.iter().map(|s| s.label.clone()));
         let labels: Vec<String> = labels.take(self.n_markers).collect();
-        let mut sensors: Vec<(Rng, Wobble)> = (0..)
+        let mut sensors: Vec<(Rng, SoftTissue)> = (0..)
             .zip(&labels)
             .map(|(i, label)| {
                 let mut rng = Rng::stream(noise_seed, 0x2_0000 + i);
-                let wobble = Wobble::new(self.wobble_mm, softness(label), &mut rng);
-                (rng, wobble)
+                let vibration = SoftTissue::new(self.soft_tissue_mm, softness(label), &mut rng);
+                (rng, vibration)
             })
             .collect();
         let mut positions_mm = Vec::with_capacity(n_frames * self.n_markers);
         for frame in 0..n_frames {
             let time_s = frame as f64 / self.rate_hz;
-            let moment = subject.at(time_s);
+            let state = subject.at(time_s);
             let truth = |i: usize| match i.checked_sub(SITES.len()) {
-                None => moment.sites[i],
-                Some(extra) => body::place_stuck(&stuck[extra], &moment.sites, &moment.lateral),
+                None => state.sites[i],
+                Some(extra) => body::marker_position(&cluster[extra], &state.sites, &state.lateral),
             };
-            for (i, (rng, wobble)) in sensors.iter_mut().enumerate() {
+            for (i, (rng, vibration)) in sensors.iter_mut().enumerate() {
                 let mut at_mm = scale(truth(i), 1000.0);
-                if self.wobble_mm > 0.0 {
-                    at_mm = add(at_mm, wobble.at(moment.since_impact_s));
+                if self.soft_tissue_mm > 0.0 {
+                    at_mm = add(at_mm, vibration.at(state.since_impact_s));
                 }
                 if self.noise_mm > 0.0 {
                     at_mm = add(at_mm, noise(self.noise_mm, rng));
@@ -123,7 +124,7 @@ impl JumpSpec {
         }
         if let Some(occlusion) = &self.occlusion {
             for marker in 0..self.n_markers {
-                occlude(&mut positions_mm, self.n_markers, marker, self, occlusion);
+                occlude(&mut positions_mm, marker, self, occlusion);
             }
         }
         let phases = subject.phases(self.rate_hz, n_frames);
@@ -148,15 +149,11 @@ impl JumpSpec {
     }
 
     fn check(&self) -> Result<(), GenerateError> {
-        let range = |what, value: f64, low: f64, high: f64| {
-            let inside = (low..=high).contains(&value);
-            if inside { Ok(()) } else { Err(GenerateError::OutOfRange { what, value, low, high }) }
-        };
         range("rate_hz", self.rate_hz, *RATE_HZ.start(), *RATE_HZ.end())?;
         range("markers", self.n_markers as f64, 1.0, MARKERS_MAX as f64)?;
         range("first trial", f64::from(self.first_trial), 0.0, f64::from(TRIALS_MAX))?;
         range("noise_mm", self.noise_mm, 0.0, 1000.0)?;
-        range("wobble_mm", self.wobble_mm, 0.0, 1000.0)?;
+        range("soft_tissue_mm", self.soft_tissue_mm, 0.0, 1000.0)?;
         if let Some(seconds) = self.seconds {
             range("seconds", seconds, 1e-4, 1e6)?;
         }
@@ -168,55 +165,59 @@ impl JumpSpec {
     }
 }
 
+fn range(what: &'static str, value: f64, low: f64, high: f64) -> Result<(), GenerateError> {
+    let inside = (low..=high).contains(&value);
+    if inside { Ok(()) } else { Err(GenerateError::OutOfRange { what, value, low, high }) }
+}
+
 fn to_position(mm: V3) -> Position {
     mm.map(|v| v as f32)
 }
 
-/// Why nothing was generated.
+/// Why a specification was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GenerateError {
-    /// A value outside its range.
+    /// A value is out of range.
     #[error("{what} is {value}, expected {low} to {high}")]
     OutOfRange {
-        /// Which value.
+        /// The name of the value.
         what: &'static str,
-        /// What it was.
+        /// The value.
         value: f64,
-        /// The least it may be.
+        /// The smallest allowed.
         low: f64,
-        /// The most it may be.
+        /// The largest allowed.
         high: f64,
     },
-    /// Frames times markers is too much for memory.
+    /// Frames times markers exceeds the limit.
     #[error(
-        "{samples} samples (frames x markers) are more than {max}: ask for less time, rate or markers"
+        "{samples} samples (frames x markers) are more than {max}: reduce duration, rate or markers"
     )]
     TooLong {
-        /// What was asked for.
+        /// Samples requested.
         samples: f64,
-        /// The most there may be.
+        /// The limit.
         max: u64,
     },
 }
 
-/// How soft tissue shakes after the feet touch down.
+/// Vibration of soft tissue after touch-down: a damped oscillation.
 ///
-/// A damped oscillation. Its frequency and decay are plausible choices, not measurements: 7 to 12 Hz, gone within
-/// half a second.
+/// Frequency and decay are plausible choices, not measurements: 7 to 12 Hz, gone within half a second.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Wobble {
+pub(super) struct SoftTissue {
     frequency_hz: f64,
     decay_s: f64,
     amplitude_mm: V3,
 }
 
-impl Wobble {
-    /// `softness` scales it: 1 at the thigh, less where bone is close.
-    pub(super) fn new(wobble_mm: f64, softness: f64, rng: &mut Rng) -> Self {
+impl SoftTissue {
+    /// `softness` scales the amplitude: 1 at the thigh, less where bone is close to the skin.
+    pub(super) fn new(soft_tissue_mm: f64, softness: f64, rng: &mut Rng) -> Self {
         let aside = rng.between(-0.35, 0.35);
         let ahead = rng.between(-0.5, 0.5);
-        let size = wobble_mm * softness * rng.between(0.8, 1.2);
+        let size = soft_tissue_mm * softness * rng.between(0.8, 1.2);
         Self {
             frequency_hz: rng.between(7.0, 12.0),
             decay_s: rng.between(0.06, 0.10),
@@ -224,10 +225,10 @@ impl Wobble {
         }
     }
 
-    /// The displacement so long after the impact, millimetres.
+    /// The displacement at `since_s` after the impact, millimetres.
     pub(super) fn at(&self, since_s: f64) -> V3 {
-        // x^2 e^(2 - 2x) rises from nothing with no kick and is 1 at x = 1; e^-y as 1 / (its series), so that
-        // no C library has a say in the last bit.
+        // x^2 e^(2 - 2x) rises smoothly from 0 and is 1 at x = 1. e^-y is computed as 1 / (the series of e^y), because
+        // C libraries differ in the last bit.
         let x = since_s / self.decay_s;
         if !(0.0..14.0).contains(&x) {
             return [0.0; 3];
@@ -243,7 +244,7 @@ impl Wobble {
     }
 }
 
-/// How soft the tissue under a marker is, by its label.
+/// Softness of the tissue under a marker, 0.25 to 1, by its label.
 pub(super) fn softness(label: &str) -> f64 {
     const SOFT: [(&str, f64); 8] = [
         ("thigh", 1.0),
@@ -258,22 +259,16 @@ pub(super) fn softness(label: &str) -> f64 {
     SOFT.iter().find(|(part, _)| label.contains(part)).map_or(0.25, |(_, softness)| *softness)
 }
 
-/// White noise of one marker: the same standard deviation on every axis.
+/// White noise of one sample, with the same standard deviation on every axis.
 pub(super) fn noise(noise_mm: f64, rng: &mut Rng) -> V3 {
     [0; 3].map(|_| noise_mm * rng.normal())
 }
 
-/// Takes samples out of one marker's column: exactly the asked part of them, in gaps of random length.
+/// Removes exactly the requested fraction of one marker's samples, in gaps of random length.
 ///
-/// Gap lengths are skewed: many short, few up to three times the mean.
-pub(super) fn occlude(
-    positions: &mut [Position],
-    n_markers: usize,
-    marker: usize,
-    spec: &JumpSpec,
-    occlusion: &Occlusion,
-) {
-    let n_frames = positions.len() / n_markers.max(1);
+/// Gap lengths are skewed: many are short, few reach three times the mean.
+fn occlude(positions: &mut [Position], marker: usize, spec: &JumpSpec, occlusion: &Occlusion) {
+    let n_frames = positions.len() / spec.n_markers.max(1);
     let mut rng = Rng::stream(spec.seed, 0x3_0000 + marker as u64);
     let wanted = (occlusion.fraction * n_frames as f64).round() as usize;
     let mut gaps = Vec::new();
@@ -284,7 +279,7 @@ pub(super) fn occlude(
         gaps.push(length.min(left));
         left -= length.min(left);
     }
-    // The samples that stay are cut at as many random places, and a gap goes into every cut.
+    // The remaining samples are cut at random places, and one gap goes into each cut.
     let kept = n_frames - wanted.min(n_frames);
     let mut cuts: Vec<usize> =
         gaps.iter().map(|_| (rng.unit() * (kept + 1) as f64) as usize).collect();
@@ -292,7 +287,7 @@ pub(super) fn occlude(
     let mut taken = 0;
     for (cut, gap) in cuts.iter().zip(&gaps) {
         for frame in cut + taken..cut + taken + gap {
-            if let Some(position) = positions.get_mut(frame * n_markers + marker) {
+            if let Some(position) = positions.get_mut(frame * spec.n_markers + marker) {
                 *position = GAP;
             }
         }
@@ -300,13 +295,14 @@ pub(super) fn occlude(
     }
 }
 
-/// The most subjects of a set.
+/// Most subjects in a set.
 pub const SUBJECTS_MAX: u32 = 1000;
 
-/// Jumps dealt to subjects as evenly as they go: 326 to 10 are 33 for the first six and 32 for the others.
+/// A data set of jumps, divided among subjects as evenly as possible: of 326 jumps by 10 subjects, the first six do 33
+/// each and the others 32.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JumpSet {
-    /// How each jump is seen; its seed is the set's, and says who the subjects are.
+    /// Rate, markers, noise and gaps of every jump; its seed selects the subjects.
     pub spec: JumpSpec,
     n_subjects: u32,
     n_jumps: u32,
@@ -315,35 +311,30 @@ pub struct JumpSet {
 /// A jump of a set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetJump {
-    /// Who jumps, from 1.
+    /// Number of the subject, from 1.
     pub subject: u32,
-    /// Which of the subject's jumps it is, from 1.
+    /// Number of the subject's trial, from 1.
     pub trial: u32,
     /// The jump.
     pub jump: Jump,
 }
 
 impl JumpSet {
-    /// Subjects differ in stature (1.60 to 1.92 m) and style, jumps of one subject by a few per cent.
+    /// Creates a set. Subjects differ in stature (1.60 to 1.92 m) and style; the jumps of one subject differ by a few
+    /// per cent.
     ///
     /// # Errors
-    /// When a number is out of its range; the message names it and the range.
+    /// When a number is out of range.
     pub fn new(spec: JumpSpec, n_subjects: u32, n_jumps: u32) -> Result<Self, GenerateError> {
-        for (what, value, high) in
-            [("subjects", n_subjects, SUBJECTS_MAX), ("jumps", n_jumps, TRIALS_MAX)]
-        {
-            let (value, high) = (f64::from(value), f64::from(high));
-            if !(1.0..=high).contains(&value) {
-                return Err(GenerateError::OutOfRange { what, value, low: 1.0, high });
-            }
-        }
+        range("subjects", f64::from(n_subjects), 1.0, f64::from(SUBJECTS_MAX))?;
+        range("jumps", f64::from(n_jumps), 1.0, f64::from(TRIALS_MAX))?;
         Ok(Self { spec, n_subjects, n_jumps })
     }
 
-    /// Each jump in turn: a whole trial each.
+    /// Generates the jumps one after another, each of them a whole trial.
     ///
     /// # Errors
-    /// As [`JumpSpec::generate`].
+    /// When [`JumpSpec::generate`] refuses the specification.
     pub fn jumps(&self) -> impl Iterator<Item = Result<SetJump, GenerateError>> {
         let Self { spec, n_subjects, n_jumps } = *self;
         (0..n_subjects).flat_map(move |subject| {
@@ -368,10 +359,10 @@ mod tests {
     }
 
     #[test]
-    fn jumps_are_dealt_evenly_and_none_is_another() {
+    fn jumps_are_divided_evenly_and_all_differ() {
         let jumps = set(3, 8);
-        let who: Vec<(u32, u32)> = jumps.iter().map(|jump| (jump.subject, jump.trial)).collect();
-        assert_eq!(who, [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2)]);
+        let ids: Vec<(u32, u32)> = jumps.iter().map(|jump| (jump.subject, jump.trial)).collect();
+        assert_eq!(ids, [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2)]);
         for (i, SetJump { jump: a, .. }) in jumps.iter().enumerate() {
             assert_eq!(a.phases.len(), 7, "each is one whole trial");
             assert!(jumps[..i].iter().all(|b| b.jump.motion.positions_mm != a.motion.positions_mm));
@@ -391,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_trial_is_the_one_that_was_always_there() {
+    fn the_first_trial_is_number_0() {
         let spec = JumpSpec::new(7, 60.0);
         assert_eq!(spec.first_trial, 0);
         let again = JumpSpec { first_trial: 3, ..spec };

@@ -1,4 +1,6 @@
-//! One subject, who jumps, walks back and jumps again.
+//! One subject over time: trials of jumping and walking back, with slow postural drift.
+
+use std::f64::consts::TAU;
 
 use super::Phase;
 use super::body::{Body, SITES};
@@ -7,12 +9,12 @@ use super::plan::Style;
 use super::rng::Rng;
 use super::trial::Trial;
 
-/// By how much the drifts of a subject's next trial are later, seconds: no multiple of their periods.
+/// Shift of the drifts from one first trial to the next, seconds: not a multiple of their periods.
 const DRIFT_STEP_S: f64 = 17.3;
 
-/// A trial and where in the room and when it begins.
+/// A trial, with its start time, and its origin and direction in the capture volume.
 #[derive(Debug)]
-struct Placed {
+struct PlacedTrial {
     trial: Trial,
     start_s: f64,
     origin: [f64; 2],
@@ -20,13 +22,14 @@ struct Placed {
     sense: f64,
 }
 
-impl Placed {
-    fn in_room(&self, [x, y, z]: V3) -> V3 {
+impl PlacedTrial {
+    /// Converts from the trial's axes to those of the capture volume.
+    fn to_volume(&self, [x, y, z]: V3) -> V3 {
         [self.origin[0] + self.sense * x, self.origin[1] + self.sense * y, z]
     }
 }
 
-/// A slow, never repeating drift: three sines.
+/// A slow drift that does not repeat: the sum of three sines.
 #[derive(Debug, Clone, Copy)]
 struct Drift {
     /// Amplitude, frequency (Hz) and phase (radians) of each.
@@ -36,34 +39,32 @@ struct Drift {
 impl Drift {
     fn new(size: f64, rng: &mut Rng) -> Self {
         let waves = [(0.6, 0.12), (0.3, 0.31), (0.15, 0.57)].map(|(part, frequency_hz)| {
-            let turn = 2.0 * std::f64::consts::PI;
-            [size * part, frequency_hz * rng.between(0.8, 1.2), rng.between(0.0, turn)]
+            [size * part, frequency_hz * rng.between(0.8, 1.2), rng.between(0.0, TAU)]
         });
         Self { waves }
     }
 
     fn at(&self, time_s: f64) -> f64 {
-        let turn = 2.0 * std::f64::consts::PI;
-        // Whole turns are taken off first: the sine is exact only for moderate angles.
+        // Whole turns are subtracted first: the sine is accurate for moderate angles only.
         let wave = |[size, hz, phase]: [f64; 3]| {
             let turns = hz * time_s;
-            size * sin_cos(turn * (turns - turns.floor()) + phase).0
+            size * sin_cos(TAU * (turns - turns.floor()) + phase).0
         };
         self.waves.into_iter().map(wave).sum()
     }
 }
 
-/// What the generator needs to know of one time.
+/// The subject at one time.
 #[derive(Debug)]
-pub(super) struct Moment {
+pub(super) struct SubjectState {
     pub(super) sites: [V3; SITES.len()],
-    /// Hips and chest, to the left.
+    /// Lateral axes of hips and chest, to the left.
     pub(super) lateral: [V3; 2],
     /// Seconds since the last touch-down; negative before it.
     pub(super) since_impact_s: f64,
 }
 
-/// The subject of a seed.
+/// A subject, drawn from a seed.
 #[derive(Debug)]
 pub(super) struct Subject {
     body: Body,
@@ -71,13 +72,13 @@ pub(super) struct Subject {
     rng: Rng,
     /// Pelvis x y z, lean, both arms.
     drifts: [Drift; 6],
-    /// Time of the drifts at the beginning, seconds.
+    /// Time of the drifts at the start, seconds.
     drift_from_s: f64,
-    trials: Vec<Placed>,
+    trials: Vec<PlacedTrial>,
 }
 
 impl Subject {
-    /// Its trials begin with the one of this number, from 0, at time 0 and the origin.
+    /// Creates a subject whose trial `first_trial` (from 0) starts at time 0 and the origin.
     pub(super) fn new(seed: u64, first_trial: u32) -> Self {
         let mut rng = Rng::new(seed);
         let stature_m = rng.between(1.60, 1.92);
@@ -95,7 +96,7 @@ impl Subject {
         for _ in 0..first_trial {
             subject.style.vary(&mut subject.rng);
         }
-        // The body does not sway in every trial as in the first.
+        // The sway must differ between trials.
         subject.drift_from_s = f64::from(first_trial) * DRIFT_STEP_S;
         subject.next_trial();
         subject
@@ -109,7 +110,7 @@ impl Subject {
             let origin = [last.origin[0] + last.sense * x, last.origin[1] + last.sense * y];
             (last.start_s + last.trial.duration_s(), origin, -last.sense)
         });
-        self.trials.push(Placed { trial, start_s, origin, sense });
+        self.trials.push(PlacedTrial { trial, start_s, origin, sense });
     }
 
     fn end_s(&self) -> f64 {
@@ -120,20 +121,20 @@ impl Subject {
         self.trials.first().map_or(0.0, |first| first.trial.duration_s())
     }
 
-    /// Plans trials until that time.
+    /// Plans trials up to this time.
     pub(super) fn extend_to(&mut self, seconds: f64) {
         while self.end_s() < seconds {
             self.next_trial();
         }
     }
 
-    pub(super) fn at(&self, time_s: f64) -> Moment {
+    pub(super) fn at(&self, time_s: f64) -> SubjectState {
         let index = self.trials.partition_point(|p| p.start_s <= time_s).saturating_sub(1);
         let placed = &self.trials[index];
         let local_s = time_s - placed.start_s;
         let mut pose = placed.trial.pose(local_s);
-        pose.pelvis = placed.in_room(pose.pelvis);
-        pose.ankles = pose.ankles.map(|ankle| placed.in_room(ankle));
+        pose.pelvis = placed.to_volume(pose.pelvis);
+        pose.ankles = pose.ankles.map(|ankle| placed.to_volume(ankle));
         pose.facing = pose.facing.map(|v| placed.sense * v);
         let [x, y, z, lean, left, right] =
             self.drifts.map(|drift| drift.at(self.drift_from_s + time_s));
@@ -142,10 +143,10 @@ impl Subject {
         pose.arms[0].swing += left;
         pose.arms[1].swing += right;
         let (sites, lateral) = self.body.place(&pose);
-        Moment { sites, lateral, since_impact_s: local_s - placed.trial.touch_down_s() }
+        SubjectState { sites, lateral, since_impact_s: local_s - placed.trial.touch_down_s() }
     }
 
-    /// Each phase and its first frame, as far as there are frames.
+    /// The phases within `n_frames` frames, each with its first frame.
     pub(super) fn phases(&self, rate_hz: f64, n_frames: usize) -> Vec<(Phase, usize)> {
         let mut phases: Vec<(Phase, usize)> = Vec::new();
         for placed in &self.trials {

@@ -106,7 +106,7 @@ fn flight_is_a_parabola_under_gravity() {
 }
 
 #[test]
-fn the_jump_is_one_that_people_do() {
+fn jumps_are_humanly_possible() {
     for seed in 0..40 {
         let jump = JumpSpec::new(seed, 240.0).clean().generate().unwrap();
         let all = 0..jump.motion.n_frames();
@@ -120,7 +120,7 @@ fn the_jump_is_one_that_people_do() {
         assert!(walking < 1.5, "seed {seed}: walks at {walking} m/s");
         let take_off = span(&jump, Phase::TakeOff);
         assert!((0.25..0.35).contains(&(take_off.len() as f64 / 240.0)));
-        // Always faster until the feet leave the ground.
+        // The body accelerates until the feet leave the ground.
         let speed = |f: usize| distance(at(&jump, f, "pelvis"), at(&jump, f - 1, "pelvis"));
         let n = take_off.len();
         let thirds = [1, 2, 3].map(|k| speed(take_off.start + k * (n - 1) / 3));
@@ -137,7 +137,7 @@ fn the_jump_is_one_that_people_do() {
 }
 
 #[test]
-fn feet_stay_where_they_stand() {
+fn feet_stay_planted() {
     for seed in 0..12 {
         let jump = JumpSpec::new(seed, 60.0).clean().generate().unwrap();
         for frame in 0..span(&jump, Phase::TakeOff).start {
@@ -184,9 +184,9 @@ fn long_takes_stay_in_the_volume() {
 }
 
 #[test]
-fn noise_is_what_was_asked_for() {
+fn noise_has_the_requested_deviation() {
     for noise_mm in [0.05, 0.4] {
-        let spec = JumpSpec { noise_mm, wobble_mm: 0.0, ..JumpSpec::new(11, 1000.0) };
+        let spec = JumpSpec { noise_mm, soft_tissue_mm: 0.0, ..JumpSpec::new(11, 1000.0) };
         let jump = spec.generate().unwrap();
         for name in ["head", "pelvis", "r_ankle"] {
             for axis in 0..3 {
@@ -206,7 +206,7 @@ fn noise_is_what_was_asked_for() {
 }
 
 #[test]
-fn the_landing_shakes_soft_tissue_and_nothing_before() {
+fn soft_tissue_vibrates_only_after_landing() {
     let spec = JumpSpec { noise_mm: 0.0, n_markers: 60, ..JumpSpec::new(4, 240.0) };
     let (soft, hard) = (spec.generate().unwrap(), spec.clean().generate().unwrap());
     let off = |f: usize, m: usize| {
@@ -220,7 +220,7 @@ fn the_landing_shakes_soft_tissue_and_nothing_before() {
 }
 
 #[test]
-fn occlusion_takes_the_part_that_was_asked_for() {
+fn occlusion_removes_the_requested_fraction() {
     for fraction in [0.02, 0.3, 0.9] {
         let occlusion = Some(Occlusion { fraction, mean_gap_s: 0.15 });
         let jump = JumpSpec { occlusion, ..JumpSpec::new(9, 120.0) }.generate().unwrap();

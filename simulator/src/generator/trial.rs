@@ -1,18 +1,18 @@
-//! A trial: the keyed jump, the slow walk back on planted feet, and the pose at any time of both.
+//! A trial: the keyframed jump, the slow walk back on planted feet, and the pose at any time.
 
 use super::Phase;
 use super::body::{Arm, Body, Pose};
 use super::geometry::{V3, sin_cos, smooth_step};
-use super::plan::{Keyed, Style, Times};
+use super::plan::{JointCurves, PhaseTimes, Style};
 
-/// How far from its start a trial ends, metres: the next one comes back the same way.
+/// Distance from a trial's start to its end, metres; the next trial comes back the same way.
 const RETURN_M: f64 = 2.3;
 
 /// One trial in its own axes: it begins at the origin, facing +x.
 #[derive(Debug, Clone)]
 pub(super) struct Trial {
-    times: Times,
-    keyed: Keyed,
+    times: PhaseTimes,
+    curves: JointCurves,
     walk: Walk,
     swings: [Vec<Swing>; 2],
     half_stance_m: f64,
@@ -33,7 +33,8 @@ impl Trial {
         let step_m = 0.22 * body.stature;
         let n_steps = ((out_m + turn_m + back_m) / step_m).round().max(4.0) as u32;
         let bob_m = 0.008 * body.stature;
-        // Both feet stand at most 0.6 of a step from the body, 0.75 on the outside of the turn: the legs must reach.
+        // Both feet stand at most 0.6 of a step from the body, 0.75 on the outside of the turn, and the legs must reach
+        // them.
         let walk_m = body.ankle_height + below(0.98 * body.leg(), 0.75 * step_m) + 0.8 * bob_m;
         let mut walk = Walk {
             from: [style.jump_m, 0.0],
@@ -49,17 +50,17 @@ impl Trial {
             ankles_from: [[0.0; 3]; 2],
         };
         let walk_end_s = times.walk + walk.duration_s();
-        let keyed = Keyed::new(body, style, stand_m, walk_m, walk_end_s);
-        walk.ankles_from = [0, 1].map(|side| jump_ankle(&keyed, half_stance_m, side, times.walk));
+        let curves = JointCurves::new(body, style, stand_m, walk_m, walk_end_s);
+        walk.ankles_from = [0, 1].map(|side| jump_ankle(&curves, half_stance_m, side, times.walk));
         let swings = [walk.swings(0), walk.swings(1)];
-        Self { times, keyed, walk, swings, half_stance_m, bob_m }
+        Self { times, curves, walk, swings, half_stance_m, bob_m }
     }
 
     pub(super) fn duration_s(&self) -> f64 {
         self.times.walk + self.walk.duration_s()
     }
 
-    /// The phases and when each begins, in order.
+    /// The phases and their start times, seconds, in order.
     pub(super) fn phases(&self) -> [(Phase, f64); 7] {
         let t = &self.times;
         [
@@ -77,25 +78,25 @@ impl Trial {
         self.times.touch_down
     }
 
-    /// Where the trial ends, x and y; the body then faces -x.
+    /// Position at the end of the trial, x and y in metres; the body then faces -x.
     pub(super) fn end(&self) -> [f64; 2] {
         self.walk.body(self.walk.duration_s()).0
     }
 
     /// The pose at a time of the trial.
     pub(super) fn pose(&self, time_s: f64) -> Pose {
-        let keyed = &self.keyed;
+        let curves = &self.curves;
         let mut pose = Pose {
-            pelvis: [keyed.pelvis_x.at(time_s), 0.0, keyed.pelvis_z.at(time_s)],
+            pelvis: [curves.pelvis_x.at(time_s), 0.0, curves.pelvis_z.at(time_s)],
             facing: [1.0, 0.0],
-            lean: keyed.lean.at(time_s),
+            lean: curves.lean.at(time_s),
             ..Pose::default()
         };
-        pose.nod = -0.45 * pose.lean;
+        pose.head_pitch = -0.45 * pose.lean;
         pose.arms = [0, 1].map(|side| Arm {
-            swing: keyed.arm_swing[side].at(time_s),
-            elbow: keyed.elbow[side].at(time_s),
-            abduction: keyed.abduction.at(time_s),
+            swing: curves.arm_swing[side].at(time_s),
+            elbow: curves.elbow[side].at(time_s),
+            abduction: curves.abduction.at(time_s),
         });
         if time_s < self.times.walk {
             pose.ankles = [0, 1].map(|side| self.ankle(side, time_s));
@@ -108,32 +109,28 @@ impl Trial {
     fn ankle(&self, side: usize, time_s: f64) -> [f64; 3] {
         let t = &self.times;
         if time_s <= t.flight || time_s >= t.touch_down {
-            return jump_ankle(&self.keyed, self.half_stance_m, side, time_s);
+            return jump_ankle(&self.curves, self.half_stance_m, side, time_s);
         }
-        let keyed = &self.keyed;
-        let (s, c) = sin_cos(keyed.leg_angle[side].at(time_s));
-        let reach = keyed.leg_length.at(time_s);
+        let curves = &self.curves;
+        let (s, c) = sin_cos(curves.leg_angle[side].at(time_s));
+        let reach = curves.leg_length.at(time_s);
         let aside = if side == 0 { self.half_stance_m } else { -self.half_stance_m };
-        [keyed.pelvis_x.at(time_s) + reach * s, aside, keyed.pelvis_z.at(time_s) - reach * c]
+        [curves.pelvis_x.at(time_s) + reach * s, aside, curves.pelvis_z.at(time_s) - reach * c]
     }
 
     fn stride(&self, walk_s: f64, pose: &mut Pose) {
         let (at, facing) = self.walk.body(walk_s);
         let (steps, whole) = self.walk.stride(walk_s);
-        let (swing, _) = sin_cos(std::f64::consts::PI * steps);
         let (_, bob) = sin_cos(2.0 * std::f64::consts::PI * steps);
-        // The weight is on the right foot while the left one swings, at the even counts of steps.
-        let (_, weight) = sin_cos(std::f64::consts::PI * steps);
+        // The weight is on the right foot while the left one swings, at even step counts.
+        let (swing, weight) = sin_cos(std::f64::consts::PI * steps);
         let sway = -0.02 * whole * weight;
-        pose.pelvis = [
-            at[0] - sway * facing[1],
-            at[1] + sway * facing[0],
-            pose.pelvis[2] + whole * self.bob_m * bob,
-        ];
+        let z = pose.pelvis[2] + whole * self.bob_m * bob;
+        pose.pelvis = [at[0] - sway * facing[1], at[1] + sway * facing[0], z];
         pose.facing = facing;
         pose.twist = -0.10 * whole * swing;
         pose.lean += 0.03 * whole;
-        // Each arm goes with the other leg.
+        // Each arm swings with the opposite leg.
         pose.arms[0].swing -= 0.32 * whole * swing;
         pose.arms[1].swing += 0.32 * whole * swing;
         for (arm, sign) in pose.arms.iter_mut().zip([-1.0, 1.0]) {
@@ -144,33 +141,33 @@ impl Trial {
 }
 
 /// An ankle on the ground before and after the flight.
-fn jump_ankle(keyed: &Keyed, half_stance_m: f64, side: usize, time_s: f64) -> [f64; 3] {
+fn jump_ankle(curves: &JointCurves, half_stance_m: f64, side: usize, time_s: f64) -> [f64; 3] {
     let aside = if side == 0 { half_stance_m } else { -half_stance_m };
-    [keyed.ankle_x[side].at(time_s), aside, keyed.ankle_z[side].at(time_s)]
+    [curves.ankle_x[side].at(time_s), aside, curves.ankle_z[side].at(time_s)]
 }
 
-/// A walk in the jump's own axes: from a point, facing +x, to a stand facing -x.
+/// A walk in the jump's own axes, from a stand facing +x to a stand facing -x.
 #[derive(Debug, Clone)]
 pub(super) struct Walk {
-    /// Where the pelvis starts, x and y in metres.
+    /// Start of the pelvis, x and y in metres.
     pub(super) from: [f64; 2],
-    /// Straight, turning and straight again, metres of path.
+    /// Path lengths in metres: straight, turning, and straight again.
     pub(super) out_m: f64,
     pub(super) turn_m: f64,
     pub(super) back_m: f64,
-    /// Steps on the way; the last foot then closes up.
+    /// Steps along the path; then the other foot closes up.
     pub(super) n_steps: u32,
     pub(super) speed_m_s: f64,
-    /// Time to get up to speed, and to stop.
+    /// Duration of acceleration, and of deceleration.
     pub(super) ramp_s: f64,
     pub(super) half_stance_m: f64,
     pub(super) ankle_height_m: f64,
     pub(super) lift_m: f64,
-    /// Where left and right ankle stand before.
+    /// Left and right ankle before the first step.
     pub(super) ankles_from: [V3; 2],
 }
 
-/// Body progress in steps at which the foot for place `k` leaves the ground and lands, about `k - 1`.
+/// Half the duration of a foot's swing, in steps of body progress: the foot for place `k` swings around `k - 1`.
 const SWING_HALF: f64 = 0.4;
 
 impl Walk {
@@ -186,7 +183,7 @@ impl Walk {
         self.length_m() / f64::from(self.n_steps)
     }
 
-    /// Metres of path behind the body.
+    /// Path covered by the body, metres.
     fn progress_m(&self, time_s: f64) -> f64 {
         // The integral of the smooth step from 0 to x, and x - 1/2 beyond 1.
         let ramp = |x: f64| {
@@ -198,13 +195,13 @@ impl Walk {
         scale * (ramp(time_s / self.ramp_s) - ramp((time_s - stop_s) / self.ramp_s))
     }
 
-    /// Steps behind the body, 0 to `n_steps`, and how much of a walk it is (0 at both ends, 1 between).
+    /// Steps covered, 0 to `n_steps`, and the amplitude of the gait (0 at both ends, 1 in between).
     pub(super) fn stride(&self, time_s: f64) -> (f64, f64) {
         let steps = self.progress_m(time_s) / self.step_m();
         (steps, smooth_step(steps) * smooth_step(f64::from(self.n_steps) - steps))
     }
 
-    /// Place (x, y) and direction (cosine, sine) of the path.
+    /// Position (x, y) and direction (cosine, sine) on the path.
     pub(super) fn path(&self, progress_m: f64) -> ([f64; 2], [f64; 2]) {
         let [x0, y0] = self.from;
         if progress_m <= self.out_m {
@@ -226,7 +223,8 @@ impl Walk {
         std::f64::consts::PI * smooth_step(turned_m / self.turn_m)
     }
 
-    /// What the turn has moved the body by: the integral of its direction, two panels of 8-point Gauss-Legendre.
+    /// Displacement by the turn so far: the integral of the direction, by 8-point Gauss-Legendre quadrature on two
+    /// panels.
     fn turn(&self, turned_m: f64) -> [f64; 2] {
         const NODES: [(f64, f64); 4] = [
             (0.183_434_642_495_649_8, 0.362_683_783_378_362),
@@ -247,7 +245,7 @@ impl Walk {
         sum
     }
 
-    /// The time at which the body has made so many steps.
+    /// The time at which the body has covered this many steps, by bisection.
     fn time_of(&self, steps: f64) -> f64 {
         let (mut low, mut high) = (0.0, self.duration_s());
         for _ in 0..60 {
@@ -258,7 +256,7 @@ impl Walk {
         low
     }
 
-    /// Every swing of one foot: (leaves, lands, from, to). Left takes the odd places, right the even ones.
+    /// All swings of one foot. The left foot takes the odd places, the right foot the even ones.
     pub(super) fn swings(&self, side: usize) -> Vec<Swing> {
         let sign = if side == 0 { 1.0 } else { -1.0 };
         let n = self.n_steps;
@@ -266,25 +264,19 @@ impl Walk {
         let mut swings = Vec::new();
         for place in (1..=n + 1).filter(|k| (k % 2 == 1) == (side == 0)) {
             let middle = f64::from(place) - 1.0;
-            let leaves = (middle - SWING_HALF).max(0.02);
-            let lands = (middle + SWING_HALF).min(f64::from(n) - 0.02);
+            let leaves_s = self.time_of((middle - SWING_HALF).max(0.02));
+            let lands_s = self.time_of((middle + SWING_HALF).min(f64::from(n) - 0.02));
             let (at, facing) = self.path(f64::from(place.min(n)) * self.step_m());
             let aside = sign * self.half_stance_m;
             let to = [at[0] - aside * facing[1], at[1] + aside * facing[0], self.ankle_height_m];
-            swings.push(Swing {
-                leaves_s: self.time_of(leaves),
-                lands_s: self.time_of(lands),
-                from,
-                to,
-                lift_m: self.lift_m,
-            });
+            swings.push(Swing { leaves_s, lands_s, from, to, lift_m: self.lift_m });
             from = to;
         }
         swings
     }
 }
 
-/// One foot from one place to the next.
+/// The swing of a foot from one place to the next.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Swing {
     leaves_s: f64,
@@ -294,7 +286,7 @@ pub(super) struct Swing {
     lift_m: f64,
 }
 
-/// Where a foot is: at rest between its swings.
+/// Position of a foot, which rests between its swings.
 fn foot(swings: &[Swing], time_s: f64) -> V3 {
     let begun = swings.partition_point(|s| s.leaves_s <= time_s);
     let Some(swing) = swings.get(begun.saturating_sub(1)) else { return [0.0; 3] };

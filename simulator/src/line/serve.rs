@@ -1,4 +1,4 @@
-//! The loop between a device and its line: one thread, asleep until the next frame or the next byte.
+//! The loop between a device and its line: one thread that sleeps until the next frame or byte.
 
 use std::io::{self, Write};
 use std::num::NonZeroU64;
@@ -7,34 +7,33 @@ use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use super::pace::{Batch, Pace};
+use super::pace::{BaudLimiter, LatencyTimer};
 use super::{Line, LineError};
 use crate::device::{LineDevice, SentLog};
 
-/// The longest sleep: how soon a stop is seen.
-const NAP: Duration = Duration::from_millis(20);
+/// The longest sleep, which bounds the reaction time to a stop.
+const SLEEP_MAX: Duration = Duration::from_millis(20);
 
-/// How long to wait for room when the host's buffer is full: 64 KiB at the pty's 75 MB/s.
-const FULL: Duration = Duration::from_millis(1);
+/// How long to wait when the host's buffer is full: 64 KiB at the pty's 75 MB/s.
+const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 
-/// Bytes that are read at once: many times the longest command.
+/// Size of one read: many times the longest command.
 const READ_BYTES: usize = 4096;
 
-/// Reads in a row before frames have their turn again.
+/// Most consecutive reads before frames are served again.
 const READS_MAX: usize = 16;
 
-/// How the line is served.
+/// How to serve a line.
 #[derive(Default)]
 pub struct ServeOptions {
-    /// Carry no more than a line of this speed would; `None` for as fast as the host reads.
+    /// Limit the throughput to a line of this speed; `None` for as fast as the host reads.
     pub baud: Option<u32>,
-    /// Hand over what waits only so often; `None` for at once.
+    /// Hand waiting bytes over once per this period, as a latency timer does; `None` for at once.
     pub batch: Option<Duration>,
     /// Return when a run has ended and the host has read all of it.
     pub once: bool,
-    /// Where a line of CSV goes for every frame whose time came; see
-    /// [`SentFrame`](crate::device::SentFrame), and of a line with faults
-    /// [`FrameFate`](crate::faults::FrameFate).
+    /// Destination of the frame log, one CSV row per frame produced: a [`SentFrame`](crate::device::SentFrame), or with
+    /// faults a [`FrameFate`](crate::faults::FrameFate).
     pub log: Option<Box<dyn Write + Send>>,
 }
 
@@ -49,8 +48,8 @@ impl std::fmt::Debug for ServeOptions {
     }
 }
 
-/// Is the device on a line until `stop`, or until it [went away](LineDevice::is_gone) for good. What was sent by then is drained before it returns, unless the host
-/// reads nothing for a second.
+/// Serves a device on a line until `stop` is set or the device is [gone](LineDevice::is_gone). Before it returns, it
+/// waits until the host has read all bytes sent, or has read nothing for one second.
 ///
 /// # Errors
 /// When the line or the log fails.
@@ -60,7 +59,7 @@ pub fn serve(
     options: ServeOptions,
     stop: &AtomicBool,
 ) -> Result<SentLog, LineError> {
-    // A device's timer is not 50 us late, as a thread's sleep may be; where the kernel refuses, it is.
+    // Default timer slack makes a sleep up to 50 us late, unlike a device's timer. If the kernel refuses, it stays.
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
     if options.log.is_some() {
         device.keep_frame_log();
@@ -70,7 +69,7 @@ pub fn serve(
         device,
         pace: None,
         baud: options.baud,
-        batch: options.batch.map(|batch| Batch::new(batch.as_nanos() as u64, host_ns())),
+        timer: options.batch.map(|period| LatencyTimer::new(period.as_nanos() as u64, host_ns())),
         log: options.log,
         open_again_ns: 0,
         plugged: true,
@@ -86,7 +85,7 @@ pub fn serve(
     Ok(device.log())
 }
 
-/// The system's monotonic clock: the one that a host on the same machine reads, too.
+/// The system's monotonic clock, which a host on the same machine also reads; nanoseconds.
 fn host_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
@@ -95,20 +94,21 @@ fn host_ns() -> u64 {
 struct Server<'a> {
     line: &'a mut dyn Line,
     device: &'a mut dyn LineDevice,
-    pace: Option<Pace>,
-    batch: Option<Batch>,
-    /// What the line carries at most; a device may run its own end slower.
+    pace: Option<BaudLimiter>,
+    timer: Option<LatencyTimer>,
+    /// Speed limit of the line; a device may run its own end slower.
     baud: Option<u32>,
     log: Option<Box<dyn Write + Send>>,
     open_again_ns: u64,
-    /// The cable is in.
+    /// The cable is plugged in.
     plugged: bool,
 }
 
-/// What a turn of writing came to.
-enum Written {
+/// Outcome of a write.
+enum Progress {
+    /// Everything is written.
     All,
-    /// The line takes more at that time.
+    /// The line takes more at this time, nanoseconds.
     Until(u64),
     /// The host's buffer is full.
     Full,
@@ -121,38 +121,36 @@ impl Server<'_> {
     }
 
     fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), LineError> {
+        let until = |at_ns: u64| Duration::from_nanos(at_ns.saturating_sub(host_ns()));
         while !stop.load(Ordering::Relaxed) {
             let now_ns = host_ns();
             self.tick(now_ns);
             let wake_ns = self.device.poll(now_ns);
-            self.follow_cable()?;
+            self.update_cable()?;
             let (sleep, is_full) = match self.write()? {
-                Written::All => (NAP, false),
-                Written::Until(at_ns) => {
-                    (Duration::from_nanos(at_ns.saturating_sub(host_ns())), false)
-                }
-                Written::Full => (FULL, true),
+                Progress::All => (SLEEP_MAX, false),
+                Progress::Until(at_ns) => (until(at_ns), false),
+                Progress::Full => (RETRY_INTERVAL, true),
             };
             self.log_frames()?;
-            // A host's first Stop ends nothing: there was no run yet.
+            // A host's first Stop ends no run: there was none yet.
             let has_ended = self.device.has_ended() && self.device.log().starts > 0;
             let is_over = self.device.is_gone() || (once && has_ended);
             if is_over && self.device.pending().is_empty() {
                 return Ok(());
             }
-            let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));
-            let nap = sleep.min(until_wake).min(NAP);
-            let heard = if is_full { self.line.wait_for_room(nap) } else { self.line.wait(nap) };
-            if heard.map_err(self.failed("waiting"))? {
+            let idle = sleep.min(until(wake_ns)).min(SLEEP_MAX);
+            let ready = if is_full { self.line.wait_for_room(idle) } else { self.line.wait(idle) };
+            if ready.map_err(self.failed("waiting"))? {
                 self.read()?;
             }
-            self.admit()?;
+            self.maintain()?;
         }
         Ok(())
     }
 
-    /// Pulls the line out or puts it in, when the device says so.
-    fn follow_cable(&mut self) -> Result<(), LineError> {
+    /// Unplugs the line or plugs it in, when the device's state has changed.
+    fn update_cable(&mut self) -> Result<(), LineError> {
         let plugged = self.device.is_plugged();
         if plugged == self.plugged {
             return Ok(());
@@ -161,61 +159,62 @@ impl Server<'_> {
         if plugged {
             return self.line.plug_in().map_err(self.failed("plugging in"));
         }
-        // What left the device has reached the host: the log knows no third.
+        // The log knows only sent and unsent frames, so everything sent must have reached the host.
         let mut drain = Drain::default();
         loop {
             let unread = self.line.unread().map_err(self.failed("counting bytes"))?;
             if drain.is_over(unread, host_ns()) {
                 return self.line.unplug().map_err(self.failed("unplugging"));
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
-    /// What the device says from now on waits for the next batch.
+    /// Advances the latency timer: bytes that the device queues from now on wait for its next expiry.
     fn tick(&mut self, now_ns: u64) {
         let waiting = self.device.pending().len();
-        if let Some(batch) = &mut self.batch {
-            batch.tick(now_ns, waiting);
+        if let Some(timer) = &mut self.timer {
+            timer.tick(now_ns, waiting);
         }
     }
 
-    /// Writes what the line takes now.
-    fn write(&mut self) -> Result<Written, LineError> {
+    /// Writes as many bytes as the line takes now.
+    fn write(&mut self) -> Result<Progress, LineError> {
         let baud = self.device.baud().into_iter().chain(self.baud).min();
-        if baud != self.pace.as_ref().map(Pace::baud) {
-            self.pace = baud.map(Pace::new);
+        if baud != self.pace.as_ref().map(BaudLimiter::baud) {
+            self.pace = baud.map(BaudLimiter::new);
         }
         loop {
             let now_ns = host_ns();
             let pending = self.device.pending();
             if pending.is_empty() {
-                return Ok(Written::All);
+                return Ok(Progress::All);
             }
             let mut allowed = self.pace.as_mut().map_or(usize::MAX, |pace| pace.allowed(now_ns));
-            if let Some(batch) = &mut self.batch {
-                batch.tick(now_ns, pending.len());
-                if batch.released == 0 {
-                    return Ok(Written::Until(batch.next_ns));
+            if let Some(timer) = &mut self.timer {
+                timer.tick(now_ns, pending.len());
+                if timer.released == 0 {
+                    return Ok(Progress::Until(timer.next_ns));
                 }
-                allowed = allowed.min(batch.released);
+                allowed = allowed.min(timer.released);
             }
-            let Some(bytes) = pending.get(..allowed.min(pending.len())).filter(|b| !b.is_empty())
-            else {
-                return Ok(Written::Until(self.pace.as_ref().map_or(now_ns, Pace::next_ns)));
-            };
+            let bytes = pending.get(..allowed.min(pending.len())).unwrap_or_default();
+            if bytes.is_empty() {
+                let at_ns = self.pace.as_ref().map_or(now_ns, BaudLimiter::next_ns);
+                return Ok(Progress::Until(at_ns));
+            }
             let n = self.line.write(bytes).map_err(self.failed("writing"))?;
             if n == 0 {
-                return Ok(Written::Full);
+                return Ok(Progress::Full);
             }
             self.device.sent(n);
-            if let Some(batch) = &mut self.batch {
-                batch.sent(n);
+            if let Some(timer) = &mut self.timer {
+                timer.sent(n);
             }
             if let Some(pace) = &mut self.pace {
                 pace.sent(n);
                 let rest = !self.device.pending().is_empty();
-                return Ok(if rest { Written::Until(pace.next_ns()) } else { Written::All });
+                return Ok(if rest { Progress::Until(pace.next_ns()) } else { Progress::All });
             }
         }
     }
@@ -234,12 +233,12 @@ impl Server<'_> {
         Ok(())
     }
 
-    /// Ten times a second: a new host may open the line after one that was killed, and the log is on disk.
-    fn admit(&mut self) -> Result<(), LineError> {
+    /// Housekeeping, ten times a second: lets a new host open the line after one was killed, and flushes the log.
+    fn maintain(&mut self) -> Result<(), LineError> {
         let now_ns = host_ns();
         if now_ns >= self.open_again_ns {
             self.open_again_ns = now_ns + 100_000_000;
-            self.line.tend().map_err(self.failed("tending"))?;
+            self.line.maintain().map_err(self.failed("maintaining"))?;
             self.log.as_mut().map_or(Ok(()), Write::flush).map_err(LineError::Log)?;
         }
         Ok(())
@@ -254,7 +253,7 @@ impl Server<'_> {
             if drain.is_over(left, host_ns()) {
                 return Ok(());
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
@@ -272,30 +271,30 @@ impl Server<'_> {
     }
 }
 
-/// How long the host may read nothing before it counts as gone.
-const PATIENCE_NS: u64 = 1_000_000_000;
+/// A host that reads nothing for this long counts as gone.
+const HOST_IDLE_TIMEOUT_NS: u64 = 1_000_000_000;
 
-/// Between two looks.
-const LOOK: Duration = Duration::from_millis(5);
+/// Time between two polls of the unread bytes.
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Watches the bytes that are left for the host.
+/// Watches the number of bytes that the host still has to read.
 #[derive(Debug, Default)]
 struct Drain {
     left: Option<u64>,
     progress_ns: u64,
-    empty_looks: u32,
+    empty_polls: u32,
 }
 
 impl Drain {
-    /// `left` are all bytes between the device and the host. `true` when it is time to hang up.
+    /// Takes the number of bytes between device and host; `true` when none are left or the host has stopped reading.
     fn is_over(&mut self, left: u64, now_ns: u64) -> bool {
         if self.left != Some(left) {
             self.left = Some(left);
             self.progress_ns = now_ns;
         }
-        // The kernel hands bytes from one buffer to the next on its own time, and counts only the last one:
-        // nothing must be there for some looks running.
-        self.empty_looks = if left == 0 { self.empty_looks + 1 } else { 0 };
-        self.empty_looks > 4 || now_ns.saturating_sub(self.progress_ns) > PATIENCE_NS
+        // The kernel moves bytes between its buffers asynchronously and counts only the last one: wait for five
+        // consecutive polls without bytes.
+        self.empty_polls = if left == 0 { self.empty_polls + 1 } else { 0 };
+        self.empty_polls > 4 || now_ns.saturating_sub(self.progress_ns) > HOST_IDLE_TIMEOUT_NS
     }
 }

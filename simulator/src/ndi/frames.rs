@@ -1,58 +1,60 @@
-//! Frames whose time comes, and requests that fetch them.
+//! Production of frames, and the requests that fetch them.
 
 use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
-use super::NdiDevice;
-use super::report::{Moment, Wanted, bx2};
+use super::report::{Bx2Options, FrameReport, bx2};
+use super::setup::mode;
+use super::{Answer, NdiDevice};
 use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// `TSTART:80` sets the frame counter back.
+/// `TSTART:80` resets the frame counter.
 const RESET_COUNTER: &str = "80";
 
-/// How long the last frame of a motion can be had beyond its time: a line that is slow still gets to it.
+/// How long the last frame of a motion stays available, so that a slow line can still fetch it.
 const LAST_FRAME_NS: u64 = SECOND_NS;
 
-/// Frames that went by unfetched of which it is open whether a request still comes. After more the host
-/// has missed them, whatever it does next: a minute at 60 Hz.
+/// Most unfetched frames that wait for a later request. Beyond it (a minute at 60 Hz) they count as dropped, whatever
+/// the host does next.
 const MISSED_MAX: usize = 4096;
 
-/// The frame that can be had now.
+/// The frame that requests can fetch.
 #[derive(Debug, Clone, Copy)]
 struct Current {
-    /// What it will be in the log.
+    /// Its entry in the log.
     sent: SentFrame,
-    /// Whether any request fetched it, and whether `BX2` did.
+    /// Any request has fetched it.
     fetched: bool,
-    fetched_new: bool,
+    /// `BX2` has fetched it.
+    fetched_by_bx2: bool,
 }
 
-/// From `TSTART` to the end.
+/// Tracking mode, from `TSTART` to its end.
 #[derive(Debug, Default)]
 pub(super) struct Tracking {
     pub(super) is_on: bool,
-    /// When its first frame came: with the first request for one.
+    /// Time of the first frame, which comes with the first request for one.
     start_ns: Option<u64>,
     current: Option<Current>,
     /// Frames since the last one fetched.
     missed: Vec<SentFrame>,
     row: Vec<Position>,
-    /// The frame counter when it was last set back.
+    /// Frames produced before the counter was last reset.
     counted_from: u64,
     sequence: u8,
-    /// A run has ended: by itself, or by a command.
+    /// A run has ended, by itself or by a command.
     ended: bool,
-    told: bool,
+    end_reported: bool,
 }
 
 impl Tracking {
-    pub(super) fn end_was_told(&self) -> bool {
-        self.ended && self.told
+    pub(super) fn end_was_reported(&self) -> bool {
+        self.ended && self.end_reported
     }
 
-    /// Frames of which it is open what becomes of them.
+    /// The number of frames whose fate is open.
     pub(super) fn waiting(&self) -> u64 {
         let current = self.current.is_some_and(|frame| !frame.fetched);
         self.missed.len() as u64 + u64::from(current)
@@ -60,17 +62,18 @@ impl Tracking {
 }
 
 impl NdiDevice {
-    /// Produces the frames whose time has come; gives the time of the next.
+    /// Produces the frames that are due, and returns the time of the next.
     pub(super) fn produce_until(&mut self, now_ns: u64) -> u64 {
         let n_frames = self.replay.n_frames().max(1);
         while let Some(start_ns) = self.tracking.start_ns {
             let produced = self.log.run.frames_produced;
-            let next_ns = start_ns.saturating_add(frame_after_ns(produced, self.rates.rate_mhz));
+            let next_ns =
+                start_ns.saturating_add(frame_after_ns(produced, self.rates.rate_millihertz));
             if next_ns > now_ns {
                 return next_ns;
             }
             if !self.settings.looping && produced >= n_frames {
-                // The last frame can be had for as long as every other one, and until it was.
+                // The last frame stays available until it is fetched or its extra time is over.
                 let waits_until_ns = next_ns.saturating_add(LAST_FRAME_NS);
                 if self.tracking.waiting() > 0 && now_ns < waits_until_ns {
                     return waits_until_ns;
@@ -98,13 +101,13 @@ impl NdiDevice {
                 host_ns: at_ns,
             },
             fetched: false,
-            fetched_new: false,
+            fetched_by_bx2: false,
         });
         self.log.run.frames_produced += 1;
         self.log.total.frames_produced += 1;
     }
 
-    /// The frame at hand can no longer be had.
+    /// The current frame is no longer available: logs it if it was fetched.
     fn settle_current(&mut self) {
         let Some(frame) = self.tracking.current.take() else { return };
         if frame.fetched {
@@ -113,7 +116,7 @@ impl NdiDevice {
                 counters.samples += u64::from(frame.sent.present);
                 counters.samples_occluded += absent;
             }
-            self.note(frame.sent);
+            self.log_frame(frame.sent);
         } else {
             if self.tracking.missed.len() >= MISSED_MAX {
                 self.settle_missed(false);
@@ -122,7 +125,7 @@ impl NdiDevice {
         }
     }
 
-    /// What became of the frames that went by: a request came after them, or none will any more.
+    /// Settles the missed frames: as dropped, because a later request came, or as unasked, because none will.
     fn settle_missed(&mut self, unasked: bool) {
         let missed = std::mem::take(&mut self.tracking.missed);
         for counters in [&mut self.log.run, &mut self.log.total] {
@@ -131,11 +134,11 @@ impl NdiDevice {
             *count += missed.len() as u64;
         }
         missed.into_iter().for_each(|sent| {
-            self.note(SentFrame { dropped: !unasked, unasked, ..sent });
+            self.log_frame(SentFrame { dropped: !unasked, unasked, ..sent });
         });
     }
 
-    fn note(&mut self, sent: SentFrame) {
+    fn log_frame(&mut self, sent: SentFrame) {
         if self.log_frames {
             self.log.frames.push(sent);
         }
@@ -147,57 +150,50 @@ impl NdiDevice {
         self.tracking.start_ns = None;
         if std::mem::take(&mut self.tracking.is_on) {
             self.log.ends += 1;
-            (self.tracking.ended, self.tracking.told) = (true, false);
+            (self.tracking.ended, self.tracking.end_reported) = (true, false);
         }
     }
 
-    /// The answer to a command about frames; empty when it is queued already. `None` for other commands.
-    pub(super) fn report(
-        &mut self,
-        name: &str,
-        args: &str,
-        now_ns: u64,
-    ) -> Option<Result<String, u8>> {
+    /// Answers a command about frames; the answer is empty when it is queued already. `None` for other commands.
+    pub(super) fn frame_command(&mut self, name: &str, args: &str, now_ns: u64) -> Option<Answer> {
         if !matches!(name, "TSTART" | "TSTOP" | "TX" | "BX" | "BX2") || !self.initialized {
             return None;
         }
         if self.tracking.is_on && !matches!(name, "TSTART" | "TSTOP") {
             self.tracking.start_ns.get_or_insert(now_ns);
         }
-        // Frames that were due before the command can be had by it.
+        // The command can fetch frames that were due before it.
         self.produce_until(now_ns);
         let answer = match name {
             "TSTART" if self.is_running() => Err(code::WRONG_MODE),
             "TSTART" => self.start(args),
             _ if !self.is_running() => {
-                self.tracking.told = true;
+                self.tracking.end_reported = true;
                 Err(code::WRONG_MODE)
             }
             "TSTOP" => {
                 self.end_run();
-                self.tracking.told = true;
+                self.tracking.end_reported = true;
                 Ok("OKAY".to_owned())
             }
             "TX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
-                let text = self.moment().tx(mode);
+                let text = self.report().tx(mode);
                 self.outbox.put(first, |out| put_text(&text, out));
                 String::new()
             }),
             "BX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
-                self.put_binary(first, &self.moment().bx(mode))
+                self.put_binary(first, &self.report().bx(mode))
             }),
             "BX2" if !self.settings.bx2 => Err(code::INVALID_COMMAND),
-            _ => Wanted::of(args).ok_or(code::PARAMETERS).map(|wanted| self.bx2(wanted)),
+            _ => Bx2Options::of(args).ok_or(code::PARAMETERS).map(|options| self.bx2(options)),
         };
-        if answer.is_err() {
-            self.log.refused += u64::from(name == "TSTART");
-        }
+        self.log.refused += u64::from(answer.is_err() && name == "TSTART");
         Some(answer)
     }
 
-    fn start(&mut self, args: &str) -> Result<String, u8> {
+    fn start(&mut self, args: &str) -> Answer {
         match args {
             "" => {}
             RESET_COUNTER => self.tracking.counted_from = self.log.total.frames_produced,
@@ -205,46 +201,37 @@ impl NdiDevice {
         }
         self.log.starts += 1;
         self.log.run = SentCounters::default();
-        (self.tracking.ended, self.tracking.told) = (false, false);
+        (self.tracking.ended, self.tracking.end_reported) = (false, false);
         (self.tracking.is_on, self.tracking.start_ns) = (true, None);
         Ok("OKAY".to_owned())
     }
 
-    fn bx2(&mut self, wanted: Wanted) -> String {
-        let is_new = self.tracking.current.is_some_and(|frame| !frame.fetched_new);
+    fn bx2(&mut self, options: Bx2Options) -> String {
+        let is_new = self.tracking.current.is_some_and(|frame| !frame.fetched_by_bx2);
         let first = self.fetch(true);
         self.tracking.sequence = self.tracking.sequence.wrapping_add(u8::from(is_new));
-        let moment = self.moment();
-        let block = bx2(is_new.then_some(&moment), wanted, self.tracking.sequence);
+        let report = self.report();
+        let block = bx2(is_new.then_some(&report), options, self.tracking.sequence);
         self.put_binary(first && is_new, &block)
     }
 
-    /// Marks the frame at hand as fetched; whether it is for the first time.
+    /// Marks the current frame as fetched; `true` for the first time.
     fn fetch(&mut self, by_bx2: bool) -> bool {
         let Some(frame) = &mut self.tracking.current else { return false };
-        frame.fetched_new |= by_bx2;
+        frame.fetched_by_bx2 |= by_bx2;
         let first = !std::mem::replace(&mut frame.fetched, true);
         self.settle_missed(false);
         first
     }
 
-    fn moment(&self) -> Moment<'_> {
+    fn report(&self) -> FrameReport<'_> {
         let (number, time_ns) =
             self.tracking.current.map_or((0, 0), |f| (f.sent.seq, f.sent.device_ticks));
-        Moment { ports: &self.ports, row: &self.tracking.row, number, time_ns }
+        FrameReport { ports: &self.ports, row: &self.tracking.row, number, time_ns }
     }
 
     fn put_binary(&mut self, is_frame: bool, block: &[u8]) -> String {
         self.outbox.put(is_frame, |out| put_binary(block, out));
         String::new()
-    }
-}
-
-/// Reply options, four digits; transforms and status when there are none.
-fn mode(args: &str) -> Result<u16, u8> {
-    if args.is_empty() {
-        Ok(1)
-    } else {
-        u16::from_str_radix(args, 16).map_err(|_| code::PARAMETERS)
     }
 }

@@ -1,15 +1,14 @@
-//! An NDI system over a motion, sans-io: requests and the time go in, answers come out.
+//! A simulated NDI system that plays a motion. Sans-io: requests and the time go in, answers come out.
 //!
-//! Markers whose labels are named as tools are plugged in, and reported with their positions and no
-//! turn; all other markers are strays. The motion begins with the first request for a frame. One that no
-//! request fetched before the next one came was dropped by the device, and its log says so. After the
-//! last frame of a motion that does not loop was fetched the system leaves tracking, and refuses to give
-//! frames: so a host sees the end.
+//! Markers whose labels are named as tools act as tools that are plugged in, with a position and the identity rotation;
+//! all other markers are strays. The motion starts with the first request for a frame. A frame that no request fetches
+//! before the next one is due counts as dropped in the log. When the last frame of a motion that does not loop has been
+//! fetched, the system leaves tracking mode and refuses requests for frames, which tells the host of the end.
 
 use std::sync::Arc;
 
 use frames::Tracking;
-use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestLine, put_text};
+use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestReader, put_text};
 use mocapd_take::motion::{Marker, Motion};
 use setup::Ports;
 
@@ -23,11 +22,14 @@ mod setup;
 #[cfg(test)]
 mod tests;
 
-/// Labels that an error names.
+/// Most labels that an error lists.
 const LABELS_NAMED: usize = 8;
 
-/// Bytes of a part number.
+/// Length of a part number.
 const PART_NUMBER_BYTES: usize = 20;
+
+/// The text of an answer, or the code of an error.
+type Answer = Result<String, u8>;
 
 /// A simulated NDI system.
 #[derive(Debug)]
@@ -36,25 +38,26 @@ pub struct NdiDevice {
     replay: Replay,
     rates: Rates,
     ports: Ports,
-    line: RequestLine,
+    line: RequestReader,
     outbox: Outbox,
     initialized: bool,
     baud: u32,
-    /// The speed from when the answer at hand has left.
+    /// The line's speed once the pending answer is sent.
     baud_after: Option<u32>,
     tracking: Tracking,
     warnings: Vec<String>,
     log: SentLog,
     log_frames: bool,
-    /// When the system's clock was 0.
+    /// The caller's clock when the system's clock was 0.
     epoch_ns: Option<u64>,
 }
 
 impl NdiDevice {
-    /// A system that is switched on, and waits.
+    /// Creates a system that is switched on and waits for its host.
     ///
     /// # Errors
-    /// When there is nothing to report, a tool is not there, or a rate or speed is out of range.
+    /// When the motion is empty, no marker has a tool's label, there are too many tools or strays, or a rate or speed
+    /// is out of range.
     pub fn new(motion: impl Into<Arc<Motion>>, settings: NdiSettings) -> Result<Self, NdiError> {
         let motion = motion.into();
         let markers = &motion.info.markers;
@@ -70,28 +73,28 @@ impl NdiDevice {
         let mut tools = Vec::new();
         for label in &settings.tools {
             let Some(column) = markers.iter().position(|m| m.labelled && m.label == *label) else {
-                return Err(NdiError::NoSuchTool { label: label.clone(), known: known(markers) });
+                return Err(NdiError::NoSuchTool { label: label.clone(), known: labels(markers) });
             };
             let part = part_number(label);
             if part != *label {
-                warnings.push(format!("label '{label}' is no part number, sent as '{part}'"));
+                warnings.push(format!("the label '{label}' is sent as part number '{part}'"));
             }
             tools.push((part, column));
         }
-        // Until a tool is enabled its marker is a stray, too.
+        // Until a tool is enabled, its marker is also a stray.
         if markers.len() > STRAYS_MAX {
             return Err(NdiError::TooManyStrays { found: markers.len() });
         }
         let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
         let n_columns = markers.len();
-        let replay = rates.replay(motion, rates.rate_mhz);
+        let replay = rates.replay(motion, rates.rate_millihertz);
         let mut outbox = Outbox::default();
-        outbox.resize(0, rates.rate_mhz, None);
+        outbox.resize(0, rates.rate_millihertz, None);
         Ok(Self {
             replay,
             rates,
             ports: Ports::new(tools, n_columns),
-            line: RequestLine::default(),
+            line: RequestReader::default(),
             outbox,
             initialized: false,
             baud: BAUD_AT_RESET,
@@ -105,26 +108,26 @@ impl NdiDevice {
         })
     }
 
-    /// What of the motion could not be said as it was, one sentence each.
+    /// One sentence for each label that had to be changed for a part number.
     #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// Its frame rate, in millihertz.
+    /// The frame rate, in millihertz.
     #[must_use]
-    pub fn rate_mhz(&self) -> u32 {
-        self.rates.rate_mhz
+    pub fn rate_millihertz(&self) -> u32 {
+        self.rates.rate_millihertz
     }
 
-    /// Whether it tracks.
+    /// Whether it is in tracking mode.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.tracking.is_on
     }
 
-    /// As after power-on, but for the line's speed.
-    fn set_up_anew(&mut self) {
+    /// Restores the state after power-on, except for the line's speed.
+    fn reset(&mut self) {
         self.end_run();
         self.initialized = false;
         self.ports.reset();
@@ -136,20 +139,20 @@ impl NdiDevice {
             return;
         }
         let answer = request.and_then(|ReceivedRequest { name, args }| {
-            self.report(&name, &args, now_ns).unwrap_or_else(|| self.obey(&name, &args))
+            self.frame_command(&name, &args, now_ns).unwrap_or_else(|| self.execute(&name, &args))
         });
-        let said = answer.unwrap_or_else(|code| format!("ERROR{code:02X}"));
-        if !said.is_empty() {
-            self.outbox.put(false, |out| put_text(&said, out));
+        let answer = answer.unwrap_or_else(|code| format!("ERROR{code:02X}"));
+        if !answer.is_empty() {
+            self.outbox.put(false, |out| put_text(&answer, out));
         }
     }
 }
 
-/// Labels to choose from, or how many more there are than are named.
-fn known(markers: &[Marker]) -> String {
+/// The first labels and the number of the others, for an error.
+fn labels(markers: &[Marker]) -> String {
     let labels: Vec<_> = markers.iter().filter(|m| m.labelled).map(|m| m.label.as_str()).collect();
     if labels.is_empty() {
-        return "nothing: no marker has a label".to_owned();
+        return "none: no marker has a label".to_owned();
     }
     let named = labels.iter().take(LABELS_NAMED).copied().collect::<Vec<_>>().join(", ");
     match labels.len().saturating_sub(LABELS_NAMED) {
@@ -158,7 +161,7 @@ fn known(markers: &[Marker]) -> String {
     }
 }
 
-/// What fits into a part number: printable ASCII.
+/// Converts a label to a part number: printable ASCII, truncated.
 fn part_number(label: &str) -> String {
     let printable = label.chars().map(|c| if (' '..='~').contains(&c) { c } else { '_' });
     printable.take(PART_NUMBER_BYTES).collect()
@@ -175,8 +178,8 @@ impl LineDevice for NdiDevice {
     }
 
     fn on_break(&mut self, _: u64) {
-        self.set_up_anew();
-        self.line = RequestLine::default();
+        self.reset();
+        self.line = RequestReader::default();
         self.outbox.discard();
         (self.baud, self.baud_after) = (BAUD_AT_RESET, None);
         self.outbox.put(false, |out| put_text("RESET", out));
@@ -205,11 +208,11 @@ impl LineDevice for NdiDevice {
     }
 
     fn has_ended(&self) -> bool {
-        self.tracking.end_was_told()
+        self.tracking.end_was_reported()
     }
 
     fn log(&self) -> SentLog {
-        let mut log = self.outbox.completed(&self.log);
+        let mut log = self.outbox.complete_log(&self.log);
         log.frames_waiting += self.tracking.waiting();
         log
     }
@@ -223,28 +226,28 @@ impl LineDevice for NdiDevice {
     }
 }
 
-/// Tools that can be plugged in; the rest of the handles are for tools that a host loads.
+/// Most tools that can be plugged in; the other handles are for tools that a host loads.
 pub const TOOLS_MAX: usize = 32;
 
-/// Stray markers in one answer: `BX` counts them in a byte.
+/// Most stray markers in one answer: `BX` counts them in one byte.
 pub const STRAYS_MAX: usize = 255;
 
-/// How the system plays its motion.
+/// How an NDI system plays its motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NdiSettings {
-    /// Serial number it gives.
+    /// Serial number that the system reports.
     pub serial: String,
-    /// Resample to this rate, Hz; `None` for the recorded one.
+    /// Resample the motion to this rate, Hz; `None` keeps the recorded rate.
     pub rate_hz: Option<f64>,
-    /// Times faster than it was recorded, 0.001 to 1000, to the nearest 0.001.
+    /// Playback speed, 0.001 to 1000, rounded to 0.001.
     pub speed: f64,
-    /// Begin again after the last frame, and never end.
+    /// Restart after the last frame, and never end.
     pub looping: bool,
-    /// Labels of the markers that are tools, plugged in in this order; all others are strays.
+    /// Labels of the markers that act as tools, plugged in in this order; all others are strays.
     pub tools: Vec<String>,
-    /// Whether it knows `BX2`, as systems since the Vega do.
+    /// Whether it supports `BX2`, as systems since the Vega do.
     pub bx2: bool,
-    /// The highest speed that `COMM` may set, in baud.
+    /// Highest speed that `COMM` may set, baud.
     pub baud_max: u32,
 }
 
@@ -262,33 +265,31 @@ impl Default for NdiSettings {
     }
 }
 
-/// Why a motion cannot be an NDI system.
+/// Why a motion cannot be played as an NDI system.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NdiError {
-    /// A tool that is not there.
-    #[error("no marker is called '{label}': name one of {known}")]
+    /// No marker has the label of a tool.
+    #[error("no marker is labelled '{label}'; the labels are {known}")]
     NoSuchTool {
-        /// As it was given.
+        /// The label of the tool.
         label: String,
-        /// What there is: the first labels, and how many more.
+        /// The first labels of the motion, and the number of the others.
         known: String,
     },
-    /// More than can be plugged in.
-    #[error("{found} tools are more than the {TOOLS_MAX} that can be plugged in: name fewer")]
+    /// More tools than can be plugged in.
+    #[error("{found} tools, but at most {TOOLS_MAX} can be plugged in: name fewer")]
     TooManyTools {
-        /// As given.
+        /// Tools requested.
         found: usize,
     },
-    /// More than an answer counts.
-    #[error(
-        "{found} stray markers are more than the {STRAYS_MAX} of an answer: choose a file with fewer"
-    )]
+    /// More markers than an answer can count.
+    #[error("{found} markers, but an answer holds at most {STRAYS_MAX}: choose a file with fewer")]
     TooManyStrays {
-        /// In the motion.
+        /// Markers in the motion.
         found: usize,
     },
-    /// The motion makes no device of any kind.
+    /// The motion or a setting suits no device.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }

@@ -1,4 +1,4 @@
-//! Frames as answers: `TX` in text, `BX` and `BX2` in binary.
+//! Encodes frames as answers: `TX` in text, `BX` and `BX2` in binary.
 
 use mocapd_take::motion::{Position, is_gap};
 
@@ -11,31 +11,31 @@ const ACTIVE_STRAY: u16 = 0x0004;
 const TOOL_MARKERS: u16 = 0x0008;
 const STRAYS: u16 = 0x1000;
 
-/// `TX` gives no more strays than this.
+/// Most strays in an answer to `TX`.
 const TX_STRAYS_MAX: usize = 50;
 
-/// How well a simulated tool's markers fit it, millimetres.
+/// Fit error of every simulated tool, millimetres.
 const FIT_ERROR_MM: f32 = 0.25;
 
-/// What there is to say about a moment.
+/// One frame, with the ports that determine what is reported.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Moment<'a> {
+pub(super) struct FrameReport<'a> {
     pub(super) ports: &'a Ports,
-    /// A position a marker, millimetres; empty before the first frame.
+    /// One position per marker, millimetres; empty before the first frame.
     pub(super) row: &'a [Position],
     pub(super) number: u32,
     /// The device's clock, nanoseconds.
     pub(super) time_ns: u64,
 }
 
-/// A tool, as a moment has it.
+/// An enabled tool in one frame.
 struct Tool {
     handle: u8,
     status: u32,
     position: Option<Position>,
 }
 
-impl Moment<'_> {
+impl FrameReport<'_> {
     fn tools(&self) -> impl Iterator<Item = Tool> {
         self.ports.enabled().map(|port| {
             let position = port.column.and_then(|column| self.row.get(column)).copied();
@@ -98,7 +98,7 @@ impl Moment<'_> {
             if mode & TOOL_INFO != 0 {
                 block.extend([0; 11]);
             }
-            // No active marker is astray, and none of a tool's own is reported.
+            // No active strays, and no single markers of a tool.
             block.extend((mode & ACTIVE_STRAY != 0).then_some(0));
             block.extend((mode & TOOL_MARKERS != 0).then_some(0));
         }
@@ -113,7 +113,7 @@ impl Moment<'_> {
     }
 }
 
-/// No turn, then the position, then the error.
+/// Appends the identity rotation, the position and the fit error.
 fn transform([x, y, z]: Position, block: &mut Vec<u8>) {
     floats(&[1.0, 0.0, 0.0, 0.0, x, y, z, FIT_ERROR_MM], block);
 }
@@ -122,7 +122,7 @@ fn floats(values: &[f32], block: &mut Vec<u8>) {
     block.extend(values.iter().flat_map(|value| value.to_le_bytes()));
 }
 
-/// Three numbers of a sign and six digits, hundredths of a millimetre; `None` where they do not fit.
+/// Three numbers with sign and six digits, in hundredths of a millimetre; `None` when one does not fit.
 fn coordinates(position: Position) -> Option<String> {
     let hundredths = position.map(|value| (f64::from(value) * 100.0).round());
     let fits = hundredths.iter().all(|value| value.abs() < 1e6);
@@ -136,10 +136,10 @@ const FRAME: u16 = 1;
 const DATA_6D: u16 = 2;
 const DATA_3D: u16 = 3;
 
-/// Frames of passive markers.
+/// Frame type of passive markers.
 const PASSIVE: u8 = 2;
 
-/// The handle under which strays are listed.
+/// The handle of the list of strays.
 const STRAYS_HANDLE: u16 = 0xFFFF;
 
 const MISSING: u16 = 0x0100;
@@ -148,15 +148,15 @@ const COMPONENT_HEADER: usize = 12;
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// What the options of `BX2` ask for.
+/// Options of `BX2`: what an answer contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Wanted {
+pub(super) struct Bx2Options {
     tools: bool,
     strays: bool,
 }
 
-impl Wanted {
-    /// `None` when an option is not known.
+impl Bx2Options {
+    /// Parses the options; `None` if one is unknown.
     pub(super) fn of(options: &str) -> Option<Self> {
         let mut wanted = Self { tools: true, strays: false };
         for option in options.split_ascii_whitespace() {
@@ -173,22 +173,22 @@ impl Wanted {
     }
 }
 
-/// The block of an answer; `None` when nothing is new since the last one.
-pub(super) fn bx2(moment: Option<&Moment<'_>>, wanted: Wanted, sequence: u8) -> Vec<u8> {
+/// The block of an answer to `BX2`; without a report, that of an answer with no new frame.
+pub(super) fn bx2(report: Option<&FrameReport<'_>>, options: Bx2Options, sequence: u8) -> Vec<u8> {
     let mut block = Vec::new();
-    container(moment.is_some().into(), &mut block);
-    let Some(moment) = moment else { return block };
+    container(report.is_some().into(), &mut block);
+    let Some(report) = report else { return block };
     component(FRAME, 1, &mut block, |block| {
         block.extend([PASSIVE, sequence, 0, 0]);
-        block.extend(moment.number.to_le_bytes());
-        block.extend(((moment.time_ns / SECOND_NS) as u32).to_le_bytes());
-        block.extend(((moment.time_ns % SECOND_NS) as u32).to_le_bytes());
-        container(u16::from(wanted.tools) + u16::from(wanted.strays), block);
-        if wanted.tools {
-            component(DATA_6D, moment.tools().count(), block, |block| data_6d(moment, block));
+        block.extend(report.number.to_le_bytes());
+        block.extend(((report.time_ns / SECOND_NS) as u32).to_le_bytes());
+        block.extend(((report.time_ns % SECOND_NS) as u32).to_le_bytes());
+        container(u16::from(options.tools) + u16::from(options.strays), block);
+        if options.tools {
+            component(DATA_6D, report.tools().count(), block, |block| data_6d(report, block));
         }
-        if wanted.strays {
-            component(DATA_3D, 1, block, |block| data_3d(moment, block));
+        if options.strays {
+            component(DATA_3D, 1, block, |block| data_3d(report, block));
         }
     });
     block
@@ -199,7 +199,7 @@ fn container(components: u16, block: &mut Vec<u8>) {
     block.extend(components.to_le_bytes());
 }
 
-/// A header that knows the size of what `body` writes, and that.
+/// Appends a component: its header, with the size, and what `body` writes.
 fn component(kind: u16, items: usize, block: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) {
     let mut inside = Vec::new();
     body(&mut inside);
@@ -210,8 +210,8 @@ fn component(kind: u16, items: usize, block: &mut Vec<u8>, body: impl FnOnce(&mu
     block.extend(inside);
 }
 
-fn data_6d(moment: &Moment<'_>, block: &mut Vec<u8>) {
-    for Tool { handle, position, .. } in moment.tools() {
+fn data_6d(report: &FrameReport<'_>, block: &mut Vec<u8>) {
+    for Tool { handle, position, .. } in report.tools() {
         block.extend(u16::from(handle).to_le_bytes());
         match position {
             Some(position) => {
@@ -223,10 +223,10 @@ fn data_6d(moment: &Moment<'_>, block: &mut Vec<u8>) {
     }
 }
 
-fn data_3d(moment: &Moment<'_>, block: &mut Vec<u8>) {
+fn data_3d(report: &FrameReport<'_>, block: &mut Vec<u8>) {
     block.extend(STRAYS_HANDLE.to_le_bytes());
-    block.extend((moment.strays().count() as u16).to_le_bytes());
-    for (index, position) in (0_u16..).zip(moment.strays()) {
+    block.extend((report.strays().count() as u16).to_le_bytes());
+    for (index, position) in (0_u16..).zip(report.strays()) {
         block.extend([0, 0]);
         block.extend(index.to_le_bytes());
         floats(&position, block);

@@ -1,22 +1,22 @@
-//! Commands that are not about frames, and the port handles that most of them are about.
+//! Commands that set the system up, and the port handles on which most of them act.
 
 use mocapd_drivers::ndi::{BAUD_AT_RESET, BAUDS, code};
 
-use super::NdiDevice;
+use super::{Answer, NdiDevice};
 
-/// The answer when there is nothing to say.
+/// The answer without data.
 const OKAY: &str = "OKAY";
 
-/// Commands that work before `INIT`.
+/// Commands that are allowed before `INIT`.
 const ALWAYS: [&str; 7] = ["INIT", "RESET", "ECHO", "VER", "APIREV", "GETINFO", "COMM"];
 
-/// Commands that do not work while it tracks.
+/// Commands that are not allowed in tracking mode.
 const SETUP_ONLY: [&str; 9] =
     ["COMM", "PHRQ", "PHF", "PVWR", "PINIT", "PENA", "PDIS", "SET", "TSTART"];
 
 impl NdiDevice {
-    /// The answer to a command, without its checksum, or the error's number.
-    pub(super) fn obey(&mut self, name: &str, args: &str) -> Result<String, u8> {
+    /// Executes a command; returns the answer without its checksum, or the error code.
+    pub(super) fn execute(&mut self, name: &str, args: &str) -> Answer {
         if !self.initialized && !ALWAYS.contains(&name) {
             return Err(code::NOT_INITIALIZED);
         }
@@ -25,20 +25,18 @@ impl NdiDevice {
         }
         match name {
             "INIT" => {
-                self.set_up_anew();
+                self.reset();
                 self.initialized = true;
                 Ok(OKAY.to_owned())
             }
             "RESET" => {
                 self.baud_after = Some(BAUD_AT_RESET);
-                self.set_up_anew();
+                self.reset();
                 Ok("RESET".to_owned())
             }
             "ECHO" => Ok(args.to_owned()),
-            "BEEP" => match args.parse() {
-                Ok(1..=9) => Ok("1".to_owned()),
-                _ => Err(code::OUT_OF_RANGE),
-            },
+            "BEEP" if matches!(args.parse(), Ok(1..=9)) => Ok("1".to_owned()),
+            "BEEP" => Err(code::OUT_OF_RANGE),
             "VER" => self.version(args),
             "APIREV" => Ok(if self.settings.bx2 { "G.003.005" } else { "D.001.007" }.to_owned()),
             "GETINFO" => self.parameter(args).map(|(value, rest)| format!("{args}={value};{rest}")),
@@ -46,11 +44,7 @@ impl NdiDevice {
             "SET" => self.set(args),
             "COMM" => self.comm(args),
             "PHSR" => self.list(args),
-            "PHRQ" => self
-                .ports
-                .request()
-                .map(|handle| format!("{handle:02X}"))
-                .ok_or(code::ALL_PORTS_TAKEN),
+            "PHRQ" => Ok(format!("{:02X}", self.ports.request().ok_or(code::ALL_PORTS_TAKEN)?)),
             "PHF" => {
                 self.ports.free(handle(args)?).then(|| OKAY.to_owned()).ok_or(code::NO_SUCH_HANDLE)
             }
@@ -66,7 +60,7 @@ impl NdiDevice {
         }
     }
 
-    fn version(&self, args: &str) -> Result<String, u8> {
+    fn version(&self, args: &str) -> Answer {
         let firmware = env!("CARGO_PKG_VERSION");
         match args {
             "0" | "1" | "2" | "3" | "4" | "5" | "7" | "8" => Ok(format!(
@@ -78,7 +72,7 @@ impl NdiDevice {
         }
     }
 
-    /// Its value, and what else `GETINFO` says: type, attributes, range, names, a description.
+    /// The value of a parameter, and the rest of the answer to `GETINFO`: type, attributes, range, names, description.
     fn parameter(&self, name: &str) -> Result<(String, &'static str), u8> {
         match name {
             "Features.Firmware.Version" => Ok((
@@ -89,7 +83,7 @@ impl NdiDevice {
                 Ok((self.settings.serial.clone(), "3;1;0;12;;Serial number"))
             }
             "Param.Tracking.Frame Frequency" => {
-                let rate_hz = f64::from(self.rate_mhz()) / 1000.0;
+                let rate_hz = f64::from(self.rate_millihertz()) / 1000.0;
                 Ok((rate_hz.to_string(), "1;3;1;10000;;Frames a second"))
             }
             "Param.Tracking.Track Frequency" => {
@@ -99,15 +93,15 @@ impl NdiDevice {
         }
     }
 
-    /// What is set already may be set; anything else is out of range.
-    fn set(&self, args: &str) -> Result<String, u8> {
+    /// Accepts the current value only; every other value is out of range.
+    fn set(&self, args: &str) -> Answer {
         let (name, value) = args.split_once('=').ok_or(code::PARAMETERS)?;
         let (known, _) = self.parameter(name)?;
         if known == value { Ok(OKAY.to_owned()) } else { Err(code::OUT_OF_RANGE) }
     }
 
     /// `bdddh`: speed, data bits with parity and stop bits, handshake.
-    fn comm(&mut self, args: &str) -> Result<String, u8> {
+    fn comm(&mut self, args: &str) -> Answer {
         let digit = args.chars().next().ok_or(code::PARAMETERS)?;
         let (baud, _) = BAUDS.into_iter().find(|(_, d)| *d == digit).ok_or(code::COMM_FAILED)?;
         match args.get(1..) {
@@ -120,8 +114,8 @@ impl NdiDevice {
         }
     }
 
-    /// Handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
-    fn list(&self, args: &str) -> Result<String, u8> {
+    /// Lists handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
+    fn list(&self, args: &str) -> Answer {
         let wanted = |port: &&Port| match args {
             "00" | "" => true,
             "02" => !port.initialized,
@@ -140,8 +134,8 @@ impl NdiDevice {
         Ok(text)
     }
 
-    /// `hhaaaa` and 64 bytes in hexadecimal.
-    fn write_rom(&mut self, args: &str) -> Result<String, u8> {
+    /// Writes a page of a tool definition: `hhaaaa` and 64 bytes in hexadecimal.
+    fn write_rom(&mut self, args: &str) -> Answer {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         let address = args.get(2..6).and_then(|a| usize::from_str_radix(a, 16).ok());
         let digits = args.get(6..).filter(|digits| digits.len() == 2 * PAGE_BYTES);
@@ -154,7 +148,7 @@ impl NdiDevice {
         if port.write(address, &page) { Ok(OKAY.to_owned()) } else { Err(code::OUT_OF_RANGE) }
     }
 
-    fn initialize(&mut self, handle: u8) -> Result<String, u8> {
+    fn initialize(&mut self, handle: u8) -> Answer {
         let port = self.ports.get(handle).ok_or(code::INVALID_PORT)?;
         if !port.written {
             return Err(code::NO_TOOL);
@@ -163,8 +157,8 @@ impl NdiDevice {
         Ok(OKAY.to_owned())
     }
 
-    /// `hhm`: the priority is static, dynamic or button box.
-    fn enable(&mut self, args: &str) -> Result<String, u8> {
+    /// Enables a tool: `hhm`, where the priority is static, dynamic or button box.
+    fn enable(&mut self, args: &str) -> Answer {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         match args.get(2..) {
             Some("S" | "D" | "B") if port.initialized => {
@@ -176,12 +170,9 @@ impl NdiDevice {
         }
     }
 
-    fn info(&mut self, args: &str) -> Result<String, u8> {
+    fn info(&mut self, args: &str) -> Answer {
         let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
-        let mode = match args.get(2..) {
-            Some("") | None => 1,
-            Some(digits) => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS)?,
-        };
+        let mode = mode(args.get(2..).unwrap_or_default())?;
         let (handle, status, part) = (port.handle, port.status(), &port.part_number);
         let mut text = String::new();
         for (bit, field) in [
@@ -206,39 +197,39 @@ fn handle(args: &str) -> Result<u8, u8> {
     u8::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS)
 }
 
-/// Bytes of a tool's definition: sixteen pages of 64.
+/// Size of a tool definition: sixteen pages of 64 bytes.
 const ROM_BYTES: usize = 1024;
 
-/// Bytes that `PVWR` writes at once.
+/// Size of a page, which `PVWR` writes at once.
 pub(super) const PAGE_BYTES: usize = 64;
 
-/// Where a definition has the part number, and how long it is.
+/// The part number's bytes in a tool definition.
 const PART_NUMBER: std::ops::Range<usize> = 592..612;
 
-/// Handles that a host may ask for beside the tools that are plugged in.
+/// Most handles that a host may request in addition to the tools that are plugged in.
 const LOADED_MAX: usize = 32;
 
-/// One handle.
-#[derive(Debug, Clone)]
+/// A port handle and its tool.
+#[derive(Debug, Clone, Default)]
 pub(super) struct Port {
     pub(super) handle: u8,
-    /// The column of the motion that the tool is; `None` when it is never seen.
+    /// The tool's column in the motion; `None` when it is never visible.
     pub(super) column: Option<usize>,
     pub(super) part_number: String,
     pub(super) initialized: bool,
     pub(super) enabled: bool,
-    /// The definition that a host loaded; `None` for a tool that is plugged in.
+    /// The tool definition loaded by a host; `None` for a tool that is plugged in.
     rom: Option<Box<[u8; ROM_BYTES]>>,
     pub(super) written: bool,
 }
 
 impl Port {
-    /// Bits: occupied (1), initialized (16), enabled (32).
+    /// Status bits: occupied (1), initialized (16), enabled (32).
     pub(super) fn status(&self) -> u32 {
         1 | u32::from(self.initialized) << 4 | u32::from(self.enabled) << 5
     }
 
-    /// `false` when the page lies outside the definition, or the tool is plugged in.
+    /// Writes a page; `false` when it lies outside the definition, or the tool is plugged in.
     pub(super) fn write(&mut self, address: usize, page: &[u8; PAGE_BYTES]) -> bool {
         let Some(rom) = &mut self.rom else { return false };
         let Some(place) = rom.get_mut(address..).and_then(|rest| rest.get_mut(..PAGE_BYTES)) else {
@@ -261,21 +252,19 @@ pub(super) struct Ports {
 }
 
 impl Ports {
-    /// Tools that are plugged in: their part numbers and columns.
+    /// Creates the handles of the tools that are plugged in, from their part numbers and columns.
     pub(super) fn new(tools: Vec<(String, usize)>, n_columns: usize) -> Self {
         let port = |(handle, (part_number, column))| Port {
             handle,
             column: Some(column),
             part_number,
-            initialized: false,
-            enabled: false,
-            rom: None,
             written: true,
+            ..Port::default()
         };
         Self { ports: (1..).zip(tools).map(port).collect(), n_columns }
     }
 
-    /// As after power-on: what was loaded is gone.
+    /// Restores the state after power-on: loaded tools are gone.
     pub(super) fn reset(&mut self) {
         self.ports.retain(|port| port.rom.is_none());
         for port in &mut self.ports {
@@ -295,7 +284,7 @@ impl Ports {
         self.ports.iter().filter(|port| port.enabled)
     }
 
-    /// A handle for a tool that will be loaded: the first marker that is no tool yet plays it.
+    /// Creates a handle for a tool to be loaded; the first marker that is not a tool yet acts as this tool.
     pub(super) fn request(&mut self) -> Option<u8> {
         let loaded = self.ports.iter().filter(|port| port.rom.is_some()).count();
         if loaded >= LOADED_MAX {
@@ -304,28 +293,30 @@ impl Ports {
         let handle = (0x0A..=0xFE).find(|handle| self.ports.iter().all(|p| p.handle != *handle))?;
         let column = (0..self.n_columns)
             .find(|column| self.ports.iter().all(|port| port.column != Some(*column)));
-        self.ports.push(Port {
-            handle,
-            column,
-            part_number: String::new(),
-            initialized: false,
-            enabled: false,
-            rom: Some(Box::new([0; ROM_BYTES])),
-            written: false,
-        });
+        let rom = Some(Box::new([0; ROM_BYTES]));
+        self.ports.push(Port { handle, column, rom, ..Port::default() });
         self.ports.sort_by_key(|port| port.handle);
         Some(handle)
     }
 
-    /// `false` when there is no such handle. A tool that is plugged in keeps its own.
+    /// Frees the handle of a loaded tool; a tool that is plugged in keeps its own. `false` when there is no such
+    /// handle.
     pub(super) fn free(&mut self, handle: u8) -> bool {
         let before = self.ports.len();
         self.ports.retain(|port| port.handle != handle || port.rom.is_none());
         before > self.ports.len() || self.ports.iter().any(|port| port.handle == handle)
     }
 
-    /// Whether the marker of a column is reported as a tool.
+    /// Whether the marker in this column is reported as a tool.
     pub(super) fn is_tool(&self, column: usize) -> bool {
         self.enabled().any(|port| port.column == Some(column))
+    }
+}
+
+/// Parses reply options, four hexadecimal digits; the default is transforms and status.
+pub(super) fn mode(args: &str) -> Result<u16, u8> {
+    match args {
+        "" => Ok(1),
+        digits => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS),
     }
 }

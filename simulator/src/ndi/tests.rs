@@ -1,4 +1,4 @@
-//! The system's answers, byte by byte, and its account.
+//! The answers of the simulated system, byte by byte, and its log.
 
 use mocapd_take::motion::{GAP, Marker, MotionInfo};
 
@@ -21,14 +21,14 @@ fn system(settings: NdiSettings) -> NdiDevice {
     NdiDevice::new(motion(), NdiSettings { tools: vec!["tool".to_owned()], ..settings }).unwrap()
 }
 
-/// The answer to a request that is given its checksum here.
+/// Sends a request, with its checksum appended, and returns the answer.
 fn ask(device: &mut NdiDevice, text: &str, now_ns: u64) -> Vec<u8> {
     let crc = mocapd_drivers::ndi::crc16(text.as_bytes());
     let wire = if text.contains(':') { format!("{text}{crc:04X}\r") } else { format!("{text}\r") };
-    say(device, wire.as_bytes(), now_ns)
+    send(device, wire.as_bytes(), now_ns)
 }
 
-fn say(device: &mut NdiDevice, bytes: &[u8], now_ns: u64) -> Vec<u8> {
+fn send(device: &mut NdiDevice, bytes: &[u8], now_ns: u64) -> Vec<u8> {
     device.poll(now_ns);
     device.on_bytes(bytes, now_ns);
     let answer = device.pending().to_vec();
@@ -36,12 +36,12 @@ fn say(device: &mut NdiDevice, bytes: &[u8], now_ns: u64) -> Vec<u8> {
     answer
 }
 
-/// The text of an answer, its checksum taken off.
+/// Sends a request and returns the text of the answer, without its checksum.
 fn asked(device: &mut NdiDevice, text: &str, now_ns: u64) -> String {
     let answer = String::from_utf8(ask(device, text, now_ns)).unwrap();
-    let (said, digits) = answer.trim_end().split_at(answer.len() - 5);
-    assert_eq!(digits, format!("{:04X}", mocapd_drivers::ndi::crc16(said.as_bytes())));
-    said.to_owned()
+    let (text, digits) = answer.trim_end().split_at(answer.len() - 5);
+    assert_eq!(digits, format!("{:04X}", mocapd_drivers::ndi::crc16(text.as_bytes())));
+    text.to_owned()
 }
 
 fn tracking(device: &mut NdiDevice, now_ns: u64) {
@@ -53,16 +53,16 @@ fn tracking(device: &mut NdiDevice, now_ns: u64) {
 #[test]
 fn fixed_answers() {
     let mut device = system(NdiSettings::default());
-    assert_eq!(say(&mut device, b"INIT:E3A5\r", 0), b"OKAYA896\r");
+    assert_eq!(send(&mut device, b"INIT:E3A5\r", 0), b"OKAYA896\r");
     device.on_break(0);
     assert_eq!(device.pending(), b"RESETBE6F\r");
     device.sent(10);
     assert_eq!(asked(&mut device, "PHSR:00", 0), "ERROR10", "a break undoes INIT");
-    assert_eq!(say(&mut device, b"INIT:E3A6\r", 0), b"ERROR046802\r");
+    assert_eq!(send(&mut device, b"INIT:E3A6\r", 0), b"ERROR046802\r");
 }
 
 #[test]
-fn a_new_speed_begins_behind_the_answer() {
+fn a_new_speed_applies_after_the_answer() {
     let mut device = system(NdiSettings { baud_max: 921_600, ..NdiSettings::default() });
     ask(&mut device, "INIT:", 0);
     device.on_bytes(b"COMM:60000000C\r", 0);
@@ -129,7 +129,7 @@ fn tx_and_bx_of_the_same_frames() {
 }
 
 #[test]
-fn bx2_says_what_is_new_and_nothing_twice() {
+fn bx2_reports_each_frame_once() {
     let mut device = system(NdiSettings::default());
     tracking(&mut device, 0);
     let first = ask(&mut device, "BX2 --6d=tools --3d=strays", 0);
@@ -144,13 +144,13 @@ fn bx2_says_what_is_new_and_nothing_twice() {
 }
 
 #[test]
-fn what_nobody_fetched_was_dropped_and_the_end_is_told() {
+fn unfetched_frames_are_dropped_and_the_end_is_reported() {
     let mut device = system(NdiSettings::default());
     device.keep_frame_log();
     tracking(&mut device, 0);
     ask(&mut device, "BX:1001", 0);
     assert!(!device.has_ended());
-    // The second frame is gone; the last one can be had until it was fetched.
+    // The second frame is gone; the last one stays available until it is fetched.
     let last = ask(&mut device, "BX:1001", 40 * MS);
     assert_eq!(last[..2], [0xC4, 0xA5]);
     assert_eq!(asked(&mut device, "BX:1001", 41 * MS), "ERROR0C", "it left tracking by itself");
@@ -170,7 +170,7 @@ fn what_nobody_fetched_was_dropped_and_the_end_is_told() {
 }
 
 #[test]
-fn frames_behind_the_last_request_are_nobodys_and_all_are_on_the_account() {
+fn frames_after_the_last_request_count_as_unasked() {
     let mut device = system(NdiSettings { looping: true, ..NdiSettings::default() });
     device.keep_frame_log();
     tracking(&mut device, 0);
@@ -225,7 +225,7 @@ fn the_last_frame_is_not_kept_for_ever_and_missed_ones_are_bounded() {
 }
 
 #[test]
-fn it_says_why_it_cannot_be_one() {
+fn unsuitable_motions_and_settings_are_refused() {
     let with = |tools: &[&str]| NdiSettings {
         tools: tools.iter().map(|label| (*label).to_owned()).collect(),
         ..NdiSettings::default()

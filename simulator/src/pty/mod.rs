@@ -1,4 +1,4 @@
-//! A pty as the device's line: a path that any program opens like a serial port.
+//! A pseudo-terminal (pty) as the device's line: hosts open its path like a serial port.
 
 use std::ffi::OsString;
 use std::fs;
@@ -19,43 +19,43 @@ use crate::device::{LineDevice, SentLog};
 use crate::line::Line;
 pub use crate::line::ServeOptions;
 
-/// What can go wrong with a pty.
+/// Errors of a pty.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PtyError {
-    /// The kernel gave none.
+    /// The system could not open a pty.
     #[error("cannot open a pty ({action}): is /dev/pts mounted?")]
     Open {
-        /// What was tried.
+        /// The call that failed.
         action: &'static str,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// Something stands where the link should.
-    #[error("{} exists and is no dead link: remove it, or choose another name", path.display())]
+    /// The link's path exists already.
+    #[error("{} exists and is not a dead link: remove it or choose another name", path.display())]
     LinkExists {
         /// The link.
         path: PathBuf,
     },
-    /// The link could not be made.
-    #[error("cannot make the link {}: choose a folder that exists and may be written", path.display())]
+    /// The link could not be created.
+    #[error("cannot create the link {}: choose an existing, writable folder", path.display())]
     Link {
         /// The link.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// It failed while it was served.
+    /// Serving the line failed.
     #[error(transparent)]
     Line(#[from] crate::line::LineError),
 }
 
-/// An open pty: the device's end, and the path of the host's end. Dropping it hangs up and removes the link.
+/// An open pty: the device's end, and the path of the host's end. Dropping it hangs up, and removes the link.
 #[derive(Debug)]
 pub struct PtyLine {
-    /// `None` while it is unplugged.
+    /// `None` while unplugged.
     pair: Option<Pair>,
-    /// What a host opens where there is no link.
+    /// The path that a host opens without a link.
     slave_path: PathBuf,
     link: Option<PathBuf>,
 }
@@ -63,13 +63,13 @@ pub struct PtyLine {
 #[derive(Debug)]
 struct Pair {
     master: OwnedFd,
-    /// Kept open so that hosts may come and go: without it the master fails with EIO between two of them.
+    /// Kept open so that hosts can come and go: without it, the master fails with EIO when no host has it open.
     slave: OwnedFd,
     slave_path: PathBuf,
 }
 
 impl Pair {
-    /// A raw, 8-bit clean pty.
+    /// Opens a raw, 8-bit clean pty.
     fn open() -> Result<Self, PtyError> {
         let failed = |action| move |e: Errno| PtyError::Open { action, source: e.into() };
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
@@ -90,10 +90,10 @@ impl Pair {
 }
 
 impl PtyLine {
-    /// A raw, 8-bit clean pty. With a `link`, a symbolic link to it is made there, in place of a dead one.
+    /// Opens a raw, 8-bit clean pty. With `link`, creates a symbolic link to it there and replaces a dangling one.
     ///
     /// # Errors
-    /// When the kernel gives no pty, or the link cannot be made.
+    /// When the system cannot open a pty, or the link cannot be created.
     pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
         let pair = Pair::open()?;
         if let Some(link) = link {
@@ -103,7 +103,7 @@ impl PtyLine {
         Ok(Self { pair: Some(pair), slave_path, link: link.map(Path::to_owned) })
     }
 
-    /// The path that a host opens: the link when there is one.
+    /// The path that a host opens: the link, if there is one.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.link.as_deref().unwrap_or(&self.slave_path)
@@ -114,7 +114,7 @@ impl PtyLine {
             && fs::read_link(link).is_ok_and(|target| target == self.slave_path)
             && fs::remove_file(link).is_err()
         {
-            // A dead link stays, which the next simulator replaces.
+            // The link stays; the next simulator replaces dangling links.
         }
     }
 }
@@ -141,7 +141,7 @@ impl Line for PtyLine {
         }
     }
 
-    /// Bytes that the host could read now and has not.
+    /// Bytes that the host could read now.
     fn unread(&mut self) -> io::Result<u64> {
         let Some(Pair { slave, .. }) = &self.pair else { return Ok(0) };
         Ok(rustix::io::ioctl_fionread(slave)?)
@@ -153,7 +153,7 @@ impl Line for PtyLine {
         Ok(())
     }
 
-    /// Another pty: only a link makes it the same to a host.
+    /// Opens another pty; only a link makes it the same device to a host.
     fn plug_in(&mut self) -> io::Result<()> {
         let pair = Pair::open().map_err(io::Error::other)?;
         if let Some(link) = &self.link {
@@ -164,17 +164,17 @@ impl Line for PtyLine {
         Ok(())
     }
 
-    /// Lets a new host in after one that was killed.
+    /// Clears exclusive mode, so that a new host can open the line after one was killed.
     ///
-    /// Serial programs open with TIOCEXCL. The kernel keeps that mark as long as our end is open, so that a host
-    /// that could not take it back would leave the line busy for ever. Their flock still keeps two hosts apart.
-    fn tend(&mut self) -> io::Result<()> {
+    /// Serial programs set TIOCEXCL. The kernel keeps it while the simulator's end is open, so a killed host would
+    /// leave the line busy for ever. Their flock still keeps two hosts apart.
+    fn maintain(&mut self) -> io::Result<()> {
         let Some(Pair { slave, .. }) = &self.pair else { return Ok(()) };
         Ok(rustix::termios::ioctl_tiocnxcl(slave)?)
     }
 }
 
-/// A transfer that could not be made now is one of no bytes.
+/// Turns a transfer that would block or was interrupted into one of 0 bytes.
 pub(crate) fn or_nothing(outcome: Result<usize, Errno>) -> io::Result<usize> {
     match outcome {
         Err(Errno::AGAIN | Errno::INTR) => Ok(0),
@@ -182,7 +182,7 @@ pub(crate) fn or_nothing(outcome: Result<usize, Errno>) -> io::Result<usize> {
     }
 }
 
-/// Sleeps, at most so long, until there is something to read.
+/// Waits at most this long for something to read.
 pub(crate) fn wait_readable(fd: BorrowedFd<'_>, at_most: Duration) -> io::Result<bool> {
     wait_for(&mut [PollFd::new(&fd, PollFlags::IN)], at_most)
 }
@@ -206,7 +206,7 @@ impl Drop for PtyLine {
 fn make_link(target: &Path, link: &Path) -> Result<(), PtyError> {
     let failed = |source| PtyError::Link { path: link.to_owned(), source };
     let is_link = fs::symlink_metadata(link).is_ok_and(|m| m.file_type().is_symlink());
-    // A dead one may seem alive: this pty can have the number of that which died.
+    // A dangling link may look valid, because this pty can have the number of an earlier one.
     let is_ours = || fs::read_link(link).is_ok_and(|old| old == target);
     let is_dead = || matches!(fs::metadata(link), Err(e) if e.kind() == ErrorKind::NotFound);
     if is_link && (is_ours() || is_dead()) {
@@ -221,7 +221,7 @@ fn make_link(target: &Path, link: &Path) -> Result<(), PtyError> {
 #[cfg(test)]
 mod tests;
 
-/// Is the device on an open pty; see [`line::serve`](crate::line::serve).
+/// Serves a device on an open pty; see [`line::serve`](crate::line::serve).
 ///
 /// # Errors
 /// When the line or the log fails.
@@ -234,13 +234,11 @@ pub fn serve(
     Ok(crate::line::serve(line, device, options, stop)?)
 }
 
-/// Opens a pty, and is the device on it until `stop`, or until the host has read the end of stream when
-/// `options.once` is set. `on_open` gets the path that a host opens.
-///
-/// It works on the caller's thread.
+/// Opens a pty and serves a device on it, on the caller's thread, until `stop` is set; with `options.once`, until the
+/// host has read the end of stream. `on_open` receives the path that a host opens.
 ///
 /// # Errors
-/// When the pty or its link cannot be made, and when the line or the log fails.
+/// When the pty or its link cannot be created, or when the line or the log fails.
 pub fn serve_pty(
     device: &mut dyn LineDevice,
     link: Option<&Path>,

@@ -13,15 +13,15 @@ use crate::device::{Device, DeviceSettings};
 use crate::generator::JumpSpec;
 use crate::line::Line;
 
-/// Generous: the machine may be busy with anything.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Generous, because the machine may be busy.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 fn jump(rate_hz: f64, seconds: f64, n_markers: usize) -> Motion {
     let spec = JumpSpec { seconds: Some(seconds), n_markers, ..JumpSpec::new(3, rate_hz) };
     spec.generate().unwrap().motion
 }
 
-/// A device on a thread of its own.
+/// A device served on its own thread.
 struct Served {
     path: PathBuf,
     stop: Arc<AtomicBool>,
@@ -50,7 +50,7 @@ impl Served {
     }
 }
 
-/// A host that keeps what it hears.
+/// A host that keeps what it receives.
 struct Host {
     port: SerialTransport,
     link: HostLink,
@@ -65,14 +65,14 @@ impl Host {
         Self { port, link: HostLink::new(), frames: Vec::new(), n_markers: 0, end: None }
     }
 
-    fn say(&mut self, command: Command) {
+    fn send(&mut self, command: Command) {
         let mut bytes = Vec::new();
         self.link.command(command, &mut bytes);
         self.port.write_all(&bytes).unwrap();
     }
 
-    fn listen_until(&mut self, enough: impl Fn(&Self) -> bool) -> u64 {
-        let give_up = Instant::now() + PATIENCE;
+    fn read_until(&mut self, enough: impl Fn(&Self) -> bool) -> u64 {
+        let give_up = Instant::now() + TIMEOUT;
         let mut buffer = vec![0; 1 << 16];
         while !enough(self) {
             assert!(Instant::now() < give_up, "{} frames, end {:?}", self.frames.len(), self.end);
@@ -90,10 +90,10 @@ impl Host {
 
     fn record(path: &Path) -> Self {
         let mut host = Self::open(path);
-        host.say(Command::Identify);
-        host.listen_until(|host| host.n_markers > 0);
-        host.say(Command::Start { line_bytes_per_s: 0 });
-        host.listen_until(|host| host.end.is_some());
+        host.send(Command::Identify);
+        host.read_until(|host| host.n_markers > 0);
+        host.send(Command::Start { line_bytes_per_s: 0 });
+        host.read_until(|host| host.end.is_some());
         assert_eq!(host.link.counters().bytes_skipped, 0);
         host
     }
@@ -103,13 +103,13 @@ impl Host {
 fn every_byte_passes_both_ways() {
     let mut line = PtyLine::open(None).unwrap();
     let mut host = SerialTransport::open(line.path(), Some(3_000_000)).unwrap();
-    // Twice all bytes: 0x00, ^C, ^D, XON, XOFF, CR, LF and 0xff among them, next to each other and apart.
+    // All bytes twice, among them 0x00, ^C, ^D, XON, XOFF, CR, LF and 0xff, adjacent and apart.
     let bytes: Vec<u8> =
         (0..=255).chain((0..=255).rev()).chain([0, 3, 4, 0x11, 0x13, 13, 10, 255]).collect();
     assert_eq!(line.write(&bytes).unwrap(), bytes.len());
     let mut got = Vec::new();
     let mut buffer = [0; 1000];
-    let give_up = Instant::now() + PATIENCE;
+    let give_up = Instant::now() + TIMEOUT;
     while got.len() < bytes.len() && Instant::now() < give_up {
         let n = host.read(&mut buffer).unwrap();
         got.extend_from_slice(&buffer[..n]);
@@ -126,7 +126,7 @@ fn every_byte_passes_both_ways() {
 }
 
 #[test]
-fn a_host_hears_every_frame_and_a_second_host_again() {
+fn two_hosts_in_turn_receive_every_frame() {
     let motion = jump(1000.0, 0.5, 40);
     let served =
         serve_in_background(motion.clone(), DeviceSettings::default(), ServeOptions::default());
@@ -148,14 +148,14 @@ fn a_host_hears_every_frame_and_a_second_host_again() {
 }
 
 #[test]
-fn a_host_that_sleeps_loses_only_what_the_device_says() {
+fn a_host_that_sleeps_loses_only_the_frames_that_the_device_counts() {
     let settings = DeviceSettings { queue_bytes: Some(100_000), ..DeviceSettings::default() };
-    // 5 MB in all: more than the pty and the queue keep.
+    // 5 MB in all: more than pty and queue hold.
     let served = serve_in_background(jump(1000.0, 1.0, 300), settings, ServeOptions::default());
     let mut host = Host::open(&served.path);
-    host.say(Command::Start { line_bytes_per_s: 0 });
+    host.send(Command::Start { line_bytes_per_s: 0 });
     std::thread::sleep(Duration::from_millis(1_200));
-    host.listen_until(|host| host.end.is_some());
+    host.read_until(|host| host.end.is_some());
     let end = host.end.unwrap();
     assert_eq!(end.frames_produced, 1000);
     assert!(end.frames_dropped > 500, "{end:?}");
@@ -170,10 +170,10 @@ fn once_returns_when_a_slow_host_has_read_all() {
     let options = ServeOptions { once: true, ..ServeOptions::default() };
     let served = serve_in_background(motion, DeviceSettings::default(), options);
     let mut host = Host::open(&served.path);
-    host.say(Command::Start { line_bytes_per_s: 0 });
-    // Everything waits in the kernel by now, and a hang-up would discard it.
+    host.send(Command::Start { line_bytes_per_s: 0 });
+    // By now everything is in the kernel's buffer, which a hang-up would discard.
     std::thread::sleep(Duration::from_millis(300));
-    host.listen_until(|host| host.end.is_some());
+    host.read_until(|host| host.end.is_some());
     assert_eq!(host.frames.len(), 100);
     let log = served.thread.join().unwrap().unwrap();
     assert_eq!(log.frames_sent, 100);
@@ -181,14 +181,14 @@ fn once_returns_when_a_slow_host_has_read_all() {
 
 #[test]
 fn a_paced_line_is_no_faster_than_its_baud_rate() {
-    // 260 kB/s are due, the line carries 23 kB/s of them.
+    // The device produces 260 kB/s, the line carries 23 kB/s.
     let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
     let options = ServeOptions { baud: Some(230_400), ..ServeOptions::default() };
     let served = serve_in_background(jump(1000.0, 1.0, 15), settings, options);
     let mut host = Host::open(&served.path);
     let begun = Instant::now();
-    host.say(Command::Start { line_bytes_per_s: 0 });
-    let bytes = host.listen_until(|host| host.frames.len() >= 60);
+    host.send(Command::Start { line_bytes_per_s: 0 });
+    let bytes = host.read_until(|host| host.frames.len() >= 60);
     let carried = 23_040.0 * (begun.elapsed().as_secs_f64() + 0.01);
     assert!((bytes as f64) < carried, "{bytes} bytes, the line carries {carried}");
     drop(host);
@@ -196,7 +196,7 @@ fn a_paced_line_is_no_faster_than_its_baud_rate() {
 }
 
 #[test]
-fn the_log_names_every_frame() {
+fn the_log_has_every_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sent.csv");
     let log = Box::new(fs::File::create(&path).unwrap());
@@ -214,7 +214,7 @@ fn the_log_names_every_frame() {
 }
 
 #[test]
-fn links_replace_dead_links_only() {
+fn links_replace_dangling_links_only() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("rig");
     let line = PtyLine::open(Some(&link)).unwrap();
@@ -234,7 +234,7 @@ fn links_replace_dead_links_only() {
 }
 
 #[test]
-fn a_stop_that_came_first_still_opens_and_closes() {
+fn an_early_stop_still_opens_and_closes_the_line() {
     let mut device = Device::new(jump(60.0, 0.1, 1), DeviceSettings::default()).unwrap();
     let stop = AtomicBool::new(true);
     let mut opened = None;
@@ -247,7 +247,7 @@ fn a_stop_that_came_first_still_opens_and_closes() {
 }
 
 #[test]
-fn a_pulled_cable_is_gone_for_its_host_and_comes_back_under_its_name() {
+fn a_pulled_cable_disconnects_the_host_and_comes_back_under_its_name() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("rig");
     let mut line = PtyLine::open(Some(&link)).unwrap();
@@ -255,7 +255,7 @@ fn a_pulled_cable_is_gone_for_its_host_and_comes_back_under_its_name() {
         let mut host = SerialTransport::open(&link, None).unwrap();
         assert_eq!(line.write(&[round, 7]).unwrap(), 2);
         let mut buffer = [0; 8];
-        let give_up = Instant::now() + PATIENCE;
+        let give_up = Instant::now() + TIMEOUT;
         while host.read(&mut buffer).unwrap() == 0 {
             assert!(Instant::now() < give_up, "nothing arrives");
         }
@@ -263,11 +263,11 @@ fn a_pulled_cable_is_gone_for_its_host_and_comes_back_under_its_name() {
         line.unplug().unwrap();
         assert!(link.symlink_metadata().is_err(), "the link is still there");
         assert!(host.read(&mut buffer).is_err(), "the host does not see that it is gone");
-        // Nobody is there: nothing is taken, nothing comes, and nothing fails.
+        // Without a host, nothing is written or read, and nothing fails.
         assert_eq!((line.write(b"x").unwrap(), line.read(&mut buffer).unwrap()), (0, 0));
         assert_eq!(line.unread().unwrap(), 0);
         assert!(!line.wait(Duration::from_millis(1)).unwrap());
-        line.tend().unwrap();
+        line.maintain().unwrap();
         line.plug_in().unwrap();
         assert_eq!(line.path(), link);
     }

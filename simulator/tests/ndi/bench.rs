@@ -1,10 +1,12 @@
-//! A host, a line and a device on one clock that nobody waits for.
+//! A host, a line and a device in virtual time.
 
 use mocapd_drivers::device::{
     Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, MarkerSample, Protocol, Status,
 };
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::turns::{Order, Orders, Request, desk};
+use mocapd_drivers::transport::polled::{
+    LineCommand, LineCommandReceiver, Request, line_command_channel,
+};
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_simulator::ndi::{NdiDevice, NdiSettings};
@@ -12,12 +14,12 @@ use mocapd_take::motion::{Motion, Position, is_gap};
 
 pub(super) const MS: u64 = 1_000_000;
 
-/// How long the daemon lets a read wait.
+/// Timeout of the daemon's reads.
 const READ_NS: u64 = 20 * MS;
 
-/// One frame, as the host heard it.
+/// One frame, as the host received it.
 #[derive(Debug, Clone)]
-pub(super) struct Heard {
+pub(super) struct ReceivedFrame {
     pub(super) seq: u32,
     pub(super) ticks: u64,
     pub(super) markers: Vec<MarkerSample>,
@@ -29,27 +31,27 @@ type Damage = Box<dyn FnMut(&mut Vec<u8>)>;
 pub(super) struct Bench {
     pub(super) device: NdiDevice,
     pub(super) host: NdiHost,
-    orders: Orders,
-    held: Option<Order>,
+    commands: LineCommandReceiver,
+    postponed: Option<LineCommand>,
     pub(super) now_ns: u64,
     pub(super) host_baud: u32,
-    /// Whether the line carries a break.
+    /// Whether the line transmits a break.
     pub(super) has_break: bool,
     pub(super) breaks: u32,
-    /// Above this the line garbles every byte.
+    /// Above this speed the line garbles every byte.
     pub(super) line_baud_max: u32,
-    /// Something else sends without an end.
-    pub(super) chatter: bool,
-    /// What happens to answers on their way.
+    /// Another device on the line sends without end.
+    pub(super) babbles: bool,
+    /// Damages answers on the line.
     pub(super) damage: Damage,
-    on_the_way: Vec<u8>,
-    /// Every request, as it was written.
+    in_flight: Vec<u8>,
+    /// Every request written.
     pub(super) requests: Vec<Vec<u8>>,
     pub(super) farewell: Vec<Request>,
     pub(super) failed: Option<String>,
     pub(super) hellos: Vec<Hello>,
     pub(super) markers: Vec<MarkerInfo>,
-    pub(super) frames: Vec<Heard>,
+    pub(super) frames: Vec<ReceivedFrame>,
     pub(super) started: u32,
     pub(super) refused: Option<LinkBudget>,
     pub(super) notes: Vec<String>,
@@ -62,20 +64,20 @@ impl Bench {
     pub(super) fn new(motion: Motion, settings: NdiSettings, baud_max: u32) -> Self {
         let mut device = NdiDevice::new(motion, settings).unwrap();
         device.keep_frame_log();
-        let (desk, orders) = desk();
+        let (sender, commands) = line_command_channel();
         Self {
             device,
-            host: NdiHost::new(desk, baud_max),
-            orders,
-            held: None,
+            host: NdiHost::new(sender, baud_max),
+            commands,
+            postponed: None,
             now_ns: 7 * MS,
             host_baud: 3_000_000,
             has_break: true,
             breaks: 0,
             line_baud_max: u32::MAX,
-            chatter: false,
+            babbles: false,
             damage: Box::new(|_| {}),
-            on_the_way: Vec::new(),
+            in_flight: Vec::new(),
             requests: Vec::new(),
             farewell: Vec::new(),
             failed: None,
@@ -91,24 +93,24 @@ impl Bench {
         }
     }
 
-    pub(super) fn say(&mut self, command: Command) {
+    pub(super) fn send(&mut self, command: Command) {
         let mut out = Vec::new();
         self.host.command(command, &mut out);
-        assert!(out.is_empty(), "an NDI host writes by orders");
+        assert!(out.is_empty(), "an NDI host sends line commands");
     }
 
     pub(super) fn identify(&mut self) {
-        self.say(Command::Identify);
+        self.send(Command::Identify);
         self.run_until(|bench| !bench.hellos.is_empty());
     }
 
     pub(super) fn start(&mut self) {
-        self.say(Command::Start { line_bytes_per_s: 0 });
+        self.send(Command::Start { line_bytes_per_s: 0 });
         let before = self.started;
         self.run_until(|bench| bench.started > before);
     }
 
-    /// Reads until something holds; a test that needs more than an hour of virtual time has failed.
+    /// Reads until a condition holds; fails after an hour of virtual time.
     pub(super) fn run_until(&mut self, holds: impl Fn(&Self) -> bool) {
         let give_up_ns = self.now_ns + 3_600_000 * MS;
         while !holds(self) {
@@ -124,19 +126,19 @@ impl Bench {
         }
     }
 
-    /// One read of the daemon, and what it does with the bytes.
+    /// One read of the daemon, with the processing of its bytes.
     pub(super) fn read(&mut self) {
-        self.orders.set_now_ns(self.now_ns);
-        let may_read = self.carry_out();
+        self.commands.set_now_ns(self.now_ns);
+        let may_read = self.execute();
         let bytes = if may_read { self.receive() } else { Vec::new() };
-        self.orders.set_now_ns(self.now_ns);
+        self.commands.set_now_ns(self.now_ns);
         let Self {
             host, hellos, markers, frames, started, refused, notes, status, end, pongs, ..
         } = self;
         host.push(&bytes, &mut |event| match event {
             DeviceEvent::Hello(hello) => hellos.push(hello.clone()),
             DeviceEvent::Markers(table) => *markers = table.to_vec(),
-            DeviceEvent::Frame(frame) => frames.push(Heard {
+            DeviceEvent::Frame(frame) => frames.push(ReceivedFrame {
                 seq: frame.seq,
                 ticks: frame.device_ticks,
                 markers: frame.markers.to_vec(),
@@ -145,20 +147,20 @@ impl Bench {
             DeviceEvent::Refused(budget) => *refused = Some(budget),
             DeviceEvent::EndOfStream(status) => *end = Some(status),
             DeviceEvent::Pong(pong) => pongs.push(pong.host_ns),
-            DeviceEvent::Note(words) => notes.push(words.to_owned()),
+            DeviceEvent::Note(message) => notes.push(message.to_owned()),
             DeviceEvent::Status(now) => *status = Some(now),
             DeviceEvent::Trigger(_) | DeviceEvent::RateSet(_) => {}
         });
     }
 
-    fn carry_out(&mut self) -> bool {
-        while let Some(order) = self.held.take().or_else(|| self.orders.next_order()) {
+    fn execute(&mut self) -> bool {
+        while let Some(order) = self.postponed.take().or_else(|| self.commands.try_recv()) {
             match order {
-                Order::Write { request, not_before_ns } => {
+                LineCommand::Write { request, not_before_ns } => {
                     let early_ns = not_before_ns.saturating_sub(self.now_ns);
                     self.now_ns += early_ns.min(READ_NS);
                     if early_ns > READ_NS {
-                        self.held = Some(order);
+                        self.postponed = Some(order);
                         return false;
                     }
                     self.requests.push(request.as_bytes().to_vec());
@@ -167,22 +169,22 @@ impl Bench {
                     self.device.poll(self.now_ns);
                     self.device.on_bytes(&bytes, self.now_ns);
                 }
-                Order::Break => {
+                LineCommand::Break => {
                     self.breaks += 1;
                     self.now_ns += 50 * MS;
                     if self.has_break {
                         self.device.on_break(self.now_ns);
                     }
                 }
-                Order::Baud(baud) => self.host_baud = baud,
-                Order::Farewell(farewell) => self.farewell = farewell,
-                Order::Fail(words) => self.failed = Some(words),
+                LineCommand::Baud(baud) => self.host_baud = baud,
+                LineCommand::Goodbye(farewell) => self.farewell = farewell,
+                LineCommand::Fail(message) => self.failed = Some(message),
             }
         }
         true
     }
 
-    /// The line garbles what it carries too fast, or from one speed to another.
+    /// Garbles bytes that are too fast for the line, or sent at another speed than the receiver's.
     fn cross(&self, bytes: &mut [u8]) {
         let baud = self.device.baud().unwrap();
         if baud != self.host_baud || baud > self.line_baud_max {
@@ -190,7 +192,7 @@ impl Bench {
         }
     }
 
-    /// A piece of an answer, or nothing for as long as a read waits.
+    /// A piece of an answer, or nothing after the timeout.
     fn receive(&mut self) -> Vec<u8> {
         self.device.poll(self.now_ns);
         let mut answer = self.device.pending().to_vec();
@@ -200,20 +202,20 @@ impl Bench {
             self.device.sent(answer.len());
             (self.damage)(&mut answer);
             self.now_ns += answer.len() as u64 * 10_000 * MS / baud / 2;
-            self.on_the_way.append(&mut answer);
+            self.in_flight.append(&mut answer);
         }
-        if self.chatter {
+        if self.babbles {
             self.now_ns += MS;
-            self.on_the_way.clear();
+            self.in_flight.clear();
             return (0..90_u8).map(|byte| byte.wrapping_mul(29)).collect();
         }
-        if self.on_the_way.is_empty() {
+        if self.in_flight.is_empty() {
             self.now_ns += READ_NS;
             return Vec::new();
         }
         self.now_ns += MS / 10;
-        let piece = self.on_the_way.len().min(1 + (self.now_ns / 7 % 300) as usize);
-        self.on_the_way.drain(..piece).collect()
+        let piece = self.in_flight.len().min(1 + (self.now_ns / 7 % 300) as usize);
+        self.in_flight.drain(..piece).collect()
     }
 
     pub(super) fn requests_as_text(&self) -> Vec<String> {
@@ -234,25 +236,25 @@ pub(super) fn settings(tools: &[&str], bx2: bool) -> NdiSettings {
     NdiSettings { tools, bx2, ..NdiSettings::default() }
 }
 
-/// Whether a frame that was heard is a row of the motion, tools by column and the rest in any order.
-pub(super) fn assert_is_row(heard: &Heard, row: &[Position], tools: &[(u16, usize)]) {
+/// Asserts that a received frame is a row of the motion, with tools by column and strays in any order.
+pub(super) fn assert_is_row(received: &ReceivedFrame, row: &[Position], tools: &[(u16, usize)]) {
     let sorted = |mut positions: Vec<[u32; 3]>| {
         positions.sort_unstable();
         positions
     };
     let bits = |position: &Position| position.map(f32::to_bits);
     for (handle, column) in tools {
-        let sample = heard.markers.iter().find(|sample| sample.id == *handle).unwrap();
-        assert_eq!(sample.occluded, is_gap(row[*column]), "frame {}", heard.seq);
+        let sample = received.markers.iter().find(|sample| sample.id == *handle).unwrap();
+        assert_eq!(sample.occluded, is_gap(row[*column]), "frame {}", received.seq);
         if !sample.occluded {
-            assert_eq!(bits(&sample.position_mm), bits(&row[*column]), "frame {}", heard.seq);
+            assert_eq!(bits(&sample.position_mm), bits(&row[*column]), "frame {}", received.seq);
             assert_eq!(sample.residual_10um, 25);
         }
     }
-    let strays = heard.markers.iter().filter(|sample| sample.id >= 0x100);
+    let strays = received.markers.iter().filter(|sample| sample.id >= 0x100);
     let got = sorted(strays.map(|sample| bits(&sample.position_mm)).collect());
     let is_stray = |column: &usize| tools.iter().all(|(_, tool)| tool != column);
     let there = (0..row.len()).filter(is_stray).filter(|column| !is_gap(row[*column]));
     let expected = sorted(there.map(|column| bits(&row[column])).collect());
-    assert_eq!(got, expected, "frame {}", heard.seq);
+    assert_eq!(got, expected, "frame {}", received.seq);
 }

@@ -1,8 +1,8 @@
-//! From a line of which nothing is known to a device that is set up.
+//! From a line in an unknown state to a device that is set up.
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_drivers::ndi::BAUDS;
-use mocapd_drivers::transport::turns::Request;
+use mocapd_drivers::transport::polled::Request;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::NdiSettings;
 
@@ -27,13 +27,13 @@ fn left_at(bench: &mut Bench, baud: u32) {
 #[test]
 fn a_device_that_was_just_switched_on() {
     let mut bench = bench(&["pelvis", "head"], 921_600);
-    bench.say(Command::Identify);
-    bench.say(Command::Ping { host_ns: 5 });
+    bench.send(Command::Identify);
+    bench.send(Command::Ping { host_ns: 5 });
     bench.run_until(|bench| !bench.pongs.is_empty());
     let hello = &bench.hellos[0];
     assert_eq!(hello.model, "mocapd-sim Control Firmware");
     assert_eq!(hello.serial, "SIM0001");
-    assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 1_000_000_000));
+    assert_eq!((hello.rate_millihertz, hello.tick_hz), (60_000, 1_000_000_000));
     let table: Vec<_> =
         bench.markers.iter().map(|m| (m.id, m.label.as_str(), m.labelled)).collect();
     assert_eq!(table, [(1, "pelvis", true), (2, "head", true)]);
@@ -80,13 +80,13 @@ fn a_break_brings_it_back_from_any_speed() {
 }
 
 #[test]
-fn where_no_break_is_carried_every_speed_is_tried() {
+fn without_breaks_every_speed_is_tried() {
     for (baud, _) in BAUDS {
         let mut bench = bench(&[], 921_600);
         bench.has_break = false;
         left_at(&mut bench, baud);
         bench.identify();
-        // From 1228739 it comes down: that is more than was asked for.
+        // 1228739 is above the requested speed: the host lowers it.
         assert_eq!((bench.device.baud(), bench.host_baud), (Some(921_600), 921_600), "{baud}");
         assert!(
             bench.now_ns < 4_900 * MS,
@@ -97,7 +97,7 @@ fn where_no_break_is_carried_every_speed_is_tried() {
 }
 
 #[test]
-fn no_faster_than_was_asked_for_and_than_the_device_can() {
+fn the_speed_is_limited_by_the_request_and_the_device() {
     for (asked, can, reached) in [
         (115_200, 1_228_739, 115_200),
         (100_000, 1_228_739, 57_600),
@@ -123,9 +123,9 @@ fn a_line_that_garbles_the_highest_speed_is_used_below_it() {
         let mut bench = bench(&[], 921_600);
         (bench.line_baud_max, bench.has_break) = (115_200, has_break);
         if !has_break {
-            // Then a device that followed to such a speed cannot be reached again: nothing but a break,
-            // or its switch, would bring it back.
-            bench.say(Command::Identify);
+            // Without breaks, a device that has changed to such a speed is out of reach: only a break or its power
+            // switch would bring it back.
+            bench.send(Command::Identify);
             bench.run_for(20_000 * MS);
             assert!(bench.hellos.is_empty() && bench.failed.is_none());
             continue;
@@ -155,23 +155,23 @@ fn a_speed_that_failed_is_tried_again_once_the_line_was_good_for_long() {
 }
 
 #[test]
-fn a_device_that_is_not_there_is_looked_for_without_an_end() {
+fn the_search_for_an_absent_device_does_not_end() {
     let mut bench = bench(&[], 921_600);
     bench.damage = Box::new(Vec::clear);
-    bench.say(Command::Identify);
-    bench.say(Command::Ping { host_ns: 1 });
+    bench.send(Command::Identify);
+    bench.send(Command::Ping { host_ns: 1 });
     bench.run_for(60_000 * MS);
     assert!(bench.hellos.is_empty() && bench.pongs.is_empty() && bench.failed.is_none());
     assert!(bench.requests.len() < 400, "{} requests in a minute", bench.requests.len());
     // It is plugged in.
     bench.damage = Box::new(|_| {});
-    bench.say(Command::Ping { host_ns: 2 });
+    bench.send(Command::Ping { host_ns: 2 });
     bench.run_until(|bench| bench.pongs.last() == Some(&2));
     assert_eq!(bench.hellos.len(), 1);
 }
 
 #[test]
-fn a_bring_up_that_takes_long_is_waited_for() {
+fn the_host_waits_for_a_slow_bring_up() {
     let mut bench = bench(&["head", "pelvis"], 921_600);
     // Every third answer is lost once the line is up, and each of those costs two seconds.
     let mut n_answers = 0;
@@ -181,15 +181,15 @@ fn a_bring_up_that_takes_long_is_waited_for() {
             answer.clear();
         }
     });
-    // As the daemon does: a ping every second, for five seconds; and all of it again after a pong.
+    // Like the daemon: a ping every second for five seconds, and the whole greeting again after a pong.
     let mut pinged = 0;
     while bench.hellos.is_empty() {
         pinged += 1;
         assert!(pinged <= 5, "the daemon has given up");
-        bench.say(Command::Stop);
-        bench.say(Command::Identify);
+        bench.send(Command::Stop);
+        bench.send(Command::Identify);
         for _ in 0..5 {
-            bench.say(Command::Ping { host_ns: pinged });
+            bench.send(Command::Ping { host_ns: pinged });
             let end_ns = bench.now_ns + 1_000 * MS;
             while bench.now_ns < end_ns && bench.pongs.last() != Some(&pinged) {
                 bench.read();
@@ -202,13 +202,13 @@ fn a_bring_up_that_takes_long_is_waited_for() {
 }
 
 #[test]
-fn identified_again_it_says_the_same_and_nothing_is_set_up_anew() {
+fn a_second_identify_repeats_the_hello_without_another_setup() {
     let mut bench = bench(&["head"], 921_600);
     bench.identify();
     let n_requests = bench.requests.len();
-    bench.say(Command::Stop);
-    bench.say(Command::Identify);
-    bench.say(Command::Ping { host_ns: 9 });
+    bench.send(Command::Stop);
+    bench.send(Command::Identify);
+    bench.send(Command::Ping { host_ns: 9 });
     bench.run_until(|bench| bench.pongs == [9]);
     assert_eq!(bench.hellos.len(), 2);
     assert_eq!(bench.hellos[0], bench.hellos[1]);
@@ -218,21 +218,21 @@ fn identified_again_it_says_the_same_and_nothing_is_set_up_anew() {
 #[test]
 fn a_system_that_numbers_frames_by_tools_needs_one() {
     let mut bench = Bench::new(jump(20, 60.0, 1.0), settings(&[], false), 921_600);
-    bench.say(Command::Identify);
+    bench.send(Command::Identify);
     bench.run_for(2_000 * MS);
-    let words = bench.failed.unwrap();
-    assert!(words.contains("tool") && !words.contains("ERROR"), "{words}");
+    let message = bench.failed.unwrap();
+    assert!(message.contains("tool") && !message.contains("ERROR"), "{message}");
 }
 
 #[test]
-fn a_line_that_is_too_slow_is_refused_with_what_helps() {
+fn a_line_that_is_too_slow_is_refused_with_a_remedy() {
     let tools = ["head", "throat", "pelvis", "l_shoulder"];
     let mut bench = Bench::new(jump(20, 60.0, 1.0), settings(&tools, true), 9_600);
     bench.identify();
-    bench.say(Command::Start { line_bytes_per_s: 0 });
+    bench.send(Command::Start { line_bytes_per_s: 0 });
     bench.run_for(100 * MS);
-    let words = bench.failed.unwrap();
+    let message = bench.failed.unwrap();
     for fact in ["4 tools", "9600 baud", "4.0", "60 Hz", "@230400"] {
-        assert!(words.contains(fact), "{fact}: {words}");
+        assert!(message.contains(fact), "{fact}: {message}");
     }
 }

@@ -1,4 +1,4 @@
-//! Damaged answers: each counted, none recorded.
+//! Damaged answers: all are counted, and none is recorded.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -9,7 +9,7 @@ use mocapd_testkit::random::Random;
 
 use super::bench::{Bench, MS, assert_is_row, jump, settings};
 
-/// Does to an answer what lines do.
+/// Damages an answer as lines do.
 fn corrupt(answer: &mut Vec<u8>, random: &mut Random) {
     let at = random.below(answer.len());
     match random.below(6) {
@@ -28,8 +28,8 @@ fn corrupt(answer: &mut Vec<u8>, random: &mut Random) {
     }
 }
 
-/// A bench whose binary answers are corrupted, a third of them, and how many were so far. Never five in
-/// a row: after those the device counts as lost.
+/// A bench that corrupts a third of the binary answers, and the number corrupted so far. Never five in a row, after
+/// which the device counts as lost.
 fn noisy(bx2: bool, seed: u64) -> (Bench, Rc<Cell<u64>>) {
     let settings = NdiSettings { looping: true, ..settings(&["head", "pelvis"], bx2) };
     let mut bench = Bench::new(jump(52, 60.0, 3.0), settings, 921_600);
@@ -72,14 +72,14 @@ fn of_ten_thousand_corrupted_answers_each_is_counted_and_none_recorded() {
         let column =
             |label: &str| motion.info.markers.iter().position(|m| m.label == label).unwrap();
         let tools = [(1, column("head")), (2, column("pelvis"))];
-        for heard in &bench.frames {
-            assert_is_row(heard, motion.frame(heard.seq as usize % n_frames), &tools);
+        for received in &bench.frames {
+            assert_is_row(received, motion.frame(received.seq as usize % n_frames), &tools);
         }
         assert!(bench.frames.is_sorted_by(|a, b| b.seq > a.seq));
-        // Damage costs the frames of 20 ms of silence, and of the wait for what was cut off.
-        let heard = bench.frames.len() as u64;
-        assert!(heard > N, "{heard} frames");
-        println!("bx2 {bx2}: {heard} frames between {N} corrupted answers, {counters:?}");
+        // Damage costs the frames during 20 ms of silence, and during the wait for the rest of a truncated answer.
+        let received = bench.frames.len() as u64;
+        assert!(received > N, "{received} frames");
+        println!("bx2 {bx2}: {received} frames between {N} corrupted answers, {counters:?}");
     }
 }
 
@@ -109,7 +109,7 @@ fn one_corrupted_answer_costs_a_bounded_time() {
 }
 
 #[test]
-fn damaged_answers_of_the_bring_up_are_asked_for_again() {
+fn damaged_answers_during_bring_up_are_requested_again() {
     for seed in 1..=50 {
         let mut bench = Bench::new(jump(20, 60.0, 1.0), settings(&["head"], true), 115_200);
         let mut random = Random::new(seed);

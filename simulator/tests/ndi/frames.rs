@@ -1,15 +1,15 @@
-//! Every frame, once, as it was.
+//! Every frame arrives once and unchanged.
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_drivers::ndi::crc16;
-use mocapd_drivers::transport::turns::Request;
+use mocapd_drivers::transport::polled::Request;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::NdiSettings;
 
 use super::bench::{Bench, MS, assert_is_row, jump, settings};
 
 #[test]
-fn every_frame_comes_once_as_it_was() {
+fn every_frame_arrives_once_and_unchanged() {
     let lines = [(true, 60.0, 53), (false, 60.0, 53), (true, 250.0, 15), (true, 59.94, 20)];
     for (bx2, rate_hz, n_markers) in lines {
         let motion = jump(n_markers, rate_hz, 4.0);
@@ -27,13 +27,13 @@ fn every_frame_comes_once_as_it_was() {
         assert_eq!(bench.device.log().total.frames_dropped, 0);
         assert_eq!(bench.device.log().frames_sent, n_frames as u64);
         let tools = [(1, 0), (2, 7), (3, 9)];
-        for (index, (heard, sent)) in bench.frames.iter().zip(&sent).enumerate() {
-            assert_eq!((heard.seq, sent.seq), (index as u32, index as u32));
-            assert_is_row(heard, motion.frame(index), &tools);
-            let present = heard.markers.iter().filter(|sample| !sample.occluded).count();
+        for (index, (received, sent)) in bench.frames.iter().zip(&sent).enumerate() {
+            assert_eq!((received.seq, sent.seq), (index as u32, index as u32));
+            assert_is_row(received, motion.frame(index), &tools);
+            let present = received.markers.iter().filter(|sample| !sample.occluded).count();
             assert_eq!(present, sent.present as usize);
             let ticks = if bx2 { sent.device_ticks } else { index as u64 * 1000 };
-            assert_eq!(heard.ticks, ticks);
+            assert_eq!(received.ticks, ticks);
         }
         assert_eq!(bench.end.unwrap().frames_produced, n_frames as u64);
         let counters = bench.host.counters();
@@ -53,7 +53,7 @@ fn a_stop_ends_it_and_a_start_begins_again() {
         bench.run_for(3_000 * MS);
         let farewell: Vec<_> = bench.farewell.iter().map(Request::as_bytes).collect();
         assert_eq!(farewell, [&b"TSTOP:2C14\r"[..], b"COMM:000000084\r"]);
-        bench.say(Command::Stop);
+        bench.send(Command::Stop);
         bench.run_until(|bench| bench.end.is_some());
         let n_frames = bench.end.take().unwrap().frames_produced;
         assert_eq!(bench.frames.len() as u64, n_frames);
@@ -68,35 +68,35 @@ fn a_stop_ends_it_and_a_start_begins_again() {
 }
 
 #[test]
-fn a_frame_that_no_poll_fetched_is_missing_and_the_device_knows() {
+fn an_unfetched_frame_is_missing_and_the_device_counts_it() {
     let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
     let mut bench = Bench::new(jump(10, 60.0, 1.0), settings, 921_600);
     bench.identify();
     bench.start();
     bench.run_for(500 * MS);
-    // The host's machine is busy with something else.
+    // The host is busy with something else.
     bench.now_ns += 100 * MS;
     bench.run_for(500 * MS);
-    bench.say(Command::Stop);
+    bench.send(Command::Stop);
     bench.run_until(|bench| bench.end.is_some());
     let sent = bench.device.take_frames();
     let dropped: Vec<_> = sent.iter().filter(|frame| frame.dropped).map(|f| f.seq).collect();
     assert!((5..=7).contains(&dropped.len()), "{dropped:?}");
-    let heard: Vec<_> = bench.frames.iter().map(|frame| frame.seq).collect();
+    let received: Vec<_> = bench.frames.iter().map(|frame| frame.seq).collect();
     let fetched: Vec<_> =
         sent.iter().filter(|frame| !frame.dropped && !frame.unasked).map(|f| f.seq).collect();
-    assert_eq!(heard, fetched);
+    assert_eq!(received, fetched);
     let produced = bench.end.unwrap().frames_produced;
-    assert_eq!(produced, heard.len() as u64 + dropped.len() as u64);
+    assert_eq!(produced, received.len() as u64 + dropped.len() as u64);
     assert_eq!(bench.end.unwrap().frames_dropped, dropped.len() as u64);
-    // Told when it was known, and not only at the end.
+    // Reported as soon as known, not only at the end.
     assert_eq!(bench.status.unwrap().frames_dropped, dropped.len() as u64);
     let log = bench.device.log();
     assert_eq!(log.run.frames_produced, produced + log.run.frames_unasked);
 }
 
 #[test]
-fn a_device_that_was_reset_is_set_up_and_said_to_have_begun_anew() {
+fn a_reset_device_is_set_up_again_and_reported_as_restarted() {
     for has_break in [true, false] {
         let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
         let mut bench = Bench::new(jump(10, 60.0, 1.0), settings, 921_600);
@@ -113,8 +113,8 @@ fn a_device_that_was_reset_is_set_up_and_said_to_have_begun_anew() {
         bench.run_for(500 * MS);
         assert!(bench.frames.len() > before + 25);
         assert!(bench.end.is_none() && bench.failed.is_none());
-        // It was started again: what its numbers tell is counted from there, as a host counts it.
-        bench.say(Command::Stop);
+        // It was started again: produced frames count from there.
+        bench.send(Command::Stop);
         bench.run_until(|bench| bench.end.is_some());
         let (first, last) = (bench.frames[before].seq, bench.frames.last().unwrap().seq);
         assert_eq!(bench.end.unwrap().frames_produced, u64::from(last - first + 1));
@@ -122,8 +122,8 @@ fn a_device_that_was_reset_is_set_up_and_said_to_have_begun_anew() {
 }
 
 #[test]
-fn requests_that_arrive_damaged_are_said_again() {
-    // A device that answers every fifth request with ERROR04, whatever it was.
+fn damaged_requests_are_repeated() {
+    // A device that answers every fifth request with ERROR04, whatever the request.
     let settings = NdiSettings { looping: true, ..settings(&["head", "throat"], true) };
     let mut bench = Bench::new(jump(10, 60.0, 1.0), settings, 921_600);
     let mut n_answers = 0;

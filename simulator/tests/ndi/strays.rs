@@ -1,4 +1,4 @@
-//! Strays keep their numbers on lines too slow for every frame, and never share one.
+//! Strays keep their ids on lines too slow for every frame, and never share one.
 
 use std::collections::BTreeMap;
 
@@ -9,38 +9,39 @@ use mocapd_take::motion::Motion;
 
 use super::bench::{Bench, jump, settings};
 
-/// How strays were numbered in a replay over a line of this speed.
+/// How stray markers were numbered over a line.
 #[derive(Debug, Default)]
 struct Numbered {
+    /// Frames skipped.
     skipped: usize,
-    /// Numbers that were used.
+    /// Different ids used.
     numbers: usize,
-    /// A stray came under another number than the last time it was seen.
+    /// How often a stray had another id than when it was last visible.
     renumbered: usize,
-    /// A number went on to another stray from one fetched frame to the next.
-    glued: usize,
+    /// How often an id moved to another stray between two fetched frames.
+    confused: usize,
 }
 
 fn numbered(motion: &Motion, baud: u32) -> Numbered {
     let mut bench = Bench::new(motion.clone(), NdiSettings::default(), baud);
     bench.identify();
-    bench.say(Command::Start { line_bytes_per_s: 0 });
+    bench.send(Command::Start { line_bytes_per_s: 0 });
     bench.run_until(|bench| bench.end.is_some() || bench.refused.is_some());
     let bits = |position: [f32; 3]| position.map(f32::to_bits);
     let mut out = Numbered::default();
     let (mut number_of, mut column_of) = (BTreeMap::new(), BTreeMap::new());
     let mut last = None;
-    for heard in &bench.frames {
-        let row = motion.frame(heard.seq as usize);
-        out.skipped += last.map_or(0, |last| (heard.seq - last - 1) as usize);
-        last = Some(heard.seq);
+    for received in &bench.frames {
+        let row = motion.frame(received.seq as usize);
+        out.skipped += last.map_or(0, |last| (received.seq - last - 1) as usize);
+        last = Some(received.seq);
         let mut now = BTreeMap::new();
-        for sample in &heard.markers {
+        for sample in &received.markers {
             let column = row.iter().position(|p| bits(*p) == bits(sample.position_mm)).unwrap();
             let before = number_of.insert(column, sample.id);
             out.renumbered += usize::from(before.is_some_and(|before| before != sample.id));
             let was: Option<&usize> = column_of.get(&sample.id);
-            out.glued += usize::from(was.is_some_and(|was| *was != column));
+            out.confused += usize::from(was.is_some_and(|was| *was != column));
             now.insert(sample.id, column);
         }
         column_of = now;
@@ -55,29 +56,33 @@ fn numbered(motion: &Motion, baud: u32) -> Numbered {
 
 #[test]
 fn on_a_slow_line_strays_keep_their_numbers() {
-    // A whole jump, of which a third to a half of the frames come; nothing is hidden.
+    // A whole jump, of which a third to half of the frames arrive; nothing is hidden.
     let spec = JumpSpec { seconds: Some(10.0), n_markers: 20, ..JumpSpec::new(11, 60.0) };
     let motion = spec.generate().unwrap().motion;
     for (baud, skipped_min) in [(115_200, 0), (57_600, 200)] {
         let numbered = numbered(&motion, baud);
         assert!(numbered.skipped >= skipped_min, "{numbered:?}");
-        assert_eq!((numbered.numbers, numbered.renumbered, numbered.glued), (20, 0, 0), "{baud}");
+        assert_eq!(
+            (numbered.numbers, numbered.renumbered, numbered.confused),
+            (20, 0, 0),
+            "{baud}"
+        );
     }
 }
 
 #[test]
-fn what_is_hidden_and_skipped_is_not_glued_to_others() {
-    // A tenth is hidden at any time: numbers change where a stray was away, and no more than that.
+fn hidden_and_skipped_strays_are_not_confused_with_others() {
+    // A tenth is hidden at any time: an id changes only when its stray was hidden.
     let numbered = numbered(&jump(20, 60.0, 10.0), 57_600);
     assert!(numbered.skipped > 200, "{numbered:?}");
     assert!(numbered.numbers <= 30 && numbered.renumbered <= 70, "{numbered:?}");
-    assert_eq!(numbered.glued, 0, "{numbered:?}");
+    assert_eq!(numbered.confused, 0, "{numbered:?}");
 }
 
 #[test]
-fn a_line_too_slow_for_the_strays_is_said_once_with_what_helps() {
+fn a_line_too_slow_for_the_strays_is_reported_once_with_a_remedy() {
     let motion = jump(20, 60.0, 3.0);
-    for (bx2, baud, said) in
+    for (bx2, baud, remedy) in
         [(true, 57_600, Some("@921600")), (true, 921_600, None), (false, 57_600, Some("@230400"))]
     {
         let tools: &[&str] = if bx2 { &[] } else { &["head"] };
@@ -87,9 +92,9 @@ fn a_line_too_slow_for_the_strays_is_said_once_with_what_helps() {
         bench.run_until(|bench| bench.end.is_some());
         let of_the_speed = |note: &&String| note.contains(&baud.to_string());
         let slow: Vec<_> = bench.notes.iter().filter(of_the_speed).collect();
-        assert_eq!(slow.len(), usize::from(said.is_some()), "{:?}", bench.notes);
-        if let Some(said) = said {
-            assert!(slow[0].contains(said), "{slow:?}");
+        assert_eq!(slow.len(), usize::from(remedy.is_some()), "{:?}", bench.notes);
+        if let Some(remedy) = remedy {
+            assert!(slow[0].contains(remedy), "{slow:?}");
             assert!(slow[0].contains("60 Hz"), "{slow:?}");
         }
         let clock = bench.notes.iter().filter(|note| note.contains("BX2"));

@@ -1,4 +1,4 @@
-//! Bytes that no device should send: nothing panics, nothing hangs, nothing grows.
+//! Arbitrary bytes and commands: nothing panics, hangs, or grows without bound.
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_simulator::device::LineDevice;
@@ -20,7 +20,7 @@ fn every_single_byte_of_an_answer_can_be_wrong() {
         let mut flip = 0;
         let mut turn = 0;
         bench.damage = Box::new(move |answer| {
-            // Every third answer, so that the device is not given up.
+            // Only every third answer, so that the device does not count as lost.
             turn += 1;
             if turn % 3 == 0 && answer.starts_with(&[0xC4]) {
                 let n = answer.len();
@@ -33,9 +33,9 @@ fn every_single_byte_of_an_answer_can_be_wrong() {
         assert_eq!(bench.hellos.len(), 1);
         assert!(bench.host.counters().messages_damaged > 500);
         let head = motion.info.markers.iter().position(|m| m.label == "head").unwrap();
-        for heard in &bench.frames {
-            let row = motion.frame(heard.seq as usize % motion.n_frames());
-            assert_is_row(heard, row, &[(1, head)]);
+        for received in &bench.frames {
+            let row = motion.frame(received.seq as usize % motion.n_frames());
+            assert_is_row(received, row, &[(1, head)]);
         }
     }
 }
@@ -47,7 +47,7 @@ fn a_device_that_babbles_is_bounded_and_recovers() {
         let mut bench = Bench::new(jump(12, 60.0, 1.0), settings, 921_600);
         let mut random = Random::new(seed);
         bench.damage = Box::new(move |answer| {
-            // Garbage before, behind and in the place of answers, up to more than any answer has.
+            // Garbage before, after and instead of answers, up to more bytes than any answer has.
             match random.below(4) {
                 0 => {}
                 1 => answer.extend((0..random.below(5_000)).map(|_| random.byte())),
@@ -57,12 +57,12 @@ fn a_device_that_babbles_is_bounded_and_recovers() {
                 }
             }
         });
-        bench.say(Command::Identify);
-        bench.say(Command::Start { line_bytes_per_s: 0 });
+        bench.send(Command::Identify);
+        bench.send(Command::Start { line_bytes_per_s: 0 });
         bench.run_for(30_000 * MS);
         bench.damage = Box::new(|_| {});
         bench.failed = None;
-        bench.say(Command::Identify);
+        bench.send(Command::Identify);
         let hellos = bench.hellos.len();
         bench.run_until(|bench| bench.hellos.len() > hellos);
         bench.start();
@@ -72,12 +72,12 @@ fn a_device_that_babbles_is_bounded_and_recovers() {
 }
 
 #[test]
-fn any_bytes_may_come_from_a_host() {
+fn the_device_survives_any_bytes_from_a_host() {
     for seed in 1..=60 {
         let mut random = Random::new(seed);
         let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
         let mut device = NdiDevice::new(jump(12, 60.0, 1.0), settings).unwrap();
-        let words = [
+        let requests = [
             "INIT:E3A5\r",
             "TSTART:",
             "TSTOP:",
@@ -104,7 +104,7 @@ fn any_bytes_may_come_from_a_host() {
         ];
         let mut now_ns = 0;
         for _ in 0..4_000 {
-            let mut bytes = words[random.below(words.len())].as_bytes().to_vec();
+            let mut bytes = requests[random.below(requests.len())].as_bytes().to_vec();
             if random.one_in(3) {
                 let crc = mocapd_drivers::ndi::crc16(&bytes);
                 bytes.extend(format!("{crc:04X}\r").into_bytes());
@@ -118,7 +118,7 @@ fn any_bytes_may_come_from_a_host() {
             if random.one_in(50) {
                 device.on_break(now_ns);
             }
-            // A host that reads nothing for a while must not make it grow.
+            // A host that reads nothing for a while must not make the queue grow.
             assert!(device.pending().len() < 200_000);
             if random.one_in(20) {
                 let n = device.pending().len();
@@ -129,29 +129,29 @@ fn any_bytes_may_come_from_a_host() {
 }
 
 #[test]
-fn a_host_that_is_told_nothing_and_everything_in_any_order() {
+fn the_host_survives_commands_in_any_order() {
     for seed in 1..=60 {
         let mut random = Random::new(seed * 77);
         let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
         let mut bench = Bench::new(jump(12, 60.0, 1.0), settings, 921_600);
         for turn in 0..600 {
             match random.below(8) {
-                0 => bench.say(Command::Identify),
-                1 => bench.say(Command::Start { line_bytes_per_s: 0 }),
-                2 => bench.say(Command::Stop),
-                3 => bench.say(Command::Ping { host_ns: turn }),
-                4 => bench.say(Command::SetRate(60_000)),
+                0 => bench.send(Command::Identify),
+                1 => bench.send(Command::Start { line_bytes_per_s: 0 }),
+                2 => bench.send(Command::Stop),
+                3 => bench.send(Command::Ping { host_ns: turn }),
+                4 => bench.send(Command::SetRate(60_000)),
                 5 => bench.device.on_break(bench.now_ns),
                 _ => bench.run_for(random.below(300) as u64 * MS),
             }
         }
-        bench.say(Command::Stop);
+        bench.send(Command::Stop);
         bench.run_for(4_000 * MS);
-        if let Some(words) = bench.failed.take() {
-            // Breaks while it changes its speed look like a line that does not carry the higher ones.
-            assert!(words.contains("60 Hz") && words.contains("baud"), "{words}");
+        if let Some(message) = bench.failed.take() {
+            // Breaks during a change of speed look like a line that does not carry the higher speed.
+            assert!(message.contains("60 Hz") && message.contains("baud"), "{message}");
         }
-        bench.say(Command::Identify);
+        bench.send(Command::Identify);
         let hellos = bench.hellos.len();
         bench.run_until(|bench| bench.hellos.len() > hellos);
         assert!(bench.host.counters().bytes > 0);
@@ -159,17 +159,17 @@ fn a_host_that_is_told_nothing_and_everything_in_any_order() {
 }
 
 #[test]
-fn another_kind_of_device_that_streams_is_not_taken_for_one_and_does_not_hold_the_search_up() {
+fn a_streaming_device_of_another_kind_is_not_mistaken_and_does_not_block_the_search() {
     let mut bench = Bench::new(jump(12, 60.0, 1.0), settings(&["head"], true), 921_600);
     bench.device.on_bytes(b"INIT:E3A5\r", 0);
-    // What crosses the line is never what was said, and it never ends.
-    bench.chatter = true;
-    bench.say(Command::Identify);
+    // The line carries a foreign stream without end.
+    bench.babbles = true;
+    bench.send(Command::Identify);
     bench.run_for(5_000 * MS);
     let counters = bench.host.counters();
     assert!(bench.hellos.is_empty() && bench.failed.is_none());
     assert!(counters.messages == 0 && counters.bytes_skipped > 100_000, "{counters:?}");
     assert!(bench.breaks >= 1 && bench.requests.len() >= 9, "{:?}", bench.requests_as_text());
-    bench.chatter = false;
+    bench.babbles = false;
     bench.identify();
 }

@@ -1,4 +1,4 @@
-//! `bench codec`: sizes, errors and speeds of every resampler on files of one's own.
+//! `bench codec`: size, error and speed of every resampler on given files.
 
 use std::{
     path::{Path, PathBuf},
@@ -23,25 +23,25 @@ use serde::Serialize;
 
 use crate::cli::{
     original::{header_of, read_motion},
-    output::{plain, print, print_json, say},
+    output::{notify, plain, print, print_json},
     values,
 };
 
-/// What the tables of docs/benchmarks.md are made for.
+/// Default tolerances: those of the tables in docs/benchmarks.md.
 const TOLERANCES_MM: [f64; 6] = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0];
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// .c3d, .trc, .tsv (QTM) or .csv files; their marker trajectories alone are coded
+    /// .c3d, .trc, .tsv (QTM) or .csv files; only their marker trajectories are coded
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// A resampler; may be given several times [default: dense, fast, lossless, spline, sync]
+    /// A resampler; can be repeated [default: dense, fast, lossless, spline, sync]
     #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
     resamplers: Vec<ResamplerKind>,
-    /// A tolerance; may be given several times [default: 0.1 0.5 1 5 10 20 mm]
+    /// A tolerance; can be repeated [default: 0.1 0.5 1 5 10 20 mm]
     #[arg(long = "tolerance", value_name = "LENGTH", value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
-    /// Measurements of each speed, of 20 ms or one run at least; the median counts
+    /// Measurements of each speed, of at least 20 ms and one run each; the median is reported
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=20))]
     repeats: u8,
     /// Print one JSON document
@@ -50,26 +50,26 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let mut report = Report::default();
+    let mut report = CodecBenchReport::default();
     let settings = all_settings(args)?;
     for file in &args.files {
         let mut motion = read_motion(file)?;
         motion.info.foreign.clear();
-        let subject = Subject { file, motion: &motion };
-        let mut about = FileReport::new(&subject);
+        let input = BenchInput { file, motion: &motion };
+        let mut about = FileReport::new(&input);
         if !args.json {
             print(&about.head())?;
         }
         for codec in &settings {
-            // An exhaustive search that a long run refuses is no reason to stop.
-            match measure(&subject, codec, args.repeats) {
+            // A motion too long for the exhaustive search does not end the benchmark.
+            match measure(&input, codec, args.repeats) {
                 Ok(result) => {
                     if !args.json {
                         print(&result.line())?;
                     }
                     about.results.push(result);
                 }
-                Err(error) => say(&format!("{}: {}: {error:#}", file.display(), codec.kind)),
+                Err(error) => notify(&format!("{}: {}: {error:#}", file.display(), codec.kind)),
             }
         }
         report.files.push(about);
@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(false))
 }
 
-/// Lossless once, everything else at every tolerance.
+/// All settings to measure: lossless once, every other resampler at every tolerance.
 fn all_settings(args: &Args) -> anyhow::Result<Vec<Settings>> {
     let mut resamplers = args.resamplers.clone();
     if resamplers.is_empty() {
@@ -104,27 +104,27 @@ fn all_settings(args: &Args) -> anyhow::Result<Vec<Settings>> {
     Ok(settings)
 }
 
-/// What is coded.
+/// A motion to code, and the file it was read from.
 #[derive(Debug, Clone, Copy)]
-struct Subject<'a> {
+struct BenchInput<'a> {
     file: &'a Path,
     motion: &'a Motion,
 }
 
-impl Subject<'_> {
-    /// Samples present.
+impl BenchInput<'_> {
+    /// The number of samples present.
     fn samples(&self) -> u64 {
         self.motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
     }
 }
 
-/// Codes, decodes and compares, then measures both `repeats` times, on one thread.
-fn measure(subject: &Subject<'_>, codec: &Settings, repeats: u8) -> anyhow::Result<Measured> {
-    let header = header_of(subject.motion, subject.file, codec);
+/// Encodes, decodes and compares, and measures both speeds `repeats` times, on one thread.
+fn measure(input: &BenchInput<'_>, codec: &Settings, repeats: u8) -> anyhow::Result<Measured> {
+    let header = header_of(input.motion, input.file, codec);
     let mut take = Vec::new();
     let encode = median_time(repeats, || {
         take.clear();
-        offline::write_take(subject.motion, &header, 1, &AtomicU64::new(0), &mut take)?;
+        offline::write_take(input.motion, &header, 1, &AtomicU64::new(0), &mut take)?;
         Ok(())
     })?;
     let summary = Summary::read(&take[..])?;
@@ -134,24 +134,24 @@ fn measure(subject: &Subject<'_>, codec: &Settings, repeats: u8) -> anyhow::Resu
     let mut worst_mm = 0.0_f64;
     let mut samples = 0;
     decode(&take, |decoder, first_row| {
-        let (found, error_mm) = compare(decoder, subject.motion, first_row);
+        let (found, error_mm) = compare(decoder, input.motion, first_row);
         samples += found;
         worst_mm = worst_mm.max(error_mm);
     })?;
     ensure!(
-        samples as u64 == subject.samples(),
-        "{samples} samples came back of {}",
-        subject.samples()
+        samples as u64 == input.samples(),
+        "{samples} of {} samples were decoded: this is a bug in mocapd",
+        input.samples()
     );
     let decode = median_time(repeats, || decode(&take, |_, _| ()))?;
     Ok(Measured::new(codec, &summary, take.len() as u64, worst_mm, (encode, decode)))
 }
 
-/// A measurement is at least so long: short against it are the clock's steps and the scheduler's.
-const LEAST: Duration = Duration::from_millis(20);
+/// Shortest measurement: long compared with the resolution of the clock and the time slices of the scheduler.
+const MEASUREMENT_MIN: Duration = Duration::from_millis(20);
 
-/// The median of some measurements, each the mean of as many runs as it takes; after one that is not
-/// measured.
+/// The median time of a run over `repeats` measurements, each the mean of as many runs as fill [`MEASUREMENT_MIN`]; the
+/// first run warms up and is not measured.
 fn median_time(
     repeats: u8,
     mut run: impl FnMut() -> anyhow::Result<()>,
@@ -159,7 +159,7 @@ fn median_time(
     let started = Instant::now();
     run()?;
     let first = started.elapsed().max(Duration::from_nanos(1));
-    let runs = (LEAST.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
+    let runs = (MEASUREMENT_MIN.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
     let mut times = Vec::new();
     for _ in 0..repeats.max(1) {
         let started = Instant::now();
@@ -172,7 +172,7 @@ fn median_time(
     Ok(times[times.len() / 2])
 }
 
-/// Decodes a take from its bytes to float32; `found` is told the first row of each stretch.
+/// Decodes a take from its bytes to float32; `found` gets each decoded stretch and its first row.
 fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow::Result<()> {
     let mut decoder = None;
     read_events(take, |event| {
@@ -191,7 +191,7 @@ fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow:
     Ok(())
 }
 
-/// Samples of a decoded stretch that were there, and the largest error.
+/// The number of samples of a decoded stretch, and the largest error, mm.
 fn compare(decoder: &StretchDecoder, motion: &Motion, first_row: usize) -> (usize, f64) {
     let n_markers = motion.info.markers.len();
     let (mut samples, mut worst_mm) = (0, 0.0_f64);
@@ -210,13 +210,13 @@ fn compare(decoder: &StretchDecoder, motion: &Motion, first_row: usize) -> (usiz
     (samples, worst_mm)
 }
 
-/// The document.
+/// The JSON document.
 #[derive(Debug, Default, Serialize)]
-struct Report {
+struct CodecBenchReport {
     files: Vec<FileReport>,
 }
 
-/// One file.
+/// The results for one file.
 #[derive(Debug, Serialize)]
 struct FileReport {
     file: String,
@@ -228,14 +228,14 @@ struct FileReport {
     results: Vec<Measured>,
 }
 
-/// One setting on one file.
+/// The results of one setting on one file.
 #[derive(Debug, Serialize)]
 struct Measured {
     resampler: String,
     tolerance_mm: f64,
-    /// The file, everything included.
+    /// Size of the whole take.
     bytes: u64,
-    /// The blocks and the time line alone.
+    /// Size of its blocks and time line alone.
     block_bytes: u64,
     kept: u64,
     ratio: f64,
@@ -246,13 +246,13 @@ struct Measured {
 }
 
 impl FileReport {
-    fn new(subject: &Subject<'_>) -> Self {
-        let info = &subject.motion.info;
-        let samples = subject.samples();
+    fn new(input: &BenchInput<'_>) -> Self {
+        let info = &input.motion.info;
+        let samples = input.samples();
         Self {
-            file: subject.file.display().to_string(),
+            file: input.file.display().to_string(),
             rate_hz: info.rate_hz,
-            frames: subject.motion.n_frames() as u64,
+            frames: input.motion.n_frames() as u64,
             markers: info.markers.len(),
             samples,
             raw_bytes: 12 * samples,
@@ -260,7 +260,7 @@ impl FileReport {
         }
     }
 
-    /// The heading of its lines.
+    /// The heading of its table.
     fn head(&self) -> String {
         format!(
             "{}: {} markers, {} frames at {} Hz, {} bytes of float32\n\

@@ -1,4 +1,4 @@
-//! A simulated device in a process of its own, so that its processor time is its own, too.
+//! The simulated device of `bench pipeline`, in a separate process so that its processor time is counted separately.
 
 use std::{sync::atomic::Ordering, time::Duration};
 
@@ -23,10 +23,10 @@ pub(crate) struct Args {
     seconds: Duration,
 }
 
-/// Whether such a motion fits into memory.
+/// Checks that the motion of a benchmark fits into memory.
 ///
 /// # Errors
-/// A usage error that says how much it would be.
+/// A usage error with its number of samples.
 pub(super) fn check(markers: u16, rate_hz: f64, seconds: f64) -> Result<(), UsageError> {
     let samples = f64::from(markers) * rate_hz * seconds;
     if samples <= SAMPLES_MAX as f64 {
@@ -34,11 +34,11 @@ pub(super) fn check(markers: u16, rate_hz: f64, seconds: f64) -> Result<(), Usag
     }
     Err(UsageError(format!(
         "{markers} markers at {rate_hz} Hz for {seconds} s are {samples:.0} samples, more than {SAMPLES_MAX}: \
-         ask for less time, rate or markers"
+         reduce the time, the rate or the markers"
     )))
 }
 
-/// The motion of every benchmark.
+/// The motion that every benchmark records.
 pub(super) fn motion(markers: usize, rate_hz: f64, seconds: f64) -> anyhow::Result<Motion> {
     let spec = JumpSpec { seconds: Some(seconds), n_markers: markers, ..JumpSpec::new(1, rate_hz) };
     Ok(spec.generate()?.motion)

@@ -1,4 +1,4 @@
-//! `bench`: what this machine can do.
+//! `bench`: speed of the codec and of the recording pipeline on this machine.
 
 mod codec;
 mod device;
@@ -14,11 +14,11 @@ use mocapd_service::process;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bench {
-    /// Sizes, errors and speeds of the resamplers on your own files, one core
+    /// Measure size, error and speed of the resamplers on your own files, on one core
     Codec(codec::Args),
-    /// The whole way from a simulated device through a pty to disk, and the pipeline alone
+    /// Measure a recording from a simulated device over a pty to disk, and the pipeline alone
     Pipeline(pipeline::Args),
-    /// The device that `bench pipeline` records, in a process of its own
+    /// Run the device that `bench pipeline` records
     #[command(hide = true)]
     Device(device::Args),
 }
@@ -31,34 +31,34 @@ pub(crate) fn run(bench: &Bench) -> anyhow::Result<Outcome> {
     }
 }
 
-/// The middle one; of an even number the lower of the two.
+/// The median; for an even number of values, the lower of the two in the middle.
 fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     let mut sorted: Vec<_> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len().saturating_sub(1) / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Reads a device for `length` and throws the bytes away: the processor time, in percent of one core,
-/// that the line alone costs.
+/// Reads a device for `length` and discards the bytes: the processor time that the line alone costs, in percent of one
+/// core.
 pub(super) fn bare_read_cpu_percent(uri: &DeviceUri, length: Duration) -> anyhow::Result<f64> {
     let mut opened = registry::open(uri)?;
     let mut command = Vec::new();
     opened.protocol.command(Command::Start { line_bytes_per_s: 0 }, &mut command);
     opened.transport.write_all(&command)?;
-    let before = process::usage(None).context("/proc does not tell the processor time")?;
+    let before = process::usage(None).context("cannot read the processor time from /proc")?;
     let mut buffer = vec![0; 64 << 10];
     let started = Instant::now();
     while started.elapsed() < length {
         opened.transport.read(&mut buffer)?;
     }
-    let after = process::usage(None).context("/proc does not tell the processor time")?;
+    let after = process::usage(None).context("cannot read the processor time from /proc")?;
     command.clear();
     opened.protocol.command(Command::Stop, &mut command);
     opened.transport.write_all(&command)?;
     Ok(100.0 * (after.cpu_s - before.cpu_s) / started.elapsed().as_secs_f64())
 }
 
-/// Copies `bytes` once: GB a second.
+/// Copies `bytes` once; the speed in GB/s.
 pub(super) fn copy_gb_per_s(bytes: &[u8]) -> f64 {
     let started = Instant::now();
     let copy = std::hint::black_box(bytes.to_vec());
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_middle_one() {
+    fn median_of_odd_and_even_counts() {
         assert!((median([3.0, 1.0, 2.0]) - 2.0).abs() < 1e-9);
         assert!((median([4.0, 1.0, 2.0, 3.0]) - 2.0).abs() < 1e-9);
         assert!(median([]).is_nan());

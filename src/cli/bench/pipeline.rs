@@ -1,5 +1,6 @@
-//! `bench pipeline`: simulator -> pty -> record -> disk, each in a process of its own, and the pipeline
-//! alone; each figure the median of the runs, with a reference from the same run beside it.
+//! `bench pipeline`: simulator -> pty -> record -> disk, each in its own process, and the pipeline alone.
+//!
+//! Each figure is the median of the runs, beside a reference measured in the same runs.
 
 use std::{
     io::{self, BufRead, BufReader},
@@ -29,19 +30,18 @@ use serde::{Deserialize, Serialize};
 
 use super::{bare_read_cpu_percent, copy_gb_per_s, device, median};
 use crate::cli::{
-    output::{print, print_json, say},
+    output::{notify, print, print_json},
     record::{LatencyReport, ProcessReport},
     stop::stop_on_signal,
-    values,
-    values::{CodecArgs, tolerance_mm},
+    values::{self, CodecArgs, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Markers of the simulated device
+    /// Number of markers of the simulated device
     #[arg(long, value_name = "N", default_value = "200", value_parser = clap::value_parser!(u16).range(1..=10_000))]
     markers: u16,
-    /// Its frame rate: 240, 240Hz, 1kHz
+    /// Frame rate of the simulated device: 240, 240Hz, 1kHz
     #[arg(long, value_name = "HZ", default_value = "1000Hz", value_parser = units::rate_hz,
           allow_hyphen_values = true)]
     rate: f64,
@@ -49,10 +49,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = values::length,
           allow_hyphen_values = true)]
     seconds: Duration,
-    /// Runs; the medians are told
+    /// Number of runs; the medians are reported
     #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u16).range(1..=99))]
     runs: u16,
-    /// Folder where the takes are written; they are removed again
+    /// Folder for the temporary takes, which are removed again
     #[arg(long, value_name = "DIR", default_value = ".")]
     dir: PathBuf,
     #[command(flatten)]
@@ -62,12 +62,12 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Length of the in-process motion: long enough to be past the start, short enough for memory.
+/// Length of the in-process motion, s: long enough to outweigh the start, short enough for memory.
 const IN_PROCESS_S: f64 = 10.0;
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.live_settings()?;
-    ensure!(args.dir.is_dir(), "{} is no folder: create it first", args.dir.display());
+    ensure!(args.dir.is_dir(), "{} is not a folder: create it first", args.dir.display());
     device::check(args.markers, args.rate, args.seconds.as_secs_f64().max(IN_PROCESS_S))?;
     let stop = stop_on_signal()?;
     let motion = device::motion(args.markers.into(), args.rate, IN_PROCESS_S)?;
@@ -77,16 +77,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut pty = Vec::new();
     for run in 1..=args.runs {
         if !args.json {
-            say(&format!("recording {} s, {run} of {}", args.seconds.as_secs_f64(), args.runs));
+            notify(&format!("run {run}/{}: recording {} s", args.runs, args.seconds.as_secs_f64()));
         }
         in_process.copy_gb_per_s.push(copy_gb_per_s(&wire));
         run_in_process(&motion, &wire, codec, &mut in_process)?;
-        pty.push(over_pty(args, &codec)?);
+        pty.push(over_pty(args, codec)?);
         if stop.load(Ordering::Relaxed) {
-            bail!("interrupted after {run} of {} runs: nothing is told", args.runs);
+            bail!("interrupted after {run} of {} runs: no results", args.runs);
         }
     }
-    let report = Report {
+    let report = PipelineBenchReport {
         markers: args.markers,
         rate_hz: args.rate,
         seconds: args.seconds.as_secs_f64(),
@@ -100,20 +100,19 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.words())?;
+        print(&report.text())?;
     }
     Ok(Outcome::of(report.lost_anything()))
 }
 
-/// The frames of `motion` as they would come over the wire.
+/// The frames of `motion` as link messages.
 fn wire(motion: &Motion) -> anyhow::Result<Vec<u8>> {
     let mut link = DeviceLink::new();
     let mut out = Vec::new();
     for index in 0..motion.n_frames() {
         let markers: Vec<_> = motion.frame(index).iter().enumerate().map(sample).collect();
-        let ticks = (index as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
-        let frame =
-            Frame { seq: index as u32, device_ticks: ticks, timecode: None, markers: &markers };
+        let device_ticks = (index as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
+        let frame = Frame { seq: index as u32, device_ticks, timecode: None, markers: &markers };
         link.frame(FrameForm::Float, &frame, &mut out)?;
     }
     Ok(out)
@@ -124,7 +123,7 @@ fn sample((column, &position_mm): (usize, &[f32; 3])) -> MarkerSample {
     MarkerSample { id: column as u16, occluded, position_mm, ..MarkerSample::default() }
 }
 
-/// Feeds `wire` as fast as the rings take it: a full ring is waited for here, not a loss.
+/// Feeds `wire` as fast as the rings accept it; unlike a recording it waits for a full ring, so that nothing is lost.
 fn run_in_process(
     motion: &Motion,
     wire: &[u8],
@@ -139,7 +138,7 @@ fn run_in_process(
     let (mut intake, pipeline) = Pipeline::start(&config, NewTake::new(io::sink(), header))?;
     let mut link = HostLink::new();
     let started = Instant::now();
-    // As a pty gives them.
+    // The size of a read from a pty.
     for bytes in wire.chunks(4095) {
         link.push(bytes, &mut |event| {
             if let DeviceEvent::Frame(frame) = event {
@@ -150,7 +149,7 @@ fn run_in_process(
             }
         });
     }
-    intake.link(link.counters());
+    intake.set_link_counters(link.counters());
     intake.finish();
     let (written, _) = pipeline.finish().map_err(|failed| failed.error)?;
     let seconds = started.elapsed().as_secs_f64();
@@ -159,7 +158,7 @@ fn run_in_process(
     Ok(())
 }
 
-/// What `record --json` says, as far as it is needed here.
+/// The fields of `record --json` that the benchmark needs.
 #[derive(Debug, Deserialize)]
 struct RecordJson {
     frames: u64,
@@ -172,10 +171,10 @@ struct RecordJson {
     ledger: LedgerDocument,
 }
 
-/// How long the bare loop reads.
+/// How long the bare read loop runs.
 const BARE_READ: Duration = Duration::from_secs(5);
 
-/// A child that does not outlive its measurement.
+/// The process of the simulated device, killed when dropped.
 struct Simulator(Child);
 
 impl Drop for Simulator {
@@ -185,22 +184,22 @@ impl Drop for Simulator {
     }
 }
 
-/// A take that is gone when it was measured.
-struct Scratch(PathBuf);
+/// A take that is deleted when dropped.
+struct TemporaryTake(PathBuf);
 
-impl Drop for Scratch {
+impl Drop for TemporaryTake {
     fn drop(&mut self) {
         std::fs::remove_file(&self.0).ok();
     }
 }
 
-fn over_pty(args: &Args, codec: &Settings) -> anyhow::Result<PtyRun> {
-    let own = std::env::current_exe().context("cannot find the program itself")?;
+fn over_pty(args: &Args, codec: Settings) -> anyhow::Result<PtyRun> {
+    let own = std::env::current_exe().context("cannot find the mocapd executable")?;
     let (simulator, uri) = simulate(&own, args)?;
     let bare_read = bare_read_cpu_percent(&uri, BARE_READ.min(args.seconds))?;
     let simulator_usage = || process::usage(Some(simulator.0.id())).unwrap_or_default();
     let before = simulator_usage();
-    let take = Scratch(args.dir.join(format!(".mocapd-bench-{}.take", std::process::id())));
+    let take = TemporaryTake(args.dir.join(format!(".mocapd-bench-{}.take", std::process::id())));
     let recorded = record(&own, &uri, &take.0, codec)?;
     let after = simulator_usage();
     let percent = |cpu_s: f64| 100.0 * cpu_s / recorded.seconds;
@@ -218,7 +217,7 @@ fn over_pty(args: &Args, codec: &Settings) -> anyhow::Result<PtyRun> {
     })
 }
 
-/// Starts the device, and reads from it where it is.
+/// Starts the simulated device and reads the path of its pty from its output.
 fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
     let spawned = Command::new(own)
         .args(["bench", "device", "--markers", &args.markers.to_string()])
@@ -229,7 +228,7 @@ fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
         .spawn()
         .context("cannot start the simulated device")?;
     let mut simulator = Simulator(spawned);
-    let stdout = simulator.0.stdout.take().context("the simulated device has no output")?;
+    let stdout = simulator.0.stdout.take().context("the simulated device has no output pipe")?;
     let mut path = String::new();
     BufReader::new(stdout).read_line(&mut path)?;
     let path = path.trim();
@@ -238,28 +237,23 @@ fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
     Ok((simulator, DeviceUri { location, driver: None }))
 }
 
-fn record(
-    own: &Path,
-    uri: &DeviceUri,
-    take: &Path,
-    codec: &Settings,
-) -> anyhow::Result<RecordJson> {
+fn record(own: &Path, uri: &DeviceUri, take: &Path, codec: Settings) -> anyhow::Result<RecordJson> {
     let output = Command::new(own)
         .args(["record", "--json", "--device", &uri.to_string(), "--output"])
         .arg(take)
-        .args(codec_words(codec))
+        .args(codec_args(codec))
         .stdin(Stdio::null())
         .output()
         .context("cannot start the recording")?;
     if output.stdout.is_empty() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        let said = said.trim().trim_start_matches("mocapd: ");
-        bail!("the recording failed with {}: {said}", output.status);
+        let message = String::from_utf8_lossy(&output.stderr);
+        let message = message.trim().trim_start_matches("mocapd: ");
+        bail!("the recording failed with {}: {message}", output.status);
     }
-    serde_json::from_slice(&output.stdout).context("the recording's report cannot be read")
+    serde_json::from_slice(&output.stdout).context("cannot parse the report of the recording")
 }
 
-fn codec_words(codec: &Settings) -> Vec<String> {
+fn codec_args(codec: Settings) -> Vec<String> {
     match codec.kind {
         ResamplerKind::Lossless => vec!["--lossless".to_owned()],
         kind => {
@@ -291,7 +285,7 @@ struct InProcessReport {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct PipelineBenchReport {
     markers: u16,
     rate_hz: f64,
     seconds: f64,
@@ -303,23 +297,23 @@ struct Report {
     in_process: InProcessReport,
 }
 
-impl Report {
-    /// Whether anything was lost that should not be.
+impl PipelineBenchReport {
+    /// Whether any frame was lost.
     fn lost_anything(&self) -> bool {
         let lost = self.pty.iter().any(|run| run.frames_recorded < run.frames_sent);
         lost || self.in_process.frames_lost > 0
     }
 
-    fn words(&self) -> String {
+    fn text(&self) -> String {
         let of = |figure: fn(&PtyRun) -> f64| median(self.pty.iter().map(figure));
         let sent: u64 = self.pty.iter().map(|run| run.frames_sent).sum();
         let recorded: u64 = self.pty.iter().map(|run| run.frames_recorded).sum();
-        let open = self.pty.iter().filter(|run| !run.ledger_closes).count();
+        let unbalanced = self.pty.iter().filter(|run| !run.ledger_closes).count();
         let alone = &self.in_process;
         format!(
             "{} markers at {} Hz, {} s, {} {} mm, {} cores; medians of {} runs\n\
              over a pty to disk\n\
-             \x20 frames lost                   {:>9}   of {sent} sent; ledgers that do not close: {open}\n\
+             \x20 frames lost                   {:>9}   of {sent} sent; ledgers that do not close: {unbalanced}\n\
              \x20 record, processor             {:>9.1} % of one core; reference: {:.1} % for reading the line alone\n\
              \x20 simulator, processor          {:>9.1} % of one core\n\
              \x20 record, peak memory           {:>9.1} MB\n\

@@ -1,4 +1,4 @@
-//! A client that waits: hyper, which is in the program anyway, on a runtime of this thread.
+//! A blocking HTTP client for the service's API: hyper on a current-thread tokio runtime.
 
 use std::{
     env, fmt,
@@ -27,24 +27,25 @@ use tokio::{
     time::timeout,
 };
 
-const CONNECT_WITHIN: Duration = Duration::from_secs(5);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longer than the service lets a request take.
-const ANSWER_WITHIN: Duration = Duration::from_secs(75);
+/// Longer than the service's own limit on the time of a request.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(75);
 
-/// Bytes of a document at most: a thousand takes have some 300 kB.
+/// Largest document, bytes: a list of a thousand takes has some 300 kB.
 const DOCUMENT_BYTES_MAX: usize = 16 << 20;
 
-/// Times that an order is given while its answer is lost on the way. Its id is the same, so it is carried out once.
-const ORDER_TRIES: u32 = 3;
+/// Attempts to send a command if the connection breaks before the reply. All carry the same `request_id`, so the
+/// service executes the command once.
+const POST_ATTEMPTS: u32 = 3;
 
-/// Between them.
-const ORDER_AGAIN: Duration = Duration::from_millis(500);
+/// Delay between these attempts.
+const RETRY_DELAY: Duration = Duration::from_millis(500);
 
-/// A token's file at most.
+/// Largest token file, bytes.
 const TOKEN_BYTES_MAX: usize = 4096;
 
-/// Speaks to one service.
+/// A client of one service.
 #[derive(Debug)]
 pub(super) struct Client {
     runtime: Runtime,
@@ -59,39 +60,39 @@ impl Client {
         Ok(Self { runtime, target, token: token_file.map(token).transpose()? })
     }
 
-    /// A document.
+    /// Requests a JSON document.
     pub(super) fn get(&self, path: &str) -> anyhow::Result<Value> {
         let answer = self.open(&Method::GET, path, &[], Bytes::new())?;
         self.document(answer.response)
     }
 
-    /// Gives an order and waits until it is carried out.
-    pub(super) fn order(&self, path: &str, mut body: Value) -> anyhow::Result<Value> {
+    /// Sends a command and waits for its result; retries if the connection breaks.
+    pub(super) fn post(&self, path: &str, mut body: Value) -> anyhow::Result<Value> {
         body["request_id"] = Value::from(request_id()?);
         let body = Bytes::from(serde_json::to_vec(&body)?);
-        let mut tries = 1;
+        let mut attempts = 1;
         loop {
             let answer = self
                 .open(&Method::POST, path, &[], body.clone())
                 .and_then(|answer| self.document(answer.response));
             match answer {
-                Err(error) if error.is::<Lost>() && tries < ORDER_TRIES => {
-                    tries += 1;
-                    std::thread::sleep(ORDER_AGAIN);
+                Err(error) if error.is::<ConnectionLost>() && attempts < POST_ATTEMPTS => {
+                    attempts += 1;
+                    std::thread::sleep(RETRY_DELAY);
                 }
                 answer => return answer,
             }
         }
     }
 
-    /// An answer that is read as it comes.
+    /// Sends a request; the body of the response is read as it arrives.
     pub(super) fn open(
         &self,
         method: &Method,
         path: &str,
         headers: &[(&str, &str)],
         body: Bytes,
-    ) -> anyhow::Result<Answer<'_>> {
+    ) -> anyhow::Result<ResponseStream<'_>> {
         let host = match &self.target {
             Target::Unix(_) => "localhost",
             Target::Tcp(host) => host,
@@ -106,45 +107,45 @@ impl Client {
         for &(name, value) in headers {
             request = request.header(name, value);
         }
-        let request = request.body(Full::new(body)).context("that cannot be asked")?;
+        let request = request.body(Full::new(body)).context("cannot build the request")?;
         let response = self.runtime.block_on(self.send(request))?;
-        let response = self.refused(response)?;
-        Ok(Answer { client: self, response })
+        let response = self.check_status(response)?;
+        Ok(ResponseStream { client: self, response })
     }
 
     async fn send(&self, request: Request<Full<Bytes>>) -> anyhow::Result<Response<Incoming>> {
-        let nobody = || format!("nobody answers at {}: is the service running?", self.target);
+        let failed = || format!("cannot connect to {}: is the service running?", self.target);
         match &self.target {
             Target::Unix(path) => {
-                let stream = timeout(CONNECT_WITHIN, UnixStream::connect(path)).await;
-                let stream = stream.with_context(nobody)?;
+                let stream = timeout(CONNECT_TIMEOUT, UnixStream::connect(path)).await;
+                let stream = stream.with_context(failed)?;
                 if stream.as_ref().is_err_and(|e| e.kind() == ErrorKind::PermissionDenied) {
                     let path = path.display();
                     bail!(
-                        "you may not open {path}: it is for the service's user and group. Become a member of the group (`ls -l {path}` names it, `sudo usermod -aG GROUP $USER` adds you) and log in again"
+                        "no permission to open {path}: join the group of the socket (`ls -l {path}` shows it, `sudo usermod -aG GROUP $USER` adds you) and log in again"
                     );
                 }
-                exchange(stream.with_context(nobody)?, request).await
+                exchange(stream.with_context(failed)?, request).await
             }
             Target::Tcp(host) => {
-                let stream = timeout(CONNECT_WITHIN, TcpStream::connect(host.as_str())).await;
-                exchange(stream.with_context(nobody)?.with_context(nobody)?, request).await
+                let stream = timeout(CONNECT_TIMEOUT, TcpStream::connect(host.as_str())).await;
+                exchange(stream.with_context(failed)?.with_context(failed)?, request).await
             }
         }
     }
 
-    /// Turns a problem into an error.
-    fn refused(&self, response: Response<Incoming>) -> anyhow::Result<Response<Incoming>> {
+    /// Turns an error response into an error: usage errors and lost data keep their exit codes.
+    fn check_status(&self, response: Response<Incoming>) -> anyhow::Result<Response<Incoming>> {
         let status = response.status();
         if status.is_success() {
             return Ok(response);
         }
         let body = self.bytes(response)?;
         let Ok(problem) = serde_json::from_slice::<Problem>(&body) else {
-            bail!("{} answered {status}: it may be no mocapd", self.target);
+            bail!("{} answered {status}: it may not be a mocapd service", self.target);
         };
         if problem.kind == ProblemKind::Unauthorized {
-            bail!("{}: give the token with --token-file", self.target);
+            bail!("{} requires a token: give it with --token-file", self.target);
         }
         if problem.kind == ProblemKind::Invalid {
             return Err(UsageError(problem.message).into());
@@ -157,16 +158,17 @@ impl Client {
 
     fn document(&self, response: Response<Incoming>) -> anyhow::Result<Value> {
         let body = self.bytes(response)?;
-        serde_json::from_slice(&body).with_context(|| format!("{} answered no JSON", self.target))
+        serde_json::from_slice(&body)
+            .with_context(|| format!("the answer of {} is not JSON", self.target))
     }
 
     fn bytes(&self, response: Response<Incoming>) -> anyhow::Result<Bytes> {
         let body = Limited::new(response.into_body(), DOCUMENT_BYTES_MAX);
-        let collected = async { timeout(ANSWER_WITHIN, body.collect()).await };
+        let collected = async { timeout(RESPONSE_TIMEOUT, body.collect()).await };
         match self.runtime.block_on(collected) {
             Ok(Ok(collected)) => Ok(collected.to_bytes()),
-            Ok(Err(error)) => Err(Lost(error.to_string()).into()),
-            Err(_) => bail!("the answer did not come within {} s", ANSWER_WITHIN.as_secs()),
+            Ok(Err(error)) => Err(ConnectionLost(error.to_string()).into()),
+            Err(_) => bail!("no complete answer within {} s", RESPONSE_TIMEOUT.as_secs()),
         }
     }
 }
@@ -176,52 +178,52 @@ async fn exchange(
     request: Request<Full<Bytes>>,
 ) -> anyhow::Result<Response<Incoming>> {
     let (mut sender, connection) =
-        handshake(TokioIo::new(stream)).await.map_err(|error| lost(&error))?;
-    // It ends with the answer; what breaks it is told by who reads that.
+        handshake(TokioIo::new(stream)).await.map_err(|error| connection_lost(&error))?;
+    // The task ends with the response; errors of the connection reach the reader of the body.
     tokio::spawn(async move { connection.await.ok() });
-    match timeout(ANSWER_WITHIN, sender.send_request(request)).await {
-        Ok(answer) => Ok(answer.map_err(|error| lost(&error))?),
-        Err(_) => bail!("no answer within {} s", ANSWER_WITHIN.as_secs()),
+    match timeout(RESPONSE_TIMEOUT, sender.send_request(request)).await {
+        Ok(answer) => Ok(answer.map_err(|error| connection_lost(&error))?),
+        Err(_) => bail!("no answer within {} s", RESPONSE_TIMEOUT.as_secs()),
     }
 }
 
-fn lost(error: &hyper::Error) -> Lost {
-    Lost(error.to_string())
+fn connection_lost(error: &hyper::Error) -> ConnectionLost {
+    ConnectionLost(error.to_string())
 }
 
-/// The connection broke: nobody knows what became of the request.
+/// The connection broke; the service may have handled the request or not.
 #[derive(Debug, thiserror::Error)]
-#[error("the service broke the connection off: {0}")]
-pub(super) struct Lost(String);
+#[error("lost the connection to the service: {0}")]
+pub(super) struct ConnectionLost(String);
 
-/// An answer that goes on.
+/// A response whose body is still being received.
 #[derive(Debug)]
-pub(super) struct Answer<'a> {
+pub(super) struct ResponseStream<'a> {
     client: &'a Client,
     response: Response<Incoming>,
 }
 
-impl Answer<'_> {
-    /// Bytes that will come, where that is known.
+impl ResponseStream<'_> {
+    /// The announced length of the body, bytes, if the service states it.
     pub(super) fn len(&self) -> Option<u64> {
         let len = self.response.headers().get(header::CONTENT_LENGTH)?;
         len.to_str().ok()?.parse().ok()
     }
 
-    /// The next piece, waited for at most so long. `None`: that was all.
+    /// The next part of the body; `None` at its end.
     ///
     /// # Errors
-    /// [`Lost`], and when nothing comes.
+    /// [`ConnectionLost`], and if nothing arrives `within` that time.
     pub(super) fn next(&mut self, within: Duration) -> anyhow::Result<Option<Bytes>> {
         loop {
             let body = self.response.body_mut();
             let frame = self.client.runtime.block_on(async { timeout(within, body.frame()).await });
             match frame {
-                Err(_) => bail!("nothing came for {} s", within.as_secs_f64()),
+                Err(_) => bail!("received nothing for {} s", within.as_secs_f64()),
                 Ok(None) => return Ok(None),
-                Ok(Some(Err(error))) => return Err(lost(&error).into()),
+                Ok(Some(Err(error))) => return Err(connection_lost(&error).into()),
                 Ok(Some(Ok(frame))) => {
-                    // What is no data are trailers, which nobody sends.
+                    // Other frames are trailers, which the service does not send.
                     if let Ok(data) = frame.into_data() {
                         return Ok(Some(data));
                     }
@@ -242,18 +244,18 @@ fn token(path: &Path) -> anyhow::Result<String> {
     let text = String::from_utf8(files::read_bounded(path, TOKEN_BYTES_MAX)?).unwrap_or_default();
     let token = text.trim();
     if token.is_empty() || !token.bytes().all(|byte| byte.is_ascii_graphic()) {
-        bail!("{} holds no token: one line of visible characters", path.display());
+        bail!("{} holds no token: expected one line of printable ASCII", path.display());
     }
     Ok(token.to_owned())
 }
 
-/// Where services put their sockets.
+/// The folder of the services' sockets.
 const SOCKETS: &str = "/run/mocapd";
 
-/// Where one listens that has no socket.
+/// The default TCP address of a service.
 const LOOPBACK: &str = "127.0.0.1:7060";
 
-/// An address to connect to.
+/// The address of a service.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Target {
     /// A Unix socket.
@@ -272,54 +274,50 @@ impl fmt::Display for Target {
 }
 
 impl Target {
-    /// What was said, or where a service is to be expected.
-    pub(super) fn find(said: Option<&str>) -> anyhow::Result<Self> {
-        if let Some(said) = said {
-            return Ok(Self::parse(said).map_err(UsageError)?);
+    /// The given address; else `$MOCAPD_SOCKET`; else the default of [`default_in`](Self::default_in).
+    pub(super) fn find(given: Option<&str>) -> anyhow::Result<Self> {
+        if let Some(given) = given {
+            return Ok(Self::parse(given).map_err(UsageError)?);
         }
         if let Some(path) = env::var_os("MOCAPD_SOCKET").filter(|path| !path.is_empty()) {
             return Ok(Self::Unix(path.into()));
         }
-        Ok(Self::expected(Path::new(SOCKETS)).map_err(UsageError)?)
+        Ok(Self::default_in(Path::new(SOCKETS)).map_err(UsageError)?)
     }
 
     /// # Errors
-    /// What is wrong and what to type.
-    fn parse(said: &str) -> Result<Self, String> {
-        if let Some(path) = said.strip_prefix("unix:") {
+    /// What is wrong, and what to type instead.
+    fn parse(text: &str) -> Result<Self, String> {
+        if let Some(path) = text.strip_prefix("unix:") {
             let path = path.strip_prefix("//").unwrap_or(path);
             return if path.is_empty() {
-                Err(format!("'{said}' names no socket: give unix:PATH"))
+                Err(format!("'{text}' names no socket: give unix:PATH"))
             } else {
                 Ok(Self::Unix(path.into()))
             };
         }
-        let wrong = || format!("'{said}' is no address: give unix:PATH or http://HOST:PORT");
-        let host = said.strip_prefix("http://").ok_or_else(wrong)?.trim_end_matches('/');
+        let wrong = || format!("invalid address '{text}': give unix:PATH or http://HOST:PORT");
+        let host = text.strip_prefix("http://").ok_or_else(wrong)?.trim_end_matches('/');
         let authority: axum::http::uri::Authority = host.parse().map_err(|_| wrong())?;
         if authority.host().is_empty() || host.contains('@') {
             return Err(wrong());
         }
-        Ok(Self::Tcp(if authority.port_u16().is_some() {
-            host.to_owned()
-        } else {
-            format!("{host}:80")
-        }))
+        let has_port = authority.port_u16().is_some();
+        Ok(Self::Tcp(if has_port { host.to_owned() } else { format!("{host}:80") }))
     }
 
-    /// The only socket in the folder; loopback where there is none.
+    /// The only socket in the folder, or the loopback address if there is none.
     ///
     /// # Errors
-    /// Which there are, when there are several.
-    fn expected(folder: &Path) -> Result<Self, String> {
-        let is_socket =
-            |path: &PathBuf| path.extension().is_some_and(|extension| extension == "sock");
+    /// A list of the sockets if there are several.
+    fn default_in(folder: &Path) -> Result<Self, String> {
+        let is_socket = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "sock");
         let within = |folder: &Path| -> Vec<PathBuf> {
             let entries = folder.read_dir().into_iter().flatten().flatten();
             entries.map(|entry| entry.path()).collect()
         };
         let mut sockets = within(folder);
-        // A unit has a folder of its own: /run/mocapd/NAME/mocapd.sock.
+        // An instance of the systemd unit has its own folder: /run/mocapd/NAME/mocapd.sock.
         sockets.extend(sockets.clone().iter().flat_map(|folder| within(folder)));
         sockets.retain(is_socket);
         sockets.sort();
@@ -327,11 +325,9 @@ impl Target {
             [] => Ok(Self::Tcp(LOOPBACK.to_owned())),
             [only] => Ok(Self::Unix(only.clone())),
             several => {
-                let names: Vec<_> = several
-                    .iter()
-                    .map(|path| format!("--connect unix:{}", path.display()))
-                    .collect();
-                Err(format!("several services listen here: say which, {}", names.join(" or ")))
+                let option = |path: &PathBuf| format!("--connect unix:{}", path.display());
+                let names: Vec<_> = several.iter().map(option).collect();
+                Err(format!("several services are running: choose one with {}", names.join(" or ")))
             }
         }
     }
@@ -343,13 +339,13 @@ mod tests {
 
     #[test]
     fn addresses() {
-        let parse = |said| Target::parse(said).map(|target| target.to_string());
+        let parse = |text| Target::parse(text).map(|target| target.to_string());
         assert_eq!(parse("unix:/run/a.sock").unwrap(), "unix:/run/a.sock");
         assert_eq!(parse("unix:///run/a.sock").unwrap(), "unix:/run/a.sock");
         assert_eq!(parse("http://rig:7060/").unwrap(), "http://rig:7060");
         assert_eq!(parse("http://[::1]:7060").unwrap(), "http://[::1]:7060");
         assert_eq!(parse("http://rig").unwrap(), "http://rig:80");
-        for said in [
+        for text in [
             "",
             "rig:7060",
             "unix:",
@@ -359,27 +355,27 @@ mod tests {
             "http://u@rig",
             "http://rig/x",
         ] {
-            assert!(Target::parse(said).is_err(), "{said}");
+            assert!(Target::parse(text).is_err(), "{text}");
         }
     }
 
     #[test]
-    fn the_only_socket_is_the_one_that_is_meant() {
+    fn the_only_socket_is_the_default() {
         let folder = tempfile::tempdir().unwrap();
-        let expected = || Target::expected(folder.path());
-        assert_eq!(expected().unwrap(), Target::Tcp(LOOPBACK.to_owned()));
+        let default = || Target::default_in(folder.path());
+        assert_eq!(default().unwrap(), Target::Tcp(LOOPBACK.to_owned()));
         std::fs::write(folder.path().join("note.txt"), "").unwrap();
         let units = folder.path().join("hall/mocapd.sock");
         std::fs::create_dir(folder.path().join("hall")).unwrap();
         std::fs::write(&units, "").unwrap();
-        assert_eq!(expected().unwrap(), Target::Unix(units), "a unit's");
+        assert_eq!(default().unwrap(), Target::Unix(units), "a unit's");
         std::fs::write(folder.path().join("b.sock"), "").unwrap();
-        let several = expected().unwrap_err();
+        let several = default().unwrap_err();
         assert!(several.contains("hall/mocapd.sock") && several.contains("b.sock"), "{several}");
         std::fs::remove_dir_all(folder.path().join("hall")).unwrap();
-        assert_eq!(expected().unwrap(), Target::Unix(folder.path().join("b.sock")));
+        assert_eq!(default().unwrap(), Target::Unix(folder.path().join("b.sock")));
         assert_eq!(
-            Target::expected(Path::new("/nowhere")).unwrap(),
+            Target::default_in(Path::new("/nowhere")).unwrap(),
             Target::Tcp(LOOPBACK.to_owned())
         );
     }

@@ -1,4 +1,5 @@
-//! `events`: followed, and taken up again where the connection broke.
+//! `ctl events`: follows the service's event stream and resumes it after a broken connection. `ctl download`: fetches a
+//! take.
 
 use std::{
     io::Write,
@@ -15,62 +16,62 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::{
-    client::{Client, Lost},
-    words,
+    client::{Client, ConnectionLost},
+    text,
 };
 use crate::cli::{
-    output::{plain, print, print_json_text, say},
+    output::{notify, plain, print, print_json_text},
     values,
 };
 
-/// Longer than the service is silent: it sends a sign of life every 15 s.
-const SILENT: Duration = Duration::from_secs(45);
+/// Longer than the service is ever silent: it sends a keep-alive comment every 15 s.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(45);
 
-/// Before the service is asked again.
-const AGAIN: Duration = Duration::from_secs(1);
+/// Delay before reconnecting.
+const RECONNECT_DELAY: Duration = Duration::from_secs(1);
 
-/// Bytes of one event at most.
+/// Largest event, bytes.
 const EVENT_BYTES_MAX: usize = 1 << 20;
 
-/// Until Ctrl-C ends the process: there is nothing to finish.
+/// Prints events until Ctrl-C ends the process; nothing has to be finished then.
 pub(super) fn follow(client: &Client, json: bool) -> anyhow::Result<Outcome> {
     let mut last_id = String::new();
     loop {
         let headers = [("last-event-id", last_id.as_str())];
         let headers = if last_id.is_empty() { &[][..] } else { &headers };
         let mut answer = client.open(&Method::GET, "/v1/events", headers, Bytes::new())?;
-        let mut events = Events::default();
+        let mut events = EventParser::default();
         let broken = loop {
-            match answer.next(SILENT) {
+            match answer.next(IDLE_TIMEOUT) {
                 Ok(Some(bytes)) => {
                     for event in events.push(&bytes)? {
-                        tell(&event, json)?;
+                        show(&event, json)?;
                         last_id = event.id.unwrap_or(last_id);
                     }
                 }
-                Ok(None) => break "the service ended the connection".to_owned(),
-                Err(error) if error.is::<Lost>() => break error.to_string(),
+                Ok(None) => break "the service closed the connection".to_owned(),
+                Err(error) if error.is::<ConnectionLost>() => break error.to_string(),
                 Err(error) => return Err(error),
             }
         };
-        say(&format!("{broken}; asking again"));
-        std::thread::sleep(AGAIN);
+        notify(&format!("{broken}; reconnecting"));
+        std::thread::sleep(RECONNECT_DELAY);
     }
 }
 
-fn tell(event: &Event, json: bool) -> anyhow::Result<()> {
+fn show(event: &Event, json: bool) -> anyhow::Result<()> {
     if json {
-        // An event is one line: a line end in it can only stand between two values.
+        // One line per event: line ends can only stand between JSON values.
         return print_json_text(&event.data.replace('\n', " "));
     }
-    if let Ok(happened) = serde_json::from_str::<ServiceEvent>(&event.data) {
-        let (kind, message) = (happened.kind, plain(&happened.message));
-        return print(&format!("{}  {kind:<13} {message}\n", words::time(happened.unix_ms)));
+    if let Ok(event) = serde_json::from_str::<ServiceEvent>(&event.data) {
+        let (kind, message) = (event.kind, plain(&event.message));
+        return print(&format!("{}  {kind:<13} {message}\n", text::time(event.unix_ms)));
     }
     let missed = serde_json::from_str::<Value>(&event.data).unwrap_or_default();
-    say(&match missed["missed"].as_u64() {
+    notify(&match missed["missed"].as_u64() {
         Some(n) => format!("{n} events were missed"),
-        None => "the service was started anew: nobody knows what was missed".to_owned(),
+        None => "the service was restarted: events may have been missed".to_owned(),
     });
     Ok(())
 }
@@ -81,17 +82,20 @@ struct Event {
     data: String,
 }
 
-/// Server-sent events, as far as the service uses them: lines that end with a line feed, `id` and `data`.
+/// An incremental parser of the server-sent events that the service uses: fields `id` and `data`, lines ended by line
+/// feeds.
 #[derive(Debug, Default)]
-struct Events {
+struct EventParser {
     rest: Vec<u8>,
     id: Option<String>,
     data: Vec<String>,
 }
 
-impl Events {
+impl EventParser {
+    /// Adds received bytes and returns the events that they complete.
+    ///
     /// # Errors
-    /// An event that is larger than any is.
+    /// If an event exceeds [`EVENT_BYTES_MAX`].
     fn push(&mut self, bytes: &[u8]) -> anyhow::Result<Vec<Event>> {
         self.rest.extend_from_slice(bytes);
         let mut events = Vec::new();
@@ -101,7 +105,7 @@ impl Events {
             self.line(line.trim_end_matches(['\r', '\n']), &mut events);
         }
         if self.rest.len() + self.data.iter().map(String::len).sum::<usize>() > EVENT_BYTES_MAX {
-            bail!("an event of more than {EVENT_BYTES_MAX} bytes: that may be no mocapd");
+            bail!("an event exceeds {EVENT_BYTES_MAX} bytes: this may not be a mocapd service");
         }
         Ok(events)
     }
@@ -116,17 +120,17 @@ impl Events {
             }
             "id" => self.id = Some(value.to_owned()),
             "data" => self.data.push(value.to_owned()),
-            // Comments, which are signs of life, and the kind, which the data has as well.
+            // Comments (keep-alives), and the event's kind, which its data repeats.
             _ => {}
         }
     }
 }
 
-/// A service whose disk stalls sends nothing for half a minute at most.
-const SILENT_DISK: Duration = Duration::from_secs(60);
+/// Longer than the half a minute for which a service with a stalled disk may send nothing.
+const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct DownloadReport {
     take: String,
     output: PathBuf,
     bytes: u64,
@@ -136,8 +140,8 @@ pub(super) fn download(
     client: &Client,
     name: &str,
     output: Option<&Path>,
-) -> anyhow::Result<Report> {
-    // What would be another folder's file here is no name there either.
+) -> anyhow::Result<DownloadReport> {
+    // A slash in the name must not lead to another folder.
     let here = PathBuf::from(format!("{}.take", name.replace('/', "_")));
     let output = output.map_or(here, Path::to_owned);
     let path = format!("/v1/takes/{}/download", encoded(name));
@@ -145,19 +149,19 @@ pub(super) fn download(
     let announced = answer.len();
     let mut file = NewFile::create(&output)?;
     let mut bytes = 0;
-    while let Some(piece) = answer.next(SILENT_DISK)? {
+    while let Some(piece) = answer.next(DOWNLOAD_TIMEOUT)? {
         bytes += piece.len() as u64;
         file.write_all(&piece).with_context(|| format!("cannot write {}", output.display()))?;
     }
     if let Some(announced) = announced.filter(|&announced| announced != bytes) {
-        bail!("{bytes} of {announced} bytes came: try again");
+        bail!("received {bytes} of {announced} bytes: try again");
     }
     file.keep()?;
-    say(&format!("{}: {}", output.display(), values::bytes(bytes)));
-    Ok(Report { take: name.to_owned(), output, bytes })
+    notify(&format!("{}: {}", output.display(), values::bytes(bytes)));
+    Ok(DownloadReport { take: name.to_owned(), output, bytes })
 }
 
-/// As it stands in a path.
+/// Percent-encodes a name for a URL path.
 fn encoded(name: &str) -> String {
     let mut out = String::with_capacity(name.len());
     for byte in name.bytes() {
@@ -183,12 +187,12 @@ mod tests {
             Event { id: None, data: "x\ny".to_owned() },
         ];
         for size in 1..text.len() {
-            let mut events = Events::default();
+            let mut events = EventParser::default();
             let pieces = text.as_bytes().chunks(size);
             let found: Vec<_> = pieces.flat_map(|piece| events.push(piece).unwrap()).collect();
             assert_eq!(found, expected, "pieces of {size}");
         }
-        assert!(Events::default().push(&vec![b'x'; EVENT_BYTES_MAX + 1]).is_err());
+        assert!(EventParser::default().push(&vec![b'x'; EVENT_BYTES_MAX + 1]).is_err());
     }
 }
 

@@ -1,4 +1,4 @@
-//! Which format, and what it needs to be told.
+//! The format of an export, and its options.
 
 use std::path::Path;
 
@@ -9,29 +9,30 @@ use crate::cli::paths;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FormatArgs {
-    /// The format, where the ending of the output does not tell it
+    /// Format of the output [default: by its extension]
     #[arg(long, value_name = "FORMAT")]
-    format: Option<Name>,
-    /// Rows of a CSV file: `wide`, one a frame; `long`, one a sample that is present
+    format: Option<FormatName>,
+    /// Layout of a CSV file: `wide`, one row per frame; `long`, one row per sample present
     #[arg(long, value_name = "LAYOUT", default_value = "wide")]
-    layout: Layout,
-    /// For csv: put an apostrophe before labels that a spreadsheet would calculate (=, +, -, @ at the beginning)
+    layout: CsvLayout,
+    /// For csv: put an apostrophe before labels that a spreadsheet would take for a formula (starting with =, +, - or
+    /// @)
     #[arg(long)]
-    for_spreadsheet: bool,
-    /// Of Parquet a row a frame, with three columns a marker, instead of a row a sample
+    pub(super) for_spreadsheet: bool,
+    /// For parquet: one row per frame, with three columns per marker, instead of one row per sample
     #[arg(long)]
     wide: bool,
-    /// For bids: whose motion it is, letters and digits [default: 01]
+    /// For bids: label of the subject, letters and digits [default: 01]
     #[arg(long, value_name = "LABEL")]
     subject: Option<String>,
-    /// For bids: what was done, letters and digits [default: those of the take's name]
+    /// For bids: label of the task, letters and digits [default: those of the take's name]
     #[arg(long, value_name = "LABEL")]
     task: Option<String>,
 }
 
-/// Formats by their names.
+/// A format, by its name on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Name {
+enum FormatName {
     C3d,
     Trc,
     Tsv,
@@ -43,9 +44,9 @@ enum Name {
     Mcap,
 }
 
-/// How a CSV file is laid out.
+/// The layout of a CSV file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Layout {
+enum CsvLayout {
     Wide,
     Long,
 }
@@ -54,51 +55,46 @@ impl FormatArgs {
     /// The format of an output.
     ///
     /// # Errors
-    /// A usage error when its ending does not tell, or an option is for another format.
+    /// A usage error if its extension is unknown, or an option belongs to another format.
     pub(super) fn of(&self, output: &Path) -> anyhow::Result<Format> {
         let format = match self.format {
             None => paths::output_format(output)?,
-            Some(Name::C3d) => Format::C3d,
-            Some(Name::Trc) => Format::Trc,
-            Some(Name::Tsv) => Format::Tsv,
-            Some(Name::Csv) => Format::Csv,
-            Some(Name::Npz) => Format::Npz,
-            Some(Name::Xdf) => Format::Xdf,
-            Some(Name::Bids) => Format::Bids,
-            Some(Name::Parquet) => Format::Parquet,
-            Some(Name::Mcap) => Format::Mcap,
+            Some(FormatName::C3d) => Format::C3d,
+            Some(FormatName::Trc) => Format::Trc,
+            Some(FormatName::Tsv) => Format::Tsv,
+            Some(FormatName::Csv) => Format::Csv,
+            Some(FormatName::Npz) => Format::Npz,
+            Some(FormatName::Xdf) => Format::Xdf,
+            Some(FormatName::Bids) => Format::Bids,
+            Some(FormatName::Parquet) => Format::Parquet,
+            Some(FormatName::Mcap) => Format::Mcap,
         };
-        let usage = |words: &str| Err(UsageError(words.to_owned()).into());
+        let usage = |message: &str| Err(UsageError(message.to_owned()).into());
         if format != Format::Bids && (self.subject.is_some() || self.task.is_some()) {
-            return usage("--subject and --task are for --format bids: other formats hold neither");
+            return usage("--subject and --task are for --format bids: omit them");
         }
         if self.for_spreadsheet && format != Format::Csv {
-            return usage("--for-spreadsheet is for csv: leave it out");
+            return usage("--for-spreadsheet is for csv: omit it");
         }
         if self.wide && format != Format::Parquet {
-            return usage("--wide is for .parquet: leave it out");
+            return usage("--wide is for .parquet: omit it");
         }
         match (format, self.layout) {
-            (Format::Parquet, Layout::Wide) if self.wide => Ok(Format::ParquetWide),
-            (Format::Csv, Layout::Long) => Ok(Format::CsvLong),
-            (_, Layout::Long) => usage("--layout long is for csv: other formats have one layout"),
-            (format, Layout::Wide) => Ok(format),
+            (Format::Parquet, CsvLayout::Wide) if self.wide => Ok(Format::ParquetWide),
+            (Format::Csv, CsvLayout::Long) => Ok(Format::CsvLong),
+            (_, CsvLayout::Long) => usage("--layout long is for csv: omit it"),
+            (format, CsvLayout::Wide) => Ok(format),
         }
     }
 
-    /// Whether labels are kept from being formulas.
-    pub(super) fn is_for_spreadsheet(&self) -> bool {
-        self.for_spreadsheet
-    }
-
-    /// What a BIDS dataset calls its files.
+    /// The labels in the file names of a BIDS dataset.
     ///
     /// # Errors
-    /// A usage error when a label has anything but letters and digits.
-    pub(super) fn names(&self, take: &Path) -> anyhow::Result<bids::Names> {
+    /// A usage error if a label has other characters than letters and digits.
+    pub(super) fn names(&self, take: &Path) -> anyhow::Result<bids::BidsLabels> {
         let stem = take.file_stem().unwrap_or_default().to_string_lossy();
-        let task = self.task.clone().unwrap_or_else(|| bids::Names::task_of(&stem));
+        let task = self.task.clone().unwrap_or_else(|| bids::BidsLabels::task_of(&stem));
         let subject = self.subject.as_deref().unwrap_or("01");
-        bids::Names::new(subject, &task).map_err(|error| UsageError(error.to_string()).into())
+        bids::BidsLabels::new(subject, &task).map_err(|error| UsageError(error.to_string()).into())
     }
 }

@@ -1,7 +1,7 @@
-//! `export`: a take in a format that other tools open.
+//! `export`: converts a take to a format of other tools.
 
+mod crop;
 mod format;
-mod part;
 mod spreadsheet;
 
 use std::{
@@ -11,10 +11,10 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use mocapd::{
-    ahead::Ahead,
     outcome::{Outcome, UsageError},
+    parallel_frames::ParallelFrames,
 };
 use mocapd_acquire::{
     files::{self, NewFile, NewFolder, SparseFile},
@@ -23,34 +23,34 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_take::{
     TakeFrames, TakeMap,
-    interchange::{Direction, Format, Turned, bids, npz},
+    interchange::{Direction, Format, RotatedFrames, bids, npz},
     motion::{FrameSource, UpAxis},
     record::Ledger,
 };
 
-use self::{format::FormatArgs, part::Part, spreadsheet::Guarded};
-use super::{output::Progress, output::say, paths, values::count};
+use self::{crop::CroppedFrames, format::FormatArgs, spreadsheet::EscapedLabels};
+use super::{output::Progress, output::notify, paths, values::count};
 
-/// What is written at once: so much that the calls into the system cost nothing beside the bytes.
+/// Size of the output buffer: so large that the cost of system calls is negligible.
 const BUFFER_BYTES: usize = 1 << 20;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The take
     take: PathBuf,
-    /// What to write: a file, .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf or, where they are built in, .parquet or .mcap,
-    /// or with `--format bids` a folder; it must not exist
+    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf or, if built in, .parquet or .mcap; with
+    /// `--format bids` the folder to create. It must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     format: FormatArgs,
-    /// Turn the take by a quarter so that this axis points up: x, y or z
+    /// Rotate the take by 90 degrees so that this axis points up: x, y or z
     #[arg(long, value_name = "AXIS", value_parser = axis)]
     up: Option<UpAxis>,
-    /// Leave out what is before this time: 10s, 500ms, 2min
+    /// Export frames from this time on: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
-    /// Leave out what is at or after this time
+    /// Export frames before this time
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     to: Option<Duration>,
 }
@@ -59,56 +59,53 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.format.of(&args.output)?;
     format.check_built()?;
     paths::check_output(&args.output)?;
-    let reading = || format!("cannot read {}", args.take.display());
+    let name = args.take.display();
+    let reading = || format!("cannot read {name}");
     let file = SparseFile::open(&args.take)?;
-    let wanted = |kind: &str| format.gives_back(kind);
+    let wanted = |kind: &str| format.restores(kind);
     let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
         .with_context(reading)?;
-    let range =
-        part::range(frames.info(), frames.map().n_held.unwrap_or_default(), args.from, args.to)
-            .with_context(|| args.take.display().to_string())?;
+    let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
+    let range = crop::range(frames.info(), n_sampled_rows, args.from, args.to)
+        .with_context(|| name.to_string())?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
-        return Err(UsageError(format!(
-            "{} does not say what is up, so that --up cannot turn it: import its file again with --up",
-            args.take.display()
-        ))
-        .into());
+        bail!(UsageError(format!(
+            "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
+        )));
     }
-    let mut ahead = Ahead::start(&args.take, &frames, range.start, threads::default_workers())?;
-    let mut left_out = Vec::new();
-    let mut not_turned = Vec::new();
+    let mut parallel =
+        ParallelFrames::start(&args.take, &frames, range.start, threads::default_workers())?;
+    let (mut left_out, mut not_rotated) = (Vec::new(), Vec::new());
     let mut export = |source: &mut dyn FrameSource| {
         let counter = Arc::new(AtomicU64::new(0));
-        let mut part = Part::new(source, &range, Arc::clone(&counter));
-        left_out = format.leaves_out(part.info(), args.up.is_some());
-        let _progress = Progress::follow("exporting", &counter, part.info().n_frames);
+        let mut cropped = CroppedFrames::new(source, &range, Arc::clone(&counter));
+        left_out = format.leaves_out(cropped.info(), args.up.is_some());
+        let _progress = Progress::follow("exporting", &counter, cropped.info().n_frames);
         let mut turned;
         let frames: &mut dyn FrameSource = match args.up {
-            None => &mut part,
+            None => &mut cropped,
             Some(up) => {
-                turned = Turned::new(&mut part, up)?.context("the take does not say what is up")?;
-                not_turned = turned.not_turned();
+                turned =
+                    RotatedFrames::new(&mut cropped, up)?.context("the take states no up axis")?;
+                not_rotated = turned.not_rotated();
                 &mut turned
             }
         };
         if format == Format::Bids {
             write_folder(frames, &args.format.names(&args.take)?, &args.output)
-        } else if args.format.is_for_spreadsheet() {
-            write(&mut Guarded::new(frames), format, &args.output)
+        } else if args.format.for_spreadsheet {
+            write(&mut EscapedLabels::new(frames), format, &args.output)
         } else {
             write(frames, format, &args.output)
         }
     };
-    let done = match &mut ahead {
+    let done = match &mut parallel {
         None => false,
-        Some(ahead) => match export(ahead) {
-            // What is missing of a take with a flaw is known to the reader that goes through it frame by frame. Nothing
-            // of the first try is left.
-            Err(_) if ahead.has_flaw() => false,
-            tried => {
-                tried?;
-                true
-            }
+        Some(parallel) => match export(parallel) {
+            // The take turned out to be damaged: the sequential reader accounts for what is missing. The failed attempt
+            // left no file.
+            Err(_) if parallel.is_damaged() => false,
+            tried => tried.map(|()| true)?,
         },
     };
     if !done {
@@ -117,27 +114,26 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     if !left_out.is_empty() {
         let output = args.output.display();
-        say(&format!("{output} cannot hold, and so has not: {}", left_out.join(", ")));
+        notify(&format!("{output}: not supported by the format: {}", left_out.join(", ")));
     }
-    not_turned.retain(|_| format == Format::C3d);
-    if !not_turned.is_empty() {
-        say(&format!("{}: not turned: {}", args.output.display(), not_turned.join(", ")));
+    not_rotated.retain(|_| format == Format::C3d);
+    if !not_rotated.is_empty() {
+        notify(&format!("{}: not rotated: {}", args.output.display(), not_rotated.join(", ")));
     }
-    say_lost(args, frames.map());
-    let problems = frames.problems();
-    for problem in problems {
-        say(&format!("{}: {problem}", args.take.display()));
+    report_losses(args, frames.map());
+    for problem in frames.problems() {
+        notify(&format!("{name}: {problem}"));
     }
-    Ok(Outcome::of(!problems.is_empty()))
+    Ok(Outcome::of(!frames.problems().is_empty()))
 }
 
-/// Says how many frames the take lost while it was recorded.
-fn say_lost(args: &Args, take: &TakeMap) {
+/// Reports how many frames the take lost while it was recorded.
+fn report_losses(args: &Args, take: &TakeMap) {
     let n_lost = take.ledger.as_ref().map_or(0, Ledger::frames_lost);
     if n_lost > 0 {
-        // No other program can tell them from markers that were hidden.
-        say(&format!(
-            "{}: {} of the take were lost while it was recorded; those within {} are gaps there, as hidden markers are",
+        // Other programs cannot distinguish them from occluded markers.
+        notify(&format!(
+            "{}: {} lost while recording; in {} they are gaps, like occluded markers",
             args.take.display(),
             count(n_lost, "frame"),
             args.output.display()
@@ -145,16 +141,16 @@ fn say_lost(args: &Args, take: &TakeMap) {
     }
 }
 
-/// An axis that is to point up.
+/// Parses the axis to point up.
 fn axis(text: &str) -> Result<UpAxis, String> {
     let direction: Direction = text.parse()?;
     if direction.is_negative() {
-        return Err(format!("'{text}' points down: use x, y or z"));
+        return Err(format!("expected x, y or z, found '{text}'"));
     }
     Ok(direction.axis())
 }
 
-/// Writes a whole file under its own name, or none.
+/// Writes a file atomically: under its name there is the whole file or none.
 pub(super) fn write(
     frames: &mut dyn FrameSource,
     format: Format,
@@ -173,10 +169,10 @@ pub(super) fn write(
     output.keep()
 }
 
-/// Writes a whole folder under its own name, or none.
+/// Writes a folder atomically: under its name there is the whole folder or none.
 fn write_folder(
     frames: &mut dyn FrameSource,
-    names: &bids::Names,
+    names: &bids::BidsLabels,
     path: &Path,
 ) -> anyhow::Result<()> {
     let mut output = NewFolder::create(path)?;

@@ -1,4 +1,4 @@
-//! Labels that a spreadsheet would calculate.
+//! `--for-spreadsheet`: labels that a spreadsheet would take for formulas.
 
 use std::io;
 
@@ -7,17 +7,17 @@ use mocapd_take::{
     motion::{FrameSource, MotionInfo, Position},
 };
 
-/// What begins a formula in a spreadsheet, also in its full width; and what some of them skip before they look for one.
+/// Characters that begin a formula in a spreadsheet, full-width ones included, and the white space that some
+/// spreadsheets skip before one.
 const FORMULAS: [char; 10] = ['=', '+', '-', '@', '\t', '\r', '＝', '＋', '－', '＠'];
 
-/// A source whose labels begin no formula: such a one has an apostrophe before it, which spreadsheets take for the
-/// beginning of a text.
-pub(super) struct Guarded<'a> {
+/// A source that puts an apostrophe before labels that would begin a formula; spreadsheets then read them as text.
+pub(super) struct EscapedLabels<'a> {
     frames: &'a mut dyn FrameSource,
     info: MotionInfo,
 }
 
-impl<'a> Guarded<'a> {
+impl<'a> EscapedLabels<'a> {
     pub(super) fn new(frames: &'a mut dyn FrameSource) -> Self {
         let mut info = frames.info().clone();
         for marker in &mut info.markers {
@@ -29,7 +29,7 @@ impl<'a> Guarded<'a> {
     }
 }
 
-impl FrameSource for Guarded<'_> {
+impl FrameSource for EscapedLabels<'_> {
     fn info(&self) -> &MotionInfo {
         &self.info
     }

@@ -1,8 +1,8 @@
-//! `info`: what is in a take.
+//! `info`: shows what is in a take.
 
 mod report;
 mod subject;
-mod words;
+mod text;
 
 use std::{io::BufReader, path::PathBuf};
 
@@ -10,13 +10,13 @@ use anyhow::Context;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{files::SparseFile, health::TakeHealth, inspect::Summary};
 
-use self::{report::Report, words::words};
+use self::{report::InfoReport, text::text};
 use super::{
     damage,
-    output::{print, print_json, say},
+    output::{notify, print, print_json},
 };
 
-/// Columns of the terminal that labels are given at most; a longer one moves its own line.
+/// Widest label column of a table, in characters; a longer label shifts its own line.
 const LABEL_COLUMNS_MAX: usize = 64;
 
 #[derive(Debug, clap::Args)]
@@ -33,29 +33,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let file = SparseFile::open(&args.take)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     let summary = Summary::read(BufReader::new(file)).with_context(reading)?;
-    let report = Report::new(&args.take, &summary, file_bytes);
+    let report = InfoReport::new(&args.take, &summary, file_bytes);
     if args.json {
         print_json(&report)?;
     } else {
-        print(&words(&report))?;
+        print(&text(&report))?;
         for problem in &report.problems {
-            say(&format!("{}: {problem}", args.take.display()));
+            notify(&format!("{}: {problem}", args.take.display()));
         }
     }
-    if let Some(losses) = report.losses() {
-        say(&format!("{}: not in the take: {losses}", args.take.display()));
-    }
-    if let Some(why) = report.not_closing() {
-        say(&format!("{}: {why}", args.take.display()));
-    }
-    if report.health == TakeHealth::Lossy
-        && report.losses().is_none()
-        && let Some(ending) = &report.ending
-    {
-        say(&damage::ended_early(&args.take, ending));
-    }
-    if !args.json && damage::is_recoverable(&summary) {
-        say(&damage::recoverable(&args.take));
-    }
+    damage::notify_losses(&args.take, &summary, !args.json);
     Ok(Outcome::of(report.health != TakeHealth::Complete || !report.problems.is_empty()))
 }

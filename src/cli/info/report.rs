@@ -1,4 +1,4 @@
-//! What `info` says, as docs/json.md has it.
+//! The report of `info`, documented in docs/json.md.
 
 use std::path::{Path, PathBuf};
 
@@ -16,14 +16,10 @@ use mocapd_take::{
 use serde::Serialize;
 
 use super::subject::SubjectReport;
-use crate::cli::{
-    clock::ClockReport,
-    damage::DamageReport,
-    ledger::{self, OutagesReport},
-};
+use crate::cli::{clock::ClockReport, damage::DamageReport, ledger::OutagesReport};
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct InfoReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     pub(super) take: PathBuf,
     pub(super) finished: bool,
@@ -41,7 +37,7 @@ pub(super) struct Report {
     pub(super) tolerance_mm: f64,
     pub(super) up_axis: Option<&'static str>,
     pub(super) device: Option<Device>,
-    pub(super) source: Option<SourceReport>,
+    pub(super) source: Option<ImportSourceReport>,
     pub(super) subject: Option<SubjectReport>,
     pub(super) foreign_parts: Vec<ForeignReport>,
     pub(super) frames: u64,
@@ -65,11 +61,12 @@ pub(super) struct Report {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct SourceReport {
+pub(super) struct ImportSourceReport {
     #[serde(flatten)]
     pub(super) file: ImportSource,
-    /// What was given as the unit instead, and as what is up.
+    /// The value of `import --unit`, if given.
     pub(super) unit_given: Option<String>,
+    /// The value of `import --up`, if given.
     pub(super) up_given: Option<String>,
 }
 
@@ -99,12 +96,30 @@ pub(super) struct ChannelReport {
     pub(super) frames_damaged: u64,
 }
 
-impl Report {
+impl InfoReport {
     pub(super) fn new(take: &Path, summary: &Summary, file_bytes: u64) -> Self {
         let header = &summary.take.header;
         let channels = summary.take.channels.iter().zip(&summary.per_channel);
+        let channels = channels.map(|(channel, found)| ChannelReport {
+            label: channel.label.clone(),
+            labelled: channel.labelled,
+            samples: found.samples,
+            gaps: found.gaps,
+            knots: found.knots,
+            max_error_mm: found.max_error_mm,
+            frames_damaged: found.rows_damaged,
+        });
         let bytes = summary.bytes;
-        let events = summary.take.events.iter();
+        let events = summary.take.events.iter().map(|event| EventReport {
+            kind: event.kind.name(),
+            frame: event.row,
+            device_ticks: event.device_ticks,
+            input: event.input,
+            text: event.text.clone(),
+        });
+        let parts = summary.take.foreign.iter();
+        let foreign_parts =
+            parts.map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes });
         let given = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
@@ -113,7 +128,7 @@ impl Report {
             damage: DamageReport::all(&summary.take.damage),
             recovered: recovered(header),
             health: summary.health(),
-            ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.name()),
             ending_detail: detail(summary),
             software: header.software.clone(),
             created: created_unix_ms(header).and_then(utc),
@@ -122,18 +137,13 @@ impl Report {
             tolerance_mm: header.tolerance_mm,
             up_axis: header.up_axis.name(),
             device: header.device.clone(),
-            source: header.source.clone().map(|file| SourceReport {
+            source: header.source.clone().map(|file| ImportSourceReport {
                 file,
                 unit_given: given.unit.map(|unit| unit.to_string()),
                 up_given: given.up.map(|up| up.to_string()),
             }),
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
-            foreign_parts: summary
-                .take
-                .foreign
-                .iter()
-                .map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes })
-                .collect(),
+            foreign_parts: foreign_parts.collect(),
             frames: summary.take.n_rows,
             seconds: summary.take.n_rows as f64 / header.rate_hz,
             markers: summary.take.channels.len(),
@@ -150,52 +160,24 @@ impl Report {
             ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
             clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
-            events: events
-                .map(|event| EventReport {
-                    kind: event.kind.word(),
-                    frame: event.row,
-                    device_ticks: event.device_ticks,
-                    input: event.input,
-                    text: event.text.clone(),
-                })
-                .collect(),
-            channels: channels
-                .map(|(channel, found)| ChannelReport {
-                    label: channel.label.clone(),
-                    labelled: channel.labelled,
-                    samples: found.samples,
-                    gaps: found.gaps,
-                    knots: found.knots,
-                    max_error_mm: found.max_error_mm,
-                    frames_damaged: found.rows_damaged,
-                })
-                .collect(),
+            events: events.collect(),
+            channels: channels.collect(),
         }
     }
 
-    /// Frames in the take, by its ledger; the last one of a take that was cut off counts fewer than there are.
+    /// Recorded frames, by the final ledger; `None` for a take that was cut off, whose last ledger may count too few.
     pub(super) fn frames_recorded(&self) -> Option<u64> {
         self.ledger.as_ref().filter(|_| self.finished).map(|ledger| ledger.recorded)
     }
-
-    /// What was lost before it reached the take, in one line.
-    pub(super) fn losses(&self) -> Option<String> {
-        ledger::losses(self.ledger.as_ref()?)
-    }
-
-    /// Why its ledger does not close, in one line.
-    pub(super) fn not_closing(&self) -> Option<String> {
-        ledger::not_closing(self.ledger.as_ref()?)
-    }
 }
 
-/// More about how it ended, where there is more.
+/// Details of why the take ended, if it states any.
 fn detail(summary: &Summary) -> Option<String> {
     let detail = &summary.take.ending.as_ref()?.detail;
     (!detail.is_empty()).then(|| detail.clone())
 }
 
-/// When the take was begun, where that is known: an import has no time of its own.
+/// When the recording began; `None` for an import.
 fn created_unix_ms(header: &Header) -> Option<i64> {
     Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)
 }
@@ -204,8 +186,8 @@ fn utc(unix_ms: i64) -> Option<String> {
     Some(jiff::Timestamp::from_millisecond(unix_ms).ok()?.to_string())
 }
 
-/// What its recoveries say, where it was recovered.
+/// The remarks of all recoveries of the take; `None` if it was never recovered.
 fn recovered(header: &Header) -> Option<String> {
-    let told = header.settings.iter().filter(|(key, _)| key == RECOVERED);
-    told.map(|(_, words)| words.clone()).reduce(|all, next| format!("{all}; again {next}"))
+    let remarks = header.settings.iter().filter(|(key, _)| key == RECOVERED);
+    remarks.map(|(_, text)| text.clone()).reduce(|all, next| format!("{all}; again {next}"))
 }

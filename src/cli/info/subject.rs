@@ -1,4 +1,4 @@
-//! Who was captured, as `info` says it.
+//! The subject of a take, as `info` reports it.
 
 use mocapd_body::skeleton::Bone;
 use mocapd_service::subject::{face, skeleton};
@@ -23,21 +23,21 @@ struct SkeletonReport {
     stature_mm: Option<f64>,
     sides_told: bool,
     joints: usize,
-    sources: Vec<SourceReport>,
+    sources: Vec<SubjectSourceReport>,
     bones: Vec<Bone>,
 }
 
 #[derive(Debug, Serialize)]
 struct FaceReport {
     method: String,
-    source: Option<SourceReport>,
+    source: Option<SubjectSourceReport>,
     vertices: usize,
     lines: usize,
 }
 
-/// A scan, or a photograph.
+/// The scan or photograph that a document was made from.
 #[derive(Debug, Serialize)]
-struct SourceReport {
+struct SubjectSourceReport {
     name: String,
     sha256: String,
 }
@@ -51,9 +51,13 @@ struct DocumentReport {
 impl SubjectReport {
     pub(super) fn new(subject: &Subject) -> Self {
         let mut problems = Vec::new();
-        let mut told = |error: anyhow::Error| problems.push(format!("{error:#}"));
-        let skeleton = skeleton(Some(subject)).map_err(&mut told).ok().flatten();
-        let face = face(Some(subject)).map_err(&mut told).ok().flatten();
+        let mut add = |error: anyhow::Error| problems.push(format!("{error:#}"));
+        let skeleton = skeleton(Some(subject)).map_err(&mut add).ok().flatten();
+        let face = face(Some(subject)).map_err(&mut add).ok().flatten();
+        let documents = subject.documents.iter().map(|document| DocumentReport {
+            kind: document.kind.clone(),
+            bytes: document.data.len(),
+        });
         Self {
             name: Some(subject.name.clone()).filter(|name| !name.is_empty()),
             skeleton: skeleton.map(|found| SkeletonReport {
@@ -64,7 +68,7 @@ impl SubjectReport {
                 sources: found
                     .sources
                     .into_iter()
-                    .map(|source| SourceReport { name: source.name, sha256: source.sha256 })
+                    .map(|source| SubjectSourceReport { name: source.name, sha256: source.sha256 })
                     .collect(),
                 bones: found.bones,
             }),
@@ -72,35 +76,28 @@ impl SubjectReport {
                 method: found.method,
                 source: found
                     .source
-                    .map(|source| SourceReport { name: source.name, sha256: source.sha256 }),
+                    .map(|source| SubjectSourceReport { name: source.name, sha256: source.sha256 }),
                 vertices: found.vertices_mm.len(),
                 lines: found.lines.len(),
             }),
-            documents: subject
-                .documents
-                .iter()
-                .map(|document| DocumentReport {
-                    kind: document.kind.clone(),
-                    bytes: document.data.len(),
-                })
-                .collect(),
+            documents: documents.collect(),
             problems,
         }
     }
 
-    /// Lines of a word and what it is.
-    pub(super) fn words(&self, line: &mut impl FnMut(&str, &str)) {
+    /// Passes the lines of the report to `line`, as a heading and a value.
+    pub(super) fn lines(&self, line: &mut impl FnMut(&str, &str)) {
         if let Some(name) = &self.name {
             line("subject", name);
         }
         if let Some(skeleton) = &self.skeleton {
-            skeleton.words(line);
+            skeleton.lines(line);
         }
         if let Some(FaceReport { method, source, vertices, lines }) = &self.face {
             let vertices = count_of(*vertices as u64, ["vertex", "vertices"]);
             let lines = count(*lines as u64, "line");
             line("face", &format!("{vertices}, {lines}{}", by(method)));
-            if let Some(SourceReport { name, sha256 }) = source {
+            if let Some(SubjectSourceReport { name, sha256 }) = source {
                 line("", &format!("from {name}, SHA-256 {sha256}"));
             }
         }
@@ -109,18 +106,15 @@ impl SubjectReport {
             line("subject", &format!("{}, {}", other.kind, bytes(other.bytes as u64)));
         }
         for problem in &self.problems {
-            line("subject", &format!("NOT READABLE: {problem}"));
+            line("subject", &format!("UNREADABLE: {problem}"));
         }
     }
 }
 
 impl SkeletonReport {
-    fn words(&self, line: &mut impl FnMut(&str, &str)) {
-        let stature = match self.stature_mm {
-            Some(mm) => format!("stature {mm:.0} mm, "),
-            None => String::new(),
-        };
-        let sides = if self.sides_told { "" } else { "; left and right could not be told" };
+    fn lines(&self, line: &mut impl FnMut(&str, &str)) {
+        let stature = self.stature_mm.map(|mm| format!("stature {mm:.0} mm, ")).unwrap_or_default();
+        let sides = if self.sides_told { "" } else { "; left and right may be exchanged" };
         let (joints, bones) =
             (count(self.joints as u64, "joint"), count(self.bones.len() as u64, "bone"));
         line("skeleton", &format!("{stature}{joints}, {bones}{}{sides}", by(&self.method)));
@@ -130,12 +124,12 @@ impl SkeletonReport {
         let names = self.bones.iter().map(|bone| bone.name.chars().count());
         let width = names.max().unwrap_or(0).min(LABEL_COLUMNS_MAX);
         for bone in &self.bones {
-            let give = bone.uncertainty_mm.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
+            let sigma = bone.uncertainty_mm.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
             let spread = match bone.spread_mm {
-                Some(mm) => format!(", {mm:.1} mm apart in {} scans", bone.scans),
+                Some(mm) => format!(", spread {mm:.1} mm over {} scans", bone.scans),
                 None => String::new(),
             };
-            let length = format!("{:>6.0}{give} mm{spread}", bone.length_mm);
+            let length = format!("{:>6.0}{sigma} mm{spread}", bone.length_mm);
             line("", &format!("{:<width$} {length}", bone.name));
         }
     }

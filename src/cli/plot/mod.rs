@@ -1,4 +1,4 @@
-//! `plot`: pictures of takes.
+//! `plot`: plots of takes, as SVG or PNG.
 
 mod pose;
 mod sizes;
@@ -7,29 +7,27 @@ mod trajectory;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use mocapd::outcome::{Outcome, UsageError};
-use mocapd_codec::Settings;
+use mocapd::outcome::Outcome;
 use mocapd_report::{
-    coded::Coded,
-    plot::{Quality, png, quality},
+    decoded::DecodedTake,
+    plot::{QualityPlot, png, quality},
 };
-use mocapd_take::motion::Motion;
 
 use crate::cli::{
-    output::say,
+    motion_files::{Original, file_name, read_original, read_take, write_new},
+    output::notify,
     paths::{self, ends_in},
-    whole::{name, read_coded, read_original, write_new},
 };
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Plot {
-    /// One marker: original samples, kept samples and the rebuilt curve, in space and against time
+    /// Plot one marker: original samples, kept samples and the reconstruction, in space and against time
     Trajectory(trajectory::Args),
-    /// Stick figures of several moments, the original above and the rebuilt body below
+    /// Plot stick figures at several times, the original above and the reconstruction below
     Pose(pose::Args),
-    /// Size of the take against the tolerance, by resampler; takes or files, a panel each
+    /// Plot the size of the take against the tolerance, by resampler, one panel per take or file
     Sizes(sizes::Args),
-    /// Marker by marker: gaps, noise, and with --against the error
+    /// Plot each marker's gaps, noise and, with --against, error
     Quality(Pictured),
 }
 
@@ -42,61 +40,55 @@ pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Says early what writing there would meet.
+/// Checks that a picture can be created at `path`.
 ///
 /// # Errors
-/// A usage error for an ending that is no picture's.
+/// A usage error for an extension other than .svg and .png; the errors of [`paths::check_output`].
 pub(crate) fn check_output(path: &Path) -> anyhow::Result<()> {
     if !ends_in(path, "svg") && !ends_in(path, "png") {
-        return Err(UsageError(format!(
-            "{}: the ending tells the format: use .svg or .png",
-            path.display()
-        ))
-        .into());
+        return Err(paths::unknown_ending(path, ".svg or .png"));
     }
     paths::check_output(path)
 }
 
-/// Writes the picture in the format of its ending.
+/// Writes a picture in the format of its extension.
 ///
 /// # Errors
-/// When it cannot be drawn or written.
+/// If it cannot be drawn or written.
 pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
     if ends_in(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
 }
 
-/// What the take was made of, and what that itself was coded with where it is a take.
+/// Reads the original of a take; warns if the two do not match.
 ///
 /// # Errors
-/// Why it cannot be read.
-fn original(take: &Path, coded: &Coded, path: &Path) -> anyhow::Result<(Motion, Option<Settings>)> {
+/// If it cannot be read.
+fn original(take: &Path, decoded: &DecodedTake, path: &Path) -> anyhow::Result<Original> {
     let (motion, settings) = read_original(take, path)?;
-    if motion.info.labels() != coded.motion.info.labels() {
-        say(&format!("{}: its labels are not those of {}", path.display(), take.display()));
+    let (name, take) = (path.display(), take.display());
+    if motion.info.labels() != decoded.motion.info.labels() {
+        notify(&format!("{name}: its labels differ from those of {take}"));
     }
-    if motion.n_frames() != coded.motion.n_frames() {
-        say(&format!(
-            "{} has {} frames, {} has {}: drawn from the first on",
-            path.display(),
-            motion.n_frames(),
-            take.display(),
-            coded.motion.n_frames()
+    let (n, n_decoded) = (motion.n_frames(), decoded.motion.n_frames());
+    if n != n_decoded {
+        notify(&format!(
+            "{name} has {n} frames, {take} has {n_decoded}: plotted from the first frame of each"
         ));
     }
     Ok((motion, settings))
 }
 
-/// A picture of a damaged take shows what is left of it.
-pub(super) fn outcome(coded: &Coded) -> Outcome {
-    Outcome::of(!coded.problems.is_empty())
+/// `DataLost` for the plot of a damaged take: it shows only what could be read.
+pub(super) fn outcome(decoded: &DecodedTake) -> Outcome {
+    Outcome::of(!decoded.problems.is_empty())
 }
 
-/// A take, its original, and the picture of them.
+/// The arguments that every plot of one take has.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Pictured {
     /// The take
     take: PathBuf,
-    /// The picture to write, .svg or .png; it must not exist
+    /// The plot to write, .svg or .png; it must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
@@ -105,27 +97,26 @@ pub(crate) struct Pictured {
 }
 
 impl Pictured {
-    /// The take, and its original with what that was coded with; that the picture can be written is looked at before.
+    /// Checks the output path and reads the take and its original, with the settings of an original that is a take.
     ///
     /// # Errors
-    /// Why one of them cannot be.
-    #[expect(clippy::type_complexity, reason = "what is read of two files")]
-    fn read(&self) -> anyhow::Result<(Coded, Option<(Motion, Option<Settings>)>)> {
+    /// If one of them cannot be read, or the plot cannot be created.
+    fn read(&self) -> anyhow::Result<(DecodedTake, Option<Original>)> {
         check_output(&self.output)?;
-        let coded = read_coded(&self.take)?;
-        let original = self.against.as_ref().map(|path| original(&self.take, &coded, path));
-        Ok((coded, original.transpose()?))
+        let decoded = read_take(&self.take)?;
+        let original = self.against.as_ref().map(|path| original(&self.take, &decoded, path));
+        Ok((decoded, original.transpose()?))
     }
 }
 
 fn draw_quality(args: &Pictured) -> anyhow::Result<Outcome> {
-    let (coded, original) = args.read()?;
-    let wanted = Quality {
-        name: &name(&args.take),
-        coded: &coded,
+    let (decoded, original) = args.read()?;
+    let spec = QualityPlot {
+        name: &file_name(&args.take),
+        take: &decoded,
         original: original.as_ref().map(|(motion, _)| motion),
         original_settings: original.as_ref().and_then(|(_, settings)| *settings),
     };
-    write(&args.output, &quality(&wanted)?)?;
-    Ok(outcome(&coded))
+    write(&args.output, &quality(&spec)?)?;
+    Ok(outcome(&decoded))
 }

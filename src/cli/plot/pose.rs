@@ -1,59 +1,59 @@
-//! `plot pose`.
+//! `plot pose`: stick figures at several times, with the subject's face.
 
 use std::{
     path::{Path, PathBuf},
     time::Duration,
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_report::{
     labels,
-    plot::{Pose, pose},
+    plot::{PosePlot, pose},
     up::Up,
 };
-use mocapd_service::{live::FacePose, subject::FaceUnderMarkers, units};
+use mocapd_service::{live::FacePose, subject::FaceOverlay, units};
 use mocapd_take::{
     motion::{Motion, frame_at},
     record::Subject,
 };
 
 use super::Pictured;
-use crate::cli::plot;
-use crate::cli::{limbs, output::say, whole::name};
+use crate::cli::{limbs, motion_files::file_name, output::notify, plot};
 
-/// Moments when none are asked for.
+/// Number of stick figures without `--at`.
 const MOMENTS: usize = 8;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
     pictured: Pictured,
-    /// The moments, up to 12 [default: eight, evenly spread]
+    /// Times of the stick figures, up to 12 [default: eight, evenly spread]
     #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
     at: Vec<Duration>,
-    /// What is drawn between markers [default: the take's skeleton, or what labels tell]: a skeleton.json, or a text with
-    /// a line a bone, two labels and a comma between. A take's face is drawn wherever its markers are
+    /// Bones to draw between markers: a skeleton.json, or a text file with one bone per line, two labels separated by a
+    /// comma [default: the take's skeleton, else lines by the marker labels]
+    ///
+    /// A face in the take is drawn where its markers are.
     #[arg(long, value_name = "FILE")]
     skeleton: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let (coded, original) = args.pictured.read()?;
+    let (decoded, original) = args.pictured.read()?;
     let original = original.map(|(motion, _)| motion);
-    let motion = &coded.motion;
+    let motion = &decoded.motion;
     let n_frames = motion.n_frames();
     let mut rows = Vec::with_capacity(args.at.len());
     for &at in &args.at {
         let row = usize::try_from(frame_at(at, motion.info.rate_hz)).unwrap_or(usize::MAX);
         if row >= n_frames {
-            return Err(UsageError(format!(
-                "the take has {:.3} s, and {:.3} s were asked for: choose an earlier moment",
+            bail!(UsageError(format!(
+                "the take is {:.3} s long, but --at is {:.3} s: choose an earlier time",
                 n_frames as f64 / motion.info.rate_hz,
                 at.as_secs_f64()
-            ))
-            .into());
+            )));
         }
         rows.push(row);
     }
@@ -61,7 +61,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rows.extend(evenly_spread(n_frames));
     }
     let labels = motion.info.labels();
-    let mut bones = labels::bones(&labels);
+    let mut bones = labels::marker_lines(&labels);
     let given = args.skeleton.as_deref();
     let mut limbs = None;
     match given.map(|path| read_bones(path, &labels)).transpose()?.flatten() {
@@ -70,16 +70,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
     if limbs.is_empty() && given.is_some() && bones.is_empty() {
-        say("no bone of the skeleton has a marker at both ends: nothing is drawn between markers");
+        notify("no bone of the skeleton has a marker at both ends: no lines are drawn");
     }
     let faces = Faces::of(motion, &labels, &rows);
     let up = up(motion);
     if let Some(why) = faces.missing(motion) {
-        say(why);
+        notify(why);
     }
-    let wanted = Pose {
-        name: &name(&args.pictured.take),
-        coded: &coded,
+    let spec = PosePlot {
+        name: &file_name(&args.pictured.take),
+        take: &decoded,
         original: original.as_ref(),
         rows: &rows,
         bones: &bones,
@@ -88,53 +88,53 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         front: faces.front,
         up,
     };
-    plot::write(&args.pictured.output, &pose(&wanted)?)?;
-    Ok(plot::outcome(&coded))
+    plot::write(&args.pictured.output, &pose(&spec)?)?;
+    Ok(plot::outcome(&decoded))
 }
 
-/// The rows of the usual moments.
+/// The rows of the default stick figures.
 fn evenly_spread(n_frames: usize) -> impl Iterator<Item = usize> {
     let n = MOMENTS.min(n_frames);
     (0..n).map(move |i| i * n_frames.saturating_sub(1) / n.saturating_sub(1).max(1))
 }
 
-/// Which way is up in every picture of a take, whatever part of it is drawn.
+/// The up direction of a take, the same in each of its plots, whatever part is drawn.
 pub(super) fn up(motion: &Motion) -> Up {
     let rows: Vec<usize> = evenly_spread(motion.n_frames()).collect();
     let front = Faces::of(motion, &motion.info.labels(), &rows).front;
     Up::of(motion, front.map(|[_, top]| top))
 }
 
-/// The take's face under its markers.
+/// The wireframe of the take's face at the poses of its markers.
 #[derive(Default)]
 struct Faces {
-    /// The lines of each moment; none of one where too few markers are seen.
+    /// The lines at each time, mm; empty where too few markers of the face are visible.
     lines: Vec<Vec<[[f64; 3]; 2]>>,
-    /// Its own left and top at the first moment that has it.
+    /// Unit vectors to the face's left and top, at the first time with a face.
     front: Option<[[f64; 3]; 2]>,
 }
 
 impl Faces {
-    /// Why a face that the take carries is not drawn; nothing where it is, or where there is none.
+    /// Why the face in the take is not drawn; `None` if it is drawn or the take has none.
     fn missing(&self, motion: &Motion) -> Option<&'static str> {
         let subject = motion.info.subject.as_ref()?;
         subject.document(Subject::FACE)?;
         if subject.document(Subject::FACE_MARKERS).is_none() {
             return Some(
-                "the take has a face, and nothing says which marker sits where on it, so it is not drawn: `import` and \
-                 `record` take such a mapping with --face-markers (docs/subject-face-format.md; \
-                 subject/face/data/singing-face-mapping.json is that of a public recording of a singing face)",
+                "the face is not drawn: the take has no mapping of markers to the face; give one to `import` or `record` \
+                 with --face-markers (docs/subject-face-format.md; example: \
+                 subject/face/data/singing-face-mapping.json, for a public recording of a singing face)",
             );
         }
         self.front.is_none().then_some(
-            "fewer markers of the face are seen at these moments than hold it: it is not drawn; its mapping is the file \
-             that --face-markers of `import` and `record` named",
+            "the face is not drawn: too few of its markers are visible at these times (they are those of the mapping \
+             given with --face-markers)",
         )
     }
 
     fn of(motion: &Motion, labels: &[String], rows: &[usize]) -> Self {
         let subject = motion.info.subject.as_ref();
-        let Some(face) = FaceUnderMarkers::new(subject, labels) else { return Self::default() };
+        let Some(face) = FaceOverlay::new(subject, labels) else { return Self::default() };
         let wireframe = face.wireframe();
         let poses: Vec<_> = rows.iter().map(|&row| face.pose(motion.frame(row))).collect();
         let of_moment = |pose: &Option<FacePose>| {
@@ -155,13 +155,14 @@ impl Faces {
     }
 }
 
-/// Most bytes of such a file: tens of thousands of bones.
+/// Largest `--skeleton` file, bytes: room for tens of thousands of bones.
 const BYTES_MAX: usize = 1 << 20;
 
-/// Reads `label,label` lines. Empty ones and those that begin with `#` are passed over. `None` of a skeleton.json.
+/// Reads the bones of a text file, one `label,label` per line; empty lines and lines that begin with `#` are ignored.
+/// `None` for a skeleton.json.
 ///
 /// # Errors
-/// A usage error with the line that is none, or names a marker that is not there.
+/// A usage error with the line that is malformed or names an unknown marker.
 fn read_bones(path: &Path, labels: &[String]) -> anyhow::Result<Option<Vec<[u16; 2]>>> {
     let bytes = files::read_bounded(path, BYTES_MAX)?;
     if bytes.trim_ascii_start().first() == Some(&b'{') {
@@ -169,13 +170,13 @@ fn read_bones(path: &Path, labels: &[String]) -> anyhow::Result<Option<Vec<[u16;
     }
     let text = String::from_utf8(bytes).with_context(|| {
         format!(
-            "{}: it is no text: give what `mocapd subject body -o` writes, or a line `label,label` a bone",
+            "{}: not a text file: give the output of `mocapd subject body -o`, or one line `label,label` per bone",
             path.display()
         )
     })?;
     bones(&text, labels).map(Some).map_err(|why| {
         let message = format!(
-            "{}, {why}: write label,label for each bone, or give what `mocapd subject body -o` writes",
+            "{}, {why}: write label,label for each bone, or give the output of `mocapd subject body -o`",
             path.display()
         );
         UsageError(message).into()
@@ -191,7 +192,7 @@ fn bones(text: &str, labels: &[String]) -> Result<Vec<[u16; 2]>, String> {
         }
         let (a, b) = line
             .split_once(',')
-            .ok_or_else(|| format!("line {number}: '{}' is no bone", shortened(line)))?;
+            .ok_or_else(|| format!("line {number}: '{}' is not a bone", shortened(line)))?;
         let column = |label: &str| {
             let found = labels.iter().position(|there| there == label.trim());
             found.and_then(|column| u16::try_from(column).ok()).ok_or_else(|| {
@@ -203,7 +204,7 @@ fn bones(text: &str, labels: &[String]) -> Result<Vec<[u16; 2]>, String> {
     Ok(bones)
 }
 
-/// As much of a foreign line as a message has room for.
+/// A line of a file, shortened to fit into a message.
 fn shortened(line: &str) -> String {
     const CHARACTERS: usize = 60;
     let rest = if line.chars().nth(CHARACTERS).is_some() { "…" } else { "" };

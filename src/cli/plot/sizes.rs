@@ -1,4 +1,4 @@
-//! `plot sizes`.
+//! `plot sizes`: size of the take against the tolerance, by resampler.
 
 use std::{
     path::{Path, PathBuf},
@@ -16,16 +16,16 @@ use mocapd_take::motion::{Motion, is_gap};
 
 use crate::cli::plot;
 use crate::cli::{
+    motion_files::{file_name, read_samples},
     original::header_of,
     output::Progress,
     values::{self, count},
-    whole::{name, read_samples},
 };
 
-/// The tolerances when none are given, mm.
+/// Default tolerances, mm.
 const TOLERANCES_MM: [f64; 8] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
 
-/// Most frames that the published method is tried on: its time grows faster than they do.
+/// Longest motion coded with the published spline method, frames: its time grows faster than the number of frames.
 const SPLINE_FRAMES_MAX: usize = 5000;
 
 const RESAMPLERS: [ResamplerKind; 3] =
@@ -33,13 +33,13 @@ const RESAMPLERS: [ResamplerKind; 3] =
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Takes, or .c3d, .trc, .tsv and .csv files, up to six
+    /// Up to six takes, or .c3d, .trc, .tsv or .csv files
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// The picture to write, .svg or .png; it must not exist
+    /// The plot to write, .svg or .png; it must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Tolerances [default: 0.1mm,0.2mm,0.5mm,1mm,2mm,5mm,10mm,20mm]
+    /// Tolerances to measure [default: 0.1mm,0.2mm,0.5mm,1mm,2mm,5mm,10mm,20mm]
     #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
 }
@@ -48,7 +48,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     plot::check_output(&args.output)?;
     if args.files.len() > 6 {
         let n = args.files.len();
-        return Err(UsageError(format!("{n} takes were given: six have room on a sheet")).into());
+        return Err(UsageError(format!("{n} files are too many: give at most 6")).into());
     }
     let mut tolerances_mm: Vec<f64> = args.tolerances.iter().map(|t| t.mm()).collect();
     if tolerances_mm.is_empty() {
@@ -65,8 +65,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
 }
 
 fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
-    let (mut motion, coded) = read_samples(path)?;
-    // What else a file holds would be in every take alike.
+    let (mut motion, source) = read_samples(path)?;
+    // Foreign data and documents would add the same bytes to every size.
     motion.info.foreign.clear();
     motion.info.subject = None;
     let n_frames = motion.n_frames();
@@ -77,8 +77,8 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
         count(n_frames as u64, "frame"),
         (motion.info.rate_hz * 100.0).round() / 100.0
     );
-    if let Some(coded) = coded.filter(|coded| !coded.kind.is_lossless()) {
-        caption += &format!("; already within {} mm", coded.tolerance.mm());
+    if let Some(source) = source.filter(|source| !source.kind.is_lossless()) {
+        caption += &format!("; source already coded at {} mm", source.tolerance.mm());
     }
     let mut kinds = RESAMPLERS.to_vec();
     if n_frames > SPLINE_FRAMES_MAX {
@@ -107,10 +107,10 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
     lines.push(level("lossless", lossless));
     lines.push(level("float32", 12 * samples as u64));
     drop(progress);
-    Ok(SizePanel { name: name(path), caption, lines })
+    Ok(SizePanel { name: file_name(path), caption, lines })
 }
 
-/// Bytes of the take, everything included.
+/// The size of the whole take, bytes.
 fn file_bytes(
     path: &Path,
     motion: &Motion,
@@ -123,7 +123,7 @@ fn file_bytes(
     let before = counter.load(Ordering::Relaxed);
     let workers = threads::default_workers();
     let (written, _) = offline::write_take(motion, &header, workers, counter, std::io::sink())?;
-    // The writer counts samples of its own accord; a resampler that is not cut counts them at once.
+    // The writer counts samples as it goes, or all at once for a resampler that works on the whole motion.
     let after = before + motion.positions_mm.len() as u64;
     counter.store(after, Ordering::Relaxed);
     Ok(written.file_bytes)

@@ -1,4 +1,4 @@
-//! `--raw`: a log of the line beside the take.
+//! `--raw`: logs the bytes of the line beside the take.
 
 use std::{
     path::{Path, PathBuf},
@@ -9,11 +9,11 @@ use mocapd_acquire::raw_log::{RawLog, RawLogged};
 use serde::Serialize;
 
 use crate::cli::{
-    output::{say, shown},
+    output::{notify, plain_path},
     values::bytes,
 };
 
-/// What came of a log, as docs/json.md has it.
+/// The result of a raw log, documented in docs/json.md.
 #[derive(Debug, Serialize)]
 pub(crate) struct RawLogReport {
     log: PathBuf,
@@ -26,53 +26,53 @@ pub(crate) struct RawLogReport {
 impl RawLogReport {
     fn new(path: &Path, logged: &RawLogged) -> Self {
         let RawLogged { file_bytes, line_bytes, missing_bytes, ref error } = *logged;
-        // What was written of the last block is in the file, too.
+        // The file also holds the part of the last block that was written before the error.
         let found = path.metadata().map_or(file_bytes, |found| found.len());
         let file_bytes = if error.is_some() { found } else { file_bytes };
         let error = error.as_ref().map(ToString::to_string);
         Self { log: path.to_owned(), file_bytes, line_bytes, missing_bytes, error }
     }
 
-    /// Nobody knows what is in it: a take does not end for that.
-    fn of_nothing(path: &Path, error: &anyhow::Error) -> Self {
+    /// The report of a log whose counts are unknown because its writer failed; the take is not affected.
+    fn of_failed(path: &Path, error: &anyhow::Error) -> Self {
         let file_bytes = path.metadata().map_or(0, |found| found.len());
         let error = Some(format!("{error:#}"));
         Self { log: path.to_owned(), file_bytes, line_bytes: 0, missing_bytes: 0, error }
     }
 
-    /// Whether it has less than the line had.
+    /// Whether bytes of the line are missing.
     pub(crate) fn lost(&self) -> bool {
         self.missing_bytes > 0 || self.error.is_some()
     }
 
-    /// In one line.
-    pub(crate) fn words(&self) -> String {
-        let what = if self.lost() { "not every byte" } else { "every byte" };
+    /// One line with the log's size.
+    pub(crate) fn text(&self) -> String {
+        let what = if self.lost() { "incomplete raw log" } else { "raw log" };
         let [file, line] = [self.file_bytes, self.line_bytes].map(bytes);
-        format!("{}: {what} of the line, {line}, in a raw log of {file}\n", shown(&self.log))
+        format!("{}: {what}, {file} with {line} of the line\n", plain_path(&self.log))
     }
 
-    /// What it has not, in one line; `None` when that is nothing.
+    /// The missing bytes, in one line; `None` if the log is complete.
     pub(crate) fn losses(&self) -> Option<String> {
         let missing = bytes(self.missing_bytes);
         match &self.error {
             Some(error) => Some(format!(
-                "the raw log {} ends early, and {missing} of the line are not in it: {error}; what is in it can be replayed",
+                "the raw log {} ends early, {missing} of the line are missing: {error}; the rest can be replayed",
                 self.log.display()
             )),
             None if self.missing_bytes > 0 => {
-                Some(format!("{missing} of the line are not in the raw log: its disk is too slow"))
+                Some(format!("{missing} of the line are missing from the raw log: disk too slow"))
             }
             None => None,
         }
     }
 }
 
-/// Records with a log where one is asked for, and tells what the log has not. What came of it stands beside what was
-/// recorded.
+/// Records with a raw log at `path`, if given; returns the log's report beside the recording, and prints what the log
+/// lacks.
 ///
 /// # Errors
-/// Those of the recording, and that no log can be made. A log that ends early is told, and the take stays.
+/// Those of the recording, or if the log cannot be created. A log that ends early is no error.
 pub(super) fn with_log<T>(
     path: Option<&Path>,
     take: &Path,
@@ -84,16 +84,16 @@ pub(super) fn with_log<T>(
     let recorded = record(Some(&log));
     let logged = log.finish();
     if recorded.is_err() && !take.exists() {
-        // No frame came: as with the take, a log of it helps nobody.
+        // No frame arrived: as with the take, no file is left behind.
         std::fs::remove_file(path).ok();
         return recorded.map(|recorded| (recorded, None));
     }
     let report = match logged {
         Ok(logged) => RawLogReport::new(path, &logged),
-        Err(error) => RawLogReport::of_nothing(path, &error),
+        Err(error) => RawLogReport::of_failed(path, &error),
     };
     if let Some(losses) = report.losses() {
-        say(&losses);
+        notify(&losses);
     }
     recorded.map(|recorded| (recorded, Some(report)))
 }

@@ -1,4 +1,4 @@
-//! What `record` says when it is done, as docs/json.md has it, and for people.
+//! The report of `record`, as JSON (docs/json.md) and as text.
 
 use std::path::{Path, PathBuf};
 
@@ -12,12 +12,12 @@ use super::raw::RawLogReport;
 use crate::cli::{
     clock::ClockReport,
     ledger::{self, OutagesReport},
-    output::shown,
+    output::plain_path,
     values::{SizeReport, bytes, count, frames_of, thousands},
 };
 
 #[derive(Debug, Serialize)]
-pub(crate) struct Report {
+pub(crate) struct RecordReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     ending: &'static str,
@@ -36,7 +36,7 @@ pub(crate) struct Report {
     process: ProcessReport,
     disk: DiskReport,
     raw_log: Option<RawLogReport>,
-    outages: OutagesReport,
+    pub(super) outages: OutagesReport,
     clock: Option<ClockReport>,
     ledger: LedgerDocument,
 }
@@ -60,12 +60,13 @@ pub(crate) struct ProcessReport {
     pub(crate) peak_memory_bytes: u64,
 }
 
-impl Report {
+impl RecordReport {
     pub(crate) fn new(take: &Path, recorded: &Recorded, codec: &Settings) -> Self {
         let written = &recorded.written;
-        let latency = &recorded.recording.ring_latency;
+        let (latency, counts) = (&recorded.recording.ring_latency, &recorded.recording.counts);
+        let (ledger, disk, rate_hz) = (&written.ledger, &written.disk, recorded.rate_hz);
         let us = |ns: u64| ns as f64 / 1e3;
-        let usage = process::usage(None).unwrap_or_default();
+        let process::Usage { cpu_s, peak_memory_bytes } = process::usage(None).unwrap_or_default();
         Self {
             take: take.to_owned(),
             ending: match recorded.recording.ending {
@@ -73,76 +74,61 @@ impl Report {
                 EndingKind::DeviceGone => "disconnected",
                 EndingKind::Length => "stopped",
                 EndingKind::CutOff => "writer failed",
-                ending => ending.word(),
+                ending => ending.name(),
             },
             file_state: recorded.file.state,
             file_path: recorded.file.path.clone(),
-            frames: written.ledger.recorded,
-            seconds: written.ledger.frames_sent as f64 / recorded.rate_hz,
+            frames: ledger.recorded,
+            seconds: ledger.frames_sent as f64 / rate_hz,
             markers: recorded.markers,
-            markers_appeared: recorded.recording.counts.markers_appeared,
-            rate_hz: recorded.rate_hz,
+            markers_appeared: counts.markers_appeared,
+            rate_hz,
             size: SizeReport::new(written, codec),
             ring_latency_us: LatencyReport {
                 p50: us(latency.quantile_ns(0.5)),
                 p99: us(latency.quantile_ns(0.99)),
                 max: us(latency.max_ns()),
             },
-            process: ProcessReport {
-                cpu_s: usage.cpu_s,
-                peak_memory_bytes: usage.peak_memory_bytes,
-            },
-            disk: DiskReport {
-                free_bytes: written.disk.free_bytes,
-                seconds_left: written.disk.left_s,
-            },
+            process: ProcessReport { cpu_s, peak_memory_bytes },
+            disk: DiskReport { free_bytes: disk.free_bytes, seconds_left: disk.left_s },
             raw_log: None,
-            outages: OutagesReport::new(
-                recorded.recording.counts.outages,
-                written.ledger.unknown_after_disconnect,
-                recorded.rate_hz,
-            ),
+            outages: OutagesReport::new(counts.outages, ledger.unknown_after_disconnect, rate_hz),
             clock: ClockReport::new(&written.clock, &written.clock_lines),
-            ledger: LedgerDocument::from(&written.ledger),
+            ledger: LedgerDocument::from(ledger),
         }
     }
 
-    /// With what came of the log of the line.
+    /// Adds the report of the raw log.
     pub(super) fn with_log(self, raw_log: Option<RawLogReport>) -> Self {
         Self { raw_log, ..self }
     }
 
-    /// Whether that has less than the line had.
+    /// Whether the raw log lacks bytes of the line.
     pub(super) fn log_lost(&self) -> bool {
         self.raw_log.as_ref().is_some_and(RawLogReport::lost)
     }
 
-    /// What was lost, in one line.
+    /// What was lost, by cause and in one line.
     pub(crate) fn losses(&self) -> Option<String> {
         ledger::losses(&self.ledger)
     }
 
-    /// Why its ledger does not close, in one line.
+    /// Why the ledger does not close, in one line.
     pub(crate) fn not_closing(&self) -> Option<String> {
         ledger::not_closing(&self.ledger)
     }
 
-    /// Why the take ended.
+    /// The warning that the take ended because the disk is full.
     pub(crate) fn disk_full(&self) -> String {
         let free = self.disk.free_bytes.map_or("little".to_owned(), bytes);
         format!(
-            "the disk is nearly full ({free} left): the take ends here, and is whole; delete something before the next"
+            "the disk is nearly full ({free} left): the take was closed early and is intact; free some space before the next"
         )
     }
 
-    /// How long the device was away.
-    pub(crate) fn outages(&self) -> Option<String> {
-        self.outages.words()
-    }
-
-    /// Those without a name are announced by no device: they come as they appear, and may come again under
-    /// another number.
-    fn markers_in_words(&self) -> String {
+    /// The number of markers. Unlabelled markers are not announced: they appear during the recording, and the same one
+    /// may reappear under another number.
+    fn markers_text(&self) -> String {
         let announced = count(self.markers as u64, "marker");
         match self.markers_appeared {
             0 => announced,
@@ -150,17 +136,17 @@ impl Report {
         }
     }
 
-    pub(crate) fn words(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         format!(
             "{}: {} of {} at {} Hz, {}\n{}{}{}",
-            shown(&self.take),
+            plain_path(&self.take),
             frames_of(self.frames, self.ledger.frames_sent),
-            self.markers_in_words(),
+            self.markers_text(),
             self.rate_hz,
-            self.size.words(),
-            self.raw_log.as_ref().map(RawLogReport::words).unwrap_or_default(),
-            ledger::words(&self.ledger),
-            self.clock.as_ref().map(ClockReport::words).unwrap_or_default()
+            self.size.text(),
+            self.raw_log.as_ref().map(RawLogReport::text).unwrap_or_default(),
+            ledger::text(&self.ledger),
+            self.clock.as_ref().map(ClockReport::text).unwrap_or_default()
         )
     }
 }

@@ -1,4 +1,4 @@
-//! A recording that shows how it goes, and that Ctrl-C finishes.
+//! A recording with a status display, ended by Ctrl-C or by its limits.
 
 use std::{
     path::Path,
@@ -15,29 +15,28 @@ use mocapd_acquire::{
     setting::{self, Setting, SettingRefused},
 };
 use mocapd_codec::Settings;
-use mocapd_service::subject::strangers;
+use mocapd_service::subject::unused_part_notes;
 use mocapd_take::record::Subject;
 
 use crate::cli::{
-    output::Progress,
-    output::say,
+    output::{Progress, notify},
     values::{bytes, thousands},
 };
 
-/// When a recording ends by itself, and whose it is.
+/// When a recording ends by itself, and who is captured.
 #[derive(Debug)]
 pub(crate) struct Limits {
-    /// After so long.
+    /// End after this time.
     pub(crate) length: Option<Duration>,
-    /// When no more than so much of the disk is free.
+    /// End when no more than this is free on the disk.
     pub(crate) keep_free_bytes: u64,
-    /// Bytes of what grows beside the take, on its disk.
-    pub(crate) beside_bytes: Option<Arc<AtomicU64>>,
-    /// Who is captured.
+    /// Size of the raw log, if it grows on the same disk.
+    pub(crate) raw_log_bytes: Option<Arc<AtomicU64>>,
+    /// The subject to store in the take.
     pub(crate) subject: Option<Subject>,
 }
 
-/// Records `rig` into `take`, showing how it goes.
+/// Records `rig` to `take` and shows the progress on stderr.
 pub(crate) fn record_and_watch(
     rig: Rig,
     take: &Path,
@@ -45,14 +44,14 @@ pub(crate) fn record_and_watch(
     limits: &Limits,
     stop: &AtomicBool,
 ) -> anyhow::Result<Recorded> {
-    let mut watching = None;
-    let mut started = |progress: &Arc<mocapd_acquire::pipeline::Progress>| {
+    let mut display = None;
+    let mut started = |progress: &Arc<mocapd_acquire::pipeline::PipelineProgress>| {
         let progress = Arc::clone(progress);
-        if let Some(beside) = &limits.beside_bytes {
-            // Nobody set it before: the pipeline is this recording's.
-            progress.beside_bytes.set(Arc::clone(beside)).ok();
+        if let Some(beside) = &limits.raw_log_bytes {
+            // This cannot fail: the pipeline is new, so the cell is empty.
+            progress.raw_log_bytes.set(Arc::clone(beside)).ok();
         }
-        watching = Some(Progress::status(move || {
+        display = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
             format!(
                 "recording: {} frames, {} lost, {} on disk{}{}",
@@ -67,9 +66,9 @@ pub(crate) fn record_and_watch(
     let &Limits { length, keep_free_bytes, .. } = limits;
     let channels = rig.pipeline_config(codec).channels;
     let labels: Vec<String> = channels.into_iter().map(|channel| channel.label).collect();
-    // A device that announces no marker yet may do so later.
+    // Without labels there is nothing to compare yet: the device may announce its markers later.
     if !labels.is_empty() {
-        strangers(limits.subject.as_ref(), &labels).iter().for_each(|words| say(words));
+        unused_part_notes(limits.subject.as_ref(), &labels).iter().for_each(|note| notify(note));
     }
     let mut options = RecordOptions {
         take,
@@ -78,33 +77,33 @@ pub(crate) fn record_and_watch(
         length,
         keep_free_bytes,
         stop,
-        say: &say,
+        notify: &notify,
         how_to_end: "; Ctrl-C finishes the take",
         how_to_set: with_option,
         started: &mut started,
     };
     let recorded = record(rig, &mut options);
-    drop(watching);
-    recorded.map_err(in_options)
+    drop(display);
+    recorded.map_err(name_option)
 }
 
-/// A refusal with the option that helps against it.
-pub(super) fn in_options(error: anyhow::Error) -> anyhow::Error {
+/// Rewrites a refused setting to name the command-line option that solves it.
+pub(super) fn name_option(error: anyhow::Error) -> anyhow::Error {
     if !error.is::<SettingRefused>() {
         return error;
     }
-    anyhow::Error::msg(setting::words(&error, with_option))
+    anyhow::Error::msg(setting::message(&error, with_option))
 }
 
 fn with_option(setting: Setting) -> String {
     match setting {
         Setting::Rate(Some(rate_hz)) => format!("record with --rate {rate_hz}"),
-        Setting::Rate(None) => "leave --rate out".to_owned(),
+        Setting::Rate(None) => "omit --rate".to_owned(),
         Setting::KeepFree => "lower --keep-free".to_owned(),
     }
 }
 
-/// How long the disk will do at this rate, in hours and minutes, once that is known.
+/// How long the free disk space lasts at the current rate, in hours and minutes; empty while unknown.
 fn disk_left(left_s: u64) -> String {
     const LONG_H: u64 = 1000;
     let (hours, minutes) = (left_s / 3600, left_s / 60 % 60);
@@ -115,8 +114,8 @@ fn disk_left(left_s: u64) -> String {
     }
 }
 
-/// How the clocks run, once that is known.
-fn clock(progress: &mocapd_acquire::pipeline::Progress) -> String {
+/// Drift and jitter of the device's clock; empty while unknown.
+fn clock(progress: &mocapd_acquire::pipeline::PipelineProgress) -> String {
     let p99_us = progress.jitter_p99_us.load(Ordering::Relaxed);
     if p99_us == 0 {
         return String::new();

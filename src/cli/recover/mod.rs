@@ -1,4 +1,4 @@
-//! `recover`: a take again of what can be read of one that was cut off or damaged.
+//! `recover`: writes a new take from what can be read of a truncated or damaged one.
 
 mod report;
 
@@ -17,18 +17,17 @@ use mocapd_acquire::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
 };
-use mocapd_take::recovery::{Survey, mend_start};
+use mocapd_take::recovery::{RecoveryScan, repair_start};
 
-use self::report::Report;
+use self::report::RecoverReport;
 use super::{
-    output::Progress,
-    output::{print, print_json, say},
+    output::{Progress, notify, print, print_json},
     paths,
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take that was cut off or damaged; it is only read
+    /// The truncated or damaged take; it is not changed
     take: PathBuf,
     /// The take to write; it must not exist
     #[arg(short, long, value_name = "TAKE")]
@@ -45,43 +44,43 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let file = SparseFile::open(&args.take)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     let read = Arc::new(AtomicU64::new(0));
-    // Once to look, once to copy.
+    // The file is read twice: to scan it and to copy it.
     let progress = Progress::follow("recovering", &read, 2 * file_bytes);
-    let (mut input, mended) =
-        mend_start(Counted { file, read: Arc::clone(&read) }).with_context(reading)?;
-    let survey = Survey::read(&mut input).with_context(reading)?;
+    let (mut input, repaired) =
+        repair_start(CountingReader { file, read: Arc::clone(&read) }).with_context(reading)?;
+    let scan = RecoveryScan::read(&mut input).with_context(reading)?;
     let writing = || format!("cannot write {}", args.output.display());
     let mut output = NewFile::create(&args.output)?;
     let written =
-        survey.write(&mut input, BufWriter::new(&mut output), SOFTWARE).with_context(writing)?;
+        scan.write(&mut input, BufWriter::new(&mut output), SOFTWARE).with_context(writing)?;
     drop(progress);
     output.keep()?;
 
     let problems: Vec<String> =
-        mended.iter().chain(&survey.problems).map(ToString::to_string).collect();
-    let report = Report::new(args, &survey, problems, file_bytes, written);
+        repaired.iter().chain(&scan.problems).map(ToString::to_string).collect();
+    let report = RecoverReport::new(args, &scan, problems, file_bytes, written);
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.words())?;
-        for problem in report.problems() {
-            say(&format!("{name}: {problem}"));
+        print(&report.text())?;
+        for problem in &report.problems {
+            notify(&format!("{name}: {problem}"));
         }
     }
-    if survey.lost_anything() {
-        say(&format!("{name}: {}", survey.losses_in_words()));
+    if scan.lost_anything() {
+        notify(&format!("{name}: {}", scan.loss_summary()));
     }
-    Ok(Outcome::of(survey.lost_anything()))
+    Ok(Outcome::of(scan.lost_anything()))
 }
 
-/// A file, and how much of it was read.
+/// A file that counts the bytes read from it, for the progress bar.
 #[derive(Debug)]
-struct Counted {
+struct CountingReader {
     file: SparseFile,
     read: Arc<AtomicU64>,
 }
 
-impl Read for Counted {
+impl Read for CountingReader {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let n = self.file.read(bytes)?;
         self.read.fetch_add(n as u64, Ordering::Relaxed);
@@ -89,7 +88,7 @@ impl Read for Counted {
     }
 }
 
-impl Seek for Counted {
+impl Seek for CountingReader {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.file.seek(to)
     }

@@ -1,9 +1,9 @@
-//! What `recover` says, as docs/json.md has it, and for people.
+//! The report of `recover`, as JSON (docs/json.md) and as text.
 
 use std::{fmt::Write, path::PathBuf};
 
 use mocapd_acquire::ledger::LedgerDocument;
-use mocapd_take::recovery::{KindCount, Survey};
+use mocapd_take::recovery::{ChunkKindCount, RecoveryScan};
 use serde::Serialize;
 
 use super::Args;
@@ -14,21 +14,21 @@ use crate::cli::{
 };
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct RecoverReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     output: PathBuf,
     lost: bool,
     finished: bool,
-    problems: Vec<String>,
+    pub(super) problems: Vec<String>,
     chunks: Vec<ChunkReport>,
     frames: u64,
     frames_recovered: u64,
     frames_damaged: u64,
     samples: u64,
     damage: Vec<DamageReport>,
-    markers: Vec<MarkerReport>,
+    markers: Vec<RecoveredMarkerReport>,
     take_bytes: u64,
     discarded_bytes: u64,
     output_bytes: u64,
@@ -43,58 +43,53 @@ struct ChunkReport {
 }
 
 #[derive(Debug, Serialize)]
-struct MarkerReport {
+struct RecoveredMarkerReport {
     label: String,
     samples: u64,
     frames_damaged: u64,
 }
 
-impl Report {
+impl RecoverReport {
     pub(super) fn new(
         args: &Args,
-        survey: &Survey,
+        scan: &RecoveryScan,
         problems: Vec<String>,
         take_bytes: u64,
         output_bytes: u64,
     ) -> Self {
-        let chunk = |count: &KindCount| ChunkReport {
+        let chunk = |count: &ChunkKindCount| ChunkReport {
             kind: count.kind.name(),
             recovered: count.recovered,
             discarded: count.discarded,
         };
-        let there = |count: &&KindCount| count.recovered + count.discarded > 0;
-        let markers = survey.channels.iter().zip(&survey.per_channel);
+        let there = |count: &&ChunkKindCount| count.recovered + count.discarded > 0;
+        let channels = scan.channels.iter().zip(&scan.per_channel);
+        let markers = channels.map(|(channel, found)| RecoveredMarkerReport {
+            label: channel.label.clone(),
+            samples: found.samples,
+            frames_damaged: found.rows_damaged,
+        });
         Self {
             take: args.take.clone(),
             output: args.output.clone(),
-            lost: survey.lost_anything(),
-            finished: survey.finished,
+            lost: scan.lost_anything(),
+            finished: scan.finished,
             problems,
-            chunks: survey.kinds.iter().filter(there).map(chunk).collect(),
-            frames: survey.rows,
-            frames_recovered: survey.recorded,
-            frames_damaged: survey.rows_damaged(),
-            samples: survey.per_channel.iter().map(|channel| channel.samples).sum(),
-            damage: DamageReport::all(&survey.damage),
-            markers: markers
-                .map(|(channel, found)| MarkerReport {
-                    label: channel.label.clone(),
-                    samples: found.samples,
-                    frames_damaged: found.rows_damaged,
-                })
-                .collect(),
+            chunks: scan.kinds.iter().filter(there).map(chunk).collect(),
+            frames: scan.rows,
+            frames_recovered: scan.recorded,
+            frames_damaged: scan.rows_damaged(),
+            samples: scan.per_channel.iter().map(|channel| channel.samples).sum(),
+            damage: DamageReport::all(&scan.damage),
+            markers: markers.collect(),
             take_bytes,
-            discarded_bytes: survey.discarded_bytes,
+            discarded_bytes: scan.discarded_bytes,
             output_bytes,
-            ledger: LedgerDocument::from(&survey.ledger),
+            ledger: LedgerDocument::from(&scan.ledger),
         }
     }
 
-    pub(super) fn problems(&self) -> &[String] {
-        &self.problems
-    }
-
-    pub(super) fn words(&self) -> String {
+    pub(super) fn text(&self) -> String {
         let mut out = format!(
             "{}: {} of {}, {}, {} of the {} read\n",
             plain(&self.output.display().to_string()),

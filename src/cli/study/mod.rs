@@ -1,4 +1,4 @@
-//! `study`: the tables and figures of Shi et al. 2012, on takes that are given.
+//! `study`: repeats the tables and figures of Shi et al. 2012 on given takes.
 
 mod report;
 
@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files, pipeline::offline, threads};
 use mocapd_codec::{Settings, Tolerance};
@@ -20,46 +20,41 @@ use mocapd_report::{
 use mocapd_service::units;
 use mocapd_take::{escape::to_cell, motion::Motion};
 
-use self::report::Report;
+use self::report::StudyReport;
 use super::{
+    motion_files::{file_name, read_samples, write_new},
     original::header_of,
-    output::Progress,
-    output::{print, print_json},
-    whole::write_new,
-};
-use crate::cli::{
-    output::say,
+    output::{Progress, notify, print, print_json},
     values,
-    whole::{name, read_samples},
 };
 
-/// Most samples of all takes together: they are in memory at once, 1.2 GB.
+/// Most samples of all takes together, which are in memory at once: 1.2 GB.
 const SAMPLES_MAX: usize = 100_000_000;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Takes, or .c3d, .trc, .tsv and .csv files: a trial each
+    /// Takes, or .c3d, .trc, .tsv or .csv files; each is a trial
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Folder for the tables (`study.md`, `study.csv`, `trials.csv`, `phases.csv`) and figures; it must not exist
+    /// Folder to create for the tables (`study.md`, `study.csv`, `trials.csv`, `phases.csv`) and figures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// The phases of each trial, where the ones that are found will not do: `file,phase,first_frame`
+    /// CSV file with the phases of trials, instead of the detected ones: `file,phase,first_frame`
     #[arg(long, value_name = "FILE")]
     phases: Option<PathBuf>,
-    /// Tolerances of the first table [default: those of the paper, 1mm,5mm,10mm,15mm,20mm]
+    /// Tolerances of table 1 [default: those of the paper, 1mm,5mm,10mm,15mm,20mm]
     #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
-    /// On how many of the trials the exhaustive reading of step 2 is tried, too, on pieces of up to 256 frames
+    /// Number of trials to try the exhaustive reading of step 2 on, in pieces of up to 256 frames
     #[arg(long, value_name = "N", default_value_t = 10)]
     exhaustive: usize,
-    /// Cutoff of the low-pass filter before velocities and accelerations
+    /// Cutoff of the low-pass filter for velocities and accelerations
     #[arg(long, value_name = "HZ", default_value = "6Hz", value_parser = units::frequency_hz)]
     cutoff: f64,
-    /// Threads, a trial each; the figures are the same for any number [default: one a core, at most 8]
+    /// Number of threads; the results are the same for any number [default: one per core, at most 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
-    /// Print one JSON document in place of Markdown
+    /// Print one JSON document instead of Markdown
     #[arg(long)]
     json: bool,
 }
@@ -71,10 +66,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let trials = trials(&args.files, args.phases.as_deref())?;
     let samples: usize = trials.iter().map(|trial| trial.motion.positions_mm.len()).sum();
     if samples > SAMPLES_MAX {
-        return Err(UsageError(format!(
-            "{samples} samples are more than fit into memory ({SAMPLES_MAX}): study fewer takes at a time"
-        ))
-        .into());
+        bail!(UsageError(format!(
+            "{samples} samples do not fit into memory (at most {SAMPLES_MAX}): give fewer takes at a time"
+        )));
     }
     let options = options(args);
     let findings = study(&trials, &options, args)?;
@@ -82,7 +76,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         write_out(out, &trials, &findings)?;
     }
     if args.json {
-        print_json(&Report::new(&trials, &findings))?;
+        print_json(&StudyReport::new(&trials, &findings))?;
     } else {
         print(&tables::markdown(&findings))?;
     }
@@ -99,10 +93,10 @@ fn options(args: &Args) -> Options {
     options
 }
 
-/// Trials are shared out to threads; their results come in order.
+/// Measures the trials on several threads; the results are in the order of the trials.
 fn study(trials: &[Trial], options: &Options, args: &Args) -> anyhow::Result<Findings> {
     let n = trials.len();
-    // Evenly spread over the trials, so that every subject has a part in it.
+    // Evenly spread over the trials, so that every subject is represented.
     let wanted = args.exhaustive.min(n);
     let is_compared = |i: usize| i * wanted / n != (i + 1) * wanted / n;
     let total = (0..n).map(|i| work(&trials[i], options, is_compared(i))).sum();
@@ -131,7 +125,7 @@ fn study(trials: &[Trial], options: &Options, args: &Args) -> anyhow::Result<Fin
     Ok(findings)
 }
 
-/// Takes as `import` would write them.
+/// Codes takes in memory, as `import` would write them.
 #[derive(Debug)]
 pub(super) struct InMemory;
 
@@ -146,7 +140,7 @@ impl Coder for InMemory {
 }
 
 fn write_out(out: &Path, trials: &[Trial], findings: &Findings) -> anyhow::Result<()> {
-    fs::create_dir(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    fs::create_dir(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
     let write = |name: &str, text: &str| write_new(&out.join(name), text.as_bytes());
     write("study.md", &tables::markdown(findings))?;
     write("study.csv", &tables::csv(findings))?;
@@ -158,32 +152,32 @@ fn write_out(out: &Path, trials: &[Trial], findings: &Findings) -> anyhow::Resul
     Ok(())
 }
 
-/// Most bytes of a file of phases: a hundred thousand trials.
+/// Largest file of phases, bytes: room for a hundred thousand trials.
 const PHASES_BYTES_MAX: usize = 1 << 26;
 
-type Given = BTreeMap<String, Vec<(Phase, usize)>>;
+/// By file name, each phase and its first frame.
+type GivenPhases = BTreeMap<String, Vec<(Phase, usize)>>;
 
-/// Reads every file, and finds its phases where `given` does not say them.
+/// Reads every file, and detects the phases of those that `given` does not list.
 ///
 /// # Errors
-/// The first file that cannot be read; a usage error for phases of files that are not there.
+/// The first file that cannot be read; a usage error if `given` lists phases of a file that is not among them.
 pub(super) fn trials(paths: &[PathBuf], given: Option<&Path>) -> anyhow::Result<Vec<Trial>> {
     let given = given.map(read_phases).transpose()?.unwrap_or_default();
-    let names: Vec<String> = paths.iter().map(|path| name(path)).collect();
-    if let Some(stranger) = given.keys().find(|file| !names.contains(file)) {
-        return Err(UsageError(format!(
-            "the phases tell of {stranger}, which is not among the files: add it, or take its lines out"
-        ))
-        .into());
+    let names: Vec<String> = paths.iter().map(|path| file_name(path)).collect();
+    if let Some(unknown) = given.keys().find(|file| !names.contains(file)) {
+        bail!(UsageError(format!(
+            "--phases lists {unknown}, which is not among the files: add it, or remove its lines"
+        )));
     }
     paths.iter().zip(names).map(|(path, name)| trial(path, name, &given)).collect()
 }
 
-fn trial(path: &Path, name: String, given: &Given) -> anyhow::Result<Trial> {
+fn trial(path: &Path, name: String, given: &GivenPhases) -> anyhow::Result<Trial> {
     let (motion, settings) = read_samples(path)?;
     if let Some(settings) = settings.filter(|settings| !settings.kind.is_lossless()) {
-        say(&format!(
-            "{}: a take within {} mm: its reconstruction is studied, not its original",
+        notify(&format!(
+            "{}: a take coded at {} mm: the study uses its reconstruction, not its original",
             path.display(),
             settings.tolerance.mm()
         ));
@@ -193,19 +187,19 @@ fn trial(path: &Path, name: String, given: &Given) -> anyhow::Result<Trial> {
         None => phases::find(&motion).map_err(|none| none.to_string()),
     };
     if let Err(why) = &starts {
-        say(&format!("{}: no phases, only the whole is studied: {why}", path.display()));
+        notify(&format!("{}: no phases, studied only as a whole: {why}", path.display()));
     }
     let phases = starts.map(|starts| phases::parts(&starts, motion.n_frames()));
     Ok(Trial { name, motion, phases })
 }
 
-fn read_phases(path: &Path) -> anyhow::Result<Given> {
+fn read_phases(path: &Path) -> anyhow::Result<GivenPhases> {
     let text = String::from_utf8(files::read_bounded(path, PHASES_BYTES_MAX)?)
-        .with_context(|| format!("{} is no text", path.display()))?;
+        .with_context(|| format!("{} is not a text file", path.display()))?;
     phases::parse(&text).map_err(|error| UsageError(format!("{}: {error}", path.display())).into())
 }
 
-/// The phases that were used, in the form in which they can be given.
+/// The phases of the trials, in the form of `--phases`.
 pub(super) fn phases_csv(trials: &[Trial]) -> String {
     let mut out = "file,phase,first_frame\n".to_owned();
     for trial in trials {

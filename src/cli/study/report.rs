@@ -1,13 +1,13 @@
-//! The study as docs/json.md has it.
+//! The report of `study`, documented in docs/json.md, and its figures.
 
 use anyhow::anyhow;
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_report::{
     ReportError,
-    coded::Coded,
+    decoded::DecodedTake,
     labels,
     phases::Phase,
-    plot::{Pose, Trajectory, by_phase, pose, trajectory},
+    plot::{PosePlot, TrajectoryPlot, by_phase, pose, trajectory},
     study::{Coder, Findings, Method, Piece, Trial, paper, tables},
 };
 use serde::Serialize;
@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::InMemory;
 
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct StudyReport {
     cutoff_hz: f64,
     takes: Vec<TakeReport>,
     cells: Vec<CellReport>,
@@ -76,20 +76,14 @@ struct DerivativeReport {
     acceleration_max_mm_s2: f64,
 }
 
-impl Report {
+impl StudyReport {
     pub(super) fn new(trials: &[Trial], findings: &Findings) -> Self {
+        let of = |tables::Verdict { claim, holds, figures }| ClaimReport { claim, holds, figures };
         Self {
             cutoff_hz: findings.cutoff_hz,
             takes: trials.iter().map(TakeReport::new).collect(),
             cells: cells(findings),
-            claims: tables::verdicts(findings)
-                .into_iter()
-                .map(|verdict| ClaimReport {
-                    claim: verdict.claim,
-                    holds: verdict.holds,
-                    figures: verdict.words,
-                })
-                .collect(),
+            claims: tables::verdicts(findings).into_iter().map(of).collect(),
             derivatives: derivatives(findings),
         }
     }
@@ -167,16 +161,16 @@ fn derivatives(findings: &Findings) -> Vec<DerivativeReport> {
     found
 }
 
-/// `ErrLim` of the paper's figures, mm.
+/// Tolerance (`ErrLim`) of the paper's figures, mm.
 const TOLERANCE_MM: f64 = 5.0;
 
-/// Moments of figure 3.
+/// Number of stick figures in figure 3.
 const MOMENTS: usize = 8;
 
-/// By file name, the SVG.
+/// The figures: file names and SVG.
 ///
 /// # Errors
-/// When the drawing library refuses.
+/// If a figure cannot be drawn.
 pub(super) fn figures(
     trials: &[Trial],
     findings: &Findings,
@@ -191,23 +185,23 @@ pub(super) fn figures(
     let settings =
         Settings { kind: Method::WorstSample.kind(), tolerance: Tolerance::from_mm(TOLERANCE_MM)? };
     let take = InMemory.take(&trial.motion, &settings).map_err(|error| anyhow!(error))?;
-    let coded = Coded::read(&take[..])?;
+    let decoded = DecodedTake::read(&take[..])?;
     let original = Some(&trial.motion);
     let labels = trial.motion.info.labels();
     let marker = wrist(&labels);
-    let up = mocapd_report::up::Up::of(&coded.motion, None);
+    let up = mocapd_report::up::Up::of(&decoded.motion, None);
     let mut moments = Vec::new();
     for part in trial.phases.iter().flatten() {
         let rows = (part.frames.start, part.frames.end);
         if !matches!(part.phase, Phase::Standing | Phase::Walking) {
             moments.push(part.frames.clone());
         }
-        let wanted = Trajectory { name: &trial.name, coded: &coded, original, marker, rows, up };
-        match trajectory(&wanted) {
+        let spec = TrajectoryPlot { name: &trial.name, take: &decoded, original, marker, rows, up };
+        match trajectory(&spec) {
             Ok(svg) => {
                 let name = part.phase.name().replace(' ', "-");
                 let figure = format!("figure-2-{name}.svg");
-                // Of a take with several jumps the first of each.
+                // Only the first of each phase, if a take has several jumps.
                 if !figures.iter().any(|(there, _)| *there == figure) {
                     figures.push((figure, svg));
                 }
@@ -220,10 +214,10 @@ pub(super) fn figures(
         let span = to.end - 1 - from.start;
         let rows: Vec<usize> =
             (0..MOMENTS).map(|i| from.start + i * span / (MOMENTS - 1)).collect();
-        let bones = labels::bones(&labels);
-        let wanted = Pose {
+        let bones = labels::marker_lines(&labels);
+        let spec = PosePlot {
             name: &trial.name,
-            coded: &coded,
+            take: &decoded,
             original,
             rows: &rows,
             bones: &bones,
@@ -232,17 +226,14 @@ pub(super) fn figures(
             front: None,
             up,
         };
-        figures.push(("figure-3.svg".to_owned(), pose(&wanted)?));
+        figures.push(("figure-3.svg".to_owned(), pose(&spec)?));
     }
     Ok(figures)
 }
 
-/// The paper shows a wrist; without one the first marker stands in.
+/// The column of a wrist, which the paper shows; without one, the first marker.
 fn wrist(labels: &[String]) -> usize {
     let plain = |label: &String| label.to_lowercase().replace(['_', '-', ' '], "");
     let find = |name: &str| labels.iter().position(|label| plain(label).ends_with(name));
-    ["rwrist", "rightwrist", "wrist", "rwra", "rwri"]
-        .iter()
-        .find_map(|name| find(name))
-        .unwrap_or(0)
+    ["rwrist", "rightwrist", "wrist", "rwra", "rwri"].into_iter().find_map(find).unwrap_or(0)
 }

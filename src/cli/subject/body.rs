@@ -1,4 +1,4 @@
-//! `subject body`.
+//! `subject body`: joint centres and bone lengths from body scans.
 
 use std::{
     path::{Path, PathBuf},
@@ -12,35 +12,34 @@ use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_body::{
-    Repaired, Survey, Unit,
+    Repaired, ScanAnalysis, Unit,
     picture::{Drawing, svg},
     read, repair,
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };
 
-use super::Chosen;
+use super::MethodArg;
 use crate::cli::{
-    output::Progress,
-    output::{print, print_json_text, say, tell},
+    motion_files::{file_name, write_new},
+    output::{Progress, eprint, notify, print, print_json_text},
     paths, plot,
-    whole::{name, write_new},
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Scans of one person, .obj, .ply, .stl or .off, each in any pose
+    /// Body scans of one person: .obj, .ply, .stl or .off, in any pose
     #[arg(required = true, value_name = "SCAN")]
     scans: Vec<PathBuf>,
-    /// The skeleton to write; it must not exist. - writes to standard output, and the table to standard error
+    /// The skeleton to write; it must not exist. With - it goes to standard output, and the table to standard error
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// The unit of the scans, m, cm, mm or in [default: what the file says, or what makes it a body]
+    /// Unit of the scans: m, cm, mm or in [default: as stated in the file, or inferred from the size of the body]
     #[arg(long, value_name = "UNIT", value_parser = unit)]
     unit: Option<Unit>,
-    /// How joints are found: ours, or as Yu et al. 2008 print it
-    #[arg(long, value_enum, default_value_t = Chosen::Default)]
-    method: Chosen,
-    /// A picture of what was found in the first scan, .svg or .png; it must not exist
+    /// Method to locate the joints: our default, or that of the paper (Yu et al. 2008)
+    #[arg(long, value_enum, default_value_t = MethodArg::Default)]
+    method: MethodArg,
+    /// A picture of the joints in the first scan to write, .svg or .png; it must not exist
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
     /// Print the skeleton as JSON
@@ -48,19 +47,16 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Ends that are told less surely than this want a look: arms that have grown to the trunk gave 0.14.
-const DOUBTED: f64 = 0.5;
+/// Below this confidence in head, hands and feet the user is warned: arms merged with the trunk gave 0.14.
+const CONFIDENCE_MIN: f64 = 0.5;
 
-/// Most scans of one person: what a skeleton names as its sources.
+/// Most scans of one person: the limit on the sources of a skeleton.
 const SCANS_MAX: usize = 64;
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    if args.scans.len() > SCANS_MAX {
-        return Err(UsageError(format!(
-            "{} scans were given: {SCANS_MAX} are enough of anybody",
-            args.scans.len()
-        ))
-        .into());
+    let n_scans = args.scans.len();
+    if n_scans > SCANS_MAX {
+        bail!(UsageError(format!("{n_scans} scans are too many: give at most {SCANS_MAX}")));
     }
     let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
     let output = args.output.as_deref().filter(|_| !to_stdout);
@@ -69,34 +65,33 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let (Some(output), Some(drawing)) = (output, &args.picture)
         && paths::are_one(output, drawing)
     {
-        let message =
-            format!("{}: the skeleton and its picture would be one file", output.display());
+        let message = format!("{}: --output and --picture name the same file", output.display());
         return Err(UsageError(message).into());
     }
     let method = match args.method {
-        Chosen::Default => Method::Default,
-        Chosen::Paper => Method::Paper,
+        MethodArg::Default => Method::Default,
+        MethodArg::Paper => Method::Paper,
     };
     let counter = Arc::new(AtomicU64::new(0));
-    let progress = Progress::follow("finding joints", &counter, args.scans.len() as u64);
-    let mut scans = Vec::with_capacity(args.scans.len());
+    let progress = Progress::follow("finding joints", &counter, n_scans as u64);
+    let mut scans = Vec::with_capacity(n_scans);
     let mut first = None;
     for path in &args.scans {
-        let (repaired, scan, survey) = survey(path, args.unit, method)?;
+        let (repaired, scan, analysis) = analyse(path, args.unit, method)?;
         scans.push(scan);
-        first.get_or_insert((path, repaired, survey));
+        first.get_or_insert((path, repaired, analysis));
         counter.fetch_add(1, Ordering::Relaxed);
     }
     drop(progress);
     let skeleton = Skeleton::new(method, &scans).context("no scan was given")?;
     if skeleton.bones.is_empty() {
-        bail!("no bone has a length of a body: say in which --unit the scan is");
+        bail!("no bone has a plausible length: give the unit of the scan with --unit");
     }
     let from = scans.iter().map(|scan| scan.notes.len()).sum();
-    skeleton.notes.iter().skip(from).for_each(|note| say(note));
-    if let (Some(drawing), Some((path, repaired, survey))) = (&args.picture, first) {
-        let survey = survey.with_levels(&repaired.mesh);
-        plot::write(drawing, &picture(&name(path), &repaired, &survey, &skeleton))?;
+    skeleton.notes.iter().skip(from).for_each(|note| notify(note));
+    if let (Some(drawing), Some((path, repaired, analysis))) = (&args.picture, first) {
+        let analysis = analysis.with_levels(&repaired.mesh);
+        plot::write(drawing, &picture(&file_name(path), &repaired, &analysis, &skeleton))?;
     }
     if let Some(output) = output {
         write_new(output, skeleton.to_json().as_bytes())?;
@@ -106,75 +101,70 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         (json, _) => {
             print_json_text(&skeleton.to_json())?;
             if !json {
-                tell(&table(&skeleton));
+                eprint(&table(&skeleton));
             }
         }
     }
     Ok(Outcome::Done)
 }
 
-fn survey(
+/// Reads and repairs a scan and locates its joints; prints its notes.
+fn analyse(
     path: &Path,
     unit: Option<Unit>,
     method: Method,
-) -> anyhow::Result<(Repaired, ScanJoints, Survey)> {
-    let shown = path.display();
+) -> anyhow::Result<(Repaired, ScanJoints, ScanAnalysis)> {
+    let file = path.display();
     let bytes = files::read_bounded(path, read::BYTES_MAX)?;
-    let scan = read::read(&bytes, &name(path)).with_context(|| format!("cannot read {shown}"))?;
+    let scan =
+        read::read(&bytes, &file_name(path)).with_context(|| format!("cannot read {file}"))?;
     let repaired =
-        repair::repair(scan, unit).with_context(|| format!("{shown} is no body scan"))?;
+        repair::repair(scan, unit).with_context(|| format!("{file} is not a body scan"))?;
     for note in &repaired.notes {
-        say(&format!("{shown}: {note}"));
+        notify(&format!("{file}: {note}"));
     }
-    let survey = match Survey::new(&repaired.mesh, method) {
-        Ok(survey) => survey,
-        Err(refusal) => bail!("{shown}: no skeleton ({}): {refusal}", refusal.code()),
+    let analysis = match ScanAnalysis::new(&repaired.mesh, method) {
+        Ok(analysis) => analysis,
+        Err(refusal) => bail!("{file}: no skeleton ({}): {refusal}", refusal.code()),
     };
     let mut notes: Vec<String> = repaired.notes.iter().map(ToString::to_string).collect();
-    notes.extend(repaired.unit_ambiguity(survey.body_scale).iter().map(ToString::to_string));
-    notes.extend(survey.notes.iter().map(ToString::to_string));
-    if survey.in_contact {
-        notes.push(
-            "limbs touch: joints near the contact are unsure, as told by their +- mm".to_owned(),
-        );
+    notes.extend(repaired.unit_ambiguity(analysis.body_scale).iter().map(ToString::to_string));
+    notes.extend(analysis.notes.iter().map(ToString::to_string));
+    if analysis.in_contact {
+        notes.push("limbs touch: joints near the contact are uncertain, see +- mm".to_owned());
     }
-    if survey.confidence < DOUBTED {
+    if analysis.confidence < CONFIDENCE_MIN {
         notes.push(
-            "head, hands and feet are not told surely, as where limbs touch: look at the picture \
-             before you trust a joint"
+            "head, hands and feet are uncertain, perhaps because limbs touch: check the joints with --picture"
                 .to_owned(),
         );
     }
-    if !survey.joints.sides_told {
-        notes.push("left and right could not be told: the sides may be exchanged".to_owned());
+    if !analysis.joints.sides_told {
+        notes.push("left and right are uncertain: the sides may be exchanged".to_owned());
     }
-    notes.iter().skip(repaired.notes.len()).for_each(|note| say(&format!("{shown}: {note}")));
+    notes.iter().skip(repaired.notes.len()).for_each(|note| notify(&format!("{file}: {note}")));
     let scan = ScanJoints {
-        source: Source::new(&name(path), &bytes, &repaired),
-        joints: survey.joints.clone(),
+        source: Source::new(&file_name(path), &bytes, &repaired),
+        joints: analysis.joints.clone(),
         unit: repaired.unit,
         notes,
     };
-    Ok((repaired, scan, survey))
+    Ok((repaired, scan, analysis))
 }
 
-/// What people read.
+/// The tables of bones and joints.
 fn table(skeleton: &Skeleton) -> String {
     let mut out = String::new();
     if let Some(stature_mm) = skeleton.stature_mm {
         let sigma = skeleton.stature_uncertainty_mm;
         let sigma = sigma.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
-        out += &format!("stature {stature_mm:.0}{sigma} mm, out of the bones\n");
+        out += &format!("stature {stature_mm:.0}{sigma} mm, from the bone lengths\n");
     }
     let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be exchanged)" };
     out += &format!("\nbone                 length mm   +- mm{sides}\n");
     for bone in &skeleton.bones {
-        out += &format!(
-            "{:<20} {:>9.1} {:>7.1}",
-            bone.name,
-            bone.length_mm,
-            bone.uncertainty_mm.unwrap_or_default()
-        );
+        let sigma_mm = bone.uncertainty_mm.unwrap_or_default();
+        out += &format!("{:<20} {:>9.1} {sigma_mm:>7.1}", bone.name, bone.length_mm);
         if let Some(spread_mm) = bone.spread_mm {
             out += &format!("   spread {spread_mm:.1} mm over {} scans", bone.scans);
         }
@@ -183,33 +173,30 @@ fn table(skeleton: &Skeleton) -> String {
     out += "\njoint                   x mm      y mm      z mm   +- mm\n";
     for joint in &skeleton.joints {
         let [x, y, z] = joint.position_mm.unwrap_or_default();
-        out += &format!(
-            "{:<18} {x:>9.1} {y:>9.1} {z:>9.1} {:>7.1}\n",
-            joint.name,
-            joint.uncertainty_mm.unwrap_or_default()
-        );
+        let (name, sigma_mm) = (&joint.name, joint.uncertainty_mm.unwrap_or_default());
+        out += &format!("{name:<18} {x:>9.1} {y:>9.1} {z:>9.1} {sigma_mm:>7.1}\n");
     }
     out
 }
 
 fn unit(text: &str) -> Result<Unit, String> {
-    Unit::from_name(text).ok_or_else(|| format!("'{text}' is not m, cm, mm or in"))
+    Unit::from_name(text).ok_or_else(|| format!("expected m, cm, mm or in, found '{text}'"))
 }
 
-/// The picture, as SVG. `survey` has the levels where the surface has those of a body.
-fn picture(name: &str, repaired: &Repaired, survey: &Survey, skeleton: &Skeleton) -> String {
+/// The picture, as SVG; with level curves if `analysis` has those of a body.
+fn picture(name: &str, scan: &Repaired, analysis: &ScanAnalysis, skeleton: &Skeleton) -> String {
     let is_paper = skeleton.method == Method::Paper.name();
     let method = if is_paper { "as Yu et al. 2008" } else { "default method" };
     let title = format!("{name}, {method}");
     let mut drawing = Drawing {
         title: &title,
-        mesh: Some(&repaired.mesh),
-        unit: Some(repaired.unit),
-        joints: survey.joints.clone(),
+        mesh: Some(&scan.mesh),
+        unit: Some(scan.unit),
+        joints: analysis.joints.clone(),
         skeleton: Some(skeleton),
         ..Drawing::default()
     };
-    if let Some(levels) = &survey.levels {
+    if let Some(levels) = &analysis.levels {
         drawing.trace(levels);
     }
     svg(&drawing)

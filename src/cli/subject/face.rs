@@ -1,4 +1,4 @@
-//! `subject face`.
+//! `subject face`: wireframes fitted to the faces of a photograph.
 
 use std::path::{Path, PathBuf};
 
@@ -13,35 +13,36 @@ use mocapd_face::{
     points::FAINT,
 };
 
-use super::Chosen;
+use super::MethodArg;
 use crate::cli::{
-    output::{print, print_json_text, say, tell},
+    motion_files::{file_name, write_new},
+    output::{eprint, notify, print, print_json_text},
     paths, plot,
     values::count,
-    whole::{name, write_new},
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The photograph, .png, .jpg or .pnm
+    /// The photograph: .png, .jpg or .pnm
     photo: PathBuf,
-    /// The face to write, as JSON; with several faces -2, -3 … before the ending; none may exist. - writes a line a face to
-    /// standard output, and the table to standard error
+    /// The face to write, as JSON; further faces get -2, -3 … before the extension. No such file may exist. With - one
+    /// line per face goes to standard output, and the table to standard error
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// The wireframe to write, as OBJ; numbered likewise
+    /// The wireframe to write, as OBJ; further faces are numbered in the same way
     #[arg(long, value_name = "FILE")]
     obj: Option<PathBuf>,
-    /// The photograph with points and wireframes drawn on it, .png, and numbers where there are several; it must not exist
+    /// A copy of the photograph to write, .png, with points and wireframes drawn on it, and numbers if there are
+    /// several faces; it must not exist
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
-    /// The first wireframe from three sides, .svg or .png; it must not exist
+    /// Three views of the first wireframe to write, .svg or .png; it must not exist
     #[arg(long, value_name = "FILE")]
     views: Option<PathBuf>,
-    /// How faces are found: ours, or as Yang et al. 2004 print it
-    #[arg(long, value_enum, default_value_t = Chosen::Default)]
-    method: Chosen,
-    /// Take the largest face alone
+    /// Method to find faces: our default, or that of the paper (Yang et al. 2004)
+    #[arg(long, value_enum, default_value_t = MethodArg::Default)]
+    method: MethodArg,
+    /// Use only the largest face
     #[arg(long)]
     largest: bool,
     /// Print the faces as JSON
@@ -59,8 +60,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(path) = &args.overlay
         && !paths::ends_in(path, "png")
     {
-        let message = format!("{}: an overlay is a PNG: use .png", path.display());
-        return Err(UsageError(message).into());
+        bail!(UsageError(format!("{}: the overlay is a PNG: use .png", path.display())));
     }
     for (path, ending, instead) in [
         (args.output.as_ref(), "obj", "the face is JSON: use .json, or --obj for the wireframe"),
@@ -70,42 +70,42 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
             return Err(UsageError(format!("{}: {instead}", path.display())).into());
         }
     }
-    apart(args)?;
-    let shown = args.photo.display();
+    check_distinct_outputs(args)?;
+    let photo_path = args.photo.display();
     let bytes = files::read_bounded(&args.photo, BYTES_MAX)?;
-    let photo = Photo::from_bytes(&bytes).with_context(|| format!("cannot read {shown}"))?;
+    let photo = Photo::from_bytes(&bytes).with_context(|| format!("cannot read {photo_path}"))?;
     for note in &photo.notes {
-        say(&format!("{shown}: {note}"));
+        notify(&format!("{photo_path}: {note}"));
     }
     let source = Source {
-        name: name(&args.photo),
+        name: file_name(&args.photo),
         sha256: photo.sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
         width: Some(u32::try_from(photo.width())?),
         height: Some(u32::try_from(photo.height())?),
     };
     let method = match args.method {
-        Chosen::Default => Method::Default,
-        Chosen::Paper => Method::Paper,
+        MethodArg::Default => Method::Default,
+        MethodArg::Paper => Method::Paper,
     };
     let mut faces = match fit(&photo, &source, method) {
         Ok(faces) => faces,
-        Err(error @ (NoFace::NotFound | NoFace::NotFitted(_))) => bail!("{shown}: {error}"),
+        Err(error @ (NoFace::NotFound | NoFace::NotFitted(_))) => bail!("{photo_path}: {error}"),
         Err(error) => return Err(error.into()),
     };
     faces.sort_by(|a, b| b.outer_eyes_px().total_cmp(&a.outer_eyes_px()));
     if args.largest && faces.len() > 1 {
-        say(&format!("{shown}: {} left out", count(faces.len() as u64 - 1, "smaller face")));
+        notify(&format!("{photo_path}: {} ignored", count(faces.len() as u64 - 1, "smaller face")));
         faces.truncate(1);
     }
-    // The first were known before the photograph was read: all of them, or none is written.
+    // The first outputs were checked before the photograph was read. Either all files are written, or none.
     for number in 1..faces.len() {
         for path in [output, args.obj.as_ref()].into_iter().flatten() {
             paths::check_output(&numbered(path, number))?;
         }
     }
     write(args, output, &photo, &faces)?;
-    for words in doubts(&faces) {
-        say(&format!("{shown}: {words}"));
+    for warning in warnings(&faces) {
+        notify(&format!("{photo_path}: {warning}"));
     }
     if args.json || to_stdout {
         for face in &faces {
@@ -114,20 +114,19 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     match (args.json, to_stdout) {
         (false, false) => print(&table(&faces))?,
-        (false, true) => tell(&table(&faces)),
+        (false, true) => eprint(&table(&faces)),
         (true, _) => {}
     }
     Ok(Outcome::Done)
 }
 
-/// That no two outputs are one file.
-fn apart(args: &Args) -> anyhow::Result<()> {
+/// Checks that no two outputs are the same file.
+fn check_distinct_outputs(args: &Args) -> anyhow::Result<()> {
     let outputs = [&args.output, &args.obj, &args.overlay, &args.views];
     let outputs: Vec<&PathBuf> = outputs.into_iter().flatten().collect();
     for (i, one) in outputs.iter().enumerate() {
         if outputs[..i].iter().any(|other| paths::are_one(one, other)) {
-            let message = format!("{}: two outputs would be one file", one.display());
-            return Err(UsageError(message).into());
+            bail!(UsageError(format!("{}: two options name the same file", one.display())));
         }
     }
     Ok(())
@@ -172,28 +171,29 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Beyond this a face hides so much of itself that the points of two photographs of three were off (docs/subject-face.md).
-const YAW_SEEN_DEG: f64 = 35.0;
+/// Largest yaw without a warning, degrees: beyond it a face occludes so much of itself that the points were wrong in
+/// two of three photographs (docs/subject-face.md).
+const YAW_MAX_DEG: f64 = 35.0;
 
-/// What is to be looked at.
-pub(super) fn doubts(faces: &[FittedFace]) -> Vec<String> {
-    let mut words = Vec::new();
+/// Warnings about faces that should be checked.
+pub(super) fn warnings(faces: &[FittedFace]) -> Vec<String> {
+    let mut warnings = Vec::new();
     for (number, face) in faces.iter().enumerate() {
         let number = number + 1;
         if face.is_unsure() {
-            words.push(format!("face {number}: points may be off: look at the overlay"));
+            warnings.push(format!("face {number}: points may be wrong: check them with --overlay"));
         }
         let yaw_deg = face.pose_deg.map_or(0.0, |pose| pose.yaw.abs());
-        if yaw_deg > YAW_SEEN_DEG {
-            words.push(format!(
-                "face {number} is turned by {yaw_deg:.0} degrees: beyond {YAW_SEEN_DEG:.0} its far side is a guess"
+        if yaw_deg > YAW_MAX_DEG {
+            warnings.push(format!(
+                "face {number} is turned by {yaw_deg:.0} degrees: beyond {YAW_MAX_DEG:.0} its far side is unreliable"
             ));
         }
     }
-    words
+    warnings
 }
 
-/// What people read.
+/// The table of faces.
 pub(super) fn table(faces: &[FittedFace]) -> String {
     let mut out = format!("{}\n", count(faces.len() as u64, "face"));
     out += "face     at x, y px   eye corners px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
@@ -214,7 +214,7 @@ pub(super) fn table(faces: &[FittedFace]) -> String {
     }
     for (number, face) in faces.iter().enumerate() {
         for note in &face.notes {
-            out += &format!("{:>4} points may be off: {note}\n", number + 1);
+            out += &format!("{:>4} points may be wrong: {note}\n", number + 1);
         }
     }
     out

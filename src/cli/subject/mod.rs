@@ -1,4 +1,4 @@
-//! `subject`: what is made of a subject before a capture.
+//! `subject`: prepares a subject before a capture, and the options that store a subject in a take.
 
 mod body;
 mod face;
@@ -11,53 +11,52 @@ use mocapd_service::subject::{NAME_BYTES_MAX, SubjectFiles};
 use mocapd_take::record;
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Subject {
-    /// Joint centres and limb lengths out of a body scan, or several of one person, in any pose
+pub(crate) enum SubjectCommand {
+    /// Locate joint centres and measure bones in one or several body scans of a person, in any pose
     Body(body::Args),
-    /// A wireframe fitted to each face of a photograph, and where its 53 points are
+    /// Fit a wireframe to each face in a photograph, and locate its 53 points
     Face(face::Args),
 }
 
-pub(crate) fn run(subject: &Subject) -> anyhow::Result<Outcome> {
-    match subject {
-        Subject::Body(args) => body::run(args),
-        Subject::Face(args) => face::run(args),
+pub(crate) fn run(command: &SubjectCommand) -> anyhow::Result<Outcome> {
+    match command {
+        SubjectCommand::Body(args) => body::run(args),
+        SubjectCommand::Face(args) => face::run(args),
     }
 }
 
-/// Whose method.
+/// The method of `subject body` and `subject face`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Chosen {
+enum MethodArg {
     Default,
     Paper,
 }
 
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SubjectArgs {
-    /// What the subject is called; it stands in the take
+    /// Name of the subject, to store in the take
     #[arg(long, value_name = "NAME")]
     subject: Option<String>,
-    /// The subject's skeleton, which the take carries: a skeleton.json of `mocapd subject body`
+    /// Skeleton of the subject, to store in the take: a skeleton.json of `mocapd subject body`
     #[arg(long, value_name = "FILE")]
     skeleton: Option<PathBuf>,
-    /// The subject's face, which the take carries: a face.json of `mocapd subject face`
+    /// Face of the subject, to store in the take: a face.json of `mocapd subject face`
     #[arg(long, value_name = "FILE")]
     face: Option<PathBuf>,
-    /// Which marker sits where on the face: a mapping of labels to vertices
+    /// Positions of the markers on the face: a mapping of labels to vertices of the wireframe
     #[arg(long, value_name = "FILE", requires = "face")]
     face_markers: Option<PathBuf>,
 }
 
 impl SubjectArgs {
-    /// Reads and checks them.
+    /// Reads and checks the files; `None` if no option is given.
     ///
     /// # Errors
-    /// Which file is missing, too large, or is not what it should be; a usage error for a name that is too long.
+    /// The first file that is missing, too large or invalid; a usage error for a name that is too long.
     pub(crate) fn load(&self) -> anyhow::Result<Option<record::Subject>> {
         let Self { subject, skeleton, face, face_markers } = self.clone();
         if subject.as_ref().is_some_and(|name: &String| name.len() > NAME_BYTES_MAX) {
-            let message = format!("--subject has more than {NAME_BYTES_MAX} bytes");
-            return Err(UsageError(message).into());
+            anyhow::bail!(UsageError(format!("--subject is longer than {NAME_BYTES_MAX} bytes")));
         }
         SubjectFiles { name: subject, skeleton, face, face_markers }.load()
     }

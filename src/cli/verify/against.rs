@@ -1,4 +1,4 @@
-//! How far a take lies from an original, as docs/json.md has it, and for people.
+//! `verify --against`: a take compared with its original, as JSON (docs/json.md) and as text.
 
 use std::{io::BufReader, path::Path};
 
@@ -13,20 +13,16 @@ use mocapd_take::{
 use serde::Serialize;
 
 use crate::cli::{
-    original::read_motion_with,
-    output::plain,
-    paths,
-    values::{count, thousands},
-    whole::read_options,
+    motion_files::read_options, original::read_motion_with, output::plain, paths, values::count,
 };
 
-/// Most labels that are listed for people; `--json` has all of them.
+/// Most labels that the text lists; the JSON has all of them.
 const LABELS_LISTED_MAX: usize = 10;
 
 #[derive(Debug, Serialize)]
 pub(crate) struct AgainstReport {
     within_tolerance: bool,
-    /// Where the original can be read in another way than it was.
+    /// Ambiguities in the original: other ways to read it than the one taken.
     ambiguities: Vec<AmbiguityReport>,
     #[serde(flatten)]
     difference: Difference,
@@ -35,19 +31,20 @@ pub(crate) struct AgainstReport {
 #[derive(Debug, Serialize)]
 struct AmbiguityReport {
     kind: &'static str,
-    words: String,
+    #[serde(rename = "words")]
+    text: String,
 }
 
 impl From<&Ambiguity> for AmbiguityReport {
     fn from(found: &Ambiguity) -> Self {
-        Self { kind: found.kind(), words: found.to_string() }
+        Self { kind: found.kind(), text: found.to_string() }
     }
 }
 
-/// Compares a take with a file of the field or another take.
+/// Compares a take with a motion file or another take.
 ///
 /// # Errors
-/// That one of the two cannot be read.
+/// If one of the two cannot be read, or they have no frame in common.
 pub(super) fn against(
     take: &Path,
     original: &Path,
@@ -59,8 +56,7 @@ pub(super) fn against(
     };
     let take_frames = open(take)?;
     let cut_off = !take_frames.map().finished;
-    let mut ambiguities = Vec::new();
-    let mut notes = Vec::new();
+    let (mut ambiguities, mut notes) = (Vec::new(), Vec::new());
     let (difference, exact) = if paths::is_take(original) {
         let original = open(original)?;
         let exact = original.map().header.tolerance_mm == 0.0;
@@ -76,11 +72,11 @@ pub(super) fn against(
         format!("cannot compare {} with {}", take.display(), original.display())
     })?;
     if cut_off {
-        // What came behind the cut is lost, and no difference.
+        // The frames behind the cut are lost; that is not a difference.
         difference.frames_lost += std::mem::take(&mut difference.frames_missing);
     }
     if !exact {
-        // Its own rounding comes to what a block states.
+        // The original has its own coding error on top of what the blocks state.
         difference.beyond_stated = None;
     }
     notes.append(&mut difference.notes);
@@ -88,12 +84,12 @@ pub(super) fn against(
     Ok(AgainstReport { ambiguities, ..AgainstReport::new(difference, tolerance_mm) })
 }
 
-/// That the original was read with what the import was given.
+/// The note that the original was read with the options of the import, if there were any.
 fn note_of(options: &ReadOptions) -> Option<String> {
     let given: Vec<String> =
         options.settings().iter().map(|(name, value)| format!("--{name} {value}")).collect();
     (!given.is_empty())
-        .then(|| format!("the original was read as it was imported, with {}", given.join(" ")))
+        .then(|| format!("the original was read with the import's options: {}", given.join(" ")))
 }
 
 impl AgainstReport {
@@ -102,49 +98,45 @@ impl AgainstReport {
         Self { within_tolerance, ambiguities: Vec::new(), difference }
     }
 
-    /// Whether nothing differs but distances within the tolerance.
+    /// Whether the take agrees with the original within the tolerance.
     pub(crate) fn is_within(&self) -> bool {
         self.within_tolerance
     }
 
-    /// One line, and what is wrong beside the distances.
-    pub(crate) fn words(&self, tolerance_mm: f64) -> String {
+    /// A line with the errors, and one for each other difference.
+    pub(crate) fn text(&self, tolerance_mm: f64) -> String {
         let found = &self.difference;
         let verdict = match (tolerance_mm > 0.0, found.max_error_mm <= tolerance_mm) {
             (true, true) => format!("within the tolerance of {tolerance_mm} mm"),
             (true, false) => format!("NOT WITHIN the tolerance of {tolerance_mm} mm"),
-            (false, _) => format!("{} differ in a bit", count(found.bits_differing, "sample")),
+            (false, _) => format!("{} not bit-identical", count(found.bits_differing, "sample")),
         };
+        let (samples, frames) = (count(found.samples, "sample"), count(found.frames, "frame"));
+        let (max_mm, rms_mm) = (found.max_error_mm, found.rms_error_mm);
         let mut out = format!(
-            "against the original: {} of {}, max error {:.4} mm, rms {:.4} mm, {verdict}\n",
-            count(found.samples, "sample"),
-            count(found.frames, "frame"),
-            found.max_error_mm,
-            found.rms_error_mm
+            "against the original: {samples} of {frames}, max error {max_mm:.4} mm, rms {rms_mm:.4} mm, {verdict}\n"
         );
         for note in &found.notes {
             out += &format!("  {}\n", plain(note));
         }
         for ambiguity in &self.ambiguities {
-            let words = plain(&ambiguity.words);
-            out += &format!(
-                "  the original can be read in another way, and was read as at import: {words}\n"
-            );
+            let text = plain(&ambiguity.text);
+            out += &format!("  the original is ambiguous, and was read as at import: {text}\n");
         }
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");
-            out += &format!("  not compared, the take lost them: {frames}\n");
+            out += &format!("  not compared, lost in the take: {frames}\n");
         }
         if let Some(beyond) = found.beyond_stated.filter(|&beyond| beyond > 0) {
             let samples = count(beyond, "sample");
-            out += &format!("  FARTHER AWAY than their blocks state: {samples}\n");
+            out += &format!("  ERROR ABOVE the bound of their blocks: {samples}\n");
         }
         if found.frames_missing > 0 {
-            out += &format!("  in one of the two only: {}\n", count(found.frames_missing, "frame"));
+            out += &format!("  in only one of the two: {}\n", count(found.frames_missing, "frame"));
         }
         if found.gaps_differing > 0 {
-            let samples = thousands(found.gaps_differing);
-            out += &format!("  a gap in one of the two only: {samples} samples\n");
+            let samples = count(found.gaps_differing, "sample");
+            out += &format!("  a gap in only one of the two: {samples}\n");
         }
         if !found.labels_differing.is_empty() {
             let listed = found.labels_differing.len().min(LABELS_LISTED_MAX);

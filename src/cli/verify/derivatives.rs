@@ -1,4 +1,4 @@
-//! What the tolerance does to velocities and accelerations, as docs/json.md has it, and for people.
+//! `verify --cutoff`: errors of velocities and accelerations, as JSON (docs/json.md) and as text.
 
 use std::path::Path;
 
@@ -10,8 +10,8 @@ use mocapd_report::{
 use serde::Serialize;
 
 use crate::cli::{
+    motion_files::{read_original, read_take},
     output::plain,
-    whole::{read_coded, read_original},
 };
 
 #[derive(Debug, Serialize)]
@@ -56,42 +56,40 @@ impl From<&DerivativeError> for Errors {
     }
 }
 
-/// Compares a take with its original, both read whole.
+/// Compares the derivatives of a take with those of its original.
 ///
 /// # Errors
-/// That one cannot be read; a usage error for a cutoff that the rate does not allow.
+/// If one cannot be read; a usage error for a cutoff that the frame rate does not allow.
 pub(super) fn derivatives(
     take: &Path,
     original: &Path,
     cutoff_hz: f64,
 ) -> anyhow::Result<DerivativesReport> {
-    let coded = read_coded(take)?;
+    let decoded = read_take(take)?;
     let (original, _) = read_original(take, original)?;
-    let found = by_marker(&coded.motion, &original, cutoff_hz).map_err(|error| match error {
+    let found = by_marker(&decoded.motion, &original, cutoff_hz).map_err(|error| match error {
         ReportError::InvalidArgument(why) => UsageError(why).into(),
         other => anyhow::Error::from(other),
     })?;
     let mut all = DerivativeError::default();
     found.iter().for_each(|marker| all.add_all(marker));
-    let markers = original.info.markers.iter().zip(&found);
+    let markers = original.info.markers.iter().zip(&found).map(|(marker, found)| MarkerErrors {
+        label: marker.label.clone(),
+        errors: Errors::from(found),
+    });
     Ok(DerivativesReport {
         cutoff_hz,
         samples_left_out: all.samples_left_out,
         all: Errors::from(&all),
-        markers: markers
-            .map(|(marker, found)| MarkerErrors {
-                label: marker.label.clone(),
-                errors: Errors::from(found),
-            })
-            .collect(),
+        markers: markers.collect(),
     })
 }
 
 impl DerivativesReport {
-    /// A table, the sum of all markers last.
-    pub(super) fn words(&self) -> String {
+    /// A table of the markers, with all of them together in the last line.
+    pub(super) fn text(&self) -> String {
         let mut out = format!(
-            "derivatives of the take less those of the original, both low-passed at {} Hz (Butterworth, fourth order, zero lag):\n\
+            "errors of the take's derivatives, low-passed at {} Hz (fourth-order zero-lag Butterworth):\n\
              {:<20} {:>22} {:>26}\n{:<20} {:>10} {:>11} {:>13} {:>12}\n",
             self.cutoff_hz,
             "",
@@ -119,7 +117,7 @@ impl DerivativesReport {
         out += &line("all", &self.all);
         let own = &self.all;
         out += &format!(
-            "the motion itself: velocity {:.0} mm/s rms, {:.0} at most; acceleration {:.0} mm/s^2 rms, {:.0} at most\n",
+            "the original motion: velocity {:.0} mm/s rms, {:.0} at most; acceleration {:.0} mm/s^2 rms, {:.0} at most\n",
             own.original_velocity_rms_mm_s,
             own.original_velocity_max_mm_s,
             own.original_acceleration_rms_mm_s2,
@@ -127,7 +125,7 @@ impl DerivativesReport {
         );
         if self.samples_left_out > 0 {
             out += &format!(
-                "left out, in runs between gaps that are shorter than a period of the cutoff: {} samples\n",
+                "left out, in runs between gaps shorter than a period of the cutoff: {} samples\n",
                 self.samples_left_out
             );
         }

@@ -1,21 +1,21 @@
-//! Whether limbs keep their lengths, as docs/json.md has it, and for people.
+//! `verify --skeleton`: limb lengths and swapped labels, as JSON (docs/json.md) and as text.
 
 use std::path::Path;
 
 use anyhow::bail;
 use mocapd::outcome::UsageError;
-use mocapd_report::limbs::{Check, Limb, check};
+use mocapd_report::limbs::{Limb, LimbCheck, check};
 use mocapd_take::motion::Motion;
 use serde::Serialize;
 
 use crate::cli::{
     limbs::{self, TakeLimbs},
+    motion_files::read_take,
     output::plain,
     values::count,
-    whole::read_coded,
 };
 
-/// Lines of what is only told, for people; the document has all.
+/// Most excursions of limbs from their bands that the text lists; the JSON has all of them.
 const OUTSIDE_SHOWN: usize = 20;
 
 #[derive(Debug, Serialize)]
@@ -47,7 +47,7 @@ struct BoneReport {
 struct SwapReport {
     markers: [String; 2],
     #[serde(flatten)]
-    when: When,
+    when: FrameSpan,
     limbs: Vec<String>,
 }
 
@@ -55,40 +55,41 @@ struct SwapReport {
 struct OutsideReport {
     bone: String,
     #[serde(flatten)]
-    when: When,
+    when: FrameSpan,
     extreme_mm: f64,
 }
 
-/// The first and the last frame, and when they are.
+/// The first and the last frame of a range, and their times.
 #[derive(Debug, Serialize)]
-struct When {
+struct FrameSpan {
     from_frame: u64,
     to_frame: u64,
     from_s: f64,
     to_s: f64,
 }
 
-/// Measures a take's limbs, read whole, with the skeleton of a file or else its own.
+/// Measures the limbs of a take by the skeleton in a file, else by the take's own.
 ///
 /// # Errors
-/// That it cannot be read, that there is no skeleton, or that no marker is at a joint of it.
+/// If the take or the skeleton cannot be read, or no bone has markers at both ends; a usage error if there is no
+/// skeleton.
 pub(super) fn limbs_of(take: &Path, skeleton: Option<&Path>) -> anyhow::Result<LimbsReport> {
-    let coded = read_coded(take)?;
-    let Some(TakeLimbs { skeleton, limbs, columns }) = limbs::of(&coded.motion, skeleton)? else {
+    let decoded = read_take(take)?;
+    let Some(TakeLimbs { skeleton, limbs, columns }) = limbs::of(&decoded.motion, skeleton)? else {
         let message =
-            format!("{} carries no skeleton: name one, --skeleton skeleton.json", take.display());
+            format!("{} has no skeleton: give one with --skeleton skeleton.json", take.display());
         return Err(UsageError(message).into());
     };
     if limbs.is_empty() {
         bail!(
-            "no bone of the skeleton has a marker at both ends: its joints are called {}",
+            "no bone of the skeleton has a marker at both ends: label markers by its joints, {}",
             skeleton.joints.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", ")
         );
     }
-    let found = check(&coded.motion, &limbs, &columns);
+    let found = check(&decoded.motion, &limbs, &columns);
     let has_markers = |name: &str| limbs.iter().any(|limb| limb.bone.name == name);
     let without = skeleton.bones.iter().map(|bone| bone.name.clone());
-    let mut report = LimbsReport::new(&coded.motion, &limbs, &found);
+    let mut report = LimbsReport::new(&decoded.motion, &limbs, &found);
     report.bones_without_markers = without.filter(|name| !has_markers(name)).collect();
     report.method = skeleton.method;
     report.stature_mm = skeleton.stature_mm;
@@ -96,7 +97,7 @@ pub(super) fn limbs_of(take: &Path, skeleton: Option<&Path>) -> anyhow::Result<L
 }
 
 impl LimbsReport {
-    fn new(motion: &Motion, limbs: &[Limb], found: &Check) -> Self {
+    fn new(motion: &Motion, limbs: &[Limb], found: &LimbCheck) -> Self {
         let label = |column: usize| {
             motion.info.markers.get(column).map(|marker| marker.label.clone()).unwrap_or_default()
         };
@@ -105,14 +106,10 @@ impl LimbsReport {
         let when = |rows: &std::ops::Range<usize>| {
             let (from, to) = (rows.start, rows.end.saturating_sub(1));
             let seconds = |row: usize| (row as f64 / rate_hz * 1e6).round() * 1e-6;
-            When {
-                from_frame: from as u64,
-                to_frame: to as u64,
-                from_s: seconds(from),
-                to_s: seconds(to),
-            }
+            let (from_s, to_s) = (seconds(from), seconds(to));
+            FrameSpan { from_frame: from as u64, to_frame: to as u64, from_s, to_s }
         };
-        let bone = |(limb, of): (&Limb, &mocapd_report::limbs::Lengths)| BoneReport {
+        let bone = |(limb, of): (&Limb, &mocapd_report::limbs::LimbStats)| BoneReport {
             name: limb.bone.name.clone(),
             markers: limb.ends.map(label),
             frames: of.frames,
@@ -130,7 +127,7 @@ impl LimbsReport {
             when: when(&swap.rows),
             limbs: swap.limbs.iter().filter_map(|&limb| name(limb)).collect(),
         };
-        let outside = |outside: &mocapd_report::limbs::Outside| OutsideReport {
+        let outside = |outside: &mocapd_report::limbs::Excursion| OutsideReport {
             bone: name(outside.limb).unwrap_or_default(),
             when: when(&outside.rows),
             extreme_mm: outside.extreme_mm,
@@ -145,21 +142,21 @@ impl LimbsReport {
         }
     }
 
-    /// Whether labels are where they belong.
+    /// Whether no labels are swapped.
     pub(super) fn is_consistent(&self) -> bool {
         self.swaps.is_empty()
     }
 
-    /// A table of the limbs, and what changed places.
-    pub(super) fn words(&self) -> String {
+    /// A table of the limbs, and the swapped labels.
+    pub(super) fn text(&self) -> String {
         let mut out = format!(
-            "limbs, in the take and in the scan (mm):\n{:<20} {:>9} {:>8} {:>12} {:>7} {:>7} {:>16} {:>8}\n",
+            "limb lengths in the take and in the scan (mm):\n{:<20} {:>9} {:>8} {:>12} {:>7} {:>7} {:>16} {:>8}\n",
             "bone", "frames", "median", "scan", "ratio", "spread", "own band", "outside"
         );
         for bone in &self.bones {
             let scan = format!("{:.0} +- {:.0}", bone.scan_mm, bone.uncertainty_mm);
             let band = format!("{:.0} to {:.0}", bone.band_mm[0], bone.band_mm[1]);
-            let note = if bone.off { "  OFF the scan's" } else { "" };
+            let note = if bone.off { "  DIFFERS from the scan" } else { "" };
             out += &format!(
                 "{:<20} {:>9} {:>8.1} {scan:>12} {:>7.3} {:>7.1} {band:>16} {:>8}{note}\n",
                 plain(&bone.name),
@@ -175,37 +172,30 @@ impl LimbsReport {
             out += &format!("without a marker at both ends: {}\n", plain(&names));
         }
         for SwapReport { markers: [a, b], when, limbs } in &self.swaps {
-            out += &format!(
-                "SWAPPED: {} and {}, {}: {} back in place with the labels exchanged\n",
-                plain(a),
-                plain(b),
-                when.words(),
-                plain(&limbs.join(", "))
-            );
+            let (a, b, when, limbs) = (plain(a), plain(b), when.text(), limbs.join(", "));
+            let limbs = plain(&limbs);
+            out +=
+                &format!("SWAPPED: {a} and {b}, {when}: exchanging the labels corrects {limbs}\n");
         }
         if self.swaps.is_empty() {
-            out += "no two labels changed places, as far as limbs tell\n";
+            out += "no swapped labels found\n";
         }
-        for outside in self.outside.iter().take(OUTSIDE_SHOWN) {
+        for OutsideReport { bone, when, extreme_mm } in self.outside.iter().take(OUTSIDE_SHOWN) {
+            let (bone, when) = (plain(bone), when.text());
             out += &format!(
-                "out of its band, and no exchange of labels mends it: {}, {}, {:.0} mm at most or least\n",
-                plain(&outside.bone),
-                outside.when.words(),
-                outside.extreme_mm
+                "out of its band, not by a swap of labels: {bone}, {when}, extreme length {extreme_mm:.0} mm\n"
             );
         }
         if let Some(more) = self.outside.len().checked_sub(OUTSIDE_SHOWN).filter(|&more| more > 0) {
-            out += &format!("and {} more such (--json has all)\n", count(more as u64, "time"));
+            out += &format!("and {} more: see --json\n", count(more as u64, "time"));
         }
         out
     }
 }
 
-impl When {
-    fn words(&self) -> String {
-        format!(
-            "{:.3} s to {:.3} s (frames {} to {})",
-            self.from_s, self.to_s, self.from_frame, self.to_frame
-        )
+impl FrameSpan {
+    fn text(&self) -> String {
+        let Self { from_frame, to_frame, from_s, to_s } = self;
+        format!("{from_s:.3} s to {to_s:.3} s (frames {from_frame} to {to_frame})")
     }
 }

@@ -1,4 +1,4 @@
-//! `verify`: whether a take is what it says, and how far it lies from an original.
+//! `verify`: checks that a take is intact and consistent, and compares it with an original.
 
 mod against;
 mod derivatives;
@@ -12,11 +12,10 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
-    clock::Apart,
+    clock::LineDeviation,
     files::SparseFile,
     health::TakeHealth,
     inspect::Summary,
-    ledger::LedgerDocument,
     verdict::{Finding, Verdict},
 };
 use mocapd_service::units;
@@ -31,8 +30,7 @@ use self::{
 };
 use super::{
     damage::{self, DamageReport},
-    ledger,
-    output::{plain, print, print_json, say, shown},
+    output::{notify, plain, plain_path, print, print_json},
     paths,
     values::count,
 };
@@ -44,10 +42,10 @@ pub(crate) struct Args {
     /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
-    /// With --against, tell the errors of velocities and accelerations behind a low-pass of this cutoff: 6Hz
+    /// With --against, also report errors of velocities and accelerations, low-passed at this cutoff: 6Hz
     #[arg(long, value_name = "HZ", requires = "against", value_parser = units::frequency_hz)]
     cutoff: Option<f64>,
-    /// Hold the limbs' lengths against a skeleton.json, or against the take's own skeleton, and find labels that changed places
+    /// Compare limb lengths with a skeleton.json, or with the take's own skeleton, and find swapped labels
     #[arg(long, value_name = "FILE", num_args = 0..=1)]
     skeleton: Option<Option<PathBuf>>,
     /// Print one JSON document
@@ -56,31 +54,31 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct VerifyReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     intact: bool,
     health: TakeHealth,
-    /// Why it ended, where it says.
+    /// Why the recording ended, if the take states it.
     ending: Option<&'static str>,
     ledger_closes: Option<bool>,
     problems: Vec<String>,
     contradictions: Vec<String>,
     frames: u64,
     damage: Vec<DamageReport>,
-    markers: Vec<MarkerReport>,
+    markers: Vec<VerifiedMarkerReport>,
     samples: u64,
     tolerance_mm: f64,
     stated_max_error_mm: f64,
-    /// The line through the clocks, laid again from what the take stores.
-    clock: Option<Apart>,
+    /// The clock line, fitted again to the observations in the take and compared with the stored one.
+    clock: Option<LineDeviation>,
     against: Option<AgainstReport>,
     derivatives: Option<DerivativesReport>,
     limbs: Option<LimbsReport>,
 }
 
 #[derive(Debug, Serialize)]
-struct MarkerReport {
+struct VerifiedMarkerReport {
     label: String,
     frames_damaged: u64,
 }
@@ -93,11 +91,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let summary =
         Summary::read(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
     let verdict = Verdict::of(&summary);
-    // The ledger's own words come below.
-    let is_said = |finding: &&Finding<'_>| !matches!(finding, Finding::LedgerOpen);
-    let said: Vec<String> =
-        verdict.problems.iter().filter(is_said).map(ToString::to_string).collect();
-    let mut report = Report::new(&args.take, &summary, verdict);
+    // A ledger that does not close is reported with details below.
+    let is_printed = |finding: &&Finding<'_>| !matches!(finding, Finding::LedgerOpen);
+    let printed: Vec<String> =
+        verdict.problems.iter().filter(is_printed).map(ToString::to_string).collect();
+    let mut report = VerifyReport::new(&args.take, &summary, verdict);
     if let Some(original) = &args.against {
         report.against = Some(against(&args.take, original, summary.take.header.tolerance_mm)?);
         if let Some(cutoff_hz) = args.cutoff {
@@ -110,27 +108,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.json {
         print_json(&report)?;
     } else {
-        print(&report.words())?;
-        for problem in said {
-            say(&format!("{}: {problem}", args.take.display()));
+        print(&report.text())?;
+        for problem in printed {
+            notify(&format!("{}: {problem}", args.take.display()));
         }
     }
-    let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
-    if let Some(losses) = document.as_ref().and_then(ledger::losses) {
-        say(&format!("{}: not in the take: {losses}", args.take.display()));
-    }
-    if let Some(why) = document.as_ref().and_then(ledger::not_closing) {
-        say(&format!("{}: {why}", args.take.display()));
-    }
-    if report.health == TakeHealth::Lossy
-        && !summary.take.ledger.as_ref().is_some_and(Ledger::lost_anything)
-        && let Some(ending) = report.ending
-    {
-        say(&damage::ended_early(&args.take, ending));
-    }
-    if !args.json && damage::is_recoverable(&summary) {
-        say(&damage::recoverable(&args.take));
-    }
+    damage::notify_losses(&args.take, &summary, !args.json);
     if let Some(original) = &args.against
         && !report.against.as_ref().is_some_and(AgainstReport::is_within)
     {
@@ -139,33 +122,32 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(contradiction) = report.contradictions.first() {
         bail!("{} contradicts itself: {contradiction}", args.take.display());
     }
-    // Every sample is there, and some stand under another's name: like what was lost, it wants a look.
+    // With swapped labels every sample is there, but some under the wrong label: reported like lost data.
     let swapped = report.limbs.as_ref().is_some_and(|limbs| !limbs.is_consistent());
     Ok(Outcome::of(report.health != TakeHealth::Complete || !report.intact || swapped))
 }
 
-impl Report {
+impl VerifyReport {
     fn new(take: &Path, summary: &Summary, verdict: Verdict<'_>) -> Self {
         let header = &summary.take.header;
         let problems: Vec<String> = verdict.problems.iter().map(ToString::to_string).collect();
         let Verdict { contradictions, clock, .. } = verdict;
-        let markers = summary.take.channels.iter().zip(&summary.per_channel);
+        let channels = summary.take.channels.iter().zip(&summary.per_channel);
+        let markers = channels.map(|(channel, found)| VerifiedMarkerReport {
+            label: channel.label.clone(),
+            frames_damaged: found.rows_damaged,
+        });
         Self {
             take: take.to_owned(),
             intact: problems.is_empty(),
             health: summary.health(),
-            ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.name()),
             ledger_closes: summary.take.ledger.as_ref().map(Ledger::closes),
             problems,
             contradictions,
             frames: summary.take.n_rows,
             damage: DamageReport::all(&summary.take.damage),
-            markers: markers
-                .map(|(channel, found)| MarkerReport {
-                    label: channel.label.clone(),
-                    frames_damaged: found.rows_damaged,
-                })
-                .collect(),
+            markers: markers.collect(),
             samples: summary.samples(),
             tolerance_mm: header.tolerance_mm,
             stated_max_error_mm: summary.max_error_mm(),
@@ -176,19 +158,19 @@ impl Report {
         }
     }
 
-    fn words(&self) -> String {
+    fn text(&self) -> String {
         let state = if self.intact { "intact" } else { "NOT INTACT" };
         let ending = self.ending.map_or_else(String::new, |ending| format!(" ({ending})"));
         let mut out = format!(
-            "{}: {state}, {}{ending}, {}, {}, every checksum, every block and every ledger checked\n",
-            shown(&self.take),
-            self.health.word(),
+            "{}: {state}, {}{ending}, {}, {}; checked every checksum, block and ledger\n",
+            plain_path(&self.take),
+            self.health.name(),
             count(self.frames, "frame"),
             count(self.samples, "sample")
         );
-        if let Some(Apart { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
+        if let Some(LineDeviation { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
             out += &format!(
-                "the clocks' line laid again from what the take stores: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
+                "clock line fitted again from the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
             );
         }
         for line in damage::lines(&self.damage) {
@@ -200,14 +182,10 @@ impl Report {
             out += &format!("CONTRADICTION: {}\n", plain(contradiction));
         }
         if let Some(against) = &self.against {
-            out += &against.words(self.tolerance_mm);
+            out += &against.text(self.tolerance_mm);
         }
-        if let Some(derivatives) = &self.derivatives {
-            out += &derivatives.words();
-        }
-        if let Some(limbs) = &self.limbs {
-            out += &limbs.words();
-        }
+        out += &self.derivatives.as_ref().map(DerivativesReport::text).unwrap_or_default();
+        out += &self.limbs.as_ref().map(LimbsReport::text).unwrap_or_default();
         out
     }
 }

@@ -1,12 +1,12 @@
-//! How fast joints come out of a mesh in memory, on one core.
+//! Time to compute joints from a mesh in memory, on one core.
 //!
 //! `cargo bench -p mocapd-body --bench body -- [--rounds 5] [PART_OF_NAME...]`
 //!
-//! Bodies are generated, in the numbers of faces that the bars are for; where `MOCAPD_BODIES` names a folder of OBJ files,
-//! they are read from there. A round is one run of the whole method on each mesh, from adjacency to joints, and beside it
-//! one run of Dijkstra's method along the edges of the same mesh from one vertex. What counts is the time of the
-//! processor: on a machine with other work, that of the wall says more of the others. They still share its caches, which
-//! slows down both runs, and leaves the ratio.
+//! The bodies are generated with the numbers of faces that have a limit; if `MOCAPD_BODIES` names a folder of OBJ
+//! files, they are read from there. A round is one run of the whole method on each mesh, from adjacency to joints, and
+//! one run of Dijkstra's algorithm along the edges of the same mesh from one vertex. CPU time is measured, because wall
+//! time depends on other work on the machine. The processes still share caches; that slows down both runs, but not
+//! their ratio.
 
 #![expect(clippy::print_stdout, reason = "a tool that prints its result")]
 
@@ -18,17 +18,17 @@ use std::{
 };
 
 use mocapd_body::{
-    Mesh, Survey,
+    Mesh, ScanAnalysis,
     geodesic::{Adjacency, Graph, Workspace, distances},
     read::read,
     skeleton::Method,
 };
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 use rustix::time::{ClockId, clock_gettime};
 
-/// Up to so many faces, a mesh is done within so many milliseconds.
+/// Limits: a mesh with at most this many faces takes at most this many milliseconds.
 const BARS_MS: [(usize, f64); 3] = [(5_500, 10.0), (11_000, 20.0), (17_000, 40.0)];
-/// Faces of the generated bodies, within a tenth.
+/// Face counts of the generated bodies, to within a tenth.
 const GENERATED: [usize; 3] = [5_000, 10_000, 16_843];
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -58,16 +58,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Prints a row; whether the median is within the bar.
+/// Prints a row and returns whether the median is within the limit.
 fn row(name: &str, mesh: &Mesh, rounds: usize) -> Result<bool, Box<dyn Error>> {
     let edges = Graph::along_edges(mesh, &Adjacency::new(mesh)?);
     let (mut whole, mut bare) = (Vec::new(), Vec::new());
     let mut gives = String::new();
     for _ in 0..rounds.max(1) {
         let begin_ms = busy_ms();
-        let survey = black_box(Survey::new(black_box(mesh), Method::Default));
+        let analysis = black_box(ScanAnalysis::new(black_box(mesh), Method::Default));
         whole.push(busy_ms() - begin_ms);
-        gives = survey.map_or_else(|reason| reason.code().to_owned(), |_| "joints".to_owned());
+        gives = analysis.map_or_else(|reason| reason.code().to_owned(), |_| "joints".to_owned());
         let begin_ms = busy_ms();
         black_box(distances(&edges, 0, &mut Workspace::default()));
         bare.push(busy_ms() - begin_ms);
@@ -84,7 +84,7 @@ fn row(name: &str, mesh: &Mesh, rounds: usize) -> Result<bool, Box<dyn Error>> {
     Ok(bar.is_none_or(|ms| median_ms <= ms))
 }
 
-/// How long this thread has been on a processor.
+/// CPU time of this thread.
 fn busy_ms() -> f64 {
     let spent = clock_gettime(ClockId::ThreadCPUTime);
     spent.tv_sec as f64 * 1e3 + spent.tv_nsec as f64 / 1e6
@@ -99,7 +99,7 @@ fn median_and_least(times: &mut [f64]) -> (f64, f64) {
 fn generated() -> Vec<(String, Mesh)> {
     let sizes = GENERATED.into_iter().zip(1_u64..);
     let one = |(n_faces, seed): (usize, u64), pose: Pose| {
-        let (mesh, _) = body(seed, pose, Options { n_faces, turned: true });
+        let (mesh, _) = body(seed, pose, BodyOptions { n_faces, turned: true });
         (format!("{pose:?}, seed {seed}"), mesh)
     };
     sizes.flat_map(|size| Pose::ALL.map(|pose| one(size, pose))).collect()
@@ -114,7 +114,7 @@ fn recorded(folder: &Path) -> Result<Vec<(String, Mesh)>, Box<dyn Error>> {
     Ok(meshes)
 }
 
-/// Every OBJ below a folder, in the order of their names.
+/// All OBJ files below a folder, sorted by name.
 fn obj_files(folder: &Path) -> Result<Vec<PathBuf>, std::io::Error> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder)? {

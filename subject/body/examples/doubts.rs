@@ -1,4 +1,4 @@
-//! Counts the doubts and refusals of whole generated bodies, in every pose: none of them is due.
+//! Counts notes and refusals of whole generated bodies in every pose: none of them is justified.
 //!
 //!     cargo run --release -p mocapd-body --example doubts [-- FIRST_SEED LAST_SEED]
 //!
@@ -8,11 +8,11 @@
 use std::collections::BTreeMap;
 use std::error::Error;
 
-use mocapd_body::Survey;
+use mocapd_body::ScanAnalysis;
 use mocapd_body::skeleton::Method;
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
-/// Seeds that no threshold was chosen on.
+/// Seeds that were not used to choose any threshold.
 const SEEDS: [u64; 2] = [100, 160];
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -23,9 +23,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     for pose in Pose::ALL {
         let mut count = BTreeMap::<&str, u32>::new();
         for seed in seeds[0]..=seeds[1] {
-            let (mesh, _) = body(seed, pose, Options::default());
-            let codes = match Survey::new(&mesh, Method::Default) {
-                Ok(survey) => survey.notes.iter().map(|note| note.code).collect(),
+            let (mesh, _) = body(seed, pose, BodyOptions::default());
+            let codes = match ScanAnalysis::new(&mesh, Method::Default) {
+                Ok(analysis) => analysis.notes.iter().map(|note| note.code).collect(),
                 Err(refusal) => vec!["refused", refusal.code()],
             };
             if !codes.is_empty() {

@@ -1,15 +1,15 @@
-//! What is told of a scan: notes on what was found and done, and why it gives no skeleton.
+//! Notes about a scan, and the reasons for which it gives no skeleton.
 
 use std::fmt;
 
 use thiserror::Error;
 
-/// One sentence about the mesh: what was found, and what was done about it.
+/// A remark about a mesh: what was found, and what was done about it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Note {
-    /// A short name of the kind of note, for programs: `holes-closed`.
+    /// Identifier for programs, such as `holes-closed`.
     pub code: &'static str,
-    /// The sentence, for people: lower case, without a dot at the end, of a bounded length.
+    /// Text for people: lower case, no final dot, bounded length.
     pub text: String,
 }
 
@@ -25,91 +25,91 @@ impl fmt::Display for Note {
     }
 }
 
-/// Why a mesh gives no skeleton, and what to do.
+/// Why a mesh gives no skeleton, and what to do about it.
 ///
-/// A wrong skeleton is worse than none: what cannot be told with confidence is refused.
+/// A wrong skeleton is worse than none: an ambiguous result is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// The mesh is not a surface.
+    /// The mesh is not a valid surface.
     #[error("the mesh has {what}: export it again, or repair it first")]
     BrokenMesh {
         /// What is wrong with it.
         what: &'static str,
     },
-    /// The surface is in pieces where the body should be one.
+    /// The body is not connected.
     #[error(
-        "the body is in pieces: only {reached} of {vertices} vertices hang together: close the gaps of the scan"
+        "the body is in pieces: only {reached} of {vertices} vertices are connected; close the gaps in the scan"
     )]
     InPieces {
-        /// How many vertices the largest piece has.
+        /// Vertices of the largest connected piece.
         reached: usize,
-        /// How many there are.
+        /// All vertices.
         vertices: usize,
     },
-    /// Fewer ends stand out of the surface than a body has.
+    /// Fewer than five extremities protrude.
     #[error(
-        "{found} ends stand out, and a body has 5 (head, hands, feet): scan the whole body, limbs apart"
+        "found {found} extremities, expected 5 (head, hands, feet): scan the whole body with limbs apart"
     )]
     TooFewEnds {
-        /// How many stand out.
+        /// How many protrude.
         found: usize,
     },
-    /// More ends stand out as far as limbs do than a body has.
+    /// More than five extremities protrude as far as limbs.
     #[error(
-        "{found} ends stand out like limbs, and a body has 5: scan one person, alone and without what is held"
+        "found {found} extremities as long as limbs, expected 5: scan one person, alone and with empty hands"
     )]
     TooManyEnds {
-        /// How many stand out so far.
+        /// How many protrude as far as limbs.
         found: usize,
     },
-    /// Ends stand out, and the ways between them are not those of a body.
+    /// The geodesic distances between the extremities are not those of a body.
     #[error(
-        "the ways between the ends are not those of a human body (misfit {misfit:.1}, at most {limit:.1}): \
+        "the distances between the extremities are not those of a human body (misfit {misfit:.1}, at most {limit:.1}): \
          scan one whole person, limbs apart"
     )]
     NotABody {
-        /// How far from a body, in standard deviations a distance.
+        /// Deviation from a body, in standard deviations (root mean square).
         misfit: f64,
-        /// The most that is taken for a body.
+        /// Largest deviation that is accepted.
         limit: f64,
     },
-    /// Two ways to name the ends fit about as well.
+    /// Two assignments of head, hands and feet fit about equally well.
     #[error(
-        "head, hands and feet cannot be told apart with confidence: scan with limbs apart and stretched"
+        "cannot tell head, hands and feet apart with confidence: scan with limbs apart and stretched"
     )]
     Ambiguous {
-        /// How much worse the second best fits, in the unit of the misfit.
+        /// By how much the second best assignment fits worse, in the unit of the misfit.
         margin: f64,
     },
-    /// Limbs touch, and the scan has grown together there.
-    #[error("limbs touch and the scan has grown together there{}: scan with limbs apart", loops(.handles))]
+    /// Limbs touch and have fused in the scan.
+    #[error("limbs touch and have fused in the scan{}: scan with limbs apart", loops(.handles))]
     Contact {
-        /// How many loops the surface has that a body has not.
+        /// Loops (handles) of the surface, of which a body has none.
         handles: usize,
     },
-    /// The published method finds other than five ends, on a body with its limbs free.
+    /// The published method finds other than five extremities on a body whose limbs are free.
     #[error(
-        "the published method finds {found} ends of this scan, whose limbs are apart, where a body has 5: it misses \
-         short ones, and counts what is between; use the default method"
+        "the published method finds {found} extremities on this scan, expected 5, though its limbs are apart: it misses \
+         short ones and counts points between; use the default method"
     )]
     PaperEnds {
-        /// How many.
+        /// How many it finds.
         found: usize,
     },
-    /// The published method takes another end for the head, on a body with its limbs free.
+    /// The published method mistakes another extremity for the head, on a body whose limbs are free.
     #[error(
-        "the published method takes the end of {taken} for the head: it tells the head by symmetry alone; use the \
+        "the published method mistakes the end of {taken} for the head, which it finds by symmetry alone: use the \
          default method"
     )]
     PaperHead {
-        /// Of what it is the end.
+        /// What it is the end of.
         taken: &'static str,
     },
-    /// The published method's level sets have not five parts, on a body with its limbs free.
+    /// The published method's level sets do not split into five parts, on a body whose limbs are free.
     #[error(
-        "the published method's level sets do not part into a trunk, arms and legs on this scan, though its limbs are \
-         apart: use the default method"
+        "the published method's level sets do not split this scan into trunk, arms and legs, though its limbs are apart: \
+         use the default method"
     )]
     PaperParts,
 }
@@ -123,7 +123,7 @@ fn loops(handles: &usize) -> String {
 }
 
 impl Refusal {
-    /// A word for programs, which stays when the sentence changes.
+    /// Stable identifier for programs.
     #[must_use]
     pub fn code(&self) -> &'static str {
         match self {

@@ -1,8 +1,18 @@
-//! A body scan becomes a skeleton: joint centres, with how sure each is (Yu et al. 2008, and past it).
+//! Joint centres from a body scan: any pose, any orientation, no markers and no template body.
 //!
-//! It is made before a capture, once a subject, and knows nothing of takes: a take carries it as plain data. Joints rest
-//! on weights learned from two drawn bodies; the script is `benches/subject/learn.py`.
+//! A scan becomes a skeleton in four steps. [`read`] parses a mesh file; [`repair`] closes it into one manifold
+//! surface; [`ScanAnalysis`] finds head, hands, feet and joint centres, each with its standard deviation; [`skeleton`]
+//! combines one scan or several into bone lengths and writes JSON. [`picture`] draws the result as SVG.
+//!
+//! Two methods share these steps. The default ([`locate`]) extends the one of Yu et al. 2008; [`paper`] implements
+//! theirs as printed, for comparison. Both rest on geodesic distances along the surface, which hardly change with the
+//! pose.
+//!
+//! A skeleton is prepared once per subject, before a capture. This crate knows nothing of takes; a take carries the
+//! skeleton as a document. The default method's weights were learned from two synthetic bodies by
+//! `benches/subject/learn.py`.
 
+pub mod analysis;
 mod diagnosis;
 pub mod extremity;
 pub mod geodesic;
@@ -17,17 +27,16 @@ pub mod read;
 pub mod reeb;
 pub mod repair;
 pub mod skeleton;
-pub mod survey;
 #[cfg(test)]
 mod tests;
 mod topology;
 mod unit;
 
+pub use analysis::ScanAnalysis;
 pub use diagnosis::{Note, Refusal};
 pub use joint::{Estimate, Joint, Joints, Side};
 pub use mesh::Mesh;
-pub use plausible::Plausible;
+pub use plausible::Plausibility;
 pub use reeb::Levels;
 pub use repair::Repaired;
-pub use survey::Survey;
 pub use unit::{Unit, UnitError};

@@ -1,23 +1,23 @@
-//! A surface of triangles, and what is measured of one.
+//! Triangle meshes and their measures.
 
 use nalgebra::Vector3;
 
-/// A place or a direction.
+/// A position or a direction.
 pub(crate) type Point = Vector3<f64>;
 
-/// A surface of triangles, as the methods of this crate take it.
+/// A triangle mesh.
 ///
-/// Positions are in the unit of whoever made it; nothing in the geometry depends on the unit.
+/// Positions are in the file's unit; the geometry does not depend on it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// One position a vertex.
+    /// One position per vertex.
     pub positions: Vec<[f64; 3]>,
-    /// Three indices into `positions` a triangle, counter-clockwise seen from outside.
+    /// Three indices into `positions` per triangle, counter-clockwise as seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
-    /// Where a vertex is; the origin for one that is not there.
+    /// The position of a vertex; the origin if there is no such vertex.
     pub(crate) fn point(&self, vertex: u32) -> Point {
         self.positions.get(vertex as usize).copied().unwrap_or_default().into()
     }
@@ -30,12 +30,12 @@ impl Mesh {
         normal(self.corners(triangle)).norm() / 2.0
     }
 
-    /// The area of the surface.
+    /// Surface area.
     pub(crate) fn area(&self) -> f64 {
         self.triangles.iter().map(|triangle| self.area_of(*triangle)).sum()
     }
 
-    /// The centroid of the surface, each triangle weighted by its area.
+    /// Centroid of the surface, weighted by area.
     pub(crate) fn area_centroid(&self) -> Point {
         let (mut sum, mut total) = (Point::zeros(), 0.0);
         for triangle in &self.triangles {
@@ -47,13 +47,13 @@ impl Mesh {
         if total > 0.0 { sum / total } else { Point::zeros() }
     }
 
-    /// Leaves out triangles by their indices; vertices stay.
+    /// Keeps the triangles whose index satisfies `kept`; vertices stay.
     pub(crate) fn keep_triangles(&mut self, kept: impl Fn(usize) -> bool) {
         let mut index = 0..;
         self.triangles.retain(|_| index.next().is_some_and(&kept));
     }
 
-    /// What a closed surface encloses; negative where it faces inside.
+    /// Enclosed volume of a closed surface; negative if it faces inwards.
     pub(crate) fn volume(&self) -> f64 {
         let origin = self.point(0);
         let of = |triangle: &[u32; 3]| {
@@ -63,8 +63,8 @@ impl Mesh {
         self.triangles.iter().map(of).sum()
     }
 
-    /// Distance of two points that lie far apart: the farthest from the mean, and the farthest from that one. However the
-    /// mesh is turned, it is the same; and never less than half of the largest distance.
+    /// Distance from the vertex farthest from the mean to the vertex farthest from that one: invariant under rotation,
+    /// and at least half the largest distance.
     pub(crate) fn extent(&self) -> f64 {
         let points = || self.positions.iter().map(|at| Point::from(*at));
         let farthest = |from: Point| {
@@ -78,7 +78,7 @@ impl Mesh {
     }
 }
 
-/// Out of a triangle, and twice as long as its area.
+/// The outward normal; its length is twice the area.
 pub(crate) fn normal([a, b, c]: [Point; 3]) -> Point {
     (b - a).cross(&(c - a))
 }
@@ -87,21 +87,21 @@ pub(crate) fn distance(a: impl Into<Point>, b: impl Into<Point>) -> f64 {
     (a.into() - b.into()).norm()
 }
 
-/// Of length one; zero where there is no direction.
+/// The unit vector; zero if `direction` is zero.
 pub(crate) fn unit(direction: Point) -> Point {
     let length = direction.norm();
     if length > 0.0 { direction * (1.0 / length) } else { Point::zeros() }
 }
 
-/// Directions to the left, up and forward, square to each other: up as it is, and left as near as may be to `across`. Nothing
-/// where these are none.
+/// Orthonormal axes (left, up, forward): `up` is kept, left is `across` made perpendicular to it. None if the two
+/// vectors do not span a plane.
 pub(crate) fn axes(up: Point, across: Point) -> Option<[Point; 3]> {
     let up = unit(up);
     let left = unit(across - up * across.dot(&up));
     (up.norm() > 0.5 && left.norm() > 0.5).then(|| [left, up, left.cross(&up)])
 }
 
-/// Mean of points; nothing of none.
+/// Mean of the points; none if there are none.
 pub(crate) fn mean(points: impl IntoIterator<Item = Point>) -> Option<Point> {
     let (sum, n) = points.into_iter().fold((Point::zeros(), 0.0), |(sum, n), p| (sum + p, n + 1.0));
     (n > 0.0).then(|| sum * (1.0 / n))

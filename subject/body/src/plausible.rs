@@ -1,34 +1,35 @@
-//! Whether joints lie as a body can have them, and whether a body is as tall as the ways along its surface say.
+//! Plausibility of joints and of body size.
 //!
-//! Where limbs have grown together, distances lead across, and what is built upon them is no body's: shoulders in the
-//! belly, a trunk twice as long as the legs. What is measured here are parts of the length of a leg, which hardly differ
-//! from person to person: far from what they are, something is wrong with the scan, and not with the subject.
+//! Where limbs have fused, geodesic distances cut across the contact, and what follows from them is no body: shoulders
+//! in the belly, a trunk twice as long as the legs. The checks here compare lengths with the length of a leg. These
+//! ratios hardly differ from person to person; a value far outside means a faulty scan, not an unusual subject.
 
 use std::ops::RangeInclusive;
 
 use super::mesh::distance;
 use super::{Estimate, Joint, Joints, Mesh, Note, Side};
 
-/// Thigh and shank are one. From throat to pelvis: 0.54 to 0.76 on bodies whose limbs are free, more on a child.
+/// Ratio of throat-to-pelvis to thigh plus shank: 0.54 to 0.76 on bodies with free limbs, more on a child.
 const TRUNK: RangeInclusive<f64> = 0.4..=1.2;
-/// From throat to shoulder: 0.19 to 0.30, and up to 0.385 on generated bodies of capsules.
+/// Ratio of throat-to-shoulder to the leg: 0.19 to 0.30, up to 0.385 on generated bodies of capsules.
 const SHOULDER: RangeInclusive<f64> = 0.14..=0.40;
-/// Upper arm and forearm: 0.57 to 0.63, 0.68 by the table of Drillis and Contini 1966, and from 0.48 on generated bodies.
+/// Ratio of upper arm plus forearm to the leg: 0.57 to 0.63, 0.68 by the table of Drillis and Contini 1966, from 0.48
+/// on generated bodies.
 const ARM: RangeInclusive<f64> = 0.475..=0.85;
 
-/// What of a body's joints can be believed.
+/// Which joints are plausible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Plausible {
-    /// All of them.
+pub enum Plausibility {
+    /// All joints.
     Whole,
-    /// All but shoulders and elbows: the arms are not where they were looked for.
+    /// All but shoulders and elbows: the arms are not where they were expected.
     WithoutArms,
-    /// None: lengths of trunk and legs do not go together.
+    /// None: the lengths of trunk and legs contradict each other.
     Nothing,
 }
 
-impl Plausible {
-    /// Of joints in any unit; those that are missing are not doubted.
+impl Plausibility {
+    /// Judges joints in any unit. Missing joints pass.
     #[must_use]
     pub fn of(joints: &Joints) -> Self {
         let Some(leg) = limb(joints, [Joint::Hip, Joint::Knee, Joint::Ankle]) else {
@@ -38,8 +39,8 @@ impl Plausible {
             length.is_none_or(|length| parts.contains(&(length / leg)))
         };
         let shoulder =
-            |side: Side| fits(way(joints, Joint::Throat, Joint::Shoulder(side)), SHOULDER);
-        if !fits(way(joints, Joint::Throat, Joint::Pelvis), TRUNK) {
+            |side: Side| fits(between(joints, Joint::Throat, Joint::Shoulder(side)), SHOULDER);
+        if !fits(between(joints, Joint::Throat, Joint::Pelvis), TRUNK) {
             return Self::Nothing;
         }
         let arm = limb(joints, [Joint::Shoulder, Joint::Elbow, Joint::Wrist]);
@@ -48,10 +49,10 @@ impl Plausible {
     }
 }
 
-/// The length of a limb of three joints: the mean of both sides, or that of the one that has all three.
+/// Length of a limb of three joints: the mean of both sides, or the one side that is complete.
 fn limb(joints: &Joints, [root, middle, end]: [fn(Side) -> Joint; 3]) -> Option<f64> {
     let of = |side: Side| {
-        Some(way(joints, root(side), middle(side))? + way(joints, middle(side), end(side))?)
+        Some(between(joints, root(side), middle(side))? + between(joints, middle(side), end(side))?)
     };
     match (of(Side::Left), of(Side::Right)) {
         (Some(left), Some(right)) => Some(f64::midpoint(left, right)),
@@ -59,46 +60,48 @@ fn limb(joints: &Joints, [root, middle, end]: [fn(Side) -> Joint; 3]) -> Option<
     }
 }
 
-fn way(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {
+fn between(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {
     Some(distance(joints.point(from)?, joints.point(to)?))
 }
 
-// Where limbs have grown together with the trunk, as of somebody who crouches with the arms around the knees, ways lead across
-// and are too short, all of them together: the body comes out shorter than it is, and nothing in the ways shows it. Its volume
-// is as it was.
+// Where limbs have fused with the trunk, as when a subject crouches with the arms around the knees, all geodesic
+// distances are too short by the same factor. The body comes out too small and nothing in the distances shows it; its
+// volume is unaffected.
 
-/// The cube root of a body's volume over its body scale: of an adult of 1.72 m and 24 kg/m^2 at a density of 1.0, 0.241 of
-/// stature, which is 0.98 of the scale.
+/// Cube root of a body's volume over its body scale. An adult of 1.72 m and 24 kg/m^2 at a density of 1.0 has 0.241 of
+/// stature, and stature is 0.98 of the scale.
 const VOLUME_ROOT: f64 = 0.235;
-/// In contact a body that is stouter than that by more, as a logarithm, is in doubt: by a weight of 1.27 times the mean, a
-/// body mass index above 30.
+/// In contact, a larger logarithmic excess over that ratio puts the size in doubt: 1.27 times the mean weight, a body
+/// mass index above 30.
 const STOUT_IN_CONTACT: f64 = 0.08;
 /// Without a sign of contact: a body mass index above 50.
 const STOUT: f64 = 0.25;
 
-/// By how much the body may be taller than its ways say, as a part of them; nothing where its volume is that of its size.
-pub(super) fn too_short(mesh: &Mesh, scale: f64, in_contact: bool) -> Option<f64> {
+/// Relative amount by which the body may be taller than its geodesic distances say; none if its volume matches its
+/// size.
+pub(super) fn size_shortfall(mesh: &Mesh, scale: f64, in_contact: bool) -> Option<f64> {
     let stout = (mesh.volume().max(0.0).cbrt() / (scale * VOLUME_ROOT)).ln();
     let most = if in_contact { STOUT_IN_CONTACT } else { STOUT };
-    // A stout body in contact may be stout, or too short: nothing tells which.
+    // A stout body in contact may be stout or too short: nothing distinguishes the two.
     (stout > most).then_some(stout)
 }
 
-/// Makes the joints as unsure as a body is that may be taller by such a part.
-pub(super) fn doubt(joints: &mut Joints, scale: f64, by: f64) -> Note {
+/// Widens the standard deviations of all joints for a body that may be taller by the factor `by`.
+pub(super) fn widen_sigmas(joints: &mut Joints, scale: f64, by: f64) -> Note {
     joints.size_sigma = by;
     for (joint, Estimate { sigma, .. }) in &mut joints.estimates {
         *sigma = sigma.hypot(by * from_end(*joint) * scale);
     }
     let text = format!(
-        "the body is stouter than people of the size that its surface tells, as where limbs have grown together with the \
-         trunk: it may be taller by {:.0} %, and all lengths with it; scan with limbs apart",
+        "the body has more volume than people of its measured size, as where limbs have fused with the trunk: stature and \
+         all lengths may be up to {:.0} % larger; scan with limbs apart",
         100.0 * by
     );
     Note::new("size-unsure", text)
 }
 
-/// How far a joint is from the end that it is measured from, in body scales: so much of a wrong scale shows in its place.
+/// Geodesic distance of a joint from the extremity it is measured from, in body scales: an error of the scale moves the
+/// joint by that much.
 fn from_end(joint: Joint) -> f64 {
     match joint {
         Joint::Head => 0.03,

@@ -1,52 +1,51 @@
-//! Which sides of triangles are of one edge, what belongs to which vertex, and what hangs together.
+//! Connectivity of a triangle mesh: half-edges, compressed sparse rows and disjoint sets.
 
-/// One side of a triangle.
+/// A directed side of a triangle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Side {
-    /// The lower of its vertices, and the higher.
+pub(crate) struct HalfEdge {
+    /// Its two vertices, the lower index first.
     pub(crate) ends: [u32; 2],
-    /// Three times the triangle, plus which side of it: 0 from its first corner to its second.
+    /// Three times the triangle's index, plus the side: 0 from the first corner to the second.
     pub(crate) index: u32,
 }
 
-/// Every side of every triangle, in an order that does not depend on where anything lies in memory; those of the same edge
-/// stand together.
-pub(crate) fn sides(triangles: &[[u32; 3]]) -> Vec<Side> {
+/// All half-edges, sorted by their vertices: those of one edge are adjacent. The order is deterministic.
+pub(crate) fn half_edges(triangles: &[[u32; 3]]) -> Vec<HalfEdge> {
     let vertex_count = triangles.as_flattened().iter().max().map_or(0, |most| *most as usize + 1);
     let all = (0..3 * triangles.len() as u32).map(|index| {
         let [from, to] = ends(triangles, index);
         let ends = [from.min(to), from.max(to)];
-        (ends[0], Side { ends, index })
+        (ends[0], HalfEdge { ends, index })
     });
-    // By their lower vertex, each of which has a few: far quicker than to sort them all.
-    let Rows { starts, mut values } = Rows::new(vertex_count, all);
+    // Bucketed by the lower vertex, then sorted within each small bucket: far quicker than one sort.
+    let SparseRows { starts, mut values } = SparseRows::new(vertex_count, all);
     for range in starts.windows(2) {
         values[range[0] as usize..range[1] as usize].sort_unstable();
     }
     values
 }
 
-/// The sides of each edge.
-pub(crate) fn edges(sides: &[Side]) -> impl Iterator<Item = &[Side]> + Clone {
-    sides.chunk_by(|a, b| a.ends == b.ends)
+/// Groups sorted half-edges by edge.
+pub(crate) fn edges(half_edges: &[HalfEdge]) -> impl Iterator<Item = &[HalfEdge]> + Clone {
+    half_edges.chunk_by(|a, b| a.ends == b.ends)
 }
 
-/// The vertices that a side leads from and to.
+/// The vertices from which and to which half-edge `side` leads.
 pub(crate) fn ends(triangles: &[[u32; 3]], side: u32) -> [u32; 2] {
     let triangle = triangles[side as usize / 3];
     let k = side as usize % 3;
     [triangle[k], triangle[(k + 1) % 3]]
 }
 
-/// Several values for each of a number of rows, in compressed rows: those of a row lie side by side.
+/// Several values per row in compressed sparse row format.
 #[derive(Debug, Clone)]
-pub(crate) struct Rows<T> {
+pub(crate) struct SparseRows<T> {
     starts: Vec<u32>,
     values: Vec<T>,
 }
 
-impl<T: Copy + Default> Rows<T> {
-    /// Values in the order in which they come, each with its row.
+impl<T: Copy + Default> SparseRows<T> {
+    /// Distributes `(row, value)` pairs over `count` rows, keeping their order.
     pub(crate) fn new(count: usize, values: impl Iterator<Item = (u32, T)> + Clone) -> Self {
         let mut starts = vec![0_u32; count + 1];
         values.clone().for_each(|(row, _)| starts[row as usize + 1] += 1);
@@ -67,7 +66,7 @@ impl<T: Copy + Default> Rows<T> {
         self.starts.len() - 1
     }
 
-    /// The values of a row; none if there is no such row.
+    /// The values of a row; empty if there is no such row.
     pub(crate) fn row(&self, index: u32) -> &[T] {
         let range = self.starts.get(index as usize..=index as usize + 1);
         let Some(&[start, end]) = range else { return &[] };
@@ -75,19 +74,18 @@ impl<T: Copy + Default> Rows<T> {
     }
 }
 
-/// What stands for the set that `at` is in, among disjoint sets of numbers of which each leads to another of its set;
-/// shortens the way there for the next.
-pub(crate) fn root(leads: &mut [u32], mut at: u32) -> u32 {
-    while leads[at as usize] != at {
-        let next = leads[leads[at as usize] as usize];
-        leads[at as usize] = next;
+/// The representative of the set of `at` in a disjoint-set forest, with path halving.
+pub(crate) fn find_root(parents: &mut [u32], mut at: u32) -> u32 {
+    while parents[at as usize] != at {
+        let next = parents[parents[at as usize] as usize];
+        parents[at as usize] = next;
         at = next;
     }
     at
 }
 
-/// Makes one set of two: the lower number stands for both, so that the order in which they are joined does not show.
-pub(crate) fn join(leads: &mut [u32], one: u32, other: u32) {
-    let (one, other) = (root(leads, one), root(leads, other));
-    leads[one.max(other) as usize] = one.min(other);
+/// Merges two sets. The lower index becomes the representative, so the result does not depend on the order of merging.
+pub(crate) fn union(parents: &mut [u32], one: u32, other: u32) {
+    let (one, other) = (find_root(parents, one), find_root(parents, other));
+    parents[one.max(other) as usize] = one.min(other);
 }

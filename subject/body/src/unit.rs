@@ -1,4 +1,5 @@
-//! The unit of a mesh: no format of this module carries one, so that it is read from comments, or inferred from the size.
+//! The unit of length of a mesh. None of the mesh formats stores one, so it is read from comments or inferred from the
+//! size.
 
 use std::fmt;
 
@@ -7,24 +8,24 @@ use super::{Mesh, Note};
 /// A unit of length that scans come in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
-    /// m.
+    /// Metre.
     Metre,
-    /// cm.
+    /// Centimetre.
     Centimetre,
-    /// mm.
+    /// Millimetre.
     Millimetre,
-    /// in: never inferred, since no size of a body tells it from centimetres.
+    /// Inch, never inferred: no body size distinguishes it from the centimetre.
     Inch,
 }
 
-/// Largest distance between two points of a body, in millimetres: from a child of 0.7 m that crouches to a man of 2.2 m
-/// who stretches his arms up. The range spans less than a factor of ten, so that no size fits two units.
+/// Plausible extents of a body, in millimetres: from a crouching child of 0.7 m to a man of 2.2 m with raised arms. The
+/// range spans less than a factor of ten, so no size fits two of the inferred units.
 const EXTENT_MM: std::ops::RangeInclusive<f64> = 400.0..=3000.0;
 
 impl Unit {
     const INFERRED: [Self; 3] = [Self::Metre, Self::Centimetre, Self::Millimetre];
 
-    /// Millimetres in one of it.
+    /// Millimetres per unit.
     #[must_use]
     pub fn mm(self) -> f64 {
         match self {
@@ -35,7 +36,7 @@ impl Unit {
         }
     }
 
-    /// From its sign or name, in any case: `mm`, `Millimeters`.
+    /// Parses a symbol or a name in any case, such as `mm` or `Millimeters`.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         match name.to_ascii_lowercase().as_str() {
@@ -51,7 +52,7 @@ impl Unit {
         }
     }
 
-    /// From a comment such as `File units = meters` or `units: mm`; the last word is the unit, and nothing else counts.
+    /// Parses a comment such as `File units = meters` or `units: mm`. The unit must be the last word.
     #[must_use]
     pub(crate) fn from_comment(comment: &[u8]) -> Option<Self> {
         let comment = std::str::from_utf8(comment.get(..80.min(comment.len()))?).ok()?;
@@ -63,10 +64,10 @@ impl Unit {
         Self::from_name(rest.trim_matches(|c: char| c.is_whitespace() || ":=.".contains(c)))
     }
 
-    /// The unit in which the mesh has the size of a body, with that size in millimetres.
+    /// The unit that gives the mesh the size of a body.
     ///
     /// # Errors
-    /// [`UnitError`] where the size fits none.
+    /// [`UnitError`] if the size fits no unit.
     pub fn infer(mesh: &Mesh) -> Result<Self, UnitError> {
         let extent = mesh.extent();
         let fits = |unit: &Self| EXTENT_MM.contains(&(extent * unit.mm()));
@@ -80,18 +81,18 @@ impl Unit {
     }
 }
 
-/// Statures from a child of 1.2 m to a man of 2.2 m.
+/// Statures, from a child of 1.2 m to a man of 2.2 m.
 const STATURE_MM: std::ops::RangeInclusive<f64> = 1200.0..=2200.0;
 
-/// What a reader should know of a unit that was inferred: a scan in inches has the size of a small child in centimetres.
-/// `stature` is in the mesh's own unit.
+/// The note that asks for `--unit` when an inferred centimetre may be an inch: a scan in inches has the size of a small
+/// child in centimetres. `stature` is in the mesh's unit.
 pub(crate) fn ambiguity(inferred: Unit, stature: f64) -> Option<Note> {
     let [taken, inches] = [inferred, Unit::Inch].map(|unit| stature * unit.mm());
     if inferred != Unit::Centimetre || !STATURE_MM.contains(&inches) {
         return None;
     }
     let text = format!(
-        "taken as cm the subject is some {:.0} cm tall, as inches {:.0} cm: state which it is, --unit cm or --unit in",
+        "the subject is about {:.0} cm tall in centimetres, {:.0} cm in inches: choose with --unit cm or --unit in",
         taken / 10.0,
         inches / 10.0
     );
@@ -109,12 +110,12 @@ impl fmt::Display for Unit {
     }
 }
 
-/// A mesh that is of no body's size.
+/// A mesh whose size fits no unit.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error(
-    "the mesh is {extent:.4} across, which is a body's size in neither m, cm nor mm: state its unit (--unit), or export it in one of these"
+    "the mesh is {extent:.4} units across, not the size of a body in m, cm or mm: give its unit with --unit, or export it in one of these"
 )]
 pub struct UnitError {
-    /// Largest extent, in the mesh's own unit.
+    /// Extent of the mesh, in its own unit.
     pub extent: f64,
 }

@@ -1,5 +1,5 @@
-//! The bars on bodies with known joints, from the folder that `MOCAPD_BODIES` names: of the shapes that nothing was learned
-//! from, and what must not change where the body does not.
+//! Acceptance limits on bodies with known joints, from the folder that `MOCAPD_BODIES` names: accuracy on shapes that
+//! were not learned from, and invariance.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joint, Mesh, Side, Survey};
+use mocapd_body::{Joint, Mesh, ScanAnalysis, Side};
 use mocapd_testkit::recorded::RecordedData;
 use nalgebra::{Rotation3, Vector3};
 
@@ -20,24 +20,24 @@ mod score;
 use read::Truth;
 use score::{Limit, distance};
 
-/// Of these nothing was learned; their joints are exact.
+/// Bodies not learned from, with exact joints.
 const EXACT: [&str; 3] = ["mh_mheavy_", "mh_mlean_", "mhr_"];
-/// Of these neither, and their joints are good to 2 cm.
+/// Bodies not learned from, with joints that are good to 2 cm.
 const STAND_INS: [&str; 2] = ["faust_", "smpl_"];
-/// Limbs have grown together.
+/// Bodies with fused limbs.
 const TOUCHING: [&str; 1] = ["contact_mheavy_"];
-/// So many of these are refused, of five.
+/// Most of these that may be refused, of five.
 const TOUCHING_REFUSED_MOST: usize = 2;
 /// The same bodies in 5, 10 and 26.7 thousand triangles.
 const REMESHED: [&str; 3] = ["mh_mavg_squat_r0", "mh_mavg_T_fist", "mh_mavg_walk_r0"];
 
-/// Of stature.
+/// In parts of stature.
 const MEAN_MOST: f64 = 0.02;
 const NINETY_FIFTH_MOST: f64 = 0.05;
-/// The part of the limbs whose length is within 10 %.
+/// Least share of limbs whose length is within 10 %.
 const LENGTHS_LEAST: f64 = 0.95;
 
-/// The meshes whose names begin with one of `starts`; nothing where no folder is given.
+/// The meshes whose names begin with one of `starts`; `None` if no folder is given.
 fn bodies(starts: &[&str]) -> Option<Vec<PathBuf>> {
     let folder = RecordedData::Bodies.folder()?;
     let name = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -47,18 +47,18 @@ fn bodies(starts: &[&str]) -> Option<Vec<PathBuf>> {
     Some(found)
 }
 
-fn survey(mesh: &Mesh) -> Result<Survey, String> {
-    Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())
+fn analysis(mesh: &Mesh) -> Result<ScanAnalysis, String> {
+    ScanAnalysis::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())
 }
 
 #[test]
-fn joints_are_near_enough_on_bodies_that_nothing_was_learned_from() {
+fn joints_are_accurate_on_bodies_not_learned_from() {
     let Some(paths) = bodies(&[&EXACT[..], &STAND_INS, &TOUCHING].concat()) else { return };
     let (mut errors, mut lengths, mut refused) = (Vec::new(), Vec::new(), 0);
     for path in paths {
         let (mesh, truth) = read::body(&path).unwrap();
         let name = &truth.name;
-        let found = match survey(&mesh) {
+        let found = match analysis(&mesh) {
             Ok(found) => found,
             Err(reason) => {
                 assert!(name.starts_with(TOUCHING[0]), "{name} is refused: {reason}");
@@ -67,7 +67,7 @@ fn joints_are_near_enough_on_bodies_that_nothing_was_learned_from() {
             }
         };
         let right = score::right(&mesh, &truth, &found.extremities, Limit::ByJoint);
-        assert!(right.unwrap(), "an end of {name} is not what it is called");
+        assert!(right.unwrap(), "an extremity of {name} is misnamed");
         assert!(found.joints.estimates.contains_key(&Joint::Head), "{name} has no head");
         let apart = score::apart(&found.joints, &truth);
         let twelve =
@@ -91,8 +91,8 @@ fn joints_are_near_enough_on_bodies_that_nothing_was_learned_from() {
 /// The name of a joint in the truth, and the joint of a side.
 type End = (&'static str, fn(Side) -> Joint);
 
-/// Of upper arms, forearms, thighs and shanks.
-fn length_errors(found: &Survey, truth: &Truth) -> Vec<f64> {
+/// Length errors of upper arms, forearms, thighs and shanks.
+fn length_errors(found: &ScanAnalysis, truth: &Truth) -> Vec<f64> {
     let bones: [[End; 2]; 4] = [
         [("shoulder", Joint::Shoulder), ("elbow", Joint::Elbow)],
         [("elbow", Joint::Elbow), ("wrist", Joint::Wrist)],
@@ -110,24 +110,24 @@ fn length_errors(found: &Survey, truth: &Truth) -> Vec<f64> {
     sides.into_iter().flat_map(of_side).collect()
 }
 
-/// A head is no farther off than so many of its standard deviations, and a stature.
+/// Largest errors of the head and of the stature, in stated standard deviations.
 const SIGMAS_MOST: f64 = 3.0;
-/// Limbs have grown together with the trunk, which the ways across make shorter than it is.
+/// Bodies whose limbs are fused with the trunk, so that the distances across it are too short.
 const TUCKED: &str = "contact_mavg_tuck";
 
 #[test]
-fn heads_and_statures_are_as_sure_as_they_say() {
+fn errors_of_heads_and_statures_match_their_standard_deviations() {
     let Some(paths) = bodies(&[&["mh_", "contact_", "smpl_"][..], &STAND_INS].concat()) else {
         return;
     };
     let mut tucked = 0;
     for path in paths.into_iter().filter(|path| !path.to_string_lossy().contains("_5k")) {
         let (mesh, truth) = read::body(&path).unwrap();
-        let Ok(found) = survey(&mesh) else { continue };
+        let Ok(found) = analysis(&mesh) else { continue };
         let name = &truth.name;
         let known = truth.joints.as_ref().and_then(|known| known.get("head_top"));
-        // Rounding leads the search for the top of a stout one into its face.
-        let other = (name.contains("mheavy")).then(|| survey(&rounded(&mesh)).ok()).flatten();
+        // Rounding leads the search for the crown of a stout body to its face.
+        let other = (name.contains("mheavy")).then(|| analysis(&rounded(&mesh)).ok()).flatten();
         for found in [Some(&found), other.as_ref()].into_iter().flatten() {
             if let Some((at, known)) = found.joints.estimates.get(&Joint::Head).zip(known) {
                 let error = distance(at.position, *known);
@@ -135,7 +135,7 @@ fn heads_and_statures_are_as_sure_as_they_say() {
             }
         }
         if name.starts_with(TUCKED) {
-            // A fifth too short and more, where contact alone would say six per cent.
+            // At least a fifth too short, where contact alone would give six per cent.
             assert!(found.joints.size_sigma > 0.15, "{}", found.joints.size_sigma);
             assert!(found.notes.iter().any(|note| note.code == "size-unsure"));
             tucked += 1;
@@ -152,22 +152,22 @@ fn heads_and_statures_are_as_sure_as_they_say() {
 }
 
 #[test]
-fn rounding_refuses_no_body() {
+fn rounded_bodies_are_accepted() {
     let Some(paths) = bodies(&["mh_", "contact_", "faust_", "smpl_", "mhr_"]) else { return };
-    // Every third: what is left out are the same bodies in other resolutions, for the most part.
+    // Every third mesh: most of the others are the same bodies in other resolutions.
     for path in paths.into_iter().step_by(3) {
         let (mesh, truth) = read::body(&path).unwrap();
         let accepted = |mesh: Mesh| {
             let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
             let repaired = repair(scan, None).map_err(|error| error.to_string())?;
-            survey(&repaired.mesh).map(|found| found.joints.estimates.len())
+            analysis(&repaired.mesh).map(|found| found.joints.estimates.len())
         };
         let Ok(whole) = accepted(mesh.clone()) else { continue };
         assert_eq!(accepted(rounded(&mesh)), Ok(whole), "{}", truth.name);
     }
 }
 
-/// To the millimetre.
+/// Rounded to a millimetre.
 fn rounded(mesh: &Mesh) -> Mesh {
     let mut rounded = mesh.clone();
     let round = |c: &mut f64| *c = (*c * 1000.0).round() / 1000.0;
@@ -176,7 +176,7 @@ fn rounded(mesh: &Mesh) -> Mesh {
 }
 
 #[test]
-fn joints_turn_move_and_grow_with_the_body() {
+fn joints_rotate_translate_and_scale_with_the_body() {
     let Some(paths) = bodies(&["mh_mheavy_run", "mh_mlean_squat", "mh_favg_A_5k"]) else { return };
     let turn = Rotation3::from_euler_angles(0.7, -2.1, 1.3);
     let (shift, factor) = (Vector3::new(31.0, -7.5, 400.0), 1000.0);
@@ -188,14 +188,14 @@ fn joints_turn_move_and_grow_with_the_body() {
         let (before, after) = (positions_of(&mesh), positions_of(&turned));
         assert_eq!(before.len(), after.len(), "{}", truth.name);
         for (joint, at) in before {
-            let way = distance(place(at), after[&joint]) / factor / truth.stature_m;
-            assert!(way <= 1e-6, "{joint:?} of {} moves by {way}", truth.name);
+            let moved = distance(place(at), after[&joint]) / factor / truth.stature_m;
+            assert!(moved <= 1e-6, "{joint:?} of {} moves by {moved}", truth.name);
         }
     }
 }
 
 #[test]
-fn one_body_has_its_joints_in_the_same_places_in_any_number_of_triangles() {
+fn joints_are_independent_of_the_number_of_triangles() {
     let Some(paths) = bodies(&REMESHED) else { return };
     let mut pairs = 0;
     let all: Vec<_> = paths.iter().map(|path| read::body(path).unwrap()).collect();
@@ -206,8 +206,8 @@ fn one_body_has_its_joints_in_the_same_places_in_any_number_of_triangles() {
                 continue;
             }
             for (joint, at) in &found[one] {
-                let way = distance(*at, found[other][joint]) / truth.stature_m;
-                assert!(way <= 0.007, "{joint:?} of {}, {}: {way}", truth.name, same.name);
+                let moved = distance(*at, found[other][joint]) / truth.stature_m;
+                assert!(moved <= 0.007, "{joint:?} of {}, {}: {moved}", truth.name, same.name);
             }
             pairs += 1;
         }
@@ -216,6 +216,6 @@ fn one_body_has_its_joints_in_the_same_places_in_any_number_of_triangles() {
 }
 
 fn positions_of(mesh: &Mesh) -> BTreeMap<Joint, [f64; 3]> {
-    let estimates = survey(mesh).unwrap().joints.estimates;
+    let estimates = analysis(mesh).unwrap().joints.estimates;
     estimates.into_iter().map(|(joint, estimate)| (joint, estimate.position)).collect()
 }

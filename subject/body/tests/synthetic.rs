@@ -1,4 +1,4 @@
-//! Bodies out of a seed, whose joints are known, from a mesh to a skeleton and a picture.
+//! Seeded bodies with known joints, from a mesh to a skeleton and a picture.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod synthetic {

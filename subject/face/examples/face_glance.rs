@@ -1,31 +1,32 @@
-//! What `benches/subject/face_glance.py` learns from: how heads with known landmarks look.
+//! Features of heads with known landmarks, the training data of `benches/subject/face_glance.py`.
 //!
 //!     cargo run --release -p mocapd-face --example face_glance -- cells HEADS > ROWS
 //!     cargo run --release -p mocapd-face --example face_glance -- patches HEADS POINTS > ROWS
 //!
-//! HEADS is a folder of `benches/subject/heads/make.py`. Each head is begun from its eyes and mouth, disturbed four times, with a
-//! fixed seed. A row is, little-endian: x and y of 60 landmarks in the crop (pixels, 32-bit floats), then the bytes of the look.
-//! POINTS has for each row, in the same order, the landmarks around which it is looked: 60 times x and y.
+//! HEADS is a folder written by `benches/subject/heads/make.py`. Each head is started from its eyes and mouth,
+//! disturbed four times with a fixed seed. A row is, little-endian: x and y of 60 landmarks in the crop (pixels, 32-bit
+//! floats), then the bytes of the features. POINTS contains for each row, in the same order, the landmarks whose
+//! patches are described: 60 times x and y.
 
 use std::error::Error;
 use std::io::{Read, Write};
 use std::path::Path;
 
 use mocapd_face::Photo;
-use mocapd_face::points::Rough;
-use mocapd_face::points::regressor::{Glance, TOLD, Told};
+use mocapd_face::points::RoughFace;
+use mocapd_face::points::regressor::{LandmarkPoints, LandmarkRegressor, REGRESSED};
 
 #[expect(dead_code, reason = "the table has its own")]
 #[path = "faces_points/data.rs"]
 mod data;
 
-/// How far eyes and mouth are disturbed (standard deviations, of the outer eye corners' distance), start by start.
-const DISTURBED_IO: [f64; 4] = [0.02, 0.04, 0.06, 0.1];
+/// Disturbance of eyes and mouth at each start (standard deviation, in outer interocular distances).
+const START_SD_INTEROCULAR: [f64; 4] = [0.02, 0.04, 0.06, 0.1];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let (folder, mut points) = match words.as_slice() {
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let (folder, mut points) = match arguments.as_slice() {
         ["cells", folder] => (folder, None),
         ["patches", folder, points] => {
             (folder, Some(std::io::BufReader::new(std::fs::File::open(points)?)))
@@ -40,18 +41,19 @@ fn main() -> Result<(), Box<dyn Error>> {
     for file in files.iter().filter(|f| f.extension().is_some_and(|e| e == "png")) {
         let landmarks = landmarks(&file.with_extension("json"))?;
         let photo = Photo::from_bytes(&std::fs::read(file)?)?;
-        for sd_io in DISTURBED_IO {
-            let glance = Glance::at(&photo, &disturbed(&landmarks, sd_io, &mut noise));
-            for at in TOLD.iter().filter_map(|i| landmarks.get(*i)) {
-                for value in glance.in_crop(*at) {
+        for sd_interocular in START_SD_INTEROCULAR {
+            let rough = disturbed(&landmarks, sd_interocular, &mut noise);
+            let regressor = LandmarkRegressor::new(&photo, &rough);
+            for at in REGRESSED.iter().filter_map(|i| landmarks.get(*i)) {
+                for value in regressor.in_crop(*at) {
                     out.write_all(&(value as f32).to_le_bytes())?;
                 }
             }
-            let look = match &mut points {
-                None => glance.cells(),
-                Some(points) => glance.patches(&read(points)?),
+            let features = match &mut points {
+                None => regressor.crop_features(),
+                Some(points) => regressor.patch_features(&read(points)?),
             };
-            out.write_all(&look)?;
+            out.write_all(&features)?;
         }
     }
     out.flush()?;
@@ -64,22 +66,22 @@ fn landmarks(json: &Path) -> Result<Vec<[f64; 2]>, Box<dyn Error>> {
     if landmarks.len() == 68 { Ok(landmarks) } else { Err("no 68 landmarks".into()) }
 }
 
-fn disturbed(landmarks: &[[f64; 2]], sd_io: f64, noise: &mut data::Noise) -> Rough {
-    let sd = sd_io * data::distance(landmarks[36], landmarks[45]);
+fn disturbed(landmarks: &[[f64; 2]], sd_interocular: f64, noise: &mut data::Noise) -> RoughFace {
+    let sd = sd_interocular * data::distance(landmarks[36], landmarks[45]);
     let mut near = |range: std::ops::Range<usize>| {
         let n = range.len() as f64;
         let [x, y] = landmarks[range].iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
         [x / n + sd * noise.normal(), y / n + sd * noise.normal()]
     };
-    Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
+    RoughFace { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
 }
 
-fn read(points: &mut impl Read) -> Result<Told, Box<dyn Error>> {
-    let mut told: Told = [[0.0; 2]; TOLD.len()];
-    for value in told.iter_mut().flatten() {
+fn read(points: &mut impl Read) -> Result<LandmarkPoints, Box<dyn Error>> {
+    let mut landmarks: LandmarkPoints = [[0.0; 2]; REGRESSED.len()];
+    for value in landmarks.iter_mut().flatten() {
         let mut bytes = [0; 4];
         points.read_exact(&mut bytes)?;
         *value = f64::from(f32::from_le_bytes(bytes));
     }
-    Ok(told)
+    Ok(landmarks)
 }

@@ -1,6 +1,6 @@
-//! How long the arithmetic of a face takes: `cargo run --release -p mocapd-face --example face_speed`.
+//! Computation time of the steps of a fit: `cargo run --release -p mocapd-face --example face_speed`.
 //!
-//! The time that the processor spent on it, of many rounds the least: what else the machine does only ever adds.
+//! CPU time, the minimum of many rounds: other work on the machine only ever adds time.
 
 use std::convert::Infallible;
 use std::error::Error;
@@ -10,7 +10,7 @@ use mocapd_face::Photo;
 use mocapd_face::adapt::{Depth, Width, adapt};
 use mocapd_face::find;
 use mocapd_face::model::{FeatureId, FitOptions, Landmark, Model};
-use mocapd_face::points::{self, Rough};
+use mocapd_face::points::{self, RoughFace};
 use mocapd_testkit::photograph::Scene;
 use rustix::time::{ClockId, clock_gettime};
 
@@ -19,7 +19,7 @@ const FIND_ROUNDS: usize = 30;
 /// Sides of a photograph of a quarter of a megapixel.
 const QUARTER_PX: (u32, u32) = (560, 448);
 
-/// What this thread has had of the processor.
+/// CPU time of this thread.
 fn spent() -> Duration {
     let spent = clock_gettime(ClockId::ThreadCPUTime);
     Duration::new(spent.tv_sec.unsigned_abs(), spent.tv_nsec as u32)
@@ -82,7 +82,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let found = find::faces(&photo, find::SCORE_MIN);
         found
             .iter()
-            .map(|face| points::find(&photo, &Rough::from(face)))
+            .map(|face| points::find(&photo, &RoughFace::from(face)))
             .collect::<Result<Vec<_>, _>>()
     };
     println!("and the points of its {} {:?}", chain()?.len(), fastest(FIND_ROUNDS, chain)?);

@@ -1,4 +1,4 @@
-//! JSON of anybody as a document of this crate: which one it is, what it has to be, and errors that say where it is not.
+//! Reading of JSON documents: identification, deserialisation and range checks, with errors that name the place.
 
 use std::fmt::Debug;
 
@@ -8,34 +8,34 @@ use thiserror::Error;
 
 use crate::shortened;
 
-/// Why bytes are no face, or no mapping of markers to one.
+/// Why bytes are not a face, or not a mapping of markers.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum DocumentError {
-    /// No JSON, another document, or one of a later version.
+    /// Not JSON, another kind of document, or a later version.
     #[error("{0}")]
     Kind(String),
-    /// A key that is missing, or unknown, or a value of another type.
-    #[error("a damaged {0}")]
+    /// A missing or unknown key, or a value of the wrong type.
+    #[error("invalid {0}")]
     Shape(String),
-    /// A number, a name or an index that cannot be.
-    #[error("a damaged {0}")]
+    /// A number, name or index out of range.
+    #[error("invalid {0}")]
     Value(String),
 }
 
-/// A kind of document.
+/// A document format.
 pub(crate) struct Format {
-    /// What `format` says.
+    /// The value of its `format` key.
     pub(crate) name: &'static str,
     pub(crate) version: u64,
-    /// Where one is to be had, as a clause.
+    /// Where to get one, as a clause.
     pub(crate) made_by: &'static str,
     pub(crate) bytes_max: usize,
 }
 
-/// Which document it is.
+/// The keys that identify a document.
 #[derive(Deserialize)]
 #[serde(expecting = "an object")]
-struct Kind {
+struct DocumentHeader {
     #[serde(default)]
     format: Option<String>,
     #[serde(default)]
@@ -43,14 +43,14 @@ struct Kind {
 }
 
 impl Format {
-    /// No room is made for more than the bytes have in them.
+    /// Deserialises without allocating for more than the bytes contain.
     pub(crate) fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, DocumentError> {
         self.check_len(bytes.len())?;
         self.check_kind(bytes).map_err(DocumentError::Kind)?;
         let mut json = serde_json::Deserializer::from_slice(bytes);
         serde_path_to_error::deserialize(&mut json).map_err(|error| {
             let (name, reason) = (self.name, shortened(&error.to_string()));
-            let page = "docs/subject-face-format.md has the format";
+            let page = "see docs/subject-face-format.md";
             DocumentError::Shape(format!("{name} ({page}): {reason}"))
         })
     }
@@ -58,13 +58,13 @@ impl Format {
     pub(crate) fn check_len(&self, bytes: usize) -> Result<(), DocumentError> {
         let (name, most) = (self.name, self.bytes_max);
         if bytes > most {
-            let what = format!("{name}: it has {bytes} bytes, where {most} is the most");
+            let what = format!("{name}: {bytes} bytes, the limit is {most}");
             return Err(DocumentError::Value(what));
         }
         Ok(())
     }
 
-    /// Refuses the first of these values that does not hold, with its place among them: `points[3].confidence`.
+    /// Rejects the first value that violates `holds`, with its place, such as `points[3].confidence`.
     pub(crate) fn expect<T: Debug>(
         &self,
         values: impl IntoIterator<Item = T>,
@@ -77,35 +77,35 @@ impl Format {
             return Ok(());
         };
         let (name, place, found) = (self.name, place(i), shortened(&format!("{found:?}")));
-        Err(DocumentError::Value(format!("{name}: `{place}` is {found}: expected {expected}")))
+        Err(DocumentError::Value(format!("{name}: `{place}` is {found}, expected {expected}")))
     }
 
-    /// Refuses what is no JSON, JSON that is another document, and one of a later version.
+    /// Rejects what is not JSON, another kind of document, or a later version.
     fn check_kind(&self, bytes: &[u8]) -> Result<(), String> {
         let Self { name, version, made_by, .. } = self;
-        let kind: Kind = serde_json::from_slice(bytes).map_err(|error| {
+        let header: DocumentHeader = serde_json::from_slice(bytes).map_err(|error| {
             let is = match error.classify() {
-                Category::Data => "it is no",
-                Category::Eof => "it is cut off, or no",
-                Category::Syntax | Category::Io => "it is no JSON, and so no",
+                Category::Data => "not a",
+                Category::Eof => "cut off, or not a",
+                Category::Syntax | Category::Io => "not JSON, and so not a",
             };
             format!("{is} {name}, {made_by}: {}", shortened(&error.to_string()))
         })?;
-        if kind.format.as_deref() != Some(name) {
-            let says = kind
+        if header.format.as_deref() != Some(name) {
+            let found = header
                 .format
                 .map_or("no format".to_owned(), |format| format.escape_debug().take(40).collect());
-            return Err(format!("it says {says} where {name} is expected, {made_by}"));
+            return Err(format!("expected format {name}, {made_by}; found {found}"));
         }
-        match kind.version {
+        match header.version {
             Some(found) if found == *version => Ok(()),
             Some(found) if found > *version => Err(format!(
-                "it is version {found} of {name}, this build reads {version}: use a newer mocapd"
+                "version {found} of {name}, but this build reads {version}: use a newer mocapd"
             )),
             Some(found) => {
-                Err(format!("there is no version {found} of {name}: write \"version\": {version}"))
+                Err(format!("no version {found} of {name}: write \"version\": {version}"))
             }
-            None => Err(format!("it says {name} and no version: write \"version\": {version}")),
+            None => Err(format!("{name} with no version: write \"version\": {version}")),
         }
     }
 }

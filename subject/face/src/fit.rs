@@ -1,33 +1,33 @@
-//! One photograph, from pixels to fitted wireframes: both chains, whole.
+//! The whole chain: from a photograph to fitted wireframes, by either method.
 
 use std::fmt;
 
 use crate::adapt::{Depth, Width, adapt};
-use crate::find::{self, Found};
+use crate::find::{self, DetectedFace};
 use crate::fitted::{FittedFace, Method, Source};
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, ModelError, OUTER_EYES_MM};
 use crate::paper;
 use crate::photo::Photo;
-use crate::plausible::Plausible;
-use crate::points::{self, FacePoints, Rough};
+use crate::points::{self, FacePoints, RoughFace};
+use crate::proportions::ProportionModel;
 use crate::vector::{distance, middle};
 
-/// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
+/// Most faces that are fitted, by score: a class, or a team.
 pub const FACES_MAX: usize = 64;
 
 /// Why a photograph gives no face.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoFace {
-    /// Nothing in it looks like one.
+    /// No face was detected.
     #[error(
-        "no face was found: take a photograph from in front, of one person who fills a third of its height, in even light, \
-         with 40 pixels or more between the outer corners of the eyes"
+        "no face found: photograph one person from the front, a third of the picture's height or more, in even light, \
+         with at least 40 pixels between the outer corners of the eyes"
     )]
     NotFound,
-    /// Something does, but its points make no face.
-    #[error("a face was found, but not its parts ({0}): take a sharper photograph, from in front")]
+    /// A face was detected, but its points give no wireframe.
+    #[error("found a face, but not its features ({0}): take a sharper photograph from the front")]
     NotFitted(String),
-    /// The program was built wrong.
+    /// The built-in model is damaged.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
@@ -38,37 +38,37 @@ impl NoFace {
     }
 }
 
-/// Finds the faces of a photograph and fits the wireframe to each, the surest first.
+/// Detects the faces of a photograph and fits the wireframe to each, best detection first.
 ///
 /// # Errors
-/// [`NoFace`] where none was fitted.
+/// [`NoFace`] if no face was fitted.
 pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedFace>, NoFace> {
     let model = Model::generic()?;
-    let found: Vec<Found> = match method {
+    let found: Vec<DetectedFace> = match method {
         Method::Default => find::faces(photo, find::SCORE_MIN),
         Method::Paper => paper::faces(photo),
     };
-    // The paper's chain has no confidence of its own: its points are held against a face's proportions.
-    let plausible = (method == Method::Paper).then(|| Plausible::of(model));
+    // The published chain has no confidence of its own; its points are checked against the proportions of a face.
+    let proportions = (method == Method::Paper).then(|| ProportionModel::of(model));
     let mut fitted = Vec::new();
     let mut why = NoFace::NotFound;
     for face in found.iter().take(FACES_MAX) {
-        let rough = Rough::from(face);
-        let seen = match method {
+        let rough = RoughFace::from(face);
+        let located = match method {
             Method::Default => points::find(photo, &rough)?,
             Method::Paper => points::paper::find(photo, &rough),
         };
         let one = match method {
-            Method::Default => by_default(model, &seen),
-            Method::Paper => by_paper(model, face, &seen),
+            Method::Default => by_default(model, &located),
+            Method::Paper => by_paper(model, face, &located),
         };
         match one {
-            Ok(Fit { camera, points, vertices_mm }) => {
+            Ok(FaceFit { camera, points, vertices_mm }) => {
                 let source = source.clone();
                 let mut one = FittedFace::new(model, method, source, camera, points, vertices_mm);
-                one.confidence = seen.confidence();
-                if let Some(plausible) = &plausible {
-                    one.notes = plausible.contradictions(&seen.points.map(|point| point.at));
+                one.confidence = located.confidence();
+                if let Some(proportions) = &proportions {
+                    one.notes = proportions.contradictions(&located.points.map(|point| point.at));
                 }
                 fitted.push(one);
             }
@@ -78,24 +78,24 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
     if fitted.is_empty() { Err(why) } else { Ok(fitted) }
 }
 
-/// What a chain makes of the points of a face.
-struct Fit {
+/// Result of a chain for one face.
+struct FaceFit {
     camera: Camera,
     points: Vec<Landmark>,
     vertices_mm: Vec<[f64; 3]>,
 }
 
-/// Pose, shape and depth by the shape model; what was not seen is where the model has it. So is the hairline: what is seen up
-/// there is the border of hair, and would squeeze the forehead into it.
-fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, NoFace> {
+/// Fits pose, shape and depth by the shape model. Points that were not located take the model's place. So does the
+/// hairline: what is visible there is the edge of the hair, which would squeeze the forehead.
+fn by_default(model: &Model, found: &FacePoints) -> Result<FaceFit, NoFace> {
     let fit = model.fit_shape(&found.found(), &FitOptions::default());
     let fit = fit.map_err(NoFace::not_fitted)?;
     let points: Vec<Landmark> = FeatureId::all()
         .zip(&found.points)
         .zip(&fit.points_px)
-        .map(|((id, seen), &[x, y, _])| {
-            let confidence = if id.is_hairline() { 0.0 } else { seen.confidence };
-            let xy_px = if confidence > 0.0 { seen.at } else { [x, y] };
+        .map(|((id, located), &[x, y, _])| {
+            let confidence = if id.is_hairline() { 0.0 } else { located.confidence };
+            let xy_px = if confidence > 0.0 { located.at } else { [x, y] };
             Landmark { id, xy_px, confidence }
         })
         .collect();
@@ -103,12 +103,12 @@ fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, NoFace> {
     let (camera, depth) = (fit.camera, Depth::Points(&depths));
     let adapted = adapt(model, &fit.vertices_mm, &camera, &points, Width::default(), depth);
     let adapted = adapted.map_err(NoFace::not_fitted)?;
-    Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
+    Ok(FaceFit { camera, points, vertices_mm: adapted.vertices_mm })
 }
 
-/// The average face, turned as its outline says (Yang et al. 2004, sections 4 and 5); points that were not found are left
-/// to the others.
-fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFace> {
+/// Adapts the average face, with yaw from the outline (Yang et al. 2004, sections 4 and 5). Points that were not
+/// located are left out.
+fn by_paper(model: &Model, face: &DetectedFace, found: &FacePoints) -> Result<FaceFit, NoFace> {
     let yaw_deg = found.yaw_deg.unwrap_or(0.0);
     let corner = |ibug| {
         let id = FeatureId::from_ibug(ibug)?;
@@ -128,5 +128,5 @@ fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFa
     let points = found.found();
     let adapted = adapt(model, &model.vertices, &camera, &points, Width::PAPER, Depth::Model);
     let adapted = adapted.map_err(NoFace::not_fitted)?;
-    Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
+    Ok(FaceFit { camera, points, vertices_mm: adapted.vertices_mm })
 }

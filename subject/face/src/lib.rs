@@ -1,8 +1,13 @@
-//! A photograph of a face becomes a wireframe fitted to it (Yang et al. 2004, and past it).
+//! A 3-D face wireframe fitted to a photograph.
 //!
-//! It is made before a capture, once a subject, and knows nothing of takes: a take carries it as plain data. Faces are
-//! found by linear weights and trees learned from a few photographs and many drawn heads; the scripts are in
-//! `benches/subject`.
+//! The chain has four steps. [`photo`] decodes the picture; [`find`] detects faces; [`points`] locates the 53 points of
+//! Yang et al. 2004 on each; [`model`] and [`adapt`] fit a generic wireframe to them by a shape model and radial basis
+//! functions. [`fit`] runs all of it and [`fitted`] writes the result. [`paper`] and [`points::paper`] implement the
+//! published method as printed, for comparison; [`proportions`] checks its points.
+//!
+//! A face is prepared once per subject, before a capture. This crate knows nothing of takes; a take carries the face as
+//! a document, and [`mapping`] places markers on it. The detector and the regressors are linear weights and small
+//! decision trees learned from a few photographs and many rendered heads by the scripts in `benches/subject`.
 
 pub mod adapt;
 mod document;
@@ -15,9 +20,9 @@ mod oriented_gradients;
 pub mod paper;
 pub mod photo;
 pub mod plane;
-pub mod plausible;
 pub mod points;
 pub mod pose;
+pub mod proportions;
 mod table;
 mod vector;
 
@@ -25,7 +30,7 @@ pub use document::DocumentError;
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
 
-/// A reason on one line: a reader of JSON quotes whatever names a file has.
+/// Shortens a reason to one line, since JSON readers quote names from the file.
 pub(crate) fn shortened(reason: &str) -> String {
     const CHARACTERS: usize = 160;
     let printed = |c: char| if c.is_control() { ' ' } else { c };

@@ -1,20 +1,20 @@
-//! Slopes of brightness by direction, pooled over square cells and told in the contrast of around: histograms of oriented
-//! gradients (Dalal and Triggs 2005), in a byte each.
+//! Histograms of oriented gradients (Dalal and Triggs 2005): gradients of brightness by direction, pooled over square
+//! cells and normalised by the local contrast, quantised to bytes.
 
 use crate::plane::Plane;
 
-/// Directions, 45 degrees apart: from the right on clockwise.
-pub(crate) const WAYS: usize = 8;
-/// Contrast that is noise, in roots of grey levels: added before it is divided by.
+/// Number of directions, 45 degrees apart, clockwise from the right.
+pub(crate) const DIRECTIONS: usize = 8;
+/// Noise floor of the contrast, in square roots of grey levels: added before the division.
 pub(crate) const FLOOR: f32 = 0.25;
-/// Bytes of a slope as steep as the contrast around, and of a standard deviation of brightness.
+/// Quantisation: byte value of a gradient as steep as the local contrast, and of one standard deviation of brightness.
 pub(crate) const SLOPE_BYTES: f32 = 128.0;
 const BRIGHT_BYTES: f32 = 40.0;
-/// The byte of the mean.
+/// Byte value of the mean.
 pub(crate) const MIDDLE: f32 = 128.0;
 
-/// A slope is the sum of its parts along the two nearest of eight directions: which ones, and how much.
-pub(crate) fn ways(dx: f32, dy: f32) -> [(usize, f32); 2] {
+/// Splits a gradient into its parts along the two nearest of eight directions: index and amount of each.
+pub(crate) fn directions(dx: f32, dy: f32) -> [(usize, f32); 2] {
     let (wide, high) = (dx.abs(), dy.abs());
     let flat = match (wide >= high, dx >= 0.0, dy >= 0.0) {
         (true, true, _) => 0,
@@ -38,9 +38,9 @@ pub(crate) fn byte(value: f32) -> u8 {
 /// Means over the pixels of a cell.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Histogram {
-    slopes: [f32; WAYS],
+    slopes: [f32; DIRECTIONS],
     brightness: f32,
-    /// Of squared slopes.
+    /// Mean squared gradient.
     pub(crate) energy: f32,
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct Histograms {
 }
 
 impl Histograms {
-    /// Of roots of brightness, whose sides are multiples of the cells'.
+    /// Pools square roots of brightness over cells of `side` pixels; the plane's sides must be multiples of it.
     pub(crate) fn pooled(roots: &Plane, side: usize) -> Self {
         let (width, height) = (roots.width(), roots.height());
         let (across, down) = (width / side, height / side);
@@ -67,8 +67,8 @@ impl Histograms {
                     let at = |line: &[f32], x: usize| line.get(x).copied().unwrap_or_default();
                     let dx = at(row, (x + 1).min(width - 1)) - at(row, x.saturating_sub(1));
                     let dy = at(lower, x) - at(upper, x);
-                    for (way, by) in ways(dx, dy) {
-                        if let Some(sum) = cell.slopes.get_mut(way) {
+                    for (direction, by) in directions(dx, dy) {
+                        if let Some(sum) = cell.slopes.get_mut(direction) {
                             *sum += by;
                         }
                     }
@@ -86,15 +86,15 @@ impl Histograms {
         Self { across, down, cells }
     }
 
-    /// Those that are `border` cells from the plane's borders, row by row: row, column, and the cell.
+    /// The cells at least `border` cells from the edge: row, column, and the cell.
     pub(crate) fn inner(&self, border: usize) -> impl Iterator<Item = (usize, usize, &Histogram)> {
         let rows = border..self.down - border;
         let places = rows.flat_map(move |y| (border..self.across - border).map(move |x| (y, x)));
         places.filter_map(|(y, x)| Some((y, x, self.cells.get(y * self.across + x)?)))
     }
 
-    /// Of each of those: eight slopes from the right on clockwise in the contrast of around, brightness in deviations from
-    /// the mean, and what `more` adds.
+    /// Features of those cells: eight gradients clockwise from the right, relative to the local contrast; brightness in
+    /// deviations from the mean; and whatever `more` appends.
     pub(crate) fn bytes(&self, border: usize, more: impl Fn(&Histogram, &mut Vec<u8>)) -> Vec<u8> {
         let bright = || self.inner(border).map(|(_, _, cell)| cell.brightness);
         let count = ((self.down - 2 * border) * (self.across - 2 * border)) as f32;
@@ -111,7 +111,7 @@ impl Histograms {
         bytes
     }
 
-    /// Over a cell and its neighbours, by 1, 2, 1 both ways; beside the border is what lies at it.
+    /// Contrast over a cell and its neighbours, weighted 1, 2, 1 both ways; beyond the border the border repeats.
     fn contrast(&self, row: usize, column: usize) -> f32 {
         let energy = |y: usize, x: usize| {
             let (y, x) = (y.clamp(1, self.down) - 1, x.clamp(1, self.across) - 1);

@@ -1,4 +1,4 @@
-//! Numbers of the learned tables in `data/`, little-endian, read while the crate is compiled.
+//! Numbers of the learned tables in `data/`, little-endian, read at compile time.
 
 const fn bytes<const N: usize>(table: &[u8], at: usize) -> [u8; N] {
     let mut bytes = [0; N];

@@ -1,12 +1,13 @@
-//! The bars on photographs with known landmarks, from the folder that `MOCAPD_FACES` names, that nothing was learned from.
+//! Acceptance limits on photographs with known landmarks that were not learned from, from the folder that
+//! `MOCAPD_FACES` names.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::Path;
 
 use mocapd_face::Photo;
-use mocapd_face::find::{self, Found};
+use mocapd_face::find::{self, DetectedFace};
 use mocapd_face::model::{FeatureId, FitOptions, Model};
-use mocapd_face::points::{self, Rough};
+use mocapd_face::points::{self, RoughFace};
 use mocapd_testkit::recorded::RecordedData;
 
 #[expect(dead_code, reason = "the example draws, too")]
@@ -15,27 +16,27 @@ mod data;
 
 use data::{Face, Noise, distance};
 
-/// Of the distance of the outer eye corners.
+/// Limits of median errors, in outer interocular distances.
 const PHOTOGRAPHS_MEDIAN_MOST: f64 = 0.06;
 const SYNTHETIC_MEDIAN_MOST: f64 = 0.05;
-/// A good face is off by less, and so many faces are good.
+/// A face is good if its mean error is below this; the least share of good faces.
 const GOOD_IO: f64 = 0.1;
 const GOOD_SHARE: f64 = 0.85;
 const YAW_ERROR_MOST_DEG: f64 = 4.0;
-/// How far the eyes and mouth are off that points are begun from.
-const DISTURBED_IO: f64 = 0.04;
+/// Disturbance of the eyes and mouth from which the search starts.
+const START_SD_INTEROCULAR: f64 = 0.04;
 const STARTS: usize = 3;
-/// Photographs whose yaw is unknown count whole.
+/// Photographs whose yaw is unknown are included.
 const PHOTOGRAPHS_YAW_DEG: f64 = 20.0;
 const SYNTHETIC_YAW_DEG: f64 = 35.0;
-/// A face that is to be found is as large as this, and found so near.
-const FOUND_IO_PX: f64 = 40.0;
-const FOUND_NEAR_IO: f64 = 0.25;
+/// Smallest face that must be found, and the largest error of its eyes.
+const FOUND_INTEROCULAR_PX: f64 = 40.0;
+const FOUND_NEAR_INTEROCULAR: f64 = 0.25;
 const FOUND_SHARE: f64 = 0.9;
-/// The bar is a half; a twentieth is reached.
+/// The criterion is a half; the result is a twentieth.
 const FALSE_PER_PHOTOGRAPH_MOST: f64 = 0.15;
 
-/// Faces that nothing was learned from, turned by less than this.
+/// Faces that were not learned from, turned by at most this.
 fn reported(folder: &Path, synthetic: bool, yaw_deg: f64) -> Vec<Face> {
     let mut faces = data::read(folder).unwrap();
     faces.retain(|face| {
@@ -46,26 +47,26 @@ fn reported(folder: &Path, synthetic: bool, yaw_deg: f64) -> Vec<Face> {
     faces
 }
 
-fn disturbed(face: &Face, noise: &mut Noise) -> Rough {
-    let off_px = DISTURBED_IO * face.truth.io_px();
+fn disturbed(face: &Face, noise: &mut Noise) -> RoughFace {
+    let off_px = START_SD_INTEROCULAR * face.truth.interocular_px();
     let mut near = |range| face.truth.centre(range).map(|at| at + off_px * noise.normal());
-    Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
+    RoughFace { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
 }
 
-/// Mean distance of the points that iBUG-68 has, too, in distances of the outer eye corners.
-fn error_io(face: &Face, rough: &Rough) -> f64 {
+/// Mean error of the points that iBUG-68 has, too, in outer interocular distances.
+fn error_io(face: &Face, rough: &RoughFace) -> f64 {
     let found = points::find(&face.photo, rough).unwrap();
     let off = |landmark: usize| {
         let id = FeatureId::from_ibug(landmark)?;
         let is_seen = face.truth.visible[landmark];
         is_seen.then(|| distance(found.points[id.index()].at, face.truth.landmarks[landmark]))
     };
-    // The bridge of the nose and the outline are no single places.
+    // The bridge of the nose and the outline are not single places.
     let off: Vec<f64> = (17..27).chain(31..68).filter_map(off).collect();
-    off.iter().sum::<f64>() / off.len() as f64 / face.truth.io_px()
+    off.iter().sum::<f64>() / off.len() as f64 / face.truth.interocular_px()
 }
 
-/// The smallest first.
+/// Sorted errors.
 fn errors_io(faces: &[Face]) -> Vec<f64> {
     let mut noise = Noise::new(1);
     let mut errors = Vec::new();
@@ -82,7 +83,7 @@ fn median_and_good_share(faces: &[Face]) -> (f64, f64) {
     (errors[errors.len() / 2], good as f64 / errors.len() as f64)
 }
 
-/// Of the search, and of the generic face fitted to its points.
+/// Yaw errors of the search, and of the generic face fitted to its points.
 fn yaw_errors_deg(faces: &[Face]) -> [f64; 2] {
     let mut noise = Noise::new(1);
     let (mut sums, mut count) = ([0.0; 2], 0.0);
@@ -101,7 +102,7 @@ fn yaw_errors_deg(faces: &[Face]) -> [f64; 2] {
 }
 
 #[test]
-fn points_of_photographs_are_near_enough() {
+fn points_of_photographs_are_accurate() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let (median, good) = median_and_good_share(&reported(&folder, false, PHOTOGRAPHS_YAW_DEG));
     assert!(median <= PHOTOGRAPHS_MEDIAN_MOST, "median error {median} of the eyes' distance");
@@ -109,7 +110,7 @@ fn points_of_photographs_are_near_enough() {
 }
 
 #[test]
-fn points_of_synthetic_faces_are_near_enough() {
+fn points_of_synthetic_faces_are_accurate() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let (median, good) = median_and_good_share(&reported(&folder, true, SYNTHETIC_YAW_DEG));
     assert!(median <= SYNTHETIC_MEDIAN_MOST, "median error {median} of the eyes' distance");
@@ -117,7 +118,7 @@ fn points_of_synthetic_faces_are_near_enough() {
 }
 
 #[test]
-fn heads_are_turned_as_they_are_found_to_be() {
+fn yaw_is_accurate() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     for is_synthetic in [false, true] {
         let errors = yaw_errors_deg(&reported(&folder, is_synthetic, SYNTHETIC_YAW_DEG));
@@ -125,9 +126,9 @@ fn heads_are_turned_as_they_are_found_to_be() {
     }
 }
 
-fn is_near(found: &Found, face: &Face) -> bool {
+fn is_near(found: &DetectedFace, face: &Face) -> bool {
     let eyes = [face.truth.centre(36..42), face.truth.centre(42..48)];
-    let near_px = FOUND_NEAR_IO * face.truth.io_px();
+    let near_px = FOUND_NEAR_INTEROCULAR * face.truth.interocular_px();
     (0..2).all(|eye| distance(found.eyes[eye], eyes[eye]) <= near_px)
 }
 
@@ -136,7 +137,7 @@ fn nine_of_ten_faces_are_found() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let mut faces = reported(&folder, false, SYNTHETIC_YAW_DEG);
     faces.extend(reported(&folder, true, SYNTHETIC_YAW_DEG));
-    faces.retain(|face| face.truth.io_px() >= FOUND_IO_PX);
+    faces.retain(|face| face.truth.interocular_px() >= FOUND_INTEROCULAR_PX);
     let is_found = |face: &&Face| {
         find::faces(&face.photo, find::SCORE_MIN).iter().any(|found| is_near(found, face))
     };
@@ -146,9 +147,9 @@ fn nine_of_ten_faces_are_found() {
 }
 
 #[test]
-fn few_photographs_have_a_face_where_none_is() {
+fn few_photographs_have_a_false_detection() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
-    // However they are turned, and however small.
+    // In any orientation and at any size.
     let mut faces = reported(&folder, false, f64::INFINITY);
     faces.extend(reported(&folder, true, f64::INFINITY));
     let (mut photographs, mut wrong) = (0, 0);
@@ -162,7 +163,7 @@ fn few_photographs_have_a_face_where_none_is() {
 }
 
 #[test]
-fn where_no_face_is_none_is_found() {
+fn pictures_without_a_face_have_no_detection() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let mut pictures = 0;
     for entry in std::fs::read_dir(folder.join("negative")).unwrap() {

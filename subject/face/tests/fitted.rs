@@ -1,11 +1,11 @@
-//! A fitted face as it is written, read and drawn.
+//! Writing, reading and drawing fitted faces.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use image::Rgb;
 use mocapd_face::DocumentError;
 use mocapd_face::fitted::{FittedFace, Method, Overlay, Part, Source};
 use mocapd_face::model::{FeatureId, Landmark, Model};
-use mocapd_testkit::photograph::{Random, Scene};
+use mocapd_testkit::photograph::{PictureRng, Scene};
 
 fn example() -> (image::RgbImage, FittedFace) {
     let model = Model::generic().unwrap();
@@ -28,7 +28,7 @@ fn example() -> (image::RgbImage, FittedFace) {
 }
 
 #[test]
-fn what_is_written_is_read_again() {
+fn a_written_face_is_read_back() {
     let (_, face) = example();
     let text = face.to_json().unwrap();
     let again = FittedFace::from_json(text.as_bytes()).unwrap();
@@ -62,7 +62,7 @@ fn a_confidence_is_kept_and_may_be_missing() {
 }
 
 #[test]
-fn an_unsure_face_has_a_net_of_another_colour() {
+fn an_uncertain_face_has_a_wireframe_of_another_colour() {
     let (photograph, mut face) = example();
     let drawn =
         |face: &FittedFace| Overlay::new(&photograph, std::slice::from_ref(face)).into_image();
@@ -79,7 +79,7 @@ fn an_unsure_face_has_a_net_of_another_colour() {
     assert!(less_blue > 1000, "{less_blue}");
 }
 
-/// How far a pixel's brightness is from another's, of 255.
+/// Difference of brightness of two pixels, of 255.
 fn apart(a: &Rgb<u8>, b: &Rgb<u8>) -> f64 {
     let luma =
         |p: &Rgb<u8>| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
@@ -87,9 +87,9 @@ fn apart(a: &Rgb<u8>, b: &Rgb<u8>) -> f64 {
 }
 
 #[test]
-fn a_net_is_seen_on_any_ground_in_pictures_of_any_size() {
+fn a_wireframe_is_visible_on_any_background_at_any_size() {
     let (photograph, mut face) = example();
-    // The orange of unsure lines, skin, white and black; the net alone.
+    // The orange of uncertain lines, skin, white and black, and the wireframe alone.
     face.points.clear();
     for ground in [[255, 160, 32], [224, 172, 136], [255; 3], [0; 3]] {
         for factor in [1, 6] {
@@ -113,7 +113,7 @@ fn a_net_is_seen_on_any_ground_in_pictures_of_any_size() {
 }
 
 #[test]
-fn several_faces_have_numbers_beside_them_and_one_has_none() {
+fn only_several_faces_are_numbered() {
     let mut scene = Scene::portrait(4, 60.0, 0.0);
     scene.width_px *= 2;
     let mut other = scene.faces[0].clone();
@@ -136,7 +136,8 @@ fn several_faces_have_numbers_beside_them_and_one_has_none() {
     let swapped = drawn(&[faces[1].clone(), faces[0].clone()]);
     let alone = [drawn(&faces[..1]), drawn(&faces[1..])];
     assert_eq!(both.dimensions(), alone[0].dimensions());
-    // What is on neither picture of one face is a number; those of the two faces change places with their order.
+    // Pixels that are on neither picture of one face belong to a number; the numbers change places with the order of
+    // the faces.
     let wider = both.width() / picture.image.width();
     let numbers = |drawn: &image::RgbImage| -> Vec<[u32; 2]> {
         let is_new = |(x, y, pixel): &(u32, u32, &Rgb<u8>)| {
@@ -155,7 +156,7 @@ fn several_faces_have_numbers_beside_them_and_one_has_none() {
         assert!(found.iter().filter(near).count() > 100, "no number near {x:.0}, {y:.0}");
     }
     assert_ne!(both, swapped);
-    // Ten faces and more have two digits; a face beyond the picture has its number within.
+    // Ten faces and more have two digits; a face beyond the picture's edge has its number inside.
     let mut many = vec![faces[0].clone(); 12];
     many[11].origin_px = Some([-1e5, 9e5]);
     many[11].points.clear();
@@ -163,7 +164,7 @@ fn several_faces_have_numbers_beside_them_and_one_has_none() {
 }
 
 #[test]
-fn notes_are_kept_and_make_a_face_unsure() {
+fn notes_are_kept_and_make_a_face_uncertain() {
     let (_, mut face) = example();
     assert!(!face.is_unsure());
     face.notes = vec!["the mouth lies low".to_owned()];
@@ -177,7 +178,7 @@ fn notes_are_kept_and_make_a_face_unsure() {
 }
 
 #[test]
-fn what_is_no_face_file_is_refused() {
+fn invalid_face_files_are_refused() {
     let (_, face) = example();
     let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
     let refused = |change: &dyn Fn(&mut serde_json::Value)| {
@@ -202,7 +203,7 @@ fn what_is_no_face_file_is_refused() {
     assert!(matches!(refused(&|v| v["confidence"] = (-0.5).into()), DocumentError::Value(_)));
     assert!(matches!(refused(&|v| v["triangles"][7][1] = 100_000.into()), DocumentError::Value(_)));
     let why = refused(&|v| v["features"]["nose_tip"] = 5000.into()).to_string();
-    assert!(why.contains("`features.nose_tip` is 5000: expected vertices"), "{why}");
+    assert!(why.contains("`features.nose_tip` is 5000, expected vertices"), "{why}");
     assert!(matches!(refused(&|v| v["vertices_mm"][0][0] = 1e300.into()), DocumentError::Value(_)));
     assert!(matches!(
         refused(&|v| v["vertices_mm"] = serde_json::json!([])),
@@ -210,11 +211,11 @@ fn what_is_no_face_file_is_refused() {
     ));
     assert!(matches!(refused(&|v| v["scale_px_per_mm"] = 0.into()), DocumentError::Value(_)));
     let why = refused(&|v| v["pose_deg"]["pitch"] = 200.into()).to_string();
-    assert!(why.contains("`pose_deg.pitch` is 200.0: expected"), "{why}");
+    assert!(why.contains("`pose_deg.pitch` is 200.0, expected"), "{why}");
     assert!(matches!(refused(&|v| v["source"]["sha256"] = 7.into()), DocumentError::Shape(_)));
     let why = refused(&|v| v["lines"][7][1] = 100_000.into()).to_string();
     assert!(
-        why.contains("`lines[7]` is [") && why.contains(", 100000]: expected vertices"),
+        why.contains("`lines[7]` is [") && why.contains(", 100000], expected vertices"),
         "{why}"
     );
     assert!(matches!(refused(&|v| v["source"]["name"] = "a\nb".into()), DocumentError::Value(_)));
@@ -229,7 +230,7 @@ fn what_is_no_face_file_is_refused() {
 }
 
 #[test]
-fn a_face_of_others_has_keys_of_its_own_and_leaves_out_what_nobody_knows() {
+fn foreign_documents_may_have_other_keys_and_lack_optional_ones() {
     let (photograph, face) = example();
     let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
     let read = |change: &dyn Fn(&mut serde_json::Value)| {
@@ -258,13 +259,13 @@ fn a_face_of_others_has_keys_of_its_own_and_leaves_out_what_nobody_knows() {
             (key == "source", key != "source")
         );
     }
-    // As little as a wireframe has, under the name that vertices also have; its lines are its own.
+    // The minimum of a wireframe, with the alternative name of the vertices and lines of its own.
     let least = r#"{"format":"mocapd-face","version":1,"vertices":[[0,0,0],[1,2,3]],"lines":[[0,1],[1,1]]}"#;
     let least = FittedFace::from_json(least.as_bytes()).unwrap();
     assert_eq!((least.vertices_mm.len(), &least.lines), (2, &vec![[0, 1], [1, 1]]));
     let plain = Overlay::new(&photograph, &[]).into_image();
     assert!(Overlay::new(&photograph, &[least]).into_image() == plain);
-    // More vertices than the generic face has, and more lines than a surface.
+    // More vertices than the generic face has, and more lines than a surface would have.
     let many = |vertices: usize, lines: usize| {
         let (vertices, lines) =
             (vec!["[0,0,0]"; vertices].join(","), vec!["[0,1]"; lines].join(","));
@@ -279,7 +280,7 @@ fn a_face_of_others_has_keys_of_its_own_and_leaves_out_what_nobody_knows() {
 }
 
 #[test]
-fn a_reason_is_a_short_line_whatever_the_file_says() {
+fn an_error_is_a_short_line_for_any_file() {
     let long = "x\\n\\u0007".repeat(500);
     for text in [
         format!(r#"{{"format": "mocapd-face", "version": 1, "{long}": 0}}"#),
@@ -294,10 +295,10 @@ fn a_reason_is_a_short_line_whatever_the_file_says() {
 }
 
 #[test]
-fn changed_bytes_give_an_error_or_a_face_that_holds() {
+fn changed_bytes_give_an_error_or_a_valid_face() {
     let (_, face) = example();
     let good = face.to_json().unwrap().into_bytes();
-    let mut random = Random::new(9);
+    let mut random = PictureRng::new(9);
     let mut read = 0;
     for _ in 0..400 {
         let mut bytes = good.clone();
@@ -306,7 +307,7 @@ fn changed_bytes_give_an_error_or_a_face_that_holds() {
             bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
         }
         if let Ok(again) = FittedFace::from_json(&bytes) {
-            // Whatever is read can be drawn and written.
+            // Every face that is read can be drawn and written.
             again.to_json().unwrap();
             again.to_obj();
             again.to_svg();
@@ -366,11 +367,11 @@ fn three_views_stand_in_the_svg() {
     ] {
         assert!(svg.contains(text), "{text}");
     }
-    // More than half of the triangles face each of the first two views.
+    // More than half of the triangles face the viewer in each of the first two views.
     assert!(svg.matches('Z').count() > face.triangles.len());
 }
 
-/// Writes what there is to look at into the folder that `MOCAPD_FACES_DRAWN` names.
+/// Writes outputs for visual inspection into the folder that `MOCAPD_FACES_DRAWN` names.
 #[test]
 fn outputs_to_look_at() {
     let Some(folder) = std::env::var_os("MOCAPD_FACES_DRAWN").map(std::path::PathBuf::from) else {

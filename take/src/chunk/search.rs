@@ -1,52 +1,52 @@
-//! Where the next whole chunk is: behind damage, in the part of a file that is in memory, and among chunks that are longer
-//! than that.
+//! The search for the next valid chunk after damage, both in the buffer and among chunks that are longer than the
+//! buffer.
 //!
-//! A CRC stands at the end of its chunk, which may be a gigabyte behind its head, and heads that mean nothing are
-//! everywhere in coded bytes. So for long chunks the file is read ahead once, to its end: the CRC of all bytes up to each
-//! place is known on the way, and two of these give the CRC of what lies between. What is known of each candidate is three
-//! numbers. Then the reader goes back and reads with this knowledge, and never has to try.
+//! A chunk ends with its CRC, possibly a gigabyte after its head, and encoded bytes are full of apparent heads. For
+//! long chunks the file is therefore scanned once to its end, with a running CRC: the CRCs of two prefixes give the CRC
+//! of the bytes between them, so each candidate needs only three numbers. The reader then goes back and reads with the
+//! list of valid long chunks, without trial and error.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 use super::{
-    CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, Head, crc_matches, head,
-    marks::{Marks, append, moved},
+    CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, crc_matches, head,
+    prefix_crcs::{PrefixCrcs, extend_crc, shifted_crc},
     split, types,
 };
 use crate::{foreign, stretch};
 
-/// Longest candidate that is hashed: about what the way over the marks costs.
+/// Longest candidate whose CRC is hashed directly; the way over the prefix CRCs costs about as much.
 const HASHED_BYTES: usize = 2048;
 
-/// Bytes compared with zero at once.
+/// A block of zeros, to compare many bytes at once.
 const ZEROS: [u8; 64] = [0; 64];
 
-/// What a look at some bytes found.
+/// The outcome of a search in the buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Next {
-    /// A whole chunk of a known type begins here.
-    At(usize),
-    /// None begins before here. What may begin here ends behind the bytes.
-    Until(usize),
-    /// None begins before here. What may begin here is too long for the window, and the file has to be searched for
-    /// [long chunks](Search).
-    Unknown(usize),
+pub(crate) enum ResyncOutcome {
+    /// A valid chunk of a known type begins here.
+    Found(usize),
+    /// No chunk begins before this position; one that may begin here is incomplete.
+    NotBefore(usize),
+    /// No chunk begins before this position; one that may begin here is too long for the window, so the file must be
+    /// [scanned](LongChunkScan).
+    NeedsScan(usize),
 }
 
-/// Looks for a whole chunk at or after `from`. `complete`: the file ends where the bytes do. `is_long_whole` says of a
-/// place whether a long chunk that begins there is whole, if that is known.
+/// Searches `bytes` for a valid chunk that begins at or after `from`. `complete`: the file ends with `bytes`.
+/// `is_long_whole`: whether the long chunk at a position is valid, if that is known.
 ///
-/// Every byte that may be a type is a candidate, and coded bytes are full of them, most with a length that fits. So the
-/// CRC of a long candidate is not hashed but computed from CRCs at marks: the work grows with the bytes, not with their
-/// product with the lengths. `marks` are those of the bytes, and outlive the search: the next one, behind a small chunk,
-/// meets the same bytes.
+/// Every byte with the value of a chunk type is a candidate, and encoded bytes are full of them, most with a plausible
+/// length. The CRC of a long candidate is therefore computed from prefix CRCs, not hashed: the work grows with the
+/// number of bytes, not with its product with the lengths. The next search, after a small chunk, meets the same bytes
+/// and reuses `prefixes`.
 pub(crate) fn resync(
     bytes: &[u8],
-    marks: &mut Marks,
+    prefixes: &mut PrefixCrcs,
     from: usize,
     complete: bool,
     is_long_whole: impl Fn(usize) -> Option<bool>,
-) -> Next {
+) -> ResyncOutcome {
     let mut at = from;
     while let Some(&kind) = bytes.get(at) {
         if kind == 0 {
@@ -54,93 +54,68 @@ pub(crate) fn resync(
             continue;
         }
         if types::ALL.contains(&kind) {
-            match look(bytes, at, marks) {
-                Candidate::Whole => return Next::At(at),
-                Candidate::No => {}
-                Candidate::Short if complete => {}
-                Candidate::Short => return Next::Until(at),
-                Candidate::Long if complete => {}
-                Candidate::Long => match is_long_whole(at) {
-                    Some(true) => return Next::At(at),
-                    Some(false) => {}
-                    None if may_be_one(&bytes[at..]) => return Next::Unknown(at),
-                    None => {}
+            match parse_at(bytes, at, prefixes) {
+                ChunkParse::Whole { .. } => return ResyncOutcome::Found(at),
+                ChunkParse::Short(len) if !complete && len <= CHUNK_HELD_MAX => {
+                    return ResyncOutcome::NotBefore(at);
+                }
+                // The chunk is longer than the buffer.
+                ChunkParse::Short(_) if !complete => match is_long_whole(at) {
+                    Some(true) => return ResyncOutcome::Found(at),
+                    None if may_be_long(&bytes[at..]) => return ResyncOutcome::NeedsScan(at),
+                    _ => {}
                 },
+                _ => {}
             }
         }
         at += 1;
     }
-    Next::Until(bytes.len())
+    ResyncOutcome::NotBefore(bytes.len())
 }
 
-/// What may begin somewhere.
-enum Candidate {
-    Whole,
-    No,
-    /// Its end is not in memory.
-    Short,
-    /// Nor will it be before it is known to be whole.
-    Long,
+/// Parses the chunk at `bytes[at..]` like [`parse`](super::parse), with the help of the prefix CRCs of `bytes`.
+pub(crate) fn parse_at<'a>(bytes: &'a [u8], at: usize, crcs: &mut PrefixCrcs) -> ChunkParse<'a> {
+    let parsed = split(&bytes[at..]);
+    let ChunkParse::Whole { len, .. } = parsed else { return parsed };
+    if is_whole(bytes, at, at + len, crcs) { parsed } else { ChunkParse::Damaged }
 }
 
-fn look(bytes: &[u8], at: usize, marks: &mut Marks) -> Candidate {
-    let len = match head(&bytes[at..]) {
-        Head::Bad => return Candidate::No,
-        Head::Short(_) => return Candidate::Short,
-        Head::Of { len, .. } => len,
-    };
-    let end = usize::try_from(len).ok().and_then(|len| at.checked_add(len));
-    let Some(end) = end.filter(|&end| end <= bytes.len()) else {
-        let is_long = len > CHUNK_HELD_MAX;
-        return if is_long { Candidate::Long } else { Candidate::Short };
-    };
-    if is_whole(bytes, at, end, marks) { Candidate::Whole } else { Candidate::No }
-}
-
-/// The same as [`front`](super::front) of `bytes[at..]`, with the marks of `bytes`.
-pub(crate) fn front_by_marks<'a>(bytes: &'a [u8], at: usize, marks: &mut Marks) -> Front<'a> {
-    match split(&bytes[at..]) {
-        Front::Whole { len, .. } if !is_whole(bytes, at, at + len, marks) => Front::Damaged,
-        front => front,
-    }
-}
-
-/// Whether the CRC of the chunk that is `bytes[at..end]` matches.
-fn is_whole(bytes: &[u8], at: usize, end: usize, marks: &mut Marks) -> bool {
+/// Whether the CRC of the chunk `bytes[at..end]` matches.
+fn is_whole(bytes: &[u8], at: usize, end: usize, prefixes: &mut PrefixCrcs) -> bool {
     if end - at <= HASHED_BYTES {
         return crc_matches(&bytes[at..end]);
     }
     let crc_at = end - CRC_BYTES;
-    let crc = marks.crc(bytes, at, crc_at);
+    let crc = prefixes.crc(bytes, at, crc_at);
     bytes[crc_at..].first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes())
 }
 
-/// How many zeros these bytes begin with: no type is zero, and files with holes have gigabytes of them.
+/// Number of leading zeros. No chunk type is zero, and sparse files have gigabytes of zeros.
 fn zeros(bytes: &[u8]) -> usize {
     let blocks = bytes.chunks_exact(ZEROS.len()).take_while(|block| **block == ZEROS).count();
     let at = blocks * ZEROS.len();
     at + bytes[at..].iter().take_while(|&&byte| byte == 0).count()
 }
 
-/// Candidates that are followed at once: in bytes as random as coded ones, one in 8000 looks like a long chunk, of 128 MiB
-/// on average, which makes 16 000; eight times as many take 4 MiB. Where there are more, the file was made so, and a long
-/// chunk among them may count as damaged.
+/// Most candidates tracked at the same time. In bytes as random as encoded ones, one in 8000 looks like the head of a
+/// long chunk, of 128 MiB on average, which makes 16 000; eight times as many take 4 MiB. Only a crafted file has more,
+/// and a long chunk in it may count as damaged.
 const CANDIDATES_MAX: usize = 1 << 17;
 
-/// Long chunks that are remembered: those of half a terabyte, in 1 MiB.
+/// Most long chunks remembered: half a terabyte of them, in 1 MiB.
 const FOUND_MAX: usize = 1 << 16;
 
-/// What has to be there of a candidate to be judged: head, and the front of its payload.
+/// Bytes needed to judge a candidate: its head, and the front of its payload.
 const FRONT_BYTES: usize = HEAD_BYTES_MAX + foreign::FRONT_BYTES;
 
-/// What is known of the long chunks of a file: of those that begin in `from..to`, which are whole.
+/// The result of a scan: which of the long chunks that begin in `from..to` are valid.
 #[derive(Debug, Default)]
 pub(crate) struct LongChunks {
     from: u64,
     to: u64,
-    /// In order.
+    /// Offsets of the valid ones, in order.
     whole: Vec<u64>,
-    /// Where the file ends, if it was read to there.
+    /// Size of the file, if the scan reached its end.
     end: Option<u64>,
 }
 
@@ -150,17 +125,17 @@ impl LongChunks {
         self.end.is_some_and(|file_end| file_end < end)
     }
 
-    /// Whether the long chunk that begins at `offset` is whole, if that is known.
+    /// Whether the long chunk at `offset` is valid, if that is known.
     pub(crate) fn is_whole(&self, offset: u64) -> Option<bool> {
         let known = (self.from..self.to).contains(&offset);
         known.then(|| self.whole.binary_search(&offset).is_ok())
     }
 }
 
-/// Whether the bytes behind damage look like the beginning of a long chunk: those that this version writes. The others
-/// are known only where they follow a whole chunk.
-fn may_be_one(bytes: &[u8]) -> bool {
-    let Head::Of { kind, len, head_bytes } = head(bytes) else { return false };
+/// Whether bytes after damage look like the beginning of a long chunk that this version writes. A long chunk of another
+/// type is recognised only after a valid chunk.
+fn may_be_long(bytes: &[u8]) -> bool {
+    let ChunkHead::Valid { kind, len, head_bytes } = head(bytes) else { return false };
     let payload = &bytes[head_bytes..];
     len > CHUNK_HELD_MAX
         && match kind {
@@ -170,154 +145,154 @@ fn may_be_one(bytes: &[u8]) -> bool {
         }
 }
 
-/// Where something is to be done, in order of places.
+/// A position at which the scan must act; ordered by position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Stop {
+struct ScanEvent {
     at: u64,
-    what: What,
+    kind: ScanEventKind,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum What {
+enum ScanEventKind {
     /// The CRC of a candidate is stored here.
     Crc {
-        /// Where it begins.
+        /// Where the candidate begins.
         start: u64,
-        /// The CRC of all bytes up to there.
+        /// The CRC of all scanned bytes before it.
         crc_before: u32,
-        /// It follows a whole chunk.
-        in_step: bool,
+        /// The candidate follows a valid chunk.
+        in_sync: bool,
     },
-    /// A chunk begins here, as the one before it is whole.
-    Front,
+    /// A chunk begins here, because the one before it is valid.
+    ChunkStart,
 }
 
-/// The way through a file that finds its long chunks. Bytes are pushed in, in order, and are not kept.
+/// Scans a file for long chunks. Bytes are pushed in order, and are not kept.
 #[derive(Debug)]
-pub(crate) struct Search {
+pub(crate) struct LongChunkScan {
     from: u64,
-    /// The next byte.
+    /// Offset of the next byte.
     at: u64,
-    /// Of the bytes from `from` to `at`.
+    /// CRC of the bytes from `from` to `at`.
     crc: u32,
-    stops: BinaryHeap<Reverse<Stop>>,
+    events: BinaryHeap<Reverse<ScanEvent>>,
     whole: Vec<u64>,
-    /// It began at a long chunk, which turned out to be whole: nothing else was asked for.
-    is_answered: bool,
+    /// The scan began at a long chunk that proved valid, and has nothing else to find.
+    is_done: bool,
 }
 
-impl Search {
-    /// From byte `from` on. `in_step`: a chunk begins there, as what lies before it is whole.
-    pub(crate) fn new(from: u64, in_step: bool) -> Self {
-        let mut stops = BinaryHeap::new();
-        if in_step {
-            stops.push(Reverse(Stop { at: from, what: What::Front }));
+impl LongChunkScan {
+    /// Starts at byte `from`. `in_sync`: a chunk begins there, because the bytes before it are valid.
+    pub(crate) fn new(from: u64, in_sync: bool) -> Self {
+        let mut events = BinaryHeap::new();
+        if in_sync {
+            events.push(Reverse(ScanEvent { at: from, kind: ScanEventKind::ChunkStart }));
         }
-        Self { from, at: from, crc: 0, stops, whole: Vec::new(), is_answered: false }
+        Self { from, at: from, crc: 0, events, whole: Vec::new(), is_done: false }
     }
 
-    /// Where it began: the reader goes back there.
+    /// The offset at which the scan began, and to which the reader goes back.
     pub(crate) fn from(&self) -> u64 {
         self.from
     }
 
-    /// No more bytes are needed.
-    pub(crate) fn is_answered(&self) -> bool {
-        self.is_answered
+    /// Whether the scan needs no more bytes.
+    pub(crate) fn is_done(&self) -> bool {
+        self.is_done
     }
 
-    /// What was found.
+    /// Ends the scan.
     pub(crate) fn finish(mut self) -> LongChunks {
-        // They were found in the order of their ends, and one may begin within another.
+        // Chunks were found in the order of their ends, and one may begin within another.
         self.whole.sort_unstable();
         let (to, end) =
-            if self.is_answered { (self.from + 1, None) } else { (u64::MAX, Some(self.at)) };
+            if self.is_done { (self.from + 1, None) } else { (u64::MAX, Some(self.at)) };
         LongChunks { from: self.from, to, whole: self.whole, end }
     }
 
-    /// The bytes that come next, and whether they are the last; says how many it is done with. The others have to come
-    /// again, with what follows.
+    /// Scans the next bytes; `complete` if they end the file. Returns how many are done with. The others must be pushed
+    /// again, with those after them.
     pub(crate) fn push(&mut self, bytes: &[u8], complete: bool) -> usize {
         let start = self.at;
         let end = if complete { bytes.len() } else { bytes.len().saturating_sub(FRONT_BYTES) };
         let mut from = 0;
-        while from < end && !self.is_answered {
+        while from < end && !self.is_done {
             let next = next_candidate(&bytes[..end], from);
-            self.settle(start + next as u64, start, bytes);
-            if next < end && may_be_one(&bytes[next..]) && self.stops.len() < CANDIDATES_MAX {
-                self.advance(start + next as u64, start, bytes);
-                self.follow(start + next as u64, false, &bytes[next..]);
+            self.handle_events(start + next as u64, start, bytes);
+            if next < end && may_be_long(&bytes[next..]) && self.events.len() < CANDIDATES_MAX {
+                self.update_crc(start + next as u64, start, bytes);
+                self.track(start + next as u64, false, &bytes[next..]);
             }
             from = next + 1;
         }
-        if !self.is_answered {
-            self.settle(start + end as u64, start, bytes);
-            self.advance(start + end as u64, start, bytes);
+        if !self.is_done {
+            self.handle_events(start + end as u64, start, bytes);
+            self.update_crc(start + end as u64, start, bytes);
         }
         end
     }
 
-    /// Does what is to be done before byte `to`.
-    fn settle(&mut self, to: u64, start: u64, bytes: &[u8]) {
-        while let Some(&Reverse(Stop { at, what })) = self.stops.peek() {
-            if at >= to || self.is_answered {
+    /// Handles all events before byte `to`.
+    fn handle_events(&mut self, to: u64, start: u64, bytes: &[u8]) {
+        while let Some(&Reverse(ScanEvent { at, kind })) = self.events.peek() {
+            if at >= to || self.is_done {
                 return;
             }
-            self.stops.pop();
-            self.advance(at, start, bytes);
+            self.events.pop();
+            self.update_crc(at, start, bytes);
             let Some(rest) = at.checked_sub(start).and_then(|by| bytes.get(by as usize..)) else {
                 continue;
             };
-            match what {
-                What::Front => {
-                    // A chunk that was followed more than once ends here as often; the next one is followed once.
-                    while self.stops.peek() == Some(&Reverse(Stop { at, what })) {
-                        self.stops.pop();
+            match kind {
+                ScanEventKind::ChunkStart => {
+                    // A chunk that was tracked several times ends here as often; track the next one once.
+                    while self.events.peek() == Some(&Reverse(ScanEvent { at, kind })) {
+                        self.events.pop();
                     }
-                    self.follow(at, true, rest);
+                    self.track(at, true, rest);
                 }
-                What::Crc { start: chunk, crc_before, in_step } => {
-                    let crc = self.crc ^ moved(crc_before, at - chunk);
+                ScanEventKind::Crc { start: chunk, crc_before, in_sync } => {
+                    let crc = self.crc ^ shifted_crc(crc_before, at - chunk);
                     if rest.first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes()) {
-                        self.found(chunk, at + CRC_BYTES as u64, in_step);
+                        self.add_whole(chunk, at + CRC_BYTES as u64, in_sync);
                     }
                 }
             }
         }
     }
 
-    /// A whole chunk: it is found once as a candidate, and once as what follows a whole one. The two stops are next to
-    /// each other.
-    fn found(&mut self, chunk: u64, end: u64, in_step: bool) {
+    /// Records a valid chunk. The same chunk may be found as a candidate and as the successor of a valid one; the two
+    /// events are adjacent.
+    fn add_whole(&mut self, chunk: u64, end: u64, in_sync: bool) {
         let is_known = self.whole.last() == Some(&chunk);
         if end - chunk > CHUNK_HELD_MAX && !is_known && self.whole.len() < FOUND_MAX {
             self.whole.push(chunk);
         }
-        self.is_answered = in_step && chunk == self.from;
-        self.stops.push(Reverse(Stop { at: end, what: What::Front }));
+        self.is_done = in_sync && chunk == self.from;
+        self.events.push(Reverse(ScanEvent { at: end, kind: ScanEventKind::ChunkStart }));
     }
 
-    /// Follows what begins here to its CRC.
-    fn follow(&mut self, at: u64, in_step: bool, bytes: &[u8]) {
-        if let Head::Of { len, .. } = head(bytes) {
-            let what = What::Crc { start: at, crc_before: self.crc, in_step };
-            self.stops.push(Reverse(Stop { at: at + len - CRC_BYTES as u64, what }));
+    /// Tracks the chunk that may begin at `at`, up to its CRC.
+    fn track(&mut self, at: u64, in_sync: bool, bytes: &[u8]) {
+        if let ChunkHead::Valid { len, .. } = head(bytes) {
+            let kind = ScanEventKind::Crc { start: at, crc_before: self.crc, in_sync };
+            self.events.push(Reverse(ScanEvent { at: at + len - CRC_BYTES as u64, kind }));
         }
     }
 
-    /// The CRC up to byte `to`.
-    fn advance(&mut self, to: u64, start: u64, bytes: &[u8]) {
+    /// Updates the running CRC up to byte `to`.
+    fn update_crc(&mut self, to: u64, start: u64, bytes: &[u8]) {
         let part = |at: u64| at.checked_sub(start).and_then(|by| usize::try_from(by).ok());
         if let (Some(from), Some(end)) = (part(self.at), part(to))
             && let Some(passed) = bytes.get(from..end)
         {
-            self.crc = append(self.crc, passed);
+            self.crc = extend_crc(self.crc, passed);
             self.at = to;
         }
     }
 }
 
-/// The first place at or after `from` whose byte is a type that a long chunk may have, or the end.
+/// The first position at or after `from` with the type of a long chunk, or the end.
 fn next_candidate(bytes: &[u8], from: usize) -> usize {
     let mut at = from;
     while let Some(&byte) = bytes.get(at) {
@@ -337,10 +312,10 @@ mod tests {
     use mocapd_testkit::random::Random;
 
     use super::*;
-    use crate::chunk::{front, put};
+    use crate::chunk::{parse, put};
 
-    fn next(bytes: &[u8]) -> Next {
-        resync(bytes, &mut Marks::default(), 1, true, |_| None)
+    fn next(bytes: &[u8]) -> ResyncOutcome {
+        resync(bytes, &mut PrefixCrcs::default(), 1, true, |_| None)
     }
 
     #[test]
@@ -353,12 +328,12 @@ mod tests {
             for flip in 1..=255_u8 {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= flip;
-                assert_eq!(next(&damaged), Next::At(len), "{at} {flip}");
+                assert_eq!(next(&damaged), ResyncOutcome::Found(len), "{at} {flip}");
             }
         }
     }
 
-    /// Long chunks of bytes as random as coded ones are: every second candidate has a length that fits.
+    /// Long chunks of bytes as random as encoded ones: every second candidate has a plausible length.
     #[test]
     fn the_next_chunk_is_found_behind_a_long_damaged_one() {
         let mut random = Random::new(1);
@@ -370,12 +345,14 @@ mod tests {
             put(&mut bytes, types::STRETCH, &payload(2_000_000)).unwrap();
         }
         bytes[150_000] ^= 1;
-        assert_eq!(front(&bytes), Front::Damaged);
-        assert_eq!(next(&bytes), Next::At(found));
-        // With its end not there yet, nothing behind its beginning is judged.
-        let marks = &mut Marks::default();
-        let found_part = resync(&bytes[..found + 1000], marks, 1, false, |_| Some(false));
-        let Next::Until(at) = found_part else { panic!("the end of the next chunk is not there") };
+        assert_eq!(parse(&bytes), ChunkParse::Damaged);
+        assert_eq!(next(&bytes), ResyncOutcome::Found(found));
+        // Without the end of the next chunk, nothing after its beginning is judged.
+        let prefixes = &mut PrefixCrcs::default();
+        let found_part = resync(&bytes[..found + 1000], prefixes, 1, false, |_| Some(false));
+        let ResyncOutcome::NotBefore(at) = found_part else {
+            panic!("the end of the next chunk is not there")
+        };
         assert!(at <= found);
     }
 
@@ -389,7 +366,7 @@ mod tests {
         }
     }
 
-    /// A FOREIGN of zeros that is just too long to be held.
+    /// A FOREIGN chunk of zeros, just too long to be buffered.
     fn long_chunk() -> Vec<u8> {
         let mut payload = vec![1, b'a', 0];
         payload.resize(CHUNK_HELD_MAX as usize, 0);
@@ -398,29 +375,29 @@ mod tests {
         chunk
     }
 
-    /// Each of them would be followed once for every one before it, if a match were counted as often as it is found:
-    /// after 362 chunks 65 703 matches would have filled the list.
+    /// If each match were counted as often as it is found, each chunk would be tracked once for every one before it:
+    /// after 362 chunks, 65 703 matches would fill the list.
     #[test]
     fn each_of_many_long_chunks_behind_damage_is_found_once() {
         const CHUNKS: usize = 400;
         let chunk = long_chunk();
-        let mut search = Search::new(0, false);
+        let mut scan = LongChunkScan::new(0, false);
         let mut waiting = VecDeque::from([0_u8; 100]);
-        let (mut offsets, mut at, mut stops_max) = (Vec::new(), waiting.len() as u64, 0);
+        let (mut offsets, mut at, mut events_max) = (Vec::new(), waiting.len() as u64, 0);
         for number in 0..CHUNKS {
             offsets.push(at);
             at += chunk.len() as u64;
             waiting.extend(&chunk);
-            let done = search.push(waiting.make_contiguous(), number + 1 == CHUNKS);
+            let done = scan.push(waiting.make_contiguous(), number + 1 == CHUNKS);
             waiting.drain(..done);
-            stops_max = stops_max.max(search.stops.len());
+            events_max = events_max.max(scan.events.len());
         }
-        let found = search.whole.len();
-        let long = search.finish();
+        let found = scan.whole.len();
+        let long = scan.finish();
         let missed = offsets.iter().position(|&offset| long.is_whole(offset) != Some(true));
         assert_eq!((missed, found), (None, CHUNKS));
-        // The chunk that is followed as a candidate and as what follows a whole one.
-        assert!(stops_max <= 2, "{stops_max}");
+        // The chunk is tracked as a candidate and as the successor of a valid chunk.
+        assert!(events_max <= 2, "{events_max}");
         assert_eq!(long.is_whole(offsets[1] + 1), Some(false));
     }
 }

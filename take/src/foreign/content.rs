@@ -1,42 +1,40 @@
-//! The bytes of a foreign part: in memory, or in a scratch file where they are many.
+//! The content of a foreign part: in memory, or in a scratch file if it is large.
 
 use std::{
     fmt::Debug,
     io::{self, BufRead, BufReader, Read},
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::AtomicU64, atomic::Ordering},
 };
 
-/// Bytes of all foreign parts of a take that are held in memory; the others lie in a scratch file. Parameters and header
-/// lines, which every take of a C3D or TRC file has, are a few kB, and the analog data of a short trial a few hundred.
+/// Most bytes of all foreign parts of a take in memory; further parts go into a scratch file. Parameters and header
+/// lines, which every imported C3D or TRC file has, take a few kB; the analog data of a short trial takes a few
+/// hundred.
 const HELD_BYTES_MAX: u64 = 8 << 20;
 
-/// A temporary file, which the caller provides: this crate opens none.
+/// A temporary file. The caller provides it, because this crate opens no files.
 pub trait ScratchFile: Debug + Send + Sync {
-    /// Reads the bytes from `at` on, which were written.
+    /// Fills `bytes` from byte `at` of the file.
     ///
     /// # Errors
     /// Those of the file.
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()>;
 
-    /// Writes bytes from `at` on; the file grows as it must.
+    /// Writes `bytes` at byte `at`; the file grows as needed.
     ///
     /// # Errors
-    /// Those of the file: a full disk, for one.
+    /// Those of the file, such as a full disk.
     fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()>;
 }
 
-/// Bytes that are compared or copied at once.
+/// Size of one comparison or copy.
 const BLOCK_BYTES: usize = 1 << 16;
 
 /// The bytes of a foreign part.
 #[derive(Debug, Clone)]
-pub struct Content(Place);
+pub struct Content(Storage);
 
 #[derive(Debug, Clone)]
-enum Place {
+enum Storage {
     Memory(Vec<u8>),
     /// `len` bytes of a file, from byte `from` on.
     Scratch {
@@ -47,22 +45,22 @@ enum Place {
 }
 
 impl Content {
-    /// How many there are.
+    /// Number of bytes.
     #[must_use]
     pub fn len(&self) -> u64 {
         match &self.0 {
-            Place::Memory(bytes) => bytes.len() as u64,
-            Place::Scratch { len, .. } => *len,
+            Storage::Memory(bytes) => bytes.len() as u64,
+            Storage::Scratch { len, .. } => *len,
         }
     }
 
-    /// Whether there are none.
+    /// Whether there are no bytes.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// All of them, if there are at most `max`.
+    /// All bytes; `None` if there are more than `max`.
     ///
     /// # Errors
     /// Those of the scratch file.
@@ -75,52 +73,50 @@ impl Content {
         Ok(Some(bytes))
     }
 
-    /// Reads those from byte `at` on.
+    /// Fills `bytes` from byte `at` on.
     ///
     /// # Errors
-    /// `UnexpectedEof` where there are fewer; those of the scratch file.
+    /// `UnexpectedEof` beyond the end; those of the scratch file.
     pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
         match &self.0 {
-            Place::Memory(held) => {
-                let held = held.get(at as usize..end as usize);
-                bytes.copy_from_slice(held.ok_or(io::ErrorKind::UnexpectedEof)?);
+            Storage::Memory(held) => {
+                bytes.copy_from_slice(&held[at as usize..end as usize]);
                 Ok(())
             }
-            Place::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
+            Storage::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
         }
     }
 
-    /// All of them, from the first.
+    /// A reader of all bytes.
     pub(crate) fn reader(&self) -> impl BufRead {
         BufReader::with_capacity(BLOCK_BYTES, ContentReader { content: self, at: 0 })
     }
 
-    /// All of them, to be taken apart.
+    /// A slice of all bytes.
     pub(crate) fn as_slice(&self) -> ContentSlice<'_> {
         ContentSlice { content: self, from: 0, len: self.len() }
     }
 
-    /// A copy that can be [overwritten](Self::write_at): a clone of bytes in a file shares them.
+    /// A copy that can be [overwritten](Self::write_at); a clone shares the bytes of a scratch file.
     pub(crate) fn copy(&self) -> io::Result<Self> {
         match &self.0 {
-            Place::Memory(_) => Ok(self.clone()),
-            Place::Scratch { scratch, len, .. } => scratch.put(&mut self.reader(), *len),
+            Storage::Memory(_) => Ok(self.clone()),
+            Storage::Scratch { scratch, len, .. } => scratch.put(&mut self.reader(), *len),
         }
     }
 
-    /// Overwrites those from byte `at` on.
+    /// Overwrites the bytes from `at` on.
     pub(crate) fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
         match &mut self.0 {
-            Place::Memory(held) => {
-                let held = held.get_mut(at as usize..end as usize);
-                held.ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(bytes);
+            Storage::Memory(held) => {
+                held[at as usize..end as usize].copy_from_slice(bytes);
                 Ok(())
             }
-            Place::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),
+            Storage::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),
         }
     }
 }
@@ -133,14 +129,14 @@ impl Default for Content {
 
 impl From<Vec<u8>> for Content {
     fn from(bytes: Vec<u8>) -> Self {
-        Self(Place::Memory(bytes))
+        Self(Storage::Memory(bytes))
     }
 }
 
-/// By their bytes, wherever they lie; bytes that cannot be read are equal to none.
+/// Compares the bytes, wherever they are stored. Bytes that cannot be read equal nothing.
 impl PartialEq for Content {
     fn eq(&self, other: &Self) -> bool {
-        if let (Place::Memory(a), Place::Memory(b)) = (&self.0, &other.0) {
+        if let (Storage::Memory(a), Storage::Memory(b)) = (&self.0, &other.0) {
             return a == b;
         }
         let [mut a, mut b] = [[0; BLOCK_BYTES]; 2];
@@ -167,7 +163,7 @@ impl Read for ContentReader<'_> {
     }
 }
 
-/// A range of a content, as `&[u8]` is one of bytes in memory.
+/// A range of a content, like a `&[u8]` of bytes in memory.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ContentSlice<'a> {
     content: &'a Content,
@@ -176,23 +172,23 @@ pub(crate) struct ContentSlice<'a> {
 }
 
 impl<'a> ContentSlice<'a> {
-    /// How many bytes it has.
+    /// Number of bytes.
     pub(crate) fn len(&self) -> u64 {
         self.len
     }
 
-    /// Where in its content it begins.
+    /// Its first byte's position in the content.
     pub(crate) fn from(&self) -> u64 {
         self.from
     }
 
-    /// The first `at` bytes, and the others; `None` where there are fewer.
+    /// Splits off the first `at` bytes; `None` if there are fewer.
     pub(crate) fn split_at(self, at: u64) -> Option<(Self, Self)> {
         let rest = self.len.checked_sub(at)?;
         Some((Self { len: at, ..self }, Self { from: self.from + at, len: rest, ..self }))
     }
 
-    /// Reads the first `N` bytes, and says what follows; `None` where there are fewer.
+    /// Reads the first `N` bytes and returns them with the rest; `None` if there are fewer.
     pub(crate) fn split_array<const N: usize>(self) -> io::Result<Option<([u8; N], Self)>> {
         let Some((_, rest)) = self.split_at(N as u64) else { return Ok(None) };
         let mut bytes = [0; N];
@@ -200,19 +196,19 @@ impl<'a> ContentSlice<'a> {
         Ok(Some((bytes, rest)))
     }
 
-    /// Reads the bytes from its byte `at` on.
+    /// Fills `bytes` from its byte `at` on.
     pub(crate) fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         self.content.read_at(self.from.saturating_add(at), bytes)
     }
 
-    /// All of it, from its first byte.
+    /// A reader of its bytes.
     pub(crate) fn reader(self) -> impl BufRead + use<'a> {
         let reader = ContentReader { content: self.content, at: self.from };
         BufReader::with_capacity(BLOCK_BYTES, reader.take(self.len))
     }
 }
 
-/// A scratch file that contents are appended to.
+/// A scratch file to which contents are appended.
 #[derive(Debug)]
 struct Scratch {
     file: Arc<dyn ScratchFile>,
@@ -221,7 +217,7 @@ struct Scratch {
 }
 
 impl Scratch {
-    /// Puts what `input` gives, but never more than one byte more than `len`.
+    /// Appends the bytes of `input`, at most `len + 1`.
     fn put(self: &Arc<Self>, input: &mut impl Read, len: u64) -> io::Result<Content> {
         let from = self.end.fetch_add(len.saturating_add(1), Ordering::Relaxed);
         let mut input = input.take(len.saturating_add(1));
@@ -237,11 +233,11 @@ impl Scratch {
             self.file.write_at(from + written, &block[..n])?;
             written += n as u64;
         }
-        Ok(Content(Place::Scratch { scratch: Arc::clone(self), from, len: written }))
+        Ok(Content(Storage::Scratch { scratch: Arc::clone(self), from, len: written }))
     }
 }
 
-/// Where the foreign parts of a take are put: the first in memory, the others in a scratch file.
+/// Stores the foreign parts of a take: the first ones in memory, the rest in a scratch file.
 #[derive(Debug)]
 pub(crate) struct Spool<F> {
     new_scratch: F,
@@ -250,12 +246,12 @@ pub(crate) struct Spool<F> {
 }
 
 impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
-    /// With a scratch file that is made when it is needed.
+    /// Creates a spool; `new_scratch` is called when the scratch file is first needed.
     pub(crate) fn new(new_scratch: F) -> Self {
         Self { new_scratch, held_bytes: 0, scratch: None }
     }
 
-    /// Puts what `input` gives, which should be `len` bytes, and is never more than one byte more.
+    /// Stores the bytes of `input`, at most `len + 1`, so that a longer input shows.
     pub(crate) fn put(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
         let held_bytes = self.held_bytes.saturating_add(len);
         if held_bytes > HELD_BYTES_MAX {
@@ -268,7 +264,7 @@ impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
             };
             return scratch.put(input, len);
         }
-        // Grows with what really comes: a few damaged bytes claim any length.
+        // Memory grows with the actual input; a few damaged bytes can claim any length.
         let mut bytes = Vec::new();
         input.take(len + 1).read_to_end(&mut bytes)?;
         self.held_bytes = held_bytes;
@@ -315,7 +311,7 @@ mod tests {
         let lengths = [0, 5, 70_000, HELD_BYTES_MAX, 0, HELD_BYTES_MAX + 3];
         for len in lengths {
             let content = spool.put(&mut &bytes(len)[..], len).unwrap();
-            let is_in_file = matches!(content.0, Place::Scratch { .. });
+            let is_in_file = matches!(content.0, Storage::Scratch { .. });
             assert_eq!(is_in_file, len >= HELD_BYTES_MAX, "{len}");
             assert_eq!(content, bytes(len).into());
             assert_eq!(content.to_vec(len).unwrap().unwrap(), bytes(len));

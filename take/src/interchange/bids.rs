@@ -1,13 +1,12 @@
-//! A dataset of one recording after the Brain Imaging Data Structure, motion
-//! (bids-specification.readthedocs.io, "Motion").
+//! A dataset of one recording in the Brain Imaging Data Structure (bids-specification.readthedocs.io, "Motion").
 //!
 //! ```text
 //! dataset_description.json  README.md  participants.tsv  participants.json
-//! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    a column a coordinate, no head
+//! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    one column a coordinate, no header
 //!                                                 _motion.json
-//!                                                 _channels.tsv what each column is
+//!                                                 _channels.tsv description of each column
 //!                                                 _channels.json
-//!                                                 _events.tsv   where there are events
+//!                                                 _events.tsv   if there are events
 //!                                                 _events.json
 //! ```
 
@@ -17,41 +16,41 @@ use serde::Serializer;
 use serde_json::{Value, json};
 
 use super::{
-    InterchangeError, Result, expect_frames, put_position,
-    text::{column_labels, plain},
-    write_frames,
+    InterchangeError, Result, check_frame_count, put_position,
+    text::{column_labels, without_tabs},
+    unsupported, write_frames,
 };
 use crate::motion::{FrameSource, MotionInfo};
 
 /// The version of the specification that the dataset follows.
 const BIDS_VERSION: &str = "1.10.0";
-/// What stands in a table where nothing does.
+/// The mark for a missing value.
 const MISSING: &str = "n/a";
 
-/// Subject and task, as file names have them: letters and digits alone.
+/// The labels of subject and task in file names: ASCII letters and digits.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Names {
+pub struct BidsLabels {
     subject: String,
     task: String,
 }
 
-impl Names {
-    /// Checks both.
+impl BidsLabels {
+    /// Checks both labels.
     ///
     /// # Errors
-    /// `Unsupported` when one is empty or has anything but letters and digits of ASCII.
+    /// `Unsupported` if a label is empty or has characters other than ASCII letters and digits.
     pub fn new(subject: &str, task: &str) -> Result<Self> {
         for (what, name) in [("subject", subject), ("task", task)] {
             if name.is_empty() || !name.bytes().all(|b| b.is_ascii_alphanumeric()) {
                 return Err(InterchangeError::Unsupported(format!(
-                    "the {what} `{name}` does not fit into a file name of bids: use letters a to z and digits"
+                    "the {what} `{name}` cannot be part of a BIDS file name: use letters a to z and digits"
                 )));
             }
         }
         Ok(Self { subject: subject.to_owned(), task: task.to_owned() })
     }
 
-    /// The task that a take's name gives: its letters and digits, or `recording` where it has none.
+    /// A task label from a take's name: its ASCII letters and digits, at most 64, or `recording` if it has none.
     #[must_use]
     pub fn task_of(name: &str) -> String {
         let task: String = name.chars().filter(char::is_ascii_alphanumeric).take(64).collect();
@@ -77,45 +76,47 @@ impl Names {
     }
 }
 
-/// Where the files of a format that is a folder go.
-pub trait Folder {
-    /// Begins a file that is not there yet, `/` between the folders on the way to it.
+/// Creates the files of a dataset.
+pub trait DatasetFolder {
+    /// Creates a new file; `path` is relative, with `/` between folders.
     ///
     /// # Errors
-    /// Whatever creating it meets.
+    /// Those of creating the file.
     fn file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>>;
 }
 
-/// Writes a whole dataset. Positions are millimetres, a missing sample three times `n/a`; events count from the first
-/// frame, in seconds.
+/// Writes a dataset. Positions are in millimetres, a missing sample is three `n/a`, and the onsets of events are in
+/// seconds from the first frame.
 ///
 /// # Errors
-/// `Unsupported` for no markers at all; `Io`.
-pub fn write(frames: &mut dyn FrameSource, names: &Names, folder: &mut dyn Folder) -> Result<()> {
+/// `Unsupported` for a take without markers; `Io` if reading or writing fails.
+pub fn write(
+    frames: &mut dyn FrameSource,
+    names: &BidsLabels,
+    folder: &mut dyn DatasetFolder,
+) -> Result<()> {
     let info = frames.info().clone();
     if info.markers.is_empty() {
-        return Err(InterchangeError::Unsupported(
-            "bids needs a channel at least: the take has no markers".to_owned(),
-        ));
+        return unsupported("BIDS needs at least one channel, but the take has no markers");
     }
     let mut put = |path: &str, content: &[u8]| {
         let mut file = folder.file(path)?;
         file.write_all(content)?;
         file.flush()
     };
-    put("dataset_description.json", &dataset(names)?)?;
+    put("dataset_description.json", &dataset_json(names)?)?;
     put("README.md", readme(names, &info).as_bytes())?;
     put("participants.tsv", format!("participant_id\nsub-{}\n", names.subject()).as_bytes())?;
-    put("participants.json", &participants()?)?;
-    put(&names.path("motion.json"), &motion(names, &info)?)?;
-    put(&names.path("channels.tsv"), channels(&info).as_bytes())?;
-    put(&names.path("channels.json"), &about_channels(&info)?)?;
+    put("participants.json", &participants_json()?)?;
+    put(&names.path("motion.json"), &motion_json(names, &info)?)?;
+    put(&names.path("channels.tsv"), channels_tsv(&info).as_bytes())?;
+    put(&names.path("channels.json"), &channels_json(&info)?)?;
     if !info.events.is_empty() {
-        put(&names.path("events.tsv"), events(&info).as_bytes())?;
-        put(&names.path("events.json"), &about_events()?)?;
+        put(&names.path("events.tsv"), events_tsv(&info).as_bytes())?;
+        put(&names.path("events.json"), &events_json()?)?;
     }
     let mut out = folder.file(&names.path("motion.tsv"))?;
-    // One line a frame, without a line of names.
+    // BIDS wants no column names in this file: channels.tsv has them.
     let n_written = write_frames(frames, &mut *out, Vec::new(), |line, _, row| {
         for (column, &position) in row.iter().enumerate() {
             line.extend((column > 0).then_some(b'\t'));
@@ -124,11 +125,11 @@ pub fn write(frames: &mut dyn FrameSource, names: &Names, folder: &mut dyn Folde
         line.push(b'\n');
         Ok(())
     })?;
-    Ok(expect_frames(info.n_frames, n_written)?)
+    Ok(check_frame_count(info.n_frames, n_written)?)
 }
 
-/// What each column of the motion is.
-fn channels(info: &MotionInfo) -> String {
+/// The table of the columns of motion.tsv.
+fn channels_tsv(info: &MotionInfo) -> String {
     let mut table = "name\tcomponent\ttype\ttracked_point\tunits\treference_frame\n".to_owned();
     for label in column_labels(info) {
         let label = cell(&label);
@@ -139,23 +140,24 @@ fn channels(info: &MotionInfo) -> String {
     table
 }
 
-fn events(info: &MotionInfo) -> String {
+fn events_tsv(info: &MotionInfo) -> String {
     let mut table = "onset\tduration\ttrial_type\tkind\n".to_owned();
     for event in &info.events {
         let onset = event.frame as f64 / info.rate_hz;
-        let (label, kind) = (cell(event.label()), event.kind.word());
+        let (label, kind) = (cell(event.label()), event.kind.name());
         table.push_str(&format!("{onset}\t0\t{label}\t{kind}\n"));
     }
     table
 }
 
-/// A text as a cell of a table: never empty, and without spaces at its ends.
+/// A text as a table cell: without spaces at its ends, and `n/a` if empty.
 fn cell(text: &str) -> String {
-    let text = plain(text);
+    let text = without_tabs(text);
     let text = text.trim();
     if text.is_empty() { MISSING.to_owned() } else { text.to_owned() }
 }
-/// A JSON document of these members, in this order.
+
+/// A JSON document with these members, in this order.
 fn json(members: impl IntoIterator<Item = (&'static str, Value)>) -> io::Result<Vec<u8>> {
     let mut document = Vec::new();
     serde_json::Serializer::pretty(&mut document).collect_map(members)?;
@@ -163,17 +165,14 @@ fn json(members: impl IntoIterator<Item = (&'static str, Value)>) -> io::Result<
     Ok(document)
 }
 
-/// A number as short as it can be: 100 Hz are not 100.0 Hz.
+/// A number as JSON, without decimals if it is whole: 100, not 100.0.
 fn number(value: f64) -> Value {
     if value.fract() == 0.0 { json!(value as u64) } else { json!(value) }
 }
 
-fn dataset(names: &Names) -> io::Result<Vec<u8>> {
-    let generator = json!({
-        "Name": "mocapd",
-        "Version": env!("CARGO_PKG_VERSION"),
-        "Description": "mocapd export",
-    });
+fn dataset_json(names: &BidsLabels) -> io::Result<Vec<u8>> {
+    let version = env!("CARGO_PKG_VERSION");
+    let generator = json!({ "Name": "mocapd", "Version": version, "Description": "mocapd export" });
     json([
         ("Name", format!("Optical motion capture: {}", names.task()).into()),
         ("BIDSVersion", BIDS_VERSION.into()),
@@ -182,14 +181,14 @@ fn dataset(names: &Names) -> io::Result<Vec<u8>> {
     ])
 }
 
-fn readme(names: &Names, info: &MotionInfo) -> String {
+fn readme(names: &BidsLabels, info: &MotionInfo) -> String {
     format!(
         "# Optical motion capture: {}\n\n\
          One recording of subject {}: {} markers, {} frames at {} Hz.\n\
-         Positions are millimetres; `{MISSING}` stands where a marker was not seen.\n\n\
-         Made by mocapd {} from a take.\n\
-         Whose motion it is, how it was recorded, and on what terms it may be used belongs here: please add it, \
-         and in `dataset_description.json` its authors and licence.\n",
+         Positions are in millimetres; `{MISSING}` marks samples in which a marker was not seen.\n\n\
+         Exported by mocapd {} from a take.\n\
+         Please add here who was recorded, how, and on what terms the data may be used, \
+         and add the authors and the licence to `dataset_description.json`.\n",
         names.task(),
         names.subject(),
         info.markers.len(),
@@ -199,14 +198,14 @@ fn readme(names: &Names, info: &MotionInfo) -> String {
     )
 }
 
-fn participants() -> io::Result<Vec<u8>> {
+fn participants_json() -> io::Result<Vec<u8>> {
     json([("participant_id", json!({ "Description": "Unique label of the participant" }))])
 }
 
-fn motion(names: &Names, info: &MotionInfo) -> io::Result<Vec<u8>> {
+fn motion_json(names: &BidsLabels, info: &MotionInfo) -> io::Result<Vec<u8>> {
     let n_markers = info.markers.len();
-    // Channels that there are none of: the specification recommends to say so.
-    let none = [
+    // The specification recommends stating a count of 0 for channel types that are absent.
+    let absent = [
         "ACCELChannelCount",
         "ANGACCELChannelCount",
         "GYROChannelCount",
@@ -217,7 +216,7 @@ fn motion(names: &Names, info: &MotionInfo) -> io::Result<Vec<u8>> {
         "ORNTChannelCount",
         "VELChannelCount",
     ];
-    let about = [
+    let fields = [
         ("TaskName", names.task().into()),
         ("SamplingFrequency", number(info.rate_hz)),
         ("TrackingSystemName", "optical".into()),
@@ -228,36 +227,33 @@ fn motion(names: &Names, info: &MotionInfo) -> io::Result<Vec<u8>> {
         ("TrackedPointsCount", n_markers.into()),
         ("MissingValues", MISSING.into()),
     ];
-    json(none.map(|name| (name, 0.into())).into_iter().chain(about))
+    json(absent.map(|name| (name, 0.into())).into_iter().chain(fields))
 }
 
-fn about_channels(info: &MotionInfo) -> io::Result<Vec<u8>> {
+fn channels_json(info: &MotionInfo) -> io::Result<Vec<u8>> {
     let up = match info.up.name() {
         Some(axis) => format!("{axis} points up"),
-        None => "which axis points up is not known".to_owned(),
+        None => "the axis that points up is not known".to_owned(),
     };
-    let global = json!({
-        "RotationRule": "right-hand",
-        "Description": format!("The axes of the tracking system, right-handed; {up}"),
-    });
+    let axes = format!("The axes of the tracking system, right-handed; {up}");
     let frame = json!({
-        "Description": "What the coordinates are relative to",
-        "Levels": { "global": global },
+        "Description": "The coordinate system of the positions",
+        "Levels": { "global": { "RotationRule": "right-hand", "Description": axes } },
     });
     json([("reference_frame", frame)])
 }
 
-fn about_events() -> io::Result<Vec<u8>> {
+fn events_json() -> io::Result<Vec<u8>> {
     let levels = json!({
-        "mark": "Marked by an operator, or by the file that was imported",
+        "mark": "Marked by an operator, or an event of the imported file",
         "trigger": "A trigger input of the device",
         "sync pulse": "A sync pulse of the device",
-        "device": "Said by the device",
-        "host": "Noticed by the recorder",
+        "device": "Reported by the device",
+        "host": "Detected by the recorder",
     });
     json([
-        ("trial_type", json!({ "Description": "What happened, in words" })),
-        ("kind", json!({ "Description": "Who noticed it", "Levels": levels })),
+        ("trial_type", json!({ "Description": "Label of the event" })),
+        ("kind", json!({ "Description": "Origin of the event", "Levels": levels })),
     ])
 }
 
@@ -267,7 +263,7 @@ mod tests {
 
     #[test]
     fn names_are_letters_and_digits() {
-        let names = Names::new("01", "walk2").unwrap();
+        let names = BidsLabels::new("01", "walk2").unwrap();
         assert_eq!(
             names.path("motion.tsv"),
             "sub-01/motion/sub-01_task-walk2_tracksys-optical_motion.tsv"
@@ -275,10 +271,10 @@ mod tests {
         for (subject, task) in
             [("", "a"), ("a", ""), ("a b", "c"), ("../a", "c"), ("a", "gehen_\u{e4}")]
         {
-            assert!(Names::new(subject, task).is_err(), "{subject} {task}");
+            assert!(BidsLabels::new(subject, task).is_err(), "{subject} {task}");
         }
-        assert_eq!(Names::task_of("squat_jump-47m 120hz"), "squatjump47m120hz");
-        assert_eq!(Names::task_of("\u{e4}"), "recording");
+        assert_eq!(BidsLabels::task_of("squat_jump-47m 120hz"), "squatjump47m120hz");
+        assert_eq!(BidsLabels::task_of("\u{e4}"), "recording");
     }
 
     #[test]

@@ -1,11 +1,11 @@
-//! The field's formats: C3D, TRC, QTM TSV and CSV, in and out; `NumPy` archives, XDF and BIDS out, and with the feature
-//! `full` Parquet and MCAP.
+//! Import and export of the field's file formats: C3D, TRC, QTM TSV and CSV in both directions; `NumPy` archives, XDF
+//! and BIDS for export, and with the feature `full` also Parquet and MCAP.
 //!
-//! Every importer turns the bytes of a whole file into a [`Motion`] in millimetres: each coordinate is the number
-//! as stored or printed, multiplied in f64 by one factor and rounded once to f32. What was found wrong and could
-//! be read all the same stands in [`crate::motion::Source::warnings`]. What a file holds beside marker
-//! trajectories is kept in [`crate::motion::Foreign`] (`docs/foreign.md`).
-//! Every exporter writes frames as they come.
+//! An importer turns the bytes of a whole file into a [`Motion`] in millimetres: it multiplies each coordinate as
+//! stored or printed by one factor in f64 and rounds once to f32. It reads a faulty file where that is possible and
+//! lists the faults in [`crate::motion::Source::warnings`]. Analog samples, residuals, parameters and everything else
+//! that is not a trajectory goes into [`crate::motion::Foreign`] (`docs/foreign.md`).
+//! An exporter streams: it writes each frame as the source delivers it.
 
 use std::io::{self, Write};
 
@@ -14,89 +14,90 @@ use crate::{
     motion::{FrameSource, GAP, Motion, MotionInfo, Position, UpAxis, is_gap},
 };
 
-#[cfg(feature = "full")]
-mod about;
 pub mod bids;
 mod c3d;
 mod csv;
-mod line_frames;
 #[cfg(feature = "full")]
 mod mcap;
+#[cfg(feature = "full")]
+mod metadata;
 pub mod npz;
 mod origin;
 #[cfg(feature = "full")]
 mod parquet;
+mod rotated;
+mod rotation;
+mod row_timing;
 mod table;
 mod text;
 mod trc;
 mod tsv;
-mod turn;
-mod turned;
 mod units;
 mod xdf;
 mod zip;
 
+pub use rotated::RotatedFrames;
+pub use rotation::Direction;
 pub use text::column_labels;
-pub use turn::Direction;
-pub use turned::Turned;
 pub use units::LengthUnit;
 
-use turn::Turn;
+use rotation::Rotation;
 
-/// A format by name.
+/// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// C3D, binary.
+    /// C3D, the binary format of biomechanics.
     C3d,
-    /// Track Row Column, text.
+    /// Track Row Column, the text format of `OpenSim` and Cortex.
     Trc,
     /// Qualisys Track Manager's text export.
     Tsv,
-    /// Ours; of others, the `time,head_x,...` dialect and Motive's export are read, and so is the long layout.
+    /// CSV with one row a frame. Reading also accepts the `time,head_x,...` dialect, Motive's export and the long
+    /// layout.
     Csv,
-    /// Apache Parquet, a row a sample; written only, with the feature `full`.
+    /// Apache Parquet with one row a sample; export only, with the feature `full`.
     Parquet,
-    /// The same, a row a frame.
+    /// Apache Parquet with one row a frame; export only, with the feature `full`.
     ParquetWide,
-    /// MCAP with Foxglove's schemas; written only, with the feature `full`.
+    /// MCAP with Foxglove's schemas; export only, with the feature `full`.
     Mcap,
     /// CSV with one row a sample.
     CsvLong,
-    /// An archive of `NumPy` arrays; written only, by [`npz::write`].
+    /// An archive of `NumPy` arrays; export only, by [`npz::write`].
     Npz,
-    /// Lab Streaming Layer's recordings; written only.
+    /// XDF, the recording format of Lab Streaming Layer; export only.
     Xdf,
-    /// A folder after the Brain Imaging Data Structure; written only, by [`bids::write`].
+    /// A folder in the Brain Imaging Data Structure; export only, by [`bids::write`].
     Bids,
 }
 
-/// What a file holds beside trajectories.
-struct Holds {
-    /// What the kinds of its foreign parts begin with.
+/// What files of a format can hold besides trajectories.
+struct Capabilities {
+    /// Prefix of the foreign parts that an export restores, such as `c3d/`.
     foreign: Option<&'static str>,
-    /// Which axis is up.
+    /// Whether the format states which axis is up.
     up_axis: bool,
-    /// Most events.
+    /// Most events that fit.
     events_max: usize,
 }
 
 type Result<T, E = InterchangeError> = std::result::Result<T, E>;
 
-/// Why bytes could not be read as a format, or trajectories not written.
+/// Why a file could not be read, or trajectories could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InterchangeError {
-    /// Not that format, or nothing usable in it.
+    /// The bytes are not of that format, or hold nothing usable.
     #[error("{format} {place}: {message}")]
     Malformed {
         /// `c3d`, `trc`, `tsv` or `csv`.
         format: &'static str,
-        /// Where: `line 4`, `byte 512`...
+        /// Where the error is: `line 4`, `byte 512`...
         place: String,
         /// What was expected, what was found, and what to do.
         message: String,
     },
-    /// The trajectories cannot be said in that format.
+    /// The format cannot hold these trajectories, or this build cannot write it.
     #[error("{0}")]
     Unsupported(String),
     /// Reading the source or writing the output failed.
@@ -105,17 +106,17 @@ pub enum InterchangeError {
 }
 
 impl InterchangeError {
-    fn malformed(
-        format: &'static str,
-        place: impl Into<String>,
-        message: impl Into<String>,
-    ) -> Self {
-        Self::Malformed { format, place: place.into(), message: message.into() }
+    fn malformed(format: &'static str, place: &str, message: impl Into<String>) -> Self {
+        Self::Malformed { format, place: place.to_owned(), message: message.into() }
     }
 }
 
+fn unsupported<T>(message: &str) -> Result<T> {
+    Err(InterchangeError::Unsupported(message.to_owned()))
+}
+
 impl Format {
-    /// By a file name's ending, case-insensitive.
+    /// The format of a file by its extension, in any case.
     #[must_use]
     pub fn from_extension(path: &std::path::Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
@@ -132,39 +133,38 @@ impl Format {
         })
     }
 
-    /// Whether this build writes it, where it writes it at all.
+    /// Checks that this build includes the writer of the format.
     ///
     /// # Errors
-    /// `Unsupported`, with what to do.
+    /// `Unsupported` for Parquet and MCAP without the feature `full`.
     pub fn check_built(self) -> Result<()> {
         let is_heavy = matches!(self, Self::Parquet | Self::ParquetWide | Self::Mcap);
         if !is_heavy || cfg!(feature = "full") {
             return Ok(());
         }
-        Err(InterchangeError::Unsupported(
-            "this build has no Parquet and no MCAP: the Debian package has, and so has what `cargo build --release --features full` makes; or export to c3d, trc, csv or npz"
-                .to_owned(),
-        ))
+        unsupported(
+            "this build writes neither Parquet nor MCAP: use the Debian package, build with `cargo build --release --features full`, or export to c3d, trc, csv or npz",
+        )
     }
 
-    /// Whether files of it are read.
+    /// Whether files of this format can be imported.
     #[must_use]
     pub fn is_read(self) -> bool {
         matches!(self, Self::C3d | Self::Trc | Self::Tsv | Self::Csv | Self::CsvLong)
     }
 
-    /// Reads a whole file's bytes.
+    /// Reads the bytes of a whole file.
     ///
     /// # Errors
-    /// `Malformed` when there is nothing usable; `Unsupported` for a format that is written only.
+    /// `Malformed` if the file holds nothing usable; `Unsupported` for a format that is export only.
     pub fn read(self, bytes: &[u8]) -> Result<Motion> {
         self.read_with(bytes, &ReadOptions::default())
     }
 
-    /// Reads a whole file's bytes, with what is known beside them.
+    /// Reads the bytes of a whole file with a unit or an up axis that overrides the file's own.
     ///
     /// # Errors
-    /// As [`Self::read`].
+    /// `Malformed` if the file holds nothing usable; `Unsupported` for a format that is export only.
     pub fn read_with(self, bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
         match self {
             Self::C3d => c3d::read(bytes, options),
@@ -172,15 +172,13 @@ impl Format {
             Self::Tsv => tsv::read(bytes, options),
             Self::Csv | Self::CsvLong => csv::read(bytes, options),
             Self::Npz | Self::Xdf | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
-                Err(InterchangeError::Unsupported(
-                    "this format is written only: import c3d, trc, tsv or csv".to_owned(),
-                ))
+                unsupported("this format is export only: import c3d, trc, tsv or csv")
             }
         }
     }
 
-    /// What a file of it holds beside trajectories. Without a default: a new format says so itself.
-    fn holds(self) -> Holds {
+    /// What files of this format can hold. The match has no default arm, so that a new format must be added to it.
+    fn capabilities(self) -> Capabilities {
         let (foreign, up_axis, events_max) = match self {
             Self::C3d => (Some("c3d/"), true, c3d::EVENTS_MAX),
             Self::Trc => (Some("trc/"), false, 0),
@@ -191,39 +189,38 @@ impl Format {
                 (None, true, usize::MAX)
             }
         };
-        Holds { foreign, up_axis, events_max }
+        Capabilities { foreign, up_axis, events_max }
     }
 
-    /// Whether a file of this format holds foreign parts of a kind: those that it was imported with.
+    /// Whether an export to this format restores foreign parts of a kind: those that an import of it kept.
     #[must_use]
-    pub fn gives_back(self, kind: &str) -> bool {
-        self.holds().foreign.is_some_and(|format| kind.starts_with(format))
+    pub fn restores(self, kind: &str) -> bool {
+        self.capabilities().foreign.is_some_and(|format| kind.starts_with(format))
     }
 
-    /// What of `info` a file of this format will not hold, in words; `up_is_chosen` says that its reader knows what is up.
+    /// What an export of `info` to this format leaves out, as text for the user. The up axis is not listed if
+    /// `up_is_chosen`: the caller chose it for this export and knows it.
     #[must_use]
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
-        let others = info.foreign.iter().filter(|part| !self.gives_back(&part.kind));
+        let others = info.foreign.iter().filter(|part| !self.restores(&part.kind));
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
-        if let (false, Some(axis)) = (self.holds().up_axis || up_is_chosen, info.up.name()) {
+        if let (false, Some(axis)) = (self.capabilities().up_axis || up_is_chosen, info.up.name()) {
             left_out.push(format!("the up axis ({axis})"));
         }
-        let events = info.events.len().saturating_sub(self.holds().events_max);
-        if events > 0 {
-            left_out.push(format!("{events} event{}", if events == 1 { "" } else { "s" }));
-        }
+        let events = info.events.len().saturating_sub(self.capabilities().events_max);
+        left_out.extend((events > 0).then(|| counted(events as u64, "event")));
         left_out
     }
 
-    /// Writes frames as they come, in bounded memory. The number of the first frame is
-    /// `frames.info().source.first_frame`; a source over a part of a take states the part's own, so that what
-    /// an importer kept frame by frame (analog samples, residuals) is given back for the right frames.
+    /// Writes all frames of a source in bounded memory. `frames.info().source.first_frame` is the number of the first
+    /// frame; a source over a part of a take gives the part's own number there, so that data kept frame by frame
+    /// (analog samples, residuals) goes to the right frames.
     ///
     /// # Errors
-    /// `Unsupported` for what the format cannot hold, for BIDS, which is a folder, and for `NumPy` archives, whose writer must
-    /// go back ([`npz::write`]); `Io`.
+    /// `Unsupported` for content that the format cannot hold, for BIDS, which is a folder ([`bids::write`]), and for
+    /// `NumPy` archives, which need to seek ([`npz::write`]); `Io` if reading or writing fails.
     pub fn write(self, frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
         match self {
             Self::C3d => c3d::write(frames, out),
@@ -240,32 +237,28 @@ impl Format {
             #[cfg(not(feature = "full"))]
             Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
             Self::Xdf => xdf::write(frames, out),
-            Self::Npz => Err(InterchangeError::Unsupported(
-                "npz is not written from front to back: use npz::write".to_owned(),
-            )),
-            Self::Bids => Err(InterchangeError::Unsupported(
-                "bids is a folder, not a file: use bids::write".to_owned(),
-            )),
+            Self::Npz => unsupported("npz needs an output that can seek: use npz::write"),
+            Self::Bids => unsupported("bids is a folder, not a file: use bids::write"),
         }
     }
 }
 
-/// Names of the settings that a take's header keeps of them.
+/// Names of the read options among the settings in a take's header.
 const UNIT: &str = "unit";
 const UP: &str = "up";
 
-/// What is known of a file beside what stands in it.
+/// A unit and an up axis given by the user; they override what the file states.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReadOptions {
-    /// The unit of length, instead of the file's own.
+    /// The unit of length.
     pub unit: Option<LengthUnit>,
-    /// What points up, instead of what the file says. Where that is the way down an axis, positions are given half a
-    /// turn, so that the axis points up.
+    /// The direction that points up. For a negative direction the importer rotates all positions by 180°, so that the
+    /// axis points up in the take.
     pub up: Option<Direction>,
 }
 
 impl ReadOptions {
-    /// As a header keeps them.
+    /// The options as settings of a take's header.
     #[must_use]
     pub fn settings(&self) -> Vec<(String, String)> {
         let unit = self.unit.map(|unit| (UNIT.to_owned(), unit.to_string()));
@@ -273,37 +266,34 @@ impl ReadOptions {
         unit.into_iter().chain(up).collect()
     }
 
-    /// Those that a take was imported with.
+    /// The options that a take was imported with, from the settings in its header.
     #[must_use]
     pub fn from_settings(settings: &[(String, String)]) -> Self {
-        let value = |name: &str| {
-            settings.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
-        };
+        let value = |name: &str| Some(&settings.iter().find(|(key, _)| key == name)?.1);
         Self {
             unit: value(UNIT).and_then(|unit| unit.parse().ok()),
             up: value(UP).and_then(|up| up.parse().ok()),
         }
     }
 
-    /// How positions are turned.
-    fn turn(&self) -> Turn {
+    /// The rotation of all positions on import.
+    fn rotation(&self) -> Rotation {
         match self.up {
-            Some(up) if up.is_negative() => Turn::upside_down(up.axis()),
-            _ => Turn::NONE,
+            Some(up) if up.is_negative() => Rotation::upside_down(up.axis()),
+            _ => Rotation::IDENTITY,
         }
     }
 
-    /// Which axis is up after that; what the file says is noted where it is another.
+    /// The up axis after the rotation. Warns if the file states another one, and of the rotation.
     fn up(&self, of_file: UpAxis, notes: &mut Notes) -> UpAxis {
         let Some(up) = self.up else { return of_file };
         if let Some(name) = of_file.name().filter(|_| of_file != up.axis() || up.is_negative()) {
-            notes
-                .warnings
-                .push(format!("The file says that {name} is up; {up} was taken, as asked."));
+            let text = format!("The file states that {name} is up; {up} was used, as requested.");
+            notes.warnings.push(text);
         }
         if up.is_negative() {
             notes.warnings.push(format!(
-                "Positions were given half a turn, as asked, so that {} is up.",
+                "Positions were rotated by 180°, as requested, so that {} is up.",
                 up.axis().name().unwrap_or("it")
             ));
         }
@@ -311,20 +301,26 @@ impl ReadOptions {
     }
 }
 
-/// Fails when not as many frames came as were announced: a file that states their number would not be true.
-fn expect_frames(announced: u64, came: u64) -> io::Result<()> {
-    if came == announced {
+/// Fails if the source delivered another number of frames than it announced: the file's header states that number.
+fn check_frame_count(announced: u64, written: u64) -> io::Result<()> {
+    if written == announced {
         return Ok(());
     }
     Err(io::Error::other(format!(
-        "{announced} frames were announced, {came} or more came: the file is not usable, export again"
+        "expected {announced} frames, got {written}: the file is unusable, export it again"
     )))
 }
 
-/// Bytes gathered before they are written.
+/// Bytes that are buffered before each write.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// Writes `buffer`, then frame after frame: `put` appends each to the buffer, by its index from 0. Returns how many came.
+/// `1 frame`, `2 frames`.
+fn counted(n: u64, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
+/// Writes `buffer`, then every frame, which `put` appends to the buffer by its index from 0. Returns the number of
+/// frames.
 fn write_frames(
     frames: &mut dyn FrameSource,
     out: &mut dyn Write,
@@ -346,16 +342,11 @@ fn write_frames(
     Ok(n_written)
 }
 
-/// Appends the three cells of a position, each of them `missing` for a gap. Numbers have the fewest digits that bring back
-/// the value, and no exponent.
-fn put_position(
-    out: &mut Vec<u8>,
-    position: Position,
-    separator: u8,
-    missing: &str,
-) -> io::Result<()> {
-    let is_missing = is_gap(position);
-    for (axis, value) in position.into_iter().enumerate() {
+/// Appends the three cells of a position; each is `missing` for a gap. Numbers have no exponent and the fewest digits
+/// that restore the f32 exactly.
+fn put_position(out: &mut Vec<u8>, at: Position, separator: u8, missing: &str) -> io::Result<()> {
+    let is_missing = is_gap(at);
+    for (axis, value) in at.into_iter().enumerate() {
         out.extend((axis > 0).then_some(separator));
         if is_missing {
             out.extend(missing.bytes());

@@ -1,4 +1,4 @@
-//! Samples exactly at the origin: some software writes `0 0 0` for a marker that it does not see.
+//! Samples exactly at the origin: some software writes `0 0 0` for an occluded marker.
 
 use super::units::median;
 use crate::{
@@ -6,40 +6,39 @@ use crate::{
     motion::{GAP, Position, is_gap},
 };
 
-/// The origin.
 const ORIGIN: Position = [0.0; 3];
-/// What stands for it in files in which three zeros are a missing sample, or may be: a nanometre beside it.
-const BESIDE_ORIGIN: Position = [1e-6, 0.0, 0.0];
-/// A marker that comes nearer to the origin than so many of its usual steps passes through it.
+/// Written instead of the origin in formats where `0 0 0` means, or may mean, a missing sample: one nanometre off.
+const NEAR_ORIGIN: Position = [1e-6, 0.0, 0.0];
+/// A marker whose neighbouring sample is within this many of its median steps from the origin passes through the
+/// origin.
 const STEPS: f64 = 10.0;
 
-/// Whether each sample stands for a missing one: it is exactly at the origin, other markers are elsewhere and move, and
-/// its own marker does not come from near there. A sample through which its marker passes is a position.
+/// For each sample whether it is a missing one: it is exactly at the origin while other markers move elsewhere, and its
+/// own marker does not approach the origin. If the marker passes through the origin, the sample is a position.
 pub(super) fn missing(positions: &[Position], n_markers: usize) -> Vec<bool> {
     let mut missing = vec![false; positions.len()];
     if !positions.contains(&ORIGIN) {
         return missing;
     }
-    let moves: Vec<bool> =
-        (0..n_markers).map(|marker| is_moving(positions, n_markers, marker)).collect();
+    let moves: Vec<bool> = (0..n_markers).map(|i| is_moving(positions, n_markers, i)).collect();
     let n_moving = moves.iter().filter(|&&moves| moves).count();
     for (marker, &moves) in moves.iter().enumerate() {
         let others_move = n_moving > usize::from(moves);
-        // Of a single marker nothing else tells that it moved away and came back.
+        // A single marker has no others to compare with: its own motion decides.
         if others_move || (n_markers == 1 && moves) {
-            judge(positions, n_markers, marker, &mut missing);
+            mark_missing(positions, n_markers, marker, &mut missing);
         }
     }
     missing
 }
 
-/// A position as it is written where three zeros may mean a missing sample.
-pub(super) fn beside_origin(position: Position) -> Position {
-    if position == ORIGIN { BESIDE_ORIGIN } else { position }
+/// The position to write in a format where `0 0 0` may mean a missing sample.
+pub(super) fn off_origin(position: Position) -> Position {
+    if position == ORIGIN { NEAR_ORIGIN } else { position }
 }
 
-/// Makes gaps of them; how many.
-pub(super) fn remove(positions: &mut [Position], n_markers: usize) -> u64 {
+/// Replaces missing samples at the origin with gaps. Returns how many.
+pub(super) fn replace_with_gaps(positions: &mut [Position], n_markers: usize) -> u64 {
     let missing = missing(positions, n_markers);
     let mut n_removed = 0;
     for (position, _) in positions.iter_mut().zip(missing).filter(|(_, missing)| *missing) {
@@ -49,9 +48,9 @@ pub(super) fn remove(positions: &mut [Position], n_markers: usize) -> u64 {
     n_removed
 }
 
-/// Some software leaves missing samples at the origin without marking them as missing. Where a
-/// format has a mark for them others read positions there; they stay, with a note.
-pub(super) fn note_zeros(positions: &[Position], n_markers: usize, notes: &mut Notes) {
+/// Notes samples at the origin in a format with its own mark for missing samples. Other readers take them for
+/// positions, so they stay positions, but the program that wrote the file may have meant missing samples.
+pub(super) fn note_samples_at_origin(positions: &[Position], n_markers: usize, notes: &mut Notes) {
     let zeros = positions.iter().filter(|&&p| p == [0.0; 3]).count() as u64;
     if zeros == 0 {
         return;
@@ -60,11 +59,13 @@ pub(super) fn note_zeros(positions: &[Position], n_markers: usize, notes: &mut N
         notes.ambiguous(Ambiguity::Origin { samples: zeros, gaps: false });
     } else {
         let present = positions.iter().filter(|&&p| !is_gap(p)).count();
-        notes.warnings.push(format!("{zeros} of {present} samples are exactly at the origin and not marked as missing; they were kept as positions."));
+        notes.warnings.push(format!(
+            "At the origin and not marked as missing, kept as positions: {zeros} of {present} samples."
+        ));
     }
 }
 
-/// A marker's samples in order: frame and position.
+/// The frame and position of each sample of a marker.
 fn samples(
     positions: &[Position],
     n_markers: usize,
@@ -74,23 +75,19 @@ fn samples(
     column.enumerate().filter(|&(_, at)| !is_gap(at))
 }
 
-/// Whether a marker has two different positions beside the origin.
+/// Whether a marker has two different positions other than the origin.
 fn is_moving(positions: &[Position], n_markers: usize, marker: usize) -> bool {
-    let mut elsewhere =
-        samples(positions, n_markers, marker).map(|(_, at)| at).filter(|&at| at != ORIGIN);
-    let first = elsewhere.next();
-    elsewhere.any(|at| Some(at) != first)
+    let mut elsewhere = samples(positions, n_markers, marker).filter(|(_, at)| *at != ORIGIN);
+    let first = elsewhere.next().map(|(_, at)| at);
+    elsewhere.any(|(_, at)| Some(at) != first)
 }
 
-/// Marks the runs of a marker at the origin that it does not come from, or go to, in steps.
-fn judge(positions: &[Position], n_markers: usize, marker: usize, missing: &mut [bool]) {
+/// Marks the samples of one marker that are missing: its runs at the origin, except single frames on its path.
+fn mark_missing(positions: &[Position], n_markers: usize, marker: usize, missing: &mut [bool]) {
     let all: Vec<(usize, Position)> = samples(positions, n_markers, marker).collect();
-    let mut steps: Vec<f64> = all
-        .windows(2)
-        .filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN))
-        .filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)))
-        .collect();
-    let usual = median(&mut steps).unwrap_or(0.0);
+    let pairs = all.windows(2).filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN));
+    let steps = pairs.filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)));
+    let usual = median(&mut steps.collect::<Vec<f64>>()).unwrap_or(0.0);
     let is_near = |at: Option<&(usize, Position)>| {
         at.is_some_and(|&(_, at)| distance(at, ORIGIN) <= STEPS * usual)
     };
@@ -98,7 +95,7 @@ fn judge(positions: &[Position], n_markers: usize, marker: usize, missing: &mut 
     let mut before = None;
     while let Some(run) = runs.next() {
         let after = runs.peek().and_then(|next| next.first());
-        // A marker in motion is at the origin for a frame.
+        // A moving marker is at the origin for one frame at most.
         let passes = run.len() == 1 && (is_near(before) || is_near(after));
         for &(frame, _) in run.iter().filter(|(_, at)| *at == ORIGIN && !passes) {
             if let Some(place) = missing.get_mut(frame * n_markers + marker) {
@@ -118,13 +115,13 @@ fn distance(a: Position, b: Position) -> f64 {
 mod tests {
     use super::*;
 
-    /// Marker 0 walks; marker 1 is `second`.
+    /// Marker 0 moves; marker 1 is `second`.
     fn with(second: &[Position]) -> Vec<Position> {
         second.iter().enumerate().flat_map(|(i, &at)| [[100.0 + i as f32, 5.0, 9.0], at]).collect()
     }
 
     fn removed(second: &[Position]) -> u64 {
-        remove(&mut with(second), 2)
+        replace_with_gaps(&mut with(second), 2)
     }
 
     #[test]
@@ -137,28 +134,28 @@ mod tests {
     }
 
     #[test]
-    fn a_marker_that_passes_the_origin_is_there() {
+    fn a_marker_that_passes_through_the_origin_has_a_position_there() {
         let at = |x: f32| [x, 0.0, 0.0];
         assert_eq!(removed(&[at(-2.0), at(-1.0), at(0.0), at(1.0), at(2.0)]), 0);
-        // Nothing moves: nothing tells.
-        assert_eq!(remove(&mut [ORIGIN, [1.0; 3], ORIGIN, [1.0; 3]], 2), 0);
+        // Nothing moves, so nothing shows that a sample is missing.
+        assert_eq!(replace_with_gaps(&mut [ORIGIN, [1.0; 3], ORIGIN, [1.0; 3]], 2), 0);
     }
 
     #[test]
-    fn a_single_marker_that_jumps_there_is_missing() {
+    fn a_single_marker_that_jumps_to_the_origin_is_missing() {
         let mut path: Vec<Position> = (0..9).map(|i| [900.0 + i as f32, 0.0, 0.0]).collect();
         path[4] = ORIGIN;
-        assert_eq!(remove(&mut path, 1), 1);
+        assert_eq!(replace_with_gaps(&mut path, 1), 1);
     }
 
     #[test]
-    fn a_frame_of_very_many_markers_is_judged_once_a_marker() {
-        // One pass over the markers for each of them would take hours.
+    fn the_time_is_linear_in_the_number_of_markers() {
+        // A pass over all markers for each marker would take hours.
         let n_markers = 1_000_000;
         let mut positions: Vec<Position> = vec![[1.0; 3]; 2 * n_markers];
         positions[7] = ORIGIN;
-        assert_eq!(remove(&mut positions, n_markers), 0);
+        assert_eq!(replace_with_gaps(&mut positions, n_markers), 0);
         positions[n_markers - 1] = [2.0; 3];
-        assert_eq!(remove(&mut positions, n_markers), 1);
+        assert_eq!(replace_with_gaps(&mut positions, n_markers), 1);
     }
 }

@@ -1,11 +1,11 @@
-//! Parquet, written: a row a sample, or a row a frame.
+//! Export to Apache Parquet, with one row a sample (long) or one row a frame (wide).
 
 use std::{io::Write, sync::Arc};
 
 use parquet::{
     basic::{Compression, ConvertedType, Encoding, LogicalType, Repetition, Type as Physical},
     data_type::{ByteArray, ByteArrayType, DataType, DoubleType, FloatType, Int64Type},
-    errors::ParquetError,
+    errors::{ParquetError, Result as ParquetResult},
     file::{
         metadata::KeyValue,
         properties::WriterProperties,
@@ -14,22 +14,22 @@ use parquet::{
     schema::types::{ColumnPath, Type},
 };
 
-use super::{InterchangeError, Result, about::about, text::column_labels};
+use super::{InterchangeError, Result, metadata::metadata, text::column_labels};
 use crate::motion::{FrameSource, GAP, Position, is_gap};
 
-/// Rows of a group: 8 MB in memory.
+/// Rows of a long row group: 8 MB in memory.
 const LONG_GROUP_ROWS: usize = 1 << 17;
 
-const LONG_COLUMNS: [(&str, Kind); 6] = [
-    ("frame", Kind::Int64),
-    ("time_s", Kind::Double),
-    ("marker", Kind::Text),
-    ("x", Kind::Float { nullable: false }),
-    ("y", Kind::Float { nullable: false }),
-    ("z", Kind::Float { nullable: false }),
+const LONG_COLUMNS: [(&str, ColumnType); 6] = [
+    ("frame", ColumnType::Int64),
+    ("time_s", ColumnType::Double),
+    ("marker", ColumnType::Text),
+    ("x", ColumnType::Float { nullable: false }),
+    ("y", ColumnType::Float { nullable: false }),
+    ("z", ColumnType::Float { nullable: false }),
 ];
 
-/// Rows that wait for their group to be full.
+/// The rows of the next row group.
 #[derive(Default)]
 struct LongRows {
     frame: Vec<i64>,
@@ -38,7 +38,7 @@ struct LongRows {
     axes: [Vec<f32>; 3],
 }
 
-/// A row a sample: frame, time, marker, x, y, z. What is missing has no row.
+/// Writes one row for each sample: frame, time, marker, x, y, z. Missing samples have no row.
 pub(super) fn write_long(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let names: Vec<ByteArray> =
@@ -85,21 +85,21 @@ impl LongRows {
     }
 }
 
-/// Coordinates of a row group: 16 MB in memory.
+/// Coordinates of a wide row group: 16 MB in memory.
 const WIDE_GROUP_VALUES: usize = 1 << 22;
 
-/// Most rows of a row group, of however few markers.
+/// Most rows of a wide row group, for takes of few markers.
 const WIDE_GROUP_ROWS_MAX: usize = 1 << 17;
 
-/// A row a frame: frame, time, and three columns a marker, null where it has no sample.
+/// Writes one row for each frame: frame, time, and three columns for each marker, null for a missing sample.
 pub(super) fn write_wide(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let names: Vec<String> = column_labels(&info)
         .iter()
         .flat_map(|label| ["x", "y", "z"].map(|axis| format!("{label}.{axis}")))
         .collect();
-    let mut columns = vec![("frame", Kind::Int64), ("time_s", Kind::Double)];
-    columns.extend(names.iter().map(|name| (name.as_str(), Kind::Float { nullable: true })));
+    let mut columns = vec![("frame", ColumnType::Int64), ("time_s", ColumnType::Double)];
+    columns.extend(names.iter().map(|name| (name.as_str(), ColumnType::Float { nullable: true })));
     let mut file = ParquetFile::new(frames, "wide", &columns, out)?;
     let n_markers = info.markers.len();
     let group_rows = (WIDE_GROUP_VALUES / (3 * n_markers).max(1)).clamp(1, WIDE_GROUP_ROWS_MAX);
@@ -143,87 +143,84 @@ pub(super) fn write_wide(frames: &mut dyn FrameSource, out: &mut dyn Write) -> R
     }
 }
 
-/// What a column is of.
+/// The type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum ColumnType {
     /// Frame numbers.
     Int64,
     /// Seconds.
     Double,
-    /// Millimetres; empty where a sample is missing.
+    /// Millimetres.
     Float { nullable: bool },
-    /// Names, of which there are few.
+    /// Marker labels: few distinct values, so they get a dictionary.
     Text,
 }
 
-/// A file with one flat schema. What is written of it is in memory up to the end of its row group.
+/// A Parquet file with a flat schema. Each row group is in memory until it is complete.
 struct ParquetFile<'a> {
     file: SerializedFileWriter<Vec<u8>>,
     out: &'a mut dyn Write,
 }
 
 impl<'a> ParquetFile<'a> {
-    /// With these columns; `layout` is said in the metadata.
+    /// Begins a file with these columns and the metadata of the take; `layout` goes into the metadata.
     fn new(
         frames: &dyn FrameSource,
         layout: &str,
-        columns: &[(&str, Kind)],
+        columns: &[(&str, ColumnType)],
         out: &'a mut dyn Write,
     ) -> Result<Self> {
         let fields = columns.iter().map(|(name, kind)| field(name, *kind).map(Arc::new));
-        let fields = fields.collect::<Result<_, _>>().map_err(failed)?;
+        let fields = fields.collect::<Result<_, _>>().map_err(parquet_error)?;
         let schema = Type::group_type_builder("mocapd").with_fields(fields).build();
-        let mut about = about(frames);
-        about.push(("mocapd.layout".to_owned(), layout.to_owned()));
-        about.push(("mocapd.units".to_owned(), "positions mm, time_s s".to_owned()));
-        let about = about.into_iter().map(|(name, words)| KeyValue::new(name, words)).collect();
+        let mut metadata = metadata(frames);
+        metadata.push(("mocapd.layout".to_owned(), layout.to_owned()));
+        metadata.push(("mocapd.units".to_owned(), "positions mm, time_s s".to_owned()));
+        let metadata = metadata.into_iter().map(|(key, value)| KeyValue::new(key, value)).collect();
         let mut properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .set_dictionary_enabled(false)
             .set_created_by(concat!("mocapd version ", env!("CARGO_PKG_VERSION")).to_owned())
-            .set_key_value_metadata(Some(about));
+            .set_key_value_metadata(Some(metadata));
         for (name, kind) in columns {
             let column = ColumnPath::from(vec![(*name).to_owned()]);
             properties = match kind {
-                Kind::Int64 => {
+                ColumnType::Int64 => {
                     properties.set_column_encoding(column, Encoding::DELTA_BINARY_PACKED)
                 }
-                // Bytes of one weight together: of numbers that are near each other most are the same.
-                Kind::Double | Kind::Float { .. } => {
+                // Neighbouring numbers share their high bytes, which this encoding stores next to each other.
+                ColumnType::Double | ColumnType::Float { .. } => {
                     properties.set_column_encoding(column, Encoding::BYTE_STREAM_SPLIT)
                 }
-                Kind::Text => properties.set_column_dictionary_enabled(column, true),
+                ColumnType::Text => properties.set_column_dictionary_enabled(column, true),
             };
         }
-        let schema = Arc::new(schema.map_err(failed)?);
+        let schema = Arc::new(schema.map_err(parquet_error)?);
         let file = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties.build()));
-        Ok(Self { file: file.map_err(failed)?, out })
+        Ok(Self { file: file.map_err(parquet_error)?, out })
     }
 
-    /// A row group; `fill` writes every column of it in order.
-    fn group(
-        &mut self,
-        fill: impl FnOnce(&mut Group<'_>) -> Result<(), ParquetError>,
-    ) -> Result<()> {
+    /// Writes a row group; `fill` writes all of its columns in order.
+    fn group(&mut self, fill: impl FnOnce(&mut RowGroup<'_>) -> ParquetResult<()>) -> Result<()> {
         {
-            let mut group = Group(self.file.next_row_group().map_err(failed)?);
-            fill(&mut group).map_err(failed)?;
-            group.0.close().map_err(failed)?;
+            let mut group = RowGroup(self.file.next_row_group().map_err(parquet_error)?);
+            fill(&mut group).map_err(parquet_error)?;
+            group.0.close().map_err(parquet_error)?;
         }
         self.file.flush()?;
-        self.pass_on()
+        self.drain()
     }
 
-    /// The footer.
+    /// Writes the footer.
     fn finish(mut self) -> Result<()> {
-        self.pass_on()?;
-        let rest = self.file.into_inner().map_err(failed)?;
+        self.drain()?;
+        let rest = self.file.into_inner().map_err(parquet_error)?;
         self.out.write_all(&rest)?;
         Ok(self.out.flush()?)
     }
 
-    /// The library counts what it wrote; where it lies then is no concern of its.
-    fn pass_on(&mut self) -> Result<()> {
+    /// Moves finished bytes to `out`. The library counts what it wrote, so the footer has the right offsets.
+    fn drain(&mut self) -> Result<()> {
         let written = self.file.inner_mut();
         self.out.write_all(written)?;
         written.clear();
@@ -231,16 +228,16 @@ impl<'a> ParquetFile<'a> {
     }
 }
 
-/// A row group whose columns come one after another.
-struct Group<'a>(SerializedRowGroupWriter<'a, Vec<u8>>);
+/// A row group, whose columns are written in order.
+struct RowGroup<'a>(SerializedRowGroupWriter<'a, Vec<u8>>);
 
-impl Group<'_> {
-    /// The next column; `present` says which rows have a value, where some may not.
+impl RowGroup<'_> {
+    /// Writes the next column. For a nullable column `present` has a 1 for each row with a value and a 0 for each null.
     fn column<T: DataType>(
         &mut self,
         values: &[T::T],
         present: Option<&[i16]>,
-    ) -> Result<(), ParquetError> {
+    ) -> ParquetResult<()> {
         let Some(mut column) = self.0.next_column()? else {
             return Err(ParquetError::General("more columns than the schema has".to_owned()));
         };
@@ -249,17 +246,17 @@ impl Group<'_> {
     }
 }
 
-fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
+fn field(name: &str, kind: ColumnType) -> ParquetResult<Type> {
     let (physical, nullable) = match kind {
-        Kind::Int64 => (Physical::INT64, false),
-        Kind::Double => (Physical::DOUBLE, false),
-        Kind::Float { nullable } => (Physical::FLOAT, nullable),
-        Kind::Text => (Physical::BYTE_ARRAY, false),
+        ColumnType::Int64 => (Physical::INT64, false),
+        ColumnType::Double => (Physical::DOUBLE, false),
+        ColumnType::Float { nullable } => (Physical::FLOAT, nullable),
+        ColumnType::Text => (Physical::BYTE_ARRAY, false),
     };
     let repetition = if nullable { Repetition::OPTIONAL } else { Repetition::REQUIRED };
     let builder = Type::primitive_type_builder(name, physical).with_repetition(repetition);
     match kind {
-        Kind::Text => builder
+        ColumnType::Text => builder
             .with_logical_type(Some(LogicalType::String))
             .with_converted_type(ConvertedType::UTF8)
             .build(),
@@ -267,6 +264,6 @@ fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
     }
 }
 
-fn failed(error: ParquetError) -> InterchangeError {
+fn parquet_error(error: ParquetError) -> InterchangeError {
     std::io::Error::other(error).into()
 }

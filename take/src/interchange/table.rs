@@ -1,44 +1,43 @@
-//! Tables of trajectories in text: rows of three cells a marker, and the frame that each row is. TRC, TSV and CSV differ
-//! in what stands above the rows, between the cells, and for a missing sample.
+//! Tables of trajectories in text files: one row a frame with three cells for each marker. TRC, TSV and CSV share this
+//! code; they differ in the header, the separator, and the mark for a missing sample.
 
-use super::{InterchangeError, Result, line_frames::LineFrames, units::Millimetres};
+use super::{InterchangeError, Result, counted, row_timing::RowTiming, units::ToMillimetres};
 use crate::motion::{GAP, Position};
 
-/// Positions a byte of text may claim: a short row next to a wide one must not earn unbounded memory.
+/// Most positions to allocate per byte of text: one wide row among many short ones must not cost unbounded memory.
 pub(super) const MAX_POSITIONS_PER_BYTE: usize = 4;
 
-/// Said of a file whose last number may lack digits.
-pub(super) const CUT_OFF: &str =
-    "The file ends within its last line; the sample whose number may be cut off there is a gap.";
+/// The warning for a file whose last number may lack digits.
+pub(super) const CUT_OFF: &str = "The file ends in the middle of a line; its last number may be cut off, so that sample is a gap.";
 
-/// Rate of a file of one frame that states none, as of a C3D file that states none.
+/// The assumed rate of a file with one frame and no stated rate; a C3D file without a rate gets the same.
 const RATE_OF_ONE_FRAME_HZ: f64 = 100.0;
 
-/// What is taken where one frame tells no rate.
+/// The rate to assume for a single frame, with a warning.
 pub(super) fn rate_of_one_frame(warnings: &mut Vec<String>) -> f64 {
-    warnings.push(format!("One frame tells no rate; {RATE_OF_ONE_FRAME_HZ} Hz was taken."));
+    warnings.push(format!("A single frame has no rate; {RATE_OF_ONE_FRAME_HZ} Hz was assumed."));
     RATE_OF_ONE_FRAME_HZ
 }
 
-/// Says how many samples became gaps because their cells are no numbers.
+/// Warns of samples that became gaps because their cells are not numbers.
 pub(super) fn report_damaged(n: usize, warnings: &mut Vec<String>) {
     if n > 0 {
-        warnings.push(format!("{n} samples have cells that are not numbers; they are gaps."));
+        warnings.push(format!("Not a number, read as missing: {}.", counted(n as u64, "sample")));
     }
 }
 
-/// What three cells of a row say.
-pub(super) enum Cells {
-    /// A number in each.
+/// The content of the three cells of a sample.
+pub(super) enum SampleCells {
+    /// Three numbers.
     Position([f64; 3]),
-    /// At least one of them is empty, and no other is damaged.
+    /// At least one cell is empty, and the others are numbers.
     Empty,
-    /// A cell that is neither empty nor a number.
+    /// At least one cell is neither empty nor a number.
     Damaged,
 }
 
-/// Reads the next three cells; missing cells count as empty.
-pub(super) fn three_cells(cells: &mut dyn Iterator<Item = &[u8]>) -> Cells {
+/// Parses the next three cells; cells past the end of the row count as empty.
+pub(super) fn parse_sample(cells: &mut dyn Iterator<Item = &[u8]>) -> SampleCells {
     let mut position = [0.0; 3];
     let (mut is_empty, mut is_damaged) = (false, false);
     for value in &mut position {
@@ -51,31 +50,30 @@ pub(super) fn three_cells(cells: &mut dyn Iterator<Item = &[u8]>) -> Cells {
         }
     }
     match (is_damaged, is_empty) {
-        (true, _) => Cells::Damaged,
-        (false, true) => Cells::Empty,
-        (false, false) => Cells::Position(position),
+        (true, _) => SampleCells::Damaged,
+        (false, true) => SampleCells::Empty,
+        (false, false) => SampleCells::Position(position),
     }
 }
 
-/// A table as it is read, row after row.
+/// A table under construction, row by row.
 pub(super) struct Table<'a> {
     format: &'static str,
     /// The whole file.
     pub(super) bytes: &'a [u8],
-    millimetres: Millimetres,
-    /// Whether three zeros stand for a missing sample.
+    millimetres: ToMillimetres,
+    /// Whether `0 0 0` means a missing sample.
     zeros_are_gaps: bool,
-    /// Row after row; rows may differ in width.
+    /// The positions of all rows, which may differ in width.
     positions: Vec<Position>,
-    /// Where in them each row ends.
+    /// For each row the index in `positions` at which it ends.
     ends: Vec<usize>,
-    lines: LineFrames,
+    timing: RowTiming,
     damaged: usize,
 }
 
 impl<'a> Table<'a> {
-    /// Of a file of these bytes.
-    pub(super) fn new(format: &'static str, bytes: &'a [u8], millimetres: Millimetres) -> Self {
+    pub(super) fn new(format: &'static str, bytes: &'a [u8], millimetres: ToMillimetres) -> Self {
         Self {
             format,
             bytes,
@@ -83,28 +81,28 @@ impl<'a> Table<'a> {
             zeros_are_gaps: false,
             positions: Vec::new(),
             ends: Vec::new(),
-            lines: LineFrames::default(),
+            timing: RowTiming::default(),
             damaged: 0,
         }
     }
 
-    /// Of a format that writes zeros where a sample is missing.
+    /// Reads `0 0 0` as a missing sample.
     pub(super) fn with_zeros_as_gaps(self) -> Self {
         Self { zeros_are_gaps: true, ..self }
     }
 
-    /// Begins a row, by its cells of the frame's number and time; empty where there are none.
+    /// Begins a row with its cells for frame number and time; either may be empty.
     pub(super) fn begin_row(&mut self, number: &[u8], time: &[u8]) {
-        self.lines.line(number, time);
+        self.timing.push(number, time);
     }
 
-    /// Reads the next three cells of the row; whether they are a position.
+    /// Reads the next three cells of the row as a sample. Returns whether they are a position.
     pub(super) fn read_sample(&mut self, cells: &mut dyn Iterator<Item = &[u8]>) -> bool {
-        let position = match three_cells(cells) {
-            Cells::Position([0.0, 0.0, 0.0]) if self.zeros_are_gaps => Some(GAP),
-            Cells::Position(stored) => Some(self.millimetres.position(stored)),
-            Cells::Empty => None,
-            Cells::Damaged => {
+        let position = match parse_sample(cells) {
+            SampleCells::Position([0.0, 0.0, 0.0]) if self.zeros_are_gaps => Some(GAP),
+            SampleCells::Position(stored) => Some(self.millimetres.position(stored)),
+            SampleCells::Empty => None,
+            SampleCells::Damaged => {
                 self.damaged += 1;
                 None
             }
@@ -113,8 +111,8 @@ impl<'a> Table<'a> {
         position.is_some()
     }
 
-    /// Reads all cells to come. Empty and damaged ones at the end of the row are nothing, not gaps. Returns how many
-    /// columns the row fills.
+    /// Reads all remaining cells of the row, without empty and damaged samples at its end. Returns the number of
+    /// markers that the row has.
     pub(super) fn read_samples(&mut self, cells: &mut dyn Iterator<Item = &[u8]>) -> usize {
         let start = self.positions.len();
         let mut filled = start;
@@ -128,13 +126,13 @@ impl<'a> Table<'a> {
         filled - start
     }
 
-    /// Ends the row under way.
+    /// Ends the current row.
     pub(super) fn end_row(&mut self) {
         self.ends.push(self.positions.len());
     }
 
-    /// The position of a column in the last row becomes a gap.
-    pub(super) fn drop_cut(&mut self, column: usize) {
+    /// Makes the sample of a marker in the last row a gap, because its number may be cut off.
+    pub(super) fn drop_truncated(&mut self, column: usize) {
         let n_before = self.ends.len().checked_sub(2).and_then(|row| self.ends.get(row));
         let place = n_before.copied().unwrap_or(0).saturating_add(column);
         if let Some(cut) = self.positions.get_mut(place) {
@@ -142,18 +140,19 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Says how many samples are not finite.
+    /// Warns of samples that are not finite.
     pub(super) fn report_not_finite(&self, warnings: &mut Vec<String>) {
         self.millimetres.report(warnings);
     }
 
-    /// Says how many samples have cells that are not numbers.
+    /// Warns of samples whose cells are not numbers.
     pub(super) fn report_damaged(&self, warnings: &mut Vec<String>) {
         report_damaged(self.damaged, warnings);
     }
 
-    /// Puts each row where its number and time say, with empty rows for frames that have none, and says the rate: the
-    /// stated one, or the one that the times tell. `width` markers, of which the file's bytes can mean so many rows.
+    /// Moves each row to the frame that its number and time give, and inserts empty rows for frames without a row.
+    /// Returns the rate: the stated one, or the one that follows from the times. The size of the file and the number of
+    /// markers (`width`) limit the number of rows.
     pub(super) fn place(
         &mut self,
         stated_hz: Option<f64>,
@@ -161,7 +160,7 @@ impl<'a> Table<'a> {
         warnings: &mut Vec<String>,
     ) -> Option<f64> {
         let frames_max = self.bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE) / width.max(1);
-        let placed = self.lines.place(stated_hz, frames_max, warnings);
+        let placed = self.timing.place(stated_hz, frames_max, warnings);
         let rate_hz =
             placed.rate_hz.or_else(|| (self.ends.len() == 1).then(|| rate_of_one_frame(warnings)));
         if !placed.missing_before.is_empty() {
@@ -178,28 +177,29 @@ impl<'a> Table<'a> {
         rate_hz
     }
 
-    /// Number of the first frame, where rows have numbers.
+    /// The number of the first frame, if rows have numbers.
     pub(super) fn first_frame(&self) -> Option<u64> {
-        self.lines.first()
+        self.timing.first()
     }
 
-    /// Rows, which are frames.
+    /// The number of rows, which is that of frames.
     pub(super) fn n_frames(&self) -> u64 {
         self.ends.len() as u64
     }
 
-    /// How many of the frames that the file announces are missing; notes another number than there is.
-    pub(super) fn n_missing(&self, announced: Option<u64>, warnings: &mut Vec<String>) -> u64 {
+    /// The number of announced frames that the file does not have. Warns if it has another number than announced.
+    pub(super) fn count_missing(&self, announced: Option<u64>, warnings: &mut Vec<String>) -> u64 {
         let n_frames = self.n_frames();
         let Some(announced) = announced.filter(|&n| n != n_frames) else { return 0 };
-        warnings.push(format!("{announced} frames announced, {n_frames} present."));
+        let frames = counted(announced, "frame");
+        warnings.push(format!("The header announces {frames}, the file has {n_frames}."));
         announced.saturating_sub(n_frames)
     }
 
-    /// All rows `width` positions wide: gaps where a row is shorter.
+    /// The positions as a rectangle `width` markers wide; shorter rows are filled up with gaps.
     ///
     /// # Errors
-    /// `Malformed` when that is more than so many bytes of text can mean.
+    /// `Malformed` if the rectangle has more than [`MAX_POSITIONS_PER_BYTE`] positions per byte of the file.
     pub(super) fn into_positions(self, width: usize) -> Result<Vec<Position>> {
         let total = width.saturating_mul(self.ends.len());
         if total == self.positions.len() {
@@ -207,7 +207,7 @@ impl<'a> Table<'a> {
         }
         if total > self.bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE) {
             let message = format!(
-                "{} rows as wide as the widest, {width} markers, are more than {} bytes of text can mean; split the file",
+                "{} rows of {width} markers (the widest row) are too many for a file of {} bytes; split the file",
                 self.ends.len(),
                 self.bytes.len()
             );
@@ -228,12 +228,12 @@ impl<'a> Table<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::interchange::turn::Turn;
+    use crate::interchange::rotation::Rotation;
 
     #[test]
-    fn one_wide_row_among_many_short_ones_does_not_earn_memory() {
+    fn one_wide_row_among_many_short_ones_does_not_claim_memory() {
         let bytes = [b' '; 8000];
-        let mut table = Table::new("trc", &bytes, Millimetres::new(1.0, Turn::NONE));
+        let mut table = Table::new("trc", &bytes, ToMillimetres::new(1.0, Rotation::IDENTITY));
         for _ in 0..1000 {
             table.end_row();
         }

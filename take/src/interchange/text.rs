@@ -1,4 +1,4 @@
-//! What the text formats share: lines, cells, numbers, labels.
+//! Shared parsing and formatting of the text formats: lines, cells, numbers and labels.
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -8,18 +8,15 @@ use crate::{
     record::Channel,
 };
 
-/// The lines of a text with their 1-based numbers, without a byte order mark and without line ends (LF or CRLF).
+/// The lines of a text with their numbers from 1, without the byte order mark and the line ends (LF or CRLF).
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
-    bytes
-        .split(|&b| b == b'\n')
-        .map(|line| line.strip_suffix(b"\r").unwrap_or(line))
-        .enumerate()
-        .map(|(index, line)| (index + 1, line))
+    let lines = bytes.split(|&b| b == b'\n').map(|line| line.strip_suffix(b"\r").unwrap_or(line));
+    (1_usize..).zip(lines)
 }
 
-/// Text of unknown encoding: UTF-8 where it is valid, Latin-1 otherwise, so that no label is lost.
+/// Decodes text of unknown encoding: as UTF-8 if it is valid, otherwise as Latin-1, so that every label survives.
 pub(super) fn decode(bytes: &[u8]) -> String {
     match std::str::from_utf8(bytes) {
         Ok(text) => text.to_owned(),
@@ -27,30 +24,29 @@ pub(super) fn decode(bytes: &[u8]) -> String {
     }
 }
 
-/// A cell's number; `None` when it is empty or not a number.
+/// Parses a cell as a number; `None` if it is empty or not a number.
 pub(super) fn number(cell: &[u8]) -> Option<f64> {
     let text = std::str::from_utf8(cell.trim_ascii()).ok()?;
     text.parse().ok()
 }
 
-/// A cell's whole number, also when it is written `12.0`.
+/// Parses a cell as a whole number from 0 to 2^53; `12.0` counts as one.
 pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
     let value = number(cell)?;
-    (value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(&value))
-        .then_some(value as u64)
+    (value.fract() == 0.0 && (0.0..=2f64.powi(53)).contains(&value)).then_some(value as u64)
 }
 
-/// A cell's rate: a number above 0.
+/// Parses a cell as a rate: a finite number above 0.
 pub(super) fn rate(cell: &[u8]) -> Option<f64> {
     number(cell).filter(|&rate| is_rate(rate))
 }
 
-/// Whether a number can be a rate.
+/// Whether a number can be a rate: finite and above 0.
 pub(super) fn is_rate(number: f64) -> bool {
     number.is_finite() && number > 0.0
 }
 
-/// Digits behind the point.
+/// The number of decimals of a number in a cell.
 pub(super) fn decimals(cell: &[u8]) -> usize {
     let point = cell.iter().position(|&b| b == b'.');
     let behind = point.and_then(|point| cell.get(point + 1..)).unwrap_or(&[]);
@@ -62,7 +58,7 @@ pub(super) fn decimals(cell: &[u8]) -> usize {
 pub(super) enum Separator {
     /// One byte between two cells: a tab, a comma or a semicolon. Cells may be empty.
     Byte(u8),
-    /// Any number of spaces: no cell is empty.
+    /// One or more white-space characters. No cell can be empty.
     Spaces,
 }
 
@@ -70,13 +66,14 @@ impl Separator {
     pub(super) const COMMA: Self = Self::Byte(b',');
     pub(super) const TAB: Self = Self::Byte(b'\t');
 
-    /// The separator of a line by what stands in it.
+    /// Detects the separator of a line: tab, comma or semicolon, whichever occurs, in this order of preference; else
+    /// spaces.
     pub(super) fn of(line: &[u8]) -> Self {
         let found = [b'\t', b',', b';'].into_iter().find(|byte| line.contains(byte));
         found.map_or(Self::Spaces, Self::Byte)
     }
 
-    /// Whether it stands in a line.
+    /// Whether the separator occurs in a line.
     pub(super) fn is_in(self, line: &[u8]) -> bool {
         match self {
             Self::Byte(byte) => line.contains(&byte),
@@ -95,9 +92,9 @@ impl Separator {
     }
 }
 
-/// Whether the last number of a text was cut off: no line end stands behind it, and every other number of its column has
-/// more digits behind the point. Lines from `first_line` on are compared.
-pub(super) fn ends_within_a_number(bytes: &[u8], first_line: usize, separator: Separator) -> bool {
+/// Whether the last number of a text is probably cut off: the text does not end in a line end, and every other number
+/// of that column has more decimals. Compares the lines from `first_line` on.
+pub(super) fn ends_mid_number(bytes: &[u8], first_line: usize, separator: Separator) -> bool {
     if bytes.ends_with(b"\n") {
         return false;
     }
@@ -113,7 +110,8 @@ pub(super) fn ends_within_a_number(bytes: &[u8], first_line: usize, separator: S
     number(cut).is_some() && fewest.is_some_and(|fewest| decimals(cut.trim_ascii()) < fewest)
 }
 
-/// A marker by the text found in its column: empty, or the very name an unlabelled column has, is unlabelled.
+/// The marker of a column by its label. A label that is empty or the default name of that column is an unlabelled
+/// marker.
 pub(super) fn marker(label: &str, column: usize) -> Marker {
     let unlabelled = Channel::unlabelled_name(column);
     if label.is_empty() || label == unlabelled {
@@ -122,22 +120,22 @@ pub(super) fn marker(label: &str, column: usize) -> Marker {
     Marker { label: label.to_owned(), labelled: true }
 }
 
-/// The markers of so many columns, by the texts that stand above them.
+/// The markers of `width` columns by their labels.
 pub(super) fn markers(labels: &[String], width: usize) -> Vec<Marker> {
     (0..width).map(|column| marker(labels.get(column).map_or("", String::as_str), column)).collect()
 }
 
-/// Most bytes of header lines that are given back: as many markers as a C3D file has, with labels of 60 bytes.
+/// Most bytes of header lines to restore: enough for 65535 markers, the most of a C3D file, with labels of 60 bytes.
 const HEADER_BYTES_MAX: u64 = 1 << 22;
 
-/// The header lines that an importer kept as `kind`; none where there are none, or more than any header has.
+/// The header lines that the importer kept as `kind`; empty if there are none or more than [`HEADER_BYTES_MAX`].
 pub(super) fn kept_header(info: &MotionInfo, kind: &str) -> std::io::Result<Vec<u8>> {
     let part = info.foreign.iter().find(|part| part.kind == kind);
     let lines = part.map(|part| part.data.to_vec(HEADER_BYTES_MAX)).transpose()?.flatten();
     Ok(lines.unwrap_or_default())
 }
 
-/// A name for each column: the marker's label; `#2`, `#3`... is added where a column before it has that name.
+/// A unique name for each column: the marker's label, with `#2`, `#3`... appended if an earlier column has that name.
 #[must_use]
 pub fn column_labels(info: &MotionInfo) -> Vec<String> {
     let mut taken = HashSet::new();
@@ -157,15 +155,15 @@ pub fn column_labels(info: &MotionInfo) -> Vec<String> {
     names
 }
 
-/// A text as a cell between tabs: a tab or a line end would shift what follows it.
-pub(super) fn plain(text: &str) -> Cow<'_, str> {
+/// A text without tabs and line ends, which would shift the cells after it.
+pub(super) fn without_tabs(text: &str) -> Cow<'_, str> {
     if text.contains(['\t', '\n', '\r']) {
         return Cow::Owned(text.replace(['\t', '\n', '\r'], " "));
     }
     Cow::Borrowed(text)
 }
 
-/// The value behind a name and a tab, in lines of such pairs.
+/// The value of a name in lines of a name, a tab and a value.
 pub(super) fn value_of(kept: &[u8], name: &str) -> Option<String> {
     let value = |(_, line): (usize, &[u8])| {
         let value = line.strip_prefix(name.as_bytes())?.strip_prefix(b"\t")?;
@@ -192,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_are_told_by_what_separates_them() {
+    fn cells_are_split_at_the_separator_of_the_line() {
         let cells = |line: &'static str| -> Vec<&str> {
             let line = line.as_bytes();
             let cells = Separator::of(line).cells(line);

@@ -1,19 +1,19 @@
-//! Track Row Column, the text format of Motion Analysis that `OpenSim` and Cortex read and write.
+//! Track Row Column (TRC), the text format of Motion Analysis that `OpenSim` and Cortex read and write.
 //!
-//! Three header lines (a path line, names, values), a line with `Frame#`, `Time` and a label every three columns,
-//! a line `X1 Y1 Z1 X2 ...`, perhaps an empty line, then one line a frame; cells are separated by tabs, in what some
-//! scripts write by commas or spaces.
-//! In an unlabelled cloud no label stands, `NumMarkers` is 0 and lines differ in length.
+//! Three header lines (path, names, values) are followed by a line with `Frame#`, `Time` and a label in every third
+//! column, a line `X1 Y1 Z1 X2 ...`, in some files an empty line, and one line for each frame. Tabs separate the cells;
+//! some scripts write commas or spaces.
+//! A file of unlabelled points has no labels, its `NumMarkers` is 0 and its rows differ in length.
 
 use std::io::Write;
 
 use super::{
-    InterchangeError, ReadOptions, Result, expect_frames,
-    origin::{self, beside_origin},
+    InterchangeError, ReadOptions, Result, check_frame_count, counted,
+    origin::{self, off_origin},
     put_position,
     table::{CUT_OFF, Table},
-    text::{self, Separator, column_labels, plain},
-    units::{FileUnit, Millimetres},
+    text::{self, Separator, column_labels, without_tabs},
+    units::{FileUnit, ToMillimetres},
     write_frames,
 };
 use crate::{
@@ -21,82 +21,81 @@ use crate::{
     motion::{Foreign, FrameSource, Motion, MotionInfo, UpAxis},
 };
 
-/// Kind of the header lines that are kept: the first three lines of the file as they are.
+/// Kind of the foreign part with the header lines: the lines above the labels, unchanged.
 const HEADER: &str = "trc/header";
 
-/// Cells in front of the positions: frame number and time.
+/// Number of cells before the first coordinate: frame number and time.
 const LEAD_CELLS: usize = 2;
 
-/// Lines within which the labels must stand.
-const HEAD_LINES_MAX: usize = 16;
+/// The line of labels must be within this many lines.
+const HEADER_LINES_MAX: usize = 16;
 
 /// Reads a whole file.
 pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
-    let head = Head::parse(bytes, &mut notes.warnings)?;
-    let unit = FileUnit::of(&head.unit, options.unit, &mut notes);
-    let mut table = Table::new("trc", bytes, Millimetres::new(unit.factor, options.turn()));
+    let header = TrcHeader::parse(bytes, &mut notes.warnings)?;
+    let unit = FileUnit::resolve(&header.unit, options.unit, &mut notes);
+    let mut table = Table::new("trc", bytes, ToMillimetres::new(unit.factor, options.rotation()));
     let warnings = &mut notes.warnings;
-    let separator = separator_of_rows(bytes, &head);
-    let width = read_rows(&mut table, &head, separator, warnings)?;
-    table.place(Some(head.rate_hz), width, warnings);
-    let frames_missing = table.n_missing(head.n_frames, warnings);
-    // A label with a space in it counts as several where spaces separate them.
-    let n_labels = match (separator, head.n_markers) {
+    let separator = separator_of_rows(bytes, &header);
+    let width = read_rows(&mut table, &header, separator, warnings)?;
+    table.place(Some(header.rate_hz), width, warnings);
+    let frames_missing = table.count_missing(header.n_frames, warnings);
+    // A label with a space in it counts as several if spaces are the separator.
+    let n_labels = match (separator, header.n_markers) {
         (Separator::Byte(_), Some(n)) if n > 0 => usize::try_from(n).unwrap_or(usize::MAX),
         _ => width,
     };
-    let mut labels = head.labels;
-    if head.separator == Separator::Spaces && !labels.is_empty() && labels.len() != n_labels {
+    let mut labels = header.labels;
+    if header.separator == Separator::Spaces && !labels.is_empty() && labels.len() != n_labels {
         warnings.push(format!(
-            "Spaces separate {} labels of {n_labels} markers: which is whose is not known, and markers are numbered.",
+            "{} labels between spaces for {n_labels} markers; the labels were ignored, as they cannot be matched.",
             labels.len()
         ));
         labels.clear();
     }
     let width = width.max(labels.len());
-    if let Some(announced) = head.n_markers.filter(|&n| n > 0 && n != width as u64) {
-        warnings
-            .push(format!("NumMarkers is {announced}, the file has columns for {width} markers."));
+    if let Some(n) = header.n_markers.filter(|&n| n > 0 && n != width as u64) {
+        warnings.push(format!("NumMarkers is {n}, but the file has columns for {width} markers."));
     }
     let first_frame = table.first_frame().unwrap_or(1);
     let n_frames = table.n_frames();
     let mut positions_mm = table.into_positions(width)?;
-    let samples = origin::remove(&mut positions_mm, width);
+    let samples = origin::replace_with_gaps(&mut positions_mm, width);
     if samples > 0 {
         notes.ambiguous(Ambiguity::Origin { samples, gaps: true });
     }
-    unit.judge(&positions_mm, width, &mut notes);
+    unit.check(&positions_mm, width, &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
-            rate_hz: head.rate_hz,
+            rate_hz: header.rate_hz,
             n_frames,
             markers: text::markers(&labels, width),
             up: options.up(UpAxis::Unknown, &mut notes),
             source: unit.into_source("trc", first_frame, frames_missing, notes),
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
             ..MotionInfo::default()
         },
     })
 }
 
-/// What stands above the data.
-struct Head {
+/// The header lines and the labels.
+struct TrcHeader {
     rate_hz: f64,
     unit: String,
     n_frames: Option<u64>,
     n_markers: Option<u64>,
     labels: Vec<String>,
-    /// What stands between the labels.
+    /// The separator of the labels.
     separator: Separator,
-    /// Number of the line with the labels.
+    /// Number of the line of labels.
     labels_line: usize,
-    /// The lines above it, without line ends, each followed by LF.
+    /// The lines above the labels, each followed by LF.
     lines: Vec<u8>,
 }
 
-impl Head {
+impl TrcHeader {
     fn parse(bytes: &[u8], warnings: &mut Vec<String>) -> Result<Self> {
         let begins_with = |line: &[u8], name: &[u8]| {
             let start = line.trim_ascii_start().get(..name.len());
@@ -115,7 +114,7 @@ impl Head {
             if begins_with(line, b"Frame#") {
                 break (number, line);
             }
-            if number > HEAD_LINES_MAX {
+            if number > HEADER_LINES_MAX {
                 return Err(malformed(
                     "line 1",
                     "expected `Frame#` within 16 lines: not a TRC file",
@@ -129,13 +128,12 @@ impl Head {
             kept.extend_from_slice(line);
             kept.push(b'\n');
         };
-        let value =
-            |name: &str| values.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
+        let value = |name: &str| Some(values.iter().find(|(n, _)| n == name)?.1.as_str());
         let rate = |name: &str| text::rate(value(name)?.as_bytes());
         let Some(rate_hz) = rate("datarate").or_else(|| rate("camerarate")) else {
             return Err(malformed(
                 "line 3",
-                "expected the rate under `DataRate`, a number above 0: mend the line and try again",
+                "expected a rate above 0 under `DataRate`: correct the line and import again",
             ));
         };
         let separator = Separator::of(labels);
@@ -159,8 +157,8 @@ fn cells(line: &[u8]) -> impl Iterator<Item = String> + '_ {
     Separator::of(line).cells(line).map(|cell| text::decode(cell.trim_ascii()))
 }
 
-/// The labels: every three cells, or in every cell where as many follow each other as there are markers, or where cells
-/// cannot be empty.
+/// The labels: the first of every three cells. All non-empty cells if there are as many cells as markers, if other
+/// cells are not empty, or if the separator is spaces, which leave no cell empty.
 fn labels_of(
     line: &[u8],
     separator: Separator,
@@ -174,20 +172,17 @@ fn labels_of(
     if separator == Separator::Spaces {
         return cells;
     }
-    let between =
-        cells.iter().enumerate().filter(|(index, cell)| index % 3 != 0 && !cell.is_empty()).count();
-    if between == 0 {
+    let is_between = |(index, cell): (usize, &String)| index % 3 != 0 && !cell.is_empty();
+    if !cells.iter().enumerate().any(is_between) {
         return cells.into_iter().step_by(3).collect();
     }
     if n_markers == Some(cells.len() as u64) {
-        warnings.push("Labels stand in every column, not in every third.".to_owned());
+        warnings.push("Labels are in every column instead of every third.".to_owned());
         return cells;
     }
     cells.retain(|cell| !cell.is_empty());
-    warnings.push(format!(
-        "Labels do not stand in every third column; {} were taken in order.",
-        cells.len()
-    ));
+    let labels = counted(cells.len() as u64, "label");
+    warnings.push(format!("Not in every third column, read in order: {labels}."));
     cells
 }
 
@@ -195,24 +190,24 @@ fn malformed(place: &str, message: &str) -> InterchangeError {
     InterchangeError::malformed("trc", place, message)
 }
 
-/// Reads everything below the labels. Returns the number of markers of the widest row.
+/// Reads all lines below the labels. Returns the number of markers in the widest row.
 fn read_rows(
     table: &mut Table<'_>,
-    head: &Head,
+    header: &TrcHeader,
     separator: Separator,
     warnings: &mut Vec<String>,
 ) -> Result<usize> {
     let bytes = table.bytes;
     let exact_width = match separator {
         Separator::Byte(_) => None,
-        Separator::Spaces => exact_width(bytes, head)?,
+        Separator::Spaces => exact_width(bytes, header)?,
     };
     let mut width = exact_width.unwrap_or(0);
     let (mut skipped_lines, mut skipped_rows) = (Vec::new(), Vec::new());
     let mut n_cells = 0;
-    for (at, line) in text::lines(bytes).skip(head.labels_line) {
+    for (at, line) in text::lines(bytes).skip(header.labels_line) {
         if frame_number(line, separator).is_none() {
-            // The line X1 Y1 Z1... and empty lines.
+            // Skips the line X1 Y1 Z1... and empty lines without a warning.
             let own = Separator::of(line);
             let is_empty = own.cells(line).next().is_none_or(|cell| cell.trim_ascii().is_empty());
             if !is_empty && !is_axes(own, line) {
@@ -230,21 +225,18 @@ fn read_rows(
         }
         table.end_row();
     }
-    if n_cells > LEAD_CELLS && text::ends_within_a_number(bytes, head.labels_line + 1, separator) {
-        table.drop_cut((n_cells - LEAD_CELLS - 1) / 3);
+    if n_cells > LEAD_CELLS && text::ends_mid_number(bytes, header.labels_line + 1, separator) {
+        table.drop_truncated((n_cells - LEAD_CELLS - 1) / 3);
         warnings.push(CUT_OFF.to_owned());
     }
     if let Some(first) = skipped_lines.first() {
-        let n = skipped_lines.len();
-        warnings.push(format!(
-            "{n} lines do not begin with a frame number and were left out, the first is line {first}."
-        ));
+        let lines = counted(skipped_lines.len() as u64, "line");
+        warnings.push(format!("Without a frame number, left out: {lines}, first line {first}."));
     }
     if let Some(first) = skipped_rows.first() {
-        let n = skipped_rows.len();
+        let rows = counted(skipped_rows.len() as u64, "row");
         warnings.push(format!(
-            "{n} rows do not have the cells of all markers, or another separator than the others; which cell is whose \
-             is not known, and they are gaps. The first is line {first}."
+            "With a wrong number of cells or another separator, read as gaps: {rows}, first line {first}."
         ));
     }
     table.report_damaged(warnings);
@@ -252,18 +244,19 @@ fn read_rows(
     Ok(width)
 }
 
-/// The number that a row begins with, also where something else than in other rows stands between its cells; `None` for
-/// other lines.
+/// The frame number that a row begins with, also if the row has a separator of its own; `None` for lines that are not
+/// rows.
 fn frame_number(line: &[u8], separator: Separator) -> Option<u64> {
     let of = |separator: Separator| text::whole_number(separator.cells(line).next()?);
     of(separator).or_else(|| of(Separator::of(line)))
 }
 
-/// One separator for all rows: that of the labels where a row has it, else that of the first row.
-fn separator_of_rows(bytes: &[u8], head: &Head) -> Separator {
-    let of_labels = head.separator;
+/// The separator of all rows: that of the labels if any row has it, otherwise that of the first row. Below labels
+/// between spaces, that of the first row.
+fn separator_of_rows(bytes: &[u8], header: &TrcHeader) -> Separator {
+    let of_labels = header.separator;
     let mut first = None;
-    for (_, line) in text::lines(bytes).skip(head.labels_line) {
+    for (_, line) in text::lines(bytes).skip(header.labels_line) {
         let own = Separator::of(line);
         if frame_number(line, own).is_none() {
             continue;
@@ -279,28 +272,26 @@ fn separator_of_rows(bytes: &[u8], head: &Head) -> Separator {
     first.unwrap_or(of_labels)
 }
 
-/// How many markers rows between spaces have: no cell is empty there, so that the row of a frame in which a marker is
-/// missing is shorter, and does not tell which one. As `NumMarkers` or the labels say, whichever more rows agree with.
-/// `None` where neither does: points of an unlabelled cloud are nobody's, and rows differ in length.
+/// The number of markers that a complete row between spaces has. Such a row cannot have empty cells: if a marker is
+/// missing, the row is shorter and does not show which one. The number comes from `NumMarkers` or the labels, whichever
+/// more rows agree with. `None` if the file states neither: rows of unlabelled points differ in length.
 ///
 /// # Errors
-/// `Malformed` when no row agrees.
-fn exact_width(bytes: &[u8], head: &Head) -> Result<Option<usize>> {
-    let announced = head.n_markers.and_then(|n| usize::try_from(n).ok()).filter(|&n| n > 0);
-    let labelled = Some(head.labels.len()).filter(|&n| n > 0);
-    let rows = text::lines(bytes).skip(head.labels_line).map(|(_, line)| line);
+/// `Malformed` if no row agrees with either number.
+fn exact_width(bytes: &[u8], header: &TrcHeader) -> Result<Option<usize>> {
+    let announced = header.n_markers.and_then(|n| usize::try_from(n).ok()).filter(|&n| n > 0);
+    let labelled = Some(header.labels.len()).filter(|&n| n > 0);
+    let rows = text::lines(bytes).skip(header.labels_line).map(|(_, line)| line);
     let rows = rows.filter(|line| frame_number(line, Separator::Spaces).is_some());
     let widths: Vec<Option<usize>> = rows.map(width_of).collect();
-    let agreeing = |stated: Option<usize>| {
-        widths.iter().filter(|&&width| width.is_some() && width == stated).count()
-    };
+    let agreeing = |n: Option<usize>| widths.iter().filter(|w| w.is_some() && **w == n).count();
     let (by_number, by_labels) = (agreeing(announced), agreeing(labelled));
     let preferred = if by_labels > by_number { labelled } else { announced.or(labelled) };
     let Some(width) = preferred else { return Ok(None) };
     if !widths.is_empty() && by_number.max(by_labels) == 0 {
         let message = format!(
-            "expected rows of {} cells between spaces (frame, time, and three for each of {width} markers), found none: \
-             a missing marker has no cells there, and which one is missing is not known; separate the cells by tabs",
+            "expected rows of {} cells (frame, time, and three for each of {width} markers), found none: cells between \
+             spaces cannot be empty, so missing markers cannot be identified; separate the cells with tabs",
             width.saturating_mul(3).saturating_add(LEAD_CELLS)
         );
         return Err(malformed("data", &message));
@@ -308,24 +299,22 @@ fn exact_width(bytes: &[u8], head: &Head) -> Result<Option<usize>> {
     Ok(Some(width))
 }
 
-/// Markers of a row between spaces; `None` for a part of one.
+/// The number of markers in a row between spaces; `None` if the row ends within a marker.
 fn width_of(line: &[u8]) -> Option<usize> {
     let n_cells = Separator::Spaces.cells(line).count().checked_sub(LEAD_CELLS)?;
     n_cells.is_multiple_of(3).then_some(n_cells / 3)
 }
 
-/// Whether each cell of a row stands in the column of its marker.
+/// Whether the cells of a row can be assigned to markers.
 fn is_aligned(line: &[u8], separator: Separator, exact_width: Option<usize>) -> bool {
     match separator {
-        Separator::Spaces => {
-            width_of(line).is_some_and(|width| exact_width.is_none_or(|exact| width == exact))
-        }
-        // A number alone is a frame without a position.
+        Separator::Spaces => width_of(line).is_some_and(|n| exact_width.unwrap_or(n) == n),
+        // A row of a frame number alone has no separator: it is a frame without positions.
         Separator::Byte(_) => separator.is_in(line) || text::whole_number(line).is_some(),
     }
 }
 
-/// Whether a line holds nothing but `X1 Y1 Z1 X2...`, three cells at least.
+/// Whether a line is the line of axes `X1 Y1 Z1 X2...`, with at least three cells.
 fn is_axes(separator: Separator, line: &[u8]) -> bool {
     let is_axis = |cell: &[u8]| match cell.trim_ascii().split_first() {
         Some((axis, number)) => b"XYZxyz".contains(axis) && number.iter().all(u8::is_ascii_digit),
@@ -334,34 +323,33 @@ fn is_axes(separator: Separator, line: &[u8]) -> bool {
     separator.cells(line).nth(2).is_some() && separator.cells(line).all(is_axis)
 }
 
-/// Writes a whole file as `OpenSim` reads it: millimetres, LF, missing samples as empty cells, as many digits as bring back
-/// the f32.
+/// Writes a whole file in `OpenSim`'s dialect: millimetres, LF line ends, missing samples as empty cells, numbers with
+/// the digits that restore the f32.
 ///
-/// Lines end in a tab, as `OpenSim` writes them: its reader takes what stands behind the last tab for a cell only when
-/// it is not empty, so that a row whose last sample is missing would have a cell too few.
+/// Lines end in a tab, as `OpenSim` writes them. Its reader ignores an empty cell after the last tab, so without that
+/// tab a row whose last sample is missing would lack a cell.
 pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let first_frame = info.source.first_frame.max(1);
-    let mut head = Vec::new();
-    write_head(&mut head, &info, first_frame)?;
-    let n_written = write_frames(frames, out, head, |line, index, row| {
+    let mut header = Vec::new();
+    write_header(&mut header, &info, first_frame)?;
+    let n_written = write_frames(frames, out, header, |line, index, row| {
         write!(line, "{}\t{}\t", first_frame + index, index as f64 / info.rate_hz)?;
         for &position in row {
-            put_position(line, beside_origin(position), b'\t', "")?;
+            put_position(line, off_origin(position), b'\t', "")?;
             line.push(b'\t');
         }
         line.push(b'\n');
         Ok(())
     })?;
-    Ok(expect_frames(info.n_frames, n_written)?)
+    Ok(check_frame_count(info.n_frames, n_written)?)
 }
 
-fn write_head(line: &mut Vec<u8>, info: &MotionInfo, first_frame: u64) -> Result<()> {
+fn write_header(line: &mut Vec<u8>, info: &MotionInfo, first_frame: u64) -> Result<()> {
     let n_markers = info.markers.len();
     let kept = &text::kept_header(info, HEADER)?[..];
-    let name =
-        text::lines(kept).map(|(_, line)| line).find(|line| line.starts_with(b"PathFileType"));
-    line.extend(name.unwrap_or(b"PathFileType\t4\t(X/Y/Z)\tmocapd.trc"));
+    let path = text::lines(kept).find(|(_, line)| line.starts_with(b"PathFileType"));
+    line.extend(path.map_or(&b"PathFileType\t4\t(X/Y/Z)\tmocapd.trc"[..], |(_, path)| path));
     let original = |name: &str| original_value(kept, name);
     let camera_rate = original("CameraRate").unwrap_or_else(|| info.rate_hz.to_string());
     let original_rate = original("OrigDataRate").unwrap_or_else(|| info.rate_hz.to_string());
@@ -373,9 +361,9 @@ fn write_head(line: &mut Vec<u8>, info: &MotionInfo, first_frame: u64) -> Result
          {}\t{camera_rate}\t{}\t{n_markers}\tmm\t{original_rate}\t{original_first}\t{original_frames}\nFrame#\tTime\t",
         info.rate_hz, info.n_frames
     )?;
-    // A label is never empty and none comes twice: OpenSim's tables need that.
+    // OpenSim's tables need unique labels that are not empty.
     for label in column_labels(info) {
-        write!(line, "{}\t\t\t", plain(&label))?;
+        write!(line, "{}\t\t\t", without_tabs(&label))?;
     }
     line.extend(b"\n\t\t");
     for column in 1..=n_markers {
@@ -385,7 +373,7 @@ fn write_head(line: &mut Vec<u8>, info: &MotionInfo, first_frame: u64) -> Result
     Ok(())
 }
 
-/// A value of the file that was read, where its header stands in two lines of names and values.
+/// A value of the imported file's header, found by its name in the lines of names and values.
 fn original_value(kept: &[u8], name: &str) -> Option<String> {
     let mut lines = text::lines(kept).map(|(_, line)| line);
     let names = lines.find(|line| line.starts_with(b"DataRate"))?;

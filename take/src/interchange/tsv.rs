@@ -1,20 +1,20 @@
-//! Qualisys Track Manager's text export of 3D data.
+//! The text export of 3D data from Qualisys Track Manager (QTM).
 //!
-//! Lines of a name, a tab and a value, the last of them `MARKER_NAMES` (QTM manual, "Motion data (.tsv)",
-//! docs.qualisys.com); perhaps a line with trajectory types and a line with column names (`Frame`, `Time`,
-//! `Head_FL X` or `Head_FL_X`); then one line a frame, in millimetres.
-//! The export has no mark for a missing sample: it writes zeros. Three zeros, empty cells and cells that are no
-//! finite numbers are therefore gaps.
+//! The header has lines of a name, a tab and a value and ends with `MARKER_NAMES` (QTM manual, "Motion data (.tsv)",
+//! docs.qualisys.com). A line with trajectory types and a line with column names (`Frame`, `Time`, `Head_FL X` or
+//! `Head_FL_X`) may follow, then one line for each frame, in millimetres.
+//! The format has no mark for a missing sample; QTM writes zeros. Therefore `0 0 0`, empty cells and cells that are not
+//! finite numbers are gaps.
 
 use std::io::Write;
 
 use super::{
-    InterchangeError, ReadOptions, Result, expect_frames,
-    origin::beside_origin,
+    InterchangeError, ReadOptions, Result, check_frame_count,
+    origin::off_origin,
     put_position,
     table::Table,
-    text::{self, Separator, column_labels, kept_header, plain, value_of},
-    units::{FileUnit, Millimetres},
+    text::{self, Separator, column_labels, kept_header, value_of, without_tabs},
+    units::{FileUnit, ToMillimetres},
     write_frames,
 };
 use crate::{
@@ -23,26 +23,29 @@ use crate::{
     record::EventKind,
 };
 
-/// Kind of the header lines that are kept: all lines above the data, each followed by LF.
+/// Kind of the foreign part with the header: all lines above the data, each followed by LF.
 const HEADER: &str = "tsv/header";
+
+/// Names that only QTM's header has.
+const QTM_NAMES: [&[u8]; 4] = [b"NO_OF_FRAMES", b"NO_OF_MARKERS", b"FREQUENCY", b"MARKER_NAMES"];
 
 /// Reads a whole file.
 pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
-    let head = Head::parse(bytes)?;
-    let unit = FileUnit::of("mm", options.unit, &mut notes);
-    let millimetres = Millimetres::new(unit.factor, options.turn());
+    let header = TsvHeader::parse(bytes)?;
+    let unit = FileUnit::resolve("mm", options.unit, &mut notes);
+    let millimetres = ToMillimetres::new(unit.factor, options.rotation());
     let mut table = Table::new("tsv", bytes, millimetres).with_zeros_as_gaps();
-    let mut width = head.labels.len();
+    let mut width = header.labels.len();
     let mut first_frame = None;
-    for (_, line) in text::lines(bytes).skip(head.n_lines) {
+    for (_, line) in text::lines(bytes).skip(header.n_lines) {
         if line.trim_ascii().is_empty() {
             continue;
         }
         let mut cells = Separator::TAB.cells(line);
-        for column in 0..head.lead {
+        for column in 0..header.lead_columns {
             let cell = cells.next().unwrap_or(&[]);
-            if Some(column) == head.frame_column {
+            if Some(column) == header.frame_column {
                 first_frame = first_frame.or_else(|| text::whole_number(cell));
             }
         }
@@ -52,101 +55,96 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let up = options.up(UpAxis::Unknown, &mut notes);
     table.report_not_finite(&mut notes.warnings);
     table.report_damaged(&mut notes.warnings);
-    let frames_missing = table.n_missing(head.n_frames, &mut notes.warnings);
-    if let Some(announced) = head.n_markers.filter(|&n| n != width as u64) {
+    let frames_missing = table.count_missing(header.n_frames, &mut notes.warnings);
+    if let Some(announced) = header.n_markers.filter(|&n| n != width as u64) {
         notes.warnings.push(format!(
-            "NO_OF_MARKERS is {announced}, the file has columns for {width} markers."
+            "NO_OF_MARKERS is {announced}, but the file has columns for {width} markers."
         ));
     }
     let n_frames = table.n_frames();
     let first_frame = first_frame.unwrap_or(1);
-    let mut events = head.events(first_frame, n_frames);
+    let mut events = header.events(first_frame, n_frames);
     events.sort_by_key(|event| event.frame);
     let positions_mm = table.into_positions(width)?;
-    unit.judge(&positions_mm, width, &mut notes);
+    unit.check(&positions_mm, width, &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
-            rate_hz: head.rate_hz,
+            rate_hz: header.rate_hz,
             n_frames,
-            markers: text::markers(&head.labels, width),
+            markers: text::markers(&header.labels, width),
             up,
             source: unit.into_source("tsv", first_frame, frames_missing, notes),
             events,
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
             ..MotionInfo::default()
         },
     })
 }
 
-/// What stands above the data.
+/// The lines above the data.
 #[derive(Default)]
-struct Head {
+struct TsvHeader {
     rate_hz: f64,
     n_frames: Option<u64>,
     n_markers: Option<u64>,
     labels: Vec<String>,
-    /// Columns before the first coordinate.
-    lead: usize,
-    /// The column with frame numbers.
+    /// Number of columns before the first coordinate.
+    lead_columns: usize,
+    /// Index of the column with frame numbers.
     frame_column: Option<usize>,
     n_lines: usize,
     lines: Vec<u8>,
 }
 
-impl Head {
+impl TsvHeader {
     fn parse(bytes: &[u8]) -> Result<Self> {
-        let mut head = Self::default();
+        let mut header = Self::default();
         let mut rate_hz = None;
         let mut is_qtm = false;
         for (number, line) in text::lines(bytes) {
             let mut cells = Separator::TAB.cells(line);
             let first = cells.next().unwrap_or(&[]).trim_ascii();
-            if !line.trim_ascii().is_empty()
-                && (first.is_empty() || text::number(first).is_some())
-                && is_qtm
-            {
+            let is_data = first.is_empty() || text::number(first).is_some();
+            if is_qtm && is_data && !line.trim_ascii().is_empty() {
                 break;
             }
             let value = cells.next().unwrap_or(&[]);
             match first {
-                b"NO_OF_FRAMES" => head.n_frames = text::whole_number(value),
-                b"NO_OF_MARKERS" => head.n_markers = text::whole_number(value),
+                b"NO_OF_FRAMES" => header.n_frames = text::whole_number(value),
+                b"NO_OF_MARKERS" => header.n_markers = text::whole_number(value),
                 b"FREQUENCY" => rate_hz = text::rate(value),
-                b"MARKER_NAMES" => head.read_labels(line),
+                b"MARKER_NAMES" => header.read_labels(line),
                 b"DATA_INCLUDED" if !value.trim_ascii().eq_ignore_ascii_case(b"3D") => {
                     return Err(malformed(
                         number,
-                        "expected DATA_INCLUDED 3D, found other data: export 3D data",
+                        "expected DATA_INCLUDED 3D, found other data: export 3D data from QTM",
                     ));
                 }
-                _ if is_column_line(line) => head.read_columns(line),
+                _ if is_column_line(line) => header.read_columns(line),
                 _ => {}
             }
-            is_qtm |= matches!(
-                first,
-                b"NO_OF_FRAMES" | b"NO_OF_MARKERS" | b"FREQUENCY" | b"MARKER_NAMES"
-            );
+            is_qtm |= QTM_NAMES.contains(&first);
             if !is_qtm && number >= 16 {
                 break;
             }
-            head.lines.extend_from_slice(line);
-            head.lines.push(b'\n');
-            head.n_lines = number;
+            header.lines.extend_from_slice(line);
+            header.lines.push(b'\n');
+            header.n_lines = number;
         }
         if !is_qtm {
             return Err(malformed(
                 1,
-                "expected lines like NO_OF_FRAMES and MARKER_NAMES: not a QTM export with header",
+                "expected lines such as NO_OF_FRAMES and MARKER_NAMES: not a QTM export with a header",
             ));
         }
-        head.rate_hz = rate_hz.ok_or_else(|| {
-            malformed(1, "expected a FREQUENCY above 0, found none: add the line and try again")
+        header.rate_hz = rate_hz.ok_or_else(|| {
+            malformed(1, "expected a FREQUENCY above 0, found none: add the line and import again")
         })?;
-        Ok(head)
+        Ok(header)
     }
 
-    /// What lies among the frames; the rest stays in the lines that are kept.
+    /// The events within the frames of the file. Others remain in the kept header only.
     fn events(&self, first_frame: u64, n_frames: u64) -> Vec<MotionEvent> {
         let event = |(_, line): (usize, &[u8])| {
             let mut cells = line.strip_prefix(b"EVENT\t")?.split(|&b| b == b'\t');
@@ -174,75 +172,71 @@ impl Head {
         self.labels = labels;
     }
 
-    /// The columns before the first coordinate, and the labels where no `MARKER_NAMES` gave them.
+    /// Reads the line of column names: the lead columns, and the labels if there is no `MARKER_NAMES`.
     fn read_columns(&mut self, line: &[u8]) {
         let names: Vec<&[u8]> = Separator::TAB.cells(line).map(<[u8]>::trim_ascii).collect();
-        self.lead = names.iter().take_while(|name| is_lead(name)).count();
+        self.lead_columns = names.iter().take_while(|name| is_lead_column(name)).count();
         self.frame_column = names.iter().position(|name| name.eq_ignore_ascii_case(b"Frame"));
         if self.labels.is_empty() {
-            let coordinates = names.iter().skip(self.lead).step_by(3);
-            self.labels =
-                coordinates.filter_map(|name| Some(text::decode(without_axis(name)?))).collect();
+            let columns = names.iter().skip(self.lead_columns).step_by(3);
+            self.labels = columns.filter_map(|name| without_axis(name)).map(text::decode).collect();
         }
     }
 }
 
-/// Columns that QTM puts before the coordinates.
-fn is_lead(name: &[u8]) -> bool {
+/// Whether a column is one of those that QTM puts before the coordinates.
+fn is_lead_column(name: &[u8]) -> bool {
     name.eq_ignore_ascii_case(b"Frame") || name.eq_ignore_ascii_case(b"Time")
 }
 
-/// A line with the names of columns: it begins with `Frame` or `Time`, or with a name that ends in X.
+/// Whether a line has column names: it begins with `Frame` or `Time`, or with two names that end in an axis.
 fn is_column_line(line: &[u8]) -> bool {
     let mut cells = Separator::TAB.cells(line).map(<[u8]>::trim_ascii);
     let first = cells.next().unwrap_or(&[]);
-    is_lead(first)
+    is_lead_column(first)
         || (without_axis(first).is_some()
             && cells.next().is_some_and(|next| without_axis(next).is_some()))
 }
 
-/// A column's name without ` X`, `_X`, ` Y`...
+/// A column name without its ending ` X`, `_X`, ` Y`...; `None` if it has none.
 fn without_axis(name: &[u8]) -> Option<&[u8]> {
-    let (start, [b' ' | b'_', b'X' | b'Y' | b'Z' | b'x' | b'y' | b'z']) =
-        name.split_last_chunk::<2>()?
-    else {
-        return None;
-    };
-    Some(start.trim_ascii())
+    match name.split_last_chunk::<2>()? {
+        (start, [b' ' | b'_', b'X' | b'Y' | b'Z' | b'x' | b'y' | b'z']) => Some(start.trim_ascii()),
+        _ => None,
+    }
 }
 
 fn malformed(line: usize, message: &str) -> InterchangeError {
-    InterchangeError::malformed("tsv", format!("line {line}"), message)
+    InterchangeError::malformed("tsv", &format!("line {line}"), message)
 }
 
-/// Writes a whole file: millimetres, LF, missing samples as zeros, as many digits as bring back the f32. The numbers
-/// of the frames and their times stand before the positions when they say more than the line's place.
+/// Writes a whole file: millimetres, LF line ends, missing samples as zeros, numbers with the digits that restore the
+/// f32. The columns `Frame` and `Time` are written only if the first frame is not number 1.
 pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let first_frame = info.source.first_frame;
-    // A line without columns would be empty, and empty lines are no frames.
+    // Without markers, rows need the frame numbers: readers skip empty lines.
     let numbered = first_frame != 1 || info.markers.is_empty();
-    let mut head = Vec::new();
-    write_head(&mut head, &info, numbered)?;
-    let n_written = write_frames(frames, out, head, |line, index, row| {
+    let mut header = Vec::new();
+    write_header(&mut header, &info, numbered)?;
+    let n_written = write_frames(frames, out, header, |line, index, row| {
         if numbered {
             let number = first_frame.saturating_add(index);
             write!(line, "{number}\t{}\t", index as f64 / info.rate_hz)?;
         }
         for (column, &position) in row.iter().enumerate() {
             line.extend((column > 0).then_some(b'\t'));
-            put_position(line, beside_origin(position), b'\t', "0.000")?;
+            put_position(line, off_origin(position), b'\t', "0.000")?;
         }
         line.push(b'\n');
         Ok(())
     })?;
-    Ok(expect_frames(info.n_frames, n_written)?)
+    Ok(check_frame_count(info.n_frames, n_written)?)
 }
 
-fn write_head(line: &mut Vec<u8>, info: &MotionInfo, numbered: bool) -> Result<()> {
+fn write_header(line: &mut Vec<u8>, info: &MotionInfo, numbered: bool) -> Result<()> {
     let kept = &kept_header(info, HEADER)?[..];
-    let original =
-        |name: &str, else_: &str| value_of(kept, name).unwrap_or_else(|| else_.to_owned());
+    let original = |name: &str, or: &str| value_of(kept, name).unwrap_or_else(|| or.to_owned());
     writeln!(line, "NO_OF_FRAMES\t{}", info.n_frames)?;
     writeln!(line, "NO_OF_CAMERAS\t{}", original("NO_OF_CAMERAS", "0"))?;
     writeln!(line, "NO_OF_MARKERS\t{}", info.markers.len())?;
@@ -253,17 +247,17 @@ fn write_head(line: &mut Vec<u8>, info: &MotionInfo, numbered: bool) -> Result<(
     for event in &info.events {
         let number = info.source.first_frame.saturating_add(event.frame);
         let time_s = event.frame as f64 / info.rate_hz;
-        writeln!(line, "EVENT\t{}\t{number}\t{time_s}", plain(event.label()))?;
+        writeln!(line, "EVENT\t{}\t{number}\t{time_s}", without_tabs(event.label()))?;
     }
     line.extend(b"MARKER_NAMES");
     let labels = column_labels(info);
     for label in &labels {
-        write!(line, "\t{}", plain(label))?;
+        write!(line, "\t{}", without_tabs(label))?;
     }
     line.push(b'\n');
     if numbered {
         line.extend(b"Frame\tTime");
-        for label in labels.iter().map(|label| plain(label)) {
+        for label in labels.iter().map(|label| without_tabs(label)) {
             write!(line, "\t{label} X\t{label} Y\t{label} Z")?;
         }
         line.push(b'\n');

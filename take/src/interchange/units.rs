@@ -1,8 +1,8 @@
-//! Units of length, and how a stored number becomes millimetres.
+//! Units of length: their spellings in files, plausibility checks, and conversion of coordinates to millimetres.
 
 use std::{cell::Cell, fmt, str::FromStr};
 
-use super::turn::Turn;
+use super::{counted, rotation::Rotation};
 use crate::{
     ambiguity::{Ambiguity, Notes},
     motion::{GAP, Position, Source, is_gap},
@@ -27,34 +27,21 @@ pub enum LengthUnit {
     Foot,
 }
 
-/// Names as they are written in full, without accents: what is cut off behind two letters or more is known by its
-/// beginning, where only one unit begins so.
-const NAMES: [(&str, LengthUnit); 20] = [
-    ("micrometers", LengthUnit::Micrometre),
-    ("micrometres", LengthUnit::Micrometre),
-    ("microns", LengthUnit::Micrometre),
-    ("millimeters", LengthUnit::Millimetre),
-    ("millimetres", LengthUnit::Millimetre),
-    ("milimeters", LengthUnit::Millimetre),
-    ("milimetres", LengthUnit::Millimetre),
-    ("milimetros", LengthUnit::Millimetre),
-    ("millimetri", LengthUnit::Millimetre),
-    ("centimeters", LengthUnit::Centimetre),
-    ("centimetres", LengthUnit::Centimetre),
-    ("centimetros", LengthUnit::Centimetre),
-    ("decimeters", LengthUnit::Decimetre),
-    ("decimetres", LengthUnit::Decimetre),
-    ("meters", LengthUnit::Metre),
-    ("metres", LengthUnit::Metre),
-    ("metros", LengthUnit::Metre),
-    ("inches", LengthUnit::Inch),
-    ("feet", LengthUnit::Foot),
-    ("foot", LengthUnit::Foot),
+/// Units with their full names, without accents. A name cut off after two letters or more is recognised by its
+/// beginning if all names with that beginning are of one unit.
+const NAMES: [(LengthUnit, &str); 7] = [
+    (LengthUnit::Micrometre, "micrometers micrometres microns"),
+    (LengthUnit::Millimetre, "millimeters millimetres milimeters milimetres milimetros millimetri"),
+    (LengthUnit::Centimetre, "centimeters centimetres centimetros"),
+    (LengthUnit::Decimetre, "decimeters decimetres"),
+    (LengthUnit::Metre, "meters metres metros"),
+    (LengthUnit::Inch, "inches"),
+    (LengthUnit::Foot, "feet foot"),
 ];
 
 impl LengthUnit {
-    /// Its sign, and millimetres in one of it.
-    const fn sign_and_mm(self) -> (&'static str, f64) {
+    /// The symbol, and the unit's length in millimetres.
+    const fn symbol_and_mm(self) -> (&'static str, f64) {
         match self {
             Self::Micrometre => ("um", 1e-3),
             Self::Millimetre => ("mm", 1.0),
@@ -66,15 +53,15 @@ impl LengthUnit {
         }
     }
 
-    /// Millimetres in one of it.
+    /// The length of one unit in millimetres.
     #[must_use]
     pub fn mm(self) -> f64 {
-        self.sign_and_mm().1
+        self.symbol_and_mm().1
     }
 
-    /// By its sign or name as files have it: in any case, in the singular or plural, with brackets, cut short.
+    /// Parses a unit as files spell it: symbol or name, in any case, singular or plural, in brackets, or truncated.
     pub(super) fn from_file(text: &str) -> Option<Self> {
-        // Behind a zero stands what was in the writer's memory.
+        // Bytes after a zero are uninitialised memory of the program that wrote the file.
         let text = text.split('\0').next().unwrap_or_default();
         let plain = |c: char| match c {
             'à'..='å' => 'a',
@@ -95,14 +82,14 @@ impl LengthUnit {
             "m" | "ms" | "mtr" | "mtrs" => Self::Metre,
             "in" | "ins" | "\"" => Self::Inch,
             "ft" => Self::Foot,
-            // A thousandth of an inch to some.
+            // Ambiguous: millimetre, or a thousandth of an inch.
             "mil" | "mils" => return None,
             _ if text.chars().count() < 2 => return None,
             _ => {
-                let mut units =
-                    NAMES.iter().filter(|(name, _)| name.starts_with(text)).map(|(_, unit)| *unit);
-                let unit = units.next()?;
-                return units.all(|other| other == unit).then_some(unit);
+                let begins = |names: &str| names.split(' ').any(|name| name.starts_with(text));
+                let mut found = NAMES.iter().filter(|(_, names)| begins(names));
+                let &(unit, _) = found.next()?;
+                return found.next().is_none().then_some(unit);
             }
         })
     }
@@ -110,7 +97,7 @@ impl LengthUnit {
 
 impl fmt::Display for LengthUnit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.sign_and_mm().0)
+        f.write_str(self.symbol_and_mm().0)
     }
 }
 
@@ -119,34 +106,32 @@ impl FromStr for LengthUnit {
 
     fn from_str(text: &str) -> Result<Self, String> {
         Self::from_file(text).ok_or_else(|| {
-            format!("'{text}' is no unit of length: use mm, cm, dm, m, um, in or ft")
+            format!("'{text}' is not a unit of length: use mm, cm, dm, m, um, in or ft")
         })
     }
 }
 
-/// A file's unit: as given, or as it stands there.
+/// The unit of a file's coordinates: given by the user, or else stated by the file.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct FileUnit {
-    /// As it stands in the file.
+    /// The unit as the file states it.
     pub(super) stated: String,
-    /// To millimetres.
+    /// Factor to millimetres.
     pub(super) factor: f64,
     is_known: bool,
-    /// Whether it was given, and the file's own does not count.
+    /// Whether the user gave the unit.
     is_given: bool,
-    /// Whether the format means millimetres where it states nothing.
-    is_usually_mm: bool,
+    /// Whether the file states no unit, and its format means millimetres then.
+    defaults_to_mm: bool,
 }
 
 impl FileUnit {
-    /// The unit of a file. One that is given counts more than the file's own, which is noted.
-    pub(super) fn of(stated: &str, given: Option<LengthUnit>, notes: &mut Notes) -> Self {
+    /// Resolves the unit of a file. A given unit takes precedence over the stated one, with a warning if they differ.
+    pub(super) fn resolve(stated: &str, given: Option<LengthUnit>, notes: &mut Notes) -> Self {
         let of_file = LengthUnit::from_file(stated);
-        if let (Some(given), Some(of_file)) = (given, of_file)
-            && given != of_file
-        {
+        if let Some((given, _)) = given.zip(of_file).filter(|(given, of_file)| given != of_file) {
             notes.warnings.push(format!(
-                "The file states `{stated}` as its unit of length; {given} was taken, as asked."
+                "The file states `{stated}` as its unit of length; {given} was used, as requested."
             ));
         }
         let unit = given.or(of_file);
@@ -155,42 +140,41 @@ impl FileUnit {
             factor: unit.map_or(1.0, LengthUnit::mm),
             is_known: unit.is_some(),
             is_given: given.is_some(),
-            is_usually_mm: false,
+            defaults_to_mm: false,
         }
     }
 
-    /// Of a format that means millimetres where it states nothing: noted only where the motion speaks against them.
-    pub(super) fn or_usually_millimetres(self) -> Self {
-        Self { is_usually_mm: self.stated.is_empty(), ..self }
+    /// For formats in which no stated unit means millimetres: [`Self::check`] then notes an ambiguity only if the
+    /// motion contradicts millimetres.
+    pub(super) fn or_default_millimetres(self) -> Self {
+        Self { defaults_to_mm: self.stated.is_empty(), ..self }
     }
 
-    /// Notes a unit that is not known, with what the positions span, and one that the file states and that they speak
-    /// against.
-    pub(super) fn judge(&self, positions: &[Position], n_markers: usize, notes: &mut Notes) {
+    /// Notes an ambiguity if the unit is unknown, or if the file states a unit that the extent of the motion
+    /// contradicts.
+    pub(super) fn check(&self, positions: &[Position], n_markers: usize, notes: &mut Notes) {
         if self.is_given {
             return;
         }
+        let stated = self.stated.clone();
         if self.is_known {
-            if positions.len() < STATED_JUDGED_FRAMES_MIN * n_markers {
+            if positions.len() < STATED_CHECKED_FRAMES_MIN * n_markers {
                 return;
             }
-            let unit = Ambiguity::StatedUnit {
-                stated: self.stated.clone(),
-                span_mm: span(positions, n_markers).max(farthest(positions, n_markers)),
-            };
+            let span_mm = span(positions, n_markers).max(farthest(positions, n_markers));
+            let unit = Ambiguity::StatedUnit { stated, span_mm };
             if unit.is_in_doubt() {
                 notes.ambiguous(unit);
             }
             return;
         }
-        let unit =
-            Ambiguity::Unit { stated: self.stated.clone(), span: span(positions, n_markers) };
-        if !self.is_usually_mm || unit.is_in_doubt() {
+        let unit = Ambiguity::Unit { stated, span: span(positions, n_markers) };
+        if !self.defaults_to_mm || unit.is_in_doubt() {
             notes.ambiguous(unit);
         }
     }
 
-    /// Where trajectories of this unit came from.
+    /// The source record of trajectories in this unit.
     pub(super) fn into_source(
         self,
         format: &str,
@@ -210,21 +194,21 @@ impl FileUnit {
     }
 }
 
-/// A stated unit is believed of fewer frames: they are no capture, but an example or a pose.
-const STATED_JUDGED_FRAMES_MIN: usize = 50;
+/// A stated unit is not checked in files with fewer frames: those are an example or a pose, not a capture.
+const STATED_CHECKED_FRAMES_MIN: usize = 50;
 
-/// Most frames that are measured, evenly spread.
+/// Most frames to measure, evenly spread over the file.
 const FRAMES_MEASURED: usize = 500;
 
-/// The frames that are measured.
+/// The frames to measure.
 fn measured(positions: &[Position], n_markers: usize) -> impl Iterator<Item = &[Position]> {
     let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
     let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
     positions.chunks(n_markers.max(1)).step_by(step)
 }
 
-/// What the markers span: the largest extent along an axis of the markers of one frame, in the median over frames; of a
-/// single marker, or where frames have one each, of its whole path. 0 where there is nothing to measure.
+/// The span of the markers: the largest extent of one frame's markers along an axis, as the median over frames. For a
+/// single marker, or if no frame has two, the extent of the whole path. 0 without samples.
 fn span(positions: &[Position], n_markers: usize) -> f64 {
     let mut spans: Vec<f64> = measured(positions, n_markers)
         .filter(|frame| frame.iter().filter(|&&at| !is_gap(at)).count() > 1)
@@ -234,13 +218,13 @@ fn span(positions: &[Position], n_markers: usize) -> f64 {
     median(&mut spans).unwrap_or_else(of_path)
 }
 
-/// The middle one of values; `None` of none.
+/// The median (the upper one for an even count); `None` without values.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The largest distance from the origin along an axis.
+/// The largest absolute coordinate.
 fn farthest(positions: &[Position], n_markers: usize) -> f64 {
     let present = measured(positions, n_markers).flatten().filter(|&&at| !is_gap(at));
     present.flatten().map(|&value| f64::from(value).abs()).fold(0.0, f64::max)
@@ -259,23 +243,23 @@ fn extent(positions: impl Iterator<Item = Position>) -> f64 {
     low.iter().zip(high).map(|(low, high)| high - low).fold(0.0, f64::max)
 }
 
-/// From stored positions to millimetres: each coordinate is multiplied in f64 and rounded once to f32.
+/// Converts stored positions to millimetres: multiplies each coordinate by one factor in f64 and rounds once to f32.
 #[derive(Debug)]
-pub(super) struct Millimetres {
+pub(super) struct ToMillimetres {
     factor: f64,
-    turn: Turn,
+    rotation: Rotation,
     not_finite: Cell<usize>,
 }
 
-impl Millimetres {
-    /// With a unit's factor, and turned as asked.
-    pub(super) fn new(factor: f64, turn: Turn) -> Self {
-        Self { factor, turn, not_finite: Cell::new(0) }
+impl ToMillimetres {
+    pub(super) fn new(factor: f64, rotation: Rotation) -> Self {
+        Self { factor, rotation, not_finite: Cell::new(0) }
     }
 
-    /// A coordinate that is not finite, before or after, makes the sample a gap, and is counted.
+    /// The position in millimetres. A coordinate that is not finite before or after conversion makes the sample a gap,
+    /// which is counted.
     pub(super) fn position(&self, stored: [f64; 3]) -> Position {
-        let position = self.as_stored(stored);
+        let position = self.convert(stored);
         if position.iter().all(|v| v.is_finite()) {
             return position;
         }
@@ -283,16 +267,16 @@ impl Millimetres {
         GAP
     }
 
-    /// The same of coordinates that are no sample: whatever they are.
-    pub(super) fn as_stored(&self, stored: [f64; 3]) -> Position {
-        self.turn.of(stored.map(|v| (v * self.factor) as f32))
+    /// The coordinates in millimetres, finite or not: for data that is not a sample.
+    pub(super) fn convert(&self, stored: [f64; 3]) -> Position {
+        self.rotation.apply(stored.map(|v| (v * self.factor) as f32))
     }
 
-    /// Says how many samples became gaps that way.
+    /// Warns of the samples that became gaps because they are not finite.
     pub(super) fn report(&self, warnings: &mut Vec<String>) {
         let n = self.not_finite.get();
         if n > 0 {
-            warnings.push(format!("{n} samples are not finite; they are gaps."));
+            warnings.push(format!("Not finite, read as missing: {}.", counted(n as u64, "sample")));
         }
     }
 }
@@ -302,7 +286,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_are_known_by_every_spelling() {
+    fn every_spelling_of_a_unit_is_recognised() {
         for (unit, factor) in [
             ("mm", 1.0),
             (" MM ", 1.0),
@@ -333,14 +317,14 @@ mod tests {
 
     #[test]
     fn a_value_that_overflows_f32_is_a_gap() {
-        let metres = Millimetres::new(1000.0, Turn::NONE);
+        let metres = ToMillimetres::new(1000.0, Rotation::IDENTITY);
         let mut warnings = Vec::new();
         assert_eq!(metres.position([0.1, -0.2, 0.3]), [100.0, -200.0, 300.0]);
         metres.report(&mut warnings);
         assert_eq!(warnings, [""; 0]);
         assert!(is_gap(metres.position([1e38, 0.0, 0.0])));
         metres.report(&mut warnings);
-        assert!(warnings.len() == 1 && warnings[0].contains("1 samples"), "{warnings:?}");
+        assert!(warnings.len() == 1 && warnings[0].contains("1 sample"), "{warnings:?}");
     }
 
     #[test]

@@ -1,37 +1,36 @@
-//! XDF, the format of Lab Streaming Layer's recorder (github.com/sccn/xdf, version 1.0): chunks of streams, each with
-//! an XML head. The markers are one stream of the type `MoCap`, what happened another of the type `Markers`.
+//! XDF, the recording format of Lab Streaming Layer (github.com/sccn/xdf, version 1.0): interleaved chunks of streams,
+//! each with an XML header. Positions are a stream of the type `MoCap`, events one of the type `Markers`.
 
 use std::io::{self, Write};
 
-use super::{Result, expect_frames, text::column_labels};
+use super::{Result, check_frame_count, text::column_labels};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
-/// Tags of chunks.
+/// Chunk tags.
 const FILE_HEADER: u16 = 1;
 const STREAM_HEADER: u16 = 2;
 const SAMPLES: u16 = 3;
 const CLOCK_OFFSET: u16 = 4;
 const STREAM_FOOTER: u16 = 6;
 
-/// Ids of the streams.
+/// Stream ids.
 const MOTION: u32 = 1;
 const EVENTS: u32 = 2;
 
-/// Bytes of samples that make a chunk, about.
+/// A chunk of samples is written once it has this many bytes.
 const CHUNK_BYTES: usize = 1 << 16;
 
-/// Writes a whole file. Times are seconds from the first frame, each sample with its own; a missing sample is three
-/// NaN.
+/// Writes a whole file. Each sample has its time stamp in seconds from the first frame; a missing sample is three NaN.
 pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     out.write_all(b"XDF:")?;
     put_chunk(out, FILE_HEADER, &[b"<?xml version=\"1.0\"?><info><version>1.0</version></info>"])?;
-    put_chunk(out, STREAM_HEADER, &[&MOTION.to_le_bytes(), motion_head(&info).as_bytes()])?;
-    put_own_clock(out, MOTION)?;
+    put_chunk(out, STREAM_HEADER, &[&MOTION.to_le_bytes(), motion_header(&info).as_bytes()])?;
+    put_zero_clock_offset(out, MOTION)?;
     if !info.events.is_empty() {
         write_events(&info, out)?;
     }
-    let mut samples = Samples::new(MOTION);
+    let mut samples = SampleChunk::new(MOTION);
     let mut row = vec![GAP; info.markers.len()];
     let mut n_written = 0u64;
     while frames.next_frame(&mut row)? {
@@ -41,40 +40,35 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
             values.extend_from_slice(position.map(f32::to_le_bytes).as_flattened());
         }
         n_written += 1;
-        if samples.len() >= CHUNK_BYTES {
-            samples.flush(out)?;
-        }
+        samples.flush_if_full(out)?;
     }
-    expect_frames(info.n_frames, n_written)?;
+    check_frame_count(info.n_frames, n_written)?;
     samples.flush(out)?;
     let last = n_written.saturating_sub(1) as f64 / info.rate_hz;
-    let foot = foot(0.0, last, n_written, Some(info.rate_hz));
-    put_chunk(out, STREAM_FOOTER, &[&MOTION.to_le_bytes(), foot.as_bytes()])?;
-    out.flush()?;
-    Ok(())
+    let footer = footer(0.0, last, n_written, Some(info.rate_hz));
+    put_chunk(out, STREAM_FOOTER, &[&MOTION.to_le_bytes(), footer.as_bytes()])?;
+    Ok(out.flush()?)
 }
 
 fn write_events(info: &MotionInfo, out: &mut dyn Write) -> io::Result<()> {
-    put_chunk(out, STREAM_HEADER, &[&EVENTS.to_le_bytes(), EVENT_HEAD.as_bytes()])?;
-    put_own_clock(out, EVENTS)?;
-    let mut samples = Samples::new(EVENTS);
+    put_chunk(out, STREAM_HEADER, &[&EVENTS.to_le_bytes(), EVENT_HEADER.as_bytes()])?;
+    put_zero_clock_offset(out, EVENTS)?;
+    let mut samples = SampleChunk::new(EVENTS);
     let time_s = |frame: u64| frame as f64 / info.rate_hz;
     for event in &info.events {
         let values = samples.push(time_s(event.frame));
         put_length(values, event.label().len() as u64);
         values.extend(event.label().bytes());
-        if samples.len() >= CHUNK_BYTES {
-            samples.flush(out)?;
-        }
+        samples.flush_if_full(out)?;
     }
     samples.flush(out)?;
     let ends = info.events.first().zip(info.events.last());
     let (first, last) = ends.map_or((0.0, 0.0), |(a, b)| (time_s(a.frame), time_s(b.frame)));
-    let foot = foot(first, last, info.events.len() as u64, None);
-    put_chunk(out, STREAM_FOOTER, &[&EVENTS.to_le_bytes(), foot.as_bytes()])
+    let footer = footer(first, last, info.events.len() as u64, None);
+    put_chunk(out, STREAM_FOOTER, &[&EVENTS.to_le_bytes(), footer.as_bytes()])
 }
 
-/// Appends a length: how many bytes it has, 1, 4 or 8, and then those.
+/// Appends a variable-length integer: its size in bytes (1, 4 or 8), then its bytes.
 fn put_length(out: &mut Vec<u8>, length: u64) {
     if let Ok(length) = u8::try_from(length) {
         out.extend([1, length]);
@@ -87,35 +81,35 @@ fn put_length(out: &mut Vec<u8>, length: u64) {
     }
 }
 
-/// Writes a chunk of several pieces.
+/// Writes a chunk whose content is the concatenation of `pieces`.
 fn put_chunk(out: &mut dyn Write, tag: u16, pieces: &[&[u8]]) -> io::Result<()> {
     let length = pieces.iter().map(|piece| piece.len() as u64).sum::<u64>() + 2;
-    let mut head = Vec::with_capacity(16);
-    put_length(&mut head, length);
-    head.extend(tag.to_le_bytes());
-    out.write_all(&head)?;
+    let mut header = Vec::with_capacity(16);
+    put_length(&mut header, length);
+    header.extend(tag.to_le_bytes());
+    out.write_all(&header)?;
     pieces.iter().try_for_each(|piece| out.write_all(piece))
 }
 
-/// Says that the times of a stream are those of the file: an offset of nothing, found at its beginning.
-fn put_own_clock(out: &mut dyn Write, stream: u32) -> io::Result<()> {
-    let nothing = 0_f64.to_le_bytes();
-    put_chunk(out, CLOCK_OFFSET, &[&stream.to_le_bytes(), &nothing, &nothing])
+/// Writes a clock offset of 0 at time 0: all streams of the file share one clock.
+fn put_zero_clock_offset(out: &mut dyn Write, stream: u32) -> io::Result<()> {
+    let zero = 0_f64.to_le_bytes();
+    put_chunk(out, CLOCK_OFFSET, &[&stream.to_le_bytes(), &zero, &zero])
 }
 
-/// Samples of a stream, gathered into a chunk.
-struct Samples {
+/// A chunk of samples under construction.
+struct SampleChunk {
     stream: u32,
     n: u64,
     bytes: Vec<u8>,
 }
 
-impl Samples {
+impl SampleChunk {
     fn new(stream: u32) -> Self {
         Self { stream, n: 0, bytes: Vec::new() }
     }
 
-    /// Begins a sample with its time; its values are to be appended to what is given.
+    /// Begins a sample with its time stamp. The caller appends its values to the returned buffer.
     fn push(&mut self, time_s: f64) -> &mut Vec<u8> {
         self.n += 1;
         self.bytes.push(8);
@@ -123,26 +117,26 @@ impl Samples {
         &mut self.bytes
     }
 
-    /// Bytes gathered.
-    fn len(&self) -> usize {
-        self.bytes.len()
+    /// Writes the chunk if it is full, and begins the next one.
+    fn flush_if_full(&mut self, out: &mut dyn Write) -> io::Result<()> {
+        if self.bytes.len() >= CHUNK_BYTES { self.flush(out) } else { Ok(()) }
     }
 
-    /// Writes what was gathered.
+    /// Writes the chunk, if it has samples, and begins the next one.
     fn flush(&mut self, out: &mut dyn Write) -> io::Result<()> {
         if self.n == 0 {
             return Ok(());
         }
-        let mut head = self.stream.to_le_bytes().to_vec();
-        put_length(&mut head, self.n);
-        put_chunk(out, SAMPLES, &[&head, &self.bytes])?;
+        let mut header = self.stream.to_le_bytes().to_vec();
+        put_length(&mut header, self.n);
+        put_chunk(out, SAMPLES, &[&header, &self.bytes])?;
         self.n = 0;
         self.bytes.clear();
         Ok(())
     }
 }
 
-/// A text as XML: marks escaped, and what XML cannot hold replaced.
+/// A text as XML: markup characters are escaped, and characters that XML does not allow are replaced.
 fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -158,8 +152,8 @@ fn escaped(text: &str) -> String {
     out
 }
 
-/// The markers' stream: a channel a coordinate.
-fn motion_head(info: &MotionInfo) -> String {
+/// The header of the stream of positions: three channels for each marker.
+fn motion_header(info: &MotionInfo) -> String {
     let labels: Vec<String> = column_labels(info).iter().map(|label| escaped(label)).collect();
     let channel = |label: &String, axis: &str| {
         format!(
@@ -182,14 +176,14 @@ fn motion_head(info: &MotionInfo) -> String {
     )
 }
 
-/// The stream of what happened: one text a sample, at uneven times.
-const EVENT_HEAD: &str = "<?xml version=\"1.0\"?><info><name>mocapd events</name><type>Markers</type>\
+/// The header of the stream of events: one string a sample, at irregular times.
+const EVENT_HEADER: &str = "<?xml version=\"1.0\"?><info><name>mocapd events</name><type>Markers</type>\
      <channel_count>1</channel_count><nominal_srate>0</nominal_srate><channel_format>string</channel_format>\
      <source_id>mocapd events</source_id><version>1.1</version><created_at>0</created_at><desc><channels><channel>\
      <label>event</label></channel></channels></desc></info>";
 
-/// What closes a stream.
-fn foot(first_s: f64, last_s: f64, n: u64, rate_hz: Option<f64>) -> String {
+/// The content of a stream's footer.
+fn footer(first_s: f64, last_s: f64, n: u64, rate_hz: Option<f64>) -> String {
     let rate =
         rate_hz.map_or_else(String::new, |hz| format!("<measured_srate>{hz}</measured_srate>"));
     format!(

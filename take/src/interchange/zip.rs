@@ -1,9 +1,9 @@
-//! A ZIP file of stored members (APPNOTE.TXT 6.3.10, PKWARE).
+//! A writer of ZIP archives with stored (uncompressed) members (APPNOTE.TXT 6.3.10, PKWARE).
 //!
-//! Each member's length and checksum stand in front of it, where readers that go from front to back need them. The length is
-//! known before the member comes; a checksum that is not is written over a place that was kept for it. No library does
-//! that well enough: those that only write forwards put both behind the member, and the crate `zip` closes a file whose disk
-//! is full once more when it is dropped, and writes to stderr.
+//! The local header in front of each member has its length and checksum, so that a reader can stream the archive. The
+//! length is known in advance; the checksum of a streamed member is filled in afterwards. No library does this:
+//! streaming writers put both behind the member, and on a full disk the crate `zip` tries to finish the archive again
+//! when it is dropped, and writes to stderr.
 
 use std::io::{self, Seek, SeekFrom, Write};
 
@@ -15,130 +15,133 @@ const END_64: [u8; 4] = *b"PK\x06\x06";
 const LOCATOR_64: [u8; 4] = *b"PK\x06\x07";
 const END: [u8; 4] = *b"PK\x05\x06";
 
-/// The version that a reader must know: 4.5 has ZIP64.
+/// Version needed to extract: 4.5, for ZIP64.
 const VERSION: u16 = 45;
-/// 1 January 1980, the first day there is: the same take gives the same bytes.
+/// 1 January 1980, the earliest date. A fixed date makes the archive reproducible.
 const DATE: u16 = 0x21;
-/// From its start to the checksum in a member's head.
-const CRC_AT: u64 = 14;
-/// Bytes of the rest of a ZIP64 end record behind its length.
+/// Offset of the checksum in a local header.
+const CRC_OFFSET: u64 = 14;
+/// Size of a ZIP64 end of central directory record after its size field.
 const END_64_BYTES: u64 = 44;
 
-/// An archive under way.
+/// An archive under construction.
 pub(super) struct Archive<'a, W> {
     out: &'a mut W,
-    /// Where the next byte goes.
-    at: u64,
+    /// Position of the next byte in `out`.
+    offset: u64,
     n_members: u16,
     directory: Vec<u8>,
 }
 
 impl<'a, W: Write + Seek> Archive<'a, W> {
-    /// Begins where `out` stands.
+    /// Begins an archive at the current position of `out`.
     pub(super) fn new(out: &'a mut W) -> io::Result<Self> {
-        let at = out.stream_position()?;
-        Ok(Self { out, at, n_members: 0, directory: Vec::new() })
+        let offset = out.stream_position()?;
+        Ok(Self { out, offset, n_members: 0, directory: Vec::new() })
     }
 
-    /// Writes a member that is in memory.
+    /// Writes a member from memory.
     pub(super) fn put(&mut self, name: &str, bytes: &[u8]) -> io::Result<()> {
         let (crc, n_bytes) = (crc32fast::hash(bytes), bytes.len() as u64);
-        let head_at = self.at;
-        self.begin(name, crc, n_bytes)?;
+        let header_offset = self.offset;
+        self.write_local_header(name, crc, n_bytes)?;
         self.write(bytes)?;
-        self.list(name, crc, n_bytes, head_at);
+        self.add_entry(name, crc, n_bytes, header_offset);
         Ok(())
     }
 
-    /// Writes a member of the `n_bytes` bytes that `fill` writes.
+    /// Writes a member of `n_bytes` bytes, which `fill` writes.
+    ///
+    /// # Errors
+    /// Those of writing, and one if `fill` writes another number of bytes.
     pub(super) fn stream(
         &mut self,
         name: &str,
         n_bytes: u64,
         fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> io::Result<()> {
-        let head_at = self.at;
-        self.begin(name, 0, n_bytes)?;
-        let mut member = Member { out: &mut *self.out, crc: Hasher::new(), n_bytes: 0 };
+        let header_offset = self.offset;
+        self.write_local_header(name, 0, n_bytes)?;
+        let mut member = MemberWriter { out: &mut *self.out, crc: Hasher::new(), n_bytes: 0 };
         fill(&mut member)?;
-        let Member { crc, n_bytes: written, .. } = member;
+        let MemberWriter { crc, n_bytes: written, .. } = member;
         if written != n_bytes {
-            let what = format!("{name}: {n_bytes} bytes were announced, {written} came");
-            return Err(io::Error::other(what));
+            let message = format!("{name}: expected {n_bytes} bytes, got {written}");
+            return Err(io::Error::other(message));
         }
         let crc = crc.finalize();
-        self.at += written;
-        self.out.seek(SeekFrom::Start(head_at + CRC_AT))?;
+        self.offset += written;
+        self.out.seek(SeekFrom::Start(header_offset + CRC_OFFSET))?;
         self.out.write_all(&crc.to_le_bytes())?;
-        self.out.seek(SeekFrom::Start(self.at))?;
-        self.list(name, crc, n_bytes, head_at);
+        self.out.seek(SeekFrom::Start(self.offset))?;
+        self.add_entry(name, crc, n_bytes, header_offset);
         Ok(())
     }
 
-    /// Writes the directory.
+    /// Writes the central directory and its end records.
     pub(super) fn finish(mut self) -> io::Result<()> {
         let directory = std::mem::take(&mut self.directory);
-        let (start, n_bytes, n) = (self.at, directory.len() as u64, self.n_members);
+        let (start, n_bytes, n) = (self.offset, directory.len() as u64, self.n_members);
         self.write(&directory)?;
-        let end = self.at;
+        let end = self.offset;
         let mut last = Vec::new();
-        if short(start) == u32::MAX {
+        if saturated(start) == u32::MAX {
             last.extend(END_64);
             last.extend(END_64_BYTES.to_le_bytes());
-            put_words(&mut last, &[VERSION, VERSION, 0, 0, 0, 0]);
-            put_longs(&mut last, &[n.into(), n.into(), n_bytes, start]);
+            put_u16s(&mut last, &[VERSION, VERSION, 0, 0, 0, 0]);
+            put_u64s(&mut last, &[n.into(), n.into(), n_bytes, start]);
             last.extend(LOCATOR_64);
-            // The disk that has the end record, its place, and how many disks there are.
-            put_words(&mut last, &[0, 0]);
-            put_longs(&mut last, &[end]);
-            put_words(&mut last, &[1, 0]);
+            // Number of the disk with the end record, offset of that record, number of disks.
+            put_u16s(&mut last, &[0, 0]);
+            put_u64s(&mut last, &[end]);
+            put_u16s(&mut last, &[1, 0]);
         }
         last.extend(END);
-        put_words(&mut last, &[0, 0, n, n]);
-        last.extend([n_bytes, start].map(short).map(u32::to_le_bytes).as_flattened());
-        put_words(&mut last, &[0]);
+        put_u16s(&mut last, &[0, 0, n, n]);
+        last.extend([n_bytes, start].map(saturated).map(u32::to_le_bytes).as_flattened());
+        put_u16s(&mut last, &[0]);
         self.write(&last)?;
         self.out.flush()
     }
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.at += bytes.len() as u64;
+        self.offset += bytes.len() as u64;
         self.out.write_all(bytes)
     }
 
-    /// Writes a member's head.
-    fn begin(&mut self, name: &str, crc: u32, n_bytes: u64) -> io::Result<()> {
-        let mut head = LOCAL.to_vec();
+    /// Writes the local header of a member.
+    fn write_local_header(&mut self, name: &str, crc: u32, n_bytes: u64) -> io::Result<()> {
+        let mut header = LOCAL.to_vec();
         let extra = extra(&[n_bytes, n_bytes]);
-        put_common(&mut head, name, crc, n_bytes, extra.len());
-        head.extend(name.bytes());
-        head.extend(extra);
-        self.write(&head)
+        put_common(&mut header, name, crc, n_bytes, extra.len());
+        header.extend(name.bytes());
+        header.extend(extra);
+        self.write(&header)
     }
 
-    /// Adds a member to the directory.
-    fn list(&mut self, name: &str, crc: u32, n_bytes: u64, head_at: u64) {
+    /// Adds a member to the central directory.
+    fn add_entry(&mut self, name: &str, crc: u32, n_bytes: u64, header_offset: u64) {
         let out = &mut self.directory;
         out.extend(CENTRAL);
-        put_words(out, &[VERSION]);
-        let extra = extra(&[n_bytes, n_bytes, head_at]);
+        put_u16s(out, &[VERSION]);
+        let extra = extra(&[n_bytes, n_bytes, header_offset]);
         put_common(out, name, crc, n_bytes, extra.len());
-        put_words(out, &[0; 5]);
-        out.extend(short(head_at).to_le_bytes());
+        put_u16s(out, &[0; 5]);
+        out.extend(saturated(header_offset).to_le_bytes());
         out.extend(name.bytes());
         out.extend(extra);
         self.n_members += 1;
     }
 }
 
-/// A member's bytes on their way.
-struct Member<'a, W> {
+/// Passes the bytes of a member on, with their checksum and count.
+struct MemberWriter<'a, W> {
     out: &'a mut W,
     crc: Hasher,
     n_bytes: u64,
 }
 
-impl<W: Write> Write for Member<'_, W> {
+impl<W: Write> Write for MemberWriter<'_, W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let n = self.out.write(bytes)?;
         self.crc.update(&bytes[..n]);
@@ -151,53 +154,53 @@ impl<W: Write> Write for Member<'_, W> {
     }
 }
 
-/// What stands in a member's head and in the directory alike: stored, at that date, so long, with so many bytes of extra.
+/// Appends the fields that the local header and the directory entry share: version to lengths of name and extra field.
 fn put_common(out: &mut Vec<u8>, name: &str, crc: u32, n_bytes: u64, n_extra: usize) {
-    put_words(out, &[VERSION, 0, 0, 0, DATE]);
-    out.extend([crc, short(n_bytes), short(n_bytes)].map(u32::to_le_bytes).as_flattened());
-    put_words(out, &[name.len() as u16, n_extra as u16]);
+    put_u16s(out, &[VERSION, 0, 0, 0, DATE]);
+    out.extend([crc, saturated(n_bytes), saturated(n_bytes)].map(u32::to_le_bytes).as_flattened());
+    put_u16s(out, &[name.len() as u16, n_extra as u16]);
 }
 
-/// ZIP64's extra field: those of the numbers that 32 bits do not hold.
+/// The ZIP64 extra field with those of the numbers that do not fit in 32 bits; empty if all fit.
 fn extra(numbers: &[u64]) -> Vec<u8> {
-    let long: Vec<u64> = numbers.iter().copied().filter(|&n| short(n) == u32::MAX).collect();
+    let long: Vec<u64> = numbers.iter().copied().filter(|&n| saturated(n) == u32::MAX).collect();
     let mut extra = Vec::new();
     if !long.is_empty() {
-        put_words(&mut extra, &[1, 8 * long.len() as u16]);
-        put_longs(&mut extra, &long);
+        put_u16s(&mut extra, &[1, 8 * long.len() as u16]);
+        put_u64s(&mut extra, &long);
     }
     extra
 }
 
-/// A number in 32 bits; all ones where ZIP64's fields have it.
-fn short(n: u64) -> u32 {
+/// A number as 32 bits, or all ones if the ZIP64 fields hold it.
+fn saturated(n: u64) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }
 
-fn put_words(out: &mut Vec<u8>, words: &[u16]) {
-    out.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+fn put_u16s(out: &mut Vec<u8>, numbers: &[u16]) {
+    out.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
 }
 
-fn put_longs(out: &mut Vec<u8>, longs: &[u64]) {
-    out.extend(longs.iter().flat_map(|long| long.to_le_bytes()));
+fn put_u64s(out: &mut Vec<u8>, numbers: &[u64]) {
+    out.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Numbers that 32 bits do not hold, without the bytes that they count.
+    /// Writes the headers of members beyond 4 GiB without their bytes.
     #[test]
-    fn what_is_long_stands_in_the_fields_of_zip64() {
+    fn numbers_beyond_32_bits_are_in_the_zip64_fields() {
         let mut file = tempfile::tempfile().unwrap();
         let far = 5 << 30;
         file.seek(SeekFrom::Start(far)).unwrap();
         let mut archive = Archive::new(&mut file).unwrap();
-        archive.begin("a", 7, far).unwrap();
-        archive.list("a", 7, far, 0);
+        archive.write_local_header("a", 7, far).unwrap();
+        archive.add_entry("a", 7, far, 0);
         archive.put("b", &[1, 2, 3]).unwrap();
         let b_at = far + 30 + 1 + 20;
-        let start = archive.at;
+        let start = archive.offset;
         let directory = archive.directory.clone();
         archive.finish().unwrap();
 
@@ -228,10 +231,10 @@ mod tests {
     }
 
     #[test]
-    fn a_member_of_another_length_than_was_announced_is_an_error() {
+    fn a_member_of_an_unexpected_length_is_an_error() {
         let mut out = io::Cursor::new(Vec::new());
         let mut archive = Archive::new(&mut out).unwrap();
         let error = archive.stream("a", 4, |out| out.write_all(b"abc")).unwrap_err();
-        assert_eq!(error.to_string(), "a: 4 bytes were announced, 3 came");
+        assert_eq!(error.to_string(), "a: expected 4 bytes, got 3");
     }
 }

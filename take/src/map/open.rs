@@ -1,5 +1,5 @@
-//! The map of a take: from its chunks one after another, or from their heads alone. Of a finished take stretches are passed
-//! over, and the index says which of them are keys.
+//! Builds the map of a take from all its chunks, or from the chunk heads of a closed take: stretches are skipped, and
+//! the index tells which of them are keys.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 
@@ -9,10 +9,10 @@ use super::TakeMap;
 use crate::{
     TakeError, TakeEvent,
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX,
-        types,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkParse, HEAD_BYTES_MAX, MAGIC, MAY_SKIP,
+        PAYLOAD_BYTES_MAX, types,
     },
-    damage::Why,
+    damage::DamageOrigin,
     index::{Footer, IndexEntry, parse_index},
     reader::record,
     record::{Header, Record},
@@ -20,41 +20,41 @@ use crate::{
     traversal::TakeTraversal,
 };
 
-/// How much is read at once: a few stretches of a recording, whose heads then cost no call each.
+/// Size of one read: a few stretches of a recording, so that their heads need no read of their own.
 const READ_BYTES: usize = 1 << 14;
 
 impl TakeMap {
-    /// Of a take as quickly as can be: one that was finished is known by its index and the heads of its chunks,
-    /// and a stretch is not read before somebody wants it. Any other is [scanned](Self::scan).
+    /// Builds the map as fast as possible. For a closed take the index and the chunk heads are enough, and stretches
+    /// are not read; any other take is [scanned](Self::scan).
     ///
-    /// So damage within a stretch shows when it is read, not here.
+    /// Damage within a stretch therefore shows only when the stretch is decoded.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn open(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
-        if let Some(map) = by_heads(input)? {
+        if let Some(map) = map_from_heads(input)? {
             return Ok(map);
         }
         Self::scan(input)
     }
 
-    /// Of a take of which every chunk's checksum is looked at, and no sample decoded.
+    /// Builds the map of a take by checking the CRC of every chunk, without decoding samples.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         input.seek(SeekFrom::Start(0))?;
-        let mut map = TakeTraversal::of_bytes(input).run(|_, _| Ok(()))?.take;
-        // A recovered take says itself which rows it has not.
-        map.damaged |= map.damage.iter().any(|lost| lost.why == Why::BeforeRecovery);
+        let mut map = TakeTraversal::without_decoding(input).run(|_, _| Ok(()))?.take;
+        // A recovered take states its lost rows itself.
+        map.damaged |= map.damage.iter().any(|lost| lost.origin == DamageOrigin::BeforeRecovery);
         Ok(map)
     }
 }
 
-/// The map of a take whose footer, index and heads agree in every byte; `None` of any other.
-fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+/// The map of a take whose footer, index and chunk heads agree exactly; `None` for any other.
+fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
     let file_bytes = input.seek(SeekFrom::End(0))?;
-    let mut chunks = Chunks { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
+    let mut chunks = ChunkCursor { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
     let Some((footer, keys)) = chunks.end(file_bytes)? else { return Ok(None) };
     chunks.go_to(0)?;
     let mut magic = [0; MAGIC.len()];
@@ -68,30 +68,26 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
     while chunks.at < file_bytes {
         let offset = chunks.at;
         let Some((kind, chunk_bytes)) = chunks.head()? else { return Ok(None) };
-        if kind == types::STRETCH {
-            next_key.next_if(|key| key.offset == offset);
-        }
         let is_known = match kind {
             types::STRETCH => {
+                next_key.next_if(|key| key.offset == offset);
                 chunks.go_to(offset + chunk_bytes)?;
                 true
             }
-            // One wrong bit of a type may make any other chunk one of these.
+            // A single wrong bit turns another type into one of these, so check their CRC.
             types::FOREIGN | types::INDEX | types::FOOTER => chunks.is_whole(chunk_bytes)?,
-            _ if !types::ALL.contains(&kind) => {
-                kind & MAY_SKIP != 0 && chunks.is_whole(chunk_bytes)?
-            }
-            _ => {
+            _ if types::ALL.contains(&kind) => {
                 let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
-                add(&mut map, kind, &payload, offset)
+                add_record(&mut map, kind, &payload, offset)
             }
+            _ => kind & MAY_SKIP != 0 && chunks.is_whole(chunk_bytes)?,
         };
         if !is_known {
             return Ok(None);
         }
     }
     let last_row = keys.last().map_or(0, |key| key.first_row);
-    // A ledger that counts other rows, or none, is for a traversal to judge.
+    // A ledger that is missing or counts other rows needs a traversal.
     let ledger = map.as_ref().and_then(|map| map.ledger.as_ref());
     let rows = ledger.map(|ledger| ledger.recorded.saturating_add(ledger.frames_lost()));
     let is_sound = chunks.at == file_bytes
@@ -99,45 +95,38 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
         && next_key.peek().is_none()
         && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset)
         && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&footer.n_rows);
-    Ok(map.filter(|_| is_sound).map(|map| TakeMap {
-        n_rows: footer.n_rows,
-        keys,
-        finished: true,
-        ..map
-    }))
+    let Some(map) = map.filter(|_| is_sound) else { return Ok(None) };
+    Ok(Some(TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map }))
 }
 
-/// A chunk that is no stretch; says whether it is as it must be.
-fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool {
+/// Adds a chunk other than a stretch. Returns whether it is valid.
+fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool {
     let Some(map) = map else {
         let header = Header::from_payload(payload, offset).ok();
         let header = header.filter(|header| kind == types::HEADER && header.check().is_ok());
-        *map = header.map(|header| TakeMap {
-            channels: header.channels.clone(),
-            header,
-            ..TakeMap::default()
-        });
-        return map.is_some();
+        let Some(header) = header else { return false };
+        *map = Some(TakeMap { channels: header.channels.clone(), header, ..TakeMap::default() });
+        return true;
     };
     match record(kind, payload, offset) {
-        Some(Ok(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
-        Some(Ok(event)) => map.keep(event),
-        // Of a newer version: a reader may go on without it.
-        Some(Err(TakeError::Unsupported { .. })) if kind & MAY_SKIP != 0 => {}
-        Some(Err(_)) => return false,
+        Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
+        Ok(Some(event)) => map.add_content(event),
+        // A newer version that a reader may skip.
+        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => {}
+        Err(_) => return false,
         // MODEL, which this version does not read.
-        None => return kind & MAY_SKIP != 0,
+        Ok(None) => return kind & MAY_SKIP != 0,
     }
     true
 }
 
-/// A file, chunk by chunk.
-struct Chunks<R> {
+/// Reads a file chunk by chunk.
+struct ChunkCursor<R> {
     input: BufReader<R>,
     at: u64,
 }
 
-impl<R: Read + Seek> Chunks<R> {
+impl<R: Read + Seek> ChunkCursor<R> {
     fn go_to(&mut self, offset: u64) -> Result<(), TakeError> {
         match i64::try_from(i128::from(offset) - i128::from(self.at)) {
             Ok(by) => self.input.seek_relative(by)?,
@@ -147,12 +136,11 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(())
     }
 
-    /// Footer and index, if the file ends with them.
+    /// Footer and index, if they end the file.
     fn end(&mut self, file_bytes: u64) -> Result<Option<(Footer, Vec<IndexEntry>)>, TakeError> {
         let footer_bytes = Footer::CHUNK_BYTES as u64;
         let Some(footer_at) = file_bytes.checked_sub(footer_bytes) else { return Ok(None) };
         self.input.seek(SeekFrom::Start(footer_at))?;
-        self.at = footer_at;
         let mut last = [0; Footer::CHUNK_BYTES];
         self.input.read_exact(&mut last)?;
         self.at = file_bytes;
@@ -170,27 +158,27 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(keys.map(|keys| (footer, keys)))
     }
 
-    /// Type and length in bytes of the chunk here; nothing is passed over.
+    /// Type and size in bytes of the chunk at the current position, which does not change.
     fn head(&mut self) -> Result<Option<(u8, u64)>, TakeError> {
         let mut bytes = Vec::with_capacity(HEAD_BYTES_MAX);
         let found = self.input.fill_buf()?;
         if found.len() >= HEAD_BYTES_MAX {
             bytes.extend_from_slice(&found[..HEAD_BYTES_MAX]);
         } else {
-            // Where a buffer ends, and at the end of the file.
+            // Near the end of the buffer, and of the file.
             self.input.by_ref().take(HEAD_BYTES_MAX as u64).read_to_end(&mut bytes)?;
             self.input.seek_relative(-(bytes.len() as i64))?;
         }
         Ok(match chunk::split(&bytes) {
-            Front::Whole { kind, len, .. } => Some((kind, len as u64)),
-            Front::Short(len) if len > bytes.len() as u64 && bytes.len() > 1 => {
+            ChunkParse::Whole { kind, len, .. } => Some((kind, len as u64)),
+            ChunkParse::Short(len) if len > bytes.len() as u64 && bytes.len() > 1 => {
                 Some((bytes[0], len)).filter(|_| len <= PAYLOAD_BYTES_MAX + 10)
             }
             _ => None,
         })
     }
 
-    /// Passes over the chunk of so many bytes here; says whether its checksum matches.
+    /// Skips a chunk of `chunk_bytes`. Returns whether its CRC matches.
     fn is_whole(&mut self, chunk_bytes: u64) -> Result<bool, TakeError> {
         let mut left = chunk_bytes.saturating_sub(CRC_BYTES as u64);
         let mut crc = Hasher::new();
@@ -210,8 +198,8 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(stored == crc.finalize().to_le_bytes())
     }
 
-    /// The payload of the chunk of so many bytes here, if its checksum matches. No record, and no index of a take of
-    /// months, is so long that it would not be held.
+    /// The payload of a chunk of `chunk_bytes`, if its CRC matches and it is short enough to hold. All records are, and
+    /// so is the index of a take of months.
     fn payload(&mut self, chunk_bytes: u64) -> Result<Option<Vec<u8>>, TakeError> {
         if chunk_bytes > CHUNK_HELD_MAX {
             return Ok(None);
@@ -219,8 +207,8 @@ impl<R: Read + Seek> Chunks<R> {
         let mut chunk = Vec::new();
         self.input.by_ref().take(chunk_bytes).read_to_end(&mut chunk)?;
         self.at += chunk.len() as u64;
-        Ok(match chunk::front(&chunk) {
-            Front::Whole { payload, len, .. } if len as u64 == chunk_bytes => {
+        Ok(match chunk::parse(&chunk) {
+            ChunkParse::Whole { payload, len, .. } if len as u64 == chunk_bytes => {
                 Some(payload.to_vec())
             }
             _ => None,

@@ -1,107 +1,94 @@
-//! From whole chunks to events: those that are held, and those that are too long for that, which are looked at piece by piece
-//! as they come.
+//! Turns chunks into events: short chunks from the buffer, long ones piece by piece as they arrive.
 
 use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
     NotATake, TakeError,
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, Head, LongChunks, MAY_SKIP, Marks,
-        Search, types,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, ChunkParse, HEAD_BYTES_MAX, LongChunkScan,
+        LongChunks, MAY_SKIP, PrefixCrcs, types,
     },
-    foreign::{self, ForeignPart, Inflation},
+    foreign::{self, ForeignPart, InflateCheck},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
-    stretch::{self, CHANNELS_MAX, Chain, Placed},
+    stretch::{self, CHANNELS_MAX, Placement, StretchChain},
 };
 
-/// What to do next.
-pub(super) enum Step {
-    /// There is a whole chunk in the buffer.
-    Chunk { kind: u8, start: usize, len: usize },
-    /// Look again.
-    Again,
-}
-
-/// What is wrong with a chunk that the file ends inside of.
+/// The file ends inside a chunk.
 const CUT: &str = "the file ends inside a chunk";
 
-/// And with any other that is not whole.
-const WRONG: &str = "checksum does not match";
+/// A chunk's CRC does not match.
+const BAD_CRC: &str = "checksum does not match";
 
 impl TakeReader {
-    /// What stands at the front of the bytes that are there. Behind a whole chunk, or behind the magic.
-    pub(super) fn next_chunk(&mut self) -> Step {
+    /// Parses the chunk at the front of the unprocessed bytes, which follow the magic or a valid chunk. Returns its size
+    /// if it is complete; otherwise the state changed, and the caller tries again.
+    pub(super) fn next_chunk(&mut self) -> Option<usize> {
         let waiting = &self.buffer[self.used..];
-        let have = waiting.len() as u64;
+        let held_max = CHUNK_HELD_MAX.max(waiting.len() as u64);
         let offset = self.offset();
         let is_header = offset == chunk::MAGIC.len() as u64;
         let begin_damage =
             |message| Some(Damage::new(offset, waiting, message, is_header && message == CUT));
         match chunk::head(waiting) {
-            Head::Of { kind, len, .. } if len > have && len > CHUNK_HELD_MAX && !self.complete => {
-                match self.long.is_whole(offset) {
-                    None => self.search = Some(Search::new(offset, true)),
-                    Some(false) if self.long.is_cut(offset + len) => {
+            ChunkHead::Valid { kind, len, .. } if len > held_max && !self.complete => {
+                match self.long_chunks.is_whole(offset) {
+                    None => self.scan = Some(LongChunkScan::new(offset, true)),
+                    Some(false) if self.long_chunks.is_cut(offset + len) => {
                         self.damage = begin_damage(CUT);
                     }
-                    Some(false) => self.damage = begin_damage(WRONG),
+                    Some(false) => self.damage = begin_damage(BAD_CRC),
                     Some(true) if kind == types::STRETCH && len <= stretch::BYTES_MAX => {
                         self.wanted = len;
                     }
-                    Some(true) => self.passing = Some(Passing::new(kind, offset, len)),
+                    Some(true) => self.long_chunk = Some(LongChunk::new(kind, offset, len)),
                 }
-                return Step::Again;
+                return None;
             }
             _ => {}
         }
-        match chunk::front_by_marks(&self.buffer, self.used, &mut self.marks) {
-            Front::Whole { kind, len, .. } => {
-                let start = self.used;
+        match chunk::parse_at(&self.buffer, self.used, &mut self.prefixes) {
+            ChunkParse::Whole { len, .. } => {
                 self.used += len;
                 self.wanted = 1;
-                return Step::Chunk { kind, start, len };
+                return Some(len);
             }
-            Front::Short(wanted) if !self.complete => self.wanted = wanted,
-            Front::Short(_) => self.damage = begin_damage(CUT),
-            Front::Damaged => self.damage = begin_damage(WRONG),
+            ChunkParse::Short(wanted) if !self.complete => self.wanted = wanted,
+            ChunkParse::Short(_) => self.damage = begin_damage(CUT),
+            ChunkParse::Damaged => self.damage = begin_damage(BAD_CRC),
         }
-        Step::Again
+        None
     }
 
-    /// Follows the file ahead; says whether all is known that was asked for, and the reader goes back.
-    pub(super) fn look_ahead(&mut self) -> bool {
-        let Some(search) = &mut self.search else { return true };
-        self.used += search.push(&self.buffer[self.used..], self.complete);
-        if !search.is_answered() && !self.complete {
-            return false;
+    /// Scans the file ahead for long chunks. After the scan, the reader requests to go back to where it began.
+    pub(super) fn scan_ahead(&mut self) {
+        let Some(scan) = &mut self.scan else { return };
+        self.used += scan.push(&self.buffer[self.used..], self.complete);
+        if !scan.is_done() && !self.complete {
+            return;
         }
-        let from = search.from();
-        self.long = self.search.take().map_or_else(LongChunks::default, Search::finish);
+        let from = scan.from();
+        self.long_chunks = self.scan.take().map_or_else(LongChunks::default, LongChunkScan::finish);
         self.buffer.clear();
-        self.marks = Marks::default();
+        self.prefixes = PrefixCrcs::default();
         (self.base, self.used, self.wanted) = (from, 0, 1);
-        self.goes_back_to = Some(from);
-        true
+        self.seek_request = Some(from);
     }
 }
 
 impl TakeReader {
-    /// The chunk at `start` of the buffer, whose CRC matched.
-    pub(super) fn interpret(
-        &mut self,
-        kind: u8,
-        start: usize,
-        len: usize,
-    ) -> Result<TakeEvent<'_>, TakeError> {
-        let offset = self.base + start as u64;
-        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len]) else {
+    /// Decodes the chunk in the last `len` processed bytes, whose CRC matches.
+    pub(super) fn interpret(&mut self, len: usize) -> Result<TakeEvent<'_>, TakeError> {
+        let offset = self.offset() - len as u64;
+        let bytes = &self.buffer[self.used - len..self.used];
+        let ChunkParse::Whole { kind, payload, .. } = chunk::split(bytes) else {
             return Err(TakeError::NotATake(NotATake::Changed));
         };
+        let corrupt = |what, message: &str| TakeError::corrupt(what, offset, message);
         let Some(chain) = &mut self.chain else {
             if kind == types::HEADER {
                 let header = Header::from_payload(payload, offset)?;
                 header.check()?;
-                self.chain = Some(Chain::of(&header)?);
+                self.chain = Some(StretchChain::from_header(&header)?);
                 self.bytes.header += len as u64;
                 self.n_channels = header.channels.len();
                 return Ok(TakeEvent::Header(Box::new(header)));
@@ -114,37 +101,41 @@ impl TakeReader {
             types::FOREIGN => {
                 let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
                 let place = (payload_at, payload.len() as u64);
-                ForeignPart::of_payload(payload, place, offset).and_then(|part| {
-                    let mut inflation = Inflation::new(part.data_bytes);
+                ForeignPart::from_payload(payload, place, offset).and_then(|part| {
+                    let mut inflation = InflateCheck::new(part.data_bytes);
                     let from = (part.deflated_at() - payload_at) as usize;
                     inflation.push(&payload[from..]);
                     inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
                 })
             }
-            types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
-                TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
-            }),
+            types::STRETCH => match chain.place(payload) {
+                Ok(Placement::Stretch(stretch)) => Ok(TakeEvent::Stretch(stretch)),
+                Ok(Placement::Unplaced { missing_before, n_rows, rows_min }) => {
+                    Ok(TakeEvent::Unplaced { missing_before, n_rows, rows_min })
+                }
+                Err(error) => Err(corrupt("stretch", error)),
+            },
             types::FOOTER => Footer::from_payload(payload, offset)
-                .and_then(|footer| footer.check(chain.rows_believed_max(), offset))
+                .and_then(|footer| footer.check(chain.plausible_rows_max(), offset))
                 .inspect(|_| self.seen_footer = true)
                 .map(TakeEvent::Footer),
             _ => match record(kind, payload, offset) {
-                Some(Ok(TakeEvent::Channels(more))) => {
+                Ok(Some(TakeEvent::Channels(more))) => {
                     let n_channels = self.n_channels + more.len();
                     if n_channels <= CHANNELS_MAX {
                         self.n_channels = n_channels;
                         Ok(TakeEvent::Channels(more))
                     } else {
-                        let message = "there are more channels than marker ids".to_owned();
-                        Err(TakeError::Corrupt { what: "channel table", offset, message })
+                        Err(corrupt("channel table", "more channels than marker ids"))
                     }
                 }
-                Some(event) => event,
-                None if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
-                None => {
+                Ok(Some(event)) => Ok(event),
+                Err(error) => Err(error),
+                Ok(None) if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
+                Ok(None) => {
                     let message = match kind {
                         types::HEADER => "a second header".to_owned(),
-                        _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
+                        _ => format!("unknown chunk type {kind:02x}: use a newer mocapd"),
                     };
                     Ok(damaged(offset, len as u64, kind, message))
                 }
@@ -159,63 +150,48 @@ impl TakeReader {
     }
 }
 
-/// The content of a chunk that is read without regard to what stands before it; `None` of any other.
+/// Decodes a chunk whose content does not depend on earlier chunks; `None` for other types.
 pub(crate) fn record(
     kind: u8,
     payload: &[u8],
     offset: u64,
-) -> Option<Result<TakeEvent<'static>, TakeError>> {
-    Some(match kind {
-        types::CHANNELS => MoreChannels::from_payload(payload, offset)
-            .map(|MoreChannels(more)| TakeEvent::Channels(more)),
-        types::SUBJECT => Subject::from_payload(payload, offset)
-            .map(|subject| TakeEvent::Subject(Box::new(subject))),
-        types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
-        types::LEDGER => {
-            Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
-        }
-        types::CLOCK => Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c))),
-        types::SUMMARY => SummaryRecord::from_payload(payload, offset).map(TakeEvent::Summary),
-        types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
-        _ => return None,
-    })
+) -> Result<Option<TakeEvent<'static>>, TakeError> {
+    Ok(Some(match kind {
+        types::CHANNELS => TakeEvent::Channels(MoreChannels::from_payload(payload, offset)?.0),
+        types::SUBJECT => TakeEvent::Subject(Box::new(Subject::from_payload(payload, offset)?)),
+        types::EVENT => TakeEvent::Event(Event::from_payload(payload, offset)?),
+        types::LEDGER => TakeEvent::Ledger(Box::new(Ledger::from_payload(payload, offset)?)),
+        types::CLOCK => TakeEvent::Clock(Box::new(Clock::from_payload(payload, offset)?)),
+        types::SUMMARY => TakeEvent::Summary(SummaryRecord::from_payload(payload, offset)?),
+        types::INDEX => TakeEvent::Index(parse_index(payload, offset)?),
+        _ => return Ok(None),
+    }))
 }
 
-/// A chunk whose content is wrong.
+/// A chunk with invalid content.
 fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'static> {
     let kind = Some(kind).filter(|kind| types::ALL.contains(kind));
     TakeEvent::Damaged { offset, len, kind, message }
 }
 
-impl<'a> From<Placed<'a>> for TakeEvent<'a> {
-    fn from(placed: Placed<'a>) -> Self {
-        match placed {
-            Placed::Stretch(stretch) => Self::Stretch(stretch),
-            Placed::Unplaced { missing_before, n_rows, rows_min } => {
-                Self::Unplaced { missing_before, n_rows, rows_min }
-            }
-        }
-    }
-}
-
-/// Whether one may be so long and is not read: what this version does not know, and an index, which repeats what the
-/// stretches themselves say. No other record is so long.
+/// Whether a chunk of this type may be too long to hold and is skipped: an unknown type, or an index, which only
+/// repeats what the stretches state. No other record can be so long.
 fn may_be_skipped(kind: u8) -> bool {
     let is_read = types::ALL.contains(&kind) && ![types::MODEL, types::INDEX].contains(&kind);
     kind & MAY_SKIP != 0 && !is_read
 }
 
-/// One of them.
+/// A chunk that is too long to hold.
 #[derive(Debug)]
-pub(super) struct Passing {
+pub(super) struct LongChunk {
     kind: u8,
     offset: u64,
     len: u64,
-    /// Of a FOREIGN, once its front was there: it, and what became of it up to here.
-    part: Option<Result<(ForeignPart, Inflation), TakeError>>,
+    /// For a FOREIGN chunk: its header, once that was read, and the check of the content read so far.
+    part: Option<Result<(ForeignPart, InflateCheck), TakeError>>,
 }
 
-impl Passing {
+impl LongChunk {
     pub(super) fn new(kind: u8, offset: u64, len: u64) -> Self {
         Self { kind, offset, len, part: None }
     }
@@ -224,20 +200,20 @@ impl Passing {
         self.offset + self.len
     }
 
-    /// Looks at what comes next of a FOREIGN, from file offset `at` on.
-    fn look_at(&mut self, at: u64, bytes: &[u8]) {
+    /// Checks the next bytes of a FOREIGN chunk, which begin at file offset `at`.
+    fn check(&mut self, at: u64, bytes: &[u8]) {
         if self.kind != types::FOREIGN {
             return;
         }
         let part = self.part.get_or_insert_with(|| {
-            let Head::Of { head_bytes, .. } = chunk::head(bytes) else {
+            let ChunkHead::Valid { head_bytes, .. } = chunk::head(bytes) else {
                 return Err(TakeError::NotATake(NotATake::Changed));
             };
             let payload_at = self.offset + head_bytes as u64;
             let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
             let front = &bytes[head_bytes..];
-            ForeignPart::of_payload(front, (payload_at, payload_bytes), self.offset)
-                .map(|part| (Inflation::new(part.data_bytes), part))
+            ForeignPart::from_payload(front, (payload_at, payload_bytes), self.offset)
+                .map(|part| (InflateCheck::new(part.data_bytes), part))
                 .map(|(inflation, part)| (part, inflation))
         });
         if let Ok((part, inflation)) = part {
@@ -250,30 +226,30 @@ impl Passing {
 }
 
 impl TakeReader {
-    /// Passes over what is there of it; says whether that was all.
-    pub(super) fn pass(&mut self) -> bool {
+    /// Reads on through the long chunk. Returns whether its end was reached.
+    pub(super) fn read_long_chunk(&mut self) -> bool {
         let at = self.offset();
-        let Some(passing) = &mut self.passing else { return true };
+        let Some(long_chunk) = &mut self.long_chunk else { return true };
         let waiting = &self.buffer[self.used..];
         let front_bytes = HEAD_BYTES_MAX + foreign::FRONT_BYTES;
-        if at == passing.offset && waiting.len() < front_bytes && !self.complete {
+        if at == long_chunk.offset && waiting.len() < front_bytes && !self.complete {
             return false;
         }
-        let left = usize::try_from(passing.end() - at).unwrap_or(usize::MAX);
+        let left = usize::try_from(long_chunk.end() - at).unwrap_or(usize::MAX);
         let next = &waiting[..waiting.len().min(left)];
-        passing.look_at(at, next);
+        long_chunk.check(at, next);
         self.used += next.len();
         self.wanted = 1;
         next.len() == left || self.complete
     }
 
-    /// All of it was passed over.
-    pub(super) fn passed(&mut self) -> Result<TakeEvent<'static>, TakeError> {
+    /// The event of a long chunk that was read to its end.
+    pub(super) fn finish_long_chunk(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         let end = self.offset();
-        let Some(passing) = self.passing.take().filter(|passing| passing.end() == end) else {
+        let Some(chunk) = self.long_chunk.take().filter(|chunk| chunk.end() == end) else {
             return Err(TakeError::NotATake(NotATake::Changed));
         };
-        let Passing { kind, offset, len, part } = passing;
+        let LongChunk { kind, offset, len, part } = chunk;
         let Some(chain) = self.chain.as_mut() else {
             self.bytes.other += len;
             let message = format!("a chunk of type {kind:02x} before the header");
@@ -288,8 +264,7 @@ impl TakeReader {
                 if kind == types::STRETCH {
                     chain.break_off();
                 }
-                let message = "longer than a take can hold".to_owned();
-                Err(TakeError::Corrupt { what: "chunk", offset, message })
+                Err(TakeError::corrupt("chunk", offset, "longer than a take can hold"))
             }
         };
         let event = event.unwrap_or_else(|error| damaged(offset, len, kind, error.to_string()));
@@ -329,8 +304,8 @@ mod tests {
         bytes
     }
 
-    /// Behind each small chunk stands a head of a long one: all of it may be one, or damaged, and the next small
-    /// chunk is found within it.
+    /// Each small chunk is followed by the head of a long one. All of the rest may be that chunk, or may be damaged and
+    /// contain the next small chunk.
     #[test]
     fn no_byte_is_hashed_for_every_head_before_it() {
         for claimed in [3_000, 100_000, 1 << 20] {
@@ -349,7 +324,7 @@ mod tests {
             })
             .unwrap();
             let hashed = HASHED_BYTES.get() - before;
-            // The heads, and the events, which have no version.
+            // The false heads, and the events, which lack a version.
             assert!(n_damaged > (end - start) / 11, "{n_damaged} of {} bytes", bytes.len());
             let ratio = hashed / bytes.len() as u64;
             assert!(ratio <= 100, "{ratio} bytes hashed a byte, of {claimed} claimed");

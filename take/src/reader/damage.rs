@@ -1,110 +1,101 @@
-//! What is no whole chunk, and the way to the next one. A chunk whose head alone is damaged is put right: where the next chunk
-//! begins tells its length, and its CRC its type.
+//! Damaged regions, and the search for the next valid chunk. A chunk with a damaged head alone is repaired: the
+//! position of the next chunk gives its length, and its CRC gives its type.
 
 use crc32fast::Hasher;
 
 use super::{TakeEvent, TakeReader};
 use crate::{
     chunk::{
-        self, CHUNK_HELD_MAX, CRC_BYTES, HEAD_BYTES_MAX, Head, Next, PAYLOAD_BYTES_MAX, Search,
-        WINDOW_BYTES, types,
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkHead, HEAD_BYTES_MAX, LongChunkScan,
+        PAYLOAD_BYTES_MAX, ResyncOutcome, WINDOW_BYTES, types,
     },
     varint,
 };
 
-/// Bytes that are no whole chunk, from `offset` to wherever the reader is.
+/// A damaged region, from `offset` to the reader's position.
 #[derive(Debug)]
 pub(super) struct Damage {
     pub(super) offset: u64,
     /// Its first bytes.
     head: Vec<u8>,
     message: &'static str,
-    /// It goes on for so long that its beginning is not held any more.
-    pub(super) is_far: bool,
-    /// It is the header, and the file ends inside it.
-    is_cut_header: bool,
+    /// The region is so long that its beginning is no longer held.
+    pub(super) start_dropped: bool,
+    /// The region is a header that the file ends inside.
+    header_cut: bool,
 }
 
 impl Damage {
-    /// Of the bytes at file offset `offset`.
-    pub(super) fn new(
-        offset: u64,
-        bytes: &[u8],
-        message: &'static str,
-        is_cut_header: bool,
-    ) -> Self {
+    /// The region that begins with `bytes` at file offset `offset`.
+    pub(super) fn new(offset: u64, bytes: &[u8], message: &'static str, header_cut: bool) -> Self {
         let head = bytes[..bytes.len().min(HEAD_BYTES_MAX)].to_vec();
-        Self { offset, head, message, is_far: false, is_cut_header }
+        Self { offset, head, message, start_dropped: false, header_cut }
     }
 
-    /// The type that its first byte says, if it is one.
+    /// The chunk type in its first byte, if it is a valid one.
     fn kind(&self) -> Option<u8> {
         self.head.first().copied().filter(|kind| types::ALL.contains(kind))
     }
 
-    /// Whether it is one chunk by its own head, and no stretch: then none was among it. Bytes that are missing
-    /// altogether leave pieces of two chunks, and no head fits these.
+    /// Whether the region is exactly one chunk by its own head, and not a stretch: then no stretch was lost in it.
+    /// Where bytes are missing, the region consists of pieces of two chunks, and no head fits its length.
     fn is_one_other_chunk(&self, damaged_bytes: u64) -> bool {
-        matches!(
-            chunk::head(&self.head),
-            Head::Of { kind, len, .. }
-                if len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)
-        )
+        let ChunkHead::Valid { kind, len, .. } = chunk::head(&self.head) else { return false };
+        len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)
     }
 }
 
 impl TakeReader {
-    /// Looks for the next whole chunk; `None` when more of the file has to be seen.
+    /// Searches for the next valid chunk; `None` when more of the file is needed.
     pub(super) fn find_next(&mut self) -> Option<TakeEvent<'static>> {
-        // What is known of its first byte is that no chunk begins there.
-        let (offset, is_far) = self.damage.as_ref().map(|damage| (damage.offset, damage.is_far))?;
+        // No chunk begins at the region's own first byte.
+        let (offset, start_dropped) = self.damage.as_ref().map(|d| (d.offset, d.start_dropped))?;
         if !self.complete && self.buffer.len() - self.used < WINDOW_BYTES {
             self.wanted = WINDOW_BYTES as u64;
             return None;
         }
         let from = self.used + usize::from(self.offset() == offset);
-        let is_whole = |at: usize| self.long.is_whole(self.base + at as u64);
-        match chunk::resync(&self.buffer, &mut self.marks, from, self.complete, is_whole) {
-            Next::At(at) => return self.end_damage(at),
-            Next::Until(at) if self.complete => return self.end_damage(at),
-            Next::Until(at) => {
+        let is_whole = |at: usize| self.long_chunks.is_whole(self.base + at as u64);
+        match chunk::resync(&self.buffer, &mut self.prefixes, from, self.complete, is_whole) {
+            ResyncOutcome::Found(at) => return self.end_damage(at),
+            ResyncOutcome::NotBefore(at) if self.complete => return self.end_damage(at),
+            ResyncOutcome::NotBefore(at) => {
                 self.used = at;
                 if let Some(damage) = &mut self.damage {
-                    damage.is_far = true;
+                    damage.start_dropped = true;
                 }
             }
-            Next::Unknown(at) => {
-                let begun = if is_far { self.base + at as u64 } else { offset };
+            ResyncOutcome::NeedsScan(at) => {
+                let begun = if start_dropped { self.base + at as u64 } else { offset };
                 self.used = (begun - self.base) as usize;
-                self.search = Some(Search::new(begun, false));
+                self.scan = Some(LongChunkScan::new(begun, false));
             }
         }
         None
     }
 
-    /// The next chunk begins at `at` of the buffer, or the file ends there. Where what lies before it is a chunk whose
-    /// head alone is damaged, that one is next.
+    /// Ends the region at `at` in the buffer, where the next chunk begins or the file ends. A region that is one chunk
+    /// with a damaged head is repaired and read next.
     fn end_damage(&mut self, at: usize) -> Option<TakeEvent<'static>> {
         let damage = self.damage.take()?;
         let offset = damage.offset;
         self.used = at;
         self.wanted = 1;
         let len = self.offset() - offset;
-        if !damage.is_far && len <= CHUNK_HELD_MAX {
+        if !damage.start_dropped && len <= CHUNK_HELD_MAX {
             let start = (offset - self.base) as usize;
-            if mend_head(&mut self.buffer[start..at]) {
-                self.marks.forget(at);
+            if repair_head(&mut self.buffer[start..at]) {
+                self.prefixes.discard_before(at);
                 self.used = start;
-                return Some(TakeEvent::Mended { offset });
+                return Some(TakeEvent::Repaired { offset });
             }
         }
         self.bytes.other += len;
-        if damage.is_cut_header {
+        if damage.header_cut {
             self.header_cut_until = self.offset();
         }
-        if !damage.is_one_other_chunk(len)
-            && let Some(chain) = &mut self.chain
-        {
+        let may_be_stretch = !damage.is_one_other_chunk(len);
+        if may_be_stretch && let Some(chain) = &mut self.chain {
             chain.break_off();
         }
         let (kind, message) = (damage.kind(), damage.message.to_owned());
@@ -112,9 +103,9 @@ impl TakeReader {
     }
 }
 
-/// Puts the head of the one chunk that `region` is right, if there is a type with which its CRC matches; says
-/// whether it did. Of twelve types one fits by chance in one of 3.6 * 10^8 damaged regions.
-pub(crate) fn mend_head(region: &mut [u8]) -> bool {
+/// Restores the head of the one chunk that `region` holds, if its CRC matches with one of the chunk types. Returns
+/// whether it did. By chance, one of the twelve types fits one in 3.6 * 10^8 damaged regions.
+pub(crate) fn repair_head(region: &mut [u8]) -> bool {
     let Some(payload_len) = payload_len(region.len() as u64) else { return false };
     let mut head = vec![0];
     varint::put(&mut head, payload_len);
@@ -134,7 +125,7 @@ pub(crate) fn mend_head(region: &mut [u8]) -> bool {
     true
 }
 
-/// How long the payload of a chunk of so many bytes is.
+/// The payload length of a chunk of `chunk_len` bytes.
 fn payload_len(chunk_len: u64) -> Option<u64> {
     let varint_len = |value: u64| u64::from(64 - (value | 1).leading_zeros()).div_ceil(7);
     let mut lens = (2..=HEAD_BYTES_MAX as u64).filter_map(|head| {
@@ -159,15 +150,15 @@ mod tests {
             for at in 0..good.len().min(300) {
                 let mut damaged = good.clone();
                 damaged[at] ^= 0x41;
-                assert_eq!(mend_head(&mut damaged), at < head_len, "byte {at} of {n}");
+                assert_eq!(repair_head(&mut damaged), at < head_len, "byte {at} of {n}");
                 assert_eq!(damaged == good, at < head_len, "byte {at} of {n}");
             }
             let mut gone = good.clone();
             gone[..head_len].fill(0);
-            assert!(mend_head(&mut gone) && gone == good, "{n}");
-            assert!(!mend_head(&mut good[1..].to_vec()));
+            assert!(repair_head(&mut gone) && gone == good, "{n}");
+            assert!(!repair_head(&mut good[1..].to_vec()));
         }
-        assert!(!mend_head(&mut []));
-        assert!(!mend_head(&mut [0; 5]));
+        assert!(!repair_head(&mut []));
+        assert!(!repair_head(&mut [0; 5]));
     }
 }

@@ -1,14 +1,8 @@
-//! CLOCK: what ties the device's clock to the host's, and the line that was laid through it.
+//! CLOCK: observations of the device's and the host's clock, and the line fitted to them.
 //!
-//! Everything the line is made of is here in whole microseconds, so that whoever reads a take can lay it
-//! again. docs/clock.md says how.
+//! All inputs of the fit are stored in whole microseconds, so a reader can repeat it. docs/clock.md describes the fit.
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
 use super::Record;
 use crate::{
@@ -16,84 +10,84 @@ use crate::{
     varint::{self, Cursor},
 };
 
-/// Most probes and most points of one record: a recorder writes one well before it has so many, and a
-/// reader needs memory for no more than these.
+/// Most probes, and most points, of one record. A recorder writes a record well before it has so many, and a reader
+/// needs memory for no more.
 pub const CLOCK_ENTRIES_MAX: usize = 4096;
 
-/// A frame that came early for its stretch of time: nothing can arrive before it happened, so the device's
-/// `device_ticks` were no later than `host_us`.
+/// A frame that arrived early for its part of the recording. No frame arrives before its exposure, so the device's
+/// clock had reached `device_ticks` no later than `host_us`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ClockPoint {
-    /// The frame's device time, in ticks.
+    /// Device time of the frame, in ticks.
     pub device_ticks: u64,
-    /// Its arrival by the host's monotonic clock, in microseconds, rounded up.
+    /// Arrival by the host's monotonic clock, in microseconds, rounded up.
     pub host_us: u64,
 }
 
-/// One round trip: the device's clock stood at `device_ticks` between the two host times.
+/// One round trip: the device's clock read `device_ticks` at a moment between the two host times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ClockProbe {
-    /// When the ping was sent, by the host's monotonic clock in microseconds, rounded down.
+    /// Host monotonic time at which the ping was sent, in microseconds, rounded down.
     pub sent_us: u64,
-    /// What the device's clock said when the ping came, in ticks.
+    /// Device time at which the ping arrived, in ticks.
     pub device_ticks: u64,
-    /// From there to the pong's arrival, in microseconds, rounded up.
+    /// Time from sending the ping to receiving the pong, in microseconds, rounded up.
     pub round_trip_us: u64,
 }
 
-/// The line: `host_ns + (ticks - device_ticks) * 1e9 / tick_hz * (1 + drift_ppb * 1e-9)` is the host time of
-/// device time `ticks`.
+/// The fitted line. The host time of device time `ticks` is
+/// `host_ns + (ticks - device_ticks) * 1e9 / tick_hz * (1 + drift_ppb * 1e-9)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ClockLine {
-    /// The device time that it is told at, in ticks.
+    /// Reference point of the line, in device ticks.
     pub device_ticks: u64,
-    /// The host's monotonic clock then, in nanoseconds.
+    /// Host monotonic time at the reference point, in nanoseconds.
     pub host_ns: u64,
     /// How much faster the host's clock runs, in parts per billion.
     pub drift_ppb: i64,
-    /// How far it can be off. `None` when no round trip was measured: it is late by the least delay that frames
-    /// had.
+    /// The largest error of the line. `None` without a round trip: the line is then late by the least delay of any
+    /// frame.
     pub bound: Option<ClockBound>,
 }
 
-/// How far a line can be off, if both clocks keep their rates, and these are within 500 ppm of each other.
+/// The largest error of a line, if both clocks keep their rates and these are within 500 ppm of each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
 pub struct ClockBound {
-    /// Where the line is told, in microseconds.
+    /// Error at the reference point, in microseconds.
     pub offset_us: u64,
-    /// Its drift, in parts per billion.
+    /// Error of the drift, in parts per billion.
     pub drift_ppb: u64,
 }
 
-/// How late frames came after the line, over the recording so far: microseconds.
+/// Distribution of arrivals around the line, over the recording so far, in microseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
 pub struct ClockJitter {
-    /// Frames it is of.
+    /// Number of frames.
     pub frames: u64,
     /// Root mean square distance of arrivals from the line.
     pub residual_us: u64,
-    /// Half of the arrivals were no later than this after the line.
+    /// Median delay of arrivals after the line.
     pub p50_us: u64,
-    /// 99 of a hundred.
+    /// 99th percentile of the delay.
     pub p99_us: u64,
-    /// The latest one.
+    /// Largest delay.
     pub max_us: u64,
 }
 
-/// What was seen of the clocks since the last such record.
+/// Observations of the clocks since the previous record of this type.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Clock {
-    /// Which run of the device's clock, from 0: it is another one after a jump.
+    /// Number of the device clock's continuous run, from 0; a jump of the clock starts the next.
     pub segment: u32,
-    /// Device clock ticks a second.
+    /// Device clock ticks per second.
     pub tick_hz: u64,
-    /// The line, as it is laid now.
+    /// The line as currently fitted.
     pub line: Option<ClockLine>,
-    /// How late frames come.
+    /// The distribution of arrivals around it.
     pub jitter: ClockJitter,
-    /// Round trips, in the order in which they were answered.
+    /// Round trips, in the order of their answers.
     pub probes: Vec<ClockProbe>,
-    /// Frames, in order.
+    /// Early frames, in order.
     pub points: Vec<ClockPoint>,
 }
 
@@ -103,11 +97,11 @@ impl Record for Clock {
     const VERSION: u16 = 1;
 }
 
-/// A pair of times, as the entries are told by their difference from the one before.
+/// Device ticks and host microseconds; each entry is stored as its difference from the previous one.
 type Times = (u64, u64);
 
 fn ticks_in(us: i64, tick_hz: u64) -> u64 {
-    // Modulo 2^64, as ticks are.
+    // Modulo 2^64, like ticks.
     (i128::from(us) * i128::from(tick_hz)).div_euclid(1_000_000) as u64
 }
 
@@ -120,22 +114,22 @@ fn unzigzag(value: u64) -> u64 {
     value >> 1 ^ (value & 1).wrapping_neg()
 }
 
-fn put(out: &mut Vec<u8>, (ticks, us): Times, before: &mut Times, tick_hz: u64) {
-    let passed_us = us.wrapping_sub(before.1);
+fn put_times(out: &mut Vec<u8>, (ticks, us): Times, previous: &mut Times, tick_hz: u64) {
+    let passed_us = us.wrapping_sub(previous.1);
     let expected = ticks_in(passed_us.cast_signed(), tick_hz);
-    // Time goes on, but for a pong that was overtaken.
+    // Time increases, except after a pong that overtook another.
     varint::put(out, passed_us);
-    varint::put(out, zigzag(ticks.wrapping_sub(before.0).wrapping_sub(expected)));
-    *before = (ticks, us);
+    varint::put(out, zigzag(ticks.wrapping_sub(previous.0).wrapping_sub(expected)));
+    *previous = (ticks, us);
 }
 
-fn take(bytes: &mut Cursor<'_>, before: &mut Times, tick_hz: u64) -> Option<Times> {
+fn read_times(bytes: &mut Cursor<'_>, previous: &mut Times, tick_hz: u64) -> Option<Times> {
     let passed_us = bytes.varint()?;
     let expected = ticks_in(passed_us.cast_signed(), tick_hz);
     let error = unzigzag(bytes.varint()?);
-    let ticks = before.0.wrapping_add(expected).wrapping_add(error);
-    *before = (ticks, before.1.wrapping_add(passed_us));
-    Some(*before)
+    let ticks = previous.0.wrapping_add(expected).wrapping_add(error);
+    *previous = (ticks, previous.1.wrapping_add(passed_us));
+    Some(*previous)
 }
 
 impl Clock {
@@ -146,7 +140,7 @@ impl Clock {
         probe.or(point).or(line).unwrap_or_default()
     }
 
-    /// A line is mostly told at the last point.
+    /// The reference point of a line is usually the last point.
     fn last(&self) -> Times {
         self.points.last().map_or(self.origin(), |point| (point.device_ticks, point.host_us))
     }
@@ -159,14 +153,14 @@ impl Encode for Clock {
         }
         let (origin, tick_hz) = (self.origin(), self.tick_hz);
         let (mut probes, mut points) = (Vec::new(), Vec::new());
-        let mut before = origin;
+        let mut previous = origin;
         for probe in &self.probes {
-            put(&mut probes, (probe.device_ticks, probe.sent_us), &mut before, tick_hz);
+            put_times(&mut probes, (probe.device_ticks, probe.sent_us), &mut previous, tick_hz);
             varint::put(&mut probes, probe.round_trip_us);
         }
-        before = origin;
+        previous = origin;
         for point in &self.points {
-            put(&mut points, (point.device_ticks, point.host_us), &mut before, tick_hz);
+            put_times(&mut points, (point.device_ticks, point.host_us), &mut previous, tick_hz);
         }
         let last = self.last();
         self.segment.encode(encoder)?;
@@ -174,13 +168,12 @@ impl Encode for Clock {
         origin.encode(encoder)?;
         probes.encode(encoder)?;
         points.encode(encoder)?;
-        self.line
-            .map(|line| {
-                let ticks = line.device_ticks.wrapping_sub(last.0).cast_signed();
-                let ns = line.host_ns.wrapping_sub(last.1.wrapping_mul(1000)).cast_signed();
-                (ticks, ns, line.drift_ppb, line.bound)
-            })
-            .encode(encoder)?;
+        let line = self.line.map(|line| {
+            let ticks = line.device_ticks.wrapping_sub(last.0).cast_signed();
+            let ns = line.host_ns.wrapping_sub(last.1.wrapping_mul(1000)).cast_signed();
+            (ticks, ns, line.drift_ppb, line.bound)
+        });
+        line.encode(encoder)?;
         self.jitter.encode(encoder)
     }
 }
@@ -190,21 +183,15 @@ impl Decode<()> for Clock {
         let segment = u32::decode(decoder)?;
         let tick_hz = u64::decode(decoder)?;
         let origin = Times::decode(decoder)?;
-        let probes = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
-            let mut before = origin;
-            let mut next = move |bytes: &mut Cursor<'_>| {
-                let (device_ticks, sent_us) = take(bytes, &mut before, tick_hz)?;
-                Some(ClockProbe { sent_us, device_ticks, round_trip_us: bytes.varint()? })
-            };
-            all(bytes, &mut next)
+        let mut previous = origin;
+        let probes = parse_entries(&Vec::<u8>::decode(decoder)?, |bytes| {
+            let (device_ticks, sent_us) = read_times(bytes, &mut previous, tick_hz)?;
+            Some(ClockProbe { sent_us, device_ticks, round_trip_us: bytes.varint()? })
         })?;
-        let points = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
-            let mut before = origin;
-            let mut next = move |bytes: &mut Cursor<'_>| {
-                let (device_ticks, host_us) = take(bytes, &mut before, tick_hz)?;
-                Some(ClockPoint { device_ticks, host_us })
-            };
-            all(bytes, &mut next)
+        let mut previous = origin;
+        let points = parse_entries(&Vec::<u8>::decode(decoder)?, |bytes| {
+            let (device_ticks, host_us) = read_times(bytes, &mut previous, tick_hz)?;
+            Some(ClockPoint { device_ticks, host_us })
         })?;
         let line = Option::<(i64, i64, i64, Option<ClockBound>)>::decode(decoder)?;
         let jitter = ClockJitter::decode(decoder)?;
@@ -220,28 +207,19 @@ impl Decode<()> for Clock {
     }
 }
 
-fn entries<T>(
+/// Parses all entries; an error if the bytes end inside one, or there are too many.
+fn parse_entries<T>(
     bytes: &[u8],
-    read: impl FnOnce(&mut Cursor<'_>) -> Option<Vec<T>>,
+    mut next: impl FnMut(&mut Cursor<'_>) -> Option<T>,
 ) -> Result<Vec<T>, DecodeError> {
-    read(&mut Cursor::new(bytes)).ok_or(DecodeError::Other(
-        "its probes or points are cut short, or are more than a record may hold",
-    ))
-}
-
-/// All that the bytes hold; `None` when they end in the middle of one, or hold too many.
-fn all<T>(
-    bytes: &mut Cursor<'_>,
-    next: &mut impl FnMut(&mut Cursor<'_>) -> Option<T>,
-) -> Option<Vec<T>> {
+    let message = "its probes or points are truncated, or more than a record may hold";
+    let mut bytes = Cursor::new(bytes);
     let mut found = Vec::new();
     while !bytes.is_empty() {
-        if found.len() == CLOCK_ENTRIES_MAX {
-            return None;
-        }
-        found.push(next(bytes)?);
+        let entry = next(&mut bytes).filter(|_| found.len() < CLOCK_ENTRIES_MAX);
+        found.push(entry.ok_or(DecodeError::Other(message))?);
     }
-    Some(found)
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -292,7 +270,7 @@ mod tests {
         assert!(payload.len() <= 150, "{} bytes", payload.len());
     }
 
-    /// As docs/take-format.md has them, put together by hand: version 1 is never changed in place.
+    /// The bytes of docs/take-format.md, assembled by hand: version 1 never changes.
     #[test]
     fn its_bytes_are_what_the_format_says() {
         let clock = Clock {
@@ -321,12 +299,12 @@ mod tests {
             &[1, 0],
             &[3],
             &[252, 0x40, 0x42, 0x0f, 0],
-            // The origin: ticks 7 000 000, us 2 000 000.
+            // Origin: ticks 7 000 000, us 2 000 000.
             &[252, 0xc0, 0xcf, 0x6a, 0],
             &[252, 0x80, 0x84, 0x1e, 0],
-            // Probes: nothing, nothing, 150 = 0x96; 100 later, two ticks fewer than 100, 90.
+            // Probes: no difference from the origin, 150 = 0x96; 100 us later with two ticks fewer than 100, 90.
             &[7, 0, 0, 0x96, 0x01, 100, 3, 90],
-            // A point: 1000 = 0x3e8 later, three ticks more.
+            // A point: 1000 = 0x3e8 us later, three ticks more.
             &[3, 0xe8, 0x07, 6],
             // The line: at the point; 9500 ns later; -200 ppm; within 60 us and 200 ppb.
             &[1, 0, 251, 0x38, 0x4a, 252, 0x7f, 0x1a, 0x06, 0, 1, 60, 200],
@@ -339,7 +317,7 @@ mod tests {
     #[test]
     fn any_numbers_come_back() {
         let mut random = Random::new(1);
-        // Of every length in bits.
+        // Numbers of every length in bits.
         let mut number = || random.next_u64() >> random.below(64);
         for _ in 0..200 {
             let mut clock = Clock {
@@ -370,7 +348,7 @@ mod tests {
         }
         let points = vec![ClockPoint::default(); CLOCK_ENTRIES_MAX + 1];
         assert!(Clock { points, ..Clock::default() }.to_payload().is_err());
-        // Two bytes each, and one too many, in place of the empty list of points.
+        // Replace the empty list of points with entries of two bytes each, as many as allowed, and one more.
         let empty = Clock::default().to_payload().unwrap();
         let (head, rest) = empty.split_at(2 + 1 + 1 + 2 + 1);
         let n = 2 * (CLOCK_ENTRIES_MAX + 1);

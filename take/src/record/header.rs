@@ -1,11 +1,6 @@
-//! HEADER and CHANNELS: what a reader must know before the first stretch.
+//! HEADER and CHANNELS: everything that a reader needs before the first stretch.
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -19,140 +14,135 @@ use crate::{
     varint::{self, Cursor},
 };
 
-/// One entry of the channel table.
+/// An entry of the channel table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Channel {
-    /// The device's id; in an import the column, from 0.
+    /// The device's id of the marker; in an import the column, from 0.
     pub marker_id: u16,
-    /// The marker's name.
+    /// The marker's label.
     pub label: String,
-    /// Whether the name came from the device or file.
+    /// Whether the label comes from the device or file.
     pub labelled: bool,
 }
 
 impl Channel {
-    /// The name of a column without one: `u001` for the first.
+    /// The label of an unlabelled column: `u001` for the first.
     #[must_use]
     pub fn unlabelled_name(column: usize) -> String {
         format!("u{:03}", column + 1)
     }
 }
 
-/// The device that was recorded.
+/// The recorded device.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Encode, Decode, Serialize)]
 pub struct Device {
     /// Driver family.
     pub driver: String,
-    /// How it was opened.
+    /// URI with which it was opened.
     pub uri: String,
-    /// Model, as it says.
+    /// Model, as stated by the device.
     pub model: String,
     /// Serial number.
     pub serial: String,
     /// Firmware version.
     pub firmware: String,
-    /// Device clock ticks a second.
+    /// Device clock ticks per second.
     pub tick_hz: u64,
-    /// Whether the line runs in the kernel's low-latency mode.
+    /// Whether the serial line uses the kernel's low-latency mode.
     pub low_latency: bool,
 }
 
-/// The file that was imported.
+/// The imported file.
 #[derive(Debug, Clone, PartialEq, Default, Encode, Decode, Serialize)]
 pub struct ImportSource {
-    /// `c3d`, `trc`, `tsv`, `csv`; `array` for what was in a program's memory.
+    /// `c3d`, `trc`, `tsv`, `csv`; `array` for data in a program's memory.
     pub format: String,
-    /// Its name, without folders.
+    /// File name without folders.
     pub file: String,
-    /// Unit as found.
+    /// Unit of length as written in the file.
     pub unit: String,
-    /// Factor to millimetres.
+    /// Factor from that unit to millimetres.
     #[serde(rename = "factor_to_mm")]
     pub factor: f64,
     /// Number of its first frame.
     pub first_frame: u64,
-    /// What was wrong with it and how it was read all the same.
+    /// Defects of the file and how they were read.
     pub warnings: Vec<String>,
 }
 
 /// The first chunk of a take.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Header {
-    /// What wrote it.
+    /// The program that wrote the take.
     pub software: String,
-    /// So that two takes are never mistaken for each other: random in a recording, in an import made
-    /// of its file and settings ([`Header::set_import_id`]).
+    /// Identifies the take: random in a recording; derived from file and settings in an import
+    /// ([`Header::set_import_id`]).
     pub take_id: [u8; 16],
-    /// Wall clock at the start of a recording, in milliseconds since 1970 UTC; 0 where none is known,
-    /// as in an import.
+    /// Wall-clock time at the start of a recording, in milliseconds since 1970 UTC; 0 if unknown, as in an import.
     pub created_unix_ms: i64,
-    /// Resampler, by name.
+    /// Name of the resampler.
     pub resampler: String,
     /// Version of stretches and blocks (docs/take-format.md and docs/codec.md).
     pub codec_version: u16,
     /// Tolerance in millimetres; 0 for `lossless`.
     pub tolerance_mm: f64,
-    /// Rows a second.
+    /// Rows per second.
     pub rate_hz: f64,
-    /// Which way is up.
+    /// The vertical axis.
     pub up_axis: UpAxis,
-    /// The device; absent in an import.
+    /// The device; `None` in an import.
     pub device: Option<Device>,
-    /// The file; absent in a recording.
+    /// The imported file; `None` in a recording.
     pub source: Option<ImportSource>,
-    /// The channel table at the start.
+    /// The channel table at the start of the take.
     pub channels: Vec<Channel>,
     /// Rows of a full stretch.
     pub stretch_rows: u32,
-    /// The configuration that made it: in an import what was chosen beside resampler and tolerance.
+    /// Configuration of the recorder; in an import, the options other than resampler and tolerance.
     pub settings: Vec<(String, String)>,
 }
 
-/// The format of stretches and blocks that this build writes and reads. 1 to 4 were those of development
-/// versions.
+/// The version of stretches and blocks that this build writes and reads. Versions 1 to 5 belong to development builds.
 pub const CODEC_VERSION: u16 = 6;
 
-// Blocks are a part of it: a new version of theirs is a new one of takes, too.
+// Blocks are part of takes, so a new block version needs a new version here.
 const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
 
 impl Header {
-    /// `take_id` as it is written in texts: 32 hexadecimal digits.
+    /// `take_id` as 32 hexadecimal digits.
     #[must_use]
     pub fn take_id_text(&self) -> String {
         self.take_id.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// The codec's settings, checked.
+    /// The codec's settings, validated.
     ///
     /// # Errors
     /// `Codec` for an unknown resampler or a tolerance out of range, `Unsupported` for another block format.
     pub fn codec(&self) -> Result<Settings, TakeError> {
-        if self.codec_version != CODEC_VERSION {
-            return Err(TakeError::Unsupported {
-                what: "block format",
-                found: self.codec_version,
-                supported: CODEC_VERSION,
-            });
+        let (found, supported) = (self.codec_version, CODEC_VERSION);
+        if found != supported {
+            return Err(TakeError::Unsupported { what: "block format", found, supported });
         }
         let kind: ResamplerKind = self.resampler.parse()?;
         let mm = if kind.is_lossless() { Tolerance::MAX_MM } else { self.tolerance_mm };
         Ok(Settings { kind, tolerance: Tolerance::from_mm(mm)? })
     }
 
-    /// Stores the codec's settings.
+    /// Sets the fields that describe the codec.
     pub fn set_codec(&mut self, settings: &Settings) {
         self.resampler = settings.kind.to_string();
         self.codec_version = CODEC_VERSION;
         self.tolerance_mm = if settings.kind.is_lossless() { 0.0 } else { settings.tolerance.mm() };
     }
 
-    /// Rejects a header whose numbers make no sense to a reader.
+    /// Rejects a header with invalid numbers.
     ///
     /// # Errors
     /// `Codec(InvalidArgument)` naming the field.
     pub fn check(&self) -> Result<(), TakeError> {
         if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
-            let message = format!("a take cannot run at {} Hz", self.rate_hz);
+            let message = format!("invalid frame rate: {} Hz", self.rate_hz);
             return Err(CodecError::InvalidArgument(message).into());
         }
         self.codec().map(drop)
@@ -175,7 +165,7 @@ impl Record for MoreChannels {
     const VERSION: u16 = 2;
 }
 
-// As they are stored: their fields in order, the channel table as its own bytes.
+// Stored form: the fields in order, with the channel table as a byte string.
 
 impl Encode for Header {
     fn encode<E: Encoder>(&self, encoder: &mut E) -> Result<(), EncodeError> {
@@ -197,7 +187,7 @@ impl Encode for Header {
 
 impl Decode<()> for Header {
     fn decode<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Self, DecodeError> {
-        // Fields are decoded in the order in which they stand here.
+        // Struct expressions evaluate their fields in the order written.
         Ok(Self {
             software: String::decode(decoder)?,
             take_id: <[u8; 16]>::decode(decoder)?,
@@ -209,7 +199,7 @@ impl Decode<()> for Header {
             up_axis: UpAxis::from_code(u8::decode(decoder)?),
             device: Option::<Device>::decode(decoder)?,
             source: Option::<ImportSource>::decode(decoder)?,
-            channels: channels(decoder)?,
+            channels: MoreChannels::decode(decoder)?.0,
             stretch_rows: u32::decode(decoder)?,
             settings: Vec::<(String, String)>::decode(decoder)?,
         })
@@ -224,21 +214,17 @@ impl Encode for MoreChannels {
 
 impl Decode<()> for MoreChannels {
     fn decode<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Self, DecodeError> {
-        channels(decoder).map(Self)
+        let bytes = Vec::<u8>::decode(decoder)?;
+        read_channels(&bytes).map(Self).map_err(DecodeError::Other)
     }
 }
 
-fn channels<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Vec<Channel>, DecodeError> {
-    let bytes = Vec::<u8>::decode(decoder)?;
-    read_channels(&bytes).map_err(DecodeError::Other)
-}
-
 impl Header {
-    /// Makes `take_id` of everything else in this header, the bytes of the file that was imported, and the subject
-    /// where there is one, as a UUID of version 8 (RFC 9562, 5.8). Call it when nothing else will change.
+    /// Derives `take_id` from all other fields of this header, the bytes of the imported file, and the subject if there
+    /// is one, as a UUID of version 8 (RFC 9562, 5.8). Call it when nothing else will change.
     ///
-    /// The header names program, resampler, versions, tolerance, file and settings: two imports have
-    /// the same id when they are the same import. docs/take-format.md gives the steps.
+    /// The header has program, resampler, versions, tolerance, file and settings, so equal ids mean equal imports.
+    /// docs/take-format.md gives the steps.
     ///
     /// # Errors
     /// `InvalidArgument` when the header is larger than a take can hold.
@@ -258,46 +244,35 @@ impl Header {
     }
 }
 
-/// Most bytes that a label takes over from the one before: what a nibble can say.
+/// Most bytes that a label shares with the previous one: the largest value of a nibble.
 const MAX_SHARED: usize = 15;
-/// Suffix lengths that stand in the nibble; these two say what follows instead.
+/// A suffix length up to 13 is stored in the nibble; these two values announce other fields.
 const LONG: u8 = 14;
 const UNUSUAL: u8 = 15;
-/// What an entry costs a reader beside its label.
+/// Memory that a reader needs for an entry besides its label.
 const ENTRY_BYTES: usize = 32;
 
-/// What the next entry is, where it does not say otherwise.
-#[derive(Default)]
-struct Before<'a> {
-    label: &'a [u8],
-    /// None before the first entry.
-    marker_id: Option<u16>,
-    unlabelled: bool,
-}
-
-impl<'a> Before<'a> {
-    fn next_id(&self) -> u16 {
-        self.marker_id.map_or(0, |id| id.wrapping_add(1))
-    }
-
-    fn follow(&mut self, marker_id: u16, label: &'a [u8], labelled: bool) {
-        *self = Self { label, marker_id: Some(marker_id), unlabelled: !labelled };
-    }
+/// What the next entry is predicted from: the label of the previous one, if any, the marker id after its own, and
+/// whether it is labelled.
+fn prediction(previous: Option<&Channel>) -> (&[u8], u16, bool) {
+    let Some(Channel { marker_id, label, labelled }) = previous else { return (&[], 0, true) };
+    (label.as_bytes(), marker_id.wrapping_add(1), *labelled)
 }
 
 fn shared(a: &[u8], b: &[u8]) -> usize {
     a.iter().zip(b).take(MAX_SHARED).take_while(|(a, b)| a == b).count()
 }
 
-/// The bytes of a table.
+/// Encodes a channel table.
 fn write_channels(channels: &[Channel]) -> Vec<u8> {
     let mut out = Vec::new();
-    let mut before = Before::default();
-    for Channel { marker_id, label, labelled } in channels {
-        let label = label.as_bytes();
-        let shared = shared(before.label, label);
-        let suffix = &label[shared..];
-        let usual = *marker_id == before.next_id() && *labelled != before.unlabelled;
+    let mut previous = None;
+    for channel in channels {
+        let Channel { marker_id, label, labelled } = channel;
+        let (previous_label, next_id, was_labelled) = prediction(previous);
+        let shared = shared(previous_label, label.as_bytes());
+        let suffix = &label.as_bytes()[shared..];
+        let usual = *marker_id == next_id && *labelled == was_labelled;
         let short = u8::try_from(suffix.len()).ok().filter(|&n| n < LONG);
         let low = if usual { short.unwrap_or(LONG) } else { UNUSUAL };
         out.push((shared as u8) << 4 | low);
@@ -308,41 +283,33 @@ fn write_channels(channels: &[Channel]) -> Vec<u8> {
             varint::put(&mut out, suffix.len() as u64);
         }
         out.extend_from_slice(suffix);
-        before.follow(*marker_id, label, *labelled);
+        previous = Some(channel);
     }
     out
 }
 
-const CUT: &str = "the channel table is cut short, or a number in it is longer than it needs to be";
+const CUT: &str = "the channel table is truncated or has an overlong varint";
 
-/// A table from all of its bytes.
+/// Decodes a channel table that fills `bytes`.
 fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
     let mut bytes = Cursor::new(bytes);
     let mut channels: Vec<Channel> = Vec::new();
     let mut claimed = 0_u64;
     while !bytes.is_empty() {
         if channels.len() == CHANNELS_MAX {
-            return Err("there are more than 65536 markers");
+            return Err("more than 65536 markers");
         }
-        let before = match channels.last() {
-            Some(last) => Before {
-                label: last.label.as_bytes(),
-                marker_id: Some(last.marker_id),
-                unlabelled: !last.labelled,
-            },
-            None => Before::default(),
-        };
+        let (previous_label, mut marker_id, mut labelled) = prediction(channels.last());
         let head = bytes.byte().ok_or(CUT)?;
         let shared = usize::from(head >> 4);
-        let (mut marker_id, mut labelled) = (before.next_id(), !before.unlabelled);
         if head & 15 == UNUSUAL {
             let both = bytes.varint().ok_or(CUT)?;
             labelled = both & 1 == 1;
-            marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id is beyond 65535")?;
+            marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id exceeds 65535")?;
         }
         let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
-        let beginning = before.label.get(..shared).ok_or("a label begins like a shorter one")?;
-        // Memory as the other records: a byte here must not buy more than the limit there.
+        let beginning = previous_label.get(..shared).ok_or("a label shares too many bytes")?;
+        // Limit the memory of the table like that of other records: a byte here may claim at most as much.
         claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
         if claimed > LIMIT_BYTES as u64 {
             return Err("the channel table is larger than a take can hold");
@@ -389,7 +356,7 @@ mod tests {
 
     #[test]
     fn it_is_what_the_format_says() {
-        // From Python's hashlib, over a payload put together field by field after docs/take-format.md.
+        // Computed with Python's hashlib over a payload assembled field by field after docs/take-format.md.
         let id = id(&Header { codec_version: 4, ..header() }, b"frame,time_s\n");
         assert_eq!(u128::from_be_bytes(id), 0x6025_74d8_73e9_80b4_9ab3_7376_bd1c_3941);
     }
@@ -446,7 +413,7 @@ mod tests {
 
     #[test]
     fn bad_bytes_are_errors() {
-        // Shares with nothing; is cut; too long a number, twice; not UTF-8; an id beyond 16 bits.
+        // Shares bytes with nothing; truncated; a number too long, twice; not UTF-8; an id beyond 16 bits.
         for bytes in [
             &b"\x11a"[..],
             b"\x05ab",
@@ -457,7 +424,7 @@ mod tests {
         ] {
             assert!(read_channels(bytes).is_err(), "{bytes:?}");
         }
-        // A byte an entry: no memory beyond the limit.
+        // One byte per entry: memory stays within the limit.
         assert!(read_channels(&vec![0; LIMIT_BYTES]).is_err());
     }
 }

@@ -1,6 +1,6 @@
-//! Small records: a version, then bincode, bounded, and only ever decoded after the chunk's CRC matched.
+//! Small records: a version, then bincode, with bounded memory. They are decoded only after their chunk's CRC matched.
 //!
-//! Structures are frozen per version; docs/take-format.md gives their bytes.
+//! The structure of each version is frozen; docs/take-format.md gives its bytes.
 
 mod clock;
 mod header;
@@ -23,97 +23,84 @@ pub use summary::{DETAIL_BYTES_MAX, EndingKind, SUMMARY_BYTES_MAX, SummaryRecord
 
 use crate::{TakeError, chunk::types};
 
-/// Most bytes that decoding may claim: 10 000 labels of 255 bytes fit.
+/// Most bytes that decoding may claim; 10 000 labels of 255 bytes fit.
 pub(crate) const LIMIT_BYTES: usize = 4 << 20;
 
 type Config = Configuration<LittleEndian, Varint, Limit<LIMIT_BYTES>>;
 const CONFIG: Config = bincode::config::standard().with_little_endian().with_limit::<LIMIT_BYTES>();
 
-/// A structure with a chunk type and a version of its own.
+/// A structure with its own chunk type and version.
 pub trait Record: Encode + Decode<()> {
-    /// For messages.
+    /// Name in messages.
     const NAME: &'static str;
-    /// The chunk type it travels in.
+    /// Chunk type.
     const KIND: u8;
-    /// The newest version this build reads, and the one it writes.
+    /// The version that this build reads and writes.
     const VERSION: u16;
 
-    /// The payload of its chunk.
+    /// Encodes the payload of its chunk.
     ///
     /// # Errors
-    /// `InvalidArgument` when it is larger than a reader would accept.
+    /// `InvalidArgument` when it is larger than a reader accepts.
     fn to_payload(&self) -> Result<Vec<u8>, TakeError> {
+        let refused = |why: String| TakeError::InvalidArgument(format!("{} {why}", Self::NAME));
         let mut out = Self::VERSION.to_le_bytes().to_vec();
-        let body = bincode::encode_to_vec(self, CONFIG).map_err(|e| {
-            TakeError::InvalidArgument(format!("{} cannot be stored: {e}", Self::NAME))
-        })?;
-        if body.len() > LIMIT_BYTES {
-            return Err(TakeError::InvalidArgument(format!(
-                "{} of {} bytes is larger than a take can hold ({LIMIT_BYTES})",
-                Self::NAME,
-                body.len()
-            )));
+        let body = bincode::encode_to_vec(self, CONFIG)
+            .map_err(|e| refused(format!("cannot be stored: {e}")))?;
+        let n = body.len();
+        if n > LIMIT_BYTES {
+            let why = format!("of {n} bytes is larger than a take can hold ({LIMIT_BYTES})");
+            return Err(refused(why));
         }
-        // The limit counts what decoding claims, which is more than the bytes: ask the decoder.
-        bincode::decode_from_slice::<Self, _>(&body, CONFIG).map_err(|e| {
-            let why = match e {
-                DecodeError::Other(why) => why.to_owned(),
-                e => e.to_string(),
-            };
-            TakeError::InvalidArgument(format!(
-                "{} is larger than a take can hold: {why}",
-                Self::NAME
-            ))
+        // The limit counts the memory that decoding claims, which exceeds the encoded size, so decode to check it.
+        bincode::decode_from_slice::<Self, _>(&body, CONFIG).map_err(|e| match e {
+            DecodeError::Other(why) => refused(format!("is larger than a take can hold: {why}")),
+            e => refused(format!("is larger than a take can hold: {e}")),
         })?;
         out.extend_from_slice(&body);
         Ok(out)
     }
 
-    /// From the payload of a chunk at file offset `offset`, whose CRC matched.
+    /// Decodes the payload of the chunk at file offset `offset`, whose CRC matched.
     ///
     /// # Errors
-    /// `Unsupported` for a newer version, `Corrupt` when the bytes are not that structure and nothing more.
+    /// `Unsupported` for another version, `Corrupt` unless the bytes are exactly one such structure.
     fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let corrupt = |message: String| TakeError::Corrupt { what: Self::NAME, offset, message };
-        let (version, body) = payload
-            .split_first_chunk::<2>()
-            .ok_or_else(|| corrupt("shorter than its version".into()))?;
-        let found = u16::from_le_bytes(*version);
-        if found != Self::VERSION {
-            return Err(TakeError::Unsupported {
-                what: Self::NAME,
-                found,
-                supported: Self::VERSION,
-            });
+        let corrupt = |message: &str| TakeError::corrupt(Self::NAME, offset, message);
+        let (version, body) =
+            payload.split_first_chunk::<2>().ok_or_else(|| corrupt("shorter than its version"))?;
+        let (found, supported) = (u16::from_le_bytes(*version), Self::VERSION);
+        if found != supported {
+            return Err(TakeError::Unsupported { what: Self::NAME, found, supported });
         }
         let (record, used) = bincode::decode_from_slice(body, CONFIG)
-            .map_err(|e| corrupt(format!("not decodable: {e}")))?;
+            .map_err(|e| corrupt(&format!("cannot be decoded: {e}")))?;
         if used != body.len() {
-            return Err(corrupt(format!("{} bytes follow the record", body.len() - used)));
+            return Err(corrupt(&format!("{} bytes follow the record", body.len() - used)));
         }
         Ok(record)
     }
 }
 
-/// What kind of thing happened.
+/// The kind of an event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
 pub enum EventKind {
     /// The operator marked a moment.
     Mark,
-    /// A trigger input of the device.
+    /// A trigger input of the device changed.
     Trigger,
     /// A sync pulse of the device.
     SyncPulse,
-    /// The device said something.
+    /// The device reported something.
     Device,
-    /// The host noticed something: disconnected, reconnected, a counter that jumped.
+    /// The host noticed something: a disconnection, a reconnection, a counter that jumped.
     Host,
 }
 
 impl EventKind {
-    /// In words.
+    /// The name of the kind.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Mark => "mark",
             Self::Trigger => "trigger",
@@ -123,33 +110,33 @@ impl EventKind {
         }
     }
 
-    /// By its word.
+    /// The kind with this name.
     #[must_use]
-    pub fn from_word(word: &str) -> Option<Self> {
+    pub fn from_name(word: &str) -> Option<Self> {
         let all = [Self::Mark, Self::Trigger, Self::SyncPulse, Self::Device, Self::Host];
-        all.into_iter().find(|kind| kind.word() == word)
+        all.into_iter().find(|kind| kind.name() == word)
     }
 }
 
-/// One event.
+/// An event during a recording.
 #[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
 pub struct Event {
-    /// What kind.
+    /// Its kind.
     pub kind: EventKind,
-    /// The row being recorded then.
+    /// The row recorded at that time.
     pub row: u64,
-    /// Device clock, in ticks; 0 when the device did not say.
+    /// Device time in ticks; 0 if the device did not state it.
     pub device_ticks: u64,
-    /// Host monotonic clock, in nanoseconds.
+    /// Host monotonic time, in nanoseconds.
     pub host_ns: u64,
-    /// Which input.
+    /// Number of the device's input.
     pub input: u8,
-    /// In words.
+    /// A description; may be empty.
     pub text: String,
 }
 
 impl Event {
-    /// One of a moment of the host's clock, whose row is given to it where it is put.
+    /// Creates an event at a host time; the writer sets its row.
     #[must_use]
     pub fn new(kind: EventKind, host_ns: u64, text: impl Into<String>) -> Self {
         Self { kind, row: 0, device_ticks: 0, host_ns, input: 0, text: text.into() }
@@ -162,7 +149,7 @@ impl Record for Event {
     const VERSION: u16 = 1;
 }
 
-/// How the device's clock runs against the host's: `host_ns = offset_ns + 1e9 * ticks / tick_hz * (1 + drift_ppm * 1e-6)`.
+/// The relation of the two clocks: `host_ns = offset_ns + 1e9 * ticks / tick_hz * (1 + drift_ppm * 1e-6)`.
 #[derive(Debug, Clone, Copy, PartialEq, Encode, Decode)]
 pub struct ClockFit {
     /// Host monotonic time at device tick 0, in nanoseconds.
@@ -171,11 +158,11 @@ pub struct ClockFit {
     pub drift_ppm: f64,
     /// Root mean square distance of arrivals from the line, in microseconds.
     pub residual_us: f64,
-    /// Arrivals fitted.
+    /// Number of arrivals fitted.
     pub n_fitted: u64,
 }
 
-/// The counters; docs/take-format.md gives each one's meaning.
+/// Counters of frames, samples and link messages; docs/take-format.md defines each.
 #[derive(Debug, Clone, PartialEq, Default, Encode, Decode)]
 #[expect(missing_docs, reason = "docs/take-format.md, The ledger")]
 pub struct Ledger {
@@ -203,7 +190,7 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Frames in, less frames accounted for: 0 when the ledger closes.
+    /// Frames sent, less frames accounted for: 0 when the ledger closes.
     #[must_use]
     pub fn frame_balance(&self) -> i128 {
         let lost = self.lost().map(i128::from).iter().sum::<i128>();
@@ -218,19 +205,19 @@ impl Ledger {
             - i128::from(self.samples_occluded)
     }
 
-    /// Whether both balances are zero and no counter contradicted itself.
+    /// Whether both balances are zero and no counter contradicts another.
     #[must_use]
     pub fn closes(&self) -> bool {
         self.frame_balance() == 0 && self.sample_balance() == 0 && self.contradictions.is_empty()
     }
 
-    /// Frames that the device produced and the take does not have, as far as is known.
+    /// Frames that the device produced and the take lacks, if the loss is known.
     #[must_use]
     pub fn frames_lost(&self) -> u64 {
         self.lost().iter().fold(0, |sum, &n| sum.saturating_add(n))
     }
 
-    /// By cause.
+    /// Lost frames by cause.
     fn lost(&self) -> [u64; 5] {
         [
             self.lost_on_link,
@@ -241,7 +228,7 @@ impl Ledger {
         ]
     }
 
-    /// Whether anything at all was lost: frames, or samples of markers beyond the pool.
+    /// Whether anything was lost: frames, or samples of markers beyond the channel pool.
     #[must_use]
     pub fn lost_anything(&self) -> bool {
         self.frames_lost() > 0 || self.markers_dropped > 0

@@ -1,41 +1,36 @@
-//! SUBJECT: who was captured: documents about them, as plain data.
+//! SUBJECT: the captured person, and documents about them.
 //!
-//! A take stores what it is given and parses none of it: a skeleton and a face are somebody else's to understand.
+//! A take stores documents as opaque bytes; skeletons and faces are interpreted elsewhere.
 
 use std::io::{Read, Write};
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
 use super::Record;
 use crate::chunk::types;
 
-/// Longest document: a face of a hundred times as many vertices as ours stays below it.
+/// Longest document; a face mesh with a hundred times the vertices of ours is shorter.
 pub const DOCUMENT_BYTES_MAX: usize = 1 << 20;
 
-/// Most documents: each kind that there is, and as many again for what may come.
+/// Most documents: one of each existing kind, and as many again for future ones.
 pub const DOCUMENTS_MAX: usize = 8;
 
-/// Something that is known of the subject.
+/// A document about the subject.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Document {
-    /// What it is: [`Subject::SKELETON`], [`Subject::FACE`], [`Subject::FACE_MARKERS`].
+    /// Its kind: [`Subject::SKELETON`], [`Subject::FACE`] or [`Subject::FACE_MARKERS`].
     pub kind: String,
-    /// Its bytes, as they were given.
+    /// Its bytes, unchanged.
     pub data: Vec<u8>,
 }
 
-/// Who was captured. Stands behind the header.
+/// The captured person. The record follows the header.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Subject {
-    /// What they are called; empty where nobody said.
+    /// Their name; may be empty.
     pub name: String,
-    /// What is known of them, one document a kind.
+    /// Documents, at most one of each kind.
     pub documents: Vec<Document>,
 }
 
@@ -44,23 +39,23 @@ impl Subject {
     pub const SKELETON: &str = "skeleton";
     /// The kind of `face.json`.
     pub const FACE: &str = "face";
-    /// The kind of the file that says which marker sits at which vertex of the face.
+    /// The kind of the file that assigns face markers to vertices of the face mesh.
     pub const FACE_MARKERS: &str = "face-markers";
 
-    /// Whether it says nothing.
+    /// Whether there is neither a name nor a document.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.name.is_empty() && self.documents.is_empty()
     }
 
-    /// The document of a kind.
+    /// The document of this kind.
     #[must_use]
     pub fn document(&self, kind: &str) -> Option<&[u8]> {
         let found = self.documents.iter().find(|document| document.kind == kind);
         found.map(|document| document.data.as_slice())
     }
 
-    /// Puts a document in, in the place of the one of its kind.
+    /// Adds a document, or replaces the one of its kind.
     pub fn set(&mut self, kind: &str, data: Vec<u8>) {
         self.documents.retain(|document| document.kind != kind);
         self.documents.push(Document { kind: kind.to_owned(), data });
@@ -91,9 +86,8 @@ impl Encode for Subject {
             (data.len() as u64).encode(encoder)?;
             let mut deflate = DeflateEncoder::new(Vec::new(), Compression::best());
             let deflated = deflate.write_all(data).and_then(|()| deflate.finish());
-            let deflated =
-                deflated.map_err(|_| EncodeError::Other("a document was not compressed"))?;
-            deflated.encode(encoder)?;
+            let failed = |_| EncodeError::Other("a document could not be compressed");
+            deflated.map_err(failed)?.encode(encoder)?;
         }
         Ok(())
     }
@@ -121,19 +115,19 @@ impl Decode<()> for Subject {
     }
 }
 
-/// So many bytes; memory grows with what is really inflated.
+/// Inflates a document of `stated` bytes; memory grows with the actual output.
 fn inflate(deflated: &[u8], stated: u64) -> Result<Vec<u8>, &'static str> {
     if stated > DOCUMENT_BYTES_MAX as u64 {
         return Err("a document of more than 1 MiB");
     }
     let mut data = Vec::new();
-    // From memory: no buffer of its own, which would be larger than most documents.
+    // `bufread` needs no buffer of its own here, which would be larger than most documents.
     DeflateDecoder::new(deflated)
         .take(stated + 1)
         .read_to_end(&mut data)
-        .map_err(|_| "a document is not DEFLATE")?;
+        .map_err(|_| "a document is not valid DEFLATE data")?;
     if data.len() as u64 != stated {
-        return Err("a document has another length than stated");
+        return Err("the length of a document is not the stated one");
     }
     Ok(data)
 }
@@ -184,7 +178,7 @@ mod tests {
             for flip in [1, 0x40, 0xff] {
                 let mut changed = payload.clone();
                 changed[at] ^= flip;
-                // Whatever it is read as is within the bounds.
+                // Any value that is decoded is within the limits.
                 let read = Subject::from_payload(&changed, 8).unwrap_or_default();
                 assert!(read.documents.len() <= DOCUMENTS_MAX);
             }
@@ -201,13 +195,13 @@ mod tests {
         assert!(of(vec![document("a", DOCUMENT_BYTES_MAX + 1)]).is_err());
         assert!(of(vec![document("a", 1), document("a", 1)]).is_err());
         assert!(of((0..9).map(|i| document(&i.to_string(), 1)).collect()).is_err());
-        // A bomb: a stated length that is not so, and one that is too much.
+        // A decompression bomb: with a wrong stated length, and with one beyond the limit.
         let bomb = |stated: u64| {
             let mut deflate = DeflateEncoder::new(Vec::new(), Compression::best());
             deflate.write_all(&vec![0; 64 << 20]).unwrap();
             inflate(&deflate.finish().unwrap(), stated)
         };
-        assert_eq!(bomb(10), Err("a document has another length than stated"));
+        assert_eq!(bomb(10), Err("the length of a document is not the stated one"));
         assert_eq!(bomb(64 << 20), Err("a document of more than 1 MiB"));
     }
 }

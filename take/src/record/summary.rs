@@ -1,14 +1,9 @@
-//! SUMMARY: what stands at the end of a take, so that a reader need not read all of it: tagged sections of which a
-//! reader skips those that it does not know.
+//! SUMMARY: what a reader can learn from the end of a take without reading all of it. It consists of tagged sections;
+//! readers skip the unknown ones.
 
 use std::fmt;
 
-use bincode::{
-    Decode, Encode,
-    de::Decoder,
-    enc::Encoder,
-    error::{DecodeError, EncodeError},
-};
+use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 
 use super::Record;
 use crate::{
@@ -17,14 +12,14 @@ use crate::{
     varint::{self, Cursor},
 };
 
-/// Longest payload: two records at their limit of 4 MiB, so that there is room for a copy of the header and one of the
-/// channel table.
+/// Longest payload: two records at their limit of 4 MiB, which leaves room for copies of the header and the channel
+/// table.
 pub const SUMMARY_BYTES_MAX: usize = 8 << 20;
 
 /// Longest detail of an ending, in bytes: a sentence.
 pub const DETAIL_BYTES_MAX: usize = 256;
 
-/// The only version of the sequence of sections. A section has a version of its own.
+/// The only version of the section list. Each section has its own version.
 const VERSION: u16 = 1;
 
 /// The section that holds a [`TakeEnding`].
@@ -33,33 +28,33 @@ const ENDING_TAG: u64 = 1;
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum EndingKind {
-    /// Somebody asked for it.
+    /// On request.
     #[default]
     Stopped,
-    /// It was as long as it should be.
+    /// It reached its set length.
     Length,
-    /// The device had no more frames: a replay's end.
+    /// The device had no more frames, as at the end of a replay.
     DeviceEnded,
-    /// The device went away and did not come back, or could not be read.
+    /// The device disconnected and did not return, or could not be read.
     DeviceGone,
-    /// So little was left of the disk that the take was closed.
+    /// The disk space fell to the reserve.
     DiskFull,
     /// The service was stopped.
     ServiceStopped,
     /// It was saved from the pre-roll.
     Saved,
-    /// The recorder was killed or the disk failed: the take was cut off, and recovered.
+    /// The recorder was killed or the disk failed; the take was cut off and has been recovered.
     CutOff,
-    /// Another program cut the file short while it was written.
+    /// Another program truncated the file during the recording.
     Truncated,
-    /// Its file system was unmounted, or covered by another one.
+    /// The file system was unmounted, or another one was mounted over it.
     Unmounted,
-    /// What a later version calls by this code.
+    /// A code of a later version.
     Other(u16),
 }
 
 impl EndingKind {
-    /// Every kind with a name, in the order of its codes, which begin with 1.
+    /// All named kinds in the order of their codes, from 1.
     pub const ALL: [Self; 10] = [
         Self::Stopped,
         Self::Length,
@@ -73,29 +68,25 @@ impl EndingKind {
         Self::Unmounted,
     ];
 
-    /// As a take stores it.
+    /// The stored code.
     #[must_use]
     pub fn code(self) -> u16 {
         match self {
             Self::Other(code) => code,
-            named => Self::ALL
-                .iter()
-                .zip(1..)
-                .find(|(kind, _)| **kind == named)
-                .map_or(0, |(_, code)| code),
+            named => Self::ALL.iter().position(|kind| *kind == named).map_or(0, |i| i as u16 + 1),
         }
     }
 
-    /// From what a take stores.
+    /// The kind with a stored code.
     #[must_use]
     pub fn from_code(code: u16) -> Self {
         let index = usize::from(code).checked_sub(1);
         index.and_then(|index| Self::ALL.get(index)).copied().unwrap_or(Self::Other(code))
     }
 
-    /// For people and documents.
+    /// The name in reports and JSON documents.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Stopped => "stopped",
             Self::Length => "length",
@@ -111,30 +102,30 @@ impl EndingKind {
         }
     }
 
-    /// The kind that has this word; of one that nobody knows here, `Other(0)`.
+    /// The kind with this name; `Other(0)` for an unknown one.
     #[must_use]
-    pub fn from_word(word: &str) -> Self {
-        Self::ALL.into_iter().find(|kind| kind.word() == word).unwrap_or(Self::Other(0))
+    pub fn from_name(word: &str) -> Self {
+        Self::ALL.into_iter().find(|kind| kind.name() == word).unwrap_or(Self::Other(0))
     }
 }
 
 impl fmt::Display for EndingKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.name())
     }
 }
 
 /// How a take ended.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct TakeEnding {
-    /// Why.
+    /// The reason.
     pub kind: EndingKind,
-    /// More about it; empty where there is nothing to say. At most [`DETAIL_BYTES_MAX`].
+    /// Further details, at most [`DETAIL_BYTES_MAX`] bytes; may be empty.
     pub detail: String,
 }
 
 impl TakeEnding {
-    /// With a detail, which is cut where it is too long.
+    /// Creates an ending; a longer detail is truncated.
     #[must_use]
     pub fn new(kind: EndingKind, mut detail: String) -> Self {
         detail.truncate(detail.floor_char_boundary(DETAIL_BYTES_MAX));
@@ -177,18 +168,18 @@ impl Decode<()> for TakeEnding {
     }
 }
 
-/// The sections that this build knows.
+/// The known sections of a summary.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SummaryRecord {
-    /// How the take ended; `None` where it does not say.
+    /// How the take ended; `None` if not stated.
     pub ending: Option<TakeEnding>,
 }
 
 impl SummaryRecord {
-    /// The payload of its chunk.
+    /// Encodes the payload of its chunk.
     ///
     /// # Errors
-    /// `InvalidArgument` when it is larger than a reader would accept.
+    /// `InvalidArgument` when it is larger than a reader accepts.
     pub fn to_payload(&self) -> Result<Vec<u8>, TakeError> {
         let mut out = VERSION.to_le_bytes().to_vec();
         if let Some(ending) = &self.ending {
@@ -203,17 +194,13 @@ impl SummaryRecord {
         Ok(out)
     }
 
-    /// From the payload of a chunk at file offset `offset`, whose CRC matched.
+    /// Decodes the payload of the chunk at file offset `offset`, whose CRC matched.
     ///
     /// # Errors
-    /// `Unsupported` for a newer version; `Corrupt` when the sections do not fill the bytes, one that is known comes
-    /// twice, or its content is wrong.
+    /// `Unsupported` for a newer version; `Corrupt` when the sections do not fill the payload, a known section occurs
+    /// twice, or its content is invalid.
     pub fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
-        let corrupt = |message: &str| TakeError::Corrupt {
-            what: "summary",
-            offset,
-            message: message.to_owned(),
-        };
+        let corrupt = |message: &str| TakeError::corrupt("summary", offset, message);
         if payload.len() > SUMMARY_BYTES_MAX {
             return Err(corrupt("larger than a take can hold"));
         }
@@ -226,16 +213,17 @@ impl SummaryRecord {
         let mut summary = Self::default();
         let mut cursor = Cursor::new(sections);
         while !cursor.is_empty() {
-            let (tag, section) =
-                next_section(&mut cursor).ok_or_else(|| corrupt("its sections do not fill it"))?;
+            let (Some(tag), Some(section)) = (cursor.varint(), cursor.prefixed()) else {
+                return Err(corrupt("its sections do not fit it"));
+            };
             if tag != ENDING_TAG {
                 continue;
             }
             if summary.ending.is_some() {
-                return Err(corrupt("it tells twice how the take ended"));
+                return Err(corrupt("it states the ending twice"));
             }
             match TakeEnding::from_payload(section, offset) {
-                // Of a newer version: as good as unknown.
+                // A newer version counts as an unknown section.
                 Err(TakeError::Unsupported { .. }) => {}
                 read => summary.ending = Some(read?),
             }
@@ -246,14 +234,7 @@ impl SummaryRecord {
 
 fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
     varint::put(out, tag);
-    varint::put(out, section.len() as u64);
-    out.extend_from_slice(section);
-}
-
-fn next_section<'a>(cursor: &mut Cursor<'a>) -> Option<(u64, &'a [u8])> {
-    let tag = cursor.varint()?;
-    let len = cursor.varint()?;
-    Some((tag, cursor.take(len)?))
+    varint::put_prefixed(out, section);
 }
 
 #[cfg(test)]
@@ -288,7 +269,7 @@ mod tests {
         put_section(&mut payload, ENDING_TAG, &[1, 0, 5, 0]);
         put_section(&mut payload, 2, b"");
         assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of(EndingKind::DiskFull, ""));
-        // Cut anywhere, it is wrong or has fewer sections; it never says anything else.
+        // A truncated payload is an error or has fewer sections; it never states another ending.
         for cut in 0..payload.len() {
             let read = SummaryRecord::from_payload(&payload[..cut], 0);
             let ending = read.ok().and_then(|summary| summary.ending);

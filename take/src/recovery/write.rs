@@ -1,50 +1,50 @@
-//! The second way through the file: its good chunks, copied.
+//! The second pass over the file: copies its valid chunks.
 
 use std::io::{Read, Seek, SeekFrom, Write};
 
-use super::{Piece, RECOVERED, Survey};
+use super::{OutputChunk, RECOVERED, RecoveryScan};
 use crate::{
     TakeError,
-    chunk::{self, CHUNK_HELD_MAX, Front},
-    reader::mend_head,
-    record::{Event, EventKind, Header, SummaryRecord},
-    stretch::{FrontWriter, NUMBERS, ROWS_PASSED_MAX, Span},
+    chunk::{self, CHUNK_HELD_MAX, ChunkParse},
+    reader::repair_head,
+    record::{Event, EventKind, SummaryRecord},
+    stretch::{NUMBERS, ROWS_PASSED_MAX, Span, StretchHeaderWriter},
     timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
 };
 
-impl Survey {
-    /// What was lost, in a few words for whoever reads the new take.
+impl RecoveryScan {
+    /// A short summary of the losses, for readers of the new take.
     #[must_use]
-    pub fn losses_in_words(&self) -> String {
+    pub fn loss_summary(&self) -> String {
         if !self.lost_anything() {
             return "nothing was lost".to_owned();
         }
-        let mut words = Vec::new();
+        let mut parts = Vec::new();
         match self.rows_damaged() {
             0 => {}
-            1 => words.push("1 frame was damaged".to_owned()),
-            rows => words.push(format!("{rows} frames were damaged")),
+            1 => parts.push("1 frame was damaged".to_owned()),
+            rows => parts.push(format!("{rows} frames were damaged")),
         }
         if !self.finished {
-            words.push("the end was cut off".to_owned());
+            parts.push("the end was cut off".to_owned());
         }
         if self.discarded_bytes > 0 {
-            words.push(format!("{} bytes could not be read", self.discarded_bytes));
+            parts.push(format!("{} bytes could not be read", self.discarded_bytes));
         }
         if self.contradicted {
-            words.push("a ledger was missing or wrong".to_owned());
-        } else if words.is_empty() {
-            words.push("names of markers were lost".to_owned());
+            parts.push("a ledger was missing or wrong".to_owned());
+        } else if parts.is_empty() {
+            parts.push("marker names were lost".to_owned());
         }
-        words.join(", ")
+        parts.join(", ")
     }
 
-    /// Writes the new take. `input` is the file that was surveyed, `software` what the new take says of who made
-    /// it. Gives the bytes written.
+    /// Writes the new take and returns its size in bytes. `input` is the file that was read; `software` names the
+    /// program in the new take.
     ///
     /// # Errors
-    /// `Io`; `Corrupt` when the file is not the one that was surveyed.
+    /// `Io`; `Corrupt` when the file has changed since it was read.
     pub fn write(
         &self,
         mut input: impl Read + Seek,
@@ -52,35 +52,40 @@ impl Survey {
         software: &str,
     ) -> Result<u64, TakeError> {
         let mut header = self.header.clone();
-        let told = format!("by {software}: {}", self.losses_in_words());
-        header.settings.push((RECOVERED.to_owned(), told.clone()));
+        let note = format!("by {software}: {}", self.loss_summary());
+        header.settings.push((RECOVERED.to_owned(), note.clone()));
         let mut take = TakeWriter::new(output, &header)?;
-        let mut fronts = fronts(&header);
+        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+        let times = TimelineEncoder::new(tick_hz, header.rate_hz);
+        let mut headers = StretchHeaderWriter::with_times(header.stretch_rows, times);
         let mut bytes = Vec::new();
-        for piece in &self.pieces {
-            match piece {
-                Piece::Chunk { offset, len, span, .. } if *len > CHUNK_HELD_MAX => {
+        for chunk in &self.output {
+            match chunk {
+                OutputChunk::Copied { offset, len, span, .. } if *len > CHUNK_HELD_MAX => {
                     input.seek(SeekFrom::Start(*offset))?;
                     if !take.copy_long(*span, &mut input, *len)? {
                         return Err(changed(*offset));
                     }
                 }
-                Piece::Chunk { offset, len, kind, span } => {
-                    read_chunk(&mut input, *offset, *len, &mut bytes)?;
+                OutputChunk::Copied { offset, len, kind, span } => {
+                    input.seek(SeekFrom::Start(*offset))?;
+                    bytes.clear();
+                    // Memory grows with what the file holds; the length was validated in the first pass.
+                    input.by_ref().take(*len).read_to_end(&mut bytes)?;
                     let payload = payload(&mut bytes, *kind, *offset)?;
                     match span {
                         Some(span) => take.stretch(*span, payload)?,
-                        None => take.copy(*kind, payload)?,
+                        None => take.chunk(*kind, payload)?,
                     }
                 }
-                Piece::Channels(channels) => take.channels(channels)?,
-                Piece::Lost { first_row, rows, number } => {
-                    lost(&mut take, &mut fronts, *first_row, *rows, *number)?;
+                OutputChunk::Channels(channels) => take.channels(channels)?,
+                OutputChunk::Lost { first_row, rows, number } => {
+                    write_lost(&mut take, &mut headers, *first_row, *rows, *number)?;
                 }
             }
         }
         if self.lost_anything() {
-            take.event(&host_event(self.rows, format!("recovered {told}")))?;
+            take.event(&host_event(self.rows, format!("recovered {note}")))?;
         }
         let summary = SummaryRecord { ending: self.ending.clone() };
         let (mut output, written) = take.finish_with(&self.ledger, &summary)?;
@@ -89,21 +94,16 @@ impl Survey {
     }
 }
 
-fn fronts(header: &Header) -> FrontWriter {
-    let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
-    FrontWriter::with_times(header.stretch_rows, TimelineEncoder::new(tick_hz, header.rate_hz))
-}
-
-/// What stands for rows that are lost: a stretch without any, and an event for people.
-fn lost<W: Write>(
+/// Writes stretches without rows in place of lost rows, and an event that reports the loss.
+fn write_lost<W: Write>(
     take: &mut TakeWriter<W>,
-    fronts: &mut FrontWriter,
+    headers: &mut StretchHeaderWriter,
     first_row: u64,
     rows: u64,
     number: u8,
 ) -> Result<(), TakeError> {
     let end = first_row.saturating_add(rows);
-    // As many as can be lost between two stretches at once; the last one has the number.
+    // Each covers the most rows that may be lost between two stretches; the last one has the given number.
     let pieces = rows.div_ceil(ROWS_PASSED_MAX).max(1);
     for piece in 0..pieces {
         let from = first_row.saturating_add(piece.saturating_mul(ROWS_PASSED_MAX));
@@ -115,7 +115,7 @@ fn lost<W: Write>(
         let number = (number + NUMBERS - back) % NUMBERS;
         let span = Span { first_row: to, n_rows: 0, key: true, number };
         let mut payload = Vec::new();
-        fronts.put(span, &timeline, &[], true, &mut payload);
+        headers.put(span, &timeline, &[], true, &mut payload);
         take.stretch(span, &payload)?;
     }
     if rows > 0 {
@@ -133,26 +133,13 @@ fn host_event(row: u64, text: String) -> Event {
     Event { kind: EventKind::Host, row, device_ticks: 0, host_ns: 0, input: 0, text }
 }
 
-fn read_chunk(
-    input: &mut (impl Read + Seek),
-    offset: u64,
-    len: u64,
-    bytes: &mut Vec<u8>,
-) -> Result<(), TakeError> {
-    input.seek(SeekFrom::Start(offset))?;
-    bytes.clear();
-    // As long as the file has it: its length was seen when it was read whole.
-    input.by_ref().take(len).read_to_end(bytes)?;
-    Ok(())
-}
-
-/// The payload of a chunk that was whole, or whose head could be mended.
+/// The payload of a chunk that is valid, or whose head can be repaired.
 fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
-    if !matches!(chunk::front(bytes), Front::Whole { .. }) {
-        mend_head(bytes);
+    if !matches!(chunk::parse(bytes), ChunkParse::Whole { .. }) {
+        repair_head(bytes);
     }
-    match chunk::front(bytes) {
-        Front::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
+    match chunk::parse(bytes) {
+        ChunkParse::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
             Ok(payload)
         }
         _ => Err(changed(offset)),
@@ -160,6 +147,5 @@ fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> 
 }
 
 fn changed(offset: u64) -> TakeError {
-    let message = "the file changed while it was read".to_owned();
-    TakeError::Corrupt { what: "chunk", offset, message }
+    TakeError::corrupt("chunk", offset, "the file changed while it was read")
 }

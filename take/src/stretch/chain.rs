@@ -1,6 +1,8 @@
-//! From stretch to stretch: which row one begins at, and what the clocks said before it.
+//! Continuity from stretch to stretch: the first row of each, and the state of the clocks before it.
 
-use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, front::Front, rows_max, take_blocks};
+use super::{
+    NUMBERS, ROWS_PASSED_MAX, Span, Stretch, header::StretchHeader, rows_max, take_blocks,
+};
 use crate::{
     TakeError,
     record::Header,
@@ -8,45 +10,45 @@ use crate::{
     varint,
 };
 
-/// A stretch, or what is known of one whose place is not.
+/// A stretch with known rows, or the remains of one whose rows are unknown.
 #[derive(Debug)]
-pub(crate) enum Placed<'a> {
+pub(crate) enum Placement<'a> {
     Stretch(Stretch<'a>),
-    /// It goes on from one that is missing or damaged.
+    /// The stretch continues one that is missing or damaged.
     Unplaced {
         missing_before: bool,
         n_rows: u32,
-        /// The rows that the take has at least, up to the end of this one.
+        /// The least number of rows that the take has up to the end of this stretch.
         rows_min: u64,
     },
 }
 
 /// Follows the stretches of a take.
 ///
-/// A key stretch states its row and its clocks; any other goes on from the one before it. So after
-/// anything that may have hidden a stretch no row is given, up to the next key stretch: nobody could
-/// decode its blocks either.
+/// A key stretch states its row and clocks; any other stretch continues the previous one. After anything that may have
+/// contained a stretch, no row is assigned up to the next key stretch, because the blocks could not be decoded either.
 #[derive(Debug)]
-pub(crate) struct Chain {
+pub(crate) struct StretchChain {
     rows_max: u64,
     stretch_rows: u32,
     times: TimelineDecoder,
-    /// The row after the last stretch; after damage the least that it can be.
+    /// The row after the last stretch; after damage, its least possible value.
     next_row: u64,
-    /// The number of the next stretch, as far as is known; `None` where reading began in the middle.
+    /// The number of the next stretch; `None` if reading began in the middle of the take.
     next_number: Option<u8>,
-    /// What comes next does not follow from what was read.
+    /// The next stretch does not continue what was read.
     broken: bool,
 }
 
-impl Chain {
-    /// At the start of the take with this header.
-    pub(crate) fn of(header: &Header) -> Result<Self, TakeError> {
+impl StretchChain {
+    /// Starts at the first stretch of the take with this header.
+    pub(crate) fn from_header(header: &Header) -> Result<Self, TakeError> {
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
         Ok(Self::new(rows_max(header.codec()?.kind), header.stretch_rows, tick_hz))
     }
 
-    /// At the start of a take whose stretches have up to `rows_max` rows, `stretch_rows` unless they say.
+    /// Starts at the first stretch of a take whose stretches have at most `rows_max` rows, and `stretch_rows` unless
+    /// they state another number.
     pub(crate) fn new(rows_max: u64, stretch_rows: u32, tick_hz: u64) -> Self {
         Self {
             rows_max,
@@ -58,76 +60,63 @@ impl Chain {
         }
     }
 
-    /// What comes next is a key stretch in the middle of the take, with rows from `row` on.
-    pub(crate) fn go_to(&mut self, row: u64) {
+    /// Continues at a key stretch that begins at `row`.
+    pub(crate) fn seek(&mut self, row: u64) {
         self.broken = true;
         self.next_row = row;
         self.next_number = None;
     }
 
-    /// A stretch may have been there.
+    /// Reports a region that may have contained a stretch.
     pub(crate) fn break_off(&mut self) {
         self.broken = true;
     }
 
-    /// The most rows that the take can have up to the next stretch, or to its end, as far as is known.
+    /// The most rows that the take can have up to the next stretch, or to its end.
     ///
-    /// Rows that nothing but a number claims stand as gaps in what is read, each of them: a number that
-    /// no loss explains must not make more of them than fit on a disk.
-    pub(crate) fn rows_believed_max(&self) -> u64 {
+    /// Lost rows are read as gaps, one by one. A number that no loss explains must not create more of them than fit on
+    /// a disk.
+    pub(crate) fn plausible_rows_max(&self) -> u64 {
         self.next_row.saturating_add(ROWS_PASSED_MAX)
     }
 
-    /// The payload of the next STRETCH that was found. An error says what is wrong with it.
-    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placed<'a>, &'static str> {
-        // Until it is read to its end, it is as good as missing.
+    /// Parses the payload of the next STRETCH chunk. The error is a message.
+    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placement<'a>, &'static str> {
+        // An error below leaves the stretch as good as missing.
         let was_broken = std::mem::replace(&mut self.broken, true);
         let mut cursor = varint::Cursor::new(payload);
-        let front = Front::take(&mut cursor, self.rows_max, self.stretch_rows)?;
-        let mut sizes = front.sizes;
-        let blocks = take_blocks(&mut cursor, front.alone, front.n_rows, &mut sizes)?;
-        let mut missing_before = self.next_number.is_some_and(|number| number != front.number);
-        let from_row = match front.from_row {
+        let header = StretchHeader::take(&mut cursor, self.rows_max, self.stretch_rows)?;
+        let StretchHeader { key, number, n_rows, rows_passed, shared, mut sizes, .. } = header;
+        let blocks = take_blocks(&mut cursor, header.alone, n_rows, &mut sizes)?;
+        let mut missing_before = self.next_number.is_some_and(|next| next != number);
+        let from_row = match header.from_row {
             Some(row) => {
-                if row > self.rows_believed_max() {
-                    return Err("its row is further ahead than rows can be lost");
+                if row > self.plausible_rows_max() {
+                    return Err("its row is further ahead than any loss can explain");
                 }
-                // As many as there are numbers may be missing, or more.
+                // As many stretches as there are numbers may be missing, or more.
                 missing_before |= !was_broken && row > self.next_row;
-                // Unless it says itself what became of those before it.
-                missing_before &= row > self.next_row || !front.stands_for_damaged();
+                // A stretch of a recovered take accounts for the rows before it.
+                missing_before &= row > self.next_row || !header.replaces_damaged();
                 row
             }
             None if was_broken || missing_before => {
-                self.next_number = Some((front.number + 1) % NUMBERS);
-                self.next_row = self.next_row.saturating_add(front.rows_passed);
-                let (n_rows, rows_min) = (front.n_rows, self.next_row);
-                return Ok(Placed::Unplaced { missing_before, n_rows, rows_min });
+                self.next_number = Some((number + 1) % NUMBERS);
+                self.next_row = self.next_row.saturating_add(rows_passed);
+                return Ok(Placement::Unplaced { missing_before, n_rows, rows_min: self.next_row });
             }
             None => self.next_row,
         };
-        let end_row =
-            from_row.checked_add(front.rows_passed).ok_or("its rows do not fit a counter")?;
-        let timeline = match front.runs {
-            Some(runs) => {
-                let mut timeline = Timeline { first_row: from_row, runs, times: Vec::new() };
-                self.times
-                    .decode(&mut timeline, front.key, front.times)
-                    .ok_or("its times make no sense")?;
-                Some(timeline)
-            }
-            None => None,
-        };
+        let end_row = from_row.checked_add(rows_passed).ok_or("its row numbers overflow")?;
+        let timeline = |runs| Timeline { first_row: from_row, runs, times: Vec::new() };
+        let mut timeline = header.runs.map(timeline);
+        if let Some(timeline) = &mut timeline {
+            self.times.decode(timeline, key, header.times).ok_or("its times are invalid")?;
+        }
         self.next_row = end_row;
-        self.next_number = Some((front.number + 1) % NUMBERS);
+        self.next_number = Some((number + 1) % NUMBERS);
         self.broken = false;
-        let span = Span {
-            first_row: end_row - u64::from(front.n_rows),
-            n_rows: front.n_rows,
-            key: front.key,
-            number: front.number,
-        };
-        let shared = front.shared;
-        Ok(Placed::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
+        let span = Span { first_row: end_row - u64::from(n_rows), n_rows, key, number };
+        Ok(Placement::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
     }
 }

@@ -1,34 +1,34 @@
-//! Stretches there and back, and what a missing one does to the next.
+//! Round trips of stretches, and the effect of a missing one on the next.
 
 use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 
 use super::{
-    Chain, FrontWriter, LIVE_ROWS_MAX, NUMBERS, Placed, Sizes, Span, Stretch, StretchDecoder,
-    put_block, put_moved, take_blocks,
+    LIVE_ROWS_MAX, NUMBERS, Placement, Span, Stretch, StretchChain, StretchDecoder,
+    StretchHeaderWriter, StretchSizes, put_block, put_renumbered, take_blocks,
 };
 use crate::{
-    timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder},
+    timeline::{LossCauses, RowRun, RowTime, Timeline, TimelineEncoder},
     varint,
 };
 
 const TICK_HZ: u64 = 1_000_000;
 const STRETCH_ROWS: u32 = 30;
 
-/// Payloads of stretches with loss here and there, and the time lines they were made of.
+/// Payloads of `n` stretches with some loss, and the spans and time lines that they encode.
 fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
     let times = TimelineEncoder::new(TICK_HZ, 60.0);
-    let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+    let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
     let mut row = 0;
     let stretch = |i: u64| {
         let mut timeline = Timeline::default();
         timeline.restart(row);
         let rows = if i == 0 || i % 7 == 3 { 6 } else { STRETCH_ROWS.into() };
         let lost_before = if i % 5 == 4 { 100 } else { 0 };
-        timeline.push_lost(lost_before, Causes::NOT_RECEIVED);
+        timeline.push_lost(lost_before, LossCauses::NOT_RECEIVED);
         while timeline.n_rows() < lost_before + rows {
             let at = row + timeline.n_rows();
             if i % 6 == 5 && at % 30 == 10 {
-                timeline.push_lost(1, Causes::RING_FULL);
+                timeline.push_lost(1, LossCauses::RING_FULL);
             }
             timeline.push(RowTime {
                 device_ticks: at * 1_000_000 / 60,
@@ -53,10 +53,10 @@ fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
     (0..n).map(stretch).collect()
 }
 
-fn placed<'a>(chain: &mut Chain, payload: &'a [u8]) -> Option<Stretch<'a>> {
+fn placed<'a>(chain: &mut StretchChain, payload: &'a [u8]) -> Option<Stretch<'a>> {
     match chain.place(payload).unwrap() {
-        Placed::Stretch(stretch) => Some(stretch),
-        Placed::Unplaced { .. } => None,
+        Placement::Stretch(stretch) => Some(stretch),
+        Placement::Unplaced { .. } => None,
     }
 }
 
@@ -73,7 +73,7 @@ fn assert_same(found: &Stretch<'_>, span: Span, timeline: &Timeline) {
 
 #[test]
 fn all_come_back_and_their_bytes_are_counted() {
-    let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     for (i, (span, timeline, payload)) in written(100).into_iter().enumerate() {
         let stretch = placed(&mut chain, &payload).unwrap();
         assert!(!stretch.missing_before);
@@ -87,13 +87,13 @@ fn all_come_back_and_their_bytes_are_counted() {
     }
 }
 
-/// Nobody can know which rows the stretches after it have, and none is given up to the next key.
+/// The rows of the stretches after it are unknown, so none is assigned up to the next key stretch.
 #[test]
 fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
     let written = written(64);
     for n_missing in [1, 2, 19, 20, 31] {
         for first in 0..30 {
-            let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+            let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
             for (i, (span, timeline, payload)) in written.iter().enumerate() {
                 if (first..first + n_missing).contains(&i) {
                     continue;
@@ -112,7 +112,7 @@ fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
 #[test]
 fn what_may_have_hidden_a_stretch_breaks_the_chain() {
     let written = written(25);
-    let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     let mut found = written.iter().enumerate().map(|(i, (.., payload))| {
         if i == 7 {
             chain.break_off();
@@ -127,24 +127,24 @@ fn what_may_have_hidden_a_stretch_breaks_the_chain() {
 #[test]
 fn a_take_may_end_with_lost_rows() {
     let times = TimelineEncoder::new(TICK_HZ, 60.0);
-    let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+    let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
     let mut timeline = Timeline::default();
     timeline.restart(0);
-    timeline.push_lost(77, Causes::DISCONNECTED);
+    timeline.push_lost(77, LossCauses::DISCONNECTED);
     let span = Span { first_row: 77, n_rows: 0, key: true, number: 0 };
     let mut payload = Vec::new();
     front.put(span, &timeline, &[], false, &mut payload);
-    let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
     let stretch = placed(&mut chain, &payload).unwrap();
     assert_eq!((stretch.span, stretch.blocks.len()), (span, 0));
     let runs = stretch.timeline.unwrap().runs;
-    assert_eq!(runs, [Run { rows: 77, lost: Some(Causes::DISCONNECTED) }]);
+    assert_eq!(runs, [RowRun { rows: 77, lost: Some(LossCauses::DISCONNECTED) }]);
 }
 
 #[test]
 fn an_import_has_no_time_line_and_states_every_row() {
-    let mut front = FrontWriter::new(600);
-    let mut chain = Chain::new(LIVE_ROWS_MAX, 600, 1);
+    let mut front = StretchHeaderWriter::new(600);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, 600, 1);
     for (number, n_rows) in [(0, 600), (1, 600), (2, 55)] {
         let span = Span { first_row: u64::from(number) * 600, n_rows, key: true, number };
         let mut payload = Vec::new();
@@ -162,16 +162,16 @@ fn an_import_has_no_time_line_and_states_every_row() {
 #[test]
 fn every_cut_and_every_mutation_gives_an_error_or_a_stretch() {
     let written = written(6);
-    let before = |chain: &mut Chain| {
+    let before = |chain: &mut StretchChain| {
         written[..5].iter().for_each(|(.., payload)| drop(chain.place(payload)));
     };
     let payload = &written[5].2;
     for at in 0..payload.len() {
-        let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+        let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
         before(&mut chain);
         drop(chain.place(&payload[..at]));
         for value in 0..=255 {
-            let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+            let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
             before(&mut chain);
             let mut damaged = payload.clone();
             damaged[at] = value;
@@ -180,7 +180,7 @@ fn every_cut_and_every_mutation_gives_an_error_or_a_stretch() {
     }
 }
 
-/// Two groups, of which the second begins late and neither with samples in every stretch.
+/// Two groups: the second begins late, and neither has samples in every stretch.
 #[test]
 fn groups_are_decoded_side_by_side() {
     let settings =
@@ -190,7 +190,7 @@ fn groups_are_decoded_side_by_side() {
     let rows = |present| Rows::new(&positions, present).unwrap();
     let mut encoders = [settings.encoder(), settings.encoder()];
     let mut decoder = StretchDecoder::new(settings);
-    // Channels with samples, by stretch: of the first group's 64, and of two of the second.
+    // By stretch, channels with samples among the 64 of the first group and the two of the second.
     for (i, seen) in [[64, 0], [0, 0], [3, 0], [64, 2], [0, 1], [5, 0], [0, 2]].iter().enumerate() {
         let key = i % 5 == 0;
         let mut payload = Vec::new();
@@ -202,7 +202,7 @@ fn groups_are_decoded_side_by_side() {
             put_block(&block, false, &mut payload);
         }
         let mut cursor = varint::Cursor::new(&payload);
-        let blocks = take_blocks(&mut cursor, false, 30, &mut Sizes::default()).unwrap();
+        let blocks = take_blocks(&mut cursor, false, 30, &mut StretchSizes::default()).unwrap();
         let span = Span { first_row: 0, n_rows: 30, key, number: 0 };
         let stretch = Stretch {
             span,
@@ -210,7 +210,7 @@ fn groups_are_decoded_side_by_side() {
             timeline: None,
             shared: &[],
             blocks,
-            sizes: Sizes::default(),
+            sizes: StretchSizes::default(),
         };
         decoder.decode(&stretch).unwrap();
         let seen_in = |channel: usize| {
@@ -226,17 +226,17 @@ fn groups_are_decoded_side_by_side() {
     }
 }
 
-/// A take that begins in the middle of a recording: from any key stretch on, with rows and numbers of its own.
+/// A take that begins at any key stretch of a recording, with rows and numbers of its own.
 #[test]
 fn stretches_that_are_moved_come_back_at_their_new_rows() {
     let all = written(100);
     for begin in [0, 20, 60] {
         let rows_before = all[begin].1.first_row;
-        let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+        let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
         for (number, (span, timeline, payload)) in all[begin..].iter().enumerate() {
             let number = (number % usize::from(NUMBERS)) as u8;
             let mut moved = Vec::new();
-            put_moved(payload, rows_before, number, &mut moved).unwrap();
+            put_renumbered(payload, rows_before, number, &mut moved).unwrap();
             let stretch = placed(&mut chain, &moved).unwrap();
             assert!(!stretch.missing_before);
             let span = Span { first_row: span.first_row - rows_before, number, ..*span };
@@ -246,7 +246,10 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
         }
     }
     let mut out = Vec::new();
-    assert!(put_moved(&[], 0, 0, &mut out).is_err());
+    assert!(put_renumbered(&[], 0, 0, &mut out).is_err());
     let key = &all[20];
-    assert!(put_moved(&key.2, key.1.first_row + 1, 0, &mut out).is_err(), "begins before its take");
+    assert!(
+        put_renumbered(&key.2, key.1.first_row + 1, 0, &mut out).is_err(),
+        "begins before the take"
+    );
 }

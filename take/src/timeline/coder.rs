@@ -1,57 +1,58 @@
-//! Time lines to bytes and back: docs/take-format.md, "The time line".
+//! Encodes and decodes time lines: docs/take-format.md, "The time line".
 
 use mocapd_codec::range::{BinaryCoder, RangeDecoder, RangeEncoder};
 
 use super::{
     RowTime, Timeline,
-    predict::{Line, Number, Pace, Period, SHIFT_MAX, Timecodes},
+    predict::{ArrivalModel, FramePeriod, ResidualModel, SHIFT_MAX, TickPredictor, TimecodeModel},
 };
 use crate::varint;
 
-/// What runs on from row to row, over stretches, up to the next key stretch.
+/// State that continues from row to row and across stretches, up to the next key stretch.
 #[derive(Debug)]
-pub(super) struct State {
+pub(super) struct TimelineState {
     last_row: u64,
-    pace: Pace,
-    line: Line,
-    errors: Number,
-    timecodes: Timecodes,
+    pace: TickPredictor,
+    line: ArrivalModel,
+    errors: ResidualModel,
+    timecodes: TimecodeModel,
 }
 
-/// What a key stretch states of its first recorded row.
+/// The clock state that a key stretch states for its first recorded row.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Anchor {
+pub(super) struct TimelineAnchor {
     pub(super) shift: u8,
-    pub(super) period: Period,
+    pub(super) period: FramePeriod,
     pub(super) ticks: u64,
     pub(super) arrival_10us: u64,
 }
 
-impl State {
-    /// Before any row: everything is an error from zero.
-    pub(super) fn nothing_known(tick_hz: u64) -> Self {
+impl TimelineState {
+    /// The state before any row: everything is coded as a difference from zero.
+    pub(super) fn initial(tick_hz: u64) -> Self {
         Self {
             last_row: 0,
-            pace: Pace::still(),
-            line: Line::new(tick_hz, 0, 0, 0),
-            errors: Number::new(4),
-            timecodes: Timecodes::new(),
+            pace: TickPredictor::stopped(),
+            line: ArrivalModel::new(tick_hz, 0, 0, 0),
+            errors: ResidualModel::new(4),
+            timecodes: TimecodeModel::new(),
         }
     }
 
-    pub(super) fn at(anchor: &Anchor, row: u64, tick_hz: u64) -> Option<Self> {
+    pub(super) fn at(anchor: &TimelineAnchor, row: u64, tick_hz: u64) -> Option<Self> {
         if anchor.shift > SHIFT_MAX {
             return None;
         }
         Some(Self {
             last_row: row,
-            pace: Pace::new(anchor.period, anchor.ticks)?,
-            line: Line::new(tick_hz, anchor.shift, anchor.ticks, anchor.arrival_10us),
-            ..Self::nothing_known(tick_hz)
+            pace: TickPredictor::new(anchor.period, anchor.ticks)?,
+            line: ArrivalModel::new(tick_hz, anchor.shift, anchor.ticks, anchor.arrival_10us),
+            ..Self::initial(tick_hz)
         })
     }
 
-    /// Encodes the time of `row` and gives it back as a decoder will have it, or gives the decoded one.
+    /// Encodes the time of `row` and returns it as a decoder will reconstruct it; with a decoder, returns the decoded
+    /// time.
     fn row(&mut self, coder: &mut impl BinaryCoder, row: u64, time: RowTime) -> RowTime {
         let rows = row.wrapping_sub(std::mem::replace(&mut self.last_row, row));
         let predicted = self.pace.predict(rows);
@@ -63,16 +64,16 @@ impl State {
         RowTime { device_ticks, arrival_10us, timecode: self.timecodes.code(coder, time.timecode) }
     }
 
-    /// All rows of a stretch. The times of the anchored row are those of the anchor.
+    /// Codes all rows of a stretch. The anchor gives the times of the first row of a key stretch.
     pub(super) fn rows(
         &mut self,
         coder: &mut impl BinaryCoder,
         anchored: bool,
         rows: impl Iterator<Item = (u64, RowTime)>,
-        mut give: impl FnMut(RowTime),
+        mut emit: impl FnMut(RowTime),
     ) {
         for (i, (row, time)) in rows.enumerate() {
-            give(if anchored && i == 0 {
+            emit(if anchored && i == 0 {
                 RowTime { timecode: self.timecodes.code(coder, time.timecode), ..time }
             } else {
                 self.row(coder, row, time)
@@ -81,7 +82,7 @@ impl State {
     }
 }
 
-impl Anchor {
+impl TimelineAnchor {
     pub(super) fn put(&self, out: &mut Vec<u8>) {
         out.push(self.shift);
         varint::put(out, self.period.rows);
@@ -94,80 +95,72 @@ impl Anchor {
         let shift = cursor.byte()?;
         let (rows, period_ticks) = (cursor.varint()?, cursor.varint()?);
         let (ticks, arrival_10us) = (cursor.varint()?, cursor.varint()?);
-        Some(Self { shift, period: Period { ticks: period_ticks, rows }, ticks, arrival_10us })
-    }
-
-    /// Bytes of the anchor and the coded times at the front of `cursor`, passed over.
-    fn pass(cursor: &mut varint::Cursor<'_>, key: bool) -> Option<()> {
-        if key {
-            Self::take(cursor)?;
-        }
-        cursor.varint().and_then(|n| cursor.take(n)).map(drop)
+        Some(Self { shift, period: FramePeriod { ticks: period_ticks, rows }, ticks, arrival_10us })
     }
 }
 
-/// What [`TimelineEncoder::encode`] wrote, cut off the front of `cursor`.
+/// Splits what [`TimelineEncoder::encode`] wrote off the front of `cursor`.
 pub(crate) fn take_times<'a>(cursor: &mut varint::Cursor<'a>, key: bool) -> Option<&'a [u8]> {
     let all = cursor.rest();
-    Anchor::pass(cursor, key)?;
+    if key {
+        TimelineAnchor::take(cursor)?;
+    }
+    cursor.prefixed()?;
     all.get(..all.len() - cursor.rest().len())
 }
 
-/// Steps of arrivals that the writer chooses from, as powers of two of 10 us: 160, 320 and 640 us. The
-/// longest that is not above a sixteenth of the period: batches and frames held back show, and half a
-/// step is below what a serial or USB line leaves of the true time anyway.
+/// Quantisation steps of arrivals that the encoder can use, as powers of two of 10 us: 160, 320 and 640 us. It takes
+/// the longest that does not exceed a sixteenth of the frame period: batched and delayed frames still show, and the
+/// jitter of a serial or USB line exceeds half a step anyway.
 const SHIFTS: [u8; 3] = [6, 5, 4];
 
-/// Codes the time lines of a take's stretches, in order.
+/// Encodes the time lines of a take's stretches, in order.
 #[derive(Debug)]
 pub struct TimelineEncoder {
     tick_hz: u64,
-    nominal: Period,
-    /// Of the arrivals' step.
+    nominal: FramePeriod,
+    /// The quantisation step of arrivals.
     pub(super) shift: u8,
-    state: State,
-    /// First and last recorded row since the last key stretch, and their ticks.
+    state: TimelineState,
+    /// First and last recorded row since the last key stretch, with their ticks.
     measured: Option<((u64, u64), (u64, u64))>,
     coded: Vec<u8>,
 }
 
 impl TimelineEncoder {
-    /// For a device with so many ticks (0 counts as 1) and rows a second.
+    /// An encoder for a device with `tick_hz` ticks (0 counts as 1) and `rate_hz` rows per second.
     #[must_use]
     pub fn new(tick_hz: u64, rate_hz: f64) -> Self {
         let longest = |shift: &u8| (1 << shift) as f64 * rate_hz * 16.0 <= 100_000.0;
         Self {
             tick_hz,
-            nominal: Period::of_rate(tick_hz, rate_hz),
+            nominal: FramePeriod::from_rate(tick_hz, rate_hz),
             shift: SHIFTS.into_iter().find(longest).unwrap_or(SHIFTS[2]),
-            state: State::nothing_known(tick_hz),
+            state: TimelineState::initial(tick_hz),
             measured: None,
             coded: Vec::new(),
         }
     }
 
-    /// Makes room for stretches of so many recorded rows, so that coding need not:
-    /// 16 bytes are more than clocks and arrivals take that are not noise of hours.
+    /// Reserves memory for stretches of `n_rows` recorded rows, so that encoding does not allocate. Clocks and arrivals
+    /// take fewer than 16 bytes per row unless they are noise with an amplitude of hours.
     pub fn reserve(&mut self, n_rows: usize) {
         self.coded.reserve(n_rows.saturating_mul(16));
     }
 
-    /// Appends the anchor of a key stretch, the length of the coded times, and these; nothing without a
+    /// Appends the anchor of a key stretch, the length of the coded times, and the coded times; nothing without a
     /// recorded row.
     pub(crate) fn encode(&mut self, timeline: &Timeline, key: bool, out: &mut Vec<u8>) {
         if key {
-            self.state = State::nothing_known(self.tick_hz);
+            self.state = TimelineState::initial(self.tick_hz);
         }
         let Some((row, time)) = timeline.recorded().next() else { return };
         if key {
-            let anchor = Anchor {
-                shift: self.shift,
-                period: self.period(timeline),
-                ticks: time.device_ticks,
-                arrival_10us: time.arrival_10us,
-            };
+            let (shift, period) = (self.shift, self.period(timeline));
+            let RowTime { device_ticks: ticks, arrival_10us, .. } = time;
+            let anchor = TimelineAnchor { shift, period, ticks, arrival_10us };
             self.measured = None;
-            if let Some(state) = State::at(&anchor, row, self.tick_hz) {
+            if let Some(state) = TimelineState::at(&anchor, row, self.tick_hz) {
                 self.state = state;
             }
             anchor.put(out);
@@ -175,27 +168,26 @@ impl TimelineEncoder {
         self.coded.clear();
         let mut coder = RangeEncoder::new(&mut self.coded, usize::MAX);
         self.state.rows(&mut coder, key, timeline.recorded(), |_| {});
-        // Never over a limit that is none.
+        // The encoder has no limit to exceed.
         let _fits = coder.finish();
-        varint::put(out, self.coded.len() as u64);
-        out.extend_from_slice(&self.coded);
+        varint::put_prefixed(out, &self.coded);
         let first = self.measured.map_or((row, time.device_ticks), |measured| measured.0);
         let last = timeline.recorded().last().map(|(row, time)| (row, time.device_ticks));
         self.measured = last.map(|last| (first, last));
     }
 
-    /// Of what the device's rate says, and what was measured since the last key stretch and over this one,
-    /// the period that is wrong in the fewest rows.
-    fn period(&self, timeline: &Timeline) -> Period {
+    /// Chooses among the nominal period, the period measured since the last key stretch, and that of this stretch: the
+    /// one that mispredicts the fewest rows.
+    fn period(&self, timeline: &Timeline) -> FramePeriod {
         let ends = timeline.recorded().next().zip(timeline.recorded().last());
         let here = ends.and_then(|(first, last)| {
-            Period::between((first.0, first.1.device_ticks), (last.0, last.1.device_ticks))
+            FramePeriod::between((first.0, first.1.device_ticks), (last.0, last.1.device_ticks))
         });
-        let before = self.measured.and_then(|(first, last)| Period::between(first, last));
-        let wrong = |period: &Period| {
+        let before = self.measured.and_then(|(first, last)| FramePeriod::between(first, last));
+        let wrong = |period: &FramePeriod| {
             let mut rows = timeline.recorded();
             let (Some(first), mut n_wrong) = (rows.next(), 0) else { return 0 };
-            let Some(mut pace) = Pace::new(*period, first.1.device_ticks) else {
+            let Some(mut pace) = TickPredictor::new(*period, first.1.device_ticks) else {
                 return usize::MAX;
             };
             let mut last_row = first.0;
@@ -213,20 +205,20 @@ impl TimelineEncoder {
     }
 }
 
-/// Reads the time lines of a take's stretches, in order.
+/// Decodes the time lines of a take's stretches, in order.
 #[derive(Debug)]
 pub(crate) struct TimelineDecoder {
     tick_hz: u64,
-    state: State,
+    state: TimelineState,
 }
 
 impl TimelineDecoder {
     pub(crate) fn new(tick_hz: u64) -> Self {
-        Self { tick_hz, state: State::nothing_known(tick_hz) }
+        Self { tick_hz, state: TimelineState::initial(tick_hz) }
     }
 
-    /// Fills the times of `timeline`, whose runs are known. Unless `key`, the stretch before must have been
-    /// decoded. `None` when the bytes cannot be such times.
+    /// Decodes the times of `timeline`, whose runs are known. Unless `key`, the previous stretch must have been
+    /// decoded. `None` for invalid bytes.
     pub(crate) fn decode(
         &mut self,
         timeline: &mut Timeline,
@@ -234,7 +226,7 @@ impl TimelineDecoder {
         times: &[u8],
     ) -> Option<()> {
         if key {
-            self.state = State::nothing_known(self.tick_hz);
+            self.state = TimelineState::initial(self.tick_hz);
         }
         let n = timeline.n_recorded();
         if n == 0 {
@@ -243,19 +235,16 @@ impl TimelineDecoder {
         let mut cursor = varint::Cursor::new(times);
         timeline.times.resize(usize::try_from(n).ok()?, RowTime::default());
         if key {
-            let anchor = Anchor::take(&mut cursor)?;
-            self.state = State::at(&anchor, first_row(timeline), self.tick_hz)?;
+            let anchor = TimelineAnchor::take(&mut cursor)?;
+            let first_row = timeline.recorded().next().map_or(timeline.first_row, |(row, _)| row);
+            self.state = TimelineState::at(&anchor, first_row, self.tick_hz)?;
             timeline.times[0].device_ticks = anchor.ticks;
             timeline.times[0].arrival_10us = anchor.arrival_10us;
         }
-        let mut coder = RangeDecoder::new(cursor.varint().and_then(|n| cursor.take(n))?);
+        let mut coder = RangeDecoder::new(cursor.prefixed()?);
         let mut decoded = Vec::with_capacity(timeline.times.len());
         self.state.rows(&mut coder, key, timeline.recorded(), |time| decoded.push(time));
         timeline.times = decoded;
         (coder.finish().is_ok() && cursor.is_empty()).then_some(())
     }
-}
-
-fn first_row(timeline: &Timeline) -> u64 {
-    timeline.recorded().next().map_or(timeline.first_row, |(row, _)| row)
 }

@@ -1,23 +1,23 @@
-//! What predicts ticks, arrivals and timecodes from row to row, and codes how far it was wrong.
+//! Adaptive models that predict ticks, arrivals and timecodes from row to row and code the prediction errors.
 
 use mocapd_codec::range::{BinaryCoder, Bit};
 
 // Signed integers that are mostly near zero: docs/take-format.md, "Numbers".
 
-/// How far the last two values are told apart: a line that batches makes a saw-tooth of them.
+/// Contexts distinguish the last two values up to these magnitudes; batched arrivals make a saw-tooth of them.
 const LAST_MAX: i64 = 3;
 const BEFORE_MAX: i64 = 1;
 const CONTEXTS: usize = ((2 * LAST_MAX + 1) * (2 * BEFORE_MAX + 1)) as usize;
 
-/// Magnitudes up to this, less one, are spelled in unary.
+/// Magnitudes up to this are coded in unary.
 const LONGER: usize = 12;
 
-/// Classes of activity begin at these.
+/// Lower limits of the activity classes.
 const CLASSES: [u32; 5] = [12, 48, 128, 320, 1024];
 
-/// An adaptive model of one kind of number.
+/// An adaptive model of one kind of signed integer.
 #[derive(Debug)]
-pub(super) struct Number {
+pub(super) struct ResidualModel {
     nonzero: [Bit; CONTEXTS],
     negative: [Bit; CONTEXTS],
     longer: [[Bit; LONGER]; CLASSES.len() + 1],
@@ -27,8 +27,8 @@ pub(super) struct Number {
     activity: u32,
 }
 
-impl Number {
-    /// Starts from the odds, in 1/256, that a number after two zeros is none.
+impl ResidualModel {
+    /// `odds`: the initial probability, in 1/256, that a value after two zeros is not zero.
     pub(super) fn new(odds: u8) -> Self {
         let mut nonzero = [Bit::expecting(128); CONTEXTS];
         nonzero[CONTEXTS / 2] = Bit::expecting(odds);
@@ -43,7 +43,7 @@ impl Number {
         }
     }
 
-    /// Encodes `value` and gives it back, or ignores it and gives the decoded one.
+    /// Encodes `value` and returns it; with a decoder, ignores it and returns the decoded value.
     pub(super) fn code(&mut self, coder: &mut impl BinaryCoder, value: i64) -> i64 {
         let last = self.last.clamp(-LAST_MAX, LAST_MAX) + LAST_MAX;
         let before = self.before.clamp(-BEFORE_MAX, BEFORE_MAX) + BEFORE_MAX;
@@ -61,7 +61,7 @@ impl Number {
         value
     }
 
-    /// At least 1, modulo 2^64.
+    /// Codes a magnitude of at least 1, modulo 2^64.
     fn code_magnitude(&mut self, coder: &mut impl BinaryCoder, magnitude: u64) -> u64 {
         let class = CLASSES.iter().filter(|&&from| self.activity >= from).count();
         for (steps, longer) in (1..).zip(&mut self.longer[class]) {
@@ -69,7 +69,7 @@ impl Number {
                 return steps;
             }
         }
-        // What is left, and one more, has its highest bit at `exponent`.
+        // `rest`, at least 1, has its highest bit at `exponent`.
         let rest = magnitude.wrapping_sub(LONGER as u64);
         let top = rest.max(1).ilog2();
         let mut exponent = 0;
@@ -81,32 +81,31 @@ impl Number {
     }
 }
 
-// Device ticks from row to row: so many ticks in so many rows, and what is left of a tick between them.
+// Device ticks from row to row: a rational number of ticks per row, and the fraction of a tick carried between rows.
 
-/// Rows of a period that is given: that of any rate a device names.
+/// Most rows of a period; enough for any rate that devices state.
 const ROWS_MAX: u64 = 0xffff;
 
-/// A period, as ticks in rows.
+/// A frame period, as a number of ticks in a number of rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Period {
+pub(super) struct FramePeriod {
     pub(super) ticks: u64,
     /// At least 1, at most 65 535.
     pub(super) rows: u64,
 }
 
-impl Period {
-    /// The shortest that is within a tick in a million rows of the rate, or the nearest there is.
-    pub(super) fn of_rate(tick_hz: u64, rate_hz: f64) -> Self {
+impl FramePeriod {
+    /// The shortest period that is within one tick per million rows of the rate, or the closest.
+    pub(super) fn from_rate(tick_hz: u64, rate_hz: f64) -> Self {
         let wanted = tick_hz.max(1) as f64 / rate_hz;
         // Convergents of the continued fraction; casts saturate.
         let (mut before, mut last) = ((1_u64, 0_u64), (wanted.floor() as u64, 1));
         let mut rest = wanted.fract();
         while (last.0 as f64 / last.1 as f64 - wanted).abs() > 1e-6 && rest > 1e-9 {
             let inverse = rest.recip();
-            let (whole, next) = (inverse.floor() as u64, |a: u64, b: u64, n: u64| {
-                a.saturating_mul(n).saturating_add(b)
-            });
-            let convergent = (next(last.0, before.0, whole), next(last.1, before.1, whole));
+            let whole = inverse.floor() as u64;
+            let next = |last: u64, before: u64| last.saturating_mul(whole).saturating_add(before);
+            let convergent = (next(last.0, before.0), next(last.1, before.1));
             if convergent.1 > ROWS_MAX {
                 break;
             }
@@ -116,7 +115,7 @@ impl Period {
         Self { ticks: last.0, rows: last.1 }
     }
 
-    /// Measured between two rows; `None` when they are too far apart, or time did not pass.
+    /// The period measured between two rows; `None` if they are too far apart, or ticks decreased.
     pub(super) fn between(first: (u64, u64), last: (u64, u64)) -> Option<Self> {
         let rows = last.0.checked_sub(first.0).filter(|n| (1..=ROWS_MAX).contains(n))?;
         let ticks = last.1.checked_sub(first.1)?;
@@ -128,28 +127,28 @@ impl Period {
     }
 }
 
-/// Predicts the ticks of each row from those of the row before.
+/// Predicts the ticks of each row from those of the previous one.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pace {
-    period: Period,
+pub(super) struct TickPredictor {
+    period: FramePeriod,
     ticks: u64,
-    /// What has passed of the next tick, in 1/`period.rows`.
+    /// Elapsed fraction of the next tick, in 1/`period.rows`.
     part: u64,
 }
 
-impl Pace {
-    /// From a row with these ticks. `None` for a period without rows or with too many.
-    pub(super) fn new(period: Period, ticks: u64) -> Option<Self> {
+impl TickPredictor {
+    /// Starts at a row with these ticks. `None` for a period of no rows or too many.
+    pub(super) fn new(period: FramePeriod, ticks: u64) -> Option<Self> {
         let part = period.rows / 2;
         (1..=ROWS_MAX).contains(&period.rows).then_some(Self { period, ticks, part })
     }
 
-    /// A clock that stands still.
-    pub(super) fn still() -> Self {
-        Self { period: Period { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
+    /// A clock that does not advance.
+    pub(super) fn stopped() -> Self {
+        Self { period: FramePeriod { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
     }
 
-    /// The ticks of the row that is so many rows on.
+    /// The ticks predicted for the row that is `rows` rows further on.
     pub(super) fn predict(&mut self, rows: u64) -> u64 {
         let n = u128::from(self.period.rows);
         let passed = u128::from(self.part) + u128::from(self.period.ticks) * u128::from(rows);
@@ -158,10 +157,10 @@ impl Pace {
         self.ticks
     }
 
-    /// By how much that was wrong.
+    /// Corrects the prediction by its error.
     pub(super) fn correct(&mut self, error: i64) {
         self.ticks = self.ticks.wrapping_add_signed(error);
-        // The part that is nearest to what was predicted.
+        // The fraction closest to the predicted one.
         match error {
             0 => {}
             1.. => self.part = 0,
@@ -170,46 +169,46 @@ impl Pace {
     }
 }
 
-// Arrivals: a line through device time that follows them, and steps off it.
+// Arrivals: a line over device time follows them; arrivals are coded as steps from it.
 
 /// Fraction bits of offset and slope.
 const FRACTION: u32 = 16;
 
-/// How much of a step the offset and the slope take over: 1/16 and 1/4096.
+/// Adaptation rates of offset and slope per step: 1/16 and 1/4096.
 const OFFSET_SHIFT: u32 = 4;
 const SLOPE_SHIFT: u32 = 12;
 
-/// Beyond so many steps the line begins anew: a batch, or a clock that was set.
+/// Beyond this many steps the line restarts: a batch, or a clock that was set.
 const STEPS_MAX: u64 = 64;
 
-/// The line strays no further from where it began: six hours, or as much a row.
-const STRAY_MAX: i64 = 1 << 47;
+/// Largest offset from the start of the line: six hours. The limit of the slope per row is the same.
+const LINE_MAX: i64 = 1 << 47;
 
-/// Rows that came with the row before them are counted up to this.
+/// Most rows that are counted as arriving together with the previous row.
 const BATCH_MAX: usize = 7;
 
-/// Longest step: three minutes.
+/// Longest quantisation step: three minutes.
 pub(super) const SHIFT_MAX: u8 = 24;
 
-/// What follows the arrivals from row to row.
+/// Predicts arrivals from row to row.
 #[derive(Debug)]
-pub(super) struct Line {
+pub(super) struct ArrivalModel {
     tick_hz: u64,
-    /// The step is 10 us times two to this.
+    /// The quantisation step is 10 us times two to this power.
     shift: u8,
     from_ticks: u64,
     from_arrival_10us: u64,
-    /// How far the line lies above that, and by how much more each row, in 10 us / 65536.
+    /// Offset of the line from its start, and its increase per row, in 10 us / 65536.
     offset: i64,
     slope: i64,
     last_10us: u64,
-    steps: Number,
+    steps: ResidualModel,
     together: [Bit; BATCH_MAX + 1],
     n_together: usize,
 }
 
-impl Line {
-    /// From a row that arrived so.
+impl ArrivalModel {
+    /// Starts at a row with these ticks and this arrival.
     pub(super) fn new(tick_hz: u64, shift: u8, ticks: u64, arrival_10us: u64) -> Self {
         let mut together = [Bit::expecting(128); BATCH_MAX + 1];
         together[0] = Bit::expecting(2);
@@ -221,13 +220,14 @@ impl Line {
             offset: 0,
             slope: 0,
             last_10us: arrival_10us,
-            steps: Number::new(32),
+            steps: ResidualModel::new(32),
             together,
             n_together: 0,
         }
     }
 
-    /// The row `rows` after the last: its arrival to within half a step, or the one that is decoded.
+    /// Encodes the arrival of the row `rows` after the last one and returns it to within half a step; with a decoder,
+    /// returns the decoded arrival.
     pub(super) fn code(
         &mut self,
         coder: &mut impl BinaryCoder,
@@ -236,7 +236,7 @@ impl Line {
         arrival_10us: u64,
     ) -> u64 {
         let rows = i64::try_from(rows).unwrap_or(i64::MAX);
-        self.offset = stray(self.offset.saturating_add(self.slope.saturating_mul(rows)));
+        self.offset = clamp_line(self.offset.saturating_add(self.slope.saturating_mul(rows)));
         let half = 1_u64 << self.shift >> 1;
         let with_last = distance(arrival_10us, self.last_10us).unsigned_abs() <= half;
         if coder.bit(&mut self.together[self.n_together], with_last) {
@@ -245,10 +245,9 @@ impl Line {
         }
         self.n_together = 0;
         let passed = i128::from(distance(ticks, self.from_ticks)) * 100_000;
-        let expected = self
-            .from_arrival_10us
-            .wrapping_add(passed.div_euclid(i128::from(self.tick_hz)) as u64)
-            .wrapping_add_signed(self.offset >> FRACTION);
+        let passed_10us = passed.div_euclid(i128::from(self.tick_hz)) as u64;
+        let expected = self.from_arrival_10us.wrapping_add(passed_10us);
+        let expected = expected.wrapping_add_signed(self.offset >> FRACTION);
         let late = i128::from(distance(arrival_10us, expected));
         let steps = (late + i128::from(half)) >> self.shift;
         let steps = self.steps.code(coder, steps as i64);
@@ -259,43 +258,43 @@ impl Line {
             self.offset = 0;
         } else {
             let by = steps << self.shift << FRACTION;
-            self.offset = stray(self.offset + (by >> OFFSET_SHIFT));
-            self.slope = stray(self.slope + (by >> SLOPE_SHIFT));
+            self.offset = clamp_line(self.offset + (by >> OFFSET_SHIFT));
+            self.slope = clamp_line(self.slope + (by >> SLOPE_SHIFT));
         }
         self.last_10us
     }
 }
 
-fn stray(value: i64) -> i64 {
-    value.clamp(-STRAY_MAX, STRAY_MAX)
+fn clamp_line(value: i64) -> i64 {
+    value.clamp(-LINE_MAX, LINE_MAX)
 }
 
-/// From `b` to `a`, the short way round.
+/// The signed distance from `b` to `a` modulo 2^64.
 fn distance(a: u64, b: u64) -> i64 {
     a.wrapping_sub(b).cast_signed()
 }
 
-// Timecodes: as the row before, one frame on, or spelled out.
+// Timecodes: equal to the previous one, one frame later, or stored in full.
 
-/// Rows of one timecode are counted up to this: 480 Hz at 30 frames a second.
+/// Most rows of one timecode that are counted: 480 Hz at 30 frames per second.
 const HELD_MAX: usize = 16;
 
-/// Predicts each timecode from the one before.
+/// Predicts each timecode from the previous one.
 #[derive(Debug)]
-pub(super) struct Timecodes {
+pub(super) struct TimecodeModel {
     last: Option<[u8; 4]>,
-    /// Rows since it changed.
+    /// Rows since the last change.
     n_held: usize,
-    /// The frame number from which the seconds were last seen to change.
+    /// The frame number at which the seconds last advanced.
     top: u8,
     present: [Bit; 2],
     held: [Bit; HELD_MAX + 1],
-    /// The next frame; one set for the frame at the top.
+    /// Contexts: other frame numbers, and the one in `top`.
     next: [Bit; 2],
     carry: [Bit; 2],
 }
 
-impl Timecodes {
+impl TimecodeModel {
     pub(super) fn new() -> Self {
         Self {
             last: None,
@@ -308,7 +307,7 @@ impl Timecodes {
         }
     }
 
-    /// Encodes `timecode` and gives it back, or ignores it and gives the decoded one.
+    /// Encodes `timecode` and returns it; with a decoder, ignores it and returns the decoded one.
     pub(super) fn code(
         &mut self,
         coder: &mut impl BinaryCoder,

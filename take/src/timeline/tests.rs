@@ -1,20 +1,20 @@
-//! Time lines there and back, whatever the clocks did.
+//! Round trips of time lines with arbitrary clocks.
 
 use proptest::prelude::{Just, Strategy, any, prop, prop_oneof, proptest};
 
-use super::{Causes, RowTime, Timeline, TimelineDecoder, TimelineEncoder, take_times};
+use super::{LossCauses, RowTime, Timeline, TimelineDecoder, TimelineEncoder, take_times};
 use crate::varint::Cursor;
 
-/// What became of the rows of one stretch.
+/// The rows of one stretch.
 #[derive(Debug, Clone)]
-struct Part {
+struct TestRows {
     key: bool,
     lost_before: Vec<u64>,
     lost_within: bool,
     times: Vec<RowTime>,
 }
 
-/// Steady or jumping clocks, arrivals in order or not, timecodes there or not.
+/// Steady or jumping clocks, arrivals in order or not, timecodes present or not.
 fn time() -> impl Strategy<Value = RowTime> {
     let ticks = prop_oneof![4 => 0..2_000_000_u64, 1 => any::<u64>()];
     let arrival = prop_oneof![4 => 0..100_000_u64, 1 => any::<u64>()];
@@ -26,29 +26,32 @@ fn time() -> impl Strategy<Value = RowTime> {
     })
 }
 
-fn part() -> impl Strategy<Value = Part> {
+fn part() -> impl Strategy<Value = TestRows> {
     let lost_before = prop::collection::vec(0..1_000_u64, 0..4);
     let times = prop::collection::vec(time(), 0..40);
     (any::<bool>(), lost_before, any::<bool>(), times).prop_map(
-        |(key, lost_before, lost_within, times)| Part { key, lost_before, lost_within, times },
+        |(key, lost_before, lost_within, times)| TestRows { key, lost_before, lost_within, times },
     )
 }
 
-fn timeline(first_row: u64, part: &Part) -> Timeline {
+fn timeline(first_row: u64, part: &TestRows) -> Timeline {
     let mut timeline = Timeline::default();
     timeline.restart(first_row);
     for (i, &rows) in part.lost_before.iter().enumerate() {
-        timeline.push_lost(rows, if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL });
+        timeline.push_lost(
+            rows,
+            if i % 2 == 0 { LossCauses::NOT_RECEIVED } else { LossCauses::RING_FULL },
+        );
     }
     for (i, &time) in part.times.iter().enumerate() {
         timeline.push(time);
-        timeline.push_lost(u64::from(part.lost_within && i % 11 == 5), Causes::NOT_RECEIVED);
+        timeline.push_lost(u64::from(part.lost_within && i % 11 == 5), LossCauses::NOT_RECEIVED);
     }
     timeline
 }
 
-/// Codes and decodes parts that follow each other; gives the bytes.
-fn there_and_back(parts: &[Part], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
+/// Encodes and decodes consecutive stretches; returns the bytes.
+fn round_trip(parts: &[TestRows], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
     let mut encoder = TimelineEncoder::new(tick_hz, rate_hz);
     let mut decoder = TimelineDecoder::new(tick_hz);
     let half_step = (1 << encoder.shift) / 2;
@@ -89,7 +92,7 @@ proptest! {
         tick_hz in prop_oneof![Just(0), Just(1), Just(1_000_000_000), Just(u64::MAX), any::<u64>()],
         rate_hz in prop_oneof![Just(60.0), Just(239.76), Just(0.001), Just(1e6)],
     ) {
-        there_and_back(&parts, tick_hz, rate_hz);
+        round_trip(&parts, tick_hz, rate_hz);
     }
 
     #[test]
@@ -107,11 +110,11 @@ proptest! {
     }
 }
 
-/// Half a second after half a second, keys every ten, arrivals late by what `late_10us` says.
-fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<Part> {
+/// Stretches of half a second with keys every ten seconds; arrivals are late by `late_10us`.
+fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<TestRows> {
     let rows = (rate_hz / 2.0) as u64;
     let time = |row: u64| {
-        // The counter began before the recording.
+        // The counter started before the recording.
         let seconds = (row + 12_345) as f64 / rate_hz;
         RowTime {
             device_ticks: (seconds * tick_hz as f64).round() as u64,
@@ -119,7 +122,7 @@ fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<Par
             timecode: None,
         }
     };
-    let part = |i: u64| Part {
+    let part = |i: u64| TestRows {
         key: i.is_multiple_of(20),
         lost_before: Vec::new(),
         lost_within: false,
@@ -139,8 +142,8 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
         (90_000, 120_000.0 / 1001.0),
     ] {
         let parts = steady(tick_hz, rate_hz, |_| 3);
-        for (part, bytes) in parts.iter().zip(there_and_back(&parts, tick_hz, rate_hz)) {
-            // A key stretch states its clocks; the first rows tell where between two ticks they lie.
+        for (part, bytes) in parts.iter().zip(round_trip(&parts, tick_hz, rate_hz)) {
+            // A key stretch states its clocks; the first rows locate the exposure between two ticks.
             let most = if part.key { 28 } else { 3 };
             assert!(bytes.len() <= most, "{tick_hz} at {rate_hz}: {} bytes", bytes.len());
         }
@@ -149,18 +152,18 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
 
 #[test]
 fn a_rate_that_is_not_the_stated_one_is_measured() {
-    // A divider that cannot do 240 Hz: 4167 ticks a row, and so a clock that runs 80 ppm fast.
+    // A divider that cannot produce 240 Hz: 4167 ticks per row, so the clock runs 80 ppm fast.
     let parts = steady(1_000_080, 240.0, |_| 3);
-    for (part, bytes) in parts.iter().zip(there_and_back(&parts, 1_000_000, 240.0)) {
+    for (part, bytes) in parts.iter().zip(round_trip(&parts, 1_000_000, 240.0)) {
         assert!(part.key || bytes.len() <= 6, "{} bytes", bytes.len());
     }
 }
 
 #[test]
 fn batches_cost_little() {
-    // Frames come four at a time.
+    // Frames arrive in batches of four.
     let parts = steady(1_000_000, 240.0, |row| (3 - row % 4) * 417);
-    let coded = there_and_back(&parts, 1_000_000, 240.0);
+    let coded = round_trip(&parts, 1_000_000, 240.0);
     let bytes: usize = coded.iter().map(Vec::len).sum();
     assert!(bytes / coded.len() < 10, "{} bytes a stretch", bytes / coded.len());
 }
@@ -174,7 +177,7 @@ fn timecodes_that_count_cost_nothing() {
         let timecode = [seconds / 3600, seconds / 60 % 60, seconds % 60, frames];
         time.timecode = Some(timecode.map(|part: u64| part as u8));
     }
-    let coded = there_and_back(&parts, 1_000_000, 120.0);
+    let coded = round_trip(&parts, 1_000_000, 120.0);
     let bytes: usize = coded.iter().map(Vec::len).sum();
     assert!(bytes / coded.len() < 12, "{} bytes a stretch", bytes / coded.len());
 }
@@ -182,7 +185,7 @@ fn timecodes_that_count_cost_nothing() {
 #[test]
 fn every_cut_and_every_mutation_gives_an_error_or_times() {
     let parts = steady(1_000_000, 240.0, |row| row * 37 % 23);
-    let coded = there_and_back(&parts[..1], 1_000_000, 240.0);
+    let coded = round_trip(&parts[..1], 1_000_000, 240.0);
     let whole = timeline(0, &parts[0]);
     let decode = |bytes: &[u8]| {
         let mut found = Timeline { times: Vec::new(), ..whole.clone() };

@@ -1,4 +1,4 @@
-//! Everything that a decoder finds in a take.
+//! The decoded content of a take.
 
 use mocapd_codec::Position;
 use mocapd_take::{
@@ -6,10 +6,10 @@ use mocapd_take::{
     reader::read_events,
     record::{Channel, Event, Ledger},
     stretch::{Stretch, StretchDecoder},
-    timeline::{Causes, RowTime},
+    timeline::{LossCauses, RowTime},
 };
 
-/// Everything that is in a take.
+/// The decoded content of a take.
 #[derive(Debug, Default)]
 pub(crate) struct Decoded {
     pub(crate) channels: Vec<Channel>,
@@ -19,7 +19,7 @@ pub(crate) struct Decoded {
     /// The recorded rows.
     pub(crate) times: Vec<(u64, RowTime)>,
     /// First row, rows and causes.
-    pub(crate) lost: Vec<(u64, u64, Causes)>,
+    pub(crate) lost: Vec<(u64, u64, LossCauses)>,
     pub(crate) events: Vec<Event>,
     pub(crate) ledgers: Vec<Ledger>,
     pub(crate) stated_mm: f64,
@@ -28,8 +28,10 @@ pub(crate) struct Decoded {
 }
 
 impl Decoded {
+    /// Decodes a take. Damage panics.
+    ///
     /// # Errors
-    /// The reader's. Damage of an undamaged take panics.
+    /// Those of the reader.
     pub(crate) fn read(take: &[u8]) -> Result<Self, TakeError> {
         let mut found = Self::default();
         let mut decoder = None;

@@ -1,4 +1,4 @@
-//! Where the golden takes lie: a folder a version.
+//! The folders of the golden takes, one per version.
 
 use std::{
     collections::BTreeMap,
@@ -12,13 +12,13 @@ use mocapd_take::record::CODEC_VERSION;
 use super::{
     decoded::Decoded,
     takes::{GOLDENS, Golden},
-    words::PREFACE,
+    text::PREFACE,
 };
 
-/// Set, it writes the folder of the current version anew.
+/// Environment variable that makes the test rewrite the folder of the current version.
 pub(crate) const WRITE: &str = "MOCAPD_WRITE_GOLDEN";
 
-/// The folder of all versions, that of the current one written anew when asked for.
+/// The folder of all versions; the current version is rewritten on request.
 pub(crate) fn goldens() -> PathBuf {
     static WRITTEN: Once = Once::new();
     let goldens = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
@@ -42,14 +42,14 @@ fn write(folder: &Path) {
     let mut expected = PREFACE.to_owned();
     for golden in GOLDENS {
         let take = golden.write().bytes;
-        let words = Decoded::read(&take).unwrap().in_words();
-        expected += &format!("\ntake {}\n{words}", golden.file());
+        let text = Decoded::read(&take).unwrap().to_text();
+        expected += &format!("\ntake {}\n{text}", golden.file());
         fs::write(folder.join(golden.file()), take).unwrap();
     }
     fs::write(folder.join("expected.txt"), expected).unwrap();
 }
 
-/// The stored bytes of one of the current version's.
+/// The stored bytes of a golden take of the current version.
 pub(crate) fn stored(golden: &Golden) -> Vec<u8> {
     let path = folder(&goldens(), CODEC_VERSION).join(golden.file());
     fs::read(&path).unwrap_or_else(|error| {
@@ -60,19 +60,19 @@ pub(crate) fn stored(golden: &Golden) -> Vec<u8> {
     })
 }
 
-/// What `expected.txt` says of each take.
+/// The expected content of each take, from `expected.txt`.
 pub(crate) fn expected(folder: &Path) -> BTreeMap<String, String> {
     let text = fs::read_to_string(folder.join("expected.txt")).unwrap();
     let sections = text.split("\ntake ").skip(1);
     sections
         .map(|section| {
-            let (file, words) = section.split_once('\n').unwrap();
-            (file.to_owned(), format!("{}\n", words.trim_end()))
+            let (file, content) = section.split_once('\n').unwrap();
+            (file.to_owned(), format!("{}\n", content.trim_end()))
         })
         .collect()
 }
 
-/// The versions with a folder, and the takes in it by name.
+/// The versions that have a folder, with their takes by name.
 pub(crate) fn versions(goldens: &Path) -> Vec<(u16, BTreeMap<String, Vec<u8>>)> {
     let folders = fs::read_dir(goldens).unwrap().map(|entry| entry.unwrap().path());
     let versions = folders.filter_map(|folder| {

@@ -1,10 +1,9 @@
-//! Takes that each version of the format has written, kept so that whoever reads that version decodes
-//! them for ever, bit for bit.
+//! Takes written by each version of the format, kept so that every later build that reads the version decodes them bit
+//! for bit.
 //!
-//! They lie in a folder named by [`CODEC_VERSION`], and `expected.txt` beside them says what they hold.
-//! The motion in them is seeded and generated here, never recorded. They stand in this crate because a
-//! take holds blocks and times with all that a decoder must know of both, so one file serves the codec, the
-//! take format and the reference decoder.
+//! They are in a folder named by [`CODEC_VERSION`], with their content in `expected.txt`. Their motion is seeded and
+//! generated here, never recorded. They belong to this crate because a take holds blocks and times with everything that
+//! a decoder needs for both, so one file serves the codec, the take format and the reference decoder.
 //!
 //! This command writes the folder of the current version:
 //!
@@ -19,8 +18,8 @@ mod folders;
 mod motion;
 mod recording;
 mod takes;
+mod text;
 mod times;
-mod words;
 
 use std::{collections::HashSet, io::Cursor};
 
@@ -36,7 +35,7 @@ use self::{
     takes::GOLDENS,
 };
 
-/// Older versions that this build reads beside its own. Taking one out is a breaking change.
+/// Older versions that this build reads besides its own. Removing one is a breaking change.
 const ALSO_READ: [u16; 0] = [];
 
 #[test]
@@ -60,7 +59,7 @@ fn takes_of_every_version_that_is_read_decode_as_when_they_were_written() {
             match Decoded::read(&take) {
                 Ok(decoded) => {
                     assert!(is_read, "v{version}/{name} is read, and ALSO_READ does not say so");
-                    assert_same(&decoded.in_words(), &expected[&name], version, &name);
+                    assert_same(&decoded.to_text(), &expected[&name], version, &name);
                 }
                 Err(TakeError::Unsupported { .. }) if !is_read => {}
                 Err(error) => panic!("v{version}/{name}: {error}"),
@@ -69,7 +68,7 @@ fn takes_of_every_version_that_is_read_decode_as_when_they_were_written() {
     }
 }
 
-/// Tells the first line that differs.
+/// Reports the first line that differs.
 fn assert_same(found: &str, expected: &str, version: u16, name: &str) {
     for (found, expected) in found.lines().zip(expected.lines()) {
         assert_eq!(found, expected, "v{version}/{name} decodes to something else");
@@ -82,8 +81,8 @@ fn another_version_is_refused_with_its_number() {
     for golden in GOLDENS {
         let take = stored(&golden);
         let behind_magic = chunk::MAGIC.len();
-        let chunk::Front::Whole { kind: Header::KIND, payload, len } =
-            chunk::front(&take[behind_magic..])
+        let chunk::ChunkParse::Whole { kind: Header::KIND, payload, len } =
+            chunk::parse(&take[behind_magic..])
         else {
             panic!("{}: no header in front", golden.name)
         };
@@ -108,7 +107,7 @@ fn another_version_is_refused_with_its_number() {
                 );
             }
         }
-        assert_eq!(advice.len(), 2, "a newer and an older version are told apart: {advice:?}");
+        assert_eq!(advice.len(), 2, "a newer and an older version share advice: {advice:?}");
     }
 }
 
@@ -119,10 +118,10 @@ fn the_same_motion_gives_the_same_bytes() {
         let differs = stored.iter().zip(&written).position(|(a, b)| a != b);
         assert!(
             stored == written,
-            "{} is written otherwise than in version {CODEC_VERSION}'s golden take: {} bytes, not {}, from \
-             byte {} on. An encoder may choose otherwise without a new version, as long as every decoder \
-             of this one still reads it, and the golden takes still decode; the change is to be meant, and \
-             its commit says why. What is decoded otherwise needs a new version. Then: \
+            "{} differs from the golden take of version {CODEC_VERSION}: {} bytes, not {}, from byte {} on. \
+             An encoder may make other choices without a new version, as long as every decoder of this \
+             version still reads them and the golden takes still decode; the commit must give the reason. \
+             A change of the decoded content needs a new version. Then: \
              {WRITE}=1 cargo test -p mocapd-take --test golden",
             golden.file(),
             written.len(),
@@ -132,7 +131,7 @@ fn the_same_motion_gives_the_same_bytes() {
     }
 }
 
-/// So that nothing wrong is kept as right.
+/// Keeps a wrong take from becoming a golden one.
 #[test]
 fn the_takes_hold_what_they_were_made_of() {
     for golden in GOLDENS {
@@ -164,7 +163,7 @@ fn the_takes_hold_what_they_were_made_of() {
         for (found, wanted) in decoded.times.iter().zip(&times) {
             assert_eq!((found.0, found.1.device_ticks), (wanted.0, wanted.1.device_ticks));
             assert_eq!(found.1.timecode, wanted.1.timecode);
-            // Half of the 320 us that arrivals are kept in at 120 Hz.
+            // Half of the quantisation step of arrivals at 120 Hz, 320 us.
             assert!(found.1.arrival_10us.abs_diff(wanted.1.arrival_10us) <= 16, "{found:?}");
         }
     }

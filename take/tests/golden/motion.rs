@@ -1,20 +1,20 @@
-//! Seeded motion that is the same on every machine: made of integers, without sine or logarithm.
+//! Seeded motion that is identical on every machine: computed with integers, without sine or logarithm.
 
 use mocapd_codec::{Position, Rows};
 
 /// The markers of [`markers`].
 pub(crate) const MARKERS: usize = 20;
 
-/// A frame has one sample in five rows of this one.
+/// This marker has a sample in one of five rows.
 const SINGLES: usize = 4;
 
-/// It comes late, and ends with a spike.
+/// This marker appears late and ends with a spike.
 const LATE: usize = 5;
 
-/// From here on pairs of markers sit on limbs, with gaps.
+/// From this marker on, pairs of markers are on limbs, with gaps.
 const LIMBS: usize = 6;
 
-/// One marker, a row each.
+/// One marker, row by row.
 #[derive(Debug, Clone)]
 pub(crate) struct Column {
     pub(crate) positions: Vec<Position>,
@@ -53,11 +53,11 @@ impl Random {
     }
 }
 
-/// A point that goes round near a circle, in micrometres / 2^16.
+/// A point on an approximate circle, in micrometres / 2^16.
 struct Circle {
     x: i64,
     y: i64,
-    /// Radians a row * 2^16.
+    /// Radians per row * 2^16.
     speed: i64,
 }
 
@@ -75,8 +75,8 @@ impl Circle {
     }
 }
 
-/// [`MARKERS`] markers: one that does not move, one 10 km away, one that jumps, one on a line, one seen in
-/// single rows, one that comes late, and pairs on limbs of a body that sways.
+/// [`MARKERS`] markers: one at rest, one 10 km away, one that jumps, one on a line, one visible in single rows, one
+/// that appears late, and pairs on limbs of a swaying body.
 pub(crate) fn markers(n_rows: usize) -> Vec<Column> {
     let mut random = Random(20_120);
     let column = Column { positions: Vec::new(), present: Vec::new() };
@@ -105,14 +105,14 @@ pub(crate) fn markers(n_rows: usize) -> Vec<Column> {
         set(1, near([10_000_000_000, -4_000_000, 900_000], sway));
         set(2, near(jumped, noise(60)));
         set(3, mm([2_500 * row - 400_000, 700_000 - 333 * row, 10 * row]));
-        // Numbers at the ends of float32.
+        // Values near the limits of float32.
         let tiny = f32::from_bits(7 + row as u32);
         set(SINGLES, [if row % 2 == 0 { -0.0 } else { 0.0 }, tiny, row as f32]);
         set(LATE, mm([row * row * 4, -row * row, 1_500_000]));
         for (limb, circles) in limbs.iter_mut().enumerate() {
             let by = circles.each_mut().map(Circle::next_um);
             let at = |part: i64| [part * 70_000, limb as i64 * 200_000, 1_000_000 + part * 31_000];
-            // From no noise at all to more than the smallest tolerance.
+            // From no noise to more than the smallest tolerance.
             let um = [0, 15, 60, 250][limb % 4];
             for part in 0..2 {
                 let swaying = std::array::from_fn(|axis| at(part as i64)[axis] + sway[axis]);

@@ -1,10 +1,10 @@
-//! A golden take as recordings are: with a time line, lost rows, and markers that appear.
+//! A golden take like a recording: with a time line, lost rows, and markers that appear late.
 
 use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::{
     TakeWriter,
     record::{ClockFit, Device, Event, EventKind, Header, Ledger},
-    stretch::{FrontWriter, Span, put_block},
+    stretch::{Span, StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
 };
 
@@ -14,10 +14,10 @@ use super::{
     times::{PLANS, STRETCH_ROWS, TICK_HZ, n_rows, timelines},
 };
 
-/// Markers that appear late, and stand in a second group.
+/// Markers that appear late and belong to a second group.
 const LATE: usize = 2;
 
-/// The stretch that the late markers appear in.
+/// The stretch in which the late markers appear.
 const APPEAR: usize = 2;
 
 impl Golden {
@@ -44,12 +44,12 @@ impl Golden {
         let mut groups = [settings.encoder(), settings.encoder()];
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
         let times = TimelineEncoder::new(TICK_HZ, header.rate_hz);
-        let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+        let mut front = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
         let mut ledger = Ledger::default();
         for (i, (plan, timeline)) in PLANS.iter().zip(&timelines).enumerate() {
             if i == APPEAR {
                 take.channels(&[channel(GROUP_CHANNELS), channel(GROUP_CHANNELS + 1)]).unwrap();
-                happenings().iter().for_each(|event| take.event(event).unwrap());
+                events().iter().for_each(|event| take.event(event).unwrap());
             }
             let end = (timeline.first_row + timeline.n_rows()) as usize;
             let first = end - plan.n_rows as usize;
@@ -59,7 +59,7 @@ impl Golden {
                 key: plan.key,
                 number: i as u8,
             };
-            // One block, while no marker of the second group was announced.
+            // One block, before any marker of the second group is announced.
             let alone = i < APPEAR;
             let mut payload = Vec::new();
             front.put(span, timeline, &[], alone, &mut payload);
@@ -71,7 +71,7 @@ impl Golden {
                 ledger.samples_present += n;
             }
             take.stretch(span, &payload).unwrap();
-            account(&mut ledger, timeline, if alone { early } else { self.n_markers });
+            add_counts(&mut ledger, timeline, if alone { early } else { self.n_markers });
             if i == 0 {
                 let contradictions = vec!["a counter that jumped".to_owned()];
                 take.ledger(&Ledger { contradictions, ..ledger.clone() }).unwrap();
@@ -92,8 +92,8 @@ impl Golden {
     }
 }
 
-/// Takes the samples away where a frame was lost or nothing was seen, and of the markers from `late` on
-/// before they appear.
+/// Removes the samples of lost frames and of rows without visible markers, and those of markers from `late` on before
+/// they appear.
 pub(crate) fn blank(columns: &mut [Column], late: usize, timelines: &[Timeline]) {
     for (i, (plan, timeline)) in PLANS.iter().zip(timelines).enumerate() {
         let rows = timeline.first_row..timeline.first_row + timeline.n_rows();
@@ -107,7 +107,7 @@ pub(crate) fn blank(columns: &mut [Column], late: usize, timelines: &[Timeline])
     }
 }
 
-fn account(ledger: &mut Ledger, timeline: &Timeline, n_markers: usize) {
+fn add_counts(ledger: &mut Ledger, timeline: &Timeline, n_markers: usize) {
     let lost = |bit: u8| -> u64 {
         let runs = timeline.runs.iter();
         let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes.0 == bit));
@@ -122,8 +122,8 @@ fn account(ledger: &mut Ledger, timeline: &Timeline, n_markers: usize) {
     ledger.samples_occluded = ledger.samples_announced - ledger.samples_present;
 }
 
-/// One of every kind.
-fn happenings() -> [Event; 5] {
+/// One event of every kind.
+fn events() -> [Event; 5] {
     let kinds = [
         EventKind::Mark,
         EventKind::Trigger,

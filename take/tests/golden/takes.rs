@@ -1,10 +1,10 @@
-//! The golden takes, as this build writes them: recordings of the live resamplers, imports of the others.
+//! The golden takes as this build writes them: recordings with the live resamplers, imports with the others.
 
 use mocapd_codec::{BlockEncoder, BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
     record::{CODEC_VERSION, Channel, Header, ImportSource, Ledger},
-    stretch::{FrontWriter, Span, put_block},
+    stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
 };
 
@@ -14,17 +14,17 @@ use super::{
     times::{PLANS, RATE_HZ, STRETCH_ROWS, n_rows, timelines},
 };
 
-/// One golden take.
+/// A golden take.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Golden {
     pub(crate) name: &'static str,
     resampler: &'static str,
     pub(crate) tolerance_mm: f64,
-    /// Of the seeded motion's.
+    /// Number of markers of the seeded motion.
     pub(crate) n_markers: usize,
 }
 
-/// A take and what it was made of.
+/// A take and its original content.
 #[derive(Debug)]
 pub(crate) struct Written {
     pub(crate) bytes: Vec<u8>,
@@ -33,7 +33,7 @@ pub(crate) struct Written {
     pub(crate) timelines: Vec<Timeline>,
 }
 
-/// All of them, of as many markers as keep them small together.
+/// All golden takes, with as many markers as keep them small in total.
 pub(crate) const GOLDENS: [Golden; 7] = [
     Golden { name: "dense-0.1mm", resampler: "dense", tolerance_mm: 0.1, n_markers: 12 },
     Golden { name: "dense-1mm", resampler: "dense", tolerance_mm: 1.0, n_markers: 16 },
@@ -51,7 +51,7 @@ pub(crate) const GOLDENS: [Golden; 7] = [
 
 impl Golden {
     pub(crate) fn file(&self) -> String {
-        // Not .take: that is what git is told to pass over, because recordings never belong here.
+        // Not .take: git ignores that extension, because recordings never belong here.
         format!("{}.mtake", self.name)
     }
 
@@ -61,7 +61,7 @@ impl Golden {
         Settings { kind, tolerance: Tolerance::from_mm(mm).unwrap() }
     }
 
-    /// The same bytes whenever and wherever.
+    /// The same bytes on every machine, at any time.
     pub(crate) fn write(&self) -> Written {
         if self.settings().kind.is_live() { self.record() } else { self.import() }
     }
@@ -86,7 +86,7 @@ impl Golden {
         header
     }
 
-    /// As imports are: key stretches without time lines.
+    /// Like an import: key stretches without time lines.
     fn import(&self) -> Written {
         let source = ImportSource {
             format: "generated".to_owned(),
@@ -104,7 +104,7 @@ impl Golden {
         let mut columns = markers(n_rows());
         columns.truncate(self.n_markers);
         blank(&mut columns, self.n_markers, &timelines());
-        // Without the short first stretch, so that the empty one is a whole stretch here, too.
+        // Without the short first stretch, so that the empty stretch has full length here, too.
         let short = PLANS[0].n_rows as usize;
         columns.iter_mut().for_each(|column| column.drop_front(short));
         let n_rows = n_rows() - short;
@@ -112,7 +112,7 @@ impl Golden {
         let settings = self.settings();
         let mut encoder = settings.encoder();
         let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
-        let mut front = FrontWriter::new(STRETCH_ROWS);
+        let mut front = StretchHeaderWriter::new(STRETCH_ROWS);
         let mut ledger = Ledger { finished: true, ..Ledger::default() };
         for (number, first) in (0..n_rows).step_by(STRETCH_ROWS as usize).enumerate() {
             let end = n_rows.min(first + STRETCH_ROWS as usize);
@@ -139,17 +139,17 @@ impl Golden {
     }
 }
 
-/// A slot of the channel table. The marker that jumps is not labelled, and no slot beyond the markers is.
+/// An entry of the channel table. The marker that jumps is unlabelled, and so are entries beyond the markers.
 pub(crate) fn channel(column: usize) -> Channel {
     let labelled = column < MARKERS && column != 2;
     let label =
         if labelled { format!("Golden:m{column:02}") } else { format!("u{:03}", column + 1) };
-    // Ids of a device are not its columns.
+    // A device's ids differ from the columns.
     let marker_id = (column + if column < 4 { 0 } else { 1_000 }) as u16;
     Channel { marker_id, label, labelled }
 }
 
-/// The block, and how many samples it has.
+/// The block, and its number of samples.
 pub(crate) fn encode(
     encoder: &mut dyn BlockEncoder,
     rows: &[Rows<'_>],

@@ -1,49 +1,54 @@
-//! When the rows of a recording were, and what became of the others: seeded, in integers.
+//! The times and losses of a recording's rows: seeded, in integers.
 
-use mocapd_take::timeline::{Causes, RowTime, Timeline};
+use mocapd_take::timeline::{LossCauses, RowTime, Timeline};
 
 use super::motion::Random;
 
-/// Rows a second.
+/// Rows per second.
 pub(crate) const RATE_HZ: u64 = 120;
 
-/// Ticks a second.
+/// Ticks per second.
 pub(crate) const TICK_HZ: u64 = 1_000_000;
 
 /// Rows of a full stretch.
 pub(crate) const STRETCH_ROWS: u32 = 60;
 
-/// One stretch of a recording.
+/// A stretch of a recording.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plan {
     pub(crate) key: bool,
-    /// Rows lost before it, and why.
-    pub(crate) lost_before: (u64, Causes),
+    /// Rows lost before it, and the causes.
+    pub(crate) lost_before: (u64, LossCauses),
     pub(crate) n_rows: u32,
-    /// Offsets of rows that are lost inside, and why.
-    pub(crate) lost: &'static [(u64, Causes)],
-    /// No marker is seen.
+    /// Offsets of rows lost inside it, and the causes.
+    pub(crate) lost: &'static [(u64, LossCauses)],
+    /// No marker is visible.
     pub(crate) empty: bool,
 }
 
-const NOTHING: Plan =
-    Plan { key: false, lost_before: (0, Causes(0)), n_rows: STRETCH_ROWS, lost: &[], empty: false };
+const NOTHING: Plan = Plan {
+    key: false,
+    lost_before: (0, LossCauses(0)),
+    n_rows: STRETCH_ROWS,
+    lost: &[],
+    empty: false,
+};
 
-/// Three and a half seconds: a short first stretch, an empty one, lost rows of every kind, two keys.
+/// Three and a half seconds: a short first stretch, an empty one, rows lost for every cause, two keys.
 pub(crate) const PLANS: [Plan; 8] = [
     Plan { key: true, n_rows: 6, ..NOTHING },
     NOTHING,
-    Plan { lost: &[(20, Causes::NOT_RECEIVED), (21, Causes::NOT_RECEIVED)], ..NOTHING },
+    Plan { lost: &[(20, LossCauses::NOT_RECEIVED), (21, LossCauses::NOT_RECEIVED)], ..NOTHING },
     Plan { empty: true, ..NOTHING },
-    Plan { lost: &[(9, Causes::RING_FULL), (10, Causes::NOT_RECEIVED)], ..NOTHING },
-    // Not received while the device was away.
-    Plan { key: true, lost_before: (70, Causes(1 | 4)), ..NOTHING },
+    Plan { lost: &[(9, LossCauses::RING_FULL), (10, LossCauses::NOT_RECEIVED)], ..NOTHING },
+    // Not received while the device was disconnected.
+    Plan { key: true, lost_before: (70, LossCauses(1 | 4)), ..NOTHING },
     Plan { n_rows: 27, ..NOTHING },
     // The take ends with lost rows.
-    Plan { lost_before: (4, Causes::NOT_RECEIVED), n_rows: 0, ..NOTHING },
+    Plan { lost_before: (4, LossCauses::NOT_RECEIVED), n_rows: 0, ..NOTHING },
 ];
 
-/// Rows in all.
+/// Number of rows.
 pub(crate) fn n_rows() -> usize {
     PLANS.iter().map(|plan| plan.lost_before.0 as usize + plan.n_rows as usize).sum()
 }
@@ -71,9 +76,9 @@ pub(crate) fn timelines() -> Vec<Timeline> {
 }
 
 fn time(row: u64, random: &mut Random, arrived_10us: &mut u64) -> RowTime {
-    // A clock that is a tick late now and then, and jumps once.
+    // A clock that is sometimes a tick late, and jumps once.
     let slips = u64::from(random.below(40) == 0) + if row > 110 { 1_234 } else { 0 };
-    // The host's runs 40 ppm faster. Every eighth frame comes with the one before; some are held back.
+    // The host's clock runs 40 ppm fast. Every eighth frame arrives together with the previous one; some are delayed.
     let due = 123_456_789 + row * 2_500_100 / 3_000 + random.below(25);
     let held_back = if (150..156).contains(&row) { 15_000 } else { 0 };
     if row % 8 != 7 {
@@ -86,7 +91,7 @@ fn time(row: u64, random: &mut Random, arrived_10us: &mut u64) -> RowTime {
     }
 }
 
-/// At 30 frames a second, over midnight.
+/// At 30 frames per second, past midnight.
 fn timecode(frame: u64) -> [u8; 4] {
     let frames = (24 * 3600 - 2) * 30 + 10 + frame;
     let seconds = frames / 30 % (24 * 3600);

@@ -1,4 +1,4 @@
-//! C3D files of every kind, read.
+//! C3D files of every kind.
 
 use mocapd_take::interchange::{Format, InterchangeError};
 use mocapd_take::motion::{Motion, UpAxis, is_gap};
@@ -54,7 +54,7 @@ fn integers_are_scaled_in_f64_before_the_unit_counts() {
 
 #[test]
 fn a_sample_is_missing_exactly_where_its_fourth_word_is_negative() {
-    // 65535.0 is -1 written unsigned; 32767.0 is the largest word that is not negative.
+    // 65535.0 is -1 as an unsigned number; 32767.0 is the largest word that is not negative.
     let fourth = [0.0, -1.0, -0.5, -0.0, 65535.0, f32::NAN, -32768.0, 32767.0, 65536.0];
     let frames = fourth.iter().map(|&w| vec![0.0, 0.0, 0.0, w]).collect();
     let motion = read(&C3dFile::new(1, frames));

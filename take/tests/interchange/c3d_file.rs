@@ -1,4 +1,4 @@
-//! Builds C3D files byte by byte, apart from the project's writer.
+//! Builds C3D files byte by byte, independently of the product's writer.
 
 /// Byte order of a file to build.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,7 +26,7 @@ impl Order {
     }
 }
 
-/// A file to build: Intel floats in millimetres at 100 Hz unless said otherwise.
+/// A file to build: by default Intel floats in millimetres at 100 Hz.
 #[derive(Debug, Clone)]
 pub(crate) struct C3dFile {
     pub(crate) order: Order,
@@ -34,11 +34,11 @@ pub(crate) struct C3dFile {
     pub(crate) scale: f32,
     pub(crate) unit: &'static str,
     pub(crate) n_points: usize,
-    /// Frames of four words a point, then the analog samples.
+    /// Frames of four words per point, then the analog samples.
     pub(crate) frames: Vec<Vec<f32>>,
     pub(crate) analog: (usize, usize),
     pub(crate) first_last: (u16, u16),
-    /// Parameter records behind those of POINT that every file has.
+    /// Parameter records after those of POINT, which every file has.
     pub(crate) records: Vec<u8>,
 }
 
@@ -95,7 +95,7 @@ impl C3dFile {
         self.records.extend(record);
     }
 
-    /// Adds words.
+    /// Adds 16-bit words.
     pub(crate) fn words(&mut self, group: i8, name: &str, words: &[u16]) {
         let data: Vec<u8> = words.iter().flat_map(|&w| self.order.word(w)).collect();
         let dimensions = if words.len() == 1 { vec![] } else { vec![words.len() as u8] };

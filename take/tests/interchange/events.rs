@@ -1,4 +1,4 @@
-//! What happened beside the motion: from takes into files, and from files into takes.
+//! Events in exported and imported files.
 
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::{
@@ -100,20 +100,20 @@ fn marks_come_back_from_tsv() {
 
 #[test]
 fn hours_later_an_event_is_still_at_its_frame() {
-    // A float of all seconds would be off by half a frame there.
+    // A float of all seconds would be off by half a frame here.
     let source = motion(3, 4_000_000_000, vec![mark(1, "late")]);
     assert_eq!(through(Format::C3d, &source).info.events, source.info.events);
 }
 
 #[test]
-fn an_event_without_words_is_called_by_its_kind() {
+fn an_event_without_text_is_labelled_by_its_kind() {
     let source = motion(9, 1, vec![event(3, EventKind::Trigger, "")]);
     let back = through(Format::C3d, &source);
     assert_eq!(back.info.events, [event(3, EventKind::Trigger, "trigger")]);
 }
 
-/// A file with an EVENT group as other software writes it, from frame 11 on: of its five events the first is before
-/// the first frame, and the last behind the last.
+/// A file with an EVENT group as other software writes it, from frame 11 on: of its five events the first is before the
+/// first frame, and the last after the last.
 fn with_group() -> C3dFile {
     let mut file = C3dFile::new(1, vec![vec![1.0, 2.0, 3.0, 0.0]; 40]);
     file.first_last = (11, 50);
@@ -143,7 +143,7 @@ fn a_group_that_is_still_true_is_given_back_as_it_was() {
     let back = through(Format::C3d, &source);
     assert_eq!(back.info.events, source.info.events);
     let written = write(Format::C3d, &source);
-    // The one before the first frame, too, and 0.104 s, which is between two frames.
+    // Including the one before the first frame, and 0.104 s, which is between two frames.
     let holds = |bytes: &[u8]| written.windows(bytes.len()).any(|window| window == bytes);
     assert!(holds(b"early") && holds(b"late") && holds(&0.104f32.to_le_bytes()));
 }
@@ -171,7 +171,7 @@ fn an_event_more_joins_those_of_the_file() {
 }
 
 #[test]
-fn more_than_a_group_holds_are_told_and_marks_come_first() {
+fn events_beyond_the_limit_of_a_group_are_reported_and_marks_come_first() {
     let mut events: Vec<_> = (0..300).map(|i| event(i, EventKind::Host, "noticed")).collect();
     events.insert(280, mark(279, &"m\u{e9}".repeat(200)));
     let source = motion(300, 1, events);

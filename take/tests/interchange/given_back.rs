@@ -1,4 +1,4 @@
-//! What a C3D file holds beside markers comes back on export.
+//! Everything that a C3D file holds besides markers returns on export.
 
 use mocapd_take::interchange::{Format, InterchangeError};
 use mocapd_take::motion::{
@@ -17,7 +17,7 @@ fn kept<'a>(motion: &'a Motion, kind: &str) -> Option<&'a Foreign> {
     motion.info.foreign.iter().find(|f| f.kind == kind)
 }
 
-/// Three points, of which the middle one is a model output, and two analog channels with two samples a frame.
+/// Three points, the middle one a model output, and two analog channels with two samples per frame.
 fn full(order: Order, scale: f32) -> C3dFile {
     let frames = (1..41)
         .map(|i| {
@@ -54,7 +54,7 @@ fn everything_is_given_back_from_floats_and_integers_of_every_processor() {
             assert_eq!(back.info.source.warnings.len(), 1, "{order:?} {scale}");
             let under_gap = Ambiguity::CoordinatesUnderGaps { samples: 1 };
             assert_eq!(back.info.source.ambiguities, [under_gap], "{order:?} {scale}");
-            // Once written as floats, nothing changes any more.
+            // After the conversion to floats, nothing changes any more.
             let again = Format::C3d.read(&write(&back)).expect("a usable file");
             assert!(again.info == back.info && write(&again) == write(&back), "{order:?} {scale}");
             for kind in ["c3d/analog", "c3d/residuals", "c3d/model-outputs", "c3d/parameters"] {
@@ -70,14 +70,14 @@ fn everything_is_given_back_from_floats_and_integers_of_every_processor() {
 }
 
 #[test]
-fn words_stand_where_they_stood() {
+fn words_keep_their_positions() {
     let file = full(Order::Intel, -0.5);
     let written = write(&Format::C3d.read(&file.bytes()).expect("a usable file"));
     let start = (usize::from(u16::from_le_bytes([written[16], written[17]])) - 1) * 512;
     let words: Vec<f32> =
         written[start..].as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
     for (index, frame) in file.frames.iter().enumerate() {
-        // Also the coordinates of the eighth, which is marked as missing.
+        // Including the coordinates of the eighth frame, which is marked as missing.
         assert_eq!(words[index * 16..][..16], frame[..], "frame {index}");
     }
     assert!(written.len().is_multiple_of(512));

@@ -1,4 +1,5 @@
-//! Cut and damaged files: an error or a motion, never a panic, never more memory than the bytes earn.
+//! Truncated and damaged files give an error or a motion, never a panic, and never more memory than their size
+//! justifies.
 
 use std::io::Cursor;
 
@@ -7,10 +8,10 @@ use mocapd_take::motion::{Marker, Motion, MotionFrames, MotionInfo, Source};
 
 use crate::c3d_file::{C3dFile, Order};
 
-/// Bytes of positions that a byte of input may become.
+/// Most bytes of positions per byte of input.
 const EARNED: usize = 48;
 
-/// Reads bytes and, where that gives a motion, writes it again: foreign parts are hostile too.
+/// Reads bytes and, if they give a motion, writes it again, because foreign parts are hostile, too.
 fn survive(format: Format, bytes: &[u8]) {
     let Ok(motion) = format.read(bytes) else { return };
     let positions = size_of_val(&motion.positions_mm[..]);
@@ -26,7 +27,7 @@ fn survive(format: Format, bytes: &[u8]) {
         bytes.len()
     );
     assert!(motion.info.markers.is_empty() || motion.n_frames() as u64 == motion.info.n_frames);
-    // Refusing is fine: labels may have become too long.
+    // A refusal is fine: labels may have become too long.
     drop(npz::write(&mut MotionFrames::new(&motion), &mut Cursor::new(Vec::new())));
     drop(Format::Xdf.write(&mut MotionFrames::new(&motion), &mut std::io::sink()));
     drop(format.write(&mut MotionFrames::new(&motion), &mut Vec::new()));
@@ -105,7 +106,7 @@ fn counts_of_billions_earn_nothing() {
     let mut long = b"frame,time_s,label,x_mm,y_mm,z_mm\n0,0,a,1,2,3\n".to_vec();
     long.extend(b"9000000000000000,1,a,1,2,3\n");
     assert!(Format::Csv.read(&long).is_err());
-    // Lists of texts without length take no bytes: thousands of them are still bounded.
+    // Lists of texts without length take no bytes, but even thousands of them stay bounded.
     let mut file = C3dFile::new(1, vec![vec![0.0; 4]]);
     for number in 2..200 {
         file.records.extend(file.record(

@@ -15,7 +15,7 @@ mod written;
 
 use mocapd_take::motion::{Motion, is_gap};
 
-/// Panics unless both hold the same samples, bit by bit; a gap equals a gap.
+/// Panics unless both have identical samples, bit by bit; a gap equals a gap.
 fn assert_same_samples(found: &Motion, expected: &Motion) {
     assert_eq!(found.positions_mm.len(), expected.positions_mm.len());
     for (index, (&a, &b)) in found.positions_mm.iter().zip(&expected.positions_mm).enumerate() {
@@ -26,9 +26,9 @@ fn assert_same_samples(found: &Motion, expected: &Motion) {
     }
 }
 
-/// The whole numbers in words.
-fn numbers(words: &str) -> Vec<u64> {
-    words.split(|c: char| !c.is_alphanumeric()).filter_map(|word| word.parse().ok()).collect()
+/// The whole numbers in a text.
+fn numbers(text: &str) -> Vec<u64> {
+    text.split(|c: char| !c.is_alphanumeric()).filter_map(|word| word.parse().ok()).collect()
 }
 
 /// The labels of a motion.

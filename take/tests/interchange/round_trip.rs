@@ -1,4 +1,4 @@
-//! Written and read back: the same samples to the bit.
+//! Round trips: the samples are identical to the bit.
 
 use mocapd_take::interchange::{Format, InterchangeError};
 use mocapd_take::motion::{
@@ -63,7 +63,7 @@ proptest! {
     fn csv(source in motions()) {
         let mut bytes = Vec::new();
         Format::Csv.write(&mut MotionFrames::new(&source), &mut bytes).expect("memory");
-        // A single row has no interval: the rate is given as a key.
+        // A single row has no interval, so the rate is given as a key.
         bytes.splice(..0, b"# rate=120\n".iter().copied());
         let back = Format::Csv.read(&bytes).expect("what was written");
         assert_same_samples(&back, &source);
@@ -72,7 +72,7 @@ proptest! {
 
     #[test]
     fn trc(source in motions()) {
-        // Columns are known by their labels: also those that are empty throughout.
+        // Labels identify columns, including empty ones.
         let back = through(Format::Trc, &source);
         assert_same_samples(&back, &source);
         prop_assert_eq!(labels(&back), unique(&source));
@@ -94,8 +94,8 @@ proptest! {
         Format::CsvLong.write(&mut MotionFrames::new(&source), &mut bytes).expect("memory");
         let rows = source.positions_mm.iter().filter(|&&p| !is_gap(p)).count();
         prop_assert_eq!(bytes.split(|&b| b == b'\n').count(), rows + 2);
-        // Two frames at least tell the rate; markers that were never seen are not told of, and neither are
-        // the frames before the first sample and behind the last.
+        // The rate needs at least two frames; markers without samples are absent, and so are frames before the first
+        // and after the last sample.
         let seen = |frame: &usize| source.frame(*frame).iter().any(|&p| !is_gap(p));
         let (first, last) = ((0..source.n_frames()).find(seen), (0..source.n_frames()).rfind(seen));
         let (Some(first), Some(last)) = (first, last) else { return Ok(()) };
@@ -116,7 +116,7 @@ proptest! {
     }
 }
 
-/// What a format calls them whose columns need names of their own.
+/// The labels in formats whose columns need unique names.
 fn unique(motion: &Motion) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for label in labels(motion) {
@@ -177,7 +177,7 @@ fn rates_come_back_from_the_times_of_a_csv() {
 }
 
 #[test]
-fn repeated_labels_are_told_apart_in_csv_and_kept_in_c3d() {
+fn repeated_labels_are_distinguished_in_csv_and_kept_in_c3d() {
     let names = ["A", "A", "A#2", "b,\"c\"", "A", "u006"].map(str::to_owned);
     let source = motion(&names, vec![[1.0, 2.0, 3.0]; 12], 100.0, 1);
     assert_eq!(labels(&through(Format::C3d, &source)), names);
@@ -202,7 +202,7 @@ fn many_points_and_many_frames_fit_in_c3d() {
 }
 
 #[test]
-fn what_c3d_cannot_hold_is_refused_in_words() {
+fn what_c3d_cannot_hold_is_refused_with_the_limit() {
     let source = motion(&["x".repeat(256)], vec![[0.0; 3]], 100.0, 1);
     let error = Format::C3d.write(&mut MotionFrames::new(&source), &mut Vec::new());
     assert!(

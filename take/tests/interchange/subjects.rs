@@ -1,4 +1,4 @@
-//! Whose markers these are, where their labels say so.
+//! Subjects in marker labels.
 
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::{Marker, Motion, MotionFrames, MotionInfo, Source};

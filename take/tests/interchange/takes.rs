@@ -1,4 +1,4 @@
-//! Real takes, where the machine has them.
+//! Real takes, if the machine has them.
 
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::{Motion, MotionFrames, is_gap};
@@ -6,8 +6,8 @@ use mocapd_testkit::recorded::RecordedData;
 
 use crate::assert_same_samples;
 
-/// File, markers, frames, hertz, missing samples, number of the first frame: by ezc3d 1.7.2 (rolling: its 65535.0 is -1)
-/// and plain text tools.
+/// File, markers, frames, hertz, missing samples, number of the first frame, from ezc3d 1.7.2 (rolling: its 65535.0 is
+/// -1) and plain text tools.
 const TAKES: [(&str, usize, u64, f64, usize, u64); 13] = [
     ("baseball_pitch_48m_360hz_metres.c3d", 48, 592, 360.0, 0, 1),
     ("cmu_13_39_jump_15joints_60hz.csv", 15, 176, 60.0002, 0, 1),
@@ -62,8 +62,8 @@ fn real_takes_come_back_from_every_format() {
     }
 }
 
-/// Three zeros are a gap in QTM's files, and may be one in TRC: a sample at the very origin is written a nanometre beside
-/// it.
+/// Three zeros are a gap in QTM's files and may be one in TRC, so a sample exactly at the origin is written one
+/// nanometre away from it.
 fn as_written(motion: &Motion, format: Format) -> Motion {
     let mut motion = motion.clone();
     if matches!(format, Format::Tsv | Format::Trc) {
@@ -83,7 +83,7 @@ fn real_c3d_files_that_were_cut_off_keep_their_stride() {
         let bytes = std::fs::read(path).expect("read a moment ago");
         let word = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let start = (usize::from(word(16)) - 1) * 512;
-        // As many bytes a frame as whole frames leave less than a block.
+        // As many bytes per frame as leave less than a block after the whole frames.
         let frame_bytes = (bytes.len() - start) / n_frames as usize / 2 * 2;
         let few = (1..=24).chain((25..n_frames as usize).step_by(n_frames as usize / 12));
         for n_present in few {

@@ -30,7 +30,7 @@ fn trc_with_labels_every_three_columns() {
     let written = String::from_utf8(written).expect("text");
     assert!(written.starts_with("PathFileType\t4\t(X/Y/Z)\twalk.trc\nDataRate\t"), "{written}");
     assert!(written.contains("\n200\t400\t2\t2\tmm\t200\t9\t77\n"), "{written}");
-    // As OpenSim writes it: a tab at every end, so that a missing sample in the last column has its cells.
+    // As OpenSim writes it: a tab at the end of each line, so that a missing sample in the last column has its cells.
     let lines: Vec<&str> = written.lines().skip(3).collect();
     assert_eq!(
         lines[..3],
@@ -58,10 +58,10 @@ fn trc_that_disagrees_with_itself_says_so() {
         "{TRC_HEAD}Frame#\tTime\tA\tB\nx\n1\t0\t1\t2\t3\t4\t5\t6\n3\t0\t1\tbad\t3\nrest\n"
     ));
     assert_eq!(labels(&motion), ["A", "B"]);
-    // First where the labels stand.
+    // First in the line of the labels.
     let warnings = &motion.info.source.warnings;
     assert_eq!(warnings.len(), 5, "{warnings:?}");
-    for fact in ["line 5", "1 samples", "1 frames", "2 frames"] {
+    for fact in ["line 5", "1 sample", "1 frame", "2 frames"] {
         assert!(warnings.iter().any(|said| said.contains(fact)), "{fact}: {warnings:?}");
     }
     for (text, place) in [
@@ -95,10 +95,10 @@ fn tsv_zeros_are_gaps_and_lead_columns_are_known() {
         assert_eq!((motion.info.rate_hz, motion.info.source.first_frame), (60.0, first));
         let events: Vec<_> =
             motion.info.events.iter().map(|e| (e.frame, e.text.as_str())).collect();
-        // Of frame 2: the second of a file that begins with 1, and before one that begins with 11.
+        // Frame 2: the second of a file that begins with 1, and before one that begins with 11.
         assert_eq!(events, if first == 1 { vec![(1, "kick")] } else { vec![] });
         let warnings = &motion.info.source.warnings;
-        assert!(warnings.len() == 1 && warnings[0].contains("1 samples"), "{warnings:?}");
+        assert!(warnings.len() == 1 && warnings[0].contains("1 sample"), "{warnings:?}");
     }
 }
 
@@ -179,14 +179,14 @@ fn an_export_of_motive_without_a_rate_of_its_own_has_that_of_its_times() {
     };
     for (export, rate_hz, n_frames) in [
         (",Export Frame Rate,100.000000", 100.0, 3),
-        // Every other frame of the capture, perhaps: its rate says nothing of these.
+        // The file may have every other frame of the capture, so the capture's rate does not apply.
         (",Export Frame Rate,0", 100.0, 3),
         (",Export Frame Rate,-1.5", 100.0, 3),
     ] {
         let info = Format::Csv.read(motive(export).as_bytes()).expect("an export").info;
         assert_eq!((info.rate_hz, info.n_frames), (rate_hz, n_frames), "{export}");
     }
-    // One that does not name its rate has the capture's.
+    // A file that does not name its rate has the capture's.
     for export in ["", ",Export Frame Rate,"] {
         let info = Format::Csv.read(motive(export).as_bytes()).expect("an export").info;
         assert_eq!(info.rate_hz, 240.0, "{export}");

@@ -1,4 +1,4 @@
-//! The formats that are written only, taken apart by hand. `tests/oracle` has them read by programs that are not ours.
+//! The formats that are only written, parsed by hand. `tests/oracle` has other programs read them.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -48,7 +48,7 @@ fn number<const N: usize>(bytes: &[u8], at: usize) -> u64 {
     bytes[at..at + N].iter().rev().fold(0, |sum, &b| sum << 8 | u64::from(b))
 }
 
-/// The members of a ZIP file as they come from front to back, which its directory must tell of in the same way.
+/// The members of a ZIP file from front to back; its directory must list them identically.
 fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
     let end = archive.len() - 22;
     assert_eq!(number::<4>(archive, end), 0x0605_4b50);
@@ -56,7 +56,7 @@ fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
     let mut members = BTreeMap::new();
     let mut at = 0;
     while number::<4>(archive, at) == 0x0403_4b50 {
-        // Stored, nothing behind the member, and of the first day there is.
+        // Stored, with no data descriptor, and with the earliest date.
         let fields = |at| [0, 2, 4].map(|field| number::<2>(archive, at + field));
         assert_eq!(fields(at + 4), [45, 0, 0]);
         assert_eq!(number::<4>(archive, at + 10), 0x0021_0000);
@@ -74,7 +74,7 @@ fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
             }
         }
         assert_eq!(u64::from(!sum), crc, "{name:?}");
-        // The directory has the same, from the version on, and the place.
+        // The directory repeats the fields from the version on, and adds the offset.
         assert_eq!(number::<4>(archive, listed), 0x0201_4b50);
         assert_eq!(archive[listed + 6..listed + 32], archive[at + 4..at + 30]);
         assert_eq!(number::<4>(archive, listed + 42) as usize, at);
@@ -89,7 +89,7 @@ fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
 }
 
 #[test]
-fn an_npz_holds_what_its_heads_say() {
+fn an_npz_holds_what_its_headers_say() {
     let source = motion(5, 40);
     let archive = npz(&source);
     let members = members(&archive);
@@ -184,7 +184,7 @@ fn an_xdf_is_a_row_of_chunks() {
 #[derive(Default)]
 struct Files(BTreeMap<String, Vec<u8>>);
 
-impl bids::Folder for Files {
+impl bids::DatasetFolder for Files {
     fn file(&mut self, path: &str) -> std::io::Result<Box<dyn Write + '_>> {
         Ok(Box::new(self.0.entry(path.to_owned()).or_default()))
     }
@@ -193,7 +193,7 @@ impl bids::Folder for Files {
 #[test]
 fn a_bids_folder_has_a_column_a_coordinate() {
     let source = motion(300, 50);
-    let names = bids::Names::new("7", "jump").expect("letters and digits");
+    let names = bids::BidsLabels::new("7", "jump").expect("letters and digits");
     let mut files = Files::default();
     bids::write(&mut MotionFrames::new(&source), &names, &mut files).expect("memory");
     let text = |path: &str| String::from_utf8(files.0[path].clone()).expect("text");
@@ -223,7 +223,7 @@ fn long_takes_and_none_at_all() {
         let source = motion(n_markers, n_frames);
         assert_eq!(members(&npz(&source)).len(), 12);
         assert!(chunks(&write(Format::Xdf, &source)).len() >= 5);
-        let names = bids::Names::new("7", "jump").expect("letters and digits");
+        let names = bids::BidsLabels::new("7", "jump").expect("letters and digits");
         let mut files = Files::default();
         let written = bids::write(&mut MotionFrames::new(&source), &names, &mut files);
         assert_eq!(written.is_ok(), n_markers > 0);

@@ -1,13 +1,13 @@
 //! A take of a hundred stretches, cut at every byte and changed in every way: no panic, no sample, time or name that
-//! is not the original's, what was lost is said, and memory in proportion to the file.
+//! differs from the original, every loss is reported, and memory stays in proportion to the file.
 //!
-//! Each `cargo test` runs a part of it. All of it:
+//! Each `cargo test` runs a part of the sweep. The complete sweep:
 //!
 //! ```text
 //! cargo test --release -p mocapd-take --test sweeps -- --ignored --nocapture --test-threads 1
 //! ```
 
-// The allocator that counts is an implementation of an unsafe trait.
+// The counting allocator implements an unsafe trait.
 #![expect(unsafe_code, reason = "GlobalAlloc is an unsafe trait")]
 #![expect(
     clippy::unwrap_used,
@@ -29,7 +29,7 @@ use mocapd_take::{
     damage::Problem,
     motion::{FrameSource, GAP, Position, is_gap},
     reader::read_events,
-    recovery::Survey,
+    recovery::RecoveryScan,
     timeline::{RowTime, Timeline},
 };
 
@@ -37,20 +37,20 @@ use mocapd_testkit::random::Random;
 
 use self::counting::most_bytes;
 
-/// What reading DEFLATE takes, of whatever length: the takes here have a document of a few bytes.
+/// Memory of the DEFLATE decoder, whatever the length: the takes here have a document of a few bytes.
 const INFLATER_BYTES: usize = 48 << 10;
 
-/// Rows, times and names as the whole take gives them.
+/// Rows, times and names read from a take.
 struct Whole {
     take: Vec<u8>,
     rows: Vec<Vec<Position>>,
     times: Vec<(u64, RowTime)>,
     labels: Vec<String>,
-    /// Bytes that reading and decoding it takes.
+    /// Memory for reading and decoding it, in bytes.
     memory: usize,
 }
 
-/// Reads frame by frame, as an export does. `on_row` gets each row with its number.
+/// Reads frame by frame, like an export. `on_row` receives each row with its number.
 fn read(
     take: &[u8],
     mut on_row: impl FnMut(usize, &[Position]),
@@ -77,7 +77,7 @@ fn times(take: &[u8]) -> Result<Vec<(u64, RowTime)>, TakeError> {
     Ok(times)
 }
 
-/// Most bytes that a reader holds of it, without what decodes its blocks; in pieces, as from a disk.
+/// Most bytes that a reader holds of the take, without its decoders; the take arrives in pieces, as from a disk.
 fn reader_memory(take: &[u8]) -> usize {
     most_bytes(|| {
         let mut reader = TakeReader::new();
@@ -110,7 +110,7 @@ impl Whole {
         Self { take, rows, times, labels, memory }
     }
 
-    /// What a damaged copy gives; `None` when it is said to be no take at all.
+    /// Reads a damaged copy; `None` if it is not a take any more.
     fn check(&self, damaged: &[u8], what: &str) -> Option<Read> {
         let mut samples = 0;
         let mut result = None;
@@ -146,15 +146,15 @@ impl Whole {
         for time in times(damaged).unwrap() {
             assert!(known.any(|known| *known == time), "{what}: {time:?} is wrong");
         }
-        assert!(damaged == self.take || !problems.is_empty(), "{what}: nobody was told");
+        assert!(damaged == self.take || !problems.is_empty(), "{what}: nothing was reported");
         Some(Read { samples, memory: reader_bytes })
     }
 
-    /// The same of the take that is recovered from it: it has as many samples, and no problem.
+    /// Recovers a damaged copy: the new take has `samples` samples and no problem.
     fn check_recovered(&self, damaged: &[u8], samples: usize, what: &str) {
-        let survey = Survey::read(damaged).unwrap();
+        let scan = RecoveryScan::read(damaged).unwrap();
         let mut new = Vec::new();
-        survey.write(Cursor::new(damaged), &mut new, "sweeps").unwrap();
+        scan.write(Cursor::new(damaged), &mut new, "sweeps").unwrap();
         let mut recovered = 0;
         let (_, problems) = read(&new, |at, row| {
             for (&got, &wanted) in row.iter().zip(&self.rows[at]) {
@@ -166,7 +166,7 @@ impl Whole {
         .unwrap();
         assert!(problems.is_empty(), "{what}: {problems:?}");
         assert_eq!(recovered, samples, "{what}: other samples are recovered than can be read");
-        assert!(survey.ledger.closes(), "{what}: {:?}", survey.ledger);
+        assert!(scan.ledger.closes(), "{what}: {:?}", scan.ledger);
     }
 }
 
@@ -175,7 +175,7 @@ struct Read {
     memory: usize,
 }
 
-/// What a sweep came to.
+/// The results of a sweep.
 #[derive(Debug, Default)]
 struct Tally {
     tried: usize,
@@ -200,7 +200,7 @@ impl Tally {
         read.samples
     }
 
-    fn say(&self, whole: &Whole, what: &str, begun: Instant) {
+    fn print(&self, whole: &Whole, what: &str, begun: Instant) {
         println!(
             "{what}: {} tried, {} no take any more, at most {} samples of {} lost, reader at most {:.2} times the \
              file's {} bytes, {:.0} s",
@@ -227,7 +227,7 @@ fn truncations(kind: &str, step: usize) {
         assert!(samples >= before, "{what}: {samples} samples after {before}");
         before = samples;
     }
-    tally.say(&whole, &format!("{kind}, cut at every {step} bytes"), begun);
+    tally.print(&whole, &format!("{kind}, cut at every {step} bytes"), begun);
 }
 
 fn mutations(kind: &str, seeds: Range<u64>) {
@@ -244,9 +244,9 @@ fn mutations(kind: &str, seeds: Range<u64>) {
         let what = format!("{kind}, seed {seed}: byte {at} changed by {by}");
         tally.add(&whole, &damaged, seed % 16 == 0 && at > 400, &what);
     }
-    // From one key stretch to the next, of six channels: what a damaged stretch can cost.
+    // From one key stretch to the next, of six channels: the most that a damaged stretch can cost.
     assert!(tally.most_lost <= 10 * 12 * 6, "{tally:?}");
-    tally.say(&whole, &format!("{kind}, {n} bytes changed"), begun);
+    tally.print(&whole, &format!("{kind}, {n} bytes changed"), begun);
 }
 
 fn ranges(kind: &str, seeds: Range<u64>) {
@@ -267,7 +267,7 @@ fn ranges(kind: &str, seeds: Range<u64>) {
         let what = format!("{kind}, seed {seed}: {from}..{to} zeroed, noise, or gone");
         tally.add(&whole, &damaged, seed % 4 == 0, &what);
     }
-    tally.say(&whole, &format!("{kind}, {n} ranges"), begun);
+    tally.print(&whole, &format!("{kind}, {n} ranges"), begun);
 }
 
 #[test]

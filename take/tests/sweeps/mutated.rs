@@ -1,14 +1,14 @@
-//! Takes whose chunks were cut, changed, repeated, put elsewhere, or forged with checksums that match: every way to read one
-//! gives the same frames, and tells the same of what is wrong.
+//! Takes whose chunks were cut, changed, repeated, moved, or forged with matching CRCs: all ways of reading one give
+//! the same frames and report the same problems.
 
 use std::{collections::BTreeSet, io::Cursor, ops::Range, time::Instant};
 
 use mocapd_take::{
     TakeError, TakeFrames, TakeMap, TakeTraversal,
-    chunk::{self, Front},
+    chunk::{self, ChunkParse},
     damage::{Problem, Refusal},
     motion::FrameSource,
-    recovery::Survey,
+    recovery::RecoveryScan,
     traversal::Decode,
 };
 
@@ -16,44 +16,44 @@ use mocapd_testkit::random::Random;
 
 use crate::{counting::most_bytes, take};
 
-/// Enough for three keys, a channel that appears, and an event.
+/// Enough for three keys, a channel that appears late, and an event.
 const STRETCHES: usize = 28;
 
-/// Rows of a take that is read row by row, and what the frames that are compared take then: six of them, of six channels, in
+/// Most rows of a take that is read row by row, and the memory of the compared frames: six copies, of six channels, in
 /// vectors that double.
 const ROWS_MAX: u64 = 3_000;
 const FRAMES_BYTES: usize = 2 * 6 * ROWS_MAX as usize * (24 + 6 * 12);
 
-/// One frame after another, as bits; NaN where nothing was seen.
+/// Consecutive frames, as bits; NaN for a gap.
 type Frames = Vec<Vec<[u32; 3]>>;
 
 const GAP: [u32; 3] = [f32::NAN.to_bits(); 3];
 
-/// Where its chunks lie.
+/// The ranges of its chunks.
 fn chunks(take: &[u8]) -> Vec<Range<usize>> {
     let mut at = chunk::MAGIC.len();
     let mut chunks = Vec::new();
-    while let Front::Whole { len, .. } = chunk::front(&take[at..]) {
+    while let ChunkParse::Whole { len, .. } = chunk::parse(&take[at..]) {
         chunks.push(at..at + len);
         at += len;
     }
     chunks
 }
 
-/// Changes a take once.
+/// Mutates a take once.
 fn mutate(take: &mut Vec<u8>, random: &mut Random) {
     let chunks = chunks(take);
     if chunks.len() < 3 {
         return;
     }
-    // The header is another test's.
+    // Another test covers the header.
     let some = |random: &mut Random| chunks[1 + random.below(chunks.len() - 1)].clone();
     let chosen = some(random);
     match random.below(7) {
         0 => take.truncate(chosen.start + random.below(chosen.len())),
         1 => take[chosen.start + random.below(chosen.len())] ^= 1 + random.below(255) as u8,
         2 => drop(take.drain(chosen)),
-        // A stretch of chunks once more, at once or elsewhere.
+        // Repeat a range of stretches, in place or elsewhere.
         3 | 4 => {
             let end = some(random).end.max(chosen.end);
             let again = take[chosen.start..end].to_vec();
@@ -66,9 +66,10 @@ fn mutate(take: &mut Vec<u8>, random: &mut Random) {
             let to = if to > chosen.start { to - moved.len() } else { to };
             drop(take.splice(to..to, moved));
         }
-        // Another payload, and a checksum that matches.
+        // Change the payload and make the CRC match.
         _ => {
-            let Front::Whole { kind, payload, .. } = chunk::front(&take[chosen.clone()]) else {
+            let ChunkParse::Whole { kind, payload, .. } = chunk::parse(&take[chosen.clone()])
+            else {
                 return;
             };
             let mut payload = payload.to_vec();
@@ -87,7 +88,7 @@ fn mutate(take: &mut Vec<u8>, random: &mut Random) {
     }
 }
 
-/// What one way of reading gives.
+/// The result of one way of reading.
 #[derive(Debug, Default, PartialEq)]
 struct Read {
     frames: Frames,
@@ -96,7 +97,7 @@ struct Read {
 }
 
 impl Read {
-    fn tell(&mut self, problems: &[Problem]) {
+    fn add_problems(&mut self, problems: &[Problem]) {
         self.problems.extend(problems.iter().map(ToString::to_string));
     }
 }
@@ -105,7 +106,7 @@ fn bits(position: [f32; 3]) -> [u32; 3] {
     if position.iter().any(|value| value.is_nan()) { GAP } else { position.map(f32::to_bits) }
 }
 
-/// From a frame on, one after another, to the end of the file.
+/// From frame `from` on to the end of the file, one after another.
 fn frames(take: &[u8], from: u64) -> Result<(Read, TakeMap), TakeError> {
     let mut source = TakeFrames::open(Cursor::new(take))?;
     source.seek(from)?;
@@ -115,17 +116,17 @@ fn frames(take: &[u8], from: u64) -> Result<(Read, TakeMap), TakeError> {
         read.n_samples += row.iter().filter(|at| !at[0].is_nan()).count();
         read.frames.push(row.iter().copied().map(bits).collect());
     }
-    read.tell(source.problems());
+    read.add_problems(source.problems());
     Ok((read, source.map().clone()))
 }
 
-/// In pieces, by turns, with two traversals, as threads do.
+/// In pieces, alternating between two traversals, like threads.
 fn in_pieces(take: &[u8], map: &TakeMap, n: usize) -> Result<Read, TakeError> {
     let mut read = Read::default();
-    read.tell(&map.problems);
+    read.add_problems(&map.problems);
     let n_markers = map.channels.len();
     read.frames = vec![vec![GAP; n_markers]; map.n_rows as usize];
-    let new = || TakeTraversal::of_map(Cursor::new(take), map, Decode::All);
+    let new = || TakeTraversal::from_map(Cursor::new(take), map, Decode::All);
     let mut readers = [new()?, new()?];
     for (i, rows) in map.pieces(&(0..map.n_rows), n).into_iter().enumerate() {
         readers[i / 2 % 2].read_rows(&rows, |take, held, offset| {
@@ -142,11 +143,11 @@ fn in_pieces(take: &[u8], map: &TakeMap, n: usize) -> Result<Read, TakeError> {
             Ok(())
         })?;
     }
-    readers.iter().for_each(|reader| read.tell(reader.problems()));
+    readers.iter().for_each(|reader| read.add_problems(reader.problems()));
     Ok(read)
 }
 
-/// All of it once, as a recovery goes.
+/// In a single pass, like a recovery.
 fn whole(take: &[u8]) -> Result<Read, TakeError> {
     let mut read = Read::default();
     let traversal = TakeTraversal::new(take, Decode::All);
@@ -173,15 +174,15 @@ fn whole(take: &[u8]) -> Result<Read, TakeError> {
     let n_markers = progress.take.channels.len();
     read.frames.iter_mut().for_each(|row| row.resize(n_markers, GAP));
     read.frames.resize(progress.take.n_rows as usize, vec![GAP; n_markers]);
-    read.tell(&progress.take.problems);
+    read.add_problems(&progress.take.problems);
     Ok(read)
 }
 
 fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> {
-    // What claims days of lost rows is read by none of these row by row.
+    // No way of reading goes through days of lost rows row by row.
     let map = TakeMap::scan(&mut Cursor::new(take))?;
-    let survey = Survey::read(take)?;
-    if map.n_rows.max(survey.rows) > ROWS_MAX {
+    let scan = RecoveryScan::read(take)?;
+    if map.n_rows.max(scan.rows) > ROWS_MAX {
         return Ok(());
     }
     let all = whole(take)?;
@@ -192,50 +193,50 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     let undecodable = |problem: &Problem| {
         matches!(problem, Problem::Refused { refusal: Refusal::Undecodable(_), .. })
     };
-    // What cannot be decoded may have named channels, and had rows, and the map tells of them.
-    let is_decodable = !survey.problems.iter().any(undecodable);
-    let is_same = map.n_rows == survey.rows && labels(&map.channels) == labels(&survey.channels);
+    // Stretches that cannot be decoded may have rows and name channels, which the map counts.
+    let is_decodable = !scan.problems.iter().any(undecodable);
+    let is_same = map.n_rows == scan.rows && labels(&map.channels) == labels(&scan.channels);
     if !is_same {
         assert!(!is_decodable, "{what}: rows or names");
         return Ok(());
     }
     let same = |problems: &BTreeSet<String>, what: &str| {
-        // The least frame that such a stretch may have is another where the index told of a key that is damaged.
+        // The least frame of such a stretch differs if the index gave a damaged key stretch.
         let is_bound =
-            |told: &&String| told.contains(" or later") || told.contains(" on are missing");
-        let more = problems.difference(&all.problems).filter(|told| !is_bound(told));
+            |text: &&String| text.contains(" or later") || text.contains(" on are missing");
+        let more = problems.difference(&all.problems).filter(|problem| !is_bound(problem));
         let more: Vec<_> = more.collect();
         assert!(more.is_empty() || !is_decodable, "{what}: {more:?} beside {:?}", all.problems);
     };
-    // A key that cannot be decoded is one where a reader begins in vain: what it has is right all the same.
+    // Reading may begin at a key that cannot be decoded; its content is still right.
     let agree = |frames: &Frames, from: usize, what: &str| {
         let expected = &all.frames[from.min(all.frames.len())..];
         assert_eq!(frames.len(), expected.len(), "{what}");
         let cells = frames.iter().flatten().zip(expected.iter().flatten());
         let is_same = |found, expected| found == expected || !is_decodable && found == GAP;
-        assert!(cells.into_iter().all(|(&a, &b)| is_same(a, b)), "{what}: it is another");
+        assert!(cells.into_iter().all(|(&a, &b)| is_same(a, b)), "{what}: other frames");
     };
-    assert!(read.frames == all.frames, "{what}: frame by frame it is another");
+    assert!(read.frames == all.frames, "{what}: frame by frame, other frames");
     if is_decodable {
-        assert_eq!(map.damage, survey.damage, "{what}: damage");
+        assert_eq!(map.damage, scan.damage, "{what}: damage");
         assert_eq!(read.problems, all.problems, "{what}: frame by frame");
     }
-    let samples: u64 = survey.per_channel.iter().map(|channel| channel.samples).sum();
-    assert_eq!(samples, all.n_samples as u64, "{what}: samples in the survey");
+    let samples: u64 = scan.per_channel.iter().map(|channel| channel.samples).sum();
+    assert_eq!(samples, all.n_samples as u64, "{what}: samples in the scan");
 
     let n = [3, 100][random.below(2)];
-    // The heads alone do not tell what comes twice, unless both are read.
+    // Chunk heads alone do not reveal a duplicate, unless both are read.
     let is_twice =
         |problem: &Problem| matches!(problem, Problem::Refused { refusal: Refusal::Twice, .. });
     let by_heads = TakeMap::open(&mut Cursor::new(take))?;
     let is_known = by_heads.n_rows == map.n_rows
         && by_heads.channels == map.channels
-        && !survey.problems.iter().any(is_twice);
+        && !scan.problems.iter().any(is_twice);
     if is_known && by_heads.keys != map.keys {
-        // An index that is wrong, and has a checksum that matches.
+        // The index is wrong, with a matching CRC.
         let pieces = in_pieces(take, &by_heads, n)?;
-        let is_told = !pieces.problems.is_empty();
-        assert!(is_told || pieces.frames == all.frames, "{what}: in {n} pieces, nobody was told");
+        let is_reported = !pieces.problems.is_empty();
+        assert!(is_reported || pieces.frames == all.frames, "{what}: {n} pieces, no report");
     }
     let by_heads = (is_known && by_heads.keys == map.keys).then_some(&by_heads);
     for map in [Some(&map), by_heads].into_iter().flatten() {
@@ -249,7 +250,7 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     same(&behind.problems, &format!("{what}: from frame {from}"));
 
     let mut recovered = Vec::new();
-    survey.write(Cursor::new(take), &mut recovered, "sweeps")?;
+    scan.write(Cursor::new(take), &mut recovered, "sweeps")?;
     let (again, _) = frames(&recovered, 0)?;
     assert!(again.problems.is_empty(), "{what}: recovered, {:?}", again.problems);
     assert!(again.frames == all.frames, "{what}: recovered, it is another");

@@ -1,27 +1,27 @@
-//! The take that is damaged: a hundred stretches of a recording, with loss, events, and markers that appear.
+//! The take to damage: a hundred stretches of a recording, with loss, events, and markers that appear late.
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
     record::{Channel, Clock, ClockPoint, Device, Event, EventKind, Header, Ledger, Subject},
-    stretch::{FrontWriter, NUMBERS, Span, put_block},
-    timeline::{Causes, RowTime, Timeline, TimelineEncoder},
+    stretch::{NUMBERS, Span, StretchHeaderWriter, put_block},
+    timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
 };
 
 const STRETCHES: usize = 100;
 /// A fifth of a second at 60 Hz.
 const ROWS: usize = 12;
-/// Every how many stretches one is a key.
+/// Number of stretches from key to key.
 const KEY_EVERY: usize = 10;
 const CHANNELS: usize = 5;
-/// From this stretch on there is one channel more.
+/// From this stretch on there is one more channel.
 const APPEARS_AT: usize = 25;
 
 fn channel(i: usize) -> Channel {
     Channel { marker_id: i as u16, label: format!("marker_{i}"), labelled: true }
 }
 
-/// Where a channel is at a row: a swing, and a little noise.
+/// The position of a channel in a row: a swing with a little noise.
 fn position(channel: usize, row: usize) -> [f32; 3] {
     let t = row as f32 / 60.0 + channel as f32;
     let noise = (row * 7919 + channel * 104_729) % 1013;
@@ -49,26 +49,26 @@ fn header(settings: &Settings) -> Header {
     header
 }
 
-/// Who is captured in it.
+/// The captured person.
 pub(crate) fn subject() -> Subject {
     let mut subject = Subject { name: "Anna".to_owned(), documents: Vec::new() };
     subject.set(Subject::SKELETON, br#"{"format":"mocapd-skeleton","bones":[]}"#.to_vec());
     subject
 }
 
-/// The bytes of the take, coded with `kind`.
+/// The bytes of the take, encoded with `kind`.
 pub(crate) fn take(kind: &str) -> Vec<u8> {
     begun(kind, STRETCHES)
 }
 
-/// The same, ended after so many stretches.
+/// The bytes of the take, cut off after `n_stretches`.
 pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
     let tolerance = Tolerance::from_mm(0.5).unwrap();
     let settings = Settings { kind: kind.parse().unwrap(), tolerance };
     let mut writer = TakeWriter::new(Vec::new(), &header(&settings)).unwrap();
     writer.subject(&subject()).unwrap();
     let times = TimelineEncoder::new(1_000_000, 60.0);
-    let mut front = FrontWriter::with_times(ROWS as u32, times);
+    let mut front = StretchHeaderWriter::with_times(ROWS as u32, times);
     let mut encoder = settings.encoder();
     let mut ledger = Ledger::default();
     let mut first_row = 0;
@@ -81,7 +81,7 @@ pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
         let mut timeline = Timeline::default();
         timeline.restart(first_row);
         if stretch % 7 == 3 {
-            timeline.push_lost(5, Causes::NOT_RECEIVED);
+            timeline.push_lost(5, LossCauses::NOT_RECEIVED);
             ledger.lost_on_link += 5;
         }
         let from = first_row + timeline.n_rows();

@@ -1,5 +1,5 @@
-//! Files that claim more than they hold, and chunks that are longer than what is held: memory is a window, a file is
-//! read at most twice, and every whole chunk is found.
+//! Files that claim more than they hold, and chunks longer than the reader's window: memory is limited by the window, a
+//! file is read at most twice, and every valid chunk is found.
 
 use std::{
     fs::File,
@@ -14,10 +14,10 @@ use mocapd_take::{
     chunk::{self, CHUNK_HELD_MAX, WINDOW_BYTES, types},
     foreign::content::ScratchFile,
     motion::{Foreign, UpAxis},
-    reader::{pull, read_events},
+    reader::{feed, read_events},
     record::{Channel, Header, Ledger},
-    recovery::Survey,
-    stretch::{FrontWriter, Span, put_block},
+    recovery::RecoveryScan,
+    stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
 };
 
@@ -25,12 +25,12 @@ use mocapd_testkit::random::Random;
 
 use crate::{counting::most_bytes, take};
 
-/// What is held of a file: a window that grows to its size, and tables of some MiB.
+/// Memory of a reader: a window that grows to its full size, and tables of some MiB.
 const HELD_MAX: usize = 2 * WINDOW_BYTES + (8 << 20);
 
 const MIB: usize = 1 << 20;
 
-/// A temporary file for what is not held.
+/// A scratch file.
 #[derive(Debug)]
 struct Scratch(File);
 
@@ -44,7 +44,7 @@ impl ScratchFile for Scratch {
     }
 }
 
-/// A file that counts what is read of it.
+/// A file that counts the bytes read.
 struct Counted<'a> {
     file: Cursor<&'a [u8]>,
     read: usize,
@@ -64,7 +64,7 @@ impl Seek for Counted<'_> {
     }
 }
 
-/// What a reader finds in a file.
+/// The result of reading a file.
 #[derive(Debug, Default, PartialEq)]
 struct Found {
     stretches: Vec<Span>,
@@ -91,12 +91,12 @@ fn found(take: &[u8]) -> Found {
                     return;
                 }
                 Some(_) => {}
-                None => pull(&mut input, &mut reader).unwrap(),
+                None => feed(&mut input, &mut reader).unwrap(),
             }
         }
     });
     assert!(memory < HELD_MAX, "{memory} bytes held");
-    // Twice, and behind each long chunk the piece that its end was in.
+    // Twice, and after each long chunk the piece with its end.
     let read_max = 2 * take.len() + take.len() / 64;
     assert!(input.read <= read_max, "{} of {} bytes read", input.read, take.len());
     found
@@ -106,7 +106,7 @@ fn found(take: &[u8]) -> Found {
 fn chunks(take: &[u8]) -> Vec<&[u8]> {
     let mut rest = &take[chunk::MAGIC.len()..];
     let mut chunks = Vec::new();
-    while let chunk::Front::Whole { len, .. } = chunk::front(rest) {
+    while let chunk::ChunkParse::Whole { len, .. } = chunk::parse(rest) {
         let (chunk, behind) = rest.split_at(len);
         chunks.push(chunk);
         rest = behind;
@@ -115,7 +115,7 @@ fn chunks(take: &[u8]) -> Vec<&[u8]> {
     chunks
 }
 
-/// A take with `middle` behind its first key stretches.
+/// The take with `middle` after its first key stretches.
 fn with(take: &[u8], middle: &[u8]) -> (Vec<u8>, u64) {
     let chunks = chunks(take);
     let mut damaged = chunk::MAGIC.to_vec();
@@ -138,7 +138,7 @@ fn head(kind: u8, len: u64) -> Vec<u8> {
     head
 }
 
-/// A part as an importer keeps it, that cannot be compressed.
+/// An incompressible foreign part, as an importer keeps it.
 fn stored(kind: &str, data: &[u8]) -> Vec<u8> {
     let mut payload = head(kind.len() as u8, 0)[..1].to_vec();
     payload.extend_from_slice(kind.as_bytes());
@@ -161,7 +161,7 @@ fn a_file_that_claims_more_than_it_holds_costs_a_window() {
     let take = take::take("dense");
     let whole = found(&take);
     for kind in [types::STRETCH, types::FOREIGN, types::EVENT, 0xff] {
-        // A gigabyte behind its head, most of which is a hole, or noise.
+        // A gigabyte after its head, mostly a hole or noise.
         let mut middle = head(kind, 1 << 30);
         middle.extend_from_slice(&[2, 1, 1, 1]);
         let first = middle.len();
@@ -171,7 +171,7 @@ fn a_file_that_claims_more_than_it_holds_costs_a_window() {
         let read = found(&damaged);
         assert_eq!(read.damaged, [(at, middle.len() as u64)], "type {kind:02x}");
         assert_eq!(read.finished, whole.finished);
-        // What follows goes on from a stretch that may have been there, up to the next key.
+        // The following stretches continue one that may have been there, up to the next key.
         let keys = |found: &Found| found.stretches.iter().filter(|span| span.key).count();
         assert_eq!(keys(&read), keys(&whole), "type {kind:02x}");
         let cut = found(&damaged[..at as usize + 20 * MIB]);
@@ -181,7 +181,7 @@ fn a_file_that_claims_more_than_it_holds_costs_a_window() {
 }
 
 #[test]
-fn heads_that_mean_nothing_everywhere_cost_time_in_proportion() {
+fn false_heads_everywhere_cost_time_in_proportion() {
     let take = take::take("dense");
     let whole = found(&take);
     let claims: [Vec<u8>; 4] = [
@@ -205,10 +205,10 @@ fn heads_that_mean_nothing_everywhere_cost_time_in_proportion() {
 }
 
 #[test]
-fn small_chunks_between_heads_that_mean_nothing_cost_time_in_proportion() {
+fn small_chunks_between_false_heads_cost_time_in_proportion() {
     let take = take::take("dense");
     let whole = found(&take);
-    // Whole by its checksum, and not an event.
+    // Valid by its CRC, but not an event.
     let mut empty = Vec::new();
     chunk::put(&mut empty, types::EVENT, &[]).unwrap();
     for claimed in [64 << 10, 8 << 20] {
@@ -240,10 +240,10 @@ fn a_long_record_is_damaged_and_what_is_unknown_is_skipped() {
         };
         assert_eq!((read.damaged, read.skipped), (damaged, skipped), "type {kind:02x}");
 
-        // An index that is copied would tell the offsets of another file.
-        let survey = Survey::read(&with_long).unwrap();
+        // A copied index would give the offsets of another file.
+        let scan = RecoveryScan::read(&with_long).unwrap();
         let mut recovered = Vec::new();
-        survey.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
+        scan.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
         let is_copied = is_skipped && kind != types::INDEX;
         let again = found(&recovered);
         assert_eq!(again.damaged, [], "type {kind:02x}");
@@ -253,13 +253,13 @@ fn a_long_record_is_damaged_and_what_is_unknown_is_skipped() {
 }
 
 #[test]
-fn that_a_take_was_cut_off_is_said_behind_any_number_of_problems() {
+fn the_cut_off_is_reported_after_any_number_of_problems() {
     let take = take::take("dense");
     let mut empty = Vec::new();
     chunk::put(&mut empty, types::EVENT, &[]).unwrap();
     let mut cut = chunk::MAGIC.to_vec();
     chunks(&take)[..5].iter().for_each(|chunk| cut.extend_from_slice(chunk));
-    let last = |take: &[u8]| Survey::read(take).unwrap().problems.last().cloned();
+    let last = |take: &[u8]| RecoveryScan::read(take).unwrap().problems.last().cloned();
     let expected = last(&cut);
     assert!(expected.is_some());
     cut.extend(empty.repeat(10_100));
@@ -267,14 +267,14 @@ fn that_a_take_was_cut_off_is_said_behind_any_number_of_problems() {
 }
 
 #[test]
-fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
+fn a_valid_long_chunk_is_skipped_and_found_behind_damage() {
     let take = take::take("dense");
     let data = Random::new(2).bytes(20 * MIB);
     let long = stored("c3d/analog", &data);
     assert!(long.len() as u64 > CHUNK_HELD_MAX);
     let mut unknown = Vec::new();
     chunk::put(&mut unknown, 0xf1, &data[..9 * MIB]).unwrap();
-    // A whole take within is none of this one's.
+    // A whole take inside the chunk is not part of this take.
     let inner = stored("c3d/analog", &[&data[..7 * MIB], &take[..], &data[..7 * MIB]].concat());
     let middle = [&long[..], &unknown[..], &long[..], &inner[..]].concat();
     let (with_long, at) = with(&take, &middle);
@@ -304,25 +304,25 @@ fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
         assert!(read.finished);
     }
 
-    // Its content is there for those who want it, and a recovery copies it.
+    // Its content can be read, and a recovery copies it.
     let scratch = || Ok(Arc::new(Scratch(tempfile::tempfile()?)) as Arc<dyn ScratchFile>);
     let frames = TakeFrames::open_with(Cursor::new(&with_long[..]), |_| true, scratch).unwrap();
     let kept = &mocapd_take::motion::FrameSource::info(&frames).foreign;
     assert_eq!(kept[0], Foreign { kind: "c3d/analog".to_owned(), data: data.into() });
     let mut recovered = Vec::new();
-    let survey = Survey::read(&with_long).unwrap();
-    survey.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
-    assert!(!survey.lost_anything());
+    let scan = RecoveryScan::read(&with_long).unwrap();
+    scan.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
+    assert!(!scan.lost_anything());
     assert!(recovered.windows(long.len()).step_by(1).take(10_000).any(|part| part == long));
     let again = found(&recovered);
     assert_eq!((again.foreign, again.finished), (parts, true));
     let mut changed = with_long.clone();
     changed[at as usize + MIB] ^= 1;
-    let error = survey.write(Cursor::new(&changed), Vec::new(), "sweeps").unwrap_err();
+    let error = scan.write(Cursor::new(&changed), Vec::new(), "sweeps").unwrap_err();
     assert!(matches!(error, TakeError::Corrupt { .. }), "{error}");
 }
 
-/// An import whose stretches are each longer than what is held.
+/// An import with stretches longer than the window.
 fn long_stretches() -> (Vec<u8>, Vec<u64>) {
     const ROWS: usize = 100_000;
     const CHANNELS: usize = 9;
@@ -353,7 +353,7 @@ fn long_stretches() -> (Vec<u8>, Vec<u64>) {
     let (mut block, mut reports) = (Vec::new(), [BlockReport::default(); CHANNELS]);
     settings.encoder().encode(&rows, &[], true, &mut block, &mut reports).unwrap();
     let mut writer = TakeWriter::new(Vec::new(), &header).unwrap();
-    let mut front = FrontWriter::new(ROWS as u32);
+    let mut front = StretchHeaderWriter::new(ROWS as u32);
     let mut offsets = Vec::new();
     for number in 0..4 {
         let first_row = u64::from(number) * ROWS as u64;
@@ -383,7 +383,7 @@ fn stretches_that_are_longer_than_the_window_are_read_and_each_is_found() {
     assert!(offsets[1] - offsets[0] > CHUNK_HELD_MAX, "{offsets:?}");
     let read = found(&take);
     assert_eq!((read.stretches.len(), read.damaged.len(), read.finished), (4, 0, true));
-    // Within the second, its head, and between the second and the third.
+    // In the second stretch, in its head, and between the second and the third.
     for at in [offsets[1] + 5 * MIB as u64, offsets[1] + 2, offsets[2] - 1] {
         let mut hurt = take.clone();
         hurt[at as usize] ^= 0x11;
@@ -392,13 +392,13 @@ fn stretches_that_are_longer_than_the_window_are_read_and_each_is_found() {
         assert_eq!(numbers, [0, 2, 3], "byte {at}");
         assert_eq!(read.damaged, [(offsets[1], offsets[2] - offsets[1])]);
         let map = TakeMap::scan(&mut Cursor::new(&hurt)).unwrap();
-        assert_eq!((map.n_rows, map.n_held), (400_000, Some(300_000)));
+        assert_eq!((map.n_rows, map.n_sampled_rows), (400_000, Some(300_000)));
     }
     let mut hurt = take.clone();
     hurt[offsets[1] as usize + 100] ^= 1;
-    let survey = Survey::read(&hurt).unwrap();
+    let scan = RecoveryScan::read(&hurt).unwrap();
     let mut recovered = Vec::new();
-    survey.write(Cursor::new(&hurt), &mut recovered, "sweeps").unwrap();
+    scan.write(Cursor::new(&hurt), &mut recovered, "sweeps").unwrap();
     let mut n_stretches = 0;
     read_events(&recovered, |event| {
         assert!(!matches!(event, TakeEvent::Damaged { .. }));
@@ -406,6 +406,6 @@ fn stretches_that_are_longer_than_the_window_are_read_and_each_is_found() {
         Ok(())
     })
     .unwrap();
-    // And one that stands for the lost one.
+    // And the one that replaces the lost one.
     assert_eq!(n_stretches, 4);
 }

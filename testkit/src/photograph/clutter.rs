@@ -1,10 +1,10 @@
-//! A background that is no help: wood, walls and cloth, much of it in the colours of skin.
+//! A cluttered background: wood, walls and cloth, much of it in the colours of skin.
 
-use super::random::Random;
+use super::random::PictureRng;
 use super::raster::{Canvas, Colour};
 
 const SHAPES: usize = 22;
-/// Linear: wood, plaster, brick, cloth, leaves, shade.
+/// Linear colours of wood, plaster, brick, cloth, leaves, shade.
 const COLOURS: [Colour; 8] = [
     [0.42, 0.23, 0.11],
     [0.62, 0.52, 0.41],
@@ -16,12 +16,12 @@ const COLOURS: [Colour; 8] = [
     [0.55, 0.56, 0.55],
 ];
 
-/// Fills the whole canvas.
-pub(super) fn fill(canvas: &mut Canvas, random: &mut Random) {
+/// Fills the canvas with clutter.
+pub(super) fn fill(canvas: &mut Canvas, random: &mut PictureRng) {
     let size = canvas.size_px();
     let base: Colour = random.one_of(&COLOURS);
     let tilt = [random.between(-0.3, 0.3), random.between(-0.3, 0.3)];
-    canvas.wash(|at, _| {
+    canvas.paint(|at, _| {
         let light = 1.0 + tilt[0] * (at[0] / size[0] - 0.5) + tilt[1] * (at[1] / size[1] - 0.5);
         base.map(|c| c * light)
     });
@@ -30,8 +30,8 @@ pub(super) fn fill(canvas: &mut Canvas, random: &mut Random) {
     }
 }
 
-/// A slanted box or ellipse, with a grain across it.
-fn shape(canvas: &mut Canvas, random: &mut Random, size: [f64; 2]) {
+/// Draws a slanted box or ellipse with a grain.
+fn shape(canvas: &mut Canvas, random: &mut PictureRng, size: [f64; 2]) {
     let colour: Colour = random.one_of(&COLOURS);
     let light = random.between(0.5, 1.3);
     let middle = size.map(|s| random.between(-0.1, 1.1) * s);
@@ -39,7 +39,7 @@ fn shape(canvas: &mut Canvas, random: &mut Random, size: [f64; 2]) {
     let (sin, cos) = random.between(-1.0, 1.0).sin_cos();
     let round = random.uniform() < 0.5;
     let (grain, pitch) = (random.between(0.0, 0.25), random.between(0.2, 1.5));
-    canvas.wash(|at, under| {
+    canvas.paint(|at, under| {
         let d = [at[0] - middle[0], at[1] - middle[1]];
         let local = [(cos * d[0] + sin * d[1]) / half[0], (cos * d[1] - sin * d[0]) / half[1]];
         let reach =

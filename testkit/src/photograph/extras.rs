@@ -1,34 +1,34 @@
-//! What hides parts of a face: glasses, a beard, hair over the forehead.
+//! Occlusions of a face: glasses, a beard, hair over the forehead.
 
-/// What a sitter wears, and from where the light comes; none of it by default.
+/// Glasses, beard, fringe and light of a sitter; none by default.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Extras {
-    /// Rims around the eyes, this thick.
+pub struct Occlusions {
+    /// Thickness of the rims of glasses; 0 for none.
     pub rims_mm: f64,
-    /// How dense a beard is: 0 none, 1 no skin to be seen.
+    /// Density of a beard: 0 is none, 1 covers the skin.
     pub beard: f64,
-    /// How far hair falls below the hairline; the brows are 50 mm below it.
+    /// Length of the fringe below the hairline; the brows are 50 mm below it.
     pub fringe_mm: f64,
-    /// Towards the light, in the camera's frame: to the picture's right, up, to the camera.
+    /// Direction to the light in the camera's frame (right, up, towards the camera); random if `None`.
     pub light: Option<[f64; 3]>,
 }
 
-/// Centre and half axes of the rim around an eye.
+/// Centre and semi-axes of the rim around an eye.
 const RIM: ([f64; 2], [f64; 2]) = ([33.0, -3.0], [24.0, 19.0]);
 const BRIDGE: ([f64; 2], f64) = ([0.0, 4.0], 9.0);
 const HAIRLINE_MM: f64 = 66.0;
-/// A beard grows below these: at the middle, and at the ears.
+/// Upper edge of a beard, in the middle and at the ears.
 const MOUSTACHE_MM: f64 = -47.0;
 const CHEEKS: (f64, f64) = (45.0, -30.0);
 
-impl Extras {
-    /// Whether all of it can be drawn.
+impl Occlusions {
+    /// Whether all values can be drawn.
     pub(super) fn is_finite(&self) -> bool {
         let lengths = [self.rims_mm, self.beard, self.fringe_mm];
         lengths.iter().chain(self.light.iter().flatten()).all(|v| v.abs() < 1e3)
     }
 
-    /// How much of a place on the average face is rim, 0 to 1.
+    /// Coverage of a point on the average face by the rims, 0 to 1.
     pub(super) fn rim(&self, [x, y]: [f64; 2]) -> f64 {
         if self.rims_mm <= 0.0 {
             return 0.0;
@@ -40,9 +40,9 @@ impl Extras {
         (self.rims_mm / 2.0 - ring.min(bridge) + 0.5).clamp(0.0, 1.0)
     }
 
-    /// How much of it is hair, 0 to 1; lips are the caller's.
+    /// Coverage of a point on the average face by hair, 0 to 1; the caller keeps the lips free.
     pub(super) fn hair(&self, [x, y]: [f64; 2]) -> f64 {
-        // A beard's upper edge sinks from the ears to the corners of the mouth, and a moustache lies under the nose.
+        // A beard's upper edge drops from the ears to the corners of the mouth, with a moustache under the nose.
         let aside = (x.abs() / CHEEKS.0).min(1.5);
         let edge =
             if aside < 0.6 { MOUSTACHE_MM } else { CHEEKS.1 - 60.0 * (1.2 - aside).max(0.0) };

@@ -1,8 +1,8 @@
-//! Pictures of faces that do not exist, with the truth about them: so that whatever looks for faces can be tested without a
-//! photograph of anybody.
+//! Synthetic photographs of faces, with ground truth, for tests of face detection without pictures of real people.
 //!
-//! The [model](mocapd_face::model) in a random shape, posed, lit and painted: skin, lips, brows, irises, nostrils, hair; before a
-//! clutter that has the colours of skin and wood. The same [`Scene`] gives the same pixels.
+//! Each face is the [model](mocapd_face::model) in a random shape, posed, lit and painted with skin, lips, brows,
+//! irises, nostrils and hair, in front of clutter in the colours of skin and wood. The same [`Scene`] gives the same
+//! pixels.
 
 mod clutter;
 mod extras;
@@ -17,107 +17,108 @@ use image::RgbImage;
 use mocapd_face::model::{Camera, FeatureId, Model, ModelError, OUTER_EYES_MM};
 use thiserror::Error;
 
-pub use extras::Extras;
-pub use random::Random;
+pub use extras::Occlusions;
+pub use random::PictureRng;
 
-/// What is to be drawn.
+/// A picture to draw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Width of the picture, at most [`Scene::MAX_SIDE_PX`].
     pub width_px: u32,
     /// Height of the picture, at most [`Scene::MAX_SIDE_PX`].
     pub height_px: u32,
-    /// The faces, from the furthest to the nearest. None gives clutter alone.
+    /// The faces, from the farthest to the nearest; may be empty.
     pub faces: Vec<Sitter>,
-    /// Standard deviation of each pixel's noise, of 255.
+    /// Standard deviation of the pixel noise, on a scale of 255.
     pub noise: f64,
-    /// Of the background and the noise.
+    /// Seed of the background and the noise.
     pub seed: u64,
 }
 
 /// One face of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sitter {
-    /// Who it is, how they look, and how they are lit: shape, skin, hair, eyes and light are drawn from this.
+    /// Seed of shape, skin, hair, eyes and light.
     pub seed: u64,
-    /// Pixels between the outer eye corners of a face of average width that looks at the camera.
-    pub io_px: f64,
-    /// As of [`Camera::yaw_deg`].
+    /// Outer interocular distance of a frontal face of average width, pixels.
+    pub interocular_px: f64,
+    /// See [`Camera::yaw_deg`].
     pub yaw_deg: f64,
-    /// As of [`Camera::pitch_deg`].
+    /// See [`Camera::pitch_deg`].
     pub pitch_deg: f64,
-    /// As of [`Camera::roll_deg`].
+    /// See [`Camera::roll_deg`].
     pub roll_deg: f64,
-    /// Where the middle of the outer eye corners is, in pixels.
+    /// Midpoint of the outer eye corners, pixels.
     pub eyes_px: [f64; 2],
-    /// How many standard deviations the shape's modes are drawn with: 0 is the average face, 1 is anybody.
+    /// Standard deviation of the shape's modes: 0 gives the average face, 1 the variation of the population.
     pub variety: f64,
-    /// Glasses, beard, and such.
-    pub extras: Extras,
+    /// Glasses, beard, fringe and light.
+    pub extras: Occlusions,
 }
 
-/// The truth about one face of a picture.
+/// Ground truth of one face in a picture.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Truth {
-    /// How the head stands in the picture.
+pub struct GroundTruth {
+    /// Pose of the head relative to the camera.
     pub camera: Camera,
     /// Standard deviations of the model's modes.
     pub coefficients: Vec<f64>,
-    /// Each of the 53 points by [`FeatureId::index`]: x, y and depth, in pixels.
+    /// The 53 landmarks by [`FeatureId::index`]: x, y and depth, pixels.
     pub points_px: Vec<[f64; 3]>,
-    /// Each vertex of the model: x, y and depth, in pixels.
+    /// The vertices of the model: x, y and depth, pixels.
     pub vertices_px: Vec<[f64; 3]>,
 }
 
-/// A picture, and the truth about it.
+/// A picture and its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     /// The pixels.
     pub image: RgbImage,
-    /// One a sitter, in their order.
-    pub faces: Vec<Truth>,
+    /// One entry per sitter, in the order of the scene.
+    pub faces: Vec<GroundTruth>,
 }
 
-/// Why there is no picture.
+/// Why a scene cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum RenderError {
-    /// An empty picture, or one that is too large.
-    #[error("a picture of {0} x {1} pixels: give 1 to {max} each way", max = Scene::MAX_SIDE_PX)]
+    /// A side of the picture is 0 or too large.
+    #[error("{0} x {1} pixels: expected 1 to {max} on each side", max = Scene::MAX_SIDE_PX)]
     Size(u32, u32),
-    /// A sitter whose size, pose or place is not finite, or too large to be drawn.
-    #[error("sitter {0}: give finite numbers, and 1 to {max} pixels between the eyes", max = Scene::MAX_SIDE_PX)]
+    /// The size, pose or position of a sitter is not finite or too large.
+    #[error("sitter {0}: expected finite numbers and 1 to {max} pixels between the eyes", max = Scene::MAX_SIDE_PX)]
     Sitter(usize),
-    /// The model that comes with mocapd is damaged.
+    /// The built-in model is damaged.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
 
 impl Scene {
-    /// Pixels along each side that a picture may have: it is drawn at twice that, with a depth a pixel.
+    /// Largest width and height, pixels. A picture is drawn at twice its size, with a depth per sample.
     pub const MAX_SIDE_PX: u32 = 4096;
 
-    /// One face in the middle of a picture that is four times as wide as its eyes, and a little higher.
-    pub fn portrait(seed: u64, io_px: f64, yaw_deg: f64) -> Self {
-        let side = |factor: f64| (factor * io_px).clamp(1.0, f64::from(Self::MAX_SIDE_PX)) as u32;
+    /// One centred face in a picture that is 4 interocular distances wide and 4.6 high.
+    pub fn portrait(seed: u64, interocular_px: f64, yaw_deg: f64) -> Self {
+        let side =
+            |factor: f64| (factor * interocular_px).clamp(1.0, f64::from(Self::MAX_SIDE_PX)) as u32;
         let (width_px, height_px) = (side(4.0), side(4.6));
-        let eyes_px = [2.0 * io_px, 2.0 * io_px];
+        let eyes_px = [2.0 * interocular_px, 2.0 * interocular_px];
         let sitter = Sitter {
             seed,
-            io_px,
+            interocular_px,
             yaw_deg,
             pitch_deg: 0.0,
             roll_deg: 0.0,
             eyes_px,
             variety: 0.8,
-            extras: Extras::default(),
+            extras: Occlusions::default(),
         };
         Self { width_px, height_px, faces: vec![sitter], noise: 3.0, seed }
     }
 
-    /// Draws it.
+    /// Draws the picture.
     ///
     /// # Errors
-    /// A size or a sitter that cannot be drawn.
+    /// When the size or a sitter is out of range.
     pub fn render(&self) -> Result<Picture, RenderError> {
         let sides = 1..=Self::MAX_SIDE_PX;
         if !(sides.contains(&self.width_px) && sides.contains(&self.height_px)) {
@@ -125,22 +126,22 @@ impl Scene {
         }
         let model = Model::generic()?;
         let mut canvas = raster::Canvas::new(self.width_px, self.height_px);
-        clutter::fill(&mut canvas, &mut Random::new(self.seed ^ 0xb0c4));
+        clutter::fill(&mut canvas, &mut PictureRng::new(self.seed ^ 0xb0c4));
         let mut faces = Vec::new();
         for (number, sitter) in self.faces.iter().enumerate() {
-            if !sitter.can_be_drawn() {
+            if !sitter.is_valid() {
                 return Err(RenderError::Sitter(number));
             }
             canvas.clear_depth();
             faces.push(sitter.draw(model, &mut canvas));
         }
-        let image = canvas.develop(self.noise, &mut Random::new(self.seed ^ 0x5e45));
+        let image = canvas.to_image(self.noise, &mut PictureRng::new(self.seed ^ 0x5e45));
         Ok(Picture { image, faces })
     }
 }
 
 impl Sitter {
-    fn can_be_drawn(&self) -> bool {
+    fn is_valid(&self) -> bool {
         let numbers = [
             self.yaw_deg,
             self.pitch_deg,
@@ -152,26 +153,26 @@ impl Sitter {
         let most = f64::from(Scene::MAX_SIDE_PX);
         self.extras.is_finite()
             && numbers.iter().all(|v| v.abs() < 1e6)
-            && (1.0..=most).contains(&self.io_px)
+            && (1.0..=most).contains(&self.interocular_px)
     }
 
-    fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> Truth {
-        let mut random = Random::new(self.seed);
-        // Clipped: a face four deviations out is rare among people, and odd among modes.
+    fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> GroundTruth {
+        let mut random = PictureRng::new(self.seed);
+        // Clipped, because shapes beyond a few standard deviations are unnatural.
         let mut amount = || self.variety * random.normal().clamp(-2.0, 2.0);
         let coefficients: Vec<f64> = model.modes.iter().map(|_| amount()).collect();
         let camera = Camera {
-            scale_px_per_mm: self.io_px / OUTER_EYES_MM,
+            scale_px_per_mm: self.interocular_px / OUTER_EYES_MM,
             yaw_deg: self.yaw_deg,
             pitch_deg: self.pitch_deg,
             roll_deg: self.roll_deg,
             origin_px: self.eyes_px,
         };
         let vertices_mm = model.shape(&coefficients);
-        let look = paint::Look::new(&mut random).with(self.extras);
-        head::draw(model, &vertices_mm, &camera, &look, canvas);
+        let palette = paint::Palette::new(&mut random).with(self.extras);
+        head::draw(model, &vertices_mm, &camera, &palette, canvas);
         let places = model.feature_points(&vertices_mm, &camera.rotation());
-        Truth {
+        GroundTruth {
             camera,
             coefficients,
             points_px: camera.project(&places),
@@ -180,8 +181,8 @@ impl Sitter {
     }
 }
 
-impl Truth {
-    /// Where one of the 53 points is, in pixels.
+impl GroundTruth {
+    /// Position of one of the 53 landmarks, pixels.
     pub fn at(&self, id: FeatureId) -> [f64; 2] {
         let [x, y, _] = self.points_px[id.index()];
         [x, y]

@@ -1,12 +1,12 @@
-//! What a face's surface looks like: skin, lips, brows, eyes.
+//! Colours and shading of a face: skin, lips, brows, eyes.
 
 use mocapd_face::model::Model;
 
-use super::extras::Extras;
-use super::random::Random;
-use super::raster::{Colour, Spot, unit};
+use super::extras::Occlusions;
+use super::random::PictureRng;
+use super::raster::{Colour, Fragment, unit};
 
-/// Linear albedo, from very light to very dark.
+/// Linear albedo of skin, from very light to very dark.
 const SKINS: [Colour; 5] = [
     [0.80, 0.52, 0.39],
     [0.72, 0.43, 0.29],
@@ -27,25 +27,26 @@ const CLOTHES: [Colour; 4] =
     [[0.03, 0.04, 0.12], [0.5, 0.5, 0.5], [0.2, 0.03, 0.03], [0.04, 0.10, 0.06]];
 const SCLERA: Colour = [0.72, 0.69, 0.66];
 const RIM: Colour = [0.03, 0.03, 0.03];
-/// Half the horizontal diameter of an iris, 11.7 mm in adults whatever their size.
+/// Radius of an iris: its horizontal diameter is 11.7 mm in adults of any size.
 const IRIS_MM: f64 = 5.85;
 const PUPIL_MM: f64 = 2.0;
 const BROW_MM: f64 = 2.6;
 const AMBIENT: f64 = 0.42;
 
-/// One person's colours, and the light on them.
-pub(super) struct Look {
+/// The colours of one person, and the light on them.
+pub(super) struct Palette {
     pub(super) skin: Colour,
     pub(super) hair: Colour,
     pub(super) clothes: Colour,
     iris: Colour,
     lips: Colour,
     light: [f64; 3],
-    extras: Extras,
+    extras: Occlusions,
 }
 
-/// Where things are on the average face, seen from in front: paint stays with the skin as its shape changes.
-pub(super) struct Pattern {
+/// Positions of the features on the average face, in front view. Paint keeps its place on the skin when the shape
+/// changes.
+pub(super) struct FaceLayout {
     lips: Vec<[f64; 2]>,
     mouth_line: Vec<[f64; 2]>,
     brows: [Vec<[f64; 2]>; 2],
@@ -54,76 +55,76 @@ pub(super) struct Pattern {
     nostrils: [[f64; 2]; 2],
 }
 
-impl Look {
-    pub(super) fn new(random: &mut Random) -> Self {
+impl Palette {
+    pub(super) fn new(random: &mut PictureRng) -> Self {
         let shade = random.between(0.85, 1.1);
         let skin = random.one_of(&SKINS).map(|c| c * shade);
-        // Lips are redder than skin, and darker in green and blue.
+        // Lips are redder than skin: darker, most of all in green and blue.
         let lips = [skin[0] * 0.80, skin[1] * 0.48, skin[2] * 0.58];
         let light = unit([random.between(-0.7, 0.7), random.between(0.1, 0.8), 1.0]);
         let (hair, clothes, iris) =
             (random.one_of(&HAIRS), random.one_of(&CLOTHES), random.one_of(&IRISES));
-        Self { skin, hair, clothes, iris, lips, light, extras: Extras::default() }
+        Self { skin, hair, clothes, iris, lips, light, extras: Occlusions::default() }
     }
 
-    /// The same person, with something on.
-    pub(super) fn with(self, extras: Extras) -> Self {
+    /// Adds glasses, beard and fringe, and sets the light if given.
+    pub(super) fn with(self, extras: Occlusions) -> Self {
         Self { light: extras.light.map_or(self.light, unit), extras, ..self }
     }
 
-    /// A colour in this light.
+    /// Shades a colour on a surface with this normal.
     pub(super) fn lit(&self, colour: Colour, normal: [f64; 3]) -> Colour {
         let facing: f64 = (0..3).map(|axis| self.light[axis] * normal[axis]).sum();
-        // Half of what turns away is lit all the same: skin lets light through.
+        // Wrapped diffuse shading: light scatters in skin, so surfaces turned slightly away are also lit.
         let light = AMBIENT + (1.0 - AMBIENT) * ((facing + 0.25) / 1.25).max(0.0);
         colour.map(|c| c * light)
     }
 
-    /// The skin of a face at a place on the average face.
-    pub(super) fn face(&self, pattern: &Pattern, spot: &Spot) -> Colour {
-        let at = [spot.place[0], spot.place[1]];
+    /// Colour of the face at a fragment.
+    pub(super) fn face(&self, layout: &FaceLayout, point: &Fragment) -> Colour {
+        let at = [point.place[0], point.place[1]];
         let mut colour = self.skin;
         let mut blend =
             |over: Colour, share: f64| colour = mix(colour, over, share.clamp(0.0, 1.0));
         // Soft edges, about a millimetre wide.
-        blend(self.lips, 0.5 + inside(&pattern.lips, at));
-        blend(self.skin.map(|c| c * 0.18), 0.9 * soft(distance(&pattern.mouth_line, at), 0.6));
-        for (brow, pupil) in pattern.brows.iter().zip(&pattern.pupils) {
-            // A brow thins out to the temple.
+        blend(self.lips, 0.5 + inside(&layout.lips, at));
+        blend(self.skin.map(|c| c * 0.18), 0.9 * soft(distance(&layout.mouth_line, at), 0.6));
+        for (brow, pupil) in layout.brows.iter().zip(&layout.pupils) {
+            // A brow thins out towards the temple.
             let outward = ((at[0].abs() - pupil[0].abs()) / 25.0).clamp(0.0, 1.0);
             blend(self.hair, 0.88 * soft(distance(brow, at), BROW_MM * (1.0 - 0.5 * outward)));
         }
-        for lid in &pattern.upper_lids {
+        for lid in &layout.upper_lids {
             blend(self.hair, 0.8 * soft(distance(lid, at), 0.8));
         }
-        for nostril in &pattern.nostrils {
+        for nostril in &layout.nostrils {
             let reach = ((at[0] - nostril[0]) / 3.6).hypot((at[1] - nostril[1]) / 2.2);
             blend(self.skin.map(|c| c * 0.12), 0.9 * soft(2.0 * reach, 2.0));
         }
-        let skin = 1.0 - (2.0 * inside(&pattern.lips, at) + 1.0).clamp(0.0, 1.0);
+        let skin = 1.0 - (2.0 * inside(&layout.lips, at) + 1.0).clamp(0.0, 1.0);
         colour = mix(colour, self.hair, self.extras.hair(at) * skin);
-        self.lit(mix(colour, RIM, self.extras.rim(at)), spot.normal)
+        self.lit(mix(colour, RIM, self.extras.rim(at)), point.normal)
     }
 
-    /// The eye between the lids.
-    pub(super) fn eye(&self, pattern: &Pattern, spot: &Spot) -> Colour {
-        let at = [spot.place[0], spot.place[1]];
-        let reach = pattern.pupils.iter().map(|p| (at[0] - p[0]).hypot(at[1] - p[1]));
+    /// Colour of the eyeball at a fragment.
+    pub(super) fn eye(&self, layout: &FaceLayout, point: &Fragment) -> Colour {
+        let at = [point.place[0], point.place[1]];
+        let reach = layout.pupils.iter().map(|p| (at[0] - p[0]).hypot(at[1] - p[1]));
         let reach = reach.fold(f64::INFINITY, f64::min);
         let colour = mix(SCLERA, self.iris, soft(reach, IRIS_MM));
         let colour = mix(colour, [0.004; 3], soft(reach, PUPIL_MM));
-        // The upper lid's shadow.
+        // Shadow of the upper lid.
         let lid =
-            pattern.upper_lids.iter().map(|lid| distance(lid, at)).fold(f64::INFINITY, f64::min);
+            layout.upper_lids.iter().map(|lid| distance(lid, at)).fold(f64::INFINITY, f64::min);
         let shade = 1.0 - 0.6 * soft(lid, 1.5);
-        let colour = self.lit(colour.map(|c| c * shade), spot.normal);
-        // The light's reflection.
-        let glint = pattern.pupils.iter().map(|p| (at[0] - p[0] - 1.6).hypot(at[1] - p[1] - 1.6));
+        let colour = self.lit(colour.map(|c| c * shade), point.normal);
+        // Reflection of the light.
+        let glint = layout.pupils.iter().map(|p| (at[0] - p[0] - 1.6).hypot(at[1] - p[1] - 1.6));
         mix(colour, [0.9; 3], soft(glint.fold(f64::INFINITY, f64::min), 0.7))
     }
 }
 
-impl Pattern {
+impl FaceLayout {
     pub(super) fn new(model: &Model) -> Self {
         let at = |name: &str| {
             let vertex = model.features.get(name).and_then(|&v| model.vertices.get(v));
@@ -159,12 +160,12 @@ fn mix(under: Colour, over: Colour, share: f64) -> Colour {
     std::array::from_fn(|i| under[i] + share * (over[i] - under[i]))
 }
 
-/// 1 well within `radius`, 0 well beyond it, over half a millimetre each way.
+/// 1 inside `radius` and 0 outside it, with a transition of half a millimetre on either side.
 fn soft(distance: f64, radius: f64) -> f64 {
     (radius - distance + 0.5).clamp(0.0, 1.0)
 }
 
-/// How far within a polygon, in millimetres; negative outside.
+/// Distance inside a polygon, millimetres; negative outside.
 fn inside(polygon: &[[f64; 2]], at: [f64; 2]) -> f64 {
     let closed: Vec<_> = polygon.iter().chain(polygon.first()).copied().collect();
     let crossings = closed.windows(2).filter(|pair| {
@@ -176,7 +177,7 @@ fn inside(polygon: &[[f64; 2]], at: [f64; 2]) -> f64 {
     sign * distance(&closed, at)
 }
 
-/// To the nearest place of a polyline.
+/// Distance to the nearest point of a polyline.
 fn distance(line: &[[f64; 2]], at: [f64; 2]) -> f64 {
     let nearest = line.windows(2).map(|pair| {
         let along = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];

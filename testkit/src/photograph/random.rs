@@ -1,17 +1,17 @@
-//! Numbers that look random, and are the same everywhere.
+//! Random numbers of pictures.
 
-/// splitmix64 (Steele, Lea and Flood 2014): one state, no dependence on a library's version.
+/// A stream of random numbers, the same on every machine: splitmix64 (Steele, Lea and Flood 2014).
 #[derive(Debug, Clone)]
-pub struct Random(u64);
+pub struct PictureRng(u64);
 
-impl Random {
-    /// The same numbers for the same seed.
+impl PictureRng {
+    /// The stream of a seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// 64 of them.
+    /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -20,22 +20,22 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// From 0 to 1.
+    /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// From `low` to `high`.
+    /// Uniform from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Standard normal, by the sum of twelve uniforms: never beyond 6.
+    /// Nearly standard normal: the sum of twelve uniforms less 6, never beyond 6.
     pub fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
     }
 
-    /// One of them; of none, the default.
+    /// One of the choices; the default if there are none.
     pub fn one_of<T: Copy + Default>(&mut self, choices: &[T]) -> T {
         let index = (self.uniform() * choices.len() as f64) as usize;
         choices.get(index).copied().unwrap_or_default()

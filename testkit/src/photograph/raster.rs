@@ -1,16 +1,16 @@
-//! Triangles into pixels.
+//! Rasterises triangles with a depth buffer.
 
 use image::{Rgb, RgbImage};
 
-use super::random::Random;
+use super::random::PictureRng;
 
-/// Each pixel is the average of this many by this many.
+/// Each pixel is the average of this many by this many samples.
 pub(super) const OVERSAMPLING: u32 = 2;
 
 /// Linear colour, 0 to 1.
 pub(super) type Colour = [f64; 3];
 
-/// Colours and depths, [`OVERSAMPLING`] times as fine as the picture.
+/// Colours and depths of all samples, [`OVERSAMPLING`] times as fine as the picture.
 pub(super) struct Canvas {
     width: usize,
     height: usize,
@@ -18,21 +18,22 @@ pub(super) struct Canvas {
     depths: Vec<f32>,
 }
 
-/// A corner: where it is seen (pixels of the picture, and depth), and what is interpolated.
+/// A corner of a triangle, with the attributes that are interpolated.
 #[derive(Clone, Copy)]
-pub(super) struct Corner {
-    pub(super) seen: [f64; 3],
+pub(super) struct Vertex {
+    /// Position in the picture, pixels, and depth.
+    pub(super) projected: [f64; 3],
     /// Normal, in the camera's frame.
     pub(super) normal: [f64; 3],
-    /// Place on the surface, for whoever paints it.
+    /// Position on the average face, which selects the paint.
     pub(super) place: [f64; 3],
 }
 
-/// What the painter of a pixel is told.
-pub(super) struct Spot {
-    /// Of unit length, in the camera's frame.
+/// The interpolated attributes of one sample.
+pub(super) struct Fragment {
+    /// Unit normal, in the camera's frame.
     pub(super) normal: [f64; 3],
-    /// Interpolated [`Corner::place`].
+    /// Interpolated [`Vertex::place`].
     pub(super) place: [f64; 3],
 }
 
@@ -44,34 +45,34 @@ impl Canvas {
         Self { width, height, colours, depths: vec![f32::NEG_INFINITY; width * height] }
     }
 
-    /// What was drawn is behind all that follows.
+    /// Clears the depth buffer: everything drawn so far is behind everything that follows.
     pub(super) fn clear_depth(&mut self) {
         self.depths.fill(f32::NEG_INFINITY);
     }
 
-    /// The size of the picture, in its pixels.
+    /// The size of the picture, pixels.
     pub(super) fn size_px(&self) -> [f64; 2] {
         [self.width, self.height].map(|side| side as f64 / f64::from(OVERSAMPLING))
     }
 
-    /// Paints every pixel by its place in the picture.
-    pub(super) fn wash(&mut self, paint: impl Fn([f64; 2], Colour) -> Colour) {
+    /// Repaints every sample as a function of its position and colour.
+    pub(super) fn paint(&mut self, paint: impl Fn([f64; 2], Colour) -> Colour) {
         for (index, colour) in self.colours.iter_mut().enumerate() {
             let at = [index % self.width, index / self.width].map(|v| picture(v as f64));
             *colour = paint(at, colour.map(f64::from)).map(|c| c as f32);
         }
     }
 
-    /// Draws a triangle where it is in front of what is there.
-    pub(super) fn triangle(&mut self, corners: &[Corner; 3], paint: impl Fn(&Spot) -> Colour) {
-        let p = corners.map(|c| [fine(c.seen[0]), fine(c.seen[1]), c.seen[2]]);
+    /// Draws a triangle where it is in front of earlier ones.
+    pub(super) fn triangle(&mut self, corners: &[Vertex; 3], paint: impl Fn(&Fragment) -> Colour) {
+        let p = corners.map(|c| [fine(c.projected[0]), fine(c.projected[1]), c.projected[2]]);
         let (u, v) =
             ([p[1][0] - p[0][0], p[1][1] - p[0][1]], [p[2][0] - p[0][0], p[2][1] - p[0][1]]);
         let area = u[0] * v[1] - u[1] * v[0];
         if area.abs() < 1e-9 || !area.is_finite() {
             return;
         }
-        // `as` holds at the picture's borders what lies beyond them.
+        // `as` clamps to the picture's borders.
         let range = |axis: usize, side: usize| {
             let low =
                 p.iter().map(|c| c[axis]).fold(f64::INFINITY, f64::min).ceil().max(0.0) as usize;
@@ -87,24 +88,24 @@ impl Canvas {
                 if shares.iter().any(|s| *s < 0.0) {
                     continue;
                 }
-                let mix = |pick: fn(&Corner) -> [f64; 3]| -> [f64; 3] {
+                let mix = |pick: fn(&Vertex) -> [f64; 3]| -> [f64; 3] {
                     std::array::from_fn(|axis| {
                         (0..3).map(|i| shares[i] * pick(&corners[i])[axis]).sum()
                     })
                 };
-                let depth = mix(|c| c.seen)[2] as f32;
+                let depth = mix(|c| c.projected)[2] as f32;
                 let index = y * self.width + x;
                 if depth > self.depths[index] {
-                    let spot = Spot { normal: unit(mix(|c| c.normal)), place: mix(|c| c.place) };
+                    let (normal, place) = (unit(mix(|c| c.normal)), mix(|c| c.place));
                     self.depths[index] = depth;
-                    self.colours[index] = paint(&spot).map(|c| c as f32);
+                    self.colours[index] = paint(&Fragment { normal, place }).map(|c| c as f32);
                 }
             }
         }
     }
 
-    /// The picture: averaged, with noise, and in the curve of sRGB.
-    pub(super) fn develop(&self, noise: f64, random: &mut Random) -> RgbImage {
+    /// The picture: samples averaged, gamma-encoded (1 / 2.2), with noise added.
+    pub(super) fn to_image(&self, noise: f64, random: &mut PictureRng) -> RgbImage {
         let n = OVERSAMPLING as usize;
         RgbImage::from_fn((self.width / n) as u32, (self.height / n) as u32, |x, y| {
             let mut sum = [0.0; 3];
@@ -123,7 +124,7 @@ impl Canvas {
     }
 }
 
-/// From the picture's pixels to the canvas's: a pixel's middle is the middle of its samples.
+/// Converts from pixels to samples: the centre of a pixel is the centre of its samples.
 fn fine(at: f64) -> f64 {
     let n = f64::from(OVERSAMPLING);
     n * at + (n - 1.0) / 2.0

@@ -10,9 +10,9 @@ fn the_same_scene_gives_the_same_pixels() {
     assert_ne!(first, Scene { seed: 6, ..scene }.render().unwrap());
 }
 
-/// Where the truth says that something is, the picture shows it: the light and the colour are a face's.
+/// The picture agrees with the ground truth: eyes are dark, lips are red, and skin has its colour.
 #[test]
-fn a_face_is_dark_and_red_where_faces_are() {
+fn features_have_their_colours() {
     for seed in 0..6 {
         let picture = Scene { noise: 0.0, ..Scene::portrait(seed, 80.0, 0.0) }.render().unwrap();
         let truth = &picture.faces[0];
@@ -45,7 +45,7 @@ fn a_face_is_dark_and_red_where_faces_are() {
 }
 
 #[test]
-fn the_truth_is_the_cameras() {
+fn the_ground_truth_matches_the_camera() {
     let mut scene = Scene::portrait(3, 50.0, -30.0);
     scene.faces[0].roll_deg = 12.0;
     let truth = scene.render().unwrap().faces.remove(0);
@@ -59,7 +59,7 @@ fn the_truth_is_the_cameras() {
 }
 
 #[test]
-fn scenes_that_cannot_be_drawn_are_refused() {
+fn scenes_out_of_range_are_refused() {
     let scene = Scene::portrait(1, 20.0, 0.0);
     assert!(matches!(
         Scene { width_px: 0, ..scene.clone() }.render(),
@@ -70,8 +70,8 @@ fn scenes_that_cannot_be_drawn_are_refused() {
         Err(RenderError::Size(_, 5000))
     ));
     for change in [
-        |s: &mut Sitter| s.io_px = f64::NAN,
-        |s: &mut Sitter| s.io_px = 1e9,
+        |s: &mut Sitter| s.interocular_px = f64::NAN,
+        |s: &mut Sitter| s.interocular_px = 1e9,
         |s: &mut Sitter| s.yaw_deg = f64::INFINITY,
         |s: &mut Sitter| s.eyes_px = [1e9, 0.0],
     ] {
@@ -79,18 +79,18 @@ fn scenes_that_cannot_be_drawn_are_refused() {
         change(&mut bad.faces[0]);
         assert_eq!(bad.render(), Err(RenderError::Sitter(0)));
     }
-    // A face that is out of the picture is no error, and neither is none.
+    // A face outside the picture is allowed, and so is an empty scene.
     let mut far = scene.clone();
     far.faces[0].eyes_px = [-9000.0, 40.0];
     far.render().unwrap();
     Scene { faces: Vec::new(), ..scene }.render().unwrap();
 }
 
-/// Writes pictures into the folder that `MOCAPD_FACES_DRAWN` names, to be looked at.
+/// Writes sample pictures to the folder `MOCAPD_FACES_DRAWN`, for visual inspection.
 #[test]
-fn pictures_to_look_at() {
+fn sample_pictures() {
     let Some(folder) = std::env::var_os("MOCAPD_FACES_DRAWN").map(std::path::PathBuf::from) else {
-        println!("passed over: MOCAPD_FACES_DRAWN names no folder");
+        println!("skipped: MOCAPD_FACES_DRAWN is not set");
         return;
     };
     for (seed, yaw) in (0..8).zip([0.0, 20.0, -35.0, 0.0, 10.0, -15.0, 30.0, 0.0]) {
@@ -99,14 +99,13 @@ fn pictures_to_look_at() {
     }
 }
 
-/// What is worn is where it is worn, and nowhere else.
 #[test]
-fn a_beard_is_on_the_chin_and_leaves_nose_and_lips() {
+fn a_beard_covers_the_chin_but_not_nose_and_lips() {
     let mut chins = 0.0;
     for seed in 0..8 {
         let mut scene = Scene { noise: 0.0, ..Scene::portrait(seed, 90.0, 0.0) };
         let plain = scene.render().unwrap();
-        scene.faces[0].extras = Extras { beard: 0.9, ..Extras::default() };
+        scene.faces[0].extras = Occlusions { beard: 0.9, ..Occlusions::default() };
         let worn = scene.render().unwrap();
         let at = |name: &str| plain.faces[0].at(FeatureId::from_name(name).unwrap());
         let change = |[x, y]: [f64; 2]| {
@@ -122,18 +121,18 @@ fn a_beard_is_on_the_chin_and_leaves_nose_and_lips() {
         assert!((change([lip[0], middle]) - 1.0).abs() < 0.1, "{seed}: nor have the lips");
         chins += change([below[0], below[1] + 14.0]) / 8.0;
     }
-    // Hair is darker than skin, though not on everybody.
+    // Hair is darker than skin on average.
     assert!(chins < 0.8, "{chins}");
 }
 
 #[test]
-fn rims_hide_the_cheek_beside_an_eye_and_a_fringe_the_brow() {
+fn rims_stay_below_the_brow_and_a_fringe_above() {
     let (mut rims, mut fringe) = (0, 0);
     let mut scene = Scene { noise: 0.0, ..Scene::portrait(1, 90.0, 0.0) };
     let plain = scene.render().unwrap().image;
-    scene.faces[0].extras = Extras { rims_mm: 2.5, ..Extras::default() };
+    scene.faces[0].extras = Occlusions { rims_mm: 2.5, ..Occlusions::default() };
     let rimmed = scene.render().unwrap().image;
-    scene.faces[0].extras = Extras { fringe_mm: 30.0, ..Extras::default() };
+    scene.faces[0].extras = Occlusions { fringe_mm: 30.0, ..Occlusions::default() };
     let fringed = scene.render().unwrap().image;
     let eyes = scene.faces[0].eyes_px[1];
     for (x, y, pixel) in plain.enumerate_pixels() {

@@ -1,15 +1,15 @@
-//! A body without a part of one limb, as where the scanner's view ended or a program cut the mesh.
+//! Removes part of a limb from a body, as if the scanner's view ended there or a program cut the mesh.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use mocapd_body::{Joint, Joints, Mesh, Side};
 
-use super::random::Random;
+use super::random::BodyRng;
 use super::{Point, unit};
 
-/// What is cut off, with everything beyond it.
+/// The part of a limb that is cut off, up to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum LimbPart {
     /// From the ankle.
     Foot,
     /// From the middle of the shank.
@@ -28,11 +28,11 @@ pub enum Part {
     Arm,
 }
 
-/// A joint of one side.
+/// Constructs the joint of one side.
 type OfSide = fn(Side) -> Joint;
 
-impl Part {
-    /// Every one of them.
+impl LimbPart {
+    /// All parts.
     pub const ALL: [Self; 8] = [
         Self::Foot,
         Self::HalfShank,
@@ -44,8 +44,8 @@ impl Part {
         Self::Arm,
     ];
 
-    /// The bone that the cut goes through, and at which part of its length.
-    fn place(self) -> (OfSide, OfSide, f64) {
+    /// The joints of the bone that is cut, and the position of the cut as a fraction of its length.
+    fn cut_site(self) -> (OfSide, OfSide, f64) {
         match self {
             Self::Foot => (Joint::Knee, Joint::Ankle, 1.0),
             Self::HalfShank => (Joint::Knee, Joint::Ankle, 0.5),
@@ -58,10 +58,10 @@ impl Part {
         }
     }
 
-    /// Of the surface, how much such a part has, within half and twice as much: a hand 2.5 %, a foot 3.5 %, a forearm 3 %, an
-    /// upper arm 4 %, a shank 7 % (Lund and Browder 1944). A plane that takes more takes trunk with it, one that takes less
-    /// has left toes or fingers.
-    fn share(self) -> [f64; 2] {
+    /// Plausible range of the part's share of the surface, half to twice the expected one: a hand has 2.5 %, a foot
+    /// 3.5 %, a forearm 3 %, an upper arm 4 %, a shank 7 % (Lund and Browder 1944). A plane that removes more cuts
+    /// the trunk, and one that removes less leaves toes or fingers.
+    fn surface_share(self) -> [f64; 2] {
         let of = match self {
             Self::Foot => 0.03,
             Self::HalfShank => 0.065,
@@ -76,33 +76,33 @@ impl Part {
     }
 }
 
-/// How a limb is cut.
+/// A cut through a limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cut {
-    /// What comes off.
-    pub part: Part,
-    /// On which side.
+pub struct LimbCut {
+    /// The part removed.
+    pub part: LimbPart,
+    /// The side of the body.
     pub side: Side,
-    /// Between the plane's normal and the bone.
+    /// Angle between the plane's normal and the bone.
     pub tilt_deg: f64,
-    /// Whether the cut is closed with a flat cap, or left open.
+    /// Whether the cut is closed by a flat cap.
     pub capped: bool,
 }
 
-/// How far a plane is tilted at most: nobody's limb ends in a longer slant, and a steeper plane misses the limb.
+/// Largest tilt of the plane: steeper cuts are unrealistic and miss the limb.
 const TILT_MAX_DEG: f64 = 40.0;
-/// Planes that are tried: those that take more than the limb are passed over.
+/// Most planes tried; those that remove more than the limb are rejected.
 const TRIES: usize = 16;
 
-/// The body without a part of a limb, both by the seed; nothing where every plane that is tried takes more than the limb.
+/// Removes a part of a limb, selected by the seed; `None` when every plane tried removes more than the limb.
 #[must_use]
-pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, Cut)> {
-    let mut random = Random::new(seed ^ 0x6375_7421);
-    // The part by the seed alone, so that all of them come in turn.
-    let part = Part::ALL[(seed % Part::ALL.len() as u64) as usize];
+pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, LimbCut)> {
+    let mut random = BodyRng::new(seed ^ 0x6375_7421);
+    // Consecutive seeds select the parts in turn.
+    let part = LimbPart::ALL[(seed % LimbPart::ALL.len() as u64) as usize];
     let side = if random.between(0.0, 1.0) < 0.5 { Side::Left } else { Side::Right };
     let capped = random.between(0.0, 1.0) < 0.5;
-    let (near, far, share) = part.place();
+    let (near, far, share) = part.cut_site();
     let at =
         |joint: OfSide| joints.estimates.get(&joint(side)).map(|found| Point::from(found.position));
     let (near, far) = (at(near)?, at(far)?);
@@ -115,19 +115,19 @@ pub fn cut_limb(mesh: &Mesh, joints: &Joints, seed: u64) -> Option<(Mesh, Cut)> 
         let normal = unit(bone) * tilt.cos() + across * tilt.sin();
         let plane = Plane { through: near + bone * share, normal };
         let found = plane.cut_off(mesh, capped);
-        let [least, most] = part.share();
+        let [least, most] = part.surface_share();
         let taken = |rest: &Mesh| 1.0 - area(rest) / area(mesh);
         if let Some(found) = found.filter(|rest| (least..most).contains(&taken(rest))) {
-            return Some((found, Cut { part, side, tilt_deg, capped }));
+            return Some((found, LimbCut { part, side, tilt_deg, capped }));
         }
     }
     None
 }
 
-/// Two vertices, the lower first.
+/// Two vertices, the lower index first.
 type Edge = (u32, u32);
 
-/// Where a limb is cut.
+/// The plane of a cut.
 struct Plane {
     through: Point,
     normal: Point,
@@ -138,7 +138,7 @@ impl Plane {
         (Point::from(at) - self.through).dot(&self.normal)
     }
 
-    /// Where an edge between both of its sides passes it.
+    /// The point at which an edge crosses the plane.
     fn crossing(&self, mesh: &Mesh, (from, to): Edge) -> Point {
         let ends = [from, to].map(|end| mesh.positions[end as usize]);
         let [low, high] = ends.map(|end| self.height(end));
@@ -146,13 +146,13 @@ impl Plane {
         a + (b - a) * (low / (low - high))
     }
 
-    /// `mesh` without what lies beyond the closed curve in which the plane cuts the surface around [`Self::through`]. The
-    /// plane cuts other limbs, too, and a bent limb twice: those curves are passed over.
+    /// Removes the part of the mesh beyond the closed curve in which the plane cuts the surface around
+    /// [`Self::through`]. The plane may also cut other limbs, and a bent limb twice; those curves are ignored.
     fn cut_off(&self, mesh: &Mesh, capped: bool) -> Option<Mesh> {
         let beyond: Vec<bool> = mesh.positions.iter().map(|at| self.height(*at) > 0.0).collect();
         let curve = self.curve(mesh, &beyond)?;
         let off = behind(mesh, &beyond, &curve);
-        // Where the curve goes round a hole of the body, both of its sides hang together.
+        // If the curve goes around a hole of the body, it does not separate the surface.
         if curve.iter().any(|&(a, b)| off[a as usize] == off[b as usize]) {
             return None;
         }
@@ -189,8 +189,8 @@ impl Plane {
         Some(without_unused(&rest))
     }
 
-    /// The edges of the curve. Each triangle that is cut joins two crossings: followed from the one nearest to
-    /// [`Self::through`], they are its curve.
+    /// The edges that the curve crosses. Each cut triangle joins two crossings; followed from the crossing nearest to
+    /// [`Self::through`], they form the curve.
     fn curve(&self, mesh: &Mesh, beyond: &[bool]) -> Option<HashSet<Edge>> {
         let crosses = |&(from, to): &Edge| beyond[from as usize] != beyond[to as usize];
         let mut joined: HashMap<Edge, Vec<Edge>> = HashMap::new();
@@ -225,7 +225,7 @@ fn key((from, to): (u32, u32)) -> Edge {
     (from.min(to), from.max(to))
 }
 
-/// Which vertices hang together with the far side of a curve, by edges that are not of it.
+/// The vertices connected to the far side of a curve by edges that do not cross it.
 fn behind(mesh: &Mesh, beyond: &[bool], curve: &HashSet<Edge>) -> Vec<bool> {
     let mut around = vec![Vec::new(); mesh.positions.len()];
     for (from, to) in mesh.triangles.iter().flat_map(sides) {
@@ -244,7 +244,7 @@ fn behind(mesh: &Mesh, beyond: &[bool], curve: &HashSet<Edge>) -> Vec<bool> {
     off
 }
 
-/// Closes the cut with triangles about its middle.
+/// Closes the cut with a fan of triangles around its centroid.
 fn cap(mesh: &mut Mesh, border: &BTreeMap<u32, u32>) {
     if border.is_empty() {
         return;

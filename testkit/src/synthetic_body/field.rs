@@ -1,13 +1,13 @@
-//! A solid as a field: below zero within, above zero outside, near the distance in between.
+//! A solid as an implicit field: negative inside, positive outside, and close to the distance near the surface.
 
 use super::{Point, unit};
 
-/// A ball that grows or shrinks on its way from one end to the other, and that may be flattened.
+/// A tapered capsule (the hull of two spheres), which may be flattened.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Capsule {
     pub(super) ends: [Point; 2],
     pub(super) radii: [f64; 2],
-    /// Of its depth (z) to its width; 1 is round.
+    /// Ratio of depth (z) to width; 1 is round.
     pub(super) depth: f64,
 }
 
@@ -16,8 +16,8 @@ impl Capsule {
         Self { ends, radii, depth: 1.0 }
     }
 
-    /// Outside the ball around it, no more than the value; within, below everything.
-    fn at_least(&self, p: Point) -> f64 {
+    /// A cheap lower bound of the field: valid outside the bounding sphere, minus infinity inside.
+    fn lower_bound(&self, p: Point) -> f64 {
         let [from, to] = self.ends;
         let middle = (from + to) * 0.5;
         let reach = (from - middle).norm() + self.radii[0].max(self.radii[1]);
@@ -32,7 +32,7 @@ impl Capsule {
     }
 }
 
-/// Distance to the hull of two balls.
+/// Distance to the hull of two spheres.
 fn round_cone(p: Point, from: Point, to: Point, [r_from, r_to]: [f64; 2]) -> f64 {
     let axis = to - from;
     let length_sq = axis.norm_squared();
@@ -52,11 +52,11 @@ fn round_cone(p: Point, from: Point, to: Point, [r_from, r_to]: [f64; 2]) -> f64
     ((across_sq * slant_sq / length_sq).sqrt() + along * taper) / length_sq - r_from
 }
 
-/// Capsules that flow into each other where they meet.
+/// The smooth union of capsules.
 #[derive(Debug, Clone)]
 pub(super) struct Field {
     pub(super) capsules: Vec<Capsule>,
-    /// Width over which two of them blend.
+    /// Width over which two capsules blend.
     pub(super) blend: f64,
 }
 
@@ -64,8 +64,8 @@ impl Field {
     pub(super) fn at(&self, p: Point) -> f64 {
         let mut nearest = f64::INFINITY;
         for capsule in &self.capsules {
-            // Most capsules are too far to matter.
-            if capsule.at_least(p) < nearest + self.blend {
+            // Most capsules are too far away to contribute.
+            if capsule.lower_bound(p) < nearest + self.blend {
                 let other = capsule.at(p);
                 let overlap = (self.blend - (nearest - other).abs()).max(0.0);
                 nearest = nearest.min(other) - overlap * overlap / (4.0 * self.blend);
@@ -74,7 +74,7 @@ impl Field {
         nearest
     }
 
-    /// The outermost point at either end of each capsule, where no other capsule covers it, with the radius there.
+    /// The outermost point at either end of each capsule, unless another capsule covers it, with the radius there.
     pub(super) fn tips(&self) -> impl Iterator<Item = (Point, f64)> {
         let of = |capsule: &Capsule| {
             let [from, to] = capsule.ends;
@@ -83,11 +83,11 @@ impl Field {
             [(from + along * -back, back), (to + along * front, front)]
         };
         let ends = self.capsules.iter().flat_map(of);
-        // Blending moves the surface out by a quarter of the blend at most: what lies deeper is covered.
+        // Blending moves the surface outwards by at most a quarter of the blend: a deeper tip is covered.
         ends.filter(|(tip, _)| self.at(*tip) > -self.blend / 2.0)
     }
 
-    /// Two corners of a box that holds it, with the width of a blend to spare.
+    /// Lower and upper corner of a bounding box, with a margin of one blend width.
     pub(super) fn bounds(&self) -> [Point; 2] {
         let mut bounds = [f64::INFINITY, f64::NEG_INFINITY].map(Point::repeat);
         for capsule in &self.capsules {

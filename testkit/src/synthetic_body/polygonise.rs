@@ -1,7 +1,7 @@
-//! The surface where a field is zero: marching tetrahedra over a body-centred cubic lattice.
+//! Extracts the zero surface of a field by marching tetrahedra on a body-centred cubic lattice.
 //!
-//! In a tetrahedron there is one way to separate corners within from corners outside, so that the surface is closed and
-//! manifold whatever the field. The body-centred lattice has tetrahedra of one shape and no preferred axis to speak of.
+//! A tetrahedron has only one way to separate inner from outer corners, so the surface is closed and manifold for any
+//! field. The body-centred lattice has tetrahedra of a single shape and hardly any preferred axis.
 
 use std::collections::HashMap;
 
@@ -10,44 +10,44 @@ use mocapd_body::Mesh;
 use super::Point;
 use super::field::Field;
 
-/// Cells of the lattice at most: memory for it stays below 100 MB.
+/// Most cells of the lattice, which keeps its memory below 100 MB.
 const CELLS_MAX: f64 = 2e6;
-/// Cell, in metres, that gave a person of middle size one face, would the square law hold: a first guess.
+/// First guess of the cell size, metres: the size at which a person of medium height has one face, if the number of
+/// faces followed the inverse square law.
 const CELL_OF_ONE_FACE: f64 = 2.6;
-/// No corner of the lattice is nearer to the surface than this share of a cell: a vertex of the surface beside it would
-/// make needles.
+/// Least distance of lattice corners from the surface, in cells: nearer corners would cause needle-shaped triangles.
 const CLEARANCE: f64 = 0.12;
-/// Lattices that are tried where limbs grow together in one, or come off, or an end slips between its corners: at 5000 faces
-/// a cell is about 5 cm, and a foot 5 to 7 cm across.
+/// Most lattices tried when limbs merge or come off, or an extremity falls between lattice corners: at 5000 faces a
+/// cell is about 5 cm, and a foot 5 to 7 cm across.
 const TRIES: usize = 32;
 
-/// A closed surface without handles, of about so many faces.
+/// A closed surface of genus 0 with about `n_faces` faces.
 pub(super) fn surface(field: &Field, n_faces: usize) -> Mesh {
     let n_faces = n_faces.clamp(500, 200_000) as f64;
     let mut cell = CELL_OF_ONE_FACE / n_faces.sqrt();
     let mut mesh = Mesh::default();
-    // A lattice that is coarser than a foot has no better one.
-    let mut first_ball = None;
+    // The fallback when cells are larger than a foot.
+    let mut first_sphere = None;
     for round in 0..2 + TRIES {
         let shift = round as f64 * 0.137;
         mesh = Lattice::new(field, cell, shift).surface();
         let found = mesh.triangles.len() as f64;
-        // The number of faces goes with the square of what is cut.
+        // The number of faces scales with the inverse square of the cell size.
         let settled = (found / n_faces - 1.0).abs() < 0.05;
-        if settled && is_ball(&mesh) {
-            if has_tips(&mesh, field) {
+        if settled && is_sphere(&mesh) {
+            if covers_tips(&mesh, field) {
                 return mesh;
             }
-            first_ball.get_or_insert_with(|| mesh.clone());
+            first_sphere.get_or_insert_with(|| mesh.clone());
         }
-        // Shifts alone go along one diagonal, so that the next lattice is a little finer, too.
+        // All shifts lie on one diagonal, so the next lattice is also made a little finer.
         cell *= if settled { 0.995 } else { (found.max(1.0) / n_faces).sqrt() };
     }
-    first_ball.unwrap_or(mesh)
+    first_sphere.unwrap_or(mesh)
 }
 
-/// One piece, and Euler's number of a ball. All edges are of two triangles, whatever the field.
-fn is_ball(mesh: &Mesh) -> bool {
+/// Whether the mesh is one piece with the Euler characteristic of a sphere. Every edge belongs to two triangles anyway.
+fn is_sphere(mesh: &Mesh) -> bool {
     let n = mesh.positions.len();
     let mut leader: Vec<usize> = (0..n).collect();
     let mut pieces = n;
@@ -68,21 +68,22 @@ fn is_ball(mesh: &Mesh) -> bool {
     pieces == 1 && 2 * n == mesh.triangles.len() + 4
 }
 
-/// Whether every tip of the solid is within its own radius of a vertex: toes that fall between corners of the lattice are not in
-/// the mesh, without leaving a piece.
-fn has_tips(mesh: &Mesh, field: &Field) -> bool {
+/// Whether every tip of the solid has a vertex within its own radius. Toes that fall between lattice corners are
+/// missing from the mesh without a trace.
+fn covers_tips(mesh: &Mesh, field: &Field) -> bool {
     field.tips().all(|(tip, radius)| {
         mesh.positions.iter().any(|at| (Point::from(*at) - tip).norm() < radius)
     })
 }
 
+/// The field, sampled on a body-centred cubic lattice.
 struct Lattice {
-    /// Edge of a cubic cell.
+    /// Edge length of a cubic cell.
     cell: f64,
     origin: Point,
     /// Cells along each axis.
     size: [usize; 3],
-    /// The field at the corners of cells, then at their centres; both in the order of `index`.
+    /// The field at the cell corners, then at the cell centres, both in the order of `index`.
     values: Vec<f64>,
 }
 
@@ -92,7 +93,7 @@ impl Lattice {
         let extent = high - low;
         let smallest = (extent[0] * extent[1] * extent[2] / CELLS_MAX).cbrt();
         let cell = cell.max(smallest);
-        // One cell around, so that the border is outside.
+        // A margin of one cell keeps the border outside the solid.
         let size: [usize; 3] = extent.map(|length| (length / cell) as usize + 4).into();
         let origin = low.map(|c| c - cell * (1.5 + shift.fract() * 0.5));
         let mut lattice = Self { cell, origin, size, values: Vec::new() };
@@ -107,7 +108,7 @@ impl Lattice {
         if value < 0.0 { value.min(-least) } else { value.max(least) }
     }
 
-    /// Of a corner; that of the centre of the same cell is as many further as there are cells.
+    /// Index of a corner; add the number of cells for the centre of the same cell.
     fn index(&self, [x, y, z]: [usize; 3]) -> usize {
         (z * self.size[1] + y) * self.size[0] + x
     }
@@ -120,9 +121,11 @@ impl Lattice {
         Point::from(at.map(|at| self.cell * (at as f64 + half))) + self.origin
     }
 
-    /// Around each square between two cells there are four tetrahedra: an edge of the square, and both centres.
+    /// Extracts the surface. Each square between two cells has four tetrahedra around it: an edge of the square and the
+    /// centres of both cells.
     fn surface(&self) -> Mesh {
-        let mut surface = Cut { lattice: self, mesh: Mesh::default(), vertices: HashMap::new() };
+        let (mesh, vertices) = (Mesh::default(), HashMap::new());
+        let mut surface = SurfaceBuilder { lattice: self, mesh, vertices };
         let n = self.size.iter().product::<usize>();
         let [nx, ny, nz] = self.size;
         for z in 1..nz - 1 {
@@ -155,14 +158,15 @@ impl Lattice {
     }
 }
 
-struct Cut<'a> {
+/// Collects the triangles of the surface.
+struct SurfaceBuilder<'a> {
     lattice: &'a Lattice,
     mesh: Mesh,
-    /// By the corners of the edge that each lies on.
+    /// Vertices by the end points of the lattice edge on which they lie.
     vertices: HashMap<(usize, usize), u32>,
 }
 
-impl Cut<'_> {
+impl SurfaceBuilder<'_> {
     fn tetrahedron(&mut self, corners: [usize; 4]) {
         let within = |corner: &usize| self.lattice.values[*corner] < 0.0;
         let (inner, outer): (Vec<usize>, Vec<usize>) = corners.into_iter().partition(within);
@@ -177,7 +181,7 @@ impl Cut<'_> {
         }
     }
 
-    /// A triangle between edges that lead from within to outside, turned so that it faces outside.
+    /// Adds the triangle between three edges that cross the surface from inside to outside, oriented outwards.
     fn face(&mut self, edges: [(usize, usize); 3]) {
         let mut triangle = edges.map(|edge| self.vertex(edge));
         let [a, b, c] = triangle.map(|index| Point::from(self.mesh.positions[index as usize]));

@@ -1,6 +1,6 @@
-//! Poses, as angles of the limbs.
+//! Poses of a synthetic body, as joint angles of the limbs.
 
-/// How a generated body stands or sits. No limb touches another.
+/// Pose of a synthetic body. No limb touches another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pose {
     /// Arms and legs spread halfway.
@@ -19,14 +19,14 @@ pub enum Pose {
     Up,
 }
 
-/// One limb, in degrees.
+/// Joint angles of one limb, degrees.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limb {
-    /// Of the upper part, from down towards forward.
+    /// Flexion of the upper segment, from down towards forward.
     pub(super) swing: f64,
-    /// Of the upper part, from down to the side.
+    /// Abduction of the upper segment, from down to the side.
     pub(super) spread: f64,
-    /// Between the parts: of the elbow forward and up, of the knee backward.
+    /// Flexion of elbow (forward) or knee (backward).
     pub(super) bend: f64,
 }
 
@@ -35,11 +35,11 @@ const fn limb(swing: f64, spread: f64, bend: f64) -> Limb {
 }
 
 impl Pose {
-    /// Every one of them.
+    /// All poses.
     pub const ALL: [Self; 7] =
         [Self::A, Self::T, Self::Down, Self::Walk, Self::Squat, Self::Sit, Self::Up];
 
-    /// Of the left arm and the right.
+    /// Angles of the left and right arm.
     pub(super) fn arms(self) -> [Limb; 2] {
         match self {
             Self::A => [limb(0.0, 45.0, 12.0); 2],
@@ -52,7 +52,7 @@ impl Pose {
         }
     }
 
-    /// Of the left leg and the right.
+    /// Angles of the left and right leg.
     pub(super) fn legs(self) -> [Limb; 2] {
         match self {
             Self::A => [limb(0.0, 12.0, 4.0); 2],

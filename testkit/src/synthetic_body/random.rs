@@ -1,10 +1,11 @@
-//! Numbers out of a seed: splitmix64 (Steele et al. 2014), the same on every machine.
+//! Random numbers of bodies.
 
 use super::{Point, unit};
 
-pub(super) struct Random(u64);
+/// A stream of random numbers, the same on every machine: splitmix64 (Steele et al. 2014).
+pub(super) struct BodyRng(u64);
 
-impl Random {
+impl BodyRng {
     pub(super) fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -17,14 +18,14 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// From the first up to the second, all alike.
+    /// Uniform from `low` to `high`.
     pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
-        // 53 bits are what a float64 holds.
+        // A float64 holds 53 bits.
         let share = (self.next() >> 11) as f64 / (1_u64 << 53) as f64;
         low + (high - low) * share
     }
 
-    /// A direction, all alike: a point of the cube that lies in the ball.
+    /// A uniformly distributed direction, by rejection: a point of the cube that lies in the unit sphere.
     pub(super) fn direction(&mut self) -> Point {
         loop {
             let p = Point::from([0; 3].map(|_| self.between(-1.0, 1.0)));

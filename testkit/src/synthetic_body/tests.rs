@@ -1,17 +1,17 @@
-//! What others build their tests on has to be exact.
+//! Other tests rely on these bodies, so they have to be exact.
 
 use std::collections::HashMap;
 
 use mocapd_body::{Joint, Joints, Mesh, Side};
 
-use super::{Options, Point, Pose, body};
+use super::{BodyOptions, Point, Pose, body};
 
 fn each() -> impl Iterator<Item = (u64, Pose, Mesh, Joints)> {
     let seeds = 0..4;
     seeds.flat_map(|seed| {
         Pose::ALL.into_iter().map(move |pose| {
             let n_faces = if seed % 2 == 0 { 5000 } else { 9000 };
-            let (mesh, joints) = body(seed, pose, Options { n_faces, turned: seed > 1 });
+            let (mesh, joints) = body(seed, pose, BodyOptions { n_faces, turned: seed > 1 });
             (seed, pose, mesh, joints)
         })
     })
@@ -21,7 +21,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (Point::from(a) - Point::from(b)).norm()
 }
 
-/// How often the surface goes around a point: 1 within, 0 outside (van Oosterom and Strackee 1983).
+/// Winding number of the surface around a point: 1 inside, 0 outside (van Oosterom and Strackee 1983).
 fn winding(mesh: &Mesh, p: [f64; 3]) -> f64 {
     let solid_angle = |triangle: &[u32; 3]| {
         let [a, b, c] =
@@ -34,7 +34,7 @@ fn winding(mesh: &Mesh, p: [f64; 3]) -> f64 {
 }
 
 #[test]
-fn the_surface_is_closed_and_without_handles() {
+fn the_surface_is_closed_and_of_genus_0() {
     for (seed, pose, mesh, _) in each() {
         let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
         for &[a, b, c] in &mesh.triangles {
@@ -65,7 +65,7 @@ fn the_surface_is_closed_and_without_handles() {
 }
 
 #[test]
-fn every_joint_lies_within_and_the_head_on_top() {
+fn every_joint_is_inside_and_the_head_on_the_surface() {
     for (seed, pose, mesh, joints) in each() {
         assert_eq!(joints.estimates.len(), 15);
         for (joint, estimate) in &joints.estimates {
@@ -101,7 +101,7 @@ fn bones(joints: &Joints) -> Vec<f64> {
 
 #[test]
 fn a_pose_moves_bones_and_does_not_stretch_them() {
-    let of = |seed, pose| body(seed, pose, Options { n_faces: 2000, turned: true }).1;
+    let of = |seed, pose| body(seed, pose, BodyOptions { n_faces: 2000, turned: true }).1;
     let standing = bones(&of(3, Pose::A));
     for pose in Pose::ALL {
         for (a, b) in standing.iter().zip(bones(&of(3, pose))) {
@@ -113,9 +113,9 @@ fn a_pose_moves_bones_and_does_not_stretch_them() {
 
 #[test]
 fn left_is_left() {
-    let (_, joints) = body(5, Pose::Walk, Options { n_faces: 2000, turned: true });
+    let (_, joints) = body(5, Pose::Walk, BodyOptions { n_faces: 2000, turned: true });
     let at = |joint: Joint| Point::from(joints.estimates[&joint].position);
-    // Up and to the left span a frame whose third axis is forward: where the left arm swings.
+    // Left x up is forward, where the left arm swings.
     let up = at(Joint::Throat) - at(Joint::Pelvis);
     let left = at(Joint::Hip(Side::Left)) - at(Joint::Hip(Side::Right));
     let arm = at(Joint::Wrist(Side::Left)) - at(Joint::Shoulder(Side::Left));
@@ -124,7 +124,7 @@ fn left_is_left() {
 
 #[test]
 fn the_same_seed_gives_the_same_body() {
-    let options = Options::default();
+    let options = BodyOptions::default();
     assert_eq!(body(7, Pose::Sit, options), body(7, Pose::Sit, options));
     assert_ne!(body(7, Pose::Sit, options).0, body(8, Pose::Sit, options).0);
 }

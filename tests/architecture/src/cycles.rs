@@ -1,8 +1,8 @@
-//! Circles of files: which file of a crate takes names out of which, and where that leads back.
+//! Circles of files: the graph of which file of a crate uses names of which, and its cycles.
 //!
-//! A file that declares a module or passes its names on (`pub use`) does not use it for that; one that calls into it
-//! does. Names are followed through what passes them on, to the file that defines them. What a module below takes from
-//! the ones it is part of is left out: they are one.
+//! To declare a module or to re-export its names (`pub use`) does not count as use; to call into it does. Names are
+//! followed through re-exports to the file that defines them. A submodule's use of its parent modules does not count:
+//! they are one.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,26 +13,26 @@ use syn::{
 
 use crate::structure::{attributes, is_for_tests};
 
-/// A module's names, by its path below the crate's root.
+/// The names in a module.
 #[derive(Debug, Default)]
 struct Module {
     file: String,
     defined: BTreeSet<String>,
-    /// What each name stands for.
+    /// The path that each imported name refers to.
     bound: BTreeMap<String, Vec<String>>,
-    /// The names among `bound` that others see.
-    passed_on: BTreeSet<String>,
+    /// The names among `bound` that are re-exported.
+    re_exported: BTreeSet<String>,
     globs: Vec<Vec<String>>,
-    /// Paths that its code names.
+    /// Paths in its code.
     named: Vec<Vec<String>>,
 }
 
 type Modules = BTreeMap<Vec<String>, Module>;
 
-/// By file, the files whose names it takes.
+/// For each file, the files whose names it uses.
 pub type Graph = BTreeMap<String, BTreeSet<String>>;
 
-/// The groups of files of one crate that lead back to themselves, each with its files in order.
+/// The circles of files of one crate: groups of files that use one another, each sorted.
 #[must_use]
 pub fn cycles(graph: &Graph) -> Vec<Vec<String>> {
     let reached: BTreeMap<&str, BTreeSet<&str>> =
@@ -66,7 +66,7 @@ fn reachable<'a>(graph: &'a Graph, from: &str) -> BTreeSet<&'a str> {
     reached
 }
 
-/// Who takes names out of whom among the files of one crate: paths relative to the crate's `src`, with their texts.
+/// Builds the graph of one crate from its files: paths relative to the crate's `src`, with their texts.
 #[must_use]
 pub fn graph(sources: &BTreeMap<String, String>) -> Graph {
     let mut modules = Modules::new();
@@ -78,7 +78,7 @@ pub fn graph(sources: &BTreeMap<String, String>) -> Graph {
     let mut graph = Graph::new();
     for (place, module) in &modules {
         let taken = graph.entry(module.file.clone()).or_default();
-        let used = module.bound.iter().filter(|(name, _)| !module.passed_on.contains(*name));
+        let used = module.bound.iter().filter(|(name, _)| !module.re_exported.contains(*name));
         let globs = module.globs.iter();
         for path in used.map(|(_, path)| path).chain(globs).chain(&module.named) {
             if let Some(owner) = owner(&modules, place, path, 0)
@@ -111,7 +111,7 @@ fn read_items(
     items: &[Item],
     modules: &mut Modules,
 ) {
-    // Both roots of a crate, a library's and a program's, are the module without a name.
+    // The two roots of a crate, of its library and its program, are both the module with the empty path.
     let mut module = modules.remove(&place).unwrap_or_default();
     file.clone_into(&mut module.file);
     for item in items.iter().filter(|item| !is_for_tests(attributes(item))) {
@@ -189,7 +189,7 @@ fn read_use(tree: &UseTree, before: &mut Vec<String>, is_public: bool, module: &
 fn bind(name: Option<String>, path: Vec<String>, is_public: bool, module: &mut Module) {
     if let Some(name) = name {
         if is_public {
-            module.passed_on.insert(name.clone());
+            module.re_exported.insert(name.clone());
         }
         module.bound.insert(name, path);
     }
@@ -204,10 +204,10 @@ impl<'ast> Visit<'ast> for Paths<'_> {
     }
 }
 
-/// How often a name is passed on before it is given up.
+/// Most re-exports through which a name is followed.
 const DEPTH_MAX: usize = 16;
 
-/// The module that defines what a path ends in, as seen from a module; none for what is of no file of the crate.
+/// The module that defines the last name of a path, as seen from a module; `None` if no file of the crate does.
 fn owner(modules: &Modules, from: &[String], path: &[String], depth: usize) -> Option<Vec<String>> {
     let mut place = from.to_vec();
     let mut rest = path;
@@ -231,7 +231,7 @@ fn owner(modules: &Modules, from: &[String], path: &[String], depth: usize) -> O
                 }
                 if let Some(target) = module.bound.get(name) {
                     let whole = [target.as_slice(), after].concat();
-                    // `use x::x` names another crate.
+                    // `use x::x` refers to another crate.
                     return if whole == path && place == from {
                         None
                     } else {
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn two_files_that_take_from_each_other_are_a_circle() {
+    fn two_files_that_use_each_other_are_a_circle() {
         let root = ("lib.rs", "mod a; mod b; mod c;");
         let c = ("c.rs", "use super::a::A;");
         let a = ("a.rs", "use crate::b::B; pub struct A;");
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_followed_through_what_passes_them_on() {
+    fn names_are_followed_through_re_exports() {
         let root = ("lib.rs", "pub mod m;");
         let passes = ("m/mod.rs", "mod a; mod b; pub use a::A;");
         let a = ("m/a.rs", "pub struct A; fn f() { super::b::f() }");
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_module_and_what_is_below_it_are_one() {
+    fn a_module_and_its_submodules_are_one() {
         let root = ("lib.rs", "pub mod m; pub mod n;");
         let uses = ("m/mod.rs", "mod a; pub use a::A; pub fn f(a: A) {}");
         let n = ("n.rs", "pub fn g() { crate::m::f() }");
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn tests_are_left_out() {
+    fn tests_do_not_count() {
         let root = ("lib.rs", "mod a; mod b;");
         let a = ("a.rs", "pub struct A; #[cfg(test)] mod tests { use crate::b::B; }");
         assert!(circles(&[root, a, ("b.rs", "use crate::a::A; pub struct B;")]).is_empty());

@@ -1,4 +1,4 @@
-//! Who may know whom: the table of ARCHITECTURE.md against what `cargo metadata` says.
+//! Compares the table "Who may know whom" in ARCHITECTURE.md with the dependencies in `cargo metadata`.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -7,26 +7,25 @@ use std::{
 
 use serde_json::Value;
 
-/// By crate, the crates of ours that it names.
+/// For each crate, the crates of this workspace that it depends on.
 type Graph = BTreeMap<String, BTreeSet<String>>;
 
-/// The line that the table follows in ARCHITECTURE.md.
+/// The heading above the table in ARCHITECTURE.md.
 const HEADING: &str = "## Who may know whom";
 
 #[test]
-fn crates_know_whom_the_page_says_and_nobody_else() {
-    let written = written(&super::text("ARCHITECTURE.md"));
-    let found = found(&metadata());
-    let complaints = complaints(&written, &found);
+fn crates_depend_on_those_that_the_page_lists_and_no_others() {
+    let listed = listed(&super::text("ARCHITECTURE.md"));
+    let problems = problems(&listed, &actual(&metadata()));
     assert!(
-        complaints.is_empty(),
-        "ARCHITECTURE.md, '{HEADING}', and Cargo.toml disagree:\n  {}",
-        complaints.join("\n  ")
+        problems.is_empty(),
+        "'{HEADING}' in ARCHITECTURE.md differs from Cargo.toml:\n  {}",
+        problems.join("\n  ")
     );
 }
 
 #[test]
-fn a_new_arrow_and_a_stale_one_are_found() {
+fn unlisted_and_stale_dependencies_are_found() {
     let page = format!("{HEADING}\n```text\ncodec -> nobody\ntake -> codec\n```\n");
     let metadata = |take: &str| -> Value {
         let text = format!(
@@ -37,38 +36,41 @@ fn a_new_arrow_and_a_stale_one_are_found() {
         );
         serde_json::from_str(&text).unwrap()
     };
-    let complaints_at = |take| complaints(&written(&page), &found(&metadata(take)));
-    assert_eq!(complaints_at("mocapd-codec"), Vec::<String>::new());
+    let problems_with = |take| problems(&listed(&page), &actual(&metadata(take)));
+    assert_eq!(problems_with("mocapd-codec"), Vec::<String>::new());
     assert_eq!(
-        complaints_at("mocapd-take"),
-        ["take uses take, which it may not know", "take no longer uses codec: take the arrow away"]
+        problems_with("mocapd-take"),
+        [
+            "take depends on take, which the page does not allow",
+            "take no longer depends on codec: remove it from the page"
+        ]
     );
 }
 
-fn complaints(written: &Graph, found: &Graph) -> Vec<String> {
-    let mut complaints = Vec::new();
-    for name in found.keys().filter(|&name| !written.contains_key(name)) {
-        complaints.push(format!("the page has no line for the crate {name}"));
+fn problems(listed: &Graph, actual: &Graph) -> Vec<String> {
+    let mut problems = Vec::new();
+    for name in actual.keys().filter(|&name| !listed.contains_key(name)) {
+        problems.push(format!("the page has no line for the crate {name}: add one"));
     }
-    for (name, may_know) in written {
-        let Some(knows) = found.get(name) else {
-            complaints.push(format!("the page has a line for {name}, which is no crate here"));
+    for (name, allowed) in listed {
+        let Some(used) = actual.get(name) else {
+            problems.push(format!("there is no crate {name}: remove its line from the page"));
             continue;
         };
-        for other in knows.difference(may_know) {
-            complaints.push(format!("{name} uses {other}, which it may not know"));
+        for other in used.difference(allowed) {
+            problems.push(format!("{name} depends on {other}, which the page does not allow"));
         }
-        for other in may_know.difference(knows) {
-            complaints.push(format!("{name} no longer uses {other}: take the arrow away"));
+        for other in allowed.difference(used) {
+            problems.push(format!("{name} no longer depends on {other}: remove it from the page"));
         }
     }
-    complaints
+    problems
 }
 
-/// The table: one line a crate, `name -> name, name` or `name -> nobody`.
-fn written(page: &str) -> Graph {
-    let (_, section) = page.split_once(HEADING).expect("the heading is gone");
-    let table = section.split("```").nth(1).expect("no fenced block after the heading");
+/// Parses the table: one line per crate, `name -> name, name` or `name -> nobody`.
+fn listed(page: &str) -> Graph {
+    let (_, section) = page.split_once(HEADING).expect("ARCHITECTURE.md has the heading");
+    let table = section.split("```").nth(1).expect("a fenced block follows the heading");
     let lines = table.lines().skip(1).filter(|line| !line.trim().is_empty());
     lines
         .map(|line| {
@@ -79,8 +81,8 @@ fn written(page: &str) -> Graph {
         .collect()
 }
 
-/// Normal, dev and build dependencies alike, but for what tests share.
-fn found(metadata: &Value) -> Graph {
+/// Normal, dev and build dependencies, except dev dependencies on the test kit.
+fn actual(metadata: &Value) -> Graph {
     let packages = metadata["packages"].as_array().unwrap();
     let name_of = |value: &Value| value["name"].as_str().unwrap().to_owned();
     let ours: BTreeSet<String> = packages.iter().map(name_of).collect();

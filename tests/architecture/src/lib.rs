@@ -1,4 +1,4 @@
-//! What ARCHITECTURE.md says of the source, held against the source.
+//! Checks the source against ARCHITECTURE.md: dependencies, invariants, names, and the limits on its structure.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where it fails")]
 
@@ -10,6 +10,8 @@ mod dependencies;
 #[cfg(test)]
 mod limits;
 #[cfg(test)]
+mod names;
+#[cfg(test)]
 mod profiles;
 #[cfg(test)]
 mod sources;
@@ -19,23 +21,23 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The project's folder.
+/// The root folder of the project.
 #[must_use]
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A file's text; `path` is relative to the project's folder.
+/// The text of a file; `path` is relative to the project's root.
 #[cfg(test)]
 fn text(path: impl AsRef<Path>) -> String {
     let path = root().join(path);
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Folders of crates that no product is made of.
+/// Folders whose crates are not part of the product.
 const NOT_THE_PRODUCT: [&str; 5] = ["tests", "testkit", "fuzz", "benches", "target"];
 
-/// Every Rust file of the product, relative to the folder of a checkout: no tests, no benches, no examples.
+/// Every Rust file of the product, relative to the root of a checkout, without tests, benches and examples.
 ///
 /// # Panics
 ///

@@ -1,16 +1,16 @@
-//! What the structure may come to: the limits of CONTRIBUTING.md, and the circles that ARCHITECTURE.md gives a reason for.
+//! Checks the limits of CONTRIBUTING.md, and that ARCHITECTURE.md gives a reason for every circle of files.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{cycles, product_sources, root, structure, text};
 
-/// Files of the product: about 140 lines of code each, so that a file is a concept and not a function.
+/// Most files of the product: at about 140 lines of code each, a file is a concept rather than a function.
 const FILES_MAX: usize = 550;
 
-/// The crates in which no file may lead back to itself.
+/// Crates that must have no circle of files.
 const WITHOUT_CIRCLES: [&str; 4] = ["codec", "take", "drivers", "acquire"];
 
-/// The line that the reasons follow in ARCHITECTURE.md.
+/// The heading above the reasons in ARCHITECTURE.md.
 const HEADING: &str = "### Circles of files";
 
 fn sources() -> Vec<(String, String)> {
@@ -19,7 +19,7 @@ fn sources() -> Vec<(String, String)> {
 }
 
 #[test]
-fn functions_are_short_and_take_little() {
+fn functions_are_short_and_have_few_parameters() {
     let figures = structure::figures(&sources());
     let of = |list: fn(&structure::CrateFigures) -> &Vec<String>| {
         figures.values().flat_map(list).cloned().collect::<Vec<_>>()
@@ -27,37 +27,49 @@ fn functions_are_short_and_take_little() {
     let (long, wide) = (of(|one| &one.long_functions), of(|one| &one.wide_functions));
     assert!(
         long.is_empty(),
-        "over {} lines:\n  {}",
+        "functions of more than {} lines:\n  {}",
         structure::FUNCTION_LINES_MAX,
         long.join("\n  ")
     );
-    assert!(wide.is_empty(), "over {} values:\n  {}", structure::PARAMETERS_MAX, wide.join("\n  "));
+    assert!(
+        wide.is_empty(),
+        "functions with more than {} parameters:\n  {}",
+        structure::PARAMETERS_MAX,
+        wide.join("\n  ")
+    );
 }
 
 #[test]
-fn a_file_is_a_concept() {
+fn the_product_has_few_files() {
     let files: usize = structure::figures(&sources()).values().map(|one| one.files).sum();
-    assert!(files <= FILES_MAX, "{files} files are more than {FILES_MAX}: merge what is one");
+    assert!(
+        files <= FILES_MAX,
+        "{files} files, at most {FILES_MAX} are allowed: merge those that are one concept"
+    );
 }
 
 #[test]
-fn no_file_leads_back_to_itself_without_a_reason() {
+fn every_circle_of_files_has_a_reason() {
     let sources = sources();
     let crates: BTreeSet<String> =
         sources.iter().map(|(path, _)| structure::crate_of(path)).collect();
     let page = text("ARCHITECTURE.md");
-    let (_, section) = page.split_once(HEADING).expect("the heading is gone");
+    let (_, section) = page.split_once(HEADING).expect("ARCHITECTURE.md has the heading");
     let section = section.split("\n#").next().unwrap_or_default();
-    let mut complaints = Vec::new();
+    let mut problems = Vec::new();
     for name in &crates {
         let files: BTreeMap<String, String> = structure::files_of(&sources, name);
         for circle in cycles::cycles(&cycles::graph(&files)) {
             // A reason names the first file of its circle.
             let has_reason = section.contains(&format!("`{name}/{}`", circle[0]));
             if WITHOUT_CIRCLES.contains(&name.as_str()) || !has_reason {
-                complaints.push(format!("{name}: {}", circle.join(" ")));
+                problems.push(format!("{name}: {}", circle.join(" ")));
             }
         }
     }
-    assert!(complaints.is_empty(), "circles of files:\n  {}", complaints.join("\n  "));
+    assert!(
+        problems.is_empty(),
+        "circles of files without a reason in ARCHITECTURE.md:\n  {}",
+        problems.join("\n  ")
+    );
 }

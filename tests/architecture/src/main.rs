@@ -1,8 +1,8 @@
-//! Prints the structure's figures, by crate: `cargo run -p mocapd-architecture -- [--all] [CHECKOUT]`.
+//! Prints figures of the structure for each crate: `cargo run -p mocapd-architecture -- [--all] [CHECKOUT]`.
 //!
-//! With `--all` it names every function over a limit, and every circle of files.
+//! With `--all` it also lists every function over a limit, and every circle of files.
 
-#![expect(clippy::print_stdout, reason = "it is a report")]
+#![expect(clippy::print_stdout, reason = "a report on standard output")]
 
 use std::{fs, io, path::PathBuf};
 
@@ -11,13 +11,13 @@ use mocapd_architecture::{cycles, product_sources, root, structure};
 fn main() -> io::Result<()> {
     let arguments = std::env::args().skip(1);
     let (flags, folders): (Vec<_>, Vec<_>) = arguments.partition(|argument| argument == "--all");
-    let tells_all = !flags.is_empty();
+    let lists_all = !flags.is_empty();
     let root = folders.first().map_or_else(root, PathBuf::from);
     let read =
         |path: PathBuf| Ok((path.display().to_string(), fs::read_to_string(root.join(path))?));
     let sources = product_sources(&root).into_iter().map(read).collect::<io::Result<Vec<_>>>()?;
     println!(
-        "crate               files  under 60   code lines  over 80 lines  over 6 values  circles"
+        "crate               files  under 60   code lines  over 80 lines  over 6 params  circles"
     );
     let mut sum = [0; 6];
     for (name, figures) in structure::figures(&sources) {
@@ -34,7 +34,7 @@ fn main() -> io::Result<()> {
         for (sum, value) in sum.iter_mut().zip(row) {
             *sum += value;
         }
-        if tells_all {
+        if lists_all {
             for line in figures.long_functions.iter().chain(&figures.wide_functions) {
                 println!("    {line}");
             }

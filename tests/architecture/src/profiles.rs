@@ -1,19 +1,19 @@
-//! What the fuzz targets are built with is what the workspace is built with.
+//! Checks that the fuzz targets and the workspace are built with the same profile, so that they share dependencies.
 
 use toml::{Table, Value};
 
-/// The profile for development of a manifest.
+/// The development profile in a manifest.
 fn development(manifest: &str) -> Value {
     let manifest: Table = toml::from_str(&super::text(manifest)).unwrap();
     manifest["profile"]["dev"].clone()
 }
 
-/// A crate that is not a member of the workspace has a profile of its own. Where the two differ in anything, cargo builds
-/// every dependency once more.
+/// A crate outside the workspace has its own profile. If the two differ in anything, cargo builds every dependency
+/// twice.
 #[test]
-fn the_fuzz_targets_take_what_the_workspace_has_built() {
+fn the_fuzz_targets_share_the_dependencies_built_for_the_workspace() {
     let mut workspace = development("Cargo.toml");
-    // The fuzz targets do without the command line: cargo warns of a profile for a crate that is not there.
+    // The fuzz targets do not use the command line, and cargo warns about profiles for missing crates.
     let packages = workspace["package"].as_table_mut().unwrap();
     assert!(packages.remove("mocapd").is_some());
     assert_eq!(development("fuzz/Cargo.toml"), workspace);

@@ -1,24 +1,24 @@
-//! The invariants of ARCHITECTURE.md that can be seen in the text of the source.
+//! Checks the invariants of ARCHITECTURE.md that are visible in the text of the source.
 
 use std::path::{Path, PathBuf};
 
-/// What must not be said, and where it may be.
+/// Words that may occur only in some files.
 struct Rule {
-    /// The invariant, as a failure tells it.
-    says: &'static str,
+    /// The invariant, as a failure states it.
+    invariant: &'static str,
     words: &'static [&'static str],
-    /// Files, folders (with `/` at the end), or beginnings of either, where the words may stand.
+    /// Files, folders (with `/` at the end), or beginnings of either, where the words may occur.
     allowed: &'static [&'static str],
 }
 
 const RULES: &[Rule] = &[
     Rule {
-        says: "the simulator is for the demo and the benches: nothing else of the daemon knows it",
+        invariant: "only the demo and the benchmarks of the program use the simulator",
         words: &["mocapd_simulator"],
         allowed: &["src/cli/demo", "src/cli/bench", "simulator/src/"],
     },
     Rule {
-        says: "every thread has a name, and acquire and the service start threads, but for the one of `mocapd-sim` that waits for signals",
+        invariant: "only threads.rs and the import path of acquire, and mocapd-sim, start threads",
         words: &["thread::Builder", "thread::{Builder", "thread::scope"],
         allowed: &[
             "acquire/src/threads.rs",
@@ -27,12 +27,12 @@ const RULES: &[Rule] = &[
         ],
     },
     Rule {
-        says: "a thread without a name is a thread nobody finds: use threads::spawn",
+        invariant: "unnamed threads cannot be identified: use threads::spawn",
         words: &["thread::spawn("],
         allowed: &[],
     },
     Rule {
-        says: "clocks are read in acquire, in src/, on the simulated line, and where a transport waits",
+        invariant: "only acquire, the service, src/, simulated lines and transports read clocks",
         words: &[
             "Instant::now",
             "SystemTime::now",
@@ -51,37 +51,37 @@ const RULES: &[Rule] = &[
         ],
     },
     Rule {
-        says: "libraries do not print: stdout is data and stderr is words, and the command lines say both",
+        invariant: "only the command lines print: results to stdout, messages to stderr",
         words: &["println!", "print!(", "eprintln!", "eprint!(", "io::stdout", "io::stderr"],
         allowed: &["src/cli/", "simulator/src/main.rs", "simulator/src/cli/"],
     },
     Rule {
-        says: "main.rs ends the process, and nobody else",
+        invariant: "only main.rs ends the process",
         words: &["process::exit", "process::abort", "ExitCode"],
         allowed: &["src/main.rs", "src/outcome.rs", "simulator/src/main.rs"],
     },
     Rule {
-        says: "nothing on the sample path waits for a lock",
+        invariant: "nothing on the sample path takes a lock",
         words: &["Mutex", "RwLock", "Condvar"],
-        // The log's gate and the queue of triggers are used by threads that may wait. The service waits for the data
-        // plane, which meets it in one place: once a stretch, in the writer.
+        // The log's rate limit and the queue of triggers are used by threads that may wait. The service and the data
+        // plane share a lock in one place only: the writer takes it once per stretch.
         allowed: &[
             "acquire/src/pipeline/progress.rs",
             "service/src/engine/",
             "service/src/http/",
-            "service/src/log/gate.rs",
+            "service/src/log/rate_limit.rs",
             "service/src/trigger/queue.rs",
         ],
     },
     Rule {
-        says: "every queue is bounded",
+        invariant: "every queue is bounded",
         words: &["unbounded(", "mpsc::channel", "VecDeque::new()"],
         allowed: &[],
     },
     Rule {
-        says: "codec, take and the link protocol are sans-io: no files, no sockets, no devices",
+        invariant: "codec, take and the protocols are sans-io: no files, no sockets, no devices",
         words: &["fs::", "{fs,", "net::", "env::"],
-        // What is read whole is opened by one function, which the program and the simulator share.
+        // The program and the simulator share a function that opens regular files.
         allowed: &[
             "acquire/src/",
             "service/src/",
@@ -94,7 +94,7 @@ const RULES: &[Rule] = &[
         ],
     },
     Rule {
-        says: "files are created in files.rs, and its folder, which never overwrite one; what the simulator writes is new, too",
+        invariant: "only files.rs, which never overwrites one, and the simulator create files",
         words: &["File::create", "File::create_new", "OpenOptions", "fs::write(", "fs::rename("],
         allowed: &[
             "acquire/src/files",
@@ -103,39 +103,39 @@ const RULES: &[Rule] = &[
         ],
     },
     Rule {
-        says: "a crate that could be replaced is named in one room",
+        invariant: "only one module names the ring buffer crate, which could be replaced",
         words: &["ringbuf"],
         allowed: &["acquire/src/pipeline/ring.rs"],
     },
     Rule {
-        says: "async lives in the HTTP API, and in the client that asks it",
+        invariant: "only the HTTP API and its client are async",
         words: &["tokio::", "axum::", "hyper::", "async fn", "async move", ".await"],
         allowed: &["service/src/http/", "src/cli/ctl/"],
     },
     Rule {
-        says: "bincode is for small records behind a checksum",
+        invariant: "only small records behind a checksum use bincode",
         words: &["bincode"],
         allowed: &["take/src/record/"],
     },
     Rule {
-        says: "devices are opened by transports",
+        invariant: "only transports open devices",
         words: &["serialport", "nusb"],
         allowed: &["drivers/src/transport/", "drivers/src/registry.rs"],
     },
     Rule {
-        says: "a USB device is made in one room",
+        invariant: "only one module of the simulator creates USB devices",
         words: &["usb_gadget::"],
         allowed: &["simulator/src/gadget/"],
     },
     Rule {
-        says: "unsafe code is for two system calls that no safe crate wraps, and for one function of more \
-               CPU features than the crate's",
+        invariant: "unsafe code is for two system calls that no safe crate wraps, and for one function that is \
+               compiled for more CPU features than the crate",
         words: &["unsafe {", "unsafe fn", "unsafe impl"],
         allowed: &["codec/src/coding/isa.rs", "drivers/src/transport/tty.rs"],
     },
 ];
 
-/// The sources of the workspace: the Python package is another one.
+/// The sources of the workspace. The Python package is a workspace of its own.
 fn product_sources() -> Vec<PathBuf> {
     let sources = super::product_sources(&super::root());
     sources.into_iter().filter(|path| !path.starts_with("python")).collect()
@@ -145,28 +145,28 @@ fn product_sources() -> Vec<PathBuf> {
 fn the_source_keeps_the_invariants() {
     let sources: Vec<_> =
         product_sources().into_iter().map(|path| (super::text(&path), path)).collect();
-    assert!(sources.len() > 100, "only {} sources were found", sources.len());
-    let mut complaints = Vec::new();
+    assert!(sources.len() > 100, "found only {} sources", sources.len());
+    let mut found = Vec::new();
     for rule in RULES {
         for (text, path) in &sources {
-            complaints.extend(violations(rule, path, text));
+            found.extend(violations(rule, path, text));
         }
     }
-    assert!(complaints.is_empty(), "ARCHITECTURE.md says otherwise:\n{}", complaints.join("\n"));
+    assert!(found.is_empty(), "invariants of ARCHITECTURE.md are violated:\n{}", found.join("\n"));
 }
 
 #[test]
-fn no_exception_outlives_its_reason() {
+fn every_exception_is_still_needed() {
     for rule in RULES {
         for &allowed in rule.allowed {
             let used = product_sources().iter().any(|path| {
-                let here = Rule { allowed: &[], ..*rule };
-                begins(path, allowed) && !violations(&here, path, &super::text(path)).is_empty()
+                let strict = Rule { allowed: &[], ..*rule };
+                begins(path, allowed) && !violations(&strict, path, &super::text(path)).is_empty()
             });
             assert!(
                 used,
-                "'{}': nothing in {allowed} needs the exception any more: take it out here",
-                rule.says
+                "'{}': nothing in {allowed} needs the exception any more: remove it from the rule",
+                rule.invariant
             );
         }
     }
@@ -187,7 +187,7 @@ fn security_md_names_the_files_with_unsafe_code() {
 }
 
 #[test]
-fn what_is_planted_is_found() {
+fn planted_violations_are_found() {
     let spawn = RULES.iter().find(|rule| rule.words.contains(&"thread::spawn(")).unwrap();
     let found = |text| violations(spawn, Path::new("codec/src/lib.rs"), text).len();
     assert_eq!(found("fn f() {\n    std::thread::spawn(|| ());\n}\n"), 1);
@@ -206,7 +206,7 @@ fn what_is_planted_is_found() {
     );
 }
 
-/// One line for each place where a word of the rule stands and may not.
+/// One line for each place where a word of the rule occurs outside the allowed files.
 fn violations(rule: &Rule, path: &Path, text: &str) -> Vec<String> {
     if rule.allowed.iter().any(|allowed| begins(path, allowed)) {
         return Vec::new();
@@ -214,15 +214,15 @@ fn violations(rule: &Rule, path: &Path, text: &str) -> Vec<String> {
     let lines = product_lines(text).enumerate();
     lines
         .filter_map(|(index, line)| {
-            let word = rule.words.iter().find(|word| says(line, word))?;
+            let word = rule.words.iter().find(|word| has_word(line, word))?;
             let place = format!("{}:{}", path.display(), index + 1);
-            Some(format!("  {place}: `{word}`: {}", rule.says))
+            Some(format!("  {place}: `{word}`: {}", rule.invariant))
         })
         .collect()
 }
 
-/// Whether the word stands in the line as a word of its own: `NewFile::create` is no `File::create`.
-fn says(line: &str, word: &str) -> bool {
+/// Whether the line contains the word, and not as the end of a longer one: `NewFile::create` is not `File::create`.
+fn has_word(line: &str, word: &str) -> bool {
     let is_part = |c: char| c.is_alphanumeric() || c == '_';
     line.match_indices(word).any(|(at, _)| !line[..at].ends_with(is_part))
 }
@@ -231,12 +231,12 @@ fn begins(path: &Path, allowed: &str) -> bool {
     path.to_str().is_some_and(|path| path.starts_with(allowed))
 }
 
-/// The lines of a file without comments, up to its unit tests, which stand at its end.
+/// The lines of a file without comments, up to the unit tests at its end.
 fn product_lines(text: &str) -> impl Iterator<Item = &str> {
     let product = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     product.lines().map(|line| match line.trim_start() {
         comment if comment.starts_with("//") => "",
-        // A space before it: `://` of an address is no comment.
+        // With a space before it, because the `://` of an address is not a comment.
         _ => line.split_once(" //").map_or(line, |(code, _)| code),
     })
 }

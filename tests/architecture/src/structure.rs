@@ -1,4 +1,4 @@
-//! The figures of the structure: files, lines, functions that are too long or take too much, by crate.
+//! Figures of the structure by crate: files, lines of code, functions that are too long or have too many parameters.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -9,19 +9,19 @@ use syn::{
     visit::{self, Visit},
 };
 
-/// A function is at most this many lines long, from its name to its closing brace.
+/// Most lines of a function, from its signature to its closing brace.
 pub const FUNCTION_LINES_MAX: usize = 80;
 
-/// A function takes at most this many values, `self` left out and each member of a tuple counted.
+/// Most parameters of a function, without `self` and with every member of a tuple counted.
 pub const PARAMETERS_MAX: usize = 6;
 
-/// A file below this is one that a reader opens for next to nothing.
+/// Files with fewer lines than this count as small.
 pub const SMALL_FILE_LINES: usize = 60;
 
-/// What the source of a crate comes to.
+/// The figures of one crate.
 #[derive(Clone, Debug, Default)]
 pub struct CrateFigures {
-    /// Files of Rust, without tests, benches, examples.
+    /// Rust files, without tests, benches and examples.
     pub files: usize,
     /// Files of fewer than [`SMALL_FILE_LINES`] lines.
     pub small_files: usize,
@@ -29,11 +29,11 @@ pub struct CrateFigures {
     pub code_lines: usize,
     /// `path:line name: lines` of each function that is too long.
     pub long_functions: Vec<String>,
-    /// `path:line name: values` of each function that takes too many.
+    /// `path:line name: parameters` of each function that has too many.
     pub wide_functions: Vec<String>,
 }
 
-/// The figures by crate: by the first folder of the path, `src` being the program.
+/// Computes the figures by crate: by the folder before `src/` in the path; `src` itself is the program.
 #[must_use]
 pub fn figures(sources: &[(String, String)]) -> BTreeMap<String, CrateFigures> {
     let mut crates: BTreeMap<String, CrateFigures> = BTreeMap::new();
@@ -51,7 +51,7 @@ pub fn figures(sources: &[(String, String)]) -> BTreeMap<String, CrateFigures> {
     crates
 }
 
-/// The folder of a crate, out of a path relative to the project's folder.
+/// The folder of a crate, from a path relative to the project's root.
 #[must_use]
 pub fn crate_of(path: &str) -> String {
     let folder = path.split_once("/src/").map_or("src", |(folder, _)| folder);
@@ -84,7 +84,7 @@ fn code_lines(text: &str, file: &syn::File) -> usize {
     lines.count()
 }
 
-/// Marks the lines of what is compiled for tests only.
+/// Marks the lines of items that are compiled for tests only.
 fn mark_tests(items: &[Item], is_test: &mut [bool]) {
     for item in items {
         if is_for_tests(attributes(item)) {
@@ -100,7 +100,7 @@ fn mark_tests(items: &[Item], is_test: &mut [bool]) {
     }
 }
 
-/// Whether the attributes say `#[cfg(test)]` or `#[test]`.
+/// Whether the attributes include `#[cfg(test)]` or `#[test]`.
 pub(crate) fn is_for_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| {
         let is_test_of_cfg = |tokens: &TokenStream| tokens.to_string() == "test";
@@ -177,7 +177,7 @@ impl<'ast> Visit<'ast> for Functions<'_> {
     }
 }
 
-/// A tuple is as many values as it has members, behind a reference, too.
+/// Counts the values in a type: a tuple, also behind a reference, counts as many as it has members.
 fn values_in(kind: &Type) -> usize {
     match kind {
         Type::Tuple(tuple) => tuple.elems.iter().map(values_in).sum(),
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn tests_comments_and_blank_lines_are_no_code() {
+    fn tests_comments_and_blank_lines_are_not_code() {
         let text = "//! A page.\n\n/* more\nof it */\nfn f() {\n    // why\n}\n\n#[cfg(test)]\nmod tests {\n    fn g() {}\n}\n";
         assert_eq!(of(text).code_lines, 2);
     }
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn long_functions_are_found_wherever_they_stand() {
+    fn long_functions_are_found_at_any_nesting() {
         let body = "x();\n".repeat(FUNCTION_LINES_MAX);
         let long = |text: String| of(&text).long_functions.len();
         assert_eq!(long(format!("fn f() {{\n{body}}}")), 1);

@@ -1,4 +1,4 @@
-//! What a ledger has to say of frames whose fates are known: worked out again, from the fates alone.
+//! The expected ledger, computed independently from the known fates of all frames.
 
 use mocapd_simulator::faults::{Fate, FrameFate};
 
@@ -10,7 +10,7 @@ pub(super) struct Expected {
     pub(super) dropped: u64,
     pub(super) lost_on_link: u64,
     pub(super) unknown: u64,
-    /// From the last frame before each outage to the first one behind it, by the device's log.
+    /// Time from the last frame before each outage to the first one after it, by the device's log.
     pub(super) away_s: f64,
 }
 
@@ -22,7 +22,7 @@ pub(super) fn expected(fates: &[FrameFate]) -> Expected {
     for (index, fate) in fates.iter().enumerate().filter(|(_, fate)| is_whole(fate)) {
         let between = &fates[from..index];
         match last {
-            // Between two runs the host was not there, whatever became of the frames.
+            // Between two runs the host was not connected, whatever happened to the frames.
             Some(before) if before.frame.run != fate.frame.run => {
                 expected.unknown += between.len() as u64;
                 expected.away_s += (fate.frame.host_ns - before.frame.host_ns) as f64 * 1e-9;

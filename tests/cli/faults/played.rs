@@ -1,4 +1,4 @@
-//! A script played: a device with its faults on a pty, and the program that records it.
+//! Plays a script: a device with faults on a pty, and the program that records it.
 
 use std::{
     io::Write,
@@ -27,7 +27,7 @@ use crate::support::{jump, samples};
 pub(super) const RATE_HZ: f64 = 240.0;
 const SECONDS: f64 = 2.0;
 
-/// What came of it.
+/// The result of playing a script.
 pub(super) struct Played {
     pub(super) ran: Ran,
     pub(super) report: Value,
@@ -41,7 +41,7 @@ fn motion() -> Motion {
     jump(1, RATE_HZ, SECONDS)
 }
 
-/// Serves a device at `rig` in the folder, and records it with these options beside. `log` gets its frames.
+/// Serves a device at `rig` in the folder, and records it with these options. `log` receives its frames.
 pub(crate) fn record_from(
     folder: &Folder,
     mut device: impl LineDevice + Send + 'static,
@@ -66,7 +66,7 @@ pub(crate) fn record_from(
 }
 
 fn settings(script: &Arc<Script>) -> DeviceSettings {
-    // A machine that is busy with other tests must not make the device drop frames; a stall must.
+    // A busy machine must not make the device drop frames; a stall must.
     let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
     DeviceSettings { queue_bytes, faults: Some(Arc::clone(script)), ..DeviceSettings::default() }
 }
@@ -105,13 +105,13 @@ fn fates(log: &str) -> Vec<FrameFate> {
     lines.map(|line| fate_of(line).unwrap_or_else(|| panic!("{line}"))).collect()
 }
 
-/// What each frame of the log held.
+/// The contents of each frame in the log.
 pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSample>> {
     let changes_motion = [Kind::Swaps, Kind::Ghosts, Kind::OcclusionStorm];
     if changes_motion.iter().any(|kind| script.has(*kind)) {
         let all = played.fates.iter().all(|f| f.frame.run == 1 && f.fate != Fate::Dropped);
         assert!(all, "one run, as below");
-        return said_in_virtual_time(script);
+        return commands_in_virtual_time(script);
     }
     let motion = motion();
     let mut run = (0, 0);
@@ -122,8 +122,8 @@ pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSam
     played.fates.iter().map(frame).collect()
 }
 
-/// The same device beside a clock that the test turns: what it says without a line.
-fn said_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
+/// The output of the same device without a line, in virtual time.
+fn commands_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
     let mut device = Device::new(motion(), settings(&Arc::new(script.clone()))).unwrap();
     let mut host = HostLink::new();
     let mut command = Vec::new();
@@ -144,7 +144,7 @@ fn said_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
     frames
 }
 
-/// A line of the log file; `None` for another.
+/// Parses a frame from a line of the log file; `None` for other lines.
 fn fate_of(line: &str) -> Option<FrameFate> {
     use Fate::{Damaged, Discarded, Dropped, Late, Lost, Unasked, Waiting, Whole};
     let mut cells = line.split(',');

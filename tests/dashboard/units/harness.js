@@ -1,4 +1,4 @@
-// As little of a test framework as will do.
+// A minimal test framework.
 
 const tests = [];
 
@@ -19,14 +19,14 @@ export function isTrue(found, what) {
   if (found !== true) throw new Error(`${what}: ${found}`);
 }
 
-export function throws(body, words) {
+export function throws(body, text) {
   try {
     body();
   } catch (error) {
-    if (!error.message.includes(words)) throw new Error(`'${error.message}' does not say '${words}'`);
+    if (!error.message.includes(text)) throw new Error(`'${error.message}' does not contain '${text}'`);
     return;
   }
-  throw new Error(`nothing was thrown; expected '${words}'`);
+  throw new Error(`nothing was thrown; expected '${text}'`);
 }
 
 export function run() {

@@ -32,16 +32,16 @@ function read(pieces) {
   return pieces.flatMap((piece) => parser.push(piece));
 }
 
-test("a live stream is read, and a kind that is not known is passed over", () => {
+test("a live stream is parsed, and an unknown kind is skipped", () => {
   const [first, second, third, ...rest] = read([whole]);
   equal([first.kind, first.table], ["table", table]);
   equal([second.row, Number(second.ticks), second.arrivalUnixUs], [7, 2 ** 40, 1_795_322_985_615_123]);
   equal([...second.positionsMm].slice(0, 3), [1.5, -2, 3]);
-  isTrue(second.positionsMm.slice(3).every(Number.isNaN), "a marker that is not seen is NaN");
+  isTrue(second.positionsMm.slice(3).every(Number.isNaN), "an occluded marker is NaN");
   equal([third.row, third.positionsMm.length, rest.length], [8, 0, 0]);
 });
 
-test("the place of a face comes behind its frame", () => {
+test("the pose of a face follows its frame", () => {
   const body = new Uint8Array(52);
   body[0] = 3;
   new DataView(body.buffer).setFloat32(4 + 4 * 7, 1.5, true);
@@ -50,22 +50,22 @@ test("the place of a face comes behind its frame", () => {
   throws(() => read([message(body.slice(0, 51))]), "twelve floats");
 });
 
-test("a live stream may be cut at every byte", () => {
+test("a live stream may be split at every byte", () => {
   for (let cut = 0; cut <= whole.length; cut += 1) {
     const found = read([whole.slice(0, cut), whole.slice(cut)]);
-    equal(found.map(({ kind, row }) => [kind, row]), [["table", undefined], ["frame", 7], ["frame", 8]], `cut at ${cut}:`);
+    equal(found.map(({ kind, row }) => [kind, row]), [["table", undefined], ["frame", 7], ["frame", 8]], `split at ${cut}:`);
   }
   equal(read([...whole].map((byte) => Uint8Array.of(byte))).length, 3);
 });
 
-test("what is no live stream is refused and not waited for", () => {
+test("anything but a live stream is refused at once", () => {
   throws(() => read([new TextEncoder().encode("<!doctype html>")]), "not the live stream");
   throws(() => read([new Uint8Array(8)]), "0 bytes");
-  throws(() => read([message(new Uint8Array([2, 0, 0, 0]))]), "three floats a marker");
-  throws(() => read([message(new Uint8Array(30).fill(2, 0, 1))]), "three floats a marker");
+  throws(() => read([message(new Uint8Array([2, 0, 0, 0]))]), "three floats per marker");
+  throws(() => read([message(new Uint8Array(30).fill(2, 0, 1))]), "three floats per marker");
 });
 
-test("events are read however they are cut", () => {
+test("events are parsed however they are split", () => {
   const text = ': hello\n\nid: 4\ndata: {"a":1}\n\nevent: missed\r\ndata: one\r\ndata: two\r\n\r\ndata:x\n\nid: 9\n\n';
   for (let cut = 0; cut <= text.length; cut += 1) {
     const parser = new EventParser();
@@ -74,6 +74,6 @@ test("events are read however they are cut", () => {
       { id: "4", type: "message", data: '{"a":1}' },
       { id: null, type: "missed", data: "one\ntwo" },
       { id: null, type: "message", data: "x" },
-    ], `cut at ${cut}:`);
+    ], `split at ${cut}:`);
   }
 });

@@ -1,1 +1,1 @@
-"""A plain decoder of take files, written to be read: docs/take-format.md and docs/codec.md, step by step."""
+"""A decoder of take files that favours readability: it follows docs/take-format.md and docs/codec.md step by step."""

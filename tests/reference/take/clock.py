@@ -1,4 +1,4 @@
-"""CLOCK, and the line through what it holds: docs/take-format.md and docs/clock.md."""
+"""CLOCK, and the clock line fitted to its observations: docs/take-format.md and docs/clock.md."""
 
 from dataclasses import dataclass
 
@@ -65,7 +65,7 @@ def read_clock(payload):
 
 
 def peak(height):
-    """Where something concave is highest."""
+    """The position of the maximum of a concave function."""
     low, high = -DRIFT_MAX_PPM, DRIFT_MAX_PPM
     for _ in range(80):
         third = (high - low) / 3
@@ -77,7 +77,7 @@ def peak(height):
 
 
 class Bounds:
-    """Some observations on one side of the line, as seconds and microseconds beside the nominal rate."""
+    """Observations on one side of the line, as seconds and microseconds relative to the nominal rate."""
 
     def __init__(self, points, at, tick_hz):
         self.xy = []
@@ -99,7 +99,7 @@ class Bounds:
 
 
 def bursts_of(probes, tick_hz, drift_ppm):
-    """Of each burst its first time, latest ping and earliest pong, and how much worse the second best were."""
+    """For each burst its first time, latest ping and earliest pong, and the difference of the second best to each."""
     groups = []
     for ticks, sent_us, trip_us in probes:
         if not groups or abs(sent_us - groups[-1][0][1]) >= BURST_US:
@@ -120,7 +120,7 @@ def bursts_of(probes, tick_hz, drift_ppm):
 
 
 def lay(points, bursts, tick_hz):
-    """Place (ticks, host us), how much later the line is there in us, drift in ppm. None if it breaks a bound."""
+    """Place (ticks, host us), delay of the line there in us, drift in ppm. None if it violates a bound."""
     at = points[-1] if points else bursts[-1][1]
     arrivals = Bounds(points, at, tick_hz)
     low = Bounds([burst[1] for burst in bursts], at, tick_hz)
@@ -147,8 +147,8 @@ def lay(points, bursts, tick_hz):
 
 
 def lines_of(clocks):
-    """The line of the last segment, laid again from all that the take has of it: through the best round trips at the
-    stored rate, then at the line's own, until these are the same. Mostly there is one; the stored line is one of them."""
+    """The line of the last segment, fitted to all of its observations in the take: to the best round trips at the
+    stored rate, then at the line's own, until both agree. Usually there is one; the stored line is one of them."""
     last = [clock for clock in clocks if clock.segment == clocks[-1].segment]
     tick_hz = last[0].tick_hz
     points = [point for clock in last for point in clock.points]
@@ -169,7 +169,7 @@ def lines_of(clocks):
 
 
 def newest_line(points, bursts, tick_hz):
-    """Without the oldest bursts, and what came before them, where no line keeps all bounds."""
+    """Drops the oldest bursts, and all points before them, until a line keeps all bounds."""
     while bursts:
         line = lay(points, bursts, tick_hz)
         if line:

@@ -1,4 +1,4 @@
-"""Samples bit by bit: docs/codec.md, "Columns"."""
+"""Bit-exact samples: docs/codec.md, "Columns"."""
 
 import math
 
@@ -10,7 +10,7 @@ MASK = (1 << 64) - 1
 
 
 def signed(value):
-    """Modulo 2^64."""
+    """Wraps modulo 2^64."""
     value &= MASK
     return value - (1 << 64) if value >> 63 else value
 
@@ -20,7 +20,7 @@ def unzigzag(value):
 
 
 class History:
-    """The last values of one axis, newest last: two at most."""
+    """The last values of one axis, newest last, at most two."""
 
     def __init__(self):
         self.values = []
@@ -63,7 +63,7 @@ def to_float(ordered):
 
 
 def read_channel(cursor, channel, histories=None):
-    """Fills the present rows of a channel, all of them kept."""
+    """Decodes the present rows of a channel; all of them are kept samples."""
     histories = histories or [History() for _ in range(3)]
     rows = [row for row, present in enumerate(channel.present) if present]
     head = cursor.byte()

@@ -13,7 +13,7 @@ CODEC_VERSION = 6
 
 
 def chunks(data):
-    """Types and payloads. Says where the first damaged chunk is; a reader that must save what it can does more."""
+    """Types and payloads of chunks. Raises at the first damaged chunk, unlike a reader that recovers what it can."""
     if data[:8] != MAGIC:
         raise Corrupt("not a take")
     at = 8
@@ -30,7 +30,7 @@ def chunks(data):
 
 
 class Record(Cursor):
-    """bincode 2, standard configuration, behind a version."""
+    """bincode 2 with the standard configuration, after a version byte."""
 
     def __init__(self, payload, version):
         super().__init__(payload)
@@ -62,7 +62,7 @@ class Record(Cursor):
         return item() if self.byte() else None
 
     def channels(self):
-        """A table of channels, whose labels begin like the one before."""
+        """A table of channels whose labels share prefixes with the preceding label."""
         table = Cursor(self.take(self.unsigned()))
         marker_id, label, labelled, channels = -1, b"", True, []
         while table.left():
@@ -128,7 +128,7 @@ ENDINGS = ["stopped", "length", "device ended", "device gone", "disk full", "ser
 
 
 def read_summary(payload):
-    """How the take ended, as (name, detail); None where it does not say."""
+    """How the take ended, as (name, detail); None if it is not recorded."""
     cursor = Cursor(payload)
     if int.from_bytes(cursor.take(2), "little") != 1:
         return None

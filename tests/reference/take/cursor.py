@@ -1,10 +1,10 @@
-"""Bytes from front to back."""
+"""Sequential reading of bytes."""
 
 from .errors import Corrupt
 
 
 class Cursor:
-    """A chunk or its parts."""
+    """A chunk or a part of it."""
 
     def __init__(self, data):
         self.data = data
@@ -23,7 +23,7 @@ class Cursor:
         return self.take(1)[0]
 
     def varint(self):
-        """LEB128: seven bits a byte, lowest first, the high bit set on all but the last byte."""
+        """LEB128: seven bits per byte, lowest first, the high bit set on all but the last byte."""
         value = shift = 0
         while True:
             byte = self.byte()

@@ -1,5 +1,5 @@
-"""What is said of bytes that no encoder wrote."""
+"""Errors for bytes that no encoder wrote."""
 
 
 class Corrupt(ValueError):
-    """The bytes are not what the format allows."""
+    """The bytes violate the format."""

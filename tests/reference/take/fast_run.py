@@ -8,7 +8,7 @@ ANCHOR, ORIGIN = 5, 6
 SPAN = 32
 TAIL = SPAN + 1
 
-# By table.
+# By table index.
 GOLOMB = [0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 2, 2, 0, 0]
 LOW_BITS = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 6, 0, 0]
 GUESSES = [(1, 0.0), (2, 1.0), (4, 1.0), (8, 1.0), (8, 0.5), (32, 1.0), (32, 0.5)]
@@ -28,7 +28,7 @@ def mul(a, b):
 
 
 class Memory:
-    """What is kept of one channel from block to block."""
+    """The state of one channel from block to block."""
 
     def __init__(self):
         self.tail = [[0.0] * 3 for _ in range(TAIL)]
@@ -57,7 +57,7 @@ def run(bits, memory, step, cap, n_samples):
             kept.add(0)
         memory.known = 1
         n -= 1
-    # Row r of the run; row 0 is the last one before it, or the origin.
+    # Row r of the run; row 0 is the last row before it, or the origin.
     points = {r - SPAN: memory.tail[r] for r in range(TAIL)}
     if n > 0:
         end = extent(n)

@@ -1,4 +1,4 @@
-"""float32 in a language that has only float64."""
+"""float32 arithmetic in a language with float64 only."""
 
 import math
 import struct
@@ -7,7 +7,7 @@ _FLOAT = struct.Struct("<f")
 
 
 def f32(value):
-    """The nearest float32, ties to even; infinite where it is too large."""
+    """The nearest float32, ties to even; infinite beyond its range."""
     try:
         return _FLOAT.unpack(_FLOAT.pack(value))[0]
     except OverflowError:

@@ -1,4 +1,4 @@
-"""One block: head, presence, payload (docs/codec.md, "The frame")."""
+"""One block: header, presence, payload (docs/codec.md, "The frame")."""
 
 from .cursor import Cursor
 from .errors import Corrupt
@@ -29,7 +29,7 @@ class Channel:
 
 
 class Group:
-    """The blocks of one group of channels, in order. `payload` decodes what is behind the frame."""
+    """The blocks of one group of channels, in order. `payload` decodes the bytes after the frame."""
 
     def __init__(self, payload, tolerance_mm):
         self.payload = payload
@@ -39,7 +39,7 @@ class Group:
         self.stated_mm = 0.0  # of the last block
 
     def decode(self, block, shared, n_rows, key):
-        """The channels of the block; none of an empty one."""
+        """Returns the channels of the block; none for an empty one."""
         if key:
             self.payload.reset()
             self.presence.reset()

@@ -1,4 +1,4 @@
-"""`lossless`: the columns of each sampled channel, with the histories of the blocks before."""
+"""`lossless`: the columns of each sampled channel, with the histories of the preceding blocks."""
 
 from .columns import History, read_channel
 from .cursor import Cursor
@@ -16,7 +16,7 @@ class Lossless:
         self.histories = [[History() for _ in range(3)] for _ in range(64)]
 
     def break_off(self):
-        """A marker is found again not far from where it was lost."""
+        """A marker reappears close to the place where it was lost."""
 
     def decode(self, payload, _shared, channels):
         cursor = Cursor(payload)

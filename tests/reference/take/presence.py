@@ -11,17 +11,17 @@ AGES = [1, 2, 4, 8, 20, 60]
 
 
 def split(first, end, piece):
-    """Pieces of some rows, the last one shorter."""
+    """Splits rows into pieces; the last one may be shorter."""
     return [(at, min(end, at + piece)) for at in range(first, end, piece)]
 
 
 class State:
-    """What was seen of a channel up to a stretch."""
+    """The presence history of a channel up to a stretch."""
 
     def __init__(self, present, changed=0):
         self.last = 0b1111 if present else 0
         self.age = LONG
-        self.changed = changed  # in the block before: 0 there was none, 1 no, 2 yes
+        self.changed = changed  # in the block before: 0 no block, 1 no, 2 yes
 
     def newest(self):
         return self.last & 1
@@ -35,7 +35,7 @@ class State:
 
 
 class Presence:
-    """Follows a group from block to block. A new one is as behind an empty key block."""
+    """Presence of a group from block to block. A new one is in the state after an empty key block."""
 
     def __init__(self):
         self.reset()
@@ -50,7 +50,7 @@ class Presence:
         self.states = [State(True) for _ in range(CHANNELS)]
 
     def skip(self):
-        """An empty block."""
+        """Advances over an empty block."""
         self.states = [State(False, state.changed) for state in self.states]
 
     def leave_out_from(self, n_channels):
@@ -58,7 +58,7 @@ class Presence:
             self.states[i] = State(False)
 
     def all_present(self, n_channels, n_rows):
-        """A block without the section."""
+        """Advances over a block without the section."""
         for state in self.states[:n_channels]:
             state.changed = 1 if state.newest() else 2
             for _ in range(min(n_rows, LONG)):
@@ -66,7 +66,7 @@ class Presence:
         self.leave_out_from(n_channels)
 
     def read(self, section, n_channels, n_rows):
-        """Lists of flags, one a channel."""
+        """Returns lists of flags, one per channel."""
         coder = RangeDecoder(section)
         out = []
         beside, beside_before = [1] * n_rows, 1
@@ -104,7 +104,7 @@ class Presence:
         return rows
 
     def any(self, coder, bits, state, beside, before, piece, certain, rows):
-        """Whether some rows have a change; if they have not, they are passed."""
+        """Whether some rows contain a change; rows without one are appended."""
         was, n_rows = state.newest(), piece[1] - piece[0]
         first = beside[piece[0] - 1] if piece[0] else before
         near = beside[piece[0] : piece[1]]
@@ -118,7 +118,7 @@ class Presence:
         return False
 
     def rows(self, coder, state, beside, before, part, rows):
-        """The rows of a part that has a change."""
+        """Decodes the rows of a part that contains a change."""
         changed = False
         for row in range(*part):
             near = beside[row]

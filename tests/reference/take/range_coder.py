@@ -8,12 +8,12 @@ GROWN_UP = 126
 
 
 class Bit:
-    """Two estimates of the probability of `false`, and how many bits they rest on."""
+    """Two estimates of the probability of `false`, and the number of bits they are based on."""
 
     __slots__ = ("nimble", "steady", "seen")
 
     def __init__(self, odds=None):
-        """`odds` of `true` in 1/256, as if 14 bits had been seen; none: even odds, nothing seen."""
+        """Starts at `odds` of `true` in 1/256, with the weight of 14 bits; None: even odds without any weight."""
         start = 32768 if odds is None else 65535 - (256 * odds + 128)
         self.nimble = self.steady = start
         self.seen = 0 if odds is None else 14
@@ -34,7 +34,7 @@ class Bit:
 
 
 class RangeDecoder:
-    """Reads bytes, and zeros after them."""
+    """Reads bytes, and zeros after the end."""
 
     def __init__(self, data):
         self.data = data
@@ -43,7 +43,7 @@ class RangeDecoder:
         self.range = 0xFFFFFFFF
 
     def split(self, probability):
-        """A bit that is `false` with this probability in 2^-16."""
+        """Decodes a bit that is `false` with this probability in 2^-16."""
         bound = self.range * probability >> 16
         bit = self.code >= bound
         if bit:
@@ -64,20 +64,20 @@ class RangeDecoder:
         return bit
 
     def mixed(self, a, b):
-        """A bit that two models expect together."""
+        """Decodes a bit with the mixed probability of two models."""
         bit = self.split((a.probability() + b.probability()) >> 1)
         a.learn(bit)
         b.learn(bit)
         return bit
 
     def plain(self, n):
-        """`n` bits of even odds, highest first."""
+        """Decodes `n` bits of even odds, highest first."""
         value = 0
         for _ in range(n):
             value = value << 1 | self.split(32768)
         return value
 
     def finish(self):
-        """Every byte must have been needed."""
+        """Checks that every byte was needed."""
         if self.at < len(self.data):
             raise Corrupt("bytes after the coded bits")

@@ -66,7 +66,7 @@ def place(channel, start, rows, cursor, n_rows):
 
 
 class Spline:
-    """The payloads of a group; they keep no state."""
+    """The payloads of a group; no state is kept between blocks."""
 
     EXACT = False
 
@@ -96,10 +96,10 @@ class Spline:
         cursor.finish()
 
     def begin(self, shared, n_rows):
-        """`spline` shares nothing."""
+        """`spline` shares nothing between channels."""
 
     def knots(self, cursor, start, end):
-        """The kept rows of a run, counted from its first."""
+        """The kept rows of a run, counted from its first row."""
         n = end - start
         rows = [0]
         if n > 2:

@@ -1,4 +1,4 @@
-"""Stretches in order: where they lie, when they were, and their blocks (docs/take-format.md, "STRETCH")."""
+"""Stretches in order: their rows, times and blocks (docs/take-format.md, "STRETCH")."""
 
 from .container import CHANNELS, FOOTER, HEADER, STRETCH, SUMMARY, chunks, read_channels, read_header, read_summary
 from .cursor import Cursor
@@ -12,7 +12,7 @@ from .sync import Sync
 from .timeline import Times
 
 GROUP = 64
-ROWS_MAX = {True: 1 << 17, False: 1 << 22}  # by whether the resampler is a live one
+ROWS_MAX = {True: 1 << 17, False: 1 << 22}  # by whether the resampler is live
 LIVE = {"dense", "fast", "lossless"}
 PAYLOADS = {"dense": Dense, "fast": Fast, "lossless": Lossless, "spline": Spline, "sync": Sync}
 
@@ -27,7 +27,7 @@ class Take:
         self.times = []  # (row, ticks, arrival in 10 us, timecode) of the recorded rows
         self.lost = []  # (first row, rows, causes)
         self.finished = False
-        self.ending = None  # (name, detail), where it says
+        self.ending = None  # (name, detail), if recorded
         self.tracks = {}  # by channel: {row: (position, kept)}
         self.stated_mm = 0.0
 
@@ -77,7 +77,7 @@ class Stretches:
         self.decode(blocks, shared, end - n_rows, n_rows, bool(key))
 
     def time_line(self, cursor, key, from_row, n_rows, listed):
-        """The row after the last."""
+        """Reads the times of a stretch and returns the row after its last."""
         runs = [(n_rows, None)] if n_rows else []
         if listed:
             runs = []
@@ -121,7 +121,7 @@ class Stretches:
 
 
 def read_take(data):
-    """The bytes of an undamaged take; one that was cut off between two chunks is read to its end."""
+    """Decodes the bytes of an undamaged take; one that ends after a complete chunk is read up to there."""
     take, stretches = Take(), None
     for kind, payload in chunks(data):
         if kind == HEADER:

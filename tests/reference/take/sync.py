@@ -1,4 +1,4 @@
-"""`sync`: splines through one set of key times for all channels (docs/codec.md, "sync")."""
+"""`sync`: splines of all channels with common key times (docs/codec.md, "sync")."""
 
 from .cursor import Cursor
 from .errors import Corrupt

@@ -9,7 +9,7 @@ QUIET, WAKE = CLASSES, CLASSES + 1
 QUIET_ROWS = 16
 LARGER = 3
 
-# By how many axes are larger and how many are +-1: 0 larger with 0 to 3, 1 larger with 0 to 2, ...
+# By the number of larger axes and the number of axes that are +-1: 0 larger with 0 to 3, 1 larger with 0 to 2, ...
 FREQUENCIES = [
     [937, 5, 1, 1, 1, 1, 1, 1, 1, 1],
     [925, 7, 1, 1, 1, 1, 1, 1, 1, 1],

@@ -1,4 +1,4 @@
-"""When the rows were: docs/take-format.md, "The time line"."""
+"""The times of the rows: docs/take-format.md, "The time line"."""
 
 from .columns import MASK, signed
 from .errors import Corrupt
@@ -12,7 +12,7 @@ def clamp(value, limit=STRAY):
 
 
 class Number:
-    """The model of one kind of number."""
+    """The adaptive model of one kind of number."""
 
     def __init__(self, odds):
         self.nonzero = [Bit(128) for _ in range(21)]
@@ -85,7 +85,7 @@ class Timecodes:
 
 
 class Times:
-    """What runs on from stretch to stretch."""
+    """State that continues from stretch to stretch."""
 
     def __init__(self, tick_hz):
         self.tick_hz = tick_hz or 1

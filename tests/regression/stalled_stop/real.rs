@@ -1,4 +1,4 @@
-//! The same in real time: the service as the program it is, with a simulated device on a line.
+//! Stalls in real time: the service as a program, with a simulated device on a line.
 
 use std::{
     process::Child,
@@ -18,10 +18,10 @@ use crate::{
     support::{Seeded, jump},
 };
 
-/// What does not move.
+/// What stalls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stalled {
-    /// The device hands nothing over.
+    /// The device sends nothing.
     Device,
     /// The whole service, by SIGSTOP.
     Service,

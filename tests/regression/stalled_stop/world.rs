@@ -1,4 +1,5 @@
-//! A device, its line, its host and its disk in virtual time, in front of the pipeline of a service: one of them stalls.
+//! A device, its line, its host and its disk in virtual time, in front of the pipeline of a service: one of them
+//! stalls.
 
 use std::{
     io::{self, Write},
@@ -10,8 +11,8 @@ use mocapd_acquire::{
     clock::Prober,
     header,
     pipeline::{
-        Armed, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeHandle, TakeOutput,
-        Written,
+        ArmedHandles, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeAccount,
+        TakeHandle, TakeOutput,
     },
 };
 use mocapd_drivers::device::{Frame, MarkerSample};
@@ -28,13 +29,13 @@ const BEGUN_NS: f64 = 86_400e9;
 /// Frames that a line keeps for a reader that does not come: 4 KiB of a pty's, of 40 bytes each.
 const LINE_FRAMES: usize = 100;
 
-/// A read waits so long for something.
+/// How long a read waits for data.
 const READ_NS: f64 = 20e6;
 
 /// How long the pipeline's threads are given after a stall of the whole process, in virtual time.
 const CATCH_UP_S: f64 = 0.3;
 
-/// What does not move during a stall.
+/// What stalls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stalled {
     /// The disk: a write takes that long.
@@ -64,9 +65,9 @@ pub(super) struct World {
     /// When the device's clock jumps ahead by 5 s.
     pub(super) jump_s: Option<f64>,
     pub(super) drift_ppm: f64,
-    /// The line sends what it has so often; at once when 0.
+    /// Interval at which the line sends its data; at once if 0.
     pub(super) batch_ms: f64,
-    /// What a busy machine adds to the least delay of 40 us, each way, in the mean.
+    /// Mean delay that a busy machine adds to the minimum of 40 us, each way.
     pub(super) jitter_us: f64,
 }
 
@@ -74,7 +75,7 @@ pub(super) struct World {
 pub(super) struct Ended {
     pub(super) name: &'static str,
     pub(super) take: Vec<u8>,
-    pub(super) written: Written,
+    pub(super) written: TakeAccount,
     /// The host's clock when the reader ended it.
     pub(super) until_ns: u64,
 }
@@ -134,7 +135,7 @@ enum Command {
     Stop,
 }
 
-/// What is under way to the host.
+/// Data in transit to the host.
 enum Sent {
     Frame { seq: u32, device_ticks: u64 },
     Pong { ping_ns: u64, device_ticks: u64 },
@@ -201,7 +202,7 @@ impl World {
         40e3 - 1e3 * self.jitter_us * between(rng, 1e-9, 1.0).ln()
     }
 
-    /// When what the device has at that time reaches the host.
+    /// When the data that the device has at that time reaches the host.
     fn arrival_ns(&self, ready_ns: f64, rng: &mut Seeded) -> f64 {
         let batch_ns = self.batch_ms * 1e6;
         let ready_ns = self.resumed_ns(&[Stalled::Device], ready_ns);
@@ -300,7 +301,7 @@ impl World {
             }
             intake.tick(now_ns as u64);
             if intake.wants_probes() {
-                prober.hurry();
+                prober.restart_schedule();
             }
             if let Some(due_ns) = prober.due(now_ns as u64) {
                 now_ns = now_ns.max(due_ns as f64);
@@ -338,7 +339,7 @@ fn patiently<T>(mut order: impl FnMut() -> anyhow::Result<T>) -> T {
     }
 }
 
-fn end_of(begun: &TakeHandle) -> (Written, Gated) {
+fn end_of(begun: &TakeHandle) -> (TakeAccount, Gated) {
     let (written, output) = begun.ended.recv_timeout(Duration::from_secs(30)).unwrap().unwrap();
     (written, output_of(output))
 }
@@ -361,15 +362,15 @@ fn header() -> Header {
     header
 }
 
-fn arm() -> (Intake, Pipeline, Armed) {
+fn arm() -> (Intake, Pipeline, ArmedHandles) {
     Pipeline::arm(&config(), &header()).unwrap()
 }
 
-fn new_take(disk: &Arc<Disk>, pre_roll_s: f64, asked_ns: f64) -> NewTake {
+fn new_take(disk: &Arc<Disk>, pre_roll_s: f64, requested_ns: f64) -> NewTake {
     let output = Gated { disk: Arc::clone(disk), bytes: Vec::new() };
     NewTake {
         pre_roll: Duration::from_secs_f64(pre_roll_s),
-        asked_ns: asked_ns as u64,
+        requested_ns: requested_ns as u64,
         ..NewTake::new(output, header())
     }
 }
@@ -385,7 +386,7 @@ fn give(intake: &mut Intake, seq: u32, device_ticks: u64, arrival_ns: u64) {
 pub(super) const FLOOD: u64 = 2_048;
 
 /// A take whose disk stalls while more is observed of the clocks than can wait.
-pub(super) fn flooded() -> (Vec<u8>, Written) {
+pub(super) fn flooded() -> (Vec<u8>, TakeAccount) {
     let disk = Arc::new(Disk::default());
     let (mut intake, pipeline, mut armed) = arm();
     let mut next_seq = 0;
@@ -396,8 +397,12 @@ pub(super) fn flooded() -> (Vec<u8>, Written) {
             give(intake, next_seq, ticks, at_ns + 90_000);
             for trip in 0..trips {
                 // Each tells a little more than the one before.
-                let asked_ns = at_ns + trip * 200_000;
-                intake.probe(ticks + trip * 200 + 50, asked_ns, asked_ns + 200_000 - trip * 1_000);
+                let requested_ns = at_ns + trip * 200_000;
+                intake.probe(
+                    ticks + trip * 200 + 50,
+                    requested_ns,
+                    requested_ns + 200_000 - trip * 1_000,
+                );
             }
             next_seq += 1;
         }

@@ -1,4 +1,4 @@
-//! What the fake tells: events and frames, each listener bounded.
+//! The event and frame feeds of the fake, with a bounded queue for each subscriber.
 
 use std::sync::{
     Arc, Mutex,
@@ -12,17 +12,17 @@ use mocapd_service::{
     status::{ServiceEvent, ServiceEventKind, State},
 };
 
-/// Events and frames that a listener may be behind.
+/// Capacity of the queues: events and frames.
 const EVENTS: usize = 64;
 const FRAMES: usize = 8;
 
-/// Where its events go, and how many did not fit.
-type Listener = (Sender<Arc<ServiceEvent>>, Arc<AtomicU64>);
+/// The queue of a subscriber, and the number of events that did not fit.
+type Subscriber = (Sender<Arc<ServiceEvent>>, Arc<AtomicU64>);
 
 #[derive(Debug, Default)]
 pub(crate) struct Feeds {
     number: AtomicU64,
-    listeners: Mutex<Vec<Listener>>,
+    subscribers: Mutex<Vec<Subscriber>>,
     viewers: Mutex<Vec<Sender<LiveMessage>>>,
     closed: Arc<AtomicBool>,
 }
@@ -31,7 +31,7 @@ impl Feeds {
     pub(super) fn events(&self) -> EventFeed {
         let (sender, receiver) = bounded(EVENTS);
         let missed = Arc::new(AtomicU64::new(0));
-        self.listeners.lock().unwrap().push((sender, Arc::clone(&missed)));
+        self.subscribers.lock().unwrap().push((sender, Arc::clone(&missed)));
         EventFeed::new(receiver, missed)
     }
 
@@ -42,7 +42,7 @@ impl Feeds {
         LiveFeed::new(receiver, Arc::clone(&self.closed))
     }
 
-    pub(crate) fn tell(
+    pub(crate) fn publish(
         &self,
         kind: ServiceEventKind,
         message: String,
@@ -59,7 +59,7 @@ impl Feeds {
             take: take.map(str::to_owned),
             notes: None,
         });
-        self.listeners.lock().unwrap().retain(|(sender, missed)| {
+        self.subscribers.lock().unwrap().retain(|(sender, missed)| {
             match sender.try_send(Arc::clone(&event)) {
                 Err(crossbeam_channel::TrySendError::Full(_)) => {
                     missed.fetch_add(1, Ordering::Relaxed);
@@ -70,8 +70,8 @@ impl Feeds {
         });
     }
 
-    /// Shows a frame to everybody who looks: how many do.
-    pub(crate) fn show(&self, row: u64, n_markers: usize) -> usize {
+    /// Sends a frame to all viewers; returns their number.
+    pub(crate) fn send_frame(&self, row: u64, n_markers: usize) -> usize {
         let frame = Arc::new(LiveFrame {
             row,
             device_ticks: row * 10,
@@ -82,15 +82,15 @@ impl Feeds {
         self.send(&LiveMessage::Frame(frame))
     }
 
-    /// Shows other markers.
-    pub(crate) fn show_table(&self, n_markers: usize) {
+    /// Sends a new table of markers.
+    pub(crate) fn send_table(&self, n_markers: usize) {
         self.send(&LiveMessage::Table(table(n_markers)));
     }
 
     fn send(&self, message: &LiveMessage) -> usize {
         let mut viewers = self.viewers.lock().unwrap();
         viewers.retain(|viewer| match viewer.try_send(message.clone()) {
-            // A table waits for room, as it is never dropped.
+            // A table is never dropped: wait for space in the queue.
             Err(crossbeam_channel::TrySendError::Full(message @ LiveMessage::Table(_))) => {
                 viewer.send(message).is_ok()
             }

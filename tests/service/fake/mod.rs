@@ -1,4 +1,4 @@
-//! A service that records nothing and is otherwise true to its word: states, refusals, files, events, frames.
+//! A fake of the service: it records nothing, but has the states, refusals, files, events and frames of the service.
 
 mod feeds;
 
@@ -32,7 +32,6 @@ use self::feeds::Feeds;
 
 const ROWS: u64 = 120;
 
-/// See the module.
 #[derive(Debug)]
 pub(crate) struct Fake {
     folder: PathBuf,
@@ -40,13 +39,13 @@ pub(crate) struct Fake {
     started: Instant,
     inner: Mutex<Inner>,
     pub(crate) feeds: Feeds,
-    /// Milliseconds that every command takes.
+    /// Duration of every command in milliseconds.
     pub(crate) command_ms: AtomicU64,
-    /// Frames that the ledger of the next take tells of as lost on the link.
+    /// Frames lost on the link in the ledger of the next take.
     lost: AtomicU64,
-    /// Commands that were carried out, not answered from memory.
-    pub(crate) carried_out: AtomicU64,
-    /// What it was given to tell: the kind, and the words.
+    /// Number of commands executed, without repeated requests.
+    pub(crate) executed: AtomicU64,
+    /// Kind and message of the events passed to `Control::tell`.
     pub(crate) told: Mutex<Vec<(String, String)>>,
 }
 
@@ -56,11 +55,11 @@ struct Inner {
     failure: Option<String>,
     take: Option<TakeStatus>,
     n_takes: u64,
-    answers: HashMap<String, Remembered>,
+    replies: HashMap<String, CachedReply>,
 }
 
 #[derive(Debug, Clone)]
-enum Remembered {
+enum CachedReply {
     Status(Box<Result<Status, Refusal>>),
     Started(Result<Started, Refusal>),
     Stopped(Box<Result<Stopped, Refusal>>),
@@ -71,7 +70,7 @@ fn refuse<T>(kind: RefusalKind, message: &str) -> Result<T, Refusal> {
     Err(Refusal::new(kind, message))
 }
 
-/// A name of a take: what could be a path, or hidden, is none.
+/// Whether a text is a valid take name: no path, no hidden file.
 fn is_name(name: &str) -> bool {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "-_. ".contains(c);
     !name.is_empty()
@@ -81,7 +80,7 @@ fn is_name(name: &str) -> bool {
 }
 
 impl Fake {
-    /// Keeps its takes in `folder`; `take` is what every one of them will hold.
+    /// A fake whose takes are written to `folder`, each with the content `take`.
     pub(crate) fn new(folder: &Path, take: Vec<u8>) -> Arc<Self> {
         Arc::new(Self {
             folder: folder.to_owned(),
@@ -91,7 +90,7 @@ impl Fake {
             feeds: Feeds::default(),
             command_ms: AtomicU64::new(0),
             lost: AtomicU64::new(0),
-            carried_out: AtomicU64::new(0),
+            executed: AtomicU64::new(0),
             told: Mutex::default(),
         })
     }
@@ -116,22 +115,22 @@ impl Fake {
 
     fn new_path(&self, name: &str) -> Result<PathBuf, Refusal> {
         if !is_name(name) {
-            return refuse(RefusalKind::Invalid, "that is no name for a take");
+            return refuse(RefusalKind::Invalid, "not a valid take name");
         }
         let path = self.path(name);
         if path.exists() {
-            return refuse(RefusalKind::Exists, "a take of that name exists: choose another");
+            return refuse(RefusalKind::Exists, "a take of that name exists: choose another name");
         }
         Ok(path)
     }
 
-    /// Carries out, or answers as before.
+    /// Executes a command, or returns the reply to the same request.
     fn once<T>(
         &self,
         id: Option<&String>,
-        wrap: impl Fn(Result<T, Refusal>) -> Remembered,
-        unwrap: impl Fn(Remembered) -> Option<Result<T, Refusal>>,
-        carry_out: impl FnOnce(&mut Inner) -> Result<T, Refusal>,
+        wrap: impl Fn(Result<T, Refusal>) -> CachedReply,
+        unwrap: impl Fn(CachedReply) -> Option<Result<T, Refusal>>,
+        command: impl FnOnce(&mut Inner) -> Result<T, Refusal>,
     ) -> Result<T, Refusal>
     where
         Result<T, Refusal>: Clone,
@@ -140,20 +139,20 @@ impl Fake {
         let mut inner = self.lock();
         if let Some(id) = id {
             if id.chars().count() > 64 {
-                return refuse(RefusalKind::Invalid, "a request_id of more than 64 characters");
+                return refuse(RefusalKind::Invalid, "request_id is longer than 64 characters");
             }
-            if let Some(known) = inner.answers.get(id) {
+            if let Some(known) = inner.replies.get(id) {
                 return unwrap(known.clone()).unwrap_or_else(|| {
-                    refuse(RefusalKind::Invalid, "that request_id was another request's")
+                    refuse(RefusalKind::Invalid, "request_id belongs to a different request")
                 });
             }
         }
-        self.carried_out.fetch_add(1, Ordering::Relaxed);
-        let answer = carry_out(&mut inner);
+        self.executed.fetch_add(1, Ordering::Relaxed);
+        let reply = command(&mut inner);
         if let Some(id) = id {
-            inner.answers.insert(id.clone(), wrap(answer.clone()));
+            inner.replies.insert(id.clone(), wrap(reply.clone()));
         }
-        answer
+        reply
     }
 
     fn status_of(&self, inner: &Inner) -> Status {
@@ -178,11 +177,11 @@ impl Fake {
         status
     }
 
-    fn tell(&self, kind: ServiceEventKind, message: String, state: State, take: Option<&str>) {
-        self.feeds.tell(kind, message, state, take);
+    fn publish(&self, kind: ServiceEventKind, message: String, state: State, take: Option<&str>) {
+        self.feeds.publish(kind, message, state, take);
     }
 
-    fn whole(&self, name: &str, path: PathBuf, ending: EndingKind) -> Result<Stopped, Refusal> {
+    fn finish(&self, name: &str, path: PathBuf, ending: EndingKind) -> Result<Stopped, Refusal> {
         if let Err(error) = fs::write(&path, &self.take) {
             return refuse(RefusalKind::Disk, &format!("the disk: {error}"));
         }
@@ -214,7 +213,7 @@ fn ledger(lost_on_link: u64) -> LedgerDocument {
 }
 
 impl Control for Fake {
-    fn tell(&self, kind: ServiceEventKind, message: &str) {
+    fn notify(&self, kind: ServiceEventKind, message: &str) {
         self.told.lock().unwrap().push((kind.to_string(), message.to_owned()));
     }
 
@@ -235,24 +234,24 @@ impl Control for Fake {
     }
 
     fn arm(&self, request: &Request) -> Result<Status, Refusal> {
-        let wrap = |answer| Remembered::Status(Box::new(answer));
+        let wrap = |answer| CachedReply::Status(Box::new(answer));
         let unwrap = |known| match known {
-            Remembered::Status(answer) => Some(*answer),
+            CachedReply::Status(answer) => Some(*answer),
             _ => None,
         };
         self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
             if inner.state == State::Idle {
                 inner.state = State::Armed;
-                self.tell(ServiceEventKind::State, "armed".to_owned(), State::Armed, None);
+                self.publish(ServiceEventKind::State, "armed".to_owned(), State::Armed, None);
             }
             Ok(self.status_of(inner))
         })
     }
 
     fn disarm(&self, request: &Request) -> Result<Status, Refusal> {
-        let wrap = |answer| Remembered::Status(Box::new(answer));
+        let wrap = |answer| CachedReply::Status(Box::new(answer));
         let unwrap = |known| match known {
-            Remembered::Status(answer) => Some(*answer),
+            CachedReply::Status(answer) => Some(*answer),
             _ => None,
         };
         self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
@@ -260,22 +259,22 @@ impl Control for Fake {
                 return refuse(RefusalKind::Conflict, "a take is being recorded: stop it first");
             }
             inner.state = State::Idle;
-            self.tell(ServiceEventKind::State, "idle".to_owned(), State::Idle, None);
+            self.publish(ServiceEventKind::State, "idle".to_owned(), State::Idle, None);
             Ok(self.status_of(inner))
         })
     }
 
     fn start(&self, start: &Start) -> Result<Started, Refusal> {
         let unwrap = |known| match known {
-            Remembered::Started(answer) => Some(answer),
+            CachedReply::Started(answer) => Some(answer),
             _ => None,
         };
-        self.once(start.request_id.as_ref(), Remembered::Started, unwrap, |inner| {
+        self.once(start.request_id.as_ref(), CachedReply::Started, unwrap, |inner| {
             if inner.state == State::Recording {
                 return refuse(RefusalKind::Conflict, "a take is being recorded: stop it first");
             }
             if start.pre_roll_s.is_some_and(|seconds| !(0.0..=3600.0).contains(&seconds)) {
-                return refuse(RefusalKind::Invalid, "a pre-roll is 0 to 3600 s");
+                return refuse(RefusalKind::Invalid, "pre_roll_s must be 0 to 3600");
             }
             inner.n_takes += 1;
             let name = start.name.clone().unwrap_or_else(|| format!("take-{:03}", inner.n_takes));
@@ -295,7 +294,7 @@ impl Control for Fake {
                 durable_bytes: durable.len() as u64,
                 ..TakeStatus::default()
             });
-            self.tell(
+            self.publish(
                 ServiceEventKind::TakeStarted,
                 format!("{name} began"),
                 State::Recording,
@@ -308,58 +307,58 @@ impl Control for Fake {
 
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
         let unwrap = |known| match known {
-            Remembered::Stopped(answer) => Some(*answer),
+            CachedReply::Stopped(answer) => Some(*answer),
             _ => None,
         };
-        let wrap = |answer| Remembered::Stopped(Box::new(answer));
+        let wrap = |answer| CachedReply::Stopped(Box::new(answer));
         self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
             let Some(take) = inner.take.take() else {
                 return refuse(RefusalKind::Conflict, "no take is being recorded");
             };
             inner.state = State::Armed;
-            self.tell(
+            self.publish(
                 ServiceEventKind::TakeStopped,
                 format!("{} ended", take.name),
                 State::Armed,
                 Some(&take.name),
             );
-            self.whole(&take.name, PathBuf::from(take.path), EndingKind::Stopped)
+            self.finish(&take.name, PathBuf::from(take.path), EndingKind::Stopped)
         })
     }
 
     fn mark(&self, mark: &Mark) -> Result<Marked, Refusal> {
         let unwrap = |known| match known {
-            Remembered::Marked(answer) => Some(answer),
+            CachedReply::Marked(answer) => Some(answer),
             _ => None,
         };
-        self.once(mark.request_id.as_ref(), Remembered::Marked, unwrap, |inner| {
+        self.once(mark.request_id.as_ref(), CachedReply::Marked, unwrap, |inner| {
             if mark.text.len() > 1024 {
-                return refuse(RefusalKind::Invalid, "a mark's text has at most 1024 bytes");
+                return refuse(RefusalKind::Invalid, "the text of a mark has at most 1024 bytes");
             }
             let Some(take) = &inner.take else {
                 return refuse(RefusalKind::Conflict, "no take is being recorded");
             };
-            self.tell(ServiceEventKind::Mark, mark.text.clone(), inner.state, Some(&take.name));
+            self.publish(ServiceEventKind::Mark, mark.text.clone(), inner.state, Some(&take.name));
             Ok(Marked { row: take.rows })
         })
     }
 
     fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
         let unwrap = |known| match known {
-            Remembered::Stopped(answer) => Some(*answer),
+            CachedReply::Stopped(answer) => Some(*answer),
             _ => None,
         };
-        let wrap = |answer| Remembered::Stopped(Box::new(answer));
+        let wrap = |answer| CachedReply::Stopped(Box::new(answer));
         self.once(save.request_id.as_ref(), wrap, unwrap, |inner| {
             if !(save.seconds > 0.0 && save.seconds <= 3600.0) {
-                return refuse(RefusalKind::Invalid, "seconds are more than 0 and at most 3600");
+                return refuse(RefusalKind::Invalid, "seconds must be above 0 and at most 3600");
             }
             if inner.state != State::Armed {
-                return refuse(RefusalKind::Conflict, "nothing is held: arm first");
+                return refuse(RefusalKind::Conflict, "not armed: the pre-roll is empty");
             }
             inner.n_takes += 1;
             let name = save.name.clone().unwrap_or_else(|| format!("last-{:03}", inner.n_takes));
-            self.whole(&name, self.new_path(&name)?, EndingKind::Length)
+            self.finish(&name, self.new_path(&name)?, EndingKind::Length)
         })
     }
 
@@ -392,7 +391,7 @@ impl Control for Fake {
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal> {
         let path = self.path(name);
         if !is_name(name) || !path.exists() {
-            return refuse(RefusalKind::NotFound, "there is no take of that name");
+            return refuse(RefusalKind::NotFound, "no take of that name exists");
         }
         Ok(path)
     }

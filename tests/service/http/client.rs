@@ -1,4 +1,4 @@
-//! The plainest of clients, so that tests see every byte.
+//! A minimal HTTP client, so that tests see every byte.
 
 use std::{
     io::{Read, Write},
@@ -8,7 +8,7 @@ use std::{
 
 use serde_json::Value;
 
-/// An answer.
+/// An HTTP response.
 #[derive(Debug)]
 pub(crate) struct Answer {
     pub(crate) status: u16,
@@ -19,7 +19,8 @@ pub(crate) struct Answer {
 impl Answer {
     pub(crate) fn parse(bytes: &[u8]) -> Self {
         let end = bytes.windows(4).position(|window| window == b"\r\n\r\n");
-        let end = end.unwrap_or_else(|| panic!("no answer: {:?}", String::from_utf8_lossy(bytes)));
+        let end =
+            end.unwrap_or_else(|| panic!("no response: {:?}", String::from_utf8_lossy(bytes)));
         let head = std::str::from_utf8(&bytes[..end]).unwrap();
         let mut lines = head.split("\r\n");
         let status = lines.next().unwrap().split(' ').nth(1).unwrap().parse().unwrap();
@@ -43,7 +44,7 @@ impl Answer {
             .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&self.body)))
     }
 
-    /// A refusal in the promised form, with this status and kind: its words.
+    /// Checks that the response is a problem document with this status and kind; returns its message.
     pub(crate) fn refused(&self, status: u16, kind: &str) -> String {
         let text = String::from_utf8_lossy(&self.body).into_owned();
         assert_eq!(self.status, status, "{text}");
@@ -57,7 +58,7 @@ impl Answer {
     }
 }
 
-/// What chunks hold; one that is not whole counts as far as it goes.
+/// Decodes a chunked body, including an incomplete last chunk.
 pub(crate) fn unchunked(mut bytes: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     while let Some(at) = bytes.windows(2).position(|window| window == b"\r\n") {
@@ -80,18 +81,18 @@ pub(crate) fn connect(at: SocketAddr) -> TcpStream {
     stream
 }
 
-/// Sends these bytes, and gives all that comes until the other end closes.
+/// Sends bytes, and returns everything received until the server closes the connection.
 pub(crate) fn exchange(at: SocketAddr, bytes: &[u8]) -> Vec<u8> {
     let mut stream = connect(at);
-    // Refused early, the rest cannot be written; the answer is there all the same.
+    // The server may refuse and close early; the response can still be read.
     stream.write_all(bytes).ok();
     let mut answer = Vec::new();
-    // A reset after the answer changes nothing about it.
+    // A reset after the response is harmless.
     stream.read_to_end(&mut answer).ok();
     answer
 }
 
-/// A request as bytes; it closes the connection behind it.
+/// The bytes of a request with `connection: close`.
 pub(crate) fn request(method: &str, path: &str, headers: &[(&str, &str)], body: &str) -> Vec<u8> {
     let mut text = format!("{method} {path} HTTP/1.1\r\nconnection: close\r\n");
     let has = |name: &str| headers.iter().any(|header| header.0.eq_ignore_ascii_case(name));
@@ -105,7 +106,7 @@ pub(crate) fn request(method: &str, path: &str, headers: &[(&str, &str)], body: 
         text += "content-type: application/json\r\n";
     }
     for (name, value) in headers {
-        // An empty value leaves the header out.
+        // An empty value omits the header.
         if !value.is_empty() {
             text += &format!("{name}: {value}\r\n");
         }

@@ -1,4 +1,4 @@
-//! What can be asked for, and what is answered.
+//! The commands and their responses.
 
 use std::sync::atomic::Ordering;
 
@@ -8,7 +8,7 @@ use super::{
     client::{ask, get, post},
     serve,
 };
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 #[test]
 fn from_idle_to_a_take_and_back() {
@@ -41,22 +41,22 @@ fn from_idle_to_a_take_and_back() {
 }
 
 #[test]
-fn the_same_request_again_is_not_carried_out_again() {
+fn a_repeated_request_is_not_executed_again() {
     let served = serve();
     let first = post(served.at, "/v1/start", r#"{"request_id": "a-1"}"#);
     let again = ask(served.at, "POST", "/v1/start", &[("idempotency-key", "a-1")], "{}");
     let quoted = ask(served.at, "POST", "/v1/start", &[("idempotency-key", "\"a-1\"")], "");
     assert_eq!((first.status, &first.body), (200, &again.body));
     assert_eq!(first.body, quoted.body);
-    assert_eq!(served.fake.carried_out.load(Ordering::Relaxed), 1);
+    assert_eq!(served.fake.executed.load(Ordering::Relaxed), 1);
     let both =
         ask(served.at, "POST", "/v1/stop", &[("idempotency-key", "b")], r#"{"request_id": "c"}"#);
-    assert_tells(&both.refused(400, "invalid"), &["Idempotency-Key", "request_id"]);
+    assert_mentions(&both.refused(400, "invalid"), &["Idempotency-Key", "request_id"]);
     ask(served.at, "POST", "/v1/stop", &[("idempotency-key", "\"\"")], "").refused(400, "invalid");
 }
 
 #[test]
-fn what_is_no_request_is_refused_in_words() {
+fn invalid_requests_are_refused_with_a_reason() {
     let served = serve();
     let bad = |path: &str, body: &str| post(served.at, path, body).refused(400, "invalid");
     for body in [
@@ -74,8 +74,8 @@ fn what_is_no_request_is_refused_in_words() {
     ] {
         bad("/v1/arm", body);
     }
-    assert_tells(&bad("/v1/start", r#"{"nmae": "x"}"#), &["nmae"]);
-    assert_tells(&bad("/v1/start", r#"{"name": "a", "name": "b"}"#), &["name"]);
+    assert_mentions(&bad("/v1/start", r#"{"nmae": "x"}"#), &["nmae"]);
+    assert_mentions(&bad("/v1/start", r#"{"name": "a", "name": "b"}"#), &["name"]);
     bad("/v1/start", r#"{"pre_roll_s": 1e999}"#);
     bad("/v1/start", r#"{"pre_roll_s": -1}"#);
     bad("/v1/start", r#"{"name": "../x"}"#);
@@ -85,11 +85,11 @@ fn what_is_no_request_is_refused_in_words() {
     for id in [String::new(), "x".repeat(65), "é".to_owned(), "a\tb".to_owned()] {
         bad("/v1/arm", &serde_json::json!({"request_id": id}).to_string());
     }
-    assert_eq!(served.fake.carried_out.load(Ordering::Relaxed), 3, "the fake's own refusals");
+    assert_eq!(served.fake.executed.load(Ordering::Relaxed), 3, "the fake's own refusals");
 }
 
 #[test]
-fn wrong_ways_have_their_own_statuses() {
+fn wrong_paths_and_methods_have_their_own_statuses() {
     let served = serve();
     let at = served.at;
     get(at, "/v2/status").refused(404, "not_found");
@@ -133,12 +133,12 @@ fn health_is_bad_when_the_service_has_failed() {
     let health = get(served.at, "/healthz");
     assert_eq!((health.status, health.json()), (200, json!({"state": "idle"})));
     served.fake.fail("the disk failed: replace it");
-    let words = get(served.at, "/healthz").refused(503, "internal");
-    assert_eq!(words, "the disk failed: replace it");
+    let message = get(served.at, "/healthz").refused(503, "internal");
+    assert_eq!(message, "the disk failed: replace it");
 }
 
 #[test]
-fn too_many_that_wait_are_told_to_come_again() {
+fn requests_that_do_not_fit_into_the_queue_are_refused() {
     let served = serve();
     served.fake.command_ms.store(700, Ordering::Relaxed);
     let at = served.at;
@@ -152,7 +152,7 @@ fn too_many_that_wait_are_told_to_come_again() {
         clients.into_iter().map(|client| client.join().unwrap()).collect()
     });
     let done = answers.iter().filter(|answer| answer.status == 200).count();
-    assert_eq!(done, 20, "four at work and sixteen in line");
+    assert_eq!(done, 20, "four executing and sixteen queued");
     for answer in answers.iter().filter(|answer| answer.status != 200) {
         answer.refused(503, "unavailable");
         assert_eq!(answer.header("retry-after"), Some("1"));

@@ -1,4 +1,4 @@
-//! Clients that take their time, and too many of them.
+//! Slow clients, and too many of them.
 
 use std::{
     io::{Read, Write},
@@ -10,15 +10,15 @@ use mocapd_service::http::HttpOptions;
 
 use super::{
     client::{Answer, connect, get, request},
-    local, serve_with, short,
+    local, serve_with, short_limits,
 };
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
-fn hasty(connections_max: usize) -> super::Served {
-    serve_with(HttpOptions { limits: short(), connections_max, ..local() })
+fn serve_with_short_limits(connections_max: usize) -> super::Served {
+    serve_with(HttpOptions { limits: short_limits(), connections_max, ..local() })
 }
 
-/// Reads until the other end closes: how long that took, and what came.
+/// Reads until the server closes: the time taken, and the bytes received.
 fn until_closed(mut stream: &TcpStream) -> (Duration, Vec<u8>) {
     let began = Instant::now();
     let mut bytes = Vec::new();
@@ -27,8 +27,8 @@ fn until_closed(mut stream: &TcpStream) -> (Duration, Vec<u8>) {
 }
 
 #[test]
-fn dozens_that_drip_are_cut_off_and_nobody_waits_for_them() {
-    let served = hasty(128);
+fn slow_senders_are_disconnected_and_do_not_delay_others() {
+    let served = serve_with_short_limits(128);
     let at = served.at;
     std::thread::scope(|scope| {
         let drips: Vec<_> = (0..60)
@@ -36,7 +36,7 @@ fn dozens_that_drip_are_cut_off_and_nobody_waits_for_them() {
                 scope.spawn(move || {
                     let mut stream = connect(at);
                     let began = Instant::now();
-                    // A byte from time to time, for ever: the head never ends.
+                    // One byte every 40 ms: the header never ends.
                     let drip = b"GET /v1/status HTTP/1.1\r\nx-a: ";
                     for n in n.. {
                         if stream.write_all(&drip[n % drip.len()..][..1]).is_err()
@@ -64,12 +64,12 @@ fn dozens_that_drip_are_cut_off_and_nobody_waits_for_them() {
 }
 
 #[test]
-fn a_connection_that_says_nothing_is_closed() {
-    let served = hasty(8);
+fn a_silent_connection_is_closed() {
+    let served = serve_with_short_limits(8);
     let silent = connect(served.at);
     let (lasted, _) = until_closed(&silent);
     assert!((300..4000).contains(&lasted.as_millis()), "{lasted:?}");
-    // Kept alive, and then silent.
+    // A kept-alive connection that becomes silent.
     let mut kept = connect(served.at);
     kept.write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
     let (lasted, bytes) = until_closed(&kept);
@@ -78,8 +78,8 @@ fn a_connection_that_says_nothing_is_closed() {
 }
 
 #[test]
-fn a_body_that_does_not_come_is_a_timeout() {
-    let served = hasty(8);
+fn a_missing_body_is_a_timeout() {
+    let served = serve_with_short_limits(8);
     let mut stream = connect(served.at);
     let head = request("POST", "/v1/arm", &[("content-length", "10")], "");
     stream.write_all(&head).unwrap();
@@ -87,18 +87,18 @@ fn a_body_that_does_not_come_is_a_timeout() {
     let (lasted, bytes) = until_closed(&stream);
     Answer::parse(&bytes).refused(408, "timeout");
     assert!((300..4000).contains(&lasted.as_millis()), "{lasted:?}");
-    // One that ends early has not asked for anything.
+    // A truncated request is not executed.
     let mut stream = connect(served.at);
     stream.write_all(&head).unwrap();
     stream.write_all(b"{}").unwrap();
     stream.shutdown(std::net::Shutdown::Write).unwrap();
     until_closed(&stream);
-    assert_eq!(served.fake.carried_out.load(std::sync::atomic::Ordering::Relaxed), 0);
+    assert_eq!(served.fake.executed.load(std::sync::atomic::Ordering::Relaxed), 0);
 }
 
 #[test]
-fn one_too_many_is_told_so_and_the_place_is_free_again_afterwards() {
-    let served = hasty(4);
+fn a_connection_beyond_the_limit_is_refused_and_the_slot_is_free_afterwards() {
+    let served = serve_with_short_limits(4);
     served.fake.command_ms.store(1000, std::sync::atomic::Ordering::Relaxed);
     let busy: Vec<_> = (0..4)
         .map(|_| {
@@ -109,7 +109,7 @@ fn one_too_many_is_told_so_and_the_place_is_free_again_afterwards() {
         .collect();
     std::thread::sleep(Duration::from_millis(200));
     let answer = get(served.at, "/v1/status");
-    assert_tells(&answer.refused(503, "unavailable"), &["connections"]);
+    assert_mentions(&answer.refused(503, "unavailable"), &["connections"]);
     assert_eq!(answer.header("retry-after"), Some("1"));
     for stream in &busy {
         assert_eq!(Answer::parse(&until_closed(stream).1).status, 200);
@@ -119,7 +119,7 @@ fn one_too_many_is_told_so_and_the_place_is_free_again_afterwards() {
 
 #[test]
 fn one_connection_serves_many_requests() {
-    let served = hasty(4);
+    let served = serve_with_short_limits(4);
     let mut stream = connect(served.at);
     for _ in 0..50 {
         stream.write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();

@@ -1,4 +1,4 @@
-//! The API's description against the API.
+//! Compares the OpenAPI document with the API.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ use super::{
     serve,
 };
 
-/// Every route that there is: method and path.
+/// Every route: method and path.
 const ROUTES: &[(&str, &str)] = &[
     ("get", "/healthz"),
     ("get", "/login"),
@@ -47,13 +47,13 @@ fn document() -> Value {
 }
 
 #[test]
-fn the_document_has_the_routes_and_the_server_has_them_too() {
+fn the_document_and_the_server_have_the_same_routes() {
     let document = document();
     let mut described = BTreeSet::new();
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             described.insert((method.as_str(), path.as_str()));
-            assert!(operation["summary"].is_string(), "{method} {path} has no words");
+            assert!(operation["summary"].is_string(), "{method} {path} has no summary");
             let problem = &operation["responses"]["default"]["content"]["application/problem+json"];
             assert_eq!(
                 problem["schema"]["$ref"], "#/components/schemas/Problem",
@@ -66,7 +66,7 @@ fn the_document_has_the_routes_and_the_server_has_them_too() {
     assert_eq!(get(served.at, "/openapi.json").json(), document);
     for &(method, path) in ROUTES {
         let path = path.replace("{name}", "none");
-        // The other method is not there, where only one is described.
+        // A method that is not described is not allowed.
         let other = if method == "get" { "post" } else { "get" };
         if !described.contains(&(other, path.as_str())) && !path.contains("none") {
             let refused = ask(served.at, &other.to_uppercase(), &path, &[], "");
@@ -82,7 +82,7 @@ fn the_document_has_the_routes_and_the_server_has_them_too() {
     }
 }
 
-/// One of each type, with all there is in it.
+/// An example of each type, with every optional field set.
 fn examples() -> Vec<(&'static str, Value)> {
     let outage = OutageStatus { ends_in_s: Some(1.0), ..OutageStatus::default() };
     let status = Status {
@@ -159,7 +159,7 @@ fn examples() -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// Compares a value with its schema: the fields of one are those of the other, and types are right.
+/// Compares a value with its schema: both have the same fields, and the types match.
 fn compare(
     path: &str,
     value: &Value,
@@ -176,8 +176,8 @@ fn compare(
     }
     if let Some(choices) = schema["oneOf"].as_array() {
         let is_null = |choice: &&Value| choice["type"] == "null";
-        let chosen = choices.iter().find(|choice| is_null(choice) == value.is_null()).unwrap();
-        return compare(path, value, chosen, document, seen);
+        let choice = choices.iter().find(|choice| is_null(choice) == value.is_null()).unwrap();
+        return compare(path, value, choice, document, seen);
     }
     let types: Vec<_> = match &schema["type"] {
         Value::Array(types) => types.iter().filter_map(Value::as_str).collect(),
@@ -194,7 +194,7 @@ fn compare(
     };
     assert!(types.contains(&is), "{path} is {is}, described as {types:?}");
     if let Some(choices) = schema["enum"].as_array() {
-        assert!(choices.contains(value), "{path}: {value} is none of {choices:?}");
+        assert!(choices.contains(value), "{path}: {value} is not one of {choices:?}");
     }
     match value {
         Value::Object(fields) => {
@@ -204,9 +204,9 @@ fn compare(
                 |map: &serde_json::Map<String, Value>| map.keys().cloned().collect::<BTreeSet<_>>();
             assert_eq!(names(fields), names(described), "{path}");
             for (name, field) in fields {
-                let words = described[name].to_string();
+                let text = described[name].to_string();
                 assert!(
-                    words.contains("\"description\"") || path.contains("ledger"),
+                    text.contains("\"description\"") || path.contains("ledger"),
                     "{path}.{name}"
                 );
                 compare(&format!("{path}.{name}"), field, &described[name], document, seen);
@@ -222,7 +222,7 @@ fn compare(
 }
 
 #[test]
-fn every_field_is_described_and_every_description_is_of_a_field() {
+fn every_field_is_described_and_every_described_field_exists() {
     let document = document();
     let mut seen = BTreeSet::new();
     for (name, value) in examples() {
@@ -237,8 +237,8 @@ fn every_field_is_described_and_every_description_is_of_a_field() {
     compare("TakeCheck", &checked, &schema, &document, &mut seen);
     let described: BTreeSet<_> =
         document["components"]["schemas"].as_object().unwrap().keys().cloned().collect();
-    assert_eq!(seen, described, "a type that nobody sends");
-    // What is not described in a request is refused, and the description says so.
+    assert_eq!(seen, described, "a type that is never sent");
+    // Unknown fields of a request are refused, and the document says so.
     for name in ["Request", "Start", "Mark", "SaveLast"] {
         assert_eq!(
             document["components"]["schemas"][name]["additionalProperties"], false,
@@ -248,7 +248,7 @@ fn every_field_is_described_and_every_description_is_of_a_field() {
 }
 
 #[test]
-fn metrics_come_in_the_form_that_is_asked_for() {
+fn metrics_are_sent_in_the_requested_format() {
     let served = serve();
     let old = get(served.at, "/metrics");
     assert_eq!(old.header("content-type"), Some("text/plain; version=0.0.4; charset=utf-8"));
@@ -259,11 +259,11 @@ fn metrics_come_in_the_form_that_is_asked_for() {
     let new = ask(served.at, "GET", "/metrics", &accept, "");
     assert!(new.header("content-type").unwrap().starts_with("application/openmetrics-text"));
     assert!(new.body.ends_with(b"# EOF\n"));
-    // Names by figure, each with help and one type.
+    // Each metric has one help text and one type.
     let mut types: BTreeMap<&str, &str> = BTreeMap::new();
     for line in text.lines() {
         if let Some((name, kind)) = line.strip_prefix("# TYPE ").and_then(|l| l.split_once(' ')) {
-            assert!(types.insert(name, kind).is_none(), "{name} comes twice");
+            assert!(types.insert(name, kind).is_none(), "{name} occurs twice");
             assert!(text.contains(&format!("# HELP {name} ")), "{name} has no help");
             assert_eq!(name.ends_with("_total"), kind == "counter", "{name}");
         }

@@ -1,11 +1,11 @@
-//! The HTTP API in front of a fake service, over real sockets.
+//! Tests of the HTTP API with a fake service, over real sockets.
 
 pub(crate) mod client;
 mod commands;
 mod connections;
 mod document;
-mod doors;
 mod hostile;
+mod lifecycle;
 mod page;
 mod security;
 mod soak;
@@ -19,7 +19,7 @@ use mocapd_service::http::{HttpOptions, HttpServer, TimeLimits};
 use super::fake::Fake;
 use crate::support::{config, dense, jump, record};
 
-/// A served fake, and the folder of its takes.
+/// An HTTP server with a fake service, and the folder of its takes.
 pub(crate) struct Served {
     pub(crate) fake: Arc<Fake>,
     pub(crate) at: SocketAddr,
@@ -27,8 +27,8 @@ pub(crate) struct Served {
     server: HttpServer,
 }
 
-/// Time limits that a test can wait for.
-fn short() -> TimeLimits {
+/// Time limits short enough for a test.
+fn short_limits() -> TimeLimits {
     TimeLimits {
         head: Duration::from_millis(600),
         body: Duration::from_millis(600),
@@ -42,7 +42,7 @@ fn local() -> HttpOptions {
     HttpOptions { tcp: Some("127.0.0.1:0".parse().unwrap()), ..HttpOptions::default() }
 }
 
-/// A second of a jump.
+/// A take of one second of a jump.
 pub(crate) fn take() -> Vec<u8> {
     let motion = jump(1, 120.0, 1.0);
     let n_frames = motion.n_frames();

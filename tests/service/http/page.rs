@@ -1,4 +1,4 @@
-//! docs/api.md against the API: the routes that stand there are those there are, and its examples are answered.
+//! Compares docs/api.md with the API: the routes are the same, and the examples work.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ use super::{
 
 const PAGE: &str = include_str!("../../../docs/api.md");
 
-/// Method, path and the other cells of every row that shows a route.
+/// Method, path and the remaining cells of every table row with a route.
 fn rows() -> Vec<(String, String, Vec<String>)> {
     let rows = PAGE.lines().filter_map(|line| {
         let mut cells = line.split('|').map(str::trim).skip(1);
@@ -23,12 +23,12 @@ fn rows() -> Vec<(String, String, Vec<String>)> {
     rows.collect()
 }
 
-fn words_in_quotes(text: &str) -> impl Iterator<Item = &str> {
+fn quoted_words(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
 #[test]
-fn the_page_has_every_route_and_its_examples_are_answered() {
+fn the_page_has_every_route_and_its_examples_work() {
     let document: Value = serde_json::from_str(&mocapd_service::http::openapi().unwrap()).unwrap();
     let described = document["paths"].as_object().unwrap().iter().flat_map(|(path, item)| {
         let methods = item.as_object().unwrap().keys();
@@ -52,23 +52,23 @@ fn the_page_has_every_route_and_its_examples_are_answered() {
         let body = if body.starts_with('{') { body } else { "{}" };
         let answer =
             if method == "POST" { post(served.at, path, body) } else { get(served.at, path) };
-        let said = String::from_utf8_lossy(&answer.body).into_owned();
-        assert_eq!(answer.status, 200, "{method} {path}: {said}");
+        let text = String::from_utf8_lossy(&answer.body).into_owned();
+        assert_eq!(answer.status, 200, "{method} {path}: {text}");
         let Ok(answer) = serde_json::from_slice::<Value>(&answer.body) else { continue };
-        // Fields that the page names are there.
+        // The response has the fields that the page names.
         let one = if answer.is_array() { answer[0].clone() } else { answer };
-        let words = cells.iter().filter(|cell| !cell.starts_with("`{"));
-        for word in words.flat_map(|cell| words_in_quotes(cell)) {
+        let cells = cells.iter().filter(|cell| !cell.starts_with("`{"));
+        for word in cells.flat_map(|cell| quoted_words(cell)) {
             let is_field = word.chars().all(|c| c.is_ascii_lowercase() || c == '_');
             if is_field && word != "stop" && one.is_object() {
-                assert!(one.get(word).is_some(), "{method} {path} has no {word}: {said}");
+                assert!(one.get(word).is_some(), "{method} {path} has no {word}: {text}");
             }
         }
     }
 }
 
 #[test]
-fn the_refusal_on_the_page_is_the_one_that_comes() {
+fn the_problem_on_the_page_is_the_one_sent() {
     let served = serve();
     let example = PAGE.split("```json\n").nth(1).unwrap().lines().next().unwrap();
     assert_eq!(String::from_utf8(post(served.at, "/v1/stop", "{}").body).unwrap(), example);
@@ -77,7 +77,7 @@ fn the_refusal_on_the_page_is_the_one_that_comes() {
     }
     let page = ask(served.at, "GET", "/metrics", &[], "");
     let metrics = String::from_utf8(page.body).unwrap();
-    for word in words_in_quotes(PAGE).filter(|word| word.starts_with("mocapd_")) {
+    for word in quoted_words(PAGE).filter(|word| word.starts_with("mocapd_")) {
         let name = word.split('{').next().unwrap();
         assert!(metrics.contains(&format!("\n{name}")), "{name}");
     }

@@ -1,4 +1,4 @@
-//! Who may do what, from where, under which name.
+//! Access control: tokens, host names and origins.
 
 use mocapd_service::http::{HttpOptions, HttpServer};
 
@@ -6,7 +6,7 @@ use super::{
     client::{ask, exchange, get, post, request},
     local, serve, serve_with,
 };
-use crate::{service::fake::Fake, support::assert_tells};
+use crate::{service::fake::Fake, support::assert_mentions};
 
 const TOKEN: &str = "correct-horse-battery-staple";
 
@@ -23,7 +23,7 @@ fn another_name_for_the_service_is_refused() {
         assert_eq!(as_host(host).status, 200, "{host}");
     }
     for host in ["evil.example", "rig.lab.evil.example", "127.0.0.1.evil.example", "2130706433"] {
-        assert_tells(&as_host(host).refused(421, "forbidden"), &[host, "allowed_hosts"]);
+        assert_mentions(&as_host(host).refused(421, "forbidden"), &[host, "allowed_hosts"]);
     }
     as_host("a b").refused(400, "invalid");
     as_host("").refused(400, "invalid");
@@ -34,7 +34,7 @@ fn another_name_for_the_service_is_refused() {
     super::client::Answer::parse(&exchange(served.at, &proxy)).refused(400, "invalid");
     let old = "GET /v1/status HTTP/1.0\r\n\r\n";
     super::client::Answer::parse(&exchange(served.at, old.as_bytes())).refused(400, "invalid");
-    // Files and pages alike.
+    // The dashboard, too.
     ask(served.at, "GET", "/", &[("host", "evil.example")], "").refused(421, "forbidden");
 }
 
@@ -47,16 +47,16 @@ fn a_page_of_another_site_changes_nothing() {
     }
     from(&[("sec-fetch-site", "cross-site")]).refused(403, "forbidden");
     from(&[("sec-fetch-site", "same-site")]).refused(403, "forbidden");
-    assert_eq!(served.fake.carried_out.load(std::sync::atomic::Ordering::Relaxed), 0);
+    assert_eq!(served.fake.executed.load(std::sync::atomic::Ordering::Relaxed), 0);
     let ours = [("origin", "http://localhost"), ("sec-fetch-site", "same-origin")];
     assert_eq!(from(&ours).status, 200);
     let status = ask(served.at, "GET", "/v1/status", &[("origin", "https://evil.example")], "");
     assert_eq!(status.status, 200, "reading changes nothing");
-    assert_eq!(status.header("access-control-allow-origin"), None, "and no other page can read it");
+    assert_eq!(status.header("access-control-allow-origin"), None, "other sites cannot read it");
 }
 
 #[test]
-fn without_the_token_there_is_only_the_way_in() {
+fn without_the_token_there_is_only_the_login() {
     let served = guarded();
     let at = served.at;
     let routes = ["/v1/status", "/v1/quality", "/v1/devices", "/openapi.json", "/", "/nothing"];
@@ -74,14 +74,14 @@ fn without_the_token_there_is_only_the_way_in() {
     }
     served.fake.fail("/secret/folder is full");
     assert!(!get(at, "/healthz").refused(503, "internal").contains("secret"));
-    for said in ["Bearer wrong", "Basic abc", "Bearer ", "Bearer correct-horse-battery-stapl"] {
-        ask(at, "GET", "/v1/status", &[("authorization", said)], "").refused(401, "unauthorized");
+    for wrong in ["Bearer wrong", "Basic abc", "Bearer ", "Bearer correct-horse-battery-stapl"] {
+        ask(at, "GET", "/v1/status", &[("authorization", wrong)], "").refused(401, "unauthorized");
     }
     let known = format!("Bearer {TOKEN}");
     let known = [("authorization", known.as_str())];
     assert_eq!(ask(at, "GET", "/v1/status", &known, "").status, 200);
     assert_eq!(ask(at, "POST", "/v1/arm", &known, "{}").status, 200);
-    // A browser is sent to the form.
+    // A browser is redirected to the form.
     let sent = ask(at, "GET", "/", &[("accept", "text/html,*/*")], "");
     assert_eq!((sent.status, sent.header("location")), (303, Some("/login")));
 }
@@ -105,7 +105,7 @@ fn a_browser_logs_in_and_out() {
     for word in ["; HttpOnly", "; SameSite=Strict", "; Path=/", "; Max-Age="] {
         assert!(cookie.contains(word), "{cookie}");
     }
-    assert!(!cookie.contains(TOKEN), "the token stays here");
+    assert!(!cookie.contains(TOKEN), "the cookie does not contain the token");
     let cookie = cookie.split(';').next().unwrap().to_owned();
     let held = [("cookie", cookie.as_str())];
     assert_eq!(ask(at, "GET", "/v1/status", &held, "").status, 200);
@@ -118,7 +118,7 @@ fn a_browser_logs_in_and_out() {
 }
 
 #[test]
-fn the_network_is_not_listened_to_without_a_token() {
+fn the_service_does_not_listen_on_the_network_without_a_token() {
     let folder = tempfile::tempdir().unwrap();
     let start = |token: Option<&str>| {
         let options = HttpOptions {
@@ -129,12 +129,12 @@ fn the_network_is_not_listened_to_without_a_token() {
         HttpServer::start(options, Fake::new(folder.path(), Vec::new()))
     };
     let refused = start(None).unwrap_err().to_string();
-    assert_tells(&refused, &["0.0.0.0:0", "token", "127.0.0.1"]);
+    assert_mentions(&refused, &["0.0.0.0:0", "token", "127.0.0.1"]);
     assert!(start(Some(TOKEN)).is_ok());
 }
 
 #[test]
-fn browsers_are_told_to_keep_to_themselves() {
+fn responses_have_security_headers() {
     let served = serve();
     for path in ["/", "/v1/status", "/nothing", "/login"] {
         let answer = get(served.at, path);

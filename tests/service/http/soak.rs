@@ -1,5 +1,5 @@
-//! A hundred clients, half of them hostile, beside a take: how long the others wait for the status, and whether the
-//! take loses a frame. For figures:
+//! A hundred clients, half of them hostile, during a take: latency of the status for the others, and lost frames. To
+//! measure:
 //!
 //! ```text
 //! cargo test --release --test integration -- --ignored --nocapture service::http::soak
@@ -29,12 +29,12 @@ use crate::{
 const CLIENTS: u64 = 100;
 const LENGTH: Duration = Duration::from_secs(30);
 
-/// A browser asks every second; ten times that.
-const EVERY: Duration = Duration::from_millis(100);
+/// Ten times the rate of a browser.
+const INTERVAL: Duration = Duration::from_millis(100);
 
 #[test]
-#[ignore = "half a minute of a whole machine, for figures"]
-fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
+#[ignore = "half a minute on an otherwise idle machine"]
+fn status_latency_and_a_take_with_hostile_clients() {
     let Room { directory: _directory, device: _device, engine } = room(|_| {});
     let engine: Arc<dyn Control> = Arc::new(engine);
     let server = HttpServer::start(local(), Arc::clone(&engine)).unwrap();
@@ -49,7 +49,7 @@ fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
             scope.spawn(move || {
                 let mut random = Seeded::new(n);
                 while !over.load(Ordering::Relaxed) {
-                    // A server that closes on it is what is wanted.
+                    // The server may close the connection.
                     attack(at, &mut random).ok();
                     attacks.fetch_add(1, Ordering::Relaxed);
                 }
@@ -58,8 +58,8 @@ fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
         let honest: Vec<_> = (0..CLIENTS / 2)
             .map(|n| {
                 scope.spawn(move || {
-                    std::thread::sleep(EVERY.mul_f64(n as f64 / 50.0));
-                    ask_for_a_while(at)
+                    std::thread::sleep(INTERVAL.mul_f64(n as f64 / 50.0));
+                    poll_status(at)
                 })
             })
             .collect();
@@ -70,7 +70,7 @@ fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
     waits.sort();
     let at = |share: f64| waits[((waits.len() - 1) as f64 * share) as usize];
     println!(
-        "{} answers beside {} attacks: p50 {:?}, p99 {:?}, longest {:?}",
+        "{} responses during {} attacks: p50 {:?}, p99 {:?}, longest {:?}",
         waits.len(),
         attacks.load(Ordering::Relaxed),
         at(0.5),
@@ -79,7 +79,7 @@ fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
     );
     let seconds = began.elapsed().as_secs_f64();
     let ledger = engine.stop(&Request::default()).unwrap().ledger;
-    println!("a take of {seconds:.0} s beside them: {ledger:?}");
+    println!("a take of {seconds:.0} s meanwhile: {ledger:?}");
     server.stop(Duration::from_secs(5)).unwrap();
     assert!(ledger.closes && ledger.recorded as f64 > 110.0 * seconds, "{ledger:?}");
     assert_eq!(ledger.frames_sent, ledger.recorded, "{ledger:?}");
@@ -87,13 +87,13 @@ fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
     assert!(at(0.99) < Duration::from_millis(50), "{:?}", at(0.99));
 }
 
-fn ask_for_a_while(at: SocketAddr) -> Vec<Duration> {
+fn poll_status(at: SocketAddr) -> Vec<Duration> {
     let mut stream = TcpStream::connect(at).unwrap();
     stream.set_nodelay(true).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
     let (began, mut waits) = (Instant::now(), Vec::new());
     while began.elapsed() < LENGTH {
-        let asked = Instant::now();
+        let start = Instant::now();
         stream.write_all(b"GET /v1/status HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
         let mut answer = Vec::new();
         while !answer.ends_with(b"}}") {
@@ -103,8 +103,8 @@ fn ask_for_a_while(at: SocketAddr) -> Vec<Duration> {
             answer.extend_from_slice(&piece[..len]);
         }
         assert!(answer.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&answer));
-        waits.push(asked.elapsed());
-        std::thread::sleep(EVERY.saturating_sub(asked.elapsed()));
+        waits.push(start.elapsed());
+        std::thread::sleep(INTERVAL.saturating_sub(start.elapsed()));
     }
     waits
 }
@@ -119,7 +119,7 @@ fn attack(at: SocketAddr, random: &mut Seeded) -> std::io::Result<()> {
         6 => stream.write_all(&request("GET", "/v1/takes/..%2f..%2fetc%2fpasswd", &[], ""))?,
         7 => stream.write_all(&request("POST", "/v1/stop", &[("origin", "http://a.b")], "{}"))?,
         0 => {
-            // A head that drips.
+            // A slowly sent header.
             for byte in b"GET /v1/status HTTP/1.1\r\nx-a: bbbbbbbbbbbbb" {
                 stream.write_all(&[*byte])?;
                 std::thread::sleep(Duration::from_millis(20));
@@ -131,14 +131,14 @@ fn attack(at: SocketAddr, random: &mut Seeded) -> std::io::Result<()> {
         }
         2 => stream.write_all(&request("POST", "/v1/arm", &[], &"x".repeat(60 << 10)))?,
         3 => {
-            // Asked for, and never read.
+            // A stream that is never read.
             stream.write_all(&request("GET", "/v1/live", &[], ""))?;
             std::thread::sleep(Duration::from_millis(500));
         }
         _ => stream.write_all(&request("POST", "/v1/arm", &[("content-length", "1000")], "{"))?,
     }
-    // A stream of frames has no end.
-    let asked = Instant::now();
-    while asked.elapsed() < Duration::from_secs(1) && stream.read(&mut answer)? > 0 {}
+    // A stream of frames does not end.
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_secs(1) && stream.read(&mut answer)? > 0 {}
     Ok(())
 }

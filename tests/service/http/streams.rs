@@ -1,4 +1,4 @@
-//! Events and frames, as they happen, to listeners of every kind.
+//! The event stream and the live stream, with fast, slow and returning clients.
 
 use std::{
     io::{Read, Write},
@@ -13,10 +13,10 @@ use mocapd_service::{
 
 use super::{
     client::{Answer, connect, get, request, unchunked},
-    local, serve, serve_with, short,
+    local, serve, serve_with, short_limits,
 };
 
-/// A stream that was asked for, and what it gave so far.
+/// An open stream, and the bytes received so far.
 struct Stream {
     stream: TcpStream,
     bytes: Vec<u8>,
@@ -59,7 +59,7 @@ impl Stream {
         String::from_utf8_lossy(&self.body()).into_owned()
     }
 
-    /// Id, kind and data of the events so far.
+    /// Id, kind and data of the events received so far.
     fn events(&self) -> Vec<(String, String, serde_json::Value)> {
         let text = self.text();
         let whole = text.rsplit_once("\n\n").map_or("", |whole| whole.0);
@@ -75,7 +75,7 @@ impl Stream {
             .collect()
     }
 
-    /// Kind and body of the messages so far.
+    /// Kind and body of the messages received so far.
     fn messages(&self) -> Vec<(u8, Vec<u8>)> {
         let body = self.body();
         let mut rest = &body[..];
@@ -90,15 +90,15 @@ impl Stream {
     }
 }
 
-fn quick() -> super::Served {
-    serve_with(HttpOptions { limits: short(), ..local() })
+fn serve_with_short_limits() -> super::Served {
+    serve_with(HttpOptions { limits: short_limits(), ..local() })
 }
 
 #[test]
-fn events_come_as_they_happen_and_again_to_who_was_away() {
-    let served = quick();
+fn events_arrive_at_once_and_after_a_reconnection() {
+    let served = serve_with_short_limits();
     let mark = |text: &str| {
-        served.fake.feeds.tell(ServiceEventKind::Mark, text.to_owned(), State::Idle, None);
+        served.fake.feeds.publish(ServiceEventKind::Mark, text.to_owned(), State::Idle, None);
     };
     let mut first = Stream::open(served.at, "/v1/events", &[]);
     mark("one\nline");
@@ -107,7 +107,7 @@ fn events_come_as_they_happen_and_again_to_who_was_away() {
     let events = first.events();
     assert_eq!((events[0].1.as_str(), &events[0].2["message"]), ("mark", &"one\nline".into()));
     assert_eq!(events[1].2["number"], 2);
-    // Nothing to tell: a sign of life all the same.
+    // Without events a comment is sent as a keep-alive.
     first.until(|stream| stream.text().contains("\n:") || stream.text().starts_with(':'));
     let last_seen = events[0].0.clone();
     drop(first);
@@ -118,7 +118,7 @@ fn events_come_as_they_happen_and_again_to_who_was_away() {
     assert_eq!(messages, ["two", "three"]);
     let mut after = Stream::open(served.at, "/v1/events?after=0", &[]);
     after.until(|stream| stream.events().len() == 3);
-    // An id of another run of the service: nobody knows what was missed.
+    // With an id of another run of the service the number of missed events is unknown.
     let mut other = Stream::open(served.at, "/v1/events", &[("last-event-id", "17f-99")]);
     other.until(|stream| stream.events().len() == 4);
     assert_eq!(
@@ -129,10 +129,11 @@ fn events_come_as_they_happen_and_again_to_who_was_away() {
 }
 
 #[test]
-fn who_was_away_for_too_long_is_told_how_much_is_gone() {
-    let served = quick();
-    let mark =
-        |n: u64| served.fake.feeds.tell(ServiceEventKind::Mark, n.to_string(), State::Idle, None);
+fn a_client_that_returns_too_late_gets_the_number_of_missed_events() {
+    let served = serve_with_short_limits();
+    let mark = |n: u64| {
+        served.fake.feeds.publish(ServiceEventKind::Mark, n.to_string(), State::Idle, None);
+    };
     let mut seen = Stream::open(served.at, "/v1/events", &[]);
     mark(1);
     seen.until(|stream| stream.events().len() == 1);
@@ -141,42 +142,42 @@ fn who_was_away_for_too_long_is_told_how_much_is_gone() {
     let mut stayed = Stream::open(served.at, "/v1/events", &[]);
     for n in 2..=700 {
         mark(n);
-        // The fake's listeners have a short queue as well.
+        // The queues of the fake are short, too.
         std::thread::sleep(Duration::from_micros(300));
     }
-    // What is still on its way to the server would be told as it comes.
+    // Wait until the server has received all events.
     stayed.until(|stream| stream.events().iter().any(|event| event.2["number"] == 700));
     let mut back = Stream::open(served.at, "/v1/events", &[("last-event-id", &id)]);
     back.until(|stream| stream.events().iter().any(|event| event.2["number"] == 700));
     let events = back.events();
     assert_eq!(events[0].1, "missed");
-    // Missed and told make all of them.
+    // Missed and received events are all events.
     let missed: u64 = events.iter().filter_map(|event| event.2["missed"].as_u64()).sum();
-    let told = events.iter().filter(|event| event.1 == "mark").count() as u64;
-    assert_eq!(missed + told, 699, "{missed} missed, {told} told");
-    assert!(told <= 512);
+    let received = events.iter().filter(|event| event.1 == "mark").count() as u64;
+    assert_eq!(missed + received, 699, "{missed} missed, {received} received");
+    assert!(received <= 512);
 }
 
 #[test]
-fn frames_reach_a_viewer_behind_their_markers() {
+fn frames_follow_their_table_of_markers() {
     let served = serve();
     let mut viewer = Stream::open(served.at, "/v1/live", &[]);
     viewer.until(|stream| stream.messages().len() == 1);
     let (kind, table) = viewer.messages().remove(0);
     let table: serde_json::Value = serde_json::from_slice(&table).unwrap();
     assert_eq!((kind, &table["labels"][1]), (1, &"m1".into()));
-    served.fake.feeds.show(7, 2);
+    served.fake.feeds.send_frame(7, 2);
     viewer.until(|stream| stream.messages().len() == 2);
     let (kind, frame) = viewer.messages().remove(1);
     assert_eq!((kind, frame.len()), (2, 3 + 24 + 24));
     assert_eq!(u64::from_le_bytes(frame[3..11].try_into().unwrap()), 7);
     assert!(f32::from_le_bytes(frame[35..39].try_into().unwrap()).is_nan());
-    // One that comes later has the markers at once.
-    served.fake.feeds.show_table(5);
+    // A later viewer gets the table at once.
+    served.fake.feeds.send_table(5);
     viewer.until(|stream| stream.messages().len() == 3);
     let mut second = Stream::open(served.at, "/v1/live", &[]);
     second.until(|stream| stream.messages().len() == 1);
-    assert_eq!(served.fake.feeds.show(8, 5), 1, "one feed is for all viewers");
+    assert_eq!(served.fake.feeds.send_frame(8, 5), 1, "one feed serves all viewers");
     second.until(|stream| stream.messages().len() == 2);
     served.fake.feeds.close();
     let began = Instant::now();
@@ -186,24 +187,24 @@ fn frames_reach_a_viewer_behind_their_markers() {
 }
 
 #[test]
-fn a_slow_viewer_loses_frames_and_never_the_markers() {
+fn a_slow_viewer_misses_frames_but_no_table() {
     let served = serve();
     let mut slow = Stream::open(served.at, "/v1/live", &[]);
     slow.until(|stream| stream.messages().len() == 1);
     let before = resident_bytes();
-    // 4000 frames of 5000 markers: 240 MB that the viewer does not read, with other markers in the middle.
+    // 4000 frames of 5000 markers: 240 MB that the viewer does not read, with a new table in the middle.
     for row in 0..4000_u64 {
         if row == 2000 {
-            served.fake.feeds.show_table(5000);
+            served.fake.feeds.send_table(5000);
         }
-        served.fake.feeds.show(row, 5000);
+        served.fake.feeds.send_frame(row, 5000);
         std::thread::sleep(Duration::from_micros(100));
     }
     let grown = resident_bytes().saturating_sub(before);
-    assert!(grown < 48 << 20, "{grown} bytes more for a viewer that does not read");
-    served.fake.feeds.show(4000, 5000);
+    assert!(grown < 48 << 20, "{grown} bytes of memory for a viewer that does not read");
+    served.fake.feeds.send_frame(4000, 5000);
     slow.until(|stream| {
-        served.fake.feeds.show(5000, 5000);
+        served.fake.feeds.send_frame(5000, 5000);
         stream.bytes.len() > 1 << 16
             && stream
                 .messages()
@@ -212,14 +213,14 @@ fn a_slow_viewer_loses_frames_and_never_the_markers() {
     });
     let messages = slow.messages();
     let tables: Vec<_> = messages.iter().filter(|message| message.0 == 1).collect();
-    assert_eq!(tables.len(), 2, "the first markers and the others");
+    assert_eq!(tables.len(), 2, "both tables");
     let frames = messages.len() - tables.len();
-    assert!(frames < 3000, "{frames} of 4000 frames were kept for it");
+    assert!(frames < 3000, "{frames} of 4000 frames were queued");
 }
 
 #[test]
-fn streams_end_when_the_server_does_and_leave_room_for_requests() {
-    let options = HttpOptions { connections_max: 6, limits: short(), ..local() };
+fn streams_end_with_the_server_and_leave_connections_for_requests() {
+    let options = HttpOptions { connections_max: 6, limits: short_limits(), ..local() };
     let served = serve_with(options);
     let streams: Vec<_> = ["/v1/events", "/v1/live", "/v1/events"]
         .map(|path| Stream::open(served.at, path, &[]))
@@ -235,7 +236,7 @@ fn streams_end_when_the_server_does_and_leave_room_for_requests() {
     }
 }
 
-/// What this process has in memory.
+/// The resident memory of this process.
 fn resident_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();

@@ -1,4 +1,4 @@
-//! Takes: listed, downloaded, checked, and nothing else of the disk.
+//! Listing, downloading and verifying takes, and no other file of the disk.
 
 use std::{
     fs,
@@ -10,7 +10,7 @@ use super::{
     client::{Answer, ask, connect, exchange, get, post, request},
     serve,
 };
-use crate::support::assert_tells;
+use crate::support::assert_mentions;
 
 fn with_take(name: &str) -> super::Served {
     let served = serve();
@@ -36,7 +36,7 @@ fn takes_are_listed_within_their_limit() {
 }
 
 #[test]
-fn a_take_comes_whole_and_in_pieces() {
+fn a_take_is_downloaded_completely_and_by_range() {
     let served = with_take("jump");
     let path = "/v1/takes/jump/download";
     let file = fs::read(served.folder.path().join("takes/jump.take")).unwrap();
@@ -52,12 +52,12 @@ fn a_take_comes_whole_and_in_pieces() {
     };
     let part = ranged("bytes=10-19", &[]);
     assert_eq!((part.status, &part.body[..]), (206, &file[10..20]));
-    let said = format!("bytes 10-19/{}", file.len());
-    assert_eq!(part.header("content-range"), Some(said.as_str()));
+    let range = format!("bytes 10-19/{}", file.len());
+    assert_eq!(part.header("content-range"), Some(range.as_str()));
     assert_eq!(ranged("bytes=-4", &[]).body, file[file.len() - 4..]);
     assert_eq!(ranged("bytes=5-", &[("if-range", tag)]).body, file[5..]);
     assert_eq!(ranged("bytes=5-", &[("if-range", "\"other\"")]).body, file);
-    assert_eq!(ranged("bytes=0-1,4-5", &[]).status, 200, "several ranges are one too many");
+    assert_eq!(ranged("bytes=0-1,4-5", &[]).status, 200, "several ranges are not supported");
     let behind = ranged("bytes=99999999-", &[]);
     behind.refused(416, "range");
     assert_eq!(behind.header("content-range"), Some(format!("bytes */{}", file.len()).as_str()));
@@ -68,16 +68,16 @@ fn a_take_comes_whole_and_in_pieces() {
 }
 
 #[test]
-fn a_take_that_is_being_written_gives_what_is_durable() {
+fn a_download_of_a_growing_take_has_what_is_durable() {
     let served = serve();
     post(served.at, "/v1/start", r#"{"name": "live"}"#);
     let path = served.folder.path().join("takes/live.take");
     let durable = fs::read(&path).unwrap();
-    // Room that is held back behind it.
+    // Preallocated space behind the data.
     fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(&[0; 1000]).unwrap();
     let growing = get(served.at, "/v1/takes/live/download");
     assert_eq!((growing.status, &growing.body), (200, &durable));
-    assert_eq!(growing.header("etag"), None, "it will be longer");
+    assert_eq!(growing.header("etag"), None, "the file is still growing");
     post(served.at, "/v1/takes/live/verify", "{}").refused(409, "conflict");
     post(served.at, "/v1/stop", "{}");
     let rest = format!("bytes={}-", durable.len());
@@ -86,7 +86,7 @@ fn a_take_that_is_being_written_gives_what_is_durable() {
 }
 
 #[test]
-fn a_check_tells_what_is_wrong() {
+fn verification_reports_what_is_wrong() {
     let served = with_take("jump");
     let check = |name: &str| post(served.at, &format!("/v1/takes/{name}/verify"), "{}").json();
     let good = check("jump");
@@ -111,7 +111,7 @@ fn a_check_tells_what_is_wrong() {
 }
 
 #[test]
-fn nothing_else_of_the_disk_can_be_had() {
+fn no_other_file_can_be_downloaded() {
     let served = with_take("jump");
     let takes = served.folder.path().join("takes");
     fs::write(served.folder.path().join("secret.take"), "secret").unwrap();
@@ -157,14 +157,14 @@ fn nothing_else_of_the_disk_can_be_had() {
 }
 
 #[test]
-fn a_reader_that_stops_costs_a_place_and_no_memory() {
+fn a_client_that_stops_reading_costs_a_slot_and_no_memory() {
     let options = mocapd_service::http::HttpOptions {
-        limits: super::short(),
+        limits: super::short_limits(),
         connections_max: 8,
         ..super::local()
     };
     let served = super::serve_with(options);
-    // Larger than any socket holds.
+    // Larger than any socket buffer.
     let big = fs::File::create(served.folder.path().join("takes/big.take")).unwrap();
     big.set_len(1 << 30).unwrap();
     let held: Vec<_> = (0..4)
@@ -176,9 +176,9 @@ fn a_reader_that_stops_costs_a_place_and_no_memory() {
         })
         .collect();
     let refused = get(served.at, "/v1/takes/big/download").refused(503, "unavailable");
-    assert_tells(&refused, &["streams", "downloads"]);
+    assert_mentions(&refused, &["streams", "downloads"]);
     assert_eq!(get(served.at, "/v1/status").status, 200);
-    // Nothing is taken in for longer than the limit: their places are free again.
+    // The clients read nothing for longer than the limit: their slots are free again.
     std::thread::sleep(std::time::Duration::from_millis(2000));
     assert_eq!(ask(served.at, "HEAD", "/v1/takes/big/download", &[], "").status, 200);
     for mut stream in held {

@@ -1,4 +1,4 @@
-//! What the host side sees, and waiting for it.
+//! The devices that the host sees, and waiting for them.
 
 use std::{
     fs,
@@ -11,20 +11,20 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use mocapd_drivers::transport::usb;
 
-/// Five times what anything took on a loaded machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+/// Five times the longest wait on a loaded machine.
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Where udev's own rules go in this machine.
+/// Folder of udev rules in this machine.
 const RULES: &str = "/etc/udev/rules.d";
 
 pub(crate) fn wait_until<T>(
     what: &str,
     within: Duration,
-    mut look: impl FnMut() -> Option<T>,
+    mut poll: impl FnMut() -> Option<T>,
 ) -> anyhow::Result<T> {
     let started = Instant::now();
     loop {
-        if let Some(found) = look() {
+        if let Some(found) = poll() {
             return Ok(found);
         }
         if started.elapsed() > within {
@@ -34,9 +34,9 @@ pub(crate) fn wait_until<T>(
     }
 }
 
-/// Waits for the USB device with this serial number, and for udev to have done with it.
+/// Waits for the USB device with this serial number, and until udev has processed it.
 pub(crate) fn wait_for_usb(serial: &str) -> anyhow::Result<PathBuf> {
-    let node = wait_until(&format!("a USB device {serial}"), PATIENCE, || {
+    let node = wait_until(&format!("a USB device {serial}"), TIMEOUT, || {
         let all = usb::devices().ok()?;
         let found = all.into_iter().find(|device| device.serial.as_deref() == Some(serial))?;
         found.node.exists().then_some(found.node)
@@ -46,15 +46,15 @@ pub(crate) fn wait_for_usb(serial: &str) -> anyhow::Result<PathBuf> {
 }
 
 pub(crate) fn wait_for_absence(serial: &str) -> anyhow::Result<()> {
-    wait_until(&format!("{serial} to go"), PATIENCE, || {
+    wait_until(&format!("{serial} to go"), TIMEOUT, || {
         let all = usb::devices().ok()?;
         (!all.iter().any(|device| device.serial.as_deref() == Some(serial))).then_some(())
     })
 }
 
-/// Waits for the port that udev names by the serial number.
+/// Waits for a port under its stable name by udev.
 pub(crate) fn wait_for_port(path: &str) -> anyhow::Result<()> {
-    wait_until(path, PATIENCE, || Path::new(path).exists().then_some(()))?;
+    wait_until(path, TIMEOUT, || Path::new(path).exists().then_some(()))?;
     settle()
 }
 
@@ -62,7 +62,7 @@ pub(crate) fn settle() -> anyhow::Result<()> {
     run("udevadm", &["settle"])
 }
 
-/// Gives udev these rules, and none of ours besides; they count for what is plugged in from now on.
+/// Replaces mocapd's udev rules; they apply to devices plugged in from now on.
 pub(crate) fn set_rules(rules: Option<&str>) -> anyhow::Result<()> {
     let path = Path::new(RULES).join("60-mocapd.rules");
     match rules {
@@ -73,7 +73,7 @@ pub(crate) fn set_rules(rules: Option<&str>) -> anyhow::Result<()> {
     run("udevadm", &["control", "--reload"])
 }
 
-/// The rules as they lie in the project.
+/// The project's udev rules.
 pub(crate) fn our_rules() -> anyhow::Result<String> {
     fs::read_to_string("/rules/60-mocapd.rules").context("the project's rules")
 }

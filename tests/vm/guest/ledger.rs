@@ -1,13 +1,13 @@
-//! The recorder's account, held against the simulator's log.
+//! Compares the recorder's ledger with the simulator's log.
 
 use anyhow::{Context, ensure};
 use serde_json::Value;
 
 use crate::simulator::Sent;
 
-/// What a recording reports, as far as scenarios look at it.
+/// The parts of a recording's report that scenarios check.
 #[derive(Debug, Clone)]
-pub(crate) struct Account {
+pub(crate) struct LedgerReport {
     pub(crate) ending: String,
     pub(crate) recorded: u64,
     pub(crate) frames_sent: u64,
@@ -20,7 +20,7 @@ pub(crate) struct Account {
     closes: bool,
 }
 
-impl Account {
+impl LedgerReport {
     pub(crate) fn of(report: &Value) -> anyhow::Result<Self> {
         let ledger = &report["ledger"];
         let number =
@@ -42,14 +42,14 @@ impl Account {
         })
     }
 
-    /// It closes, and contradicts neither itself nor the device.
+    /// Fails unless the ledger closes without contradictions.
     pub(crate) fn closes(&self) -> anyhow::Result<()> {
         ensure!(self.closes && self.contradictions == 0, "the ledger does not close: {self:?}");
         Ok(())
     }
 
-    /// Every frame that the simulator sent is in the take, with every sample.
-    pub(crate) fn has_all_of(&self, sent: &Sent) -> anyhow::Result<()> {
+    /// Fails unless the take has every frame and sample that the simulator sent.
+    pub(crate) fn ensure_complete(&self, sent: &Sent) -> anyhow::Result<()> {
         self.closes()?;
         ensure!(
             self.recorded == sent.produced && self.samples == sent.samples && self.lost == 0,

@@ -1,14 +1,14 @@
-//! The scenarios of `tests/vm/run usb`: mocapd, its simulator, and devices that misbehave, on the kernel's own USB stack;
-//! and those of `tests/vm/run systemd`: the package, and the service under Debian's systemd.
+//! The scenarios of `tests/vm/run usb` (mocapd, its simulator and misbehaving devices on the kernel's own USB stack)
+//! and of `tests/vm/run systemd` (the package, and the service under Debian's systemd).
 //!
-//! Runs as root in the emulated machine of `tests/vm`, whose two controllers are loops of cable: what a program here
-//! is as a USB device, another one here is the host of.
+//! Runs as root in the emulated machine of `tests/vm`. Its two USB device controllers loop back: a program in the
+//! machine acts as a USB device, and another one is its host.
 
 #![expect(clippy::print_stdout, reason = "its output is the test's report")]
 
 mod attached;
 mod ledger;
-mod odd;
+mod misbehaving;
 mod recorder;
 mod scenarios;
 mod service;
@@ -19,32 +19,32 @@ use std::process::ExitCode;
 
 use table::Table;
 
-/// What a scenario measured, in words.
-type Measured = anyhow::Result<String>;
+/// Result of a scenario: a description of what it measured, or what went wrong.
+type Measurement = anyhow::Result<String>;
 
-/// One scenario: it measures, or says what went wrong.
-type Scenario = fn() -> Measured;
+/// A scenario.
+type Scenario = fn() -> Measurement;
 
-/// A part of a scenario's name a line: only those that have one of them in it. None: all.
-const WANTED: &str = "/arguments";
+/// File with parts of scenario names, one per line: only matching scenarios run. If it is empty, all run.
+const ARGUMENTS_FILE: &str = "/arguments";
 
-/// Says that the guest has systemd.
-const KIND: &str = "/kind";
+/// A file that exists if the guest has systemd.
+const SYSTEMD_MARKER: &str = "/kind";
 
 fn main() -> ExitCode {
-    let Ok(wanted) = std::fs::read_to_string(WANTED) else {
-        println!("this runs in the emulated machine: tests/vm/run usb");
+    let Ok(wanted) = std::fs::read_to_string(ARGUMENTS_FILE) else {
+        println!("this program runs in the emulated machine: use tests/vm/run usb");
         return ExitCode::from(2);
     };
     let wanted: Vec<&str> = wanted.lines().collect();
-    let has_systemd = std::path::Path::new(KIND).exists();
+    let has_systemd = std::path::Path::new(SYSTEMD_MARKER).exists();
     let (all, long, prepare) = match has_systemd {
         true => (service::ALL, &[][..], service::prepare as fn() -> anyhow::Result<()>),
         false => (scenarios::ALL, scenarios::LONG, attached::set_our_rules as _),
     };
     let names = || all.iter().chain(long).map(|(name, _)| *name);
     if let Some(part) = wanted.iter().find(|part| !names().any(|name| name.contains(**part))) {
-        println!("no scenario has '{part}' in its name; there are:");
+        println!("no scenario matches '{part}'; the scenarios are:");
         names().for_each(|name| println!("  {name}"));
         println!("0 passed, 1 failed");
         return ExitCode::FAILURE;

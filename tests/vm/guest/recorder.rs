@@ -1,4 +1,4 @@
-//! `mocapd`, as a user runs it, and what it says with the time of each line.
+//! Runs `mocapd` as a user would, and records its output with the time of each line.
 
 use std::{
     fs,
@@ -14,54 +14,54 @@ use anyhow::{Context, bail, ensure};
 use mocapd_take::{TakeFrames, motion::FrameSource};
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::attached::{PATIENCE, wait_until};
+use crate::attached::{TIMEOUT, wait_until};
 
-/// Who runs it.
+/// The user who runs it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum User {
-    /// In the group `dialout`, as our rules ask for.
+    /// A member of the group `dialout`, as the udev rules require.
     Dialout,
-    /// In no group that matters.
+    /// A member of no relevant group.
     Nobody,
-    /// Who may do anything.
+    /// The superuser.
     Root,
 }
 
 type Lines = Arc<Mutex<Vec<(Instant, String)>>>;
 
-/// A command under way; killed when it is let go.
+/// A running command; killed when dropped.
 pub(crate) struct Mocapd {
-    child: Killed,
+    child: KillOnDrop,
     lines: Lines,
     stdout: JoinHandle<String>,
     stderr: JoinHandle<()>,
 }
 
-/// A process that a scenario which fails half way does not leave to the next one.
-struct Killed(Child);
+/// Kills a process when dropped, so that a failing scenario does not leave it to the next one.
+struct KillOnDrop(Child);
 
-impl Drop for Killed {
+impl Drop for KillOnDrop {
     fn drop(&mut self) {
-        // Does nothing to one that was waited for.
+        // No effect after a wait.
         self.0.kill().ok();
         self.0.wait().ok();
     }
 }
 
-/// A command that ended.
+/// The result of a finished command.
 #[derive(Debug)]
-pub(crate) struct Ran {
+pub(crate) struct CommandOutput {
     pub(crate) code: Option<i32>,
     pub(crate) stdout: String,
     pub(crate) stderr: String,
 }
 
 /// Runs a command to its end.
-pub(crate) fn mocapd(user: User, arguments: &[&str]) -> anyhow::Result<Ran> {
-    Mocapd::start(user, arguments)?.finish(PATIENCE * 3)
+pub(crate) fn mocapd(user: User, arguments: &[&str]) -> anyhow::Result<CommandOutput> {
+    Mocapd::start(user, arguments)?.finish(TIMEOUT * 3)
 }
 
-/// Starts `record` into a new take, as a user of the group, with `--json`.
+/// Starts `mocapd record --json` into a new take, as a member of `dialout`.
 pub(crate) fn record(uri: &str, take: &str, more: &[&str]) -> anyhow::Result<Mocapd> {
     fs::remove_file(take).ok();
     let arguments = ["record", "--json", "-d", uri, "-o", take];
@@ -73,7 +73,7 @@ impl Mocapd {
         Self::start_program("mocapd", user, arguments)
     }
 
-    /// The same for another program.
+    /// Starts another program.
     pub(crate) fn start_program(
         program: &str,
         user: User,
@@ -95,7 +95,7 @@ impl Mocapd {
             .stderr(Stdio::piped())
             .spawn()
             .with_context(|| program.to_owned())?;
-        let mut child = Killed(child);
+        let mut child = KillOnDrop(child);
         let mut out = child.0.stdout.take().context("its stdout")?;
         let stdout = Builder::new().name("stdout".to_owned()).spawn(move || {
             let mut text = String::new();
@@ -112,12 +112,12 @@ impl Mocapd {
         Ok(Self { child, lines, stdout, stderr })
     }
 
-    /// When it said a line with these words; waits for it.
-    pub(crate) fn said(&mut self, words: &str, within: Duration) -> anyhow::Result<Instant> {
+    /// Waits for a line on stderr that contains `text`; returns its time.
+    pub(crate) fn wait_for_line(&mut self, text: &str, limit: Duration) -> anyhow::Result<Instant> {
         let lines = Arc::clone(&self.lines);
-        let found = wait_until(&format!("the line '{words}'"), within, || {
+        let found = wait_until(&format!("the line '{text}'"), limit, || {
             let lines = lines.lock().unwrap_or_else(PoisonError::into_inner);
-            let line = lines.iter().find(|(_, line)| line.contains(words));
+            let line = lines.iter().find(|(_, line)| line.contains(text));
             if let Some((at, _)) = line {
                 return Some(Some(*at));
             }
@@ -125,12 +125,12 @@ impl Mocapd {
         });
         match found {
             Ok(Some(at)) => Ok(at),
-            Ok(None) => bail!("it ended without '{words}', and said: {}", self.words()),
-            Err(error) => bail!("{error:#}; it said: {}", self.words()),
+            Ok(None) => bail!("it ended without '{text}'; stderr: {}", self.log_text()),
+            Err(error) => bail!("{error:#}; stderr: {}", self.log_text()),
         }
     }
 
-    fn words(&self) -> String {
+    fn log_text(&self) -> String {
         let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
         lines.iter().map(|(_, line)| line.as_str()).collect::<Vec<_>>().join(" / ")
     }
@@ -141,11 +141,11 @@ impl Mocapd {
             let file = fs::File::open(take).ok()?;
             TakeFrames::open(file).ok().map(|frames| frames.info().n_frames)
         };
-        let outcome = wait_until("the first frames on disk", PATIENCE, || {
+        let outcome = wait_until("the first frames on disk", TIMEOUT, || {
             let is_over = self.child.0.try_wait().ok().flatten().is_some();
             (is_over || n_frames().is_some_and(|n| n > 0)).then_some(())
         });
-        outcome.with_context(|| self.words())
+        outcome.with_context(|| self.log_text())
     }
 
     pub(crate) fn interrupt(&self) -> anyhow::Result<()> {
@@ -166,29 +166,29 @@ impl Mocapd {
         Ok(ticks.sum::<f64>() / TICKS_PER_S)
     }
 
-    pub(crate) fn finish(mut self, within: Duration) -> anyhow::Result<Ran> {
+    pub(crate) fn finish(mut self, within: Duration) -> anyhow::Result<CommandOutput> {
         let status = match wait_until("mocapd's end", within, || self.child.0.try_wait().ok()?) {
             Ok(status) => status,
-            Err(error) => bail!("{error:#}: it hangs, and said: {}", self.words()),
+            Err(error) => bail!("{error:#}: it hangs; stderr: {}", self.log_text()),
         };
         let stdout = self.stdout.join().unwrap_or_default();
         self.stderr.join().ok();
         let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
         let stderr = lines.iter().map(|(_, line)| format!("{line}\n")).collect();
-        Ok(Ran { code: status.code(), stdout, stderr })
+        Ok(CommandOutput { code: status.code(), stdout, stderr })
     }
 }
 
-impl Ran {
+impl CommandOutput {
     pub(crate) fn with_code(self, code: i32) -> anyhow::Result<Self> {
         ensure!(self.code == Some(code), "exit code {:?} and not {code}: {self:?}", self.code);
         Ok(self)
     }
 
-    /// What it says, be it one line or several, has each of these in it.
-    pub(crate) fn says(&self, words: &[&str]) -> anyhow::Result<()> {
-        for word in words {
-            ensure!(self.stderr.contains(word), "nothing of '{word}' in: {}", self.stderr);
+    /// Fails unless stderr contains all of these facts.
+    pub(crate) fn mentions(&self, facts: &[&str]) -> anyhow::Result<()> {
+        for fact in facts {
+            ensure!(self.stderr.contains(fact), "nothing of '{fact}' in: {}", self.stderr);
         }
         Ok(())
     }

@@ -12,19 +12,19 @@ use std::{
 use anyhow::{Context, ensure};
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::attached::{PATIENCE, wait_for_port, wait_for_usb, wait_until};
+use crate::attached::{TIMEOUT, wait_for_port, wait_for_usb, wait_until};
 
 static STARTED: AtomicU32 = AtomicU32::new(0);
 
 /// A simulated device, plugged in.
 pub(crate) struct Simulator {
     child: Child,
-    /// What a host calls it.
+    /// The URI under which a host opens it.
     pub(crate) uri: String,
     log: PathBuf,
 }
 
-/// What became of the frames whose time came, by the simulator's own log.
+/// What became of the frames, by the simulator's own log.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sent {
     pub(crate) produced: u64,
@@ -33,14 +33,14 @@ pub(crate) struct Sent {
 }
 
 impl Simulator {
-    /// A bulk device. `more` are options of `mocapd-sim serve`.
+    /// Starts a bulk device. `more` are options of `mocapd-sim serve`.
     pub(crate) fn bulk(serial: &str, more: &[&str]) -> anyhow::Result<Self> {
         let simulator = Self::start(false, serial, more)?;
         wait_for_usb(serial)?;
         Ok(simulator)
     }
 
-    /// A CDC-ACM port.
+    /// Starts a CDC-ACM port.
     pub(crate) fn port(serial: &str, more: &[&str]) -> anyhow::Result<Self> {
         let simulator = Self::start(true, serial, more)?;
         wait_for_port(simulator.uri.trim_start_matches("serial:"))?;
@@ -70,7 +70,7 @@ impl Simulator {
         format!("/sys/kernel/config/usb_gadget/mocapd-sim-{}-0/UDC", self.child.id()).into()
     }
 
-    /// Pulls the cable. Gives the controller's name, to plug it in again, and when.
+    /// Pulls the cable; returns the controller's name, for plugging it in again, and the time.
     pub(crate) fn unplug(&self) -> anyhow::Result<(String, Instant)> {
         let controller = fs::read_to_string(self.controller())?;
         let at = Instant::now();
@@ -78,25 +78,25 @@ impl Simulator {
         Ok((controller, at))
     }
 
-    /// Plugs it in again.
+    /// Plugs the cable in again; returns the time.
     pub(crate) fn plug(&self, controller: &str) -> anyhow::Result<Instant> {
         let at = Instant::now();
         fs::write(self.controller(), controller.trim()).context("binding")?;
         Ok(at)
     }
 
-    /// Ends it in order.
+    /// Stops it cleanly; returns its log's totals.
     pub(crate) fn stop(mut self) -> anyhow::Result<Sent> {
         if self.child.try_wait()?.is_none() {
             kill_process(Pid::from_child(&self.child), Signal::TERM)?;
         }
-        let status = wait_until("mocapd-sim's end", PATIENCE, || self.child.try_wait().ok()?)?;
+        let status = wait_until("mocapd-sim's end", TIMEOUT, || self.child.try_wait().ok()?)?;
         ensure!(status.success(), "mocapd-sim: {status}");
         self.sent()
     }
 
-    /// As a crash would. A bulk device goes with its program; a port is the kernel's and stays, silent, until the
-    /// next simulator takes it away.
+    /// Kills it, like a crash. A bulk device disappears with its program; a port belongs to the kernel and stays,
+    /// silent, until the next simulator removes it.
     pub(crate) fn kill(mut self) -> anyhow::Result<()> {
         self.child.kill()?;
         self.child.wait()?;
@@ -110,7 +110,7 @@ impl Simulator {
             let (present, dropped) = (cells.next(), cells.next());
             let (Some(Ok(present)), Some(Ok(dropped))) = (present, dropped) else { continue };
             if cells.nth(1) == Some(Ok(1)) {
-                // Nobody asked for it, nor for any after it: no recorder can have it on its account.
+                // Produced after the last request: no recorder can know of it.
                 continue;
             }
             sent.produced += 1;

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use crate::{Measured, Scenario};
+use crate::{Measurement, Scenario};
 
 #[derive(Default)]
 pub(crate) struct Table {
@@ -11,12 +11,12 @@ pub(crate) struct Table {
 
 struct Row {
     name: &'static str,
-    result: Measured,
+    result: Measurement,
     seconds: f64,
 }
 
 impl Table {
-    /// `prepare` makes each begin alike, whatever the one before left.
+    /// Runs a scenario. `prepare` restores the initial state, whatever the one before left.
     pub(crate) fn run(
         &mut self,
         name: &'static str,
@@ -41,11 +41,11 @@ impl Table {
     pub(crate) fn print(&self) {
         println!("\n| scenario | | s | measured |\n|---|---|---|---|");
         for Row { name, result, seconds } in &self.rows {
-            let (verdict, words) = match result {
+            let (status, text) = match result {
                 Ok(measured) => ("ok", measured.clone()),
                 Err(error) => ("FAILED", format!("{error:#}").replace('\n', " ")),
             };
-            println!("| {name} | {verdict} | {seconds:.1} | {words} |");
+            println!("| {name} | {status} | {seconds:.1} | {text} |");
         }
         println!("{} passed, {} failed", self.rows.len() - self.failed(), self.failed());
     }

@@ -1,4 +1,4 @@
-//! The clocks of a recording: what frames and pongs say of them, and where that goes.
+//! The clocks of a recording: takes observations from frames and pongs, and passes them to the writer.
 
 use crossbeam_channel::Sender;
 use mocapd_take::record::{Event, EventKind};
@@ -6,100 +6,95 @@ use mocapd_take::record::{Event, EventKind};
 use super::Intake;
 use crate::clock::{ClockEvent, ClockItem, ClockModel, ClockStatus};
 
-/// Jumps, and times that observations are left out, that get an event of their own. More jumps are a device without a
+/// Clock jumps and omitted observations that get an event of their own. More jumps mean a device without a
 /// clock: the segments count them.
 const EVENTS_MAX: u32 = 32;
 
-/// The model, and the way to the writer.
+/// The clock model, and its queue to the writer.
 #[derive(Debug)]
-pub(super) struct Clocks {
+pub(super) struct ClockTracker {
     model: ClockModel,
-    outbox: Outbox,
+    queue: ClockQueue,
     events: u32,
 }
 
-/// The way to the writer. An item that finds it full is in no take, and the line is not laid through it.
+/// The queue to the writer. An item that finds it full is stored in no take, and the line is not fitted to it.
 #[derive(Debug)]
-struct Outbox {
+struct ClockQueue {
     items: Sender<ClockItem>,
     sent: u64,
-    /// Something was refused, and the queue has not been empty since.
-    overflows: bool,
-    /// That is not reported yet.
-    overflowed: bool,
+    /// An item was refused, and the queue has not been empty since.
+    is_overflowing: bool,
+    /// The overflow is not reported yet.
+    has_new_overflow: bool,
 }
 
-impl Outbox {
+impl ClockQueue {
     fn send(&mut self, item: ClockItem) -> bool {
-        self.overflows &= !self.items.is_empty();
+        self.is_overflowing &= !self.items.is_empty();
         let is_sent = self.items.try_send(item).is_ok();
         self.sent += u64::from(is_sent);
-        self.overflowed |= !is_sent && !self.overflows;
-        self.overflows |= !is_sent;
+        self.has_new_overflow |= !is_sent && !self.is_overflowing;
+        self.is_overflowing |= !is_sent;
         is_sent
     }
 }
 
-impl Clocks {
+impl ClockTracker {
     pub(super) fn new(tick_hz: u64, items: Sender<ClockItem>) -> Self {
-        let outbox = Outbox { items, sent: 0, overflows: false, overflowed: false };
-        Self { model: ClockModel::new(tick_hz), outbox, events: 0 }
+        let queue = ClockQueue { items, sent: 0, is_overflowing: false, has_new_overflow: false };
+        Self { model: ClockModel::new(tick_hz), queue, events: 0 }
     }
 
     pub(super) fn frame(&mut self, ticks: u64, arrival_ns: u64) -> Option<ClockEvent> {
-        self.model.frame(ticks, arrival_ns, &mut |item| self.outbox.send(item))
+        self.model.frame(ticks, arrival_ns, &mut |item| self.queue.send(item))
     }
 
     fn probe(&mut self, ticks: u64, sent_ns: u64, answered_ns: u64) -> Option<ClockEvent> {
-        self.model.probe(ticks, sent_ns, answered_ns, &mut |item| self.outbox.send(item))
+        self.model.probe(ticks, sent_ns, answered_ns, &mut |item| self.queue.send(item))
     }
 
     pub(super) fn rejoin(&mut self) {
-        self.model.rejoin(&mut |item| self.outbox.send(item));
+        self.model.rejoin(&mut |item| self.queue.send(item));
     }
 
     pub(super) fn close(&mut self) {
-        self.model.close(&mut |item| self.outbox.send(item));
+        self.model.close(&mut |item| self.queue.send(item));
     }
 
     pub(super) fn status(&self) -> ClockStatus {
-        ClockStatus { stored: self.outbox.sent, ..self.model.status() }
+        ClockStatus { stored: self.queue.sent, ..self.model.status() }
     }
 }
 
 impl Intake {
-    /// A ping of `sent_ns` whose pong said `device_ticks` and arrived at `answered_ns`, by the host's monotonic
-    /// clock.
+    /// Accepts a round trip: a ping sent at `sent_ns` whose pong carried `device_ticks` and arrived at `answered_ns`,
+    /// by the host's monotonic clock.
     pub fn probe(&mut self, device_ticks: u64, sent_ns: u64, answered_ns: u64) {
         let event = self.clocks.probe(device_ticks, sent_ns, answered_ns);
         self.clock_events(event, device_ticks, answered_ns);
     }
 
-    /// Whether the clocks are in doubt, and round trips would help. Said once.
+    /// Whether the clocks are in doubt and round trips would help. Returns `true` once.
     pub fn wants_probes(&mut self) -> bool {
         self.clocks.model.wants_probes()
     }
 
-    /// What the last frame or pong brought to light.
-    pub(super) fn clock_events(
-        &mut self,
-        event: Option<ClockEvent>,
-        device_ticks: u64,
-        host_ns: u64,
-    ) {
-        if std::mem::take(&mut self.clocks.outbox.overflowed) {
-            let text = "the disk stalls: observations of the clocks are left out of the take, and of its clock line";
-            self.clock_event(text.to_owned(), device_ticks, host_ns);
+    /// Records the events that the last frame or pong revealed.
+    pub(super) fn clock_events(&mut self, event: Option<ClockEvent>, ticks: u64, host_ns: u64) {
+        if std::mem::take(&mut self.clocks.queue.has_new_overflow) {
+            let text = "the disk stalls: some clock observations are missing from the take and from its clock line";
+            self.clock_event(text.to_owned(), ticks, host_ns);
         }
         let Some(event) = event else { return };
         self.counts.clock_jumps += u64::from(matches!(event, ClockEvent::WentBack(_)));
         let what = match event {
             ClockEvent::WentBack(by_s) => format!("went back by {by_s:.3} s"),
-            ClockEvent::Wrapped => "counts in 32 bits and began again at 0".to_owned(),
+            ClockEvent::Wrapped => "wrapped at 32 bits".to_owned(),
             ClockEvent::Jumped(by_s) if by_s >= 0.0 => format!("jumped ahead by {by_s:.3} s"),
             ClockEvent::Jumped(by_s) => format!("fell behind by {:.3} s", -by_s),
         };
-        self.clock_event(format!("the device's clock {what}"), device_ticks, host_ns);
+        self.clock_event(format!("the device's clock {what}"), ticks, host_ns);
     }
 
     fn clock_event(&mut self, text: String, device_ticks: u64, host_ns: u64) {

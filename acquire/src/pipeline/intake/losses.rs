@@ -1,32 +1,32 @@
-//! What is missing between two frames: by the counter, by the clock in a silence, and until it is on the time line.
+//! Loss between two frames: by the counter, by the clock in a silence, and the rows pending until the next frame.
 
 use mocapd_drivers::device::Frame;
 use mocapd_take::{
     record::{Event, EventKind},
-    timeline::Causes,
+    timeline::LossCauses,
 };
 
-use super::{Intake, UNSEEN_MAX, axis::Step};
+use super::{Intake, UNSEEN_MAX, frame_counter::SeqStep};
 use crate::pipeline::{counts::PendingRows, plan::RUNS_MAX};
 
 impl Intake {
-    /// `false` for a frame that was seen before.
-    pub(super) fn follow(&mut self, frame: &Frame<'_>) -> bool {
-        match self.axis.step(frame.seq, frame.device_ticks) {
-            Step::Next { missing } => {
-                // A take that ended in a silence has what was due in it.
+    /// Counts the frames missing before this one. Returns `false` for a frame that was received before.
+    pub(super) fn count_frame(&mut self, frame: &Frame<'_>) -> bool {
+        match self.counter.step(frame.seq, frame.device_ticks) {
+            SeqStep::Next { missing } => {
+                // A take that ended in a silence has already counted what was due in it.
                 let counted = std::mem::take(&mut self.rows_away);
                 let missing = u64::from(missing);
                 self.counts.not_produced(counted.saturating_sub(missing));
                 let new = missing.saturating_sub(counted);
                 self.counts.not_received += new;
-                self.pending.add(new, Causes::NOT_RECEIVED);
+                self.pending.add(new, LossCauses::NOT_RECEIVED);
             }
-            Step::Again => {
+            SeqStep::Again => {
                 self.counts.duplicates += 1;
                 return false;
             }
-            Step::Jump => {
+            SeqStep::Jump => {
                 self.counts.counter_jumps += 1;
                 let counted = std::mem::take(&mut self.rows_away);
                 self.counts.not_produced(counted);
@@ -35,91 +35,91 @@ impl Intake {
         true
     }
 
-    /// The device went away, is back, and was told to start again: its reports count from there, and what is missing
-    /// until its next frame was lost to the outage.
+    /// Prepares for the first frame after an outage, when the device was told to start again: its reports count from
+    /// here, and frames missing until that frame were lost to the outage.
     pub fn rejoin(&mut self) {
         self.rejoining = true;
         self.clocks.rejoin();
         self.counts.rejoin();
     }
 
-    /// The first frame after an outage.
+    /// Counts the loss at the first frame after an outage.
     pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.rejoining = false;
-        let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
-        let (missing, causes, how, why) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
+        let silent_s = self.silence.until_ns(arrival_ns) as f64 * 1e-9;
+        let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
-                let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-                (u64::from(missing), causes, "goes on", "are missing by its counter")
+                let causes = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
+                (u64::from(missing), causes, "continues", "are missing by its counter")
             }
-            // Its counter tells nothing of the time between; the host's clock does, so that the take keeps time.
+            // The counter does not cover the time between; use the host's clock, so that the take keeps time.
             None => {
                 let due = self.due(silent_s);
-                (due, Causes::DISCONNECTED, "began anew", "were due by the host's clock")
+                (due, LossCauses::DISCONNECTED, "started again", "were due by the host's clock")
             }
         };
         let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));
-        // At the first row that there is again.
+        // At the first row after the outage.
         let row = self.next_row + self.pending.rows() + new;
         let text =
-            format!("the device is back after {silent_s:.3} s, and {how}: {missing} frames {why}");
+            format!("the device is back after {silent_s:.3} s and {how}: {missing} frames {why}");
         let event = Event::new(EventKind::Host, arrival_ns, text);
         let event = Event { device_ticks: frame.device_ticks, ..event };
         self.event_at(row, event);
-        self.counts.reports_from = self.counts.seen() + new;
+        self.counts.reports_offset = self.counts.seen() + new;
         self.counts.lost_to_outage(new);
-        self.counts.told_twice = missing;
+        self.counts.reported_twice = missing;
         self.pending.add(new, causes);
     }
 
-    /// How many frames fit between two that are so far apart.
+    /// Number of frames that fit between two frames with this interval.
     pub(super) fn due(&self, silent_s: f64) -> u64 {
         ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX)
     }
 }
 
-/// A silence so long is an event.
+/// A silence of this length is an event,
 const SILENCE_S: f64 = 1.0;
 
-/// Or so many frames' time, at a low rate.
+/// or of this many frame intervals at a low rate.
 const SILENCE_FRAMES: f64 = 10.0;
 
-/// Silences that get an event. More are a device that stutters: the time line has each of its frames.
+/// Silences that get an event. More mean a device that stutters: the timeline has each of its frames.
 const EVENTS_MAX: u32 = 256;
 
-/// When the last frame came, and how often it took long.
+/// Arrival of the last frame, and the silences so far.
 #[derive(Debug)]
-pub(super) struct Silences {
+pub(super) struct SilenceMonitor {
     longest_ns: u64,
     last_arrival_ns: Option<u64>,
-    /// When the device said last that it had produced no more than came.
+    /// When the device last reported that all its frames had arrived.
     accounted_ns: u64,
     n_events: u32,
 }
 
-impl Silences {
+impl SilenceMonitor {
     pub(super) fn new(rate_hz: f64) -> Self {
         let longest_ns = (SILENCE_S.max(SILENCE_FRAMES / rate_hz) * 1e9) as u64;
         Self { longest_ns, last_arrival_ns: None, accounted_ns: 0, n_events: 0 }
     }
 
-    /// How long no frame had come until now; none had come before the first.
+    /// Time since the last frame; 0 before the first.
     pub(super) fn until_ns(&self, arrival_ns: u64) -> u64 {
         self.last_arrival_ns.map_or(0, |last_ns| arrival_ns.saturating_sub(last_ns))
     }
 
-    /// The device says that all its frames have come.
+    /// The device reports that all its frames have arrived.
     pub(super) fn account(&mut self, now_ns: u64) {
         self.accounted_ns = now_ns;
     }
 
-    /// Of [`until_ns`](Self::until_ns), the time after the device's last word.
+    /// Time since the last frame or the last such report, whichever is later.
     pub(super) fn unaccounted_ns(&self, now_ns: u64) -> u64 {
         self.until_ns(now_ns).min(now_ns.saturating_sub(self.accounted_ns))
     }
 
-    /// How long no frame has come, where that is long.
-    pub(super) fn lasts(&mut self, now_ns: u64) -> Option<f64> {
+    /// The length of the silence in seconds, if it is long enough for an event.
+    pub(super) fn long_silence_s(&mut self, now_ns: u64) -> Option<f64> {
         let silent_ns = self.until_ns(now_ns);
         if silent_ns < self.longest_ns || self.n_events == EVENTS_MAX {
             return None;
@@ -129,35 +129,35 @@ impl Silences {
     }
 
     fn frame(&mut self, arrival_ns: u64) -> Option<f64> {
-        let lasted = self.lasts(arrival_ns);
+        let lasted = self.long_silence_s(arrival_ns);
         self.last_arrival_ns = Some(arrival_ns);
         lasted
     }
 }
 
 impl Intake {
-    /// A frame arrived. `is_told`: why it took long is told elsewhere.
+    /// Ends a silence with a frame. `is_told`: another event explains the silence.
     pub(super) fn end_silence(&mut self, device_ticks: u64, arrival_ns: u64, is_told: bool) {
-        if let Some(silent_s) = self.silences.frame(arrival_ns)
+        if let Some(silent_s) = self.silence.frame(arrival_ns)
             && !is_told
         {
             self.silence_event(silent_s, device_ticks, arrival_ns);
         }
     }
 
-    /// A take ends: what was due since the last frame, by the host's clock, is that take's loss, and stands in it, when
-    /// the device is away or has been silent for long.
+    /// At the end of a take: if the device is disconnected or has long been silent, the frames due since the last one,
+    /// by the host's clock, count as the take's loss.
     pub(super) fn count_absence(&mut self, now_ns: u64) {
         let until_ns = self.due_until_ns.map_or(now_ns, |due_ns| due_ns.min(now_ns));
         let silent_ns = if self.is_away {
-            self.silences.until_ns(until_ns)
-        } else if let Some(silent_s) = self.silences.lasts(until_ns) {
+            self.silence.until_ns(until_ns)
+        } else if let Some(silent_s) = self.silence.long_silence_s(until_ns) {
             self.silence_event(silent_s, 0, until_ns);
-            self.silences.unaccounted_ns(until_ns)
+            self.silence.unaccounted_ns(until_ns)
         } else {
             return;
         };
-        // Its last word tells of every frame.
+        // The final report accounts for every frame.
         if self.counts.ended {
             return;
         }
@@ -168,7 +168,7 @@ impl Intake {
         } else {
             self.counts.lost_to_silence(new);
         }
-        self.pending.add(new, Causes::DISCONNECTED);
+        self.pending.add(new, LossCauses::DISCONNECTED);
     }
 
     fn silence_event(&mut self, silent_s: f64, device_ticks: u64, host_ns: u64) {
@@ -178,24 +178,24 @@ impl Intake {
     }
 }
 
-/// A short list of runs, in place.
+/// A short list of runs of lost rows, without allocation.
 #[derive(Debug, Default)]
-pub(super) struct Pending {
-    runs: [(u64, Causes); RUNS_MAX],
+pub(super) struct PendingLoss {
+    runs: [(u64, LossCauses); RUNS_MAX],
     n_runs: usize,
     rows: u64,
     counted: PendingRows,
 }
 
-impl Pending {
-    pub(super) fn add(&mut self, rows: u64, causes: Causes) {
+impl PendingLoss {
+    pub(super) fn add(&mut self, rows: u64, causes: LossCauses) {
         if rows == 0 {
             return;
         }
         self.rows += rows;
-        let counted = if causes.contains(Causes::DISCONNECTED) {
+        let counted = if causes.contains(LossCauses::DISCONNECTED) {
             &mut self.counted.in_outages
-        } else if causes.contains(Causes::RING_FULL) {
+        } else if causes.contains(LossCauses::RING_FULL) {
             &mut self.counted.ring_full
         } else {
             &mut self.counted.not_received
@@ -217,13 +217,13 @@ impl Pending {
         self.rows
     }
 
-    /// The same, by what counted them.
+    /// The lost rows by counter.
     pub(super) fn counted(&self) -> PendingRows {
         self.counted
     }
 
-    /// The runs, oldest first; none are left.
-    pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, Causes)> + use<> {
+    /// Removes the runs, oldest first.
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, LossCauses)> + use<> {
         let runs = std::mem::take(&mut self.runs);
         self.rows = 0;
         self.counted = PendingRows::default();
@@ -237,15 +237,15 @@ mod tests {
 
     #[test]
     fn runs_merge_and_nothing_is_lost() {
-        let mut pending = Pending::default();
+        let mut pending = PendingLoss::default();
         for i in 0..40 {
-            let causes = if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL };
+            let causes = if i % 2 == 0 { LossCauses::NOT_RECEIVED } else { LossCauses::RING_FULL };
             pending.add(3, causes);
         }
         assert_eq!((pending.rows(), pending.n_runs), (120, RUNS_MAX));
         let runs: Vec<_> = pending.drain().collect();
         assert_eq!(runs.iter().map(|run| run.0).sum::<u64>(), 120);
-        assert_eq!(runs[7].1, Causes::NOT_RECEIVED.union(Causes::RING_FULL));
+        assert_eq!(runs[7].1, LossCauses::NOT_RECEIVED.union(LossCauses::RING_FULL));
         assert_eq!((pending.rows(), pending.n_runs), (0, 0));
     }
 }

@@ -1,4 +1,4 @@
-//! A frame into its row, by channel, the row into the rings, and stretches closed.
+//! Fills a frame's row by channel, puts the row into the rings, and closes stretches.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -15,31 +15,31 @@ use super::{Intake, NO_SLOT};
 use crate::pipeline::{
     messages::{Control, NewChannel, StretchEnd},
     plan::RUNS_MAX,
-    ring::{RingIn, Sample, TimelineItem},
+    ring::{RingProducer, Sample, TimelineItem},
 };
 
 impl Intake {
     /// Closes the open stretch when the rows lost before this frame do not fit into it.
-    pub(super) fn make_way(&mut self) {
+    pub(super) fn make_room(&mut self) {
         let left = u64::from(self.open_limit - self.open_rows);
         if self.open_rows > 0 && self.pending.rows() >= left {
             self.close_stretch();
         }
     }
 
-    /// Whether this frame, and the lost rows before it that belong into the open stretch, fit.
+    /// Whether this frame fits, with the lost rows before it that belong to the open stretch.
     pub(super) fn has_room(&mut self) -> bool {
         self.has_room_for(1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 })
     }
 
     /// Whether so many rows fit.
     pub(super) fn has_room_for(&mut self, rows: usize) -> bool {
-        if self.room < rows {
+        if self.rows_free < rows {
             let active = &self.rings[..self.n_channels];
-            self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);
+            self.rows_free = active.iter().map(RingProducer::vacant).min().unwrap_or(usize::MAX);
         }
-        // What is pending, this row, and what may be pending at the end.
-        self.room >= rows && self.timeline.room() > 2 * RUNS_MAX
+        // The pending runs, this row, and the runs that may be pending at the end.
+        self.rows_free >= rows && self.timeline.vacant() > 2 * RUNS_MAX
     }
 
     pub(super) fn push_row(&mut self, time: RowTime) {
@@ -71,7 +71,7 @@ impl Intake {
         for (ring, sample) in self.rings[..self.n_channels].iter_mut().zip(&mut self.row) {
             ring.push(take(sample));
         }
-        self.room = self.room.saturating_sub(1);
+        self.rows_free = self.rows_free.saturating_sub(1);
     }
 
     pub(super) fn push_pending(&mut self) {
@@ -90,18 +90,15 @@ impl Intake {
         }
     }
 
-    /// Rows that were lost since the last recorded one, as a stretch of their own: they are the account's of whatever
-    /// take ends here.
+    /// Sends the rows lost since the last recorded one as a stretch of their own: they count for the take that ends
+    /// here.
     pub(super) fn close_pending(&mut self) {
-        if self.pending.rows() == 0
-            || self.counts.recorded == 0
-            || self.timeline.room() <= 3 * RUNS_MAX
-        {
+        let is_empty = self.pending.rows() == 0 || self.counts.recorded == 0;
+        if is_empty || self.timeline.vacant() <= 3 * RUNS_MAX {
             return;
         }
         self.push_pending();
-        let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
-        self.send(self.end_of(span, false));
+        self.end_boundary();
     }
 
     pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
@@ -116,7 +113,7 @@ impl Intake {
         self.send(self.end_of(span, last));
     }
 
-    /// A boundary between two stretches, sent the way that they go.
+    /// Sends a boundary between two stretches, the way of stretches.
     pub(super) fn end_boundary(&mut self) {
         let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
         self.send(self.end_of(span, false));
@@ -133,7 +130,7 @@ impl Intake {
     }
 
     fn send(&mut self, end: StretchEnd) {
-        let fill = |ring: &RingIn<Sample>| ring.fill_permille();
+        let fill = |ring: &RingProducer<Sample>| ring.fill_permille();
         let fullest = self.rings[..self.n_channels].iter().map(fill).max().unwrap_or(0);
         self.progress.ring_fill_permille.store(fullest, Ordering::Relaxed);
         if !self.feed.end_stretch(end, self.counts()) {
@@ -142,12 +139,12 @@ impl Intake {
     }
 }
 
-/// Announcements that wait for a frame: one of every id there can be.
+/// Announcements that wait for a frame: one for every possible id.
 const ANNOUNCED_MAX: usize = 1 << 16;
 
 impl Intake {
-    /// Markers of the device's table that are not channels yet become channels with the next frame, while the pool lasts.
-    /// A table may come in several messages: what comes before that frame is one.
+    /// Announces markers of the device's table. New ones become channels with the next frame, while the pool lasts.
+    /// A table may come in several messages: all messages before that frame form one.
     pub fn announce(&mut self, markers: &[MarkerInfo]) {
         self.announced.extend_from_slice(markers);
         if self.announced.len() > ANNOUNCED_MAX {
@@ -155,10 +152,10 @@ impl Intake {
         }
     }
 
-    /// Gives every marker that was announced the channel of its name, or a new one.
+    /// Gives every announced marker the channel of its name, or a new one.
     pub(super) fn bind_announced(&mut self) {
         let announced = std::mem::take(&mut self.announced);
-        // Of an id that was announced twice the last word counts.
+        // If an id was announced twice, the last announcement counts.
         let last: HashMap<u16, usize> =
             announced.iter().enumerate().map(|(at, marker)| (marker.id, at)).collect();
         let is_new = |(at, marker): &(usize, &MarkerInfo)| {
@@ -172,9 +169,9 @@ impl Intake {
         if new.is_empty() {
             return;
         }
-        // These ids stand for other markers now, all of them, before any gets its channel: names that changed places
-        // find theirs free. Until one has a channel its samples are counted as dropped: they must not be stored under the
-        // old name.
+        // These ids now stand for other markers. All lose their channels before any gets one, so that markers that
+        // exchanged names find each other's channels free. Samples of a marker without a channel count as dropped: they
+        // must not be stored under the old name.
         for marker in &new {
             self.slot_of_id[usize::from(marker.id)] = NO_SLOT;
         }
@@ -198,7 +195,7 @@ impl Intake {
         }
     }
 
-    /// The frame's markers by slot.
+    /// Sorts the frame's markers into slots.
     pub(super) fn fill_row(&mut self, frame: &Frame<'_>) {
         for marker in frame.markers {
             let mut slot = self.slot_of_id[usize::from(marker.id)];
@@ -217,7 +214,7 @@ impl Intake {
         }
     }
 
-    /// A channel that was not there before begins with a stretch of its own.
+    /// Opens a channel for a new marker, which begins with a new stretch.
     fn open_channel(&mut self, id: u16, named: Option<(&str, bool)>) {
         if self.n_channels >= self.row.len() {
             return;
@@ -228,18 +225,14 @@ impl Intake {
             marker_id: id,
             named: named.map(|(label, labelled)| (label.to_owned(), labelled)),
         };
-        if self
-            .to_writer
-            .control
-            .try_send((self.feed.next_stretch(), Control::Channel(channel)))
-            .is_err()
-        {
+        let control = (self.feed.next_stretch(), Control::Channel(channel));
+        if self.to_writer.control.try_send(control).is_err() {
             return;
         }
         self.labels.push(named.map(|(label, _)| label.to_owned()).unwrap_or_default());
         self.slot_of_id[usize::from(id)] = self.n_channels as u32;
         self.n_channels += 1;
         self.counts.markers_appeared += 1;
-        self.room = 0;
+        self.rows_free = 0;
     }
 }

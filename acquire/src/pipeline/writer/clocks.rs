@@ -1,4 +1,4 @@
-//! What was seen of the clocks, into the take: seldom, because each record costs some fifty bytes.
+//! Writes clock observations to the take: rarely, because each record costs some fifty bytes.
 
 use std::{
     collections::VecDeque,
@@ -15,49 +15,49 @@ use mocapd_take::{
 
 use crate::clock::{ClockItem, ClockStatus};
 
-/// Round trips, or points, that a record is written for, though none is due: those of a minute are sixteen and twelve.
-/// With all that can wait in the queue ([`CLOCK_ITEMS_MAX`](crate::pipeline::plan::CLOCK_ITEMS_MAX)) they are fewer than
-/// a record may hold.
-const HELD_MAX: usize = 256;
+/// Round trips, or points, that force a record when none is due: a minute has sixteen and twelve.
+/// With all that can wait in the queue ([`CLOCK_ITEMS_MAX`](crate::pipeline::plan::CLOCK_ITEMS_MAX)) they are fewer
+/// than a record may hold.
+const BUFFERED_MAX: usize = 256;
 
-/// Observations of each kind that a line is laid through, at most: 16 bursts of 8 round trips, and 48 points. A take
-/// that begins later has them, too.
+/// Most observations of each kind that a line is fitted to: 16 bursts of 8 round trips, and 48 points. They are copied
+/// to a take that begins later.
 const RECENT_MAX: usize = 128;
 
-/// Segments that are told of one by one at the end: a device is plugged in again so often in a long day. The take
-/// has each one's line.
+/// Segments listed one by one at the end: a device reconnects so often in a long day. The take
+/// has the line of every segment.
 const LINES_MAX: usize = 256;
 
-/// Until the first record: before, little is known. A recording that is killed by then has the line in its ledger.
+/// Time until the first record: earlier, little is known. A recording killed before has the line in its ledger.
 const FIRST_AFTER: Duration = Duration::from_secs(8);
 
-/// Holds what comes until a record is written.
+/// Buffers clock observations until a record is written.
 ///
-/// Observations come on a queue of their own, and are many seconds ahead of the stretches when the disk stalled. A status
-/// says how many of them it knows: with it no more than these are taken, so that a record has the line that its
+/// Observations arrive on their own queue, many seconds ahead of the stretches when the disk stalls. A status states
+/// how many of them it includes; no more than these are taken with it, so that the line in a record is the one that its
 /// observations give.
 #[derive(Debug)]
 pub(super) struct ClockWriter {
     items: Receiver<ClockItem>,
-    /// How many were taken from there.
+    /// Number of items taken from the queue.
     taken: u64,
-    /// As of the last of these.
+    /// The status at the last of these.
     status: ClockStatus,
     segment: u32,
     begun: Instant,
     probes: Vec<ClockProbe>,
     points: Vec<ClockPoint>,
-    /// Of the segment, whether they are in a take or not.
+    /// Recent observations of the segment, stored in a take or not.
     recent_probes: VecDeque<ClockProbe>,
     recent_points: VecDeque<ClockPoint>,
-    /// Of the segment, when that is over.
+    /// The segment's line, once the segment is over.
     line: Option<ClockLine>,
     lines: Vec<(u32, ClockLine)>,
 }
 
 impl ClockWriter {
     pub(super) fn new(items: Receiver<ClockItem>) -> Self {
-        let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
+        let (probes, points) = (Vec::with_capacity(BUFFERED_MAX), Vec::with_capacity(BUFFERED_MAX));
         Self {
             items,
             taken: 0,
@@ -73,10 +73,10 @@ impl ClockWriter {
         }
     }
 
-    /// A take begins where the observations were taken up to: what the line is laid through belongs into it, though it
-    /// was seen before.
+    /// Begins a take. The observations that the current line is fitted to belong to it, though they were made
+    /// before.
     pub(super) fn begin(&mut self) {
-        self.enter(self.status.segment);
+        self.enter_segment(self.status.segment);
         self.begun = Instant::now();
         self.probes.clear();
         self.points.clear();
@@ -86,25 +86,25 @@ impl ClockWriter {
         self.lines.clear();
     }
 
-    /// One that nothing comes to.
+    /// A writer without a source.
     pub(super) fn idle() -> Self {
         Self::new(never())
     }
 
-    /// For a take beside the one that is written, which ends where the observations were taken up to.
-    pub(super) fn beside(&self) -> Self {
-        let mut beside = Self::idle();
-        (beside.taken, beside.status) = (self.taken, self.status);
-        beside.segment = self.status.segment;
-        // Of the one before, nothing is to be said of this one.
-        if self.segment == beside.segment {
-            beside.probes.extend(&self.recent_probes);
-            beside.points.extend(&self.recent_points);
+    /// A writer for a take saved beside the open one, which ends with the observations taken so far.
+    pub(super) fn for_saved_take(&self) -> Self {
+        let mut saved = Self::idle();
+        (saved.taken, saved.status) = (self.taken, self.status);
+        saved.segment = self.status.segment;
+        // Observations of the earlier segment do not belong to this one.
+        if self.segment == saved.segment {
+            saved.probes.extend(&self.recent_probes);
+            saved.points.extend(&self.recent_points);
         }
-        beside
+        saved
     }
 
-    fn enter(&mut self, segment: u32) {
+    fn enter_segment(&mut self, segment: u32) {
         if segment != self.segment {
             self.segment = segment;
             self.recent_probes.clear();
@@ -112,8 +112,8 @@ impl ClockWriter {
         }
     }
 
-    /// Takes in what came up to the moment of `status`, and writes it when a record is due, the segment is another one, or
-    /// enough is held; without a take, it keeps what the next one needs. An older status than the last one says nothing.
+    /// Takes the items up to `status`, and writes them when a record is due, the segment changes, or the buffer is
+    /// full. Without a take, it keeps what the next one needs. A status older than the last one is ignored.
     pub(super) fn write<W: Write>(
         &mut self,
         mut take: Option<&mut TakeWriter<W>>,
@@ -124,7 +124,7 @@ impl ClockWriter {
             self.status = *status;
         }
         while self.taken < status.stored {
-            // What a status knows was sent before it.
+            // The items that a status includes were sent before it.
             let Ok(item) = self.items.try_recv() else { break };
             self.taken += 1;
             let (ClockItem::Point(segment, _)
@@ -132,28 +132,28 @@ impl ClockWriter {
             | ClockItem::Line(segment, _)) = item;
             if segment != self.segment {
                 self.record(take.as_deref_mut())?;
-                self.enter(segment);
+                self.enter_segment(segment);
             }
             match item {
                 ClockItem::Point(_, point) => {
                     self.points.push(point);
-                    keep(&mut self.recent_points, point);
+                    push_recent(&mut self.recent_points, point);
                 }
                 ClockItem::Probe(_, probe) => {
                     self.probes.push(probe);
-                    keep(&mut self.recent_probes, probe);
+                    push_recent(&mut self.recent_probes, probe);
                 }
                 ClockItem::Line(_, line) => self.line = Some(line),
             }
         }
-        let is_full = self.points.len().max(self.probes.len()) >= HELD_MAX;
+        let is_full = self.points.len().max(self.probes.len()) >= BUFFERED_MAX;
         if is_full || (is_due && self.begun.elapsed() >= FIRST_AFTER) {
             self.record(take)?;
         }
         Ok(())
     }
 
-    /// Writes what is left. The line of each segment that had one.
+    /// Writes what is left, and returns the line of each segment that had one.
     pub(super) fn finish<W: Write>(
         &mut self,
         take: &mut TakeWriter<W>,
@@ -161,8 +161,7 @@ impl ClockWriter {
     ) -> anyhow::Result<Vec<(u32, ClockLine)>> {
         self.write(Some(&mut *take), status, false)?;
         self.record(Some(take))?;
-        let last = status.line.map(|line| (status.segment, line));
-        self.lines.extend(last);
+        self.lines.extend(status.line.map(|line| (status.segment, line)));
         Ok(std::mem::take(&mut self.lines))
     }
 
@@ -179,7 +178,7 @@ impl ClockWriter {
         if self.lines.len() < LINES_MAX {
             self.lines.extend(ended.map(|line| (self.segment, line)));
         }
-        // Of the segment that runs, the line is the newest.
+        // The running segment has the newest line.
         let running = status.line.filter(|_| status.segment == self.segment);
         let mut clock = Clock {
             segment: self.segment,
@@ -197,8 +196,8 @@ impl ClockWriter {
     }
 }
 
-/// The newest few.
-fn keep<T>(recent: &mut VecDeque<T>, item: T) {
+/// Keeps the newest items.
+fn push_recent<T>(recent: &mut VecDeque<T>, item: T) {
     if recent.len() == RECENT_MAX {
         recent.pop_front();
     }

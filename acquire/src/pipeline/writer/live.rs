@@ -10,7 +10,7 @@ use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
     record::{Channel, ClockLine, EndingKind, Event, EventKind, Ledger, SummaryRecord, TakeEnding},
-    stretch::{NUMBERS, Span, put_moved},
+    stretch::{NUMBERS, Span, put_renumbered},
 };
 
 use super::clocks::ClockWriter;
@@ -18,42 +18,42 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeNow,
-        TakeOutput, Written,
+        Counts, FirstRow, NewTake, NothingRecorded, PipelineProgress, TakeAccount, TakeFailed,
+        TakeOutput, TakeProgress, TakeResult,
         commands::Reply,
-        disk::Room,
+        disk::DiskReserve,
         lock,
-        messages::{Moment, PartReport},
+        messages::{FrameTimes, PartReport},
     },
 };
 
-/// From its header to its footer.
+/// An open take, from its header to its footer.
 #[derive(Debug)]
 pub(in crate::pipeline) struct LiveTake {
     take: TakeWriter<Box<dyn TakeOutput>>,
     reply: Reply,
-    /// What the pipeline had counted before it, and the row that is its first.
+    /// The pipeline's counters before the take, and the pipeline's row that is its row 0.
     base: Counts,
     rows_before: u64,
     next_number: u8,
     has_stretches: bool,
     first: Option<FirstRow>,
-    first_told: bool,
-    moved: Vec<u8>,
+    first_reported: bool,
+    shifted: Vec<u8>,
     report: PartReport,
     counts: Counts,
     sync_every: Duration,
     synced_bytes: u64,
     last_sync: Option<Instant>,
-    ledgers: Ledgers,
-    room: Room,
-    /// What others did to the file, and the name that it has for that.
+    ledgers: LedgerSchedule,
+    disk: DiskReserve,
+    /// The state of the file, and its present name if that changed.
     file_state: FileState,
-    file_at: Option<PathBuf>,
+    file_path: Option<PathBuf>,
 }
 
 impl LiveTake {
-    /// A take whose row 0 is the pipeline's row `rows_before`; `base` was counted before it.
+    /// Begins a take whose row 0 is the pipeline's row `rows_before`; `base` are the counters before it.
     pub(in crate::pipeline) fn begin(
         new: NewTake,
         reply: &Reply,
@@ -61,11 +61,11 @@ impl LiveTake {
         rows_before: u64,
         sync_every: Duration,
     ) -> anyhow::Result<Self> {
-        let begun = TakeWriter::new(new.output, &new.header).and_then(|mut take| {
+        let started = TakeWriter::new(new.output, &new.header).and_then(|mut take| {
             new.subject.map_or(Ok(()), |subject| take.subject(&subject))?;
             Ok(take)
         });
-        let take = begun.context("cannot write the take's header").context(NothingRecorded)?;
+        let take = started.context("cannot write the take's header").context(NothingRecorded)?;
         let mut take = Self {
             take,
             reply: reply.clone(),
@@ -74,92 +74,91 @@ impl LiveTake {
             next_number: 0,
             has_stretches: false,
             first: None,
-            first_told: false,
-            moved: Vec::new(),
+            first_reported: false,
+            shifted: Vec::new(),
             report: PartReport::default(),
             counts: Counts::default(),
             sync_every,
             synced_bytes: 0,
             last_sync: None,
-            ledgers: Ledgers::default(),
-            room: Room::new(new.keep_free_bytes),
+            ledgers: LedgerSchedule::default(),
+            disk: DiskReserve::new(new.keep_free_bytes),
             file_state: FileState::InPlace,
-            file_at: None,
+            file_path: None,
         };
-        let noted = new.notes.map_or(Ok(()), |event| take.event(&event));
-        noted.context(NothingRecorded)?;
+        new.notes.map_or(Ok(()), |event| take.event(&event)).context(NothingRecorded)?;
         Ok(take)
     }
 
-    /// So that nothing is allocated later.
+    /// Allocates the buffers.
     pub(super) fn reserve(&mut self, stretch_bytes: usize) {
-        self.moved.reserve(stretch_bytes);
+        self.shifted.reserve(stretch_bytes);
     }
 
     pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {
         self.take.channels(std::slice::from_ref(channel)).context("cannot write a new channel")
     }
 
-    /// An event at a row of the pipeline.
+    /// Writes an event at a row of the pipeline.
     pub(super) fn event(&mut self, event: &Event) -> anyhow::Result<()> {
         let row = event.row.saturating_sub(self.rows_before);
         self.take.event(&Event { row, ..event.clone() }).context("cannot write an event")
     }
 
-    /// The row of the pipeline that came next when it was asked for: where there are rows before, that is worth knowing.
-    pub(super) fn asked_here(&mut self, row: u64, asked_ns: u64) -> anyhow::Result<()> {
+    /// Marks the pipeline's row at the time of the request, if there are rows before it.
+    pub(super) fn mark_request(&mut self, row: u64, requested_ns: u64) -> anyhow::Result<()> {
         if !self.has_stretches {
             return Ok(());
         }
-        let text = "the take was asked for here: before it is pre-roll";
-        self.event(&Event { row, ..Event::new(EventKind::Host, asked_ns, text) })
+        let text = "the take was requested here: earlier rows are pre-roll";
+        self.event(&Event { row, ..Event::new(EventKind::Host, requested_ns, text) })
     }
 
-    /// A stretch of the pipeline, with what it counted up to its end.
+    /// Writes a stretch of the pipeline; `counts` are the counters at its end.
     pub(super) fn stretch(
         &mut self,
         span: Span,
-        first: Moment,
+        first: FrameTimes,
         payload: &[u8],
         report: &PartReport,
         counts: &Counts,
     ) -> anyhow::Result<()> {
         if !self.has_stretches && !span.key {
-            self.begin_behind(span, counts);
+            self.skip_to_key(span, counts);
             return Ok(());
         }
         self.report.add(report);
         self.counts = counts.since(&self.base);
-        // The last one has neither rows nor, when nothing was lost at the end, a front.
+        // The last stretch has no rows, and no front either when nothing was lost at the end.
         if payload.is_empty() {
             return Ok(());
         }
-        let cannot = "cannot write a stretch";
+        let failure = "cannot write a stretch";
         self.has_stretches = true;
         let number = self.next_number;
         self.next_number = (number + 1) % NUMBERS;
-        self.moved.clear();
-        put_moved(payload, self.rows_before, number, &mut self.moved).context(cannot)?;
+        self.shifted.clear();
+        put_renumbered(payload, self.rows_before, number, &mut self.shifted).context(failure)?;
         let first_row = span.first_row.saturating_sub(self.rows_before);
-        self.take.stretch(Span { first_row, number, ..span }, &self.moved).context(cannot)?;
+        self.take.stretch(Span { first_row, number, ..span }, &self.shifted).context(failure)?;
         if span.n_rows > 0 {
-            let Moment { device_ticks, arrival_ns } = first;
+            let FrameTimes { device_ticks, arrival_ns } = first;
             let row = self.rows_before;
             self.first.get_or_insert(FirstRow { device_ticks, arrival_ns, row });
         }
         Ok(())
     }
 
-    /// Rows that were lost before its first key: nobody can read on from them, and whoever asked for the take when
-    /// nothing came wants what came then. The absence of a device is none of the take's; frames that did come, and
-    /// found the rings full, are on its account.
-    fn begin_behind(&mut self, span: Span, counts: &Counts) {
+    /// Skips rows lost before the first key, which no reader could use: a take requested while nothing came begins with
+    /// what came next. The absence of the device is not the take's loss, but frames that arrived and found the rings
+    /// full are.
+    fn skip_to_key(&mut self, span: Span, counts: &Counts) {
         self.base = Counts { ring_full: self.base.ring_full, ..*counts };
         self.rows_before = span.first_row;
         self.counts = counts.since(&self.base);
     }
 
-    /// What was seen of the clocks up to this moment.
+    /// Writes the clock observations up to this moment.
     pub(super) fn observe(
         &mut self,
         clocks: &mut ClockWriter,
@@ -171,68 +170,68 @@ impl LiveTake {
     pub(super) fn ledger_and_sync(
         &mut self,
         clocks: &mut ClockWriter,
-        progress: &Progress,
+        progress: &PipelineProgress,
     ) -> anyhow::Result<()> {
-        let ledger_is_due = self.ledgers.are_due(&self.counts, Instant::now());
+        let ledger_is_due = self.ledgers.is_due(&self.counts, Instant::now());
         clocks.write(Some(&mut self.take), &self.counts.clock, ledger_is_due)?;
         if ledger_is_due {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
-        self.look_at_disk(progress);
-        self.look_at_file(progress);
+        self.poll_disk(progress);
+        self.check_file(progress);
         let is_due = self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every);
-        // Somebody waits for the first row.
-        if is_due || (self.first.is_some() && !self.first_told) {
-            self.sync_what_waits()?;
+        // The requester waits for the first row.
+        if is_due || (self.first.is_some() && !self.first_reported) {
+            self.sync_pending()?;
         }
         Ok(())
     }
 
-    pub(super) fn look_at_disk(&mut self, progress: &Progress) {
+    pub(super) fn poll_disk(&mut self, progress: &PipelineProgress) {
         let written = self.take.bytes();
-        self.room.look(&mut **self.take.get_mut(), written, progress, Instant::now());
+        self.disk.poll(&mut **self.take.get_mut(), written, progress, Instant::now());
     }
 
-    /// Tells others when the file is not what it was at the last look.
-    pub(super) fn look_at_file(&mut self, progress: &Progress) {
-        let state = self.take.get_mut().look();
+    /// Publishes the file's state when it has changed.
+    pub(super) fn check_file(&mut self, progress: &PipelineProgress) {
+        let state = self.take.get_mut().poll_state();
         if state == FileState::InPlace && state == self.file_state {
             return;
         }
         let displaced = self.take.get_mut().displaced();
         let at = displaced.as_ref().and_then(|displaced| displaced.now_at.clone());
-        // It may be renamed again.
-        if state != self.file_state || at != self.file_at {
-            (self.file_state, self.file_at) = (state, at);
+        // It may be renamed more than once.
+        if state != self.file_state || at != self.file_path {
+            (self.file_state, self.file_path) = (state, at);
             progress.set_file_state(state, displaced);
         }
     }
 
-    /// Whether another program cut the file short: the rest would lie behind a hole.
+    /// Whether another program truncated the file: further data would follow a hole.
     pub(super) fn is_cut_short(&self) -> bool {
         self.file_state == FileState::Truncated
     }
 
-    pub(super) fn sync_what_waits(&mut self) -> anyhow::Result<()> {
+    pub(super) fn sync_pending(&mut self) -> anyhow::Result<()> {
         if self.synced_bytes < self.take.bytes() {
             self.take.get_mut().sync().context("cannot sync the take to disk")?;
             self.synced_bytes = self.take.bytes();
             self.last_sync = Some(Instant::now());
         }
         if let Some(first) = self.first
-            && !std::mem::replace(&mut self.first_told, true)
+            && !std::mem::replace(&mut self.first_reported, true)
         {
-            // Nobody need wait for it.
+            // The requester may be gone.
             self.reply.first.try_send(first).ok();
         }
         Ok(())
     }
 
-    /// For whoever watches.
-    pub(super) fn tell(&self, progress: &Progress) {
+    /// Publishes the take's progress for observers.
+    pub(super) fn publish(&self, progress: &PipelineProgress) {
         progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
         progress.samples.store(self.report.samples, Ordering::Relaxed);
-        let now = TakeNow {
+        let now = TakeProgress {
             rows: self.counts.seen(),
             bytes: self.take.bytes(),
             durable_bytes: self.synced_bytes,
@@ -243,37 +242,37 @@ impl LiveTake {
         *lock(&progress.take) = Some(now);
     }
 
-    /// What was held for the rest is nobody's: the part that was written stays.
-    pub(super) fn give_up(self, error: anyhow::Error) {
+    /// Ends the take after an error: its unused reserve is released, and what was written stays.
+    pub(super) fn fail(self, error: anyhow::Error) {
         let ended = self.reply.ended.clone();
         ended.try_send(Err(self.failed(error))).ok();
     }
 
     fn failed(mut self, error: anyhow::Error) -> TakeFailed {
         let written = self.take.bytes();
-        // A disk that failed may fail here, too.
+        // On a failed disk this may fail too.
         self.take.get_mut().release(written).ok();
-        // Without a frame it is worth nothing.
+        // Without a frame the take is useless.
         let error = if self.first.is_none() { error.context(NothingRecorded) } else { error };
         TakeFailed { error, output: Some(self.take.abandon()) }
     }
 
-    /// Closes it, with the counters at its end.
+    /// Closes the take with the counters at its end.
     pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
         self.counts = counts.since(&self.base);
         let ended = self.reply.ended.clone();
         ended.try_send(self.finish(clocks, ending)).ok();
     }
 
-    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd {
-        self.file_state = self.take.get_mut().look_now();
+    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeResult {
+        self.file_state = self.take.get_mut().check_state();
         match self.file_state {
             FileState::Truncated => return Ok(self.finish_cut_short()),
             FileState::Removed if ending.detail.is_empty() => {
-                "its file was removed while it was recorded".clone_into(&mut ending.detail);
+                "its file was removed during the recording".clone_into(&mut ending.detail);
             }
             FileState::Renamed if ending.detail.is_empty() => {
-                "its file was renamed while it was recorded".clone_into(&mut ending.detail);
+                "its file was renamed during the recording".clone_into(&mut ending.detail);
             }
             _ => {}
         }
@@ -282,23 +281,23 @@ impl LiveTake {
             Err(error) => return Err(self.failed(error)),
         };
         let file_bytes = self.take.bytes();
-        let written = Written { ending, clock_lines, file_bytes, ..self.written(ledger) };
+        let written = TakeAccount { ending, clock_lines, file_bytes, ..self.written(ledger) };
         let output = self.take.abandon();
-        Ok((Written { disk: self.room.close(&*output), ..written }, output))
+        Ok((TakeAccount { disk: self.disk.close(&*output), ..written }, output))
     }
 
-    fn written(&self, ledger: Ledger) -> Written {
-        Written {
+    fn written(&self, ledger: Ledger) -> TakeAccount {
+        TakeAccount {
             ledger,
             clock: self.counts.clock,
             samples: self.report.samples,
             kept: self.report.kept,
             max_error_mm: self.report.max_error_mm,
-            ..Written::default()
+            ..TakeAccount::default()
         }
     }
 
-    /// Writes its end.
+    /// Writes the end of the take.
     fn close(
         &mut self,
         clocks: &mut ClockWriter,
@@ -321,62 +320,62 @@ impl LiveTake {
         Ok((ledger, clock_lines))
     }
 
-    /// Nothing more is written: what is left of the file is a take that was cut off.
-    fn finish_cut_short(mut self) -> (Written, Box<dyn TakeOutput>) {
+    /// Ends a truncated take without writing more: the file is a take that was cut off.
+    fn finish_cut_short(mut self) -> (TakeAccount, Box<dyn TakeOutput>) {
         let displaced = self.take.get_mut().displaced();
         let (found, written) = displaced.map_or((0, self.take.bytes()), |file| file.bytes);
         let detail = format!("cut short from {written} to {found} bytes by another program");
         let mut ledger = self.counts.ledger(false);
-        // What was recorded is not what is there.
+        // The file does not contain what was recorded.
         ledger.contradictions.push(format!("the file was {detail}"));
         let ending = TakeEnding::new(EndingKind::Truncated, detail);
-        let written = Written { ending, file_bytes: found, ..self.written(ledger) };
+        let written = TakeAccount { ending, file_bytes: found, ..self.written(ledger) };
         let mut output = self.take.abandon();
-        // A file system that keeps what was held for the rest gives it back when the file is closed.
+        // A file system that does not release the reserve now does so when the file is closed.
         output.release(found).ok();
-        (Written { disk: self.room.close(&*output), ..written }, output)
+        (TakeAccount { disk: self.disk.close(&*output), ..written }, output)
     }
 }
 
-/// Time between two ledgers at least.
-const AT_LEAST: Duration = Duration::from_secs(5);
+/// Shortest time between two ledgers.
+const LEDGER_INTERVAL_MIN: Duration = Duration::from_secs(5);
 
-/// Time between two ledgers at most: by so much the last one of a killed take can be older than its last
-/// frame, as far as its counters of what went well go.
-const AT_MOST: Duration = Duration::from_secs(60);
+/// Longest time between two ledgers: the last ledger of a killed take can be so much older than its last
+/// frame, in the counters that change while all goes well.
+const LEDGER_INTERVAL_MAX: Duration = Duration::from_secs(60);
 
-/// A ledger stands in the take from the first stretch on; then, while all goes well, when the recording is
-/// twice as old as at the last one. What went wrong is there within five seconds.
+/// Decides when to write a ledger: with the first stretch; then, while all goes well, whenever the recording is
+/// twice as old as at the last ledger. A problem is recorded within five seconds.
 #[derive(Debug, Default)]
-pub(super) struct Ledgers {
-    begun: Option<Instant>,
-    last: Option<(Instant, Troubles)>,
+pub(super) struct LedgerSchedule {
+    started: Option<Instant>,
+    last: Option<(Instant, ProblemCounters)>,
 }
 
-/// The counters that stand still while all goes well.
-type Troubles = [u64; 13];
+/// The counters that do not change while all goes well.
+type ProblemCounters = [u64; 13];
 
-impl Ledgers {
-    /// Whether one is to be written now; then it counts as written.
-    pub(super) fn are_due(&mut self, counts: &Counts, now: Instant) -> bool {
-        let begun = *self.begun.get_or_insert(now);
-        let troubles = troubles(counts);
+impl LedgerSchedule {
+    /// Whether a ledger is due; if so, it counts as written.
+    pub(super) fn is_due(&mut self, counts: &Counts, now: Instant) -> bool {
+        let started = *self.started.get_or_insert(now);
+        let problem_counters = problem_counters(counts);
         let due = self.last.is_none_or(|(last, known)| {
-            let wait = if known == troubles {
-                last.duration_since(begun).clamp(AT_LEAST, AT_MOST)
+            let wait = if known == problem_counters {
+                last.duration_since(started).clamp(LEDGER_INTERVAL_MIN, LEDGER_INTERVAL_MAX)
             } else {
-                AT_LEAST
+                LEDGER_INTERVAL_MIN
             };
             now.duration_since(last) >= wait
         });
         if due {
-            self.last = Some((now, troubles));
+            self.last = Some((now, problem_counters));
         }
         due
     }
 }
 
-fn troubles(counts: &Counts) -> Troubles {
+fn problem_counters(counts: &Counts) -> ProblemCounters {
     [
         counts.not_received,
         counts.ring_full,
@@ -399,14 +398,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_while_all_goes_well_and_soon_when_not() {
-        let (mut ledgers, start) = (Ledgers::default(), Instant::now());
+    fn ledgers_are_rare_while_all_goes_well_and_soon_after_a_problem() {
+        let (mut ledgers, start) = (LedgerSchedule::default(), Instant::now());
         let mut counts = Counts::default();
         let mut written = Vec::new();
         for half_second in 0..600 {
             counts.recorded += 30;
             counts.duplicates += u64::from([250, 251, 252].contains(&half_second));
-            if ledgers.are_due(&counts, start + Duration::from_millis(500 * half_second)) {
+            if ledgers.is_due(&counts, start + Duration::from_millis(500 * half_second)) {
                 written.push(half_second / 2);
             }
         }

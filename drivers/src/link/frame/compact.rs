@@ -1,27 +1,25 @@
-//! The compact form: runs of consecutive ids, a presence bit each, and i24 deltas.
+//! The compact form: runs of consecutive ids, a presence bit per marker, and i24 differences.
 //!
-//! A delta is to the marker before it *in the same frame*, so that a lost frame costs itself alone.
+//! Each difference refers to the previous marker *of the same frame*, so a lost frame affects no other.
 
 use super::{
     super::{DELTA_UM_MAX, RUN_MARKERS_MAX},
     has_position, micrometres, millimetres,
 };
 use crate::{
-    bytes::{Cursor, Wire},
+    bytes::{Cursor, WireValue},
     device::MarkerSample,
 };
 
-/// Stands where a x delta would, and says that three i32 follow: the one i24 that no delta uses.
+/// Replaces an x difference and announces three i32: the one i24 value that no difference takes.
 const ESCAPE: [u8; 3] = [0x00, 0x00, 0x80];
 
-/// The runs that `markers` (ids ascending) fall into.
+/// Splits `markers` (ids ascending) into runs of consecutive ids.
 fn runs(markers: &[MarkerSample]) -> impl Iterator<Item = &[MarkerSample]> {
-    markers
-        .chunk_by(|a, b| b.id - a.id == 1)
-        .flat_map(|consecutive| consecutive.chunks(RUN_MARKERS_MAX))
+    markers.chunk_by(|a, b| b.id - a.id == 1).flat_map(|run| run.chunks(RUN_MARKERS_MAX))
 }
 
-/// Where the deltas start from, and the delta to a position when every axis fits.
+/// Returns the difference from `from_um` to `to_um` when every axis fits, and moves `from_um` there.
 fn delta(from_um: &mut [i32; 3], to_um: [i32; 3]) -> Option<[i32; 3]> {
     let [fx, fy, fz] = std::mem::replace(from_um, to_um);
     let [x, y, z] = to_um;
@@ -44,19 +42,16 @@ pub(super) fn markers_bytes(markers: &[MarkerSample], residuals: bool) -> usize 
     bytes
 }
 
-/// Every position must fit into i32 micrometres.
+/// Encodes `markers`. Every position must fit into i32 micrometres.
 pub(super) fn put(markers: &[MarkerSample], residuals: bool, message: &mut Vec<u8>) {
     let mut last_um = [0; 3];
     for run in runs(markers) {
         let first_id = run.first().map_or(0, |marker| marker.id);
         first_id.put(message);
         message.push(run.len() as u8);
-        for eight in run.chunks(8) {
-            let bits = eight
-                .iter()
-                .rev()
-                .fold(0, |bits, marker| bits << 1 | u8::from(has_position(marker)));
-            message.push(bits);
+        for octet in run.chunks(8) {
+            let present = octet.iter().rev().map(|marker| u8::from(has_position(marker)));
+            message.push(present.fold(0, |bits, bit| bits << 1 | bit));
         }
         for marker in run.iter().filter(|marker| has_position(marker)) {
             if residuals {
@@ -85,7 +80,7 @@ pub(super) fn get(
 ) -> Option<()> {
     let mut last_um = [0; 3];
     let mut left = n;
-    // The lowest id that the next run may start at; 65536 when there is none.
+    // Lowest id at which the next run may start; 65536 when none is left.
     let mut id_min = 0;
     while left > 0 {
         let first_id = u32::from(cursor.get::<u16>()?);
@@ -115,11 +110,8 @@ fn get_run(
     }
     let present = bitmap.iter().flat_map(|&bits| (0..8).map(move |bit| bits >> bit & 1 == 1));
     for (index, present) in present.take(len).enumerate() {
-        let mut marker = MarkerSample {
-            id: first_id + index as u16,
-            occluded: !present,
-            ..MarkerSample::default()
-        };
+        let id = first_id + index as u16;
+        let mut marker = MarkerSample { id, occluded: !present, ..MarkerSample::default() };
         if present {
             if residuals {
                 marker.residual_10um = cursor.get()?;
@@ -140,7 +132,7 @@ fn get_position(cursor: &mut Cursor<'_>, [fx, fy, fz]: [i32; 3]) -> Option<[i32;
         return Some([x, y, z].map(i32::from_le_bytes));
     }
     let [x, y, z] = [x, cursor.array::<3>()?, cursor.array::<3>()?].map(|[a, b, c]| {
-        // Into the upper three bytes, and down again with the sign.
+        // Into the upper three bytes, then back down with sign extension.
         i32::from_le_bytes([0, a, b, c]) >> 8
     });
     Some([fx.checked_add(x)?, fy.checked_add(y)?, fz.checked_add(z)?])

@@ -1,4 +1,4 @@
-//! Frames on the wire: one header, and the markers in one of three forms.
+//! Encoding and decoding of frames: a header, and the markers in one of three forms.
 
 mod compact;
 
@@ -7,25 +7,25 @@ use super::{
     RUN_MARKERS_MAX, envelope::Framer, messages::kind, wire_bytes,
 };
 use crate::{
-    bytes::{Cursor, Wire},
+    bytes::{Cursor, WireValue},
     device::{Frame, MarkerSample},
 };
 
-/// Set in a frame's flags when a timecode follows the header.
+/// Flag of a frame: a timecode follows the header.
 const TIMECODE: u8 = 1;
-/// Set in a frame's flags when every marker with a position has a residual byte.
+/// Flag of a frame: every marker with a position has a residual byte.
 const RESIDUALS: u8 = 2;
-/// Set in a marker's flags when it has no position.
+/// Flag of a marker: it has no position.
 const OCCLUDED: u8 = 1;
 
-/// How the positions of a frame travel. Every frame says which; a device may change it at any time.
+/// Encoding of the positions in a frame. Every frame names its form; a device may switch at any time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum FrameForm {
     /// f32 millimetres, bit for bit.
     Float,
-    /// i32 micrometres: 0.5 um off at most, to 2147 m from the origin.
+    /// i32 micrometres: at most 0.5 um of rounding error, to 2147 m from the origin.
     Micrometres,
-    /// Micrometres, in runs of consecutive ids, each marker as i24 from the one before it.
+    /// Micrometres in runs of consecutive ids, each position as an i24 difference from the one before it.
     #[default]
     Compact,
 }
@@ -40,7 +40,7 @@ impl FrameForm {
     }
 }
 
-/// Bytes on the wire that no frame of `n_markers` exceeds, whatever its positions and ids.
+/// Upper bound of a frame of `n_markers` in bytes on the wire, for any positions and ids.
 ///
 /// The three forms share one bound: a frame whose compact form would be longer, because its markers
 /// lie more than 8.388607 m apart or their ids have gaps, is sent in micrometres.
@@ -49,11 +49,11 @@ pub const fn frame_bytes_max(n_markers: usize) -> usize {
     wire_bytes(ENVELOPE_BYTES + FRAME_HEADER_BYTES_MAX + n_markers * MARKER_BYTES_MAX)
 }
 
-/// Bytes on the wire that no frame of `n_markers` exceeds inside a capture volume: with consecutive
-/// ids, no marker more than 8.388607 m from the one before it along any axis, and the first one as
-/// near to the origin.
+/// Upper bound of a frame of `n_markers` in bytes on the wire inside a capture volume: consecutive ids, no
+/// marker more than 8.388607 m from the one before it along any axis, and the first one as near to the
+/// origin.
 ///
-/// This is what a link budget needs. Outside such a volume the bound is [`frame_bytes_max`].
+/// Link budgets use this bound. Outside such a volume the bound is [`frame_bytes_max`].
 #[must_use]
 pub const fn frame_bytes_in_volume(form: FrameForm, n_markers: usize) -> usize {
     match form {
@@ -69,17 +69,17 @@ pub const fn frame_bytes_in_volume(form: FrameForm, n_markers: usize) -> usize {
     }
 }
 
-/// Writes `frame` to `out` in the wanted form, or in the one that can say it.
+/// Encodes `frame` into `out` in the preferred form, or in one that can represent it.
 pub(super) fn put_frame(
     framer: &mut Framer,
-    wanted: FrameForm,
+    preferred: FrameForm,
     frame: &Frame<'_>,
     out: &mut Vec<u8>,
 ) -> Result<(), EncodeError> {
-    let n = checked_count(frame.markers)?;
-    let residuals =
-        frame.markers.iter().any(|marker| has_position(marker) && marker.residual_10um > 0);
-    let form = form_that_fits(wanted, frame.markers, residuals);
+    let markers = frame.markers;
+    let n = checked_marker_count(markers)?;
+    let residuals = markers.iter().any(|marker| has_position(marker) && marker.residual_10um > 0);
+    let form = choose_form(preferred, markers, residuals);
     let message = framer.open(form.kind());
     frame.seq.put(message);
     frame.device_ticks.put(message);
@@ -90,48 +90,42 @@ pub(super) fn put_frame(
         message.extend_from_slice(&timecode);
     }
     match form {
-        FrameForm::Float => put_plain(frame.markers, residuals, message, |position_mm| {
-            position_mm.map(f32::to_le_bytes)
-        }),
-        FrameForm::Micrometres => put_plain(frame.markers, residuals, message, |position_mm| {
-            // Every position fits: form_that_fits saw to it.
+        FrameForm::Float => put_plain(markers, residuals, message, |mm| mm.map(f32::to_le_bytes)),
+        FrameForm::Micrometres => put_plain(markers, residuals, message, |position_mm| {
+            // `choose_form` has checked that every position fits.
             micrometres(position_mm).unwrap_or_default().map(i32::to_le_bytes)
         }),
-        FrameForm::Compact => compact::put(frame.markers, residuals, message),
+        FrameForm::Compact => compact::put(markers, residuals, message),
     }
     framer.close(out);
     Ok(())
 }
 
-/// A position that is not finite is none: it travels as occluded.
+/// Whether the marker has a finite position; one without is sent as occluded.
 fn has_position(marker: &MarkerSample) -> bool {
     !marker.occluded && marker.position_mm.iter().all(|mm| mm.is_finite())
 }
 
-fn checked_count(markers: &[MarkerSample]) -> Result<u16, EncodeError> {
+fn checked_marker_count(markers: &[MarkerSample]) -> Result<u16, EncodeError> {
     if markers.len() > MARKERS_MAX {
         return Err(EncodeError::TooManyMarkers { found: markers.len(), max: MARKERS_MAX });
     }
-    for pair in markers.windows(2) {
-        if let [previous, next] = pair
-            && previous.id >= next.id
-        {
+    for [previous, next] in markers.array_windows() {
+        if previous.id >= next.id {
             return Err(EncodeError::IdsNotAscending { previous: previous.id, id: next.id });
         }
     }
     Ok(markers.len() as u16)
 }
 
-fn form_that_fits(wanted: FrameForm, markers: &[MarkerSample], residuals: bool) -> FrameForm {
-    if wanted == FrameForm::Float {
+fn choose_form(preferred: FrameForm, markers: &[MarkerSample], residuals: bool) -> FrameForm {
+    if preferred == FrameForm::Float {
         return FrameForm::Float;
     }
-    let all_fit = markers
-        .iter()
-        .all(|marker| !has_position(marker) || micrometres(marker.position_mm).is_some());
-    if !all_fit {
+    let mut present = markers.iter().filter(|marker| has_position(marker));
+    if !present.all(|marker| micrometres(marker.position_mm).is_some()) {
         FrameForm::Float
-    } else if wanted == FrameForm::Compact
+    } else if preferred == FrameForm::Compact
         && compact::markers_bytes(markers, residuals) <= plain_bytes(markers, residuals)
     {
         FrameForm::Compact
@@ -140,8 +134,8 @@ fn form_that_fits(wanted: FrameForm, markers: &[MarkerSample], residuals: bool) 
     }
 }
 
-/// Reads a frame into `markers`, and counts into `not_finite` the positions that were none.
-/// `kind` is one of the three of frames.
+/// Decodes a frame into `markers`, and adds the number of positions that are not finite to `not_finite`.
+/// `kind` must be one of the three frame types.
 pub(super) fn get_frame<'a>(
     kind: u8,
     payload: &[u8],
@@ -184,14 +178,14 @@ fn occlude_not_finite(markers: &mut [MarkerSample]) -> u64 {
     count
 }
 
-// The two forms in which every marker stands for itself: `{id, flags, [residual], x, y, z}`.
+// The two plain forms, which encode every marker on its own: `{id, flags, [residual], x, y, z}`.
 
-const HEAD_BYTES: usize = 2 + 1;
+const PLAIN_HEADER_BYTES: usize = 2 + 1;
 
 /// Bytes that [`put_plain`] appends.
 fn plain_bytes(markers: &[MarkerSample], residuals: bool) -> usize {
     let present = markers.iter().filter(|marker| has_position(marker)).count();
-    markers.len() * HEAD_BYTES + present * (12 + usize::from(residuals))
+    markers.len() * PLAIN_HEADER_BYTES + present * (12 + usize::from(residuals))
 }
 
 fn put_plain(
@@ -224,15 +218,14 @@ fn get_plain(
 ) -> Option<()> {
     let mut previous = None;
     for _ in 0..n {
-        let [id_0, id_1, flags] = cursor.array::<HEAD_BYTES>()?;
+        let [id_0, id_1, flags] = cursor.array::<PLAIN_HEADER_BYTES>()?;
         let id = u16::from_le_bytes([id_0, id_1]);
-        // `None` is below every id.
+        // `None` compares below every id.
         if flags & !OCCLUDED != 0 || previous >= Some(id) {
             return None;
         }
         previous = Some(id);
-        let mut marker =
-            MarkerSample { id, occluded: flags & OCCLUDED != 0, ..MarkerSample::default() };
+        let mut marker = MarkerSample { id, occluded: flags & OCCLUDED != 0, ..Default::default() };
         if !marker.occluded {
             if residuals {
                 marker.residual_10um = cursor.get()?;
@@ -249,14 +242,14 @@ fn get_plain(
 #[inline]
 fn micrometres(position_mm: [f32; 3]) -> Option<[i32; 3]> {
     let [x, y, z] = position_mm.map(|mm| {
-        // A f32 times 1000 is exact in f64, and so is the half added: truncation rounds rightly.
+        // An f32 times 1000 is exact in f64, and so is adding the half: truncation rounds correctly.
         let um = f64::from(mm) * 1000.0;
         (um + 0.5f64.copysign(um)) as i64
     });
     Some([i32::try_from(x).ok()?, i32::try_from(y).ok()?, i32::try_from(z).ok()?])
 }
 
-/// The f32 nearest to it.
+/// Millimetres as the nearest f32.
 #[inline]
 fn millimetres(position_um: [i32; 3]) -> [f32; 3] {
     position_um.map(|um| (f64::from(um) / 1000.0) as f32)
@@ -277,13 +270,13 @@ mod tests {
     }
 
     #[test]
-    fn says_when_a_coordinate_does_not_fit() {
+    fn a_coordinate_outside_i32_micrometres_is_none() {
         assert_eq!(micrometres([2_147_484.0, 0.0, 0.0]), None);
         assert_eq!(micrometres([0.0, 0.0, -3.0e38]), None);
     }
 
     #[test]
-    fn comes_back_within_half_a_micrometre_where_f32_can_hold_it() {
+    fn round_trips_within_half_a_micrometre_plus_f32_precision() {
         for mm in [0.0f32, 0.001, 999.999, -4321.1235, 8000.0005] {
             let back = millimetres(micrometres([mm; 3]).unwrap())[0];
             assert!(

@@ -1,4 +1,4 @@
-//! One bulk endpoint in each direction as a byte stream, with transfers queued ahead of the reader.
+//! A pair of bulk endpoints as a byte stream, with read transfers queued in advance.
 
 use std::{
     collections::VecDeque,
@@ -16,128 +16,117 @@ use nusb::{
 use super::{
     device::{UsbDevice, find, open_error},
     pair,
-    queue::{CANCEL_WITHIN, PAUSE, Queue, TRANSFER_BYTES, TRANSFERS},
+    queue::{CANCEL_TIMEOUT, RETRY_PAUSE, ReadQueue, TRANSFER_BYTES, TRANSFERS},
 };
 use crate::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
+use TransferError::{Cancelled, Disconnected, Fault, Stall};
 
-/// `ENOMEM`: the kernel's limit for transfers is used up.
+/// `ENOMEM`: the kernel's memory limit for transfers is exhausted.
 const ENOMEM: u32 = 12;
 
-/// A device that stalls so often within that time is not mended by clearing, whatever comes in between.
+/// A device that stalls this often within [`STALL_WINDOW`] is not repaired by clearing the halt, even if
+/// data arrive in between.
 const STALLS_MAX: usize = 32;
-const STALLS_WITHIN: Duration = Duration::from_secs(10);
+const STALL_WINDOW: Duration = Duration::from_secs(10);
 
-/// A USB device's bulk pair, open and claimed for us alone.
+/// An open pair of bulk endpoints, claimed exclusively.
 #[derive(Debug)]
 pub struct UsbTransport {
-    received: Queue,
+    received: ReadQueue,
     tx: Endpoint<Bulk, Out>,
-    device: Opened,
+    device: Attached,
     stalls_cleared: u64,
-    /// When it stalled last, at most [`STALLS_MAX`] times.
+    /// Times of the latest stalls, at most [`STALLS_MAX`].
     stalls: VecDeque<Instant>,
 }
 
-/// Which device is open, and how to see whether it still is there.
+/// The open device, and how to check that it is still attached.
 #[derive(Debug)]
-struct Opened {
+struct Attached {
     name: String,
     sysfs: PathBuf,
-    /// Its address on the bus, as the kernel writes it: another one after each replug.
+    /// Bus address as the kernel formats it; a replug changes it.
     address: String,
 }
 
-impl Opened {
-    /// A transfer that failed may be noise on the cable, or the first sign of a pulled one.
+impl Attached {
+    /// Whether the device is still on the bus: a failed transfer can mean noise on the cable, or an unplugged one.
     fn is_attached(&self) -> bool {
         let address = fs::read_to_string(self.sysfs.join("devnum"));
         address.is_ok_and(|address| address == self.address)
     }
 
-    fn is_gone(&self) -> TransportError {
+    fn gone(&self) -> TransportError {
         TransportError::Disconnected { device: self.name.clone() }
     }
 
-    fn failure(&self, action: &'static str, error: TransferError) -> TransportError {
+    fn transfer_error(&self, action: &'static str, error: TransferError) -> TransportError {
         match error {
-            TransferError::Unknown(ENOMEM) => {
-                TransportError::Unsupported(out_of_memory(&self.name, limit_mib()))
-            }
-            TransferError::Disconnected => self.is_gone(),
+            TransferError::Unknown(ENOMEM) => out_of_memory(&self.name, limit_mib()),
+            Disconnected => self.gone(),
             _ => TransportError::Io { device: self.name.clone(), action, source: error.into() },
         }
     }
 
-    fn stalled(&self) -> TransportError {
+    fn stall_error(&self) -> TransportError {
         TransportError::Unsupported(format!(
-            "{} stalls again each time it is cleared: unplug it, plug it in again, and check its firmware",
+            "{} stalls again each time it is cleared; unplug it, plug it in again, and check its firmware",
             self.name
         ))
     }
 }
 
 impl UsbTransport {
-    /// Finds a device, claims the first vendor interface that has a bulk pair, and queues the reads. A
-    /// kernel driver that holds the interface is detached, and comes back when the transport is dropped.
+    /// Finds a device, claims its first vendor interface with a bulk pair, and queues the reads. Detaches a
+    /// kernel driver from the interface, which returns when the transport is dropped.
     ///
     /// # Errors
-    /// `NotFound`, `Busy`, `PermissionDenied`; `Unsupported` for a device without a bulk pair, for several
-    /// that are meant alike, and where the kernel has no memory for transfers; `Io`.
+    /// `NotFound`, `Busy`, `PermissionDenied`; `Unsupported` for a device without a bulk pair, for an ambiguous
+    /// URI, and when the kernel has no memory for transfers; `Io`.
     pub fn open(vid: u16, pid: u16, serial: Option<&str>) -> Result<Self, TransportError> {
         let info = find(vid, pid, serial)?;
         let device = UsbDevice::from(&info);
         let name = device.location().to_string();
         let address = format!("{}\n", info.device_address());
         let failed = |error| open_error(&device, error);
-        let opened = info.open().wait().map_err(failed)?;
+        let handle = info.open().wait().map_err(failed)?;
         let configuration =
-            opened.active_configuration().map_err(|error| strange(&device, &error.to_string()))?;
-        let pair = pair::pair(&configuration).map_err(|found| strange(&device, &found))?;
-        let interface = opened.detach_and_claim_interface(pair.interface).wait().map_err(failed)?;
+            handle.active_configuration().map_err(|error| invalid(&device, &error.to_string()))?;
+        let pair = pair::bulk_pair(&configuration).map_err(|found| invalid(&device, &found))?;
+        let interface = handle.detach_and_claim_interface(pair.interface).wait().map_err(failed)?;
         let rx = interface.endpoint(pair.device_to_host).map_err(failed)?;
         let tx = interface.endpoint(pair.host_to_device).map_err(failed)?;
-        let received = Queue::start(rx)
-            .ok_or_else(|| TransportError::Unsupported(out_of_memory(&name, limit_mib())))?;
-        let device = Opened { name, sysfs: device.sysfs, address };
-        Ok(Self {
-            received,
-            tx,
-            device,
-            stalls_cleared: 0,
-            stalls: VecDeque::with_capacity(STALLS_MAX),
-        })
+        let received = ReadQueue::start(rx).ok_or_else(|| out_of_memory(&name, limit_mib()))?;
+        let stalls = VecDeque::with_capacity(STALLS_MAX);
+        let device = Attached { name, sysfs: device.sysfs, address };
+        Ok(Self { received, tx, device, stalls_cleared: 0, stalls })
     }
 
-    fn stalls_too_often(&mut self) -> bool {
+    /// Counts a stall; returns `true` when stalls are too frequent to go on.
+    fn record_stall(&mut self) -> bool {
         let first = (self.stalls.len() == STALLS_MAX).then(|| self.stalls.pop_front()).flatten();
         self.stalls.push_back(Instant::now());
-        first.is_some_and(|first| first.elapsed() < STALLS_WITHIN)
+        first.is_some_and(|first| first.elapsed() < STALL_WINDOW)
     }
 
-    /// A transfer failed: mends what can be mended, and says what cannot.
+    /// Recovers from a failed transfer, or returns the error that ends the session.
     fn recover(&mut self, error: TransferError) -> Result<(), TransportError> {
-        let again = self.received.failed_again();
+        let retry = self.received.may_retry();
         match error {
-            TransferError::Stall if again && !self.stalls_too_often() => {
-                // A device that does not let itself be cleared is on its way out.
+            Stall if retry && !self.record_stall() => {
+                // A device whose halt cannot be cleared is being disconnected.
                 if !self.received.clear_halt() {
-                    return Err(self.device.is_gone());
+                    return Err(self.device.gone());
                 }
                 self.stalls_cleared += 1;
             }
-            TransferError::Stall => return Err(self.device.stalled()),
-            // A pulled plug comes as any of the three: looked for again, it is there or not.
-            TransferError::Fault | TransferError::Cancelled
-                if again && self.device.is_attached() =>
-            {
-                thread::sleep(PAUSE);
-            }
-            TransferError::Fault | TransferError::Cancelled | TransferError::Disconnected => {
-                return Err(self.device.is_gone());
-            }
-            _ => return Err(self.device.failure("reading", error)),
+            Stall => return Err(self.device.stall_error()),
+            // An unplugged device causes any of these three errors; whether it is attached decides.
+            Fault | Cancelled if retry && self.device.is_attached() => thread::sleep(RETRY_PAUSE),
+            Fault | Cancelled | Disconnected => return Err(self.device.gone()),
+            _ => return Err(self.device.transfer_error("reading", error)),
         }
-        if self.received.refill() { Ok(()) } else { Err(self.device.is_gone()) }
+        if self.received.refill() { Ok(()) } else { Err(self.device.gone()) }
     }
 }
 
@@ -145,7 +134,7 @@ impl Transport for UsbTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         let n = self.received.take(buf, READ_TIMEOUT);
         match self.received.error.take() {
-            // What came before the failure is read first; the next read meets it.
+            // Deliver the bytes that arrived before the failure; the next read handles it.
             Some(error) if n > 0 => self.received.error = Some(error),
             Some(error) => self.recover(error)?,
             None => {}
@@ -167,26 +156,26 @@ impl Transport for UsbTransport {
     }
 }
 
-/// Descriptors that make no sense: the device's fault, and nothing that permission or patience mends.
-fn strange(device: &UsbDevice, found: &str) -> TransportError {
+/// Invalid descriptors are the device's fault, and neither permission nor patience helps.
+fn invalid(device: &UsbDevice, found: &str) -> TransportError {
     TransportError::Unsupported(format!(
-        "{} is no device that this build reads: {found}; check that it is the right one, and its firmware",
+        "{} is not a device that mocapd can read: {found}; check that it is the right one, and its firmware",
         device.location()
     ))
 }
 
 // Commands to the device.
 
-/// Tries for one command: after a stall that was cleared, or noise.
-const TRIES: u32 = 4;
+/// Attempts to send a command, after cleared stalls or noise.
+const ATTEMPTS: u32 = 4;
 
-fn send(tx: &mut Endpoint<Bulk, Out>, device: &Opened, bytes: &[u8]) -> Result<(), TransportError> {
-    for part in bytes.chunks(TRANSFER_BYTES) {
+fn send(tx: &mut Endpoint<Bulk, Out>, device: &Attached, buf: &[u8]) -> Result<(), TransportError> {
+    for part in buf.chunks(TRANSFER_BYTES) {
         send_transfer(tx, device, part)?;
     }
-    // Without a packet that is not full the device would wait for the rest of the transfer.
+    // A transfer ends with a short packet; without one the device would wait for more.
     let packet_bytes = tx.max_packet_size().max(1);
-    if !bytes.is_empty() && bytes.len().is_multiple_of(packet_bytes) {
+    if !buf.is_empty() && buf.len().is_multiple_of(packet_bytes) {
         send_transfer(tx, device, &[])?;
     }
     Ok(())
@@ -194,50 +183,46 @@ fn send(tx: &mut Endpoint<Bulk, Out>, device: &Opened, bytes: &[u8]) -> Result<(
 
 fn send_transfer(
     tx: &mut Endpoint<Bulk, Out>,
-    device: &Opened,
+    device: &Attached,
     bytes: &[u8],
 ) -> Result<(), TransportError> {
-    for left in (0..TRIES).rev() {
+    for attempts_left in (0..ATTEMPTS).rev() {
         let mut buffer = Buffer::new(bytes.len());
         buffer.extend_from_slice(bytes);
         tx.submit(buffer);
         let Some(done) = tx.wait_next_complete(WRITE_TIMEOUT) else {
-            return Err(give_up(tx, device));
+            return Err(cancel_write(tx, device));
         };
         match done.status {
             Ok(()) => return Ok(()),
-            Err(TransferError::Stall) if left > 0 => {
-                tx.clear_halt().wait().map_err(|_| device.is_gone())?;
+            Err(Stall) if attempts_left > 0 => tx.clear_halt().wait().map_err(|_| device.gone())?,
+            Err(Stall) => return Err(device.stall_error()),
+            Err(Fault | Cancelled) if attempts_left > 0 && device.is_attached() => {
+                thread::sleep(RETRY_PAUSE);
             }
-            Err(TransferError::Stall) => return Err(device.stalled()),
-            Err(TransferError::Fault | TransferError::Cancelled)
-                if left > 0 && device.is_attached() =>
-            {
-                thread::sleep(PAUSE);
-            }
-            Err(TransferError::Fault | TransferError::Cancelled) => return Err(device.is_gone()),
-            Err(error) => return Err(device.failure("writing", error)),
+            Err(Fault | Cancelled) => return Err(device.gone()),
+            Err(error) => return Err(device.transfer_error("writing", error)),
         }
     }
-    Err(device.is_gone())
+    Err(device.gone())
 }
 
-/// The device takes no bytes.
-fn give_up(tx: &mut Endpoint<Bulk, Out>, device: &Opened) -> TransportError {
+/// Cancels a write that timed out, and returns the error.
+fn cancel_write(tx: &mut Endpoint<Bulk, Out>, device: &Attached) -> TransportError {
     tx.cancel_all();
     while tx.pending() > 0 {
-        if tx.wait_next_complete(CANCEL_WITHIN).is_none() {
-            return device.is_gone();
+        if tx.wait_next_complete(CANCEL_TIMEOUT).is_none() {
+            return device.gone();
         }
     }
     TransportError::Stuck { device: device.name.clone() }
 }
 
-// The kernel's limit on what all USB transfers of all programs may hold in memory.
+// The kernel's limit on the memory of all USB transfers of all programs.
 
 const PARAMETER: &str = "/sys/module/usbcore/parameters/usbfs_memory_mb";
 
-/// The limit in MiB; `None` where there is none (0), or it cannot be read.
+/// The limit in MiB; `None` when it is 0, which means no limit, or cannot be read.
 fn limit_mib() -> Option<u64> {
     parse_limit(&fs::read_to_string(PARAMETER).ok()?)
 }
@@ -246,16 +231,16 @@ fn parse_limit(text: &str) -> Option<u64> {
     text.trim().parse().ok().filter(|mib| *mib > 0)
 }
 
-/// Why there is no memory for transfers, and what to type.
-fn out_of_memory(device: &str, limit_mib: Option<u64>) -> String {
+/// The error for exhausted transfer memory, with the command that raises the limit.
+fn out_of_memory(device: &str, limit_mib: Option<u64>) -> TransportError {
     let limit = limit_mib.map_or_else(String::new, |mib| format!(", {mib} MiB for all programs,"));
     let raised = limit_mib.unwrap_or(16).saturating_mul(4).max(64);
-    format!(
-        "no memory for USB transfers with {device}: the kernel's limit{limit} is used up, and {TRANSFERS} \
+    TransportError::Unsupported(format!(
+        "no memory for USB transfers with {device}: the kernel's limit{limit} is exhausted, and {TRANSFERS} \
          transfers of {} KiB are needed; close other programs that use USB, or type \
          `echo {raised} | sudo tee {PARAMETER}`",
         TRANSFER_BYTES >> 10
-    )
+    ))
 }
 
 #[cfg(test)]
@@ -263,17 +248,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reads_the_kernels_parameter() {
+    fn parses_the_kernels_parameter() {
         assert_eq!(parse_limit("16\n"), Some(16));
         assert_eq!(parse_limit("0\n"), None, "no limit");
         assert_eq!(parse_limit("many"), None);
     }
 
     #[test]
-    fn says_what_to_type() {
-        let words = out_of_memory("usb:1209:0001:A", Some(16));
-        assert!(words.contains("usb:1209:0001:A") && words.contains("16 MiB"), "{words}");
-        assert!(words.contains(&format!("`echo 64 | sudo tee {PARAMETER}`")), "{words}");
-        assert!(out_of_memory("x", Some(u64::MAX)).contains("echo 1844"));
+    fn the_message_names_the_command_that_raises_the_limit() {
+        let message = out_of_memory("usb:1209:0001:A", Some(16)).to_string();
+        assert!(message.contains("usb:1209:0001:A") && message.contains("16 MiB"), "{message}");
+        assert!(message.contains(&format!("`echo 64 | sudo tee {PARAMETER}`")), "{message}");
+        assert!(out_of_memory("x", Some(u64::MAX)).to_string().contains("echo 1844"));
     }
 }

@@ -1,4 +1,4 @@
-//! Which USB devices are attached, which of them is meant, and what the system says against opening it.
+//! Listing USB devices, selecting one by its URI, and explaining why it cannot be opened.
 
 use std::{
     fs,
@@ -14,22 +14,22 @@ use crate::{
 
 const SYSFS: &str = "/sys/bus/usb/devices";
 
-/// A USB device, as it describes itself.
+/// A USB device as its descriptors define it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UsbDevice {
-    /// Vendor.
+    /// Vendor id.
     pub vid: u16,
-    /// Product.
+    /// Product id.
     pub pid: u16,
-    /// Serial number: the identity that lasts across replugs.
+    /// Serial number: the identity that survives a replug.
     pub serial: Option<String>,
-    /// Who made it.
+    /// Manufacturer string.
     pub manufacturer: Option<String>,
-    /// What it is.
+    /// Product string.
     pub product: Option<String>,
-    /// The file that opens it, `/dev/bus/usb/BUS/ADDRESS`; another one after each replug.
+    /// Device file `/dev/bus/usb/BUS/ADDRESS`; a replug changes it.
     pub node: PathBuf,
-    /// The kernel's folder for it.
+    /// The device's directory in sysfs.
     pub sysfs: PathBuf,
 }
 
@@ -49,17 +49,17 @@ impl From<&DeviceInfo> for UsbDevice {
 }
 
 impl UsbDevice {
-    /// What a URI calls it.
+    /// The device's location in a URI.
     #[must_use]
     pub fn location(&self) -> Location {
         Location::Usb { vid: self.vid, pid: self.pid, serial: self.serial.clone() }
     }
 }
 
-/// What is attached. A machine without a USB stack (a container) has no devices.
+/// Lists the attached devices. A machine without a USB stack (a container) has none.
 ///
 /// # Errors
-/// `Io` when the stack is there and cannot be read.
+/// `Io` when the USB stack exists but cannot be read.
 pub fn devices() -> Result<Vec<UsbDevice>, TransportError> {
     Ok(infos()?.iter().map(UsbDevice::from).collect())
 }
@@ -76,46 +76,43 @@ fn infos() -> Result<Vec<DeviceInfo>, TransportError> {
     Ok(found.collect())
 }
 
-/// The one device that is meant.
+/// Finds the device that a URI selects.
 ///
 /// # Errors
-/// `NotFound`; `Unsupported` where several are meant alike; `Io`.
+/// `NotFound`; `Unsupported` when several devices match; `Io`.
 pub(super) fn find(vid: u16, pid: u16, serial: Option<&str>) -> Result<DeviceInfo, TransportError> {
-    let mut kind = infos()?;
-    kind.retain(|info| (info.vendor_id(), info.product_id()) == (vid, pid));
-    let seen: Vec<UsbDevice> = kind.iter().map(UsbDevice::from).collect();
+    let mut found = infos()?;
+    found.retain(|info| (info.vendor_id(), info.product_id()) == (vid, pid));
+    let devices: Vec<UsbDevice> = found.iter().map(UsbDevice::from).collect();
     let name = Location::Usb { vid, pid, serial: serial.map(str::to_owned) }.to_string();
-    choose(name, serial, &seen).map(|chosen| kind.swap_remove(chosen))
+    select(name, serial, &devices).map(|selected| found.swap_remove(selected))
 }
 
-/// Which of the devices of one kind is meant.
-fn choose(name: String, serial: Option<&str>, kind: &[UsbDevice]) -> Result<usize, TransportError> {
-    let is_meant = |device: &UsbDevice| serial.is_none_or(|s| device.serial.as_deref() == Some(s));
-    let mut meant = kind.iter().enumerate().filter(|(_, device)| is_meant(device));
-    let names = || {
-        let names: Vec<_> = kind.iter().map(|device| device.location().to_string()).collect();
-        names.join(", ")
-    };
-    match (meant.next(), meant.next()) {
+/// Selects one of the devices with the same ids.
+fn select(name: String, serial: Option<&str>, list: &[UsbDevice]) -> Result<usize, TransportError> {
+    let is_match = |device: &UsbDevice| serial.is_none_or(|s| device.serial.as_deref() == Some(s));
+    let mut matching = list.iter().enumerate().filter(|(_, device)| is_match(device));
+    let names: Vec<_> = list.iter().map(|device| device.location().to_string()).collect();
+    let names = names.join(", ");
+    match (matching.next(), matching.next()) {
         (Some((index, _)), None) => Ok(index),
-        (None, _) if kind.is_empty() => Err(TransportError::NotFound { device: name }),
+        (None, _) if list.is_empty() => Err(TransportError::NotFound { device: name }),
         (None, _) => Err(TransportError::NotFound {
-            device: format!("{name} (attached of its kind: {})", names()),
+            device: format!("{name} (attached with these ids: {names})"),
         }),
         (Some(_), Some(_)) if serial.is_some() => Err(TransportError::Unsupported(format!(
-            "more than one device calls itself {name}: unplug all but one"
+            "more than one device is {name}; unplug all but one"
         ))),
         (Some(_), Some(_)) => Err(TransportError::Unsupported(format!(
-            "more than one device is {name}: name one with its serial number: {}",
-            names()
+            "more than one device is {name}; add a serial number: {names}"
         ))),
     }
 }
 
-/// `EPERM`: a control group, not the file's permissions, keeps the device from us.
+/// `EPERM`: a control group, not file permissions, denies the device.
 const EPERM: u32 = 1;
 
-/// What opening would meet, found out without opening.
+/// Checks access to a device without opening it.
 pub(crate) fn usb_access(device: &UsbDevice) -> Access {
     let name = device.location().to_string();
     if !device.node.exists() {
@@ -144,31 +141,31 @@ pub(super) fn open_error(device: &UsbDevice, error: nusb::Error) -> TransportErr
             TransportError::PermissionDenied { device: name, remedy: remedy(device) }
         }
         (ErrorKind::Busy, _) => TransportError::Busy { device: name, holder: holder(&device.node) },
-        // It went between the listing and the opening.
+        // Unplugged between listing and opening.
         (ErrorKind::Disconnected, _) => TransportError::NotFound { device: name },
         _ => TransportError::Io { device: name, action: "opening it", source: error.into() },
     }
 }
 
-/// The group to join where a rule gives the device to one; the rule where none does.
+/// The command to join the group that a udev rule grants the device to, or the rule to add if there is none.
 fn remedy(device: &UsbDevice) -> String {
     group_remedy(&device.node).unwrap_or_else(|| {
         format!(
-            "put the line `{}` into /etc/udev/rules.d/60-mocapd-rig.rules, type `sudo udevadm control \
+            "add the line `{}` to /etc/udev/rules.d/60-mocapd-rig.rules, type `sudo udevadm control \
              --reload; sudo usermod -aG dialout $USER`, log in again, and plug the device in again",
-            udev_line(device.vid, device.pid)
+            udev_rule(device.vid, device.pid)
         )
     })
 }
 
-/// The rule that lets the group `dialout` open such a device, and whoever sits at the machine.
-fn udev_line(vid: u16, pid: u16) -> String {
+/// The udev rule that lets the group `dialout`, and the local user, open such a device.
+fn udev_rule(vid: u16, pid: u16) -> String {
     format!(
         r#"SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vid:04x}", ATTR{{idProduct}}=="{pid:04x}", GROUP="dialout", MODE="0660", TAG+="uaccess""#
     )
 }
 
-/// Whether a program has claimed an interface: its driver is then `usbfs`.
+/// Whether a program has claimed an interface, whose driver is then `usbfs`.
 fn is_claimed(sysfs: &Path) -> bool {
     let interfaces = fs::read_dir(sysfs).into_iter().flatten().flatten();
     interfaces
@@ -177,8 +174,8 @@ fn is_claimed(sysfs: &Path) -> bool {
         .any(|driver| driver.ends_with("usbfs"))
 }
 
-/// A program that has the device's file open, as `name (process 1234)`; of other users' programs only
-/// root can tell.
+/// A program that has the device file open, as `name (process 1234)`. Only root can see other users'
+/// programs.
 fn holder(node: &Path) -> Option<String> {
     let processes = fs::read_dir("/proc").ok()?.flatten();
     let own = std::process::id();
@@ -214,33 +211,33 @@ mod tests {
         }
     }
 
-    fn chosen(serial: Option<&str>, kind: &[UsbDevice]) -> Result<usize, TransportError> {
+    fn selected(serial: Option<&str>, found: &[UsbDevice]) -> Result<usize, TransportError> {
         let name = Location::Usb { vid: 0x1209, pid: 1, serial: serial.map(str::to_owned) };
-        choose(name.to_string(), serial, kind)
+        select(name.to_string(), serial, found)
     }
 
-    fn several(serial: Option<&str>, kind: &[UsbDevice]) -> String {
-        match chosen(serial, kind) {
+    fn several(serial: Option<&str>, found: &[UsbDevice]) -> String {
+        match selected(serial, found) {
             Err(TransportError::Unsupported(words)) => words,
             other => panic!("{other:?}"),
         }
     }
 
-    fn not_found(serial: Option<&str>, kind: &[UsbDevice]) -> String {
-        match chosen(serial, kind) {
+    fn not_found(serial: Option<&str>, found: &[UsbDevice]) -> String {
+        match selected(serial, found) {
             Err(TransportError::NotFound { device }) => device,
             other => panic!("{other:?}"),
         }
     }
 
     #[test]
-    fn one_is_chosen_by_its_serial_number_or_because_it_is_alone() {
+    fn one_is_selected_by_serial_number_or_because_it_is_the_only_one() {
         let two = [device(Some("A")), device(Some("B"))];
-        assert_eq!(chosen(Some("B"), &two).unwrap(), 1);
-        assert_eq!(chosen(None, &two[..1]).unwrap(), 0);
+        assert_eq!(selected(Some("B"), &two).unwrap(), 1);
+        assert_eq!(selected(None, &two[..1]).unwrap(), 0);
         let error = several(None, &two);
         assert!(error.contains("usb:1209:0001:A, usb:1209:0001:B"), "{error}");
-        // A serial number helps no more, so none is offered.
+        // A serial number does not help any more, so none is suggested.
         let error = several(Some("A"), &[device(Some("A")), device(Some("A"))]);
         assert_eq!(error.matches("usb:1209:0001:A").count(), 1, "{error}");
     }
@@ -265,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_no_rule_knows_gets_its_rule() {
+    fn a_device_without_a_rule_gets_its_rule() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let remedy = remedy(&at(file.path()));
         let line = r#"`SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="000a", GROUP="dialout", MODE="0660", TAG+="uaccess"`"#;

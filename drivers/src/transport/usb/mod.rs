@@ -1,4 +1,4 @@
-//! USB: what is attached, one bulk pair as a byte stream, and word of what is plugged in.
+//! USB: listing devices, a bulk endpoint pair as a byte stream, and hotplug notification.
 
 mod bulk;
 mod device;

@@ -1,4 +1,4 @@
-//! Word of devices that are plugged in and pulled, where udev says it.
+//! Hotplug notification through udev, where it runs.
 
 use std::{
     pin::Pin,
@@ -11,10 +11,10 @@ use std::{
 use futures_core::Stream;
 use nusb::hotplug::HotplugWatch;
 
-/// Waits for USB devices to come and go.
+/// Waits for USB devices to be plugged in or unplugged.
 ///
-/// The kernel's word reaches programs through udev: in a container, or where udev does not run, none
-/// ever comes, and no error either. Whoever waits must look for itself now and then.
+/// The events come from udev. In a container, or where udev does not run, none arrive, and there is no
+/// error either: callers must also poll the list of devices now and then.
 pub struct UsbWatch {
     watch: Option<HotplugWatch>,
     waker: Waker,
@@ -22,11 +22,11 @@ pub struct UsbWatch {
 
 impl std::fmt::Debug for UsbWatch {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("UsbWatch").field("hears", &self.watch.is_some()).finish()
+        f.debug_struct("UsbWatch").field("is_watching", &self.watch.is_some()).finish()
     }
 }
 
-/// Wakes the thread that waits.
+/// Wakes the waiting thread.
 struct Unpark(Thread);
 
 impl Wake for Unpark {
@@ -42,8 +42,8 @@ impl Default for UsbWatch {
 }
 
 impl UsbWatch {
-    /// Listens from now on, for the thread that calls. Look at what is attached after this, not before:
-    /// what comes in between is then seen by one or the other.
+    /// Starts to watch, for the calling thread. List the attached devices afterwards, not before, so that no
+    /// device is missed in between.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -52,11 +52,11 @@ impl UsbWatch {
         }
     }
 
-    /// Waits until a device came or went: `true` then, `false` when `at_most` is over.
-    pub fn wait(&mut self, at_most: Duration) -> bool {
-        let until = Instant::now() + at_most;
+    /// Waits for a hotplug event: `true` when there was one, `false` after `timeout`.
+    pub fn wait(&mut self, timeout: Duration) -> bool {
+        let until = Instant::now() + timeout;
         loop {
-            if self.heard() {
+            if self.drain_events() {
                 return true;
             }
             let left = until.saturating_duration_since(Instant::now());
@@ -67,18 +67,18 @@ impl UsbWatch {
         }
     }
 
-    /// Takes what was heard so far, all of it: one look serves many events.
-    fn heard(&mut self) -> bool {
-        let mut heard = false;
+    /// Drains all pending events, and returns whether there were any.
+    fn drain_events(&mut self) -> bool {
+        let mut had_event = false;
         let mut context = Context::from_waker(&self.waker);
         while let Some(watch) = &mut self.watch {
             match Pin::new(watch).poll_next(&mut context) {
-                Poll::Ready(Some(_)) => heard = true,
+                Poll::Ready(Some(_)) => had_event = true,
                 Poll::Ready(None) => self.watch = None,
                 Poll::Pending => break,
             }
         }
-        heard
+        had_event
     }
 }
 
@@ -87,10 +87,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wait_without_news_ends() {
+    fn a_wait_without_events_times_out() {
         let started = Instant::now();
         let wait = Duration::from_millis(30);
-        let heard = UsbWatch::new().wait(wait);
-        assert!(heard || started.elapsed() >= wait);
+        let had_event = UsbWatch::new().wait(wait);
+        assert!(had_event || started.elapsed() >= wait);
     }
 }

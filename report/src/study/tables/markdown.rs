@@ -1,4 +1,4 @@
-//! For people.
+//! The results of a study as Markdown.
 
 use std::fmt::Write;
 
@@ -10,34 +10,28 @@ use crate::{
     study::{EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece, paper},
 };
 
-/// Trials are listed one by one up to here.
+/// Most trials that are listed one by one.
 const LISTED_MAX: usize = 20;
 
-/// The whole study.
+/// All tables of the study.
 #[must_use]
 pub fn markdown(findings: &Findings) -> String {
     let n = findings.trials.len();
     let mut out =
         format!("# The study of Shi et al. 2012, on {n} take{}\n\n", if n == 1 { "" } else { "s" });
-    out += "SR1 and SR2 count stored items as the paper does: a position is one, a time is one.\n\
-            They are not what a disk counts: beside them stands the ratio of raw float32 bytes to the bytes of the take, everything included.\n\
-            Sums are of items and bytes, over all takes that have the phase, before anything is divided.\n\n";
+    out += "SR1 and SR2 are ratios of stored items, as in the paper: a position counts as one item, and so does a time.\n\
+            They differ from ratios on disk, which are given as well: raw float32 bytes to the bytes of the whole take.\n\
+            Items and bytes are summed over all takes that have the phase, and then divided.\n\n";
     section(&mut out, "The takes", &takes(findings));
-    section(
-        &mut out,
-        "Table 1: SR2 by phase, each phase resampled on its own (here / paper)",
-        &table_1(findings),
-    );
-    section(&mut out, "The same phases inside the resampling of the whole take", &within(findings));
-    section(&mut out, "What the paper claims", &claims(findings));
+    let title = "Table 1: SR2 by phase, each phase resampled on its own (here / paper)";
+    section(&mut out, title, &table_1(findings));
+    section(&mut out, "SR2 by phase, within the resampling of the whole take", &within(findings));
+    section(&mut out, "Claims of the paper", &claims(findings));
     section(&mut out, "Synchronous against asynchronous, whole takes", &rivals(findings));
     section(&mut out, "Both readings of step 2", &readings(findings));
-    section(&mut out, "Bytes on disk: raw float32 to take", &on_disk(findings));
-    section(
-        &mut out,
-        "Table 2: SR2 by length from the first frame on (here / paper)",
-        &table_2(findings),
-    );
+    section(&mut out, "Ratios on disk: raw float32 to take", &on_disk(findings));
+    let title = "Table 2: SR2 of the first frames, by their number (here / paper)";
+    section(&mut out, title, &table_2(findings));
     section(&mut out, "Velocity and acceleration, whole takes", &derivatives(findings));
     out
 }
@@ -53,41 +47,31 @@ fn takes(findings: &Findings) -> String {
     let mut out = String::new();
     let n = findings.trials.len();
     if n <= LISTED_MAX {
-        let mut table =
-            Table::new(["take", "frames", "Hz", "markers", "phases: first to last, frames"]);
+        let mut table = Table::new(["take", "frames", "Hz", "markers", "phases and their frames"]);
         for trial in &findings.trials {
             let phases = match &trial.phases {
                 Ok(phases) => {
-                    let words = phases.iter().map(|(phase, n)| format!("{} {n}", phase.name()));
-                    words.collect::<Vec<_>>().join(", ")
+                    let phases = phases.iter().map(|(phase, n)| format!("{} {n}", phase.name()));
+                    phases.collect::<Vec<_>>().join(", ")
                 }
                 Err(why) => format!("none: {why}"),
             };
-            let Cells { frames, rate, markers } = cells(trial);
-            table.row([visible(&trial.name).into_owned(), frames, rate, markers, phases]);
+            let [frames, markers] = [trial.frames, trial.markers].map(|n| n.to_string());
+            let rate_hz = ((trial.rate_hz * 1000.0).round() / 1000.0).to_string();
+            table.row([visible(&trial.name).into_owned(), frames, rate_hz, markers, phases]);
         }
         out += &table.markdown();
         out.push('\n');
     }
     let mut table = Table::new(["phase", "takes", "frames", "shortest", "longest"]);
     for phase in Phase::ALL {
-        let lengths: Vec<usize> = findings
-            .trials
-            .iter()
-            .filter_map(|trial| trial.phases.as_ref().ok())
-            .flatten()
-            .filter(|(found, _)| *found == phase)
-            .map(|(_, frames)| *frames)
-            .collect();
-        if let (Some(min), Some(max)) = (lengths.iter().min(), lengths.iter().max()) {
+        let all = findings.trials.iter().flat_map(|trial| trial.phases.iter().flatten());
+        let these = all.filter(|(found, _)| *found == phase);
+        let lengths: Vec<usize> = these.map(|(_, frames)| *frames).collect();
+        if let (Some(&min), Some(&max)) = (lengths.iter().min(), lengths.iter().max()) {
             let frames: usize = lengths.iter().sum();
-            table.row([
-                phase.name().to_owned(),
-                lengths.len().to_string(),
-                frames.to_string(),
-                min.to_string(),
-                max.to_string(),
-            ]);
+            let [n, frames, min, max] = [lengths.len(), frames, min, max].map(|n| n.to_string());
+            table.row([phase.name().to_owned(), n, frames, min, max]);
         }
     }
     let frames: u64 = findings.trials.iter().map(|trial| trial.frames).sum();
@@ -97,20 +81,6 @@ fn takes(findings: &Findings) -> String {
         out += &table.markdown();
     }
     out
-}
-
-struct Cells {
-    frames: String,
-    rate: String,
-    markers: String,
-}
-
-fn cells(trial: &crate::study::Results) -> Cells {
-    Cells {
-        frames: trial.frames.to_string(),
-        rate: format!("{}", (trial.rate_hz * 1000.0).round() / 1000.0),
-        markers: trial.markers.to_string(),
-    }
 }
 
 fn tolerance(mm: f64) -> String {
@@ -130,12 +100,12 @@ fn table_1(findings: &Findings) -> String {
         table.row([tolerance(mm)].into_iter().chain(columns.iter().map(cell)));
     }
     table.markdown()
-        + "\nThe ends of what is resampled are always kept: a phase of n frames has at most SR2 = (N + 1) n / 4 N, here "
+        + "\nThe first and the last sample are always kept, so that a phase of n frames has at most SR2 = (N + 1) n / 4 N, here "
         + &caps(findings, &columns)
         + ".\n"
 }
 
-/// The highest SR2 that the ends of each phase leave room for, where there are no gaps.
+/// The highest possible SR2 of each phase without gaps, given that its ends are always kept.
 fn caps(findings: &Findings, columns: &[Piece]) -> String {
     let Some(&mm) = findings.tolerances_mm.first() else { return String::new() };
     let cells = || findings.trials.iter().flat_map(|trial| &trial.cells);
@@ -155,13 +125,11 @@ fn caps(findings: &Findings, columns: &[Piece]) -> String {
 }
 
 fn within(findings: &Findings) -> String {
-    let phases: Vec<Phase> = Phase::ALL
-        .into_iter()
-        .filter(|&phase| {
-            let mm = findings.tolerances_mm.first().copied().unwrap_or(0.0);
-            findings.sum(Piece::Within(phase), Method::WorstSample, mm).is_some()
-        })
-        .collect();
+    let is_there = |&phase: &Phase| {
+        let mm = findings.tolerances_mm.first().copied().unwrap_or(0.0);
+        findings.sum(Piece::Within(phase), Method::WorstSample, mm).is_some()
+    };
+    let phases: Vec<Phase> = Phase::ALL.into_iter().filter(is_there).collect();
     if phases.is_empty() {
         return String::new();
     }
@@ -174,7 +142,8 @@ fn within(findings: &Findings) -> String {
         };
         table.row([tolerance(mm)].into_iter().chain(phases.iter().map(cell)));
     }
-    table.markdown() + "\nNo ends are kept here, so that short phases are not held down by them.\n"
+    table.markdown()
+        + "\nPhases have no ends of their own here, which would limit the ratio of short ones.\n"
 }
 
 fn claims(findings: &Findings) -> String {
@@ -183,9 +152,9 @@ fn claims(findings: &Findings) -> String {
         let holds = match verdict.holds {
             Some(true) => "holds",
             Some(false) => "does not hold",
-            None => "cannot be told",
+            None => "undecided",
         };
-        table.row([verdict.claim.to_owned(), holds.to_owned(), verdict.words]);
+        table.row([verdict.claim.to_owned(), holds.to_owned(), verdict.figures]);
     }
     table.markdown()
 }
@@ -249,11 +218,9 @@ fn readings(findings: &Findings) -> String {
         return String::new();
     }
     let mut out = table.markdown();
-    write!(
-        out,
-        "\nOn {n} takes at most, and on pieces of up to {EXHAUSTIVE_FRAMES_MAX} frames: the exhaustive search is slow.\n"
-    )
-    .ok();
+    out += &format!(
+        "\nMeasured on at most {n} takes, and on pieces of up to {EXHAUSTIVE_FRAMES_MAX} frames: the exhaustive search is slow.\n"
+    );
     out
 }
 
@@ -275,7 +242,7 @@ fn on_disk(findings: &Findings) -> String {
         }
     }
     table.markdown()
-        + "\nEach phase is a take of its own here, with the header, account and index of one (about half a kilobyte).\n"
+        + "\nEach phase is a separate take here, with its own header, ledger and index (about half a kilobyte).\n"
 }
 
 fn table_2(findings: &Findings) -> String {
@@ -294,16 +261,13 @@ fn table_2(findings: &Findings) -> String {
     };
     for &mm in &findings.prefix_tolerances_mm {
         let sum = |length, method| findings.sum(Piece::First(length), method, mm);
+        let bytes = |length, method| ratio(sum(length, method).as_ref());
         add(format!("SR2, {mm} mm"), &|length| {
             let here = sum(length, Method::WorstSample).and_then(|sum| sum.counts.sr2());
             format!("{} / {}", figure(here), figure(paper::sr2(Piece::First(length), mm)))
         });
-        add(format!("bytes, `spline`, {mm} mm"), &|length| {
-            ratio(sum(length, Method::WorstSample).as_ref())
-        });
-        add(format!("bytes, `dense`, {mm} mm"), &|length| {
-            ratio(sum(length, Method::Dense).as_ref())
-        });
+        add(format!("bytes, `spline`, {mm} mm"), &|length| bytes(length, Method::WorstSample));
+        add(format!("bytes, `dense`, {mm} mm"), &|length| bytes(length, Method::Dense));
         add(format!("takes, {mm} mm"), &|length| {
             sum(length, Method::WorstSample).map_or(0, |sum| sum.n).to_string()
         });
@@ -339,7 +303,7 @@ fn derivatives(findings: &Findings) -> String {
     table.markdown()
         + &format!(
             "\nErrors after a zero-lag fourth-order Butterworth at {} Hz, the cutoff corrected for two passes, as lengths in 3D over all markers.\n\
-             The motion itself: velocity {} mm/s rms and {} at most, acceleration {} mm/s^2 rms and {} at most.\n",
+             The original motion: velocity {} mm/s rms and {} at most, acceleration {} mm/s^2 rms and {} at most.\n",
             findings.cutoff_hz,
             short(own.original_velocity_mm_s.rms()),
             short(own.original_velocity_mm_s.max()),

@@ -1,8 +1,8 @@
-//! What a study found, as tables: Markdown for people, CSV for programs.
+//! The results of a study as tables: Markdown for people, CSV for programs.
 
 mod markdown;
 
-use std::{collections::BTreeSet, fmt::Write};
+use std::collections::BTreeSet;
 
 use mocapd_take::escape::to_cell;
 
@@ -13,7 +13,7 @@ use crate::{
 
 pub use self::markdown::markdown;
 
-/// A table with a heading.
+/// A table with a header row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Table {
     head: Vec<String>,
@@ -37,12 +37,12 @@ impl Table {
     }
 }
 
-/// Two digits behind the point, as the paper has them; nothing for what there is not.
+/// A value with two decimals, as in the paper; `-` if there is none.
 fn figure(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
 }
 
-/// Three figures: for lengths, speeds and ratios that are small here and large there.
+/// A value with three significant digits, for quantities of any magnitude.
 fn short(value: f64) -> String {
     match value.abs() {
         v if v >= 100.0 => format!("{value:.0}"),
@@ -56,9 +56,8 @@ fn ratio(sum: Option<&Sum>) -> String {
     sum.and_then(Sum::ratio).map_or_else(|| "-".to_owned(), |ratio| format!("{} : 1", short(ratio)))
 }
 
-/// The columns of table 1, and standing still where somebody does.
+/// The columns of table 1 that have results, preceded by standing.
 fn columns(findings: &Findings) -> Vec<Piece> {
-    use crate::phases::Phase;
     let standing = Piece::Phase(Phase::Standing);
     let is_there = |piece: &Piece| {
         let mut tolerances = findings.tolerances_mm.iter();
@@ -67,19 +66,14 @@ fn columns(findings: &Findings) -> Vec<Piece> {
     [standing].into_iter().chain(paper::COLUMNS).filter(is_there).collect()
 }
 
-/// A sum that there is, as a CSV line wants it.
+/// A CSV cell: six decimals, or empty.
 fn number(value: Option<f64>) -> String {
-    let mut out = String::new();
-    if let Some(value) = value {
-        // Writing to a String does not fail.
-        write!(out, "{value:.6}").ok();
-    }
-    out
+    value.map(|value| format!("{value:.6}")).unwrap_or_default()
 }
 
 const COUNTS: &str = "rows,samples,kept,key_rows,sr1,sr2";
 
-/// All trials together, and what the paper has.
+/// CSV of all trials together, with the paper's SR2.
 #[must_use]
 pub fn csv(findings: &Findings) -> String {
     let mut out = format!(
@@ -108,7 +102,7 @@ pub fn csv(findings: &Findings) -> String {
     out
 }
 
-/// Each trial by itself.
+/// CSV of each trial.
 #[must_use]
 pub fn trials_csv(findings: &Findings) -> String {
     let mut out =
@@ -144,7 +138,7 @@ fn counts(sum: &Sum) -> String {
     format!("{},{},{},{},{sr1},{sr2}", c.rows, c.samples, c.kept, c.key_rows)
 }
 
-/// What was not coded on its own has no bytes of its own.
+/// The CSV cells of raw and file bytes; the latter is empty for a piece that was not coded on its own.
 fn bytes(sum: &Sum) -> String {
     let raw = 12 * sum.counts.samples;
     if sum.file_bytes == 0 { format!("{raw},") } else { format!("{raw},{}", sum.file_bytes) }
@@ -159,24 +153,24 @@ fn quoted(name: &str) -> String {
     }
 }
 
-/// One claim.
+/// Whether a claim of the paper holds for the takes of the study.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Verdict {
     /// The claim.
     pub claim: &'static str,
-    /// Whether it holds at every tolerance; `None` where the takes cannot tell.
+    /// Whether it holds at every tolerance; `None` if the takes cannot decide it.
     pub holds: Option<bool>,
-    /// Where it does not, or with which figures it does.
-    pub words: String,
+    /// The figures for or against it, by tolerance.
+    pub figures: String,
 }
 
-/// All claims, in the order of the paper.
+/// The verdicts on all claims, in the order of the paper.
 #[must_use]
 pub fn verdicts(findings: &Findings) -> Vec<Verdict> {
     vec![lowest(findings), highest(findings), rising(findings), asynchronous_wins(findings)]
 }
 
-/// SR2 by phase at a tolerance, of the phases that are there.
+/// SR2 by phase at a tolerance, for the phases that have results.
 fn by_phase(findings: &Findings, tolerance_mm: f64) -> Vec<(Phase, f64)> {
     let sr2 = |phase: Phase| {
         let sum = findings.sum(Piece::Phase(phase), Method::WorstSample, tolerance_mm)?;
@@ -185,25 +179,26 @@ fn by_phase(findings: &Findings, tolerance_mm: f64) -> Vec<(Phase, f64)> {
     Phase::ALL.into_iter().filter(|&phase| phase != Phase::Standing).filter_map(sr2).collect()
 }
 
-/// A claim about the order of the phases, tolerance by tolerance.
+/// The verdict on a claim about the order of the phases: at each tolerance, the phase that `choose` selects must be one
+/// of `expected`.
 fn order(
     findings: &Findings,
     claim: &'static str,
     choose: impl Fn(&[(Phase, f64)]) -> Option<(Phase, f64)>,
     expected: &[Phase],
 ) -> Verdict {
-    let mut words = Vec::new();
+    let mut figures = Vec::new();
     let mut holds = None;
     for &mm in &findings.tolerances_mm {
         let phases = by_phase(findings, mm);
-        let can_tell = phases.len() > 1 && phases.iter().any(|(phase, _)| expected.contains(phase));
-        if let Some((phase, sr2)) = choose(&phases).filter(|_| can_tell) {
+        let decides = phases.len() > 1 && phases.iter().any(|(phase, _)| expected.contains(phase));
+        if let Some((phase, sr2)) = choose(&phases).filter(|_| decides) {
             let is_so = expected.contains(&phase);
             holds = Some(holds.unwrap_or(true) && is_so);
-            words.push(format!("{mm} mm: {} ({sr2:.2})", phase.name()));
+            figures.push(format!("{mm} mm: {} ({sr2:.2})", phase.name()));
         }
     }
-    Verdict { claim, holds, words: words.join(", ") }
+    Verdict { claim, holds, figures: figures.join(", ") }
 }
 
 fn lowest(findings: &Findings) -> Verdict {
@@ -231,15 +226,11 @@ fn rising(findings: &Findings) -> Verdict {
     for piece in phases.into_iter().chain([Piece::Whole]) {
         for pair in findings.tolerances_mm.windows(2) {
             let sr2 = |mm| findings.sum(piece, Method::WorstSample, mm)?.counts.sr2();
-            if let (Some(a), Some(b)) = (sr2(pair[0]), sr2(pair[1])) {
+            let (from_mm, to_mm, name) = (pair[0], pair[1], piece.name());
+            if let (Some(a), Some(b)) = (sr2(from_mm), sr2(to_mm)) {
                 compared = true;
                 if b < a {
-                    falls.push(format!(
-                        "{}: {a:.2} at {} mm, {b:.2} at {} mm",
-                        piece.name(),
-                        pair[0],
-                        pair[1]
-                    ));
+                    falls.push(format!("{name}: {a:.2} at {from_mm} mm, {b:.2} at {to_mm} mm"));
                 }
             }
         }
@@ -247,8 +238,8 @@ fn rising(findings: &Findings) -> Verdict {
     Verdict {
         claim: "a larger tolerance compresses more",
         holds: compared.then_some(falls.is_empty()),
-        words: if falls.is_empty() {
-            "in every phase, and as a whole".to_owned()
+        figures: if falls.is_empty() {
+            "in every phase and for whole takes".to_owned()
         } else {
             falls.join("; ")
         },
@@ -256,17 +247,17 @@ fn rising(findings: &Findings) -> Verdict {
 }
 
 fn asynchronous_wins(findings: &Findings) -> Verdict {
-    let mut words = Vec::new();
+    let mut figures = Vec::new();
     let mut holds = None;
     for &mm in &findings.tolerances_mm {
         if let Some(sum) = findings.sum(Piece::Whole, Method::WorstSample, mm) {
             holds = Some(holds.unwrap_or(true) && sum.wins == sum.n);
-            words.push(format!("{mm} mm: {} of {} trials", sum.wins, sum.n));
+            figures.push(format!("{mm} mm: {} of {} trials", sum.wins, sum.n));
         }
     }
     Verdict {
         claim: "asynchronous resampling needs fewer items than synchronous (10)",
         holds,
-        words: words.join(", "),
+        figures: figures.join(", "),
     }
 }

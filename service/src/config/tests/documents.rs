@@ -1,4 +1,4 @@
-//! The example and docs/config.md against the table.
+//! The example and docs/config.md must match the table.
 
 use std::{collections::BTreeSet, fs};
 
@@ -14,11 +14,11 @@ fn the_example_that_ships_is_the_one_that_is_printed() {
     let shipped = text("systemd/mocapd.toml");
     assert!(
         shipped == example(),
-        "systemd/mocapd.toml is not what the table says: mocapd config example > systemd/mocapd.toml"
+        "systemd/mocapd.toml differs from the table: mocapd config example > systemd/mocapd.toml"
     );
 }
 
-/// The example with the `#` taken away before every key.
+/// The example with the `#` removed before every key.
 fn uncommented() -> String {
     let names: BTreeSet<String> = KEYS.iter().map(|key| format!("# {} = ", key.name())).collect();
     let line = |line: &str| match names.iter().any(|name| line.starts_with(name.as_str())) {
@@ -33,12 +33,14 @@ fn the_example_is_good_as_it_is_and_with_every_key() {
     let defaults = parse("").unwrap();
     assert_eq!(parse(&example()).unwrap(), defaults);
     let changes = defaults.changes(&parse(&uncommented()).unwrap());
-    // What has a default has that one in the example; the others show what they may be.
+    // Keys with a default have it in the example; the others show a possible value.
     for key in KEYS {
-        let is_example = matches!(key.preset, Preset::Absent(_) | Preset::Told { .. });
+        let is_example =
+            matches!(key.default, DefaultValue::Absent(_) | DefaultValue::Dynamic { .. });
         let changed = changes.iter().any(|change| change.key == key.path);
         assert!(!changed || is_example, "{} has another default in the example", key.path);
-        assert!(changed || !matches!(key.preset, Preset::Absent(_)), "{} is not in it", key.path);
+        let is_absent = matches!(key.default, DefaultValue::Absent(_));
+        assert!(changed || !is_absent, "{} is not in it", key.path);
     }
     let widest = example().lines().map(|line| line.chars().count()).max().unwrap();
     assert!(widest <= 110, "{widest} letters");
@@ -56,7 +58,7 @@ fn the_page_has_the_tables() {
 }
 
 #[test]
-fn every_key_is_told_well_and_once() {
+fn every_key_is_described_once() {
     let mut paths = BTreeSet::new();
     for key in KEYS {
         assert!(paths.insert(key.path), "{} stands twice", key.path);
@@ -64,9 +66,9 @@ fn every_key_is_told_well_and_once() {
         for sentence in [key.what, key.why] {
             assert!(sentence.ends_with('.') && sentence.len() > 20, "{}: {sentence}", key.path);
         }
-        // What is told to be written is taken.
-        let advised = match key.preset {
-            Preset::NoItems(item) => format!("[\"{item}\"]"),
+        // The advised value is accepted.
+        let advised = match key.default {
+            DefaultValue::EmptyList(item) => format!("[\"{item}\"]"),
             _ => key.example(),
         };
         let text = format!("[{}]\n{} = {advised}", key.section(), key.name());

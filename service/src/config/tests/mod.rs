@@ -1,20 +1,20 @@
-mod choose;
+mod auto_device;
 mod documents;
+mod messages;
 mod sweep;
-mod words;
 
 use super::*;
 
-/// Somewhere without systemd.
-pub(super) fn nowhere() -> Surroundings {
-    Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() }
+/// An environment without systemd.
+pub(super) fn nowhere() -> Environment {
+    Environment { file_stem: Some("left".to_owned()), ..Environment::default() }
 }
 
 pub(super) fn parse(text: &str) -> Result<Config, ConfigError> {
     Config::parse("left.toml", text.as_bytes(), &nowhere(), &Overrides::default())
 }
 
-/// With every key, none of them at its default.
+/// Every key, none of them at its default.
 pub(super) const EVERYTHING: &str = r#"
 [rig]
 name = "left-2.x"
@@ -110,7 +110,7 @@ fn every_key_is_read() {
 }
 
 #[test]
-fn what_is_written_out_is_the_same_again() {
+fn a_written_configuration_is_parsed_to_the_same() {
     for text in ["", EVERYTHING, "[take]\nlossless = true", "[device]\nrate_hz = 240"] {
         let config = parse(text).unwrap();
         let again = parse(&config.to_toml()).unwrap();
@@ -121,13 +121,13 @@ fn what_is_written_out_is_the_same_again() {
 
 #[test]
 fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
-    let surroundings = Surroundings {
+    let environment = Environment {
         state_directory: Some("/var/lib/mocapd".into()),
         runtime_directory: Some("/run/other".into()),
         file_stem: Some("mocapd".to_owned()),
     };
     let parse = |text: &str, overrides: &Overrides| {
-        Config::parse("x", text.as_bytes(), &surroundings, overrides)
+        Config::parse("x", text.as_bytes(), &environment, overrides)
     };
     let config = parse("", &Overrides::default()).unwrap();
     assert_eq!(config.rig_name, "rig");
@@ -138,11 +138,11 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     let config = parse(text, &Overrides::default()).unwrap();
     assert_eq!(config.take.directory, PathBuf::from("/srv"));
     assert_eq!(config.http.listen, None);
-    let said = |text: &str| Some(text.to_owned());
+    let text_of = |text: &str| Some(text.to_owned());
     let overrides = Overrides {
-        device: said("serial:/dev/b"),
-        directory: said("/mnt"),
-        listen: said("127.0.0.1:0"),
+        device: text_of("serial:/dev/b"),
+        directory: text_of("/mnt"),
+        listen: text_of("127.0.0.1:0"),
     };
     let config = parse(text, &overrides).unwrap();
     let DeviceChoice::At(uri) = &config.device.uri else { panic!("{config:?}") };
@@ -150,38 +150,43 @@ fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
     assert_eq!(config.take.directory, PathBuf::from("/mnt"));
     assert_eq!(config.http.listen, Some("127.0.0.1:0".parse().unwrap()));
 
-    // What the command line says is refused with the option's name.
-    let overrides = Overrides { listen: said("0.0.0.0:80"), ..Overrides::default() };
+    // Problems of the command line are reported with the option's name.
+    let overrides = Overrides { listen: text_of("0.0.0.0:80"), ..Overrides::default() };
     let error = parse("", &overrides).unwrap_err();
     let ConfigError::Refused { problems, .. } = &error else { panic!("{error}") };
-    let [Problem { place: Place::Option("--listen"), key: Some("http.listen"), message }] =
-        &problems[..]
+    let [
+        ConfigProblem {
+            place: SourceLocation::Option("--listen"),
+            key: Some("http.listen"),
+            message,
+        },
+    ] = &problems[..]
     else {
         panic!("{problems:?}");
     };
     assert!(message.contains("0.0.0.0:80"), "{message}");
     assert!(error.to_string().contains("--listen"), "{error}");
-    let overrides = Overrides { device: said("ttyUSB0"), ..Overrides::default() };
+    let overrides = Overrides { device: text_of("ttyUSB0"), ..Overrides::default() };
     let error = parse("", &overrides).unwrap_err().to_string();
     assert!(error.contains("--device") && error.contains("serial:PATH"), "{error}");
 }
 
 #[test]
-fn changes_say_when_they_hold() {
+fn changes_have_their_reload_policy() {
     let old = parse("").unwrap();
     let new = parse(
         "[log]\nlevel='warn'\n[take]\nname='{time}'\n[arm]\npre_roll='20s'\n[http]\nlisten=''",
     )
     .unwrap();
     let changes = old.changes(&new);
-    let told: Vec<_> = changes.iter().map(|change| (change.key, change.when)).collect();
+    let found: Vec<_> = changes.iter().map(|change| (change.key, change.when)).collect();
     assert_eq!(
-        told,
+        found,
         [
-            ("take.name", When::NextTake),
-            ("arm.pre_roll", When::NextArm),
-            ("http.listen", When::Restart),
-            ("log.level", When::Now)
+            ("take.name", ReloadPolicy::NextTake),
+            ("arm.pre_roll", ReloadPolicy::NextArm),
+            ("http.listen", ReloadPolicy::Restart),
+            ("log.level", ReloadPolicy::Now)
         ]
     );
     assert_eq!(changes[1].from, Some("10s".into()));
@@ -193,7 +198,7 @@ fn changes_say_when_they_hold() {
 }
 
 #[test]
-fn what_may_surprise_is_noted() {
+fn questionable_settings_are_noted() {
     let notes = |text: &str| parse(text).unwrap().notes();
     let about = |text: &str, keys: &[&str]| {
         let notes = notes(text);

@@ -1,8 +1,8 @@
-//! Ten thousand damaged files: none ends the process, and what is taken is the same when it is written out.
+//! Ten thousand damaged files: none ends the process, and an accepted one is the same after it was written out.
 
 use super::*;
 
-/// Any number that is as good as any, and always the same.
+/// Reproducible pseudo-random numbers.
 struct Noise(u64);
 
 impl Noise {
@@ -13,7 +13,7 @@ impl Noise {
     }
 }
 
-/// What goes into files where something else stood.
+/// Pieces to insert into files.
 const PIECES: &[&str] = &[
     "\"",
     "'",
@@ -130,7 +130,7 @@ fn ten_thousand_damaged_files() {
             }
         }
     }
-    // Neither all nor none of them are taken, and some mean something else than before.
+    // Neither all nor none of them are accepted, and some have another meaning than before.
     assert!(
         (300..9_700).contains(&n_good) && n_changed > 200,
         "{n_good} good, {n_changed} changed"

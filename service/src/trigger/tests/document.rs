@@ -4,14 +4,14 @@ use super::*;
 
 const PAGE: &str = include_str!("../../../../docs/triggers.md");
 
-/// The blocks of a kind, such as ```` ```xml sent ````.
+/// The code blocks of a kind, such as ```` ```xml heard ````.
 fn blocks(kind: &str) -> Vec<&'static str> {
     let fence = format!("```{kind}\n");
     PAGE.split(fence.as_str()).skip(1).filter_map(|rest| rest.split("\n```").next()).collect()
 }
 
 #[test]
-fn what_is_heard() {
+fn examples_of_received_triggers() {
     let (heard, notes) = (blocks("xml heard"), blocks("text note"));
     assert_eq!((heard.len(), notes.len()), (3, 3));
     for (text, note) in heard.iter().zip(notes) {
@@ -21,7 +21,7 @@ fn what_is_heard() {
 }
 
 #[test]
-fn what_is_sent() {
+fn examples_of_sent_triggers() {
     let mut announcer = Announcer::new("left", 0x0123_4567_89ab_cdef, first_packet_id(43_215));
     let name = TakeName::of("walk_03").unwrap();
     let sent = [
@@ -37,8 +37,8 @@ fn what_is_sent() {
 }
 
 #[test]
-fn the_bounds_are_those_of_the_code() {
-    for words in [
+fn the_limits_are_those_of_the_code() {
+    for message in [
         format!("at most {} KiB", DATAGRAM_BYTES_MAX >> 10),
         format!("0 to {}", DELAY_MAX.as_millis()),
         format!("| {DELAYED_MAX} of all of these senders | {DUE_MAX} in all |"),
@@ -49,7 +49,7 @@ fn the_bounds_are_those_of_the_code() {
         format!("Of each sender {IDS_MAX} numbers are remembered, and of {SENDERS_MAX} senders"),
         format!("cut after {} bytes", crate::config::NAME_BYTES_MAX),
     ] {
-        assert!(PAGE.contains(&words), "docs/triggers.md does not say '{words}'");
+        assert!(PAGE.contains(&message), "docs/triggers.md does not say '{message}'");
     }
     assert_eq!(REMEMBERED, Duration::from_secs(60), "the page says a minute");
 }

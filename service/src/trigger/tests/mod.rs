@@ -12,15 +12,15 @@ fn start(inside: &str) -> String {
     format!("<CaptureStart>{inside}</CaptureStart>")
 }
 
-fn refused(datagram: impl AsRef<[u8]>) -> Refusal {
+fn refused(datagram: impl AsRef<[u8]>) -> TriggerError {
     let refusal = parse(datagram.as_ref()).unwrap_err();
-    let said = refusal.to_string();
-    assert!(said.chars().count() < 300 && !said.contains(char::is_control), "{said:?}");
+    let reason = refusal.to_string();
+    assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
     refusal
 }
 
 #[test]
-fn what_is_said_is_understood() {
+fn a_trigger_is_parsed() {
     let text = "\u{feff} <?xml version='1.0' encoding='utf-8'?>\r\n<CaptureStart>\n\
                 <Name VALUE=\"walk_03\"/><Notes VALUE=\"two\nlines &lt;&#233;&gt;\"/><Delay VALUE=\" 12.5 \"/>\
                 <PacketID VALUE=\"18446744073709551615\"/></CaptureStart>\n\0\0";
@@ -29,7 +29,7 @@ fn what_is_said_is_understood() {
     assert_eq!(start.delay, Duration::from_micros(12_500));
     assert_eq!(start.about.packet_id, Some(u64::MAX));
     // A line end in an attribute is a space by the rules of XML.
-    assert_eq!(start.about.said, [("Notes".to_owned(), "two lines <é>".to_owned())]);
+    assert_eq!(start.about.fields, [("Notes".to_owned(), "two lines <é>".to_owned())]);
     assert_eq!(start.about.changed, [""; 0]);
 
     for (word, result) in [
@@ -49,7 +49,7 @@ fn what_is_said_is_understood() {
 }
 
 #[test]
-fn nothing_that_is_said_is_lost_without_a_word() {
+fn nothing_is_dropped_silently() {
     let twice = "<Name VALUE='a'/><Name VALUE='b'/><Notes>inside</Notes>";
     let trigger = parse(start(twice).as_bytes()).unwrap();
     let note = trigger.note(FROM);
@@ -59,11 +59,11 @@ fn nothing_that_is_said_is_lost_without_a_word() {
     let about = parse(long.as_bytes()).unwrap().capture().about.clone();
     let [changed] = &about.changed[..] else { panic!("{:?}", about.changed) };
     assert!(changed.contains("Notes") && changed.contains("2048"), "{changed}");
-    assert_eq!(about.said[0].1, format!("{}...", "é".repeat(TEXT_BYTES_MAX / 2)));
+    assert_eq!(about.fields[0].1, format!("{}...", "é".repeat(TEXT_BYTES_MAX / 2)));
 
     let many: String = (0..40).map(|n| format!("<A{n} VALUE='x'/>")).collect();
     let about = parse(start(&many).as_bytes()).unwrap().capture().about.clone();
-    assert_eq!((about.said.len(), about.changed.len()), (16, 1));
+    assert_eq!((about.fields.len(), about.changed.len()), (16, 1));
     assert!(about.changed[0].contains("16"), "{:?}", about.changed);
 
     let path = parse(start("<DatabasePath VALUE='/etc/&#x85;x'/>").as_bytes()).unwrap();
@@ -72,20 +72,20 @@ fn nothing_that_is_said_is_lost_without_a_word() {
 }
 
 #[test]
-fn what_is_no_trigger_is_refused_in_words() {
+fn invalid_triggers_are_refused() {
     let is_no_xml = |datagram: &str| match refused(datagram) {
-        Refusal::Xml(why) => why,
+        TriggerError::Xml(why) => why,
         other => panic!("{other:?}"),
     };
     for datagram in ["", "start", "<CaptureStart>"] {
         is_no_xml(datagram);
     }
-    assert_eq!(refused("<CapturePause/>"), Refusal::Element("CapturePause".to_owned()));
+    assert_eq!(refused("<CapturePause/>"), TriggerError::Element("CapturePause".to_owned()));
     let long = refused(format!("<{}/>", "x".repeat(60_000)));
-    assert!(matches!(&long, Refusal::Element(name) if name.ends_with("xxx...")), "{long:?}");
-    assert_eq!(refused(vec![b' '; DATAGRAM_BYTES_MAX + 1]), Refusal::TooLong(65_537));
+    assert!(matches!(&long, TriggerError::Element(name) if name.ends_with("xxx...")), "{long:?}");
+    assert_eq!(refused(vec![b' '; DATAGRAM_BYTES_MAX + 1]), TriggerError::TooLong(65_537));
     let encoding = |datagram: &[u8], fact: &str| match refused(datagram) {
-        Refusal::Encoding(why) => assert!(why.contains(fact), "'{fact}' is not in: {why}"),
+        TriggerError::Encoding(why) => assert!(why.contains(fact), "'{fact}' is not in: {why}"),
         other => panic!("{other:?}"),
     };
     encoding(b"<CaptureStart><Name VALUE=\"L\xe4ufer\"/></CaptureStart>", "byte 28");
@@ -98,7 +98,7 @@ fn what_is_no_trigger_is_refused_in_words() {
     let number = |element: &str, value: &str| {
         let refusal = refused(start(&format!("<{element} VALUE='{value}'/>")));
         assert!(
-            matches!(&refusal, Refusal::Number { what, found, .. } if (*what, found.as_str()) == (element, value)),
+            matches!(&refusal, TriggerError::Number { what, found, .. } if (*what, found.as_str()) == (element, value)),
             "{refusal:?}"
         );
         refusal.to_string()
@@ -107,10 +107,10 @@ fn what_is_no_trigger_is_refused_in_words() {
         number("PacketID", id);
     }
     for delay in ["-1", "60001", "nan", "inf", "1e300", "soon"] {
-        let said = number("Delay", delay);
-        assert!(said.contains(&DELAY_MAX.as_millis().to_string()), "{said}");
+        let reason = number("Delay", delay);
+        assert!(reason.contains(&DELAY_MAX.as_millis().to_string()), "{reason}");
     }
-    assert_eq!(refused(start("<Name VALUE='...'/>")), Refusal::Name("...".to_owned()));
+    assert_eq!(refused(start("<Name VALUE='...'/>")), TriggerError::Name("...".to_owned()));
     let bomb = "<!DOCTYPE x [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;&a;'>]>\
                 <CaptureStart><Name VALUE='&b;'/></CaptureStart>";
     is_no_xml(bomb);
@@ -125,9 +125,14 @@ fn what_is_no_trigger_is_refused_in_words() {
     assert!(many.contains("256"), "{many}");
 }
 
-fn hear(listener: &mut Listener, text: &str, from: &str, at_s: u64) -> Result<Heard, Refusal> {
+fn receive(
+    listener: &mut Listener,
+    text: &str,
+    from: &str,
+    at_s: u64,
+) -> Result<Incoming, TriggerError> {
     let now = Duration::from_secs(at_s);
-    listener.hear(from.parse().unwrap(), text.as_bytes(), now, &|name| name == "old")
+    listener.receive(from.parse().unwrap(), text.as_bytes(), now, &|name| name == "old")
 }
 
 fn packet(id: u64) -> String {
@@ -137,33 +142,34 @@ fn packet(id: u64) -> String {
 #[test]
 fn repeats_do_nothing() {
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
-    let mut hear = |text: &str, from: &str, at_s| hear(&mut listener, text, from, at_s).unwrap();
-    assert!(matches!(hear(&packet(5), "10.0.0.1", 0), Heard::Trigger(_)));
-    assert_eq!(hear(&packet(5), "10.0.0.1", 1), Heard::Repeat);
+    let mut receive =
+        |text: &str, from: &str, at_s| receive(&mut listener, text, from, at_s).unwrap();
+    assert!(matches!(receive(&packet(5), "10.0.0.1", 0), Incoming::Trigger(_)));
+    assert_eq!(receive(&packet(5), "10.0.0.1", 1), Incoming::Repeat);
     // The same address, whatever it came over.
-    assert_eq!(hear(&packet(5), "::ffff:10.0.0.1", 1), Heard::Repeat);
-    assert!(matches!(hear(&packet(5), "10.0.0.2", 1), Heard::Trigger(_)), "another sender's");
-    assert!(matches!(hear(&packet(6), "10.0.0.1", 1), Heard::Trigger(_)), "another number");
+    assert_eq!(receive(&packet(5), "::ffff:10.0.0.1", 1), Incoming::Repeat);
+    assert!(matches!(receive(&packet(5), "10.0.0.2", 1), Incoming::Trigger(_)), "another sender's");
+    assert!(matches!(receive(&packet(6), "10.0.0.1", 1), Incoming::Trigger(_)), "another number");
     let stop = "<CaptureStop><PacketID VALUE='5'/></CaptureStop>";
-    assert!(matches!(hear(stop, "10.0.0.1", 1), Heard::Trigger(_)), "another element");
-    // A minute after it was heard last, it is another one.
-    assert_eq!(hear(&packet(5), "10.0.0.1", 50), Heard::Repeat);
-    assert_eq!(hear(&packet(5), "10.0.0.1", 110), Heard::Repeat);
-    assert!(matches!(hear(&packet(5), "10.0.0.1", 171), Heard::Trigger(_)));
-    // Without a number the bytes tell.
-    assert!(matches!(hear("<CaptureStart/>", "10.0.0.1", 171), Heard::Trigger(_)));
-    assert_eq!(hear("<CaptureStart/>", "10.0.0.1", 172), Heard::Repeat);
-    assert!(matches!(hear("<CaptureStart />", "10.0.0.1", 172), Heard::Trigger(_)));
+    assert!(matches!(receive(stop, "10.0.0.1", 1), Incoming::Trigger(_)), "another element");
+    // A minute after it was last received, it is a new trigger.
+    assert_eq!(receive(&packet(5), "10.0.0.1", 50), Incoming::Repeat);
+    assert_eq!(receive(&packet(5), "10.0.0.1", 110), Incoming::Repeat);
+    assert!(matches!(receive(&packet(5), "10.0.0.1", 171), Incoming::Trigger(_)));
+    // Without a packet number the bytes decide.
+    assert!(matches!(receive("<CaptureStart/>", "10.0.0.1", 171), Incoming::Trigger(_)));
+    assert_eq!(receive("<CaptureStart/>", "10.0.0.1", 172), Incoming::Repeat);
+    assert!(matches!(receive("<CaptureStart />", "10.0.0.1", 172), Incoming::Trigger(_)));
 }
 
 #[test]
-fn what_is_remembered_is_bounded() {
-    let mut seen = listener::Seen::default();
+fn memory_of_repeats_is_bounded() {
+    let mut seen = listener::RecentTriggers::default();
     let mut repeat = |from: u32, id: u64, at_s| {
         let from = IpAddr::V4(from.into());
         let trigger = parse(packet(id).as_bytes()).unwrap();
         let is_repeat = seen.is_repeat(from, &trigger, b"", Duration::from_secs(at_s));
-        let (n_senders, n_ids) = seen.n_remembered();
+        let (n_senders, n_ids) = seen.sizes();
         assert!(n_senders <= SENDERS_MAX && n_ids <= SENDERS_MAX * IDS_MAX);
         is_repeat
     };
@@ -172,7 +178,7 @@ fn what_is_remembered_is_bounded() {
     }
     assert!(repeat(1, 999, 0) && repeat(1, 1000 - IDS_MAX as u64, 0));
     assert!(!repeat(1, 0, 0), "the oldest is forgotten");
-    // A flood of senders forgets the one that was silent for longest, and no other.
+    // A flood of senders displaces the one that was silent for longest, and no other.
     assert!(!repeat(2, 1, 1));
     for from in 3..1000 {
         assert!(!repeat(from, 1, 2));
@@ -182,36 +188,39 @@ fn what_is_remembered_is_bounded() {
 }
 
 #[test]
-fn who_is_not_allowed_is_refused_before_anything_is_read() {
+fn unlisted_senders_are_refused_before_anything_is_parsed() {
     let networks = ["10.0.0.0/24", "fe80::/10"].map(|text| text.parse().unwrap());
     let mut listener = Listener::new(networks.into(), DELAY_MAX, 1);
     for from in ["10.0.0.1", "::ffff:10.0.0.2", "fe80::1"] {
-        assert!(hear(&mut listener, &packet(1), from, 0).is_ok(), "{from}");
+        assert!(receive(&mut listener, &packet(1), from, 0).is_ok(), "{from}");
     }
-    let refusal = hear(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
-    assert_eq!(refusal, Refusal::NotAllowed("10.0.1.1".parse().unwrap()));
-    let said = refusal.to_string();
-    assert!(said.contains("10.0.1.1") && said.contains("trigger.allow_from"), "{said}");
+    let refusal = receive(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
+    assert_eq!(refusal, TriggerError::NotAllowed("10.0.1.1".parse().unwrap()));
+    let reason = refusal.to_string();
+    assert!(reason.contains("10.0.1.1") && reason.contains("trigger.allow_from"), "{reason}");
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
-    assert!(hear(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
+    assert!(receive(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
 }
 
 #[test]
-fn a_name_that_exists_is_refused_once_and_said() {
+fn an_existing_name_is_refused_and_reported_once() {
     let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     let old = start("<Name VALUE='old'/><PacketID VALUE='1'/>");
-    let refusal = hear(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
-    assert_eq!(refusal, Refusal::NameTaken("old".to_owned()));
-    assert_eq!(hear(&mut listener, &old, "10.0.0.1", 0), Ok(Heard::Repeat));
-    // Under what it becomes, too; and a stop of it is no start.
+    let refusal = receive(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
+    assert_eq!(refusal, TriggerError::NameTaken("old".to_owned()));
+    assert_eq!(receive(&mut listener, &old, "10.0.0.1", 0), Ok(Incoming::Repeat));
+    // The name counts as it would become; and a stop of it is not a start.
     let same = start("<Name VALUE='.old.take'/><PacketID VALUE='2'/>");
-    assert!(matches!(hear(&mut listener, &same, "10.0.0.1", 0), Err(Refusal::NameTaken(_))));
+    assert!(matches!(
+        receive(&mut listener, &same, "10.0.0.1", 0),
+        Err(TriggerError::NameTaken(_))
+    ));
     let stop = "<CaptureStop><Name VALUE='old'/></CaptureStop>";
-    assert!(matches!(hear(&mut listener, stop, "10.0.0.1", 0), Ok(Heard::Trigger(_))));
+    assert!(matches!(receive(&mut listener, stop, "10.0.0.1", 0), Ok(Incoming::Trigger(_))));
 }
 
 #[test]
-fn our_own_come_back_and_do_nothing() {
+fn our_own_triggers_come_back_and_do_nothing() {
     let mut announcer = Announcer::new("left", 7, 1);
     let name = TakeName::of("new").unwrap();
     let sent = [
@@ -222,11 +231,11 @@ fn our_own_come_back_and_do_nothing() {
     let (mut own, mut others) =
         (Listener::new(Vec::new(), DELAY_MAX, 7), Listener::new(Vec::new(), DELAY_MAX, 8));
     for (datagram, id) in sent.iter().zip(1..) {
-        let hear = |listener: &mut Listener| {
-            listener.hear(FROM, datagram, Duration::ZERO, &|_| false).unwrap()
+        let receive = |listener: &mut Listener| {
+            listener.receive(FROM, datagram, Duration::ZERO, &|_| false).unwrap()
         };
-        assert_eq!(hear(&mut own), Heard::Own);
-        let Heard::Trigger(trigger) = hear(&mut others) else { panic!("heard nothing") };
+        assert_eq!(receive(&mut own), Incoming::Own);
+        let Incoming::Trigger(trigger) = receive(&mut others) else { panic!("heard nothing") };
         assert_eq!(trigger.capture().name.as_ref().unwrap().text(), "new");
         assert_eq!(trigger.capture().about.packet_id, Some(id));
         assert_eq!(trigger.capture().about.changed, [""; 0]);
@@ -234,13 +243,13 @@ fn our_own_come_back_and_do_nothing() {
             trigger
                 .capture()
                 .about
-                .said
+                .fields
                 .contains(&("Description".to_owned(), "mocapd left 0000000000000007".to_owned()))
         );
     }
     let text = String::from_utf8(sent[0].clone()).unwrap();
     assert!(text.contains("a &quot;note&quot; &lt;&amp;&gt;\u{fffd}\u{fffd}"), "{text}");
-    // The longest is one datagram that nobody refuses.
+    // The longest trigger fits into one datagram and is accepted.
     let longest = TakeName::of(&"&".repeat(1000)).unwrap();
     let datagram = announcer.start(&longest, &"&".repeat(100_000));
     assert!(datagram.len() < 4096 && parse(&datagram).is_ok(), "{}", datagram.len());

@@ -6,22 +6,22 @@ use std::{
 };
 
 use super::{
-    socket::{Hearing, Questions, Teller, bind, listen},
+    socket::{ListenerThread, TakeQueries, TriggerSender, bind, listen},
     *,
 };
 
-/// Longer than anything here takes: a test that waits so long has failed.
+/// Longer than anything here takes: a test that waits this long has failed.
 const GIVE_UP: Duration = Duration::from_secs(20);
 
 struct Service {
     at: SocketAddr,
-    triggers: Queue,
-    said: crossbeam_channel::Receiver<String>,
-    hearing: Hearing,
+    triggers: TriggerQueue,
+    reports: crossbeam_channel::Receiver<String>,
+    listening: ListenerThread,
 }
 
-/// The next one that is due, as soon as it is, within `timeout`.
-fn next(triggers: &Queue, timeout: Duration) -> Option<Received> {
+/// Waits at most `timeout` for the next trigger that is due.
+fn next(triggers: &TriggerQueue, timeout: Duration) -> Option<ReceivedTrigger> {
     let until = Instant::now() + timeout;
     loop {
         let due = triggers.take_due();
@@ -38,49 +38,49 @@ impl Service {
     fn start(mark: u64) -> Self {
         let socket = bind("127.0.0.1:0".parse().unwrap()).unwrap();
         let at = socket.local_addr().unwrap();
-        let triggers = Queue::default();
-        let (to_said, said) = crossbeam_channel::bounded(1000);
+        let triggers = TriggerQueue::default();
+        let (sender, reports) = crossbeam_channel::bounded(1000);
         let listener = Listener::new(Vec::new(), DELAY_MAX, mark);
-        let say = move |words: &str| to_said.send(words.to_owned()).unwrap();
-        let questions =
-            Questions { exists: Box::new(|name| name == "old"), recording: Box::new(|| None) };
-        let hearing = listen(socket, listener, questions, triggers.clone(), say).unwrap();
-        Self { at, triggers, said, hearing }
+        let report = move |message: &str| sender.send(message.to_owned()).unwrap();
+        let queries =
+            TakeQueries { exists: Box::new(|name| name == "old"), recording: Box::new(|| None) };
+        let listening = listen(socket, listener, queries, triggers.clone(), report).unwrap();
+        Self { at, triggers, reports, listening }
     }
 
-    fn next(&self) -> Received {
+    fn next(&self) -> ReceivedTrigger {
         next(&self.triggers, GIVE_UP).unwrap()
     }
 
     fn end(self) {
-        drop(self.hearing);
+        drop(self.listening);
     }
 }
 
 #[test]
-fn what_one_tells_another_hears_and_itself_ignores() {
+fn one_service_receives_the_triggers_of_another_and_ignores_its_own() {
     let (own, other) = (Service::start(7), Service::start(8));
-    let teller = Teller::new(vec![own.at, other.at]).unwrap();
+    let sender = TriggerSender::new(vec![own.at, other.at]).unwrap();
     let mut announcer = Announcer::new("left", 7, 1);
     let name = TakeName::of("walk").unwrap();
     let sent = announcer.start(&name, "");
     for _ in 0..3 {
-        assert_eq!(teller.tell(&sent), [""; 0]);
+        assert_eq!(sender.send(&sent), [""; 0]);
     }
-    assert_eq!(teller.tell(&announcer.stop(&name, &StopResult::Success)), [""; 0]);
+    assert_eq!(sender.send(&announcer.stop(&name, &StopResult::Success)), [""; 0]);
     assert!(matches!(other.next().trigger, Trigger::Start(_)));
-    // The repeats are none, and what comes next is the stop.
+    // The repeats are ignored, and the stop comes next.
     assert!(matches!(other.next().trigger, Trigger::Stop(_)));
-    // Its own were read before this one, and gave nothing.
-    assert_eq!(teller.tell(b"<CaptureComplete/>"), [""; 0]);
+    // Its own triggers were read before this one, and had no effect.
+    assert_eq!(sender.send(b"<CaptureComplete/>"), [""; 0]);
     assert!(matches!(own.next().trigger, Trigger::Complete(_)));
-    assert!(own.said.is_empty() && other.said.is_empty());
+    assert!(own.reports.is_empty() && other.reports.is_empty());
     own.end();
     other.end();
 }
 
 #[test]
-fn refusals_are_said_a_few_at_a_time() {
+fn refusals_are_reported_a_few_at_a_time() {
     let service = Service::start(7);
     let client = UdpSocket::bind("127.0.0.1:0").unwrap();
     for id in 0..50 {
@@ -89,25 +89,26 @@ fn refusals_are_said_a_few_at_a_time() {
     }
     client.send_to(packet(1000).as_bytes(), service.at).unwrap();
     service.next();
-    let said: Vec<String> = service.said.try_iter().collect();
-    assert_eq!(said.len(), 5, "{said:?}");
+    let reports: Vec<String> = service.reports.try_iter().collect();
+    assert_eq!(reports.len(), 5, "{reports:?}");
     let from = client.local_addr().unwrap();
-    let taken = Refusal::NameTaken("old".to_owned()).to_string();
-    assert!(said[0].contains(&from.to_string()) && said[0].contains(&taken), "{}", said[0]);
+    let taken = TriggerError::NameTaken("old".to_owned()).to_string();
+    let first = &reports[0];
+    assert!(first.contains(&from.to_string()) && first.contains(&taken), "{first}");
     service.end();
 }
 
 #[test]
-fn more_than_fit_are_lost_and_said() {
+fn triggers_that_do_not_fit_are_dropped_and_reported() {
     let service = Service::start(7);
     let client = UdpSocket::bind("127.0.0.1:0").unwrap();
     for id in 0..=DUE_EACH_MAX as u64 {
         client.send_to(packet(id).as_bytes(), service.at).unwrap();
     }
-    let said = service.said.recv_timeout(GIVE_UP).unwrap();
+    let reports = service.reports.recv_timeout(GIVE_UP).unwrap();
     let sender = client.local_addr().unwrap().ip();
-    let refusal = Refusal::TooManyOfSender { waiting: DUE_EACH_MAX, sender };
-    assert!(said.contains(&refusal.to_string()), "{said}");
+    let refusal = TriggerError::TooManyOfSender { waiting: DUE_EACH_MAX, sender };
+    assert!(reports.contains(&refusal.to_string()), "{reports}");
     for _ in 0..DUE_EACH_MAX {
         service.next();
     }
@@ -116,7 +117,7 @@ fn more_than_fit_are_lost_and_said() {
 }
 
 #[test]
-fn a_port_that_is_taken_says_so() {
+fn a_port_in_use_is_reported() {
     let service = Service::start(7);
     let error = bind(service.at).unwrap_err().to_string();
     assert!(error.contains(&service.at.to_string()) && error.contains("`ss -ulpn`"), "{error}");
@@ -126,25 +127,25 @@ fn a_port_that_is_taken_says_so() {
 }
 
 #[test]
-fn a_trigger_that_found_no_place_acts_when_it_is_repeated() {
+fn a_trigger_that_did_not_fit_acts_when_it_is_repeated() {
     let service = Service::start(7);
     let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
     let numbered =
         |packet: u64| format!("<CaptureStart><PacketID VALUE='{packet}'/></CaptureStart>");
-    // Without a number it is known by its bytes.
+    // Without a number it is identified by its bytes.
     let unnumbered = "<CaptureStop RESULT='SUCCESS'/>".to_owned();
     for late in [numbered(100), unnumbered] {
-        // No one takes them out: places are used up, and the next one is refused.
+        // The queue is not emptied, so it fills up and the next one is refused.
         for packet in 0..DUE_EACH_MAX as u64 {
             let packet = packet + 10 * late.len() as u64;
             sender.send_to(numbered(packet).as_bytes(), service.at).unwrap();
         }
         sender.send_to(late.as_bytes(), service.at).unwrap();
-        service.said.recv_timeout(GIVE_UP).unwrap();
+        service.reports.recv_timeout(GIVE_UP).unwrap();
         for _ in 0..DUE_EACH_MAX {
             service.next();
         }
-        // The sender repeats it, twice: one acts.
+        // The sender repeats it twice: one of them acts.
         for _ in 0..2 {
             sender.send_to(late.as_bytes(), service.at).unwrap();
         }

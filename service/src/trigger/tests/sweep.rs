@@ -1,8 +1,8 @@
-//! Damaged datagrams: none ends the process, and whatever is understood is bounded and no path.
+//! Damaged datagrams: none ends the process, and every parsed result is bounded and never a path.
 
 use super::*;
 
-/// Any number that is as good as any, and always the same.
+/// Reproducible pseudo-random numbers.
 struct Noise(u64);
 
 impl Noise {
@@ -76,7 +76,7 @@ fn check(datagram: &[u8]) -> bool {
                     "{name}"
                 );
                 assert!(!name.contains(char::is_control), "{name:?}");
-                // Once is enough.
+                // Normalising a name again changes nothing.
                 let again = TakeName::of(name).unwrap();
                 assert_eq!((again.text(), again.was_changed()), (name, false));
             }
@@ -86,8 +86,8 @@ fn check(datagram: &[u8]) -> bool {
             true
         }
         Err(refusal) => {
-            let words = refusal.to_string();
-            assert!(words.len() < 500 && !words.contains(char::is_control), "{words:?}");
+            let message = refusal.to_string();
+            assert!(message.len() < 500 && !message.contains(char::is_control), "{message:?}");
             false
         }
     }

@@ -1,4 +1,4 @@
-//! The device that the options ask for.
+//! Builds the device from the options.
 
 use std::sync::Arc;
 
@@ -8,59 +8,58 @@ use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
 use mocapd_take::motion::Motion;
 
-use super::{ServeArgs, Spoken, Wire, say};
+use super::{DeviceProtocol, ServeArgs, WireFormat, log_line};
 use crate::cli::Failure;
 
-/// The device, and what it is in words.
+/// The device, and its description.
 pub(super) fn device(
     args: &ServeArgs,
     motion: Motion,
     script: Option<Arc<Script>>,
 ) -> Result<(Box<dyn LineDevice>, String), Failure> {
-    let usage = |words: &str| Err(Failure::usage(anyhow::anyhow!("{words}")));
+    let usage = |message: &str| Err(Failure::usage(anyhow::anyhow!("{message}")));
     let n_markers = motion.info.markers.len();
-    let device: (Box<dyn LineDevice>, u32) = match args.protocol {
-        Spoken::Dvmc if !args.tool.is_empty() || args.no_bx2 => {
-            return usage("--tool and --no-bx2 are for NDI systems: add --protocol ndi");
+    let (device, rate_millihertz): (Box<dyn LineDevice>, u32) = match args.protocol {
+        DeviceProtocol::Dvmc if !args.tool.is_empty() || args.no_bx2 => {
+            return usage("--tool and --no-bx2 need an NDI system: add --protocol ndi");
         }
-        Spoken::Ndi if args.wire.is_some() => {
-            return usage("--wire is for the link protocol: an NDI system sends f32");
+        DeviceProtocol::Ndi if args.wire.is_some() => {
+            return usage("--wire applies to the link protocol only: an NDI system sends f32");
         }
-        Spoken::Ndi if script.is_some() => {
-            return usage("--faults is for the link protocol: an NDI system has none here");
+        DeviceProtocol::Ndi if script.is_some() => {
+            return usage("--faults applies to the link protocol only: remove --protocol ndi");
         }
-        Spoken::Dvmc => {
+        DeviceProtocol::Dvmc => {
             let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
-            device.warnings().iter().for_each(|warning| say(warning));
-            let rate_mhz = device.hello().rate_mhz;
+            device.warnings().iter().for_each(|warning| log_line(warning));
+            let rate_millihertz = device.hello().rate_millihertz;
             match script {
-                Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_mhz),
-                None => (Box::new(device), rate_mhz),
+                Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_millihertz),
+                None => (Box::new(device), rate_millihertz),
             }
         }
-        Spoken::Ndi if args.drift_ppm != 0.0 => {
+        DeviceProtocol::Ndi if args.drift_ppm != 0.0 => {
             return usage(
-                "--drift-ppm is for the link protocol: an NDI system here keeps the host's time",
+                "--drift-ppm needs the link protocol: the NDI system keeps the host's time",
             );
         }
-        Spoken::Ndi => {
+        DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
-            device.warnings().iter().for_each(|warning| say(warning));
-            let rate_mhz = device.rate_mhz();
-            (Box::new(device), rate_mhz)
+            device.warnings().iter().for_each(|warning| log_line(warning));
+            let rate_millihertz = device.rate_millihertz();
+            (Box::new(device), rate_millihertz)
         }
     };
-    let (device, rate_mhz) = device;
-    let hz = f64::from(rate_mhz) / 1000.0;
-    Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C ends")))
+    let hz = f64::from(rate_millihertz) / 1000.0;
+    Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C to stop")))
 }
 
 fn settings(args: &ServeArgs) -> DeviceSettings {
     let form = match (args.wire, args.baud) {
-        (Some(Wire::F32), _) | (None, None) => FrameForm::Float,
-        (Some(Wire::Um), _) => FrameForm::Micrometres,
-        (Some(Wire::Compact), _) | (None, Some(_)) => FrameForm::Compact,
+        (Some(WireFormat::F32), _) | (None, None) => FrameForm::Float,
+        (Some(WireFormat::Um), _) => FrameForm::Micrometres,
+        (Some(WireFormat::Compact), _) | (None, Some(_)) => FrameForm::Compact,
     };
     DeviceSettings {
         serial: args.serial.clone(),
@@ -95,7 +94,7 @@ fn ndi_refused(error: NdiError) -> Failure {
     }
 }
 
-/// A value of the command line is a usage error, the content of a file is not.
+/// A bad value on the command line is a usage error; bad content of a file is not.
 fn refused(error: DeviceError) -> Failure {
     match error {
         DeviceError::Rate { .. }

@@ -1,4 +1,4 @@
-//! What the device plays: a motion, and what goes wrong with it; or a raw log.
+//! Reads what the device plays: a motion and a fault script, or a raw log.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -10,17 +10,17 @@ use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
-use mocapd_simulator::logged::{LogDevice, LogDeviceError};
+use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
-use super::{ServeArgs, Spoken, say};
+use super::{DeviceProtocol, ServeArgs, log_line};
 use crate::cli::Failure;
 
-/// The rate of a generated motion when none is given: the commonest of optical rigs.
+/// Default rate of a generated motion: the most common one of optical systems.
 const GENERATED_RATE_HZ: f64 = 120.0;
 
-/// Mean length of generated gaps, seconds: a limb that passes in front of a marker.
+/// Mean length of generated gaps, seconds: the time that a limb takes to pass in front of a marker.
 const MEAN_GAP_S: f64 = 0.2;
 
 pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
@@ -35,11 +35,11 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     }
     let path = args.take.as_deref().unwrap_or(Path::new(""));
     let (mut motion, warnings) = source::read(path).map_err(|error| match error {
-        SourceError::Ending { .. } => Failure::usage(error),
+        SourceError::Extension { .. } => Failure::usage(error),
         _ => Failure::from(error),
     })?;
     for warning in warnings {
-        say(&format!("{}: {warning}", path.display()));
+        log_line(&format!("{}: {warning}", path.display()));
     }
     if let Some(seconds) = args.seconds {
         source::keep_first(&mut motion, seconds);
@@ -47,38 +47,38 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     Ok(motion)
 }
 
-/// What goes wrong.
+/// Reads the fault script, if there is one.
 pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     let Some(path) = &args.faults else { return Ok(None) };
     let cannot_read = || format!("cannot read {}", path.display());
     let file = plain_file::open(path).with_context(cannot_read)?;
     let mut text = String::new();
-    // One byte more shows that it is too long.
+    // One byte more than allowed, to detect a file that is too long.
     let at_most = SCRIPT_BYTES_MAX as u64 + 1;
     file.take(at_most).read_to_string(&mut text).with_context(cannot_read)?;
     let name = path.display().to_string();
     let script = Script::parse(&name, &text).map_err(Failure::usage)?;
-    if script.unplugs() && !args.line.has_lasting_name() {
-        let words = "a script that unplugs the device needs a name that lasts: give --pty=LINK";
-        return Err(Failure::usage(anyhow::anyhow!("{}: {words}", path.display())));
+    if script.unplugs() && !args.line.has_stable_name() {
+        let message = "the script unplugs the device, which needs a stable name: use --pty=LINK";
+        return Err(Failure::usage(anyhow::anyhow!("{}: {message}", path.display())));
     }
     Ok(Some(Arc::new(script)))
 }
 
-/// Bytes of a log: hours of a serial line, minutes of the fastest. It is held in memory.
+/// Most bytes in a raw log, which is held in memory: hours of a serial line, minutes of the fastest.
 const LOG_BYTES_MAX: u64 = 1 << 30;
 
-/// So many bytes of a log's first eight are no accident.
-const HEAD_ALIKE: usize = 4;
+/// A file that matches this many of a raw log's first eight bytes is taken for a damaged log.
+const MAGIC_BYTES_ALIKE: usize = 4;
 
-/// The file, when it is a log.
+/// Reads the file if it is a raw log; `None` if it is something else.
 pub(super) fn log(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
     let Some(path) = &args.take else { return Ok(None) };
     let mut file = match plain_file::open(path) {
         Ok(file) => file,
         Err(error) => match NotAFile::why(&error) {
             Some(what) => return Err(anyhow::anyhow!("{} is {what}", path.display()).into()),
-            // What cannot be read is told with what it should have been.
+            // Reading it as a motion will report the error.
             None => return Ok(None),
         },
     };
@@ -86,42 +86,39 @@ pub(super) fn log(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
     let mut head = Vec::new();
     file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut head).with_context(cannot_read)?;
     if head != MAGIC {
-        return if is_motion(path) { Ok(None) } else { Err(is_nothing(path, &head)) };
+        return if is_motion(path) { Ok(None) } else { Err(unknown_file(path, &head)) };
     }
-    refuse_what_is_for_motions(args, path)?;
+    refuse_motion_options(args, path)?;
     file.seek(SeekFrom::Start(0)).with_context(cannot_read)?;
     let mut log = Vec::new();
     file.take(LOG_BYTES_MAX + 1).read_to_end(&mut log).with_context(cannot_read)?;
     if log.len() as u64 > LOG_BYTES_MAX {
-        return Err(
-            anyhow::anyhow!("{}: a log of more than 1 GiB is too long", path.display()).into()
-        );
+        return Err(anyhow::anyhow!("{}: the log is longer than 1 GiB", path.display()).into());
     }
     Ok(Some(log))
 }
 
-/// Why a file that has no motion's ending is no log either, and what it may have been.
-fn is_nothing(path: &Path, head: &[u8]) -> Failure {
+/// The error for a file that is neither a motion nor a raw log, with a guess at what it was.
+fn unknown_file(path: &Path, head: &[u8]) -> Failure {
     let path = path.display();
-    let of_a_log = head.iter().zip(&MAGIC).filter(|(found, wanted)| found == wanted).count();
+    let n_alike = head.iter().zip(&MAGIC).filter(|(found, expected)| found == expected).count();
     match head.len() {
-        0 => anyhow::anyhow!("{path} is empty: neither a motion nor a log of `mocapd record --raw`").into(),
-        n if n < MAGIC.len() && of_a_log == n => {
-            anyhow::anyhow!("{path} is a raw log that is cut off in its first bytes: there is nothing to replay").into()
+        0 => anyhow::anyhow!("{path} is empty: expected a motion or a log of `mocapd record --raw`").into(),
+        n if n < MAGIC.len() && n_alike == n => {
+            anyhow::anyhow!("{path} is a raw log cut off in its first bytes: there is nothing to replay").into()
         }
-        _ if of_a_log >= HEAD_ALIKE => anyhow::anyhow!(
-            "{path} begins nearly as a raw log does: its first {} bytes are damaged, or were sent as text",
+        _ if n_alike >= MAGIC_BYTES_ALIKE => anyhow::anyhow!(
+            "{path} looks like a raw log, but its first {} bytes are damaged; was it transferred as text?",
             MAGIC.len()
         )
         .into(),
         _ => Failure::usage(anyhow::anyhow!(
-            "{path}: unknown ending, expected .take, .c3d, .trc, .tsv or .csv, and it does not begin as a log of \
-             `mocapd record --raw`"
+            "{path}: expected a motion (.take, .c3d, .trc, .tsv or .csv) or a log of `mocapd record --raw`"
         )),
     }
 }
 
-fn refuse_what_is_for_motions(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
+fn refuse_motion_options(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
     let given = [
         ("--rate", args.rate.is_some()),
         ("--seconds", args.seconds.is_some()),
@@ -130,20 +127,20 @@ fn refuse_what_is_for_motions(args: &ServeArgs, path: &Path) -> Result<(), Failu
         ("--faults", args.faults.is_some()),
         ("--log", args.log.is_some()),
         ("--drift-ppm", args.drift_ppm != 0.0),
-        ("--protocol", args.protocol != Spoken::Dvmc),
+        ("--protocol", args.protocol != DeviceProtocol::Dvmc),
         ("--tool", !args.tool.is_empty()),
         ("--no-bx2", args.no_bx2),
     ];
     match given.iter().find(|(_, given)| *given) {
         Some((option, _)) => Err(Failure::usage(anyhow::anyhow!(
-            "{option} is for motions: {} is a raw log, and is sent as it is",
+            "{option} applies to motions only: {} is a raw log, which is replayed unchanged",
             path.display()
         ))),
         None => Ok(()),
     }
 }
 
-/// The device that a log is of, and what it is in words.
+/// The device that replays a log, and its description.
 pub(super) fn log_device(
     args: &ServeArgs,
     log: &[u8],
@@ -154,10 +151,11 @@ pub(super) fn log_device(
         LogDeviceError::Driver { .. } => Failure::usage(anyhow::anyhow!("{name}: {error}")),
         _ => anyhow::anyhow!("{name}: {error}").into(),
     })?;
-    if device.unplugs() && !args.line.has_lasting_name() {
-        let words = "the cable is pulled in this log, and the device needs a name that lasts: give --pty=LINK";
-        return Err(Failure::usage(anyhow::anyhow!("{words}")));
+    if device.unplugs() && !args.line.has_stable_name() {
+        let message =
+            "the cable is pulled in this log, so the device needs a stable name: use --pty=LINK";
+        return Err(Failure::usage(anyhow::anyhow!("{name}: {message}")));
     }
-    device.problems().iter().for_each(|problem| say(&problem.to_string()));
-    Ok((Box::new(device), "a raw log, Ctrl-C ends".to_owned()))
+    device.problems().iter().for_each(|problem| log_line(&problem.to_string()));
+    Ok((Box::new(device), "replaying a raw log, Ctrl-C to stop".to_owned()))
 }

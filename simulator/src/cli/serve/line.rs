@@ -1,4 +1,4 @@
-//! The line that a device is served on, by the options.
+//! The options for the line, and opening it.
 
 use std::path::PathBuf;
 
@@ -8,30 +8,30 @@ use mocapd_simulator::pty::{PtyError, PtyLine};
 
 use crate::cli::Failure;
 
-/// What the device is connected by.
+/// The line between device and host.
 #[derive(Debug, Args)]
 pub(super) struct LineArgs {
-    /// Serve on a pty; with LINK, a stable symbolic link to it.
+    /// Serve on a pty; with LINK, create a symbolic link to it as its stable name.
     #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required_unless_present_any = ["usb_gadget", "usb_serial"])]
     pty: Option<Option<PathBuf>>,
-    /// Be a USB device with a bulk pair, on a machine that has a USB device controller; needs root.
+    /// Act as a USB device with bulk endpoints; needs root and a USB device controller.
     #[arg(long, conflicts_with_all = ["pty", "baud"])]
     usb_gadget: bool,
-    /// Be a USB serial port (CDC-ACM), on a machine that has a USB device controller; needs root.
+    /// Act as a USB serial port (CDC-ACM); needs root and a USB device controller.
     #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
     usb_serial: bool,
-    /// The USB device controller, as /sys/class/udc names it; by default the first that is free.
+    /// Name of the USB device controller in /sys/class/udc; by default the first free one.
     #[arg(long, value_name = "NAME", conflicts_with = "pty")]
     udc: Option<String>,
 }
 
 impl LineArgs {
-    /// Whether a host finds the device again when its cable was pulled and put in.
-    pub(super) fn has_lasting_name(&self) -> bool {
+    /// Whether a host finds the device again after its cable was pulled and plugged in.
+    pub(super) fn has_stable_name(&self) -> bool {
         matches!(self.pty, Some(Some(_)))
     }
 
-    /// The line, and what a host calls it.
+    /// Opens the line; returns it with the path or URI that a host opens.
     pub(super) fn open(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
         if self.usb_gadget || self.usb_serial {
             return self.plug_in(serial);
@@ -59,7 +59,7 @@ impl LineArgs {
 
     #[cfg(not(target_os = "linux"))]
     fn plug_in(&self, _serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
-        Err(anyhow::anyhow!("USB gadgets are Linux's: use --pty here").into())
+        Err(anyhow::anyhow!("USB gadgets need Linux: use --pty").into())
     }
 }
 

@@ -1,4 +1,4 @@
-//! Ctrl-C, and a second one.
+//! Stops the program on Ctrl-C or SIGTERM, and ends it at once on a second signal.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,14 +11,13 @@ use signal_hook::iterator::Signals;
 
 use crate::cli::Failure;
 
-/// `timeout` and service managers signal a process and its group, which is the same signal twice: one that comes so soon
-/// is no second wish.
+/// Signals within this time count as one: `timeout` and service managers signal a process and then its group.
 const SAME_WITHIN: Duration = Duration::from_millis(500);
 
-/// Exit code of a program that was ended at once: 128 and the number of Ctrl-C, as shells have it.
+/// Exit code after a second signal: 128 plus the number of SIGINT, as in shells.
 const ENDED_AT_ONCE: i32 = 130;
 
-/// Set by the first signal that ends programs. A later one ends this one at once, should the first not.
+/// Returns a flag that the first termination signal sets. A later signal ends the program at once, in case it hangs.
 pub(super) fn on_signal() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in TERM_SIGNALS {

@@ -1,4 +1,4 @@
-//! What arrives, and when.
+//! Which frames arrive, and when.
 
 use super::*;
 
@@ -7,13 +7,13 @@ fn every_frame_arrives_in_order_bit_for_bit() {
     let motion = jump(3.0);
     let settings = DeviceSettings { log_frames: true, ..DeviceSettings::default() };
     let mut bench = Bench::new(motion.clone(), settings);
-    bench.say(Command::Identify);
+    bench.send(Command::Identify);
     bench.pass(700 * MS, true);
-    let Heard::Hello(hello) = &bench.heard[0] else { panic!("{:?}", bench.heard) };
-    assert_eq!((hello.rate_mhz, hello.n_frames, hello.up_axis), (100_000, 300, 3));
-    assert_eq!(bench.heard[1], Heard::Markers(15));
-    assert_eq!(bench.heard.len(), 2, "frames before Start");
-    bench.say(start());
+    let Event::Hello(hello) = &bench.events[0] else { panic!("{:?}", bench.events) };
+    assert_eq!((hello.rate_millihertz, hello.n_frames, hello.up_axis), (100_000, 300, 3));
+    assert_eq!(bench.events[1], Event::Markers(15));
+    assert_eq!(bench.events.len(), 2, "frames before Start");
+    bench.send(start());
     bench.pass(10_000 * MS, true);
     let frames = bench.frames();
     assert_eq!(frames.len(), 300);
@@ -26,22 +26,22 @@ fn every_frame_arrives_in_order_bit_for_bit() {
     let all = Status { frames_produced: 300, frames_dropped: 0, temperature_c_100: i16::MIN };
     assert_eq!(bench.ends(), [all]);
     // Frames go on for 2.99 s: a Status after each whole second, produced as counted by then.
-    let statuses: Vec<_> = bench.heard.iter().filter(|h| matches!(h, Heard::Status(_))).collect();
+    let statuses: Vec<_> = bench.events.iter().filter(|h| matches!(h, Event::Status(_))).collect();
     assert_eq!(statuses.len(), 2, "{statuses:?}");
     let log = bench.device.log();
     let present = motion.positions_mm.iter().filter(|p| !is_gap(**p)).count() as u64;
     assert_eq!((log.total.samples, log.total.samples_occluded), (present, 300 * 15 - present));
     assert_eq!((log.frames_sent, log.frames.len()), (300, 300));
     assert!(log.frames.iter().all(|f| !f.dropped && f.run == 1));
-    bench.assert_books_close();
+    bench.assert_counts_add_up();
 }
 
 #[test]
-fn a_host_that_does_not_read_loses_whole_frames_and_is_told() {
+fn a_host_that_does_not_read_loses_whole_frames_and_gets_their_number() {
     let settings =
         DeviceSettings { queue_bytes: Some(10_000), log_frames: true, ..Default::default() };
     let mut bench = Bench::new(jump(3.0), settings);
-    bench.say(start());
+    bench.send(start());
     bench.pass(1_000 * MS, false);
     assert!(bench.device.pending().len() <= 10_000);
     bench.pass(10_000 * MS, true);
@@ -55,7 +55,7 @@ fn a_host_that_does_not_read_loses_whole_frames_and_is_told() {
     let sent: Vec<u32> = log.frames.iter().filter(|f| !f.dropped).map(|f| f.seq).collect();
     assert_eq!(frames.iter().map(|f| f.0).collect::<Vec<_>>(), sent);
     assert_eq!(frames.last().unwrap().0, 299);
-    bench.assert_books_close();
+    bench.assert_counts_add_up();
 }
 
 #[test]
@@ -63,8 +63,8 @@ fn speed_multiplies_the_rate_and_keeps_the_frames() {
     let motion = jump(2.0);
     let settings = DeviceSettings { speed: 10.0, ..DeviceSettings::default() };
     let mut bench = Bench::new(motion.clone(), settings);
-    assert_eq!(bench.device.hello().rate_mhz, 1_000_000);
-    bench.say(start());
+    assert_eq!(bench.device.hello().rate_millihertz, 1_000_000);
+    bench.send(start());
     bench.pass(198 * MS, true);
     assert!(bench.ends().is_empty());
     bench.pass(2 * MS, true);
@@ -72,10 +72,10 @@ fn speed_multiplies_the_rate_and_keeps_the_frames() {
     assert_eq!((frames.len(), bench.ends().len()), (200, 1));
     assert_eq!(frames[199].1 - frames[0].1, 1_990_000);
     assert!((0..200).all(|k| row_of(&frames[k].2) == expected(&motion, k)));
-    // An odd speed still plays the recorded frames, not ones between them.
+    // An odd speed still plays the recorded frames, not interpolated ones.
     let settings = DeviceSettings { speed: 1.0 / 3.0, ..DeviceSettings::default() };
     let mut bench = Bench::new(motion.clone(), settings);
-    bench.say(start());
+    bench.send(start());
     bench.pass(20_000 * MS, true);
     let frames = bench.frames();
     assert!((0..200).all(|k| row_of(&frames[k].2) == expected(&motion, k)));
@@ -87,7 +87,7 @@ fn a_loop_never_ends() {
     let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
     let mut bench = Bench::new(motion.clone(), settings);
     assert_eq!(bench.device.hello().n_frames, 0);
-    bench.say(start());
+    bench.send(start());
     bench.pass(995 * MS, true);
     let frames = bench.frames();
     assert_eq!(frames.len(), 100);
@@ -99,13 +99,13 @@ fn a_loop_never_ends() {
 }
 
 #[test]
-fn unlabelled_markers_are_listed_only_while_seen() {
+fn unlabelled_markers_are_listed_only_while_visible() {
     let mut motion = jump(1.0);
     motion.info.markers[3].labelled = false;
     motion.info.markers[4].label = "a\nb".to_owned();
     let mut bench = Bench::new(motion.clone(), DeviceSettings::default());
     assert_eq!(bench.device.warnings().len(), 1);
-    bench.say(start());
+    bench.send(start());
     bench.pass(2_000 * MS, true);
     let mut vanished = 0;
     for (k, (_, _, samples)) in bench.frames().iter().enumerate() {
@@ -122,7 +122,7 @@ fn compact_frames_are_within_half_a_micrometre() {
     let motion = jump(1.0);
     let settings = DeviceSettings { form: FrameForm::Compact, ..DeviceSettings::default() };
     let mut bench = Bench::new(motion.clone(), settings);
-    bench.say(start());
+    bench.send(start());
     bench.pass(2_000 * MS, true);
     for (k, (_, _, samples)) in bench.frames().iter().enumerate() {
         for (sample, truth) in samples.iter().zip(motion.frame(k)).filter(|(s, _)| !s.occluded) {

@@ -1,5 +1,5 @@
+mod commands;
 mod frames;
-mod talk;
 
 use mocapd_drivers::device::{DeviceEvent, LinkBudget, Pong, Protocol};
 use mocapd_drivers::link::{FrameForm, HostLink};
@@ -10,9 +10,9 @@ use crate::generator::{JumpSpec, Occlusion};
 
 const MS: u64 = 1_000_000;
 
-/// What a host heard, in order.
+/// A message that the host received.
 #[derive(Debug, Clone, PartialEq)]
-enum Heard {
+enum Event {
     Hello(Hello),
     Markers(usize),
     Frame { seq: u32, ticks: u64, samples: Vec<MarkerSample> },
@@ -24,57 +24,57 @@ enum Heard {
     End(Status),
 }
 
-/// A device and a host with a clock of their own.
+/// A device and a host in virtual time.
 struct Bench {
     device: Device,
     host: HostLink,
     now_ns: u64,
-    heard: Vec<Heard>,
+    events: Vec<Event>,
 }
 
 impl Bench {
     fn new(motion: Motion, settings: DeviceSettings) -> Self {
         let device = Device::new(motion, settings).unwrap();
-        Self { device, host: HostLink::new(), now_ns: 5_000_000_123, heard: Vec::new() }
+        Self { device, host: HostLink::new(), now_ns: 5_000_000_123, events: Vec::new() }
     }
 
-    fn say(&mut self, command: Command) {
+    fn send(&mut self, command: Command) {
         let mut bytes = Vec::new();
         self.host.command(command, &mut bytes);
-        // In pieces, as lines do.
+        // In pieces, as lines deliver it.
         for piece in bytes.chunks(3) {
             self.device.on_bytes(piece, self.now_ns);
         }
     }
 
-    /// The host reads all that waits.
+    /// The host reads all pending bytes.
     fn read(&mut self) {
         let bytes = self.device.pending().to_vec();
         self.device.sent(bytes.len());
-        let heard = &mut self.heard;
+        let events = &mut self.events;
         self.host.push(&bytes, &mut |event| {
-            heard.push(match event {
-                DeviceEvent::Hello(hello) => Heard::Hello(hello.clone()),
-                DeviceEvent::Markers(markers) => Heard::Markers(markers.len()),
-                DeviceEvent::Frame(frame) => Heard::Frame {
+            events.push(match event {
+                DeviceEvent::Hello(hello) => Event::Hello(hello.clone()),
+                DeviceEvent::Markers(markers) => Event::Markers(markers.len()),
+                DeviceEvent::Frame(frame) => Event::Frame {
                     seq: frame.seq,
                     ticks: frame.device_ticks,
                     samples: frame.markers.to_vec(),
                 },
-                DeviceEvent::Status(status) => Heard::Status(status),
-                DeviceEvent::Pong(pong) => Heard::Pong(pong),
-                DeviceEvent::Started(budget) => Heard::Started(budget),
-                DeviceEvent::Refused(budget) => Heard::Refused(budget),
-                DeviceEvent::RateSet(rate) => Heard::RateSet(rate),
-                DeviceEvent::Note(words) => panic!("the link protocol has no notes: {words}"),
-                DeviceEvent::EndOfStream(status) => Heard::End(status),
-                DeviceEvent::Trigger(_) => panic!("no trigger was pulled"),
+                DeviceEvent::Status(status) => Event::Status(status),
+                DeviceEvent::Pong(pong) => Event::Pong(pong),
+                DeviceEvent::Started(budget) => Event::Started(budget),
+                DeviceEvent::Refused(budget) => Event::Refused(budget),
+                DeviceEvent::RateSet(rate) => Event::RateSet(rate),
+                DeviceEvent::Note(note) => panic!("the link protocol has no notes: {note}"),
+                DeviceEvent::EndOfStream(status) => Event::End(status),
+                DeviceEvent::Trigger(_) => panic!("no trigger was sent"),
             });
         });
         assert_eq!(self.host.counters().bytes_skipped, 0);
     }
 
-    /// So much time passes; the device wakes when it asked to.
+    /// Advances the time; the device is polled whenever it asked to be.
     fn pass(&mut self, ns: u64, reading: bool) {
         let end_ns = self.now_ns + ns;
         loop {
@@ -91,21 +91,21 @@ impl Bench {
     }
 
     fn frames(&self) -> Vec<(u32, u64, Vec<MarkerSample>)> {
-        self.heard
+        self.events
             .iter()
-            .filter_map(|heard| match heard {
-                Heard::Frame { seq, ticks, samples } => Some((*seq, *ticks, samples.clone())),
+            .filter_map(|event| match event {
+                Event::Frame { seq, ticks, samples } => Some((*seq, *ticks, samples.clone())),
                 _ => None,
             })
             .collect()
     }
 
     fn ends(&self) -> Vec<Status> {
-        let end = |heard: &Heard| if let Heard::End(status) = heard { Some(*status) } else { None };
-        self.heard.iter().filter_map(end).collect()
+        let end = |event: &Event| if let Event::End(status) = event { Some(*status) } else { None };
+        self.events.iter().filter_map(end).collect()
     }
 
-    fn assert_books_close(&self) {
+    fn assert_counts_add_up(&self) {
         let log = self.device.log();
         let accounted =
             log.frames_sent + log.frames_waiting + log.frames_discarded + log.total.frames_dropped;

@@ -1,10 +1,10 @@
-//! Meshes with known joints: what of them is found, and what the constants are learned from.
+//! Meshes with known joints: what is found on them, and the statistics that constants are learned from.
 //!
 //! `MOCAPD_BODIES=FOLDER cargo run --release -p mocapd-body --example bodies` prints a row for each mesh below the
-//! folder: the ends, the time and its ratio to one run of Dijkstra along edges. With `ratios` behind it, the means and
-//! standard deviations of the ratios between ends of the two average shapes: what `extremity/naming.rs` holds. With
-//! `paper`, how far the method of (Yu et al. 2008) comes as it is printed. A part of a path behind `ends` or `paper`
-//! leaves all other meshes out.
+//! folder: the extremities, the time, and its ratio to one run of Dijkstra's algorithm along edges. The argument
+//! `ratios` adds means and standard deviations of the ratios between extremities of the two average shapes, which are
+//! the constants of `extremity/naming.rs`. The argument `paper` adds the results of the method of (Yu et al. 2008) as
+//! printed. A part of a path, alone or after these, restricts the meshes.
 
 mod paper;
 mod ratios;

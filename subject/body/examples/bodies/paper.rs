@@ -1,4 +1,4 @@
-//! How far the paper's method comes: its own ends, and its joints when the ends are given to it.
+//! Results of the paper's method: its own extremities, and its joints when the extremities are given.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -11,7 +11,8 @@ use mocapd_body::paper::joints;
 use crate::read;
 use crate::score::{self, Limit};
 
-/// Prints on how many meshes the paper's own ends are right, and the errors of its joints in per cent of stature.
+/// Prints on how many meshes the paper's own extremities are right, and the errors of its joints in per cent of
+/// stature.
 pub(crate) fn print(
     meshes: &[PathBuf],
     filter: &str,

@@ -1,4 +1,4 @@
-//! What the ratios between the ends of a body are.
+//! Statistics of the ratios between the extremities of a body.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -9,8 +9,8 @@ use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
 use crate::read;
 use crate::score::{self, Limit};
 
-/// Prints mean and standard deviation of each measure over the two average shapes, from the meshes whose ends are named
-/// rightly, and how many are not.
+/// Prints mean and standard deviation of each measure over the meshes of the two average shapes whose extremities are
+/// named correctly, and the number of the others.
 pub(crate) fn print(
     meshes: &[PathBuf],
     out: &mut impl Write,

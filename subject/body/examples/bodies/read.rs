@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use mocapd_body::Mesh;
 use serde::Deserialize;
 
-/// What is known of a mesh.
+/// The ground truth of a mesh.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Truth {
     pub(crate) name: String,
@@ -15,7 +15,7 @@ pub(crate) struct Truth {
     pub(crate) joints: Option<BTreeMap<String, [f64; 3]>>,
 }
 
-/// Every mesh below `folder`, in the order of their names.
+/// All meshes below `folder`, sorted by name.
 pub(crate) fn all(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder)? {
@@ -30,19 +30,19 @@ pub(crate) fn all(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The mesh at `path`, and what the file beside it says.
+/// The mesh at `path`, and the ground truth in the file beside it.
 pub(crate) fn body(path: &Path) -> Result<(Mesh, Truth), Box<dyn std::error::Error>> {
     let truth = serde_json::from_str(&fs::read_to_string(path.with_extension("json"))?)?;
     let mut mesh = Mesh::default();
     for line in fs::read_to_string(path)?.lines() {
-        let mut words = line.split_whitespace();
-        let kind = words.next();
+        let mut tokens = line.split_whitespace();
+        let kind = tokens.next();
         if kind == Some("v") {
-            let mut next = || words.next().unwrap_or_default().parse::<f64>();
+            let mut next = || tokens.next().unwrap_or_default().parse::<f64>();
             mesh.positions.push([next()?, next()?, next()?]);
         } else if kind == Some("f") {
             let corners =
-                words.map(|word| word.split('/').next().unwrap_or_default().parse::<u32>());
+                tokens.map(|token| token.split('/').next().unwrap_or_default().parse::<u32>());
             let corners = corners.collect::<Result<Vec<_>, _>>()?;
             for at in 2..corners.len() {
                 mesh.triangles.push([corners[0] - 1, corners[at - 1] - 1, corners[at] - 1]);

@@ -1,21 +1,22 @@
-//! Whether an end is what it is named, and how far joints are from where they should be.
+//! Whether extremities are named correctly, and the errors of joints.
 
 use mocapd_body::extremity::Extremities;
 use mocapd_body::{Joint, Joints, Mesh, Side};
 
 use crate::read::Truth;
 
-/// A joint at the end of a limb lies within this part of the stature of the end.
+/// Largest distance of an extremity from the joint at its end, in parts of the stature.
 const NEAR_MAX: f64 = 0.12;
-/// The same where only a joint farther up is known: the wrist is a hand away, the ankle a foot, the neck a head.
+/// The same if only a joint farther up is known: the wrist is a hand's length away, the ankle a foot's, the neck a
+/// head's.
 const FARTHER_MAX: f64 = 0.16;
-/// The same for a neck of which nothing above is known.
+/// The same for the neck if no joint above it is known.
 const NECK_MAX: f64 = 0.25;
 
-/// What is known of the ends of a body: each kind with the joint at its end, and one farther up that may stand for it.
+/// Known joints by kind of extremity: the joint at its end, and one farther up as a substitute.
 const KINDS: [[&str; 2]; 3] = [["head_top", "head"], ["mcp3", "wrist"], ["toe", "ankle"]];
 
-/// How near an end must be to what is known of it.
+/// Strictness of the test for an extremity.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Limit {
     /// 12 % of stature for a joint at the end of its limb, 16 % for one farther up.
@@ -24,7 +25,7 @@ pub(crate) enum Limit {
     Strict,
 }
 
-/// Whether every end is of its kind, and the ends of a pair on two sides. None if nothing is known of the mesh.
+/// Whether every extremity is of its kind, and those of a pair are on two sides. None if nothing is known of the mesh.
 pub(crate) fn right(mesh: &Mesh, truth: &Truth, ends: &Extremities, limit: Limit) -> Option<bool> {
     truth.joints.as_ref()?;
     let at = |vertex: u32| mesh.positions[vertex as usize];
@@ -50,8 +51,8 @@ fn near(truth: &Truth, kind: usize, side: &str, end: [f64; 3], limit: Limit) -> 
         || (only_neck && within("neck", if strict { NEAR_MAX } else { NECK_MAX }))
 }
 
-/// The distance of each joint to the true one in the mesh's unit, with its name; the sides of arms and of legs taken in
-/// the way that fits better.
+/// The error of each joint in the mesh's unit, with its name; the sides of arms and of legs are assigned in the way
+/// that fits better.
 pub(crate) fn apart(found: &Joints, truth: &Truth) -> Vec<(&'static str, f64)> {
     type Pair = (&'static str, fn(Side) -> Joint);
     let arm: [Pair; 3] =
@@ -65,7 +66,7 @@ pub(crate) fn apart(found: &Joints, truth: &Truth) -> Vec<(&'static str, f64)> {
     };
     let mut all: Vec<_> = single.into_iter().filter_map(pair).collect();
     for limb in [arm, leg] {
-        let ways = [["L", "R"], ["R", "L"]].map(|sides| {
+        let assignments = [["L", "R"], ["R", "L"]].map(|sides| {
             let mut errors = Vec::new();
             for (name, joint) in limb {
                 for (side, letter) in [Side::Left, Side::Right].into_iter().zip(sides) {
@@ -77,7 +78,7 @@ pub(crate) fn apart(found: &Joints, truth: &Truth) -> Vec<(&'static str, f64)> {
             errors
         });
         let sum = |errors: &[(&str, f64)]| errors.iter().map(|(_, error)| error).sum::<f64>();
-        let [one, other] = ways;
+        let [one, other] = assignments;
         all.extend(if sum(&one) <= sum(&other) { one } else { other });
     }
     all

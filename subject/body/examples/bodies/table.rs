@@ -1,4 +1,4 @@
-//! A row for each mesh.
+//! One row for each mesh.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use mocapd_body::geodesic::{Adjacency, Graph, Workspace, distances};
 use crate::read;
 use crate::score::{self, Limit};
 
-/// So many runs; the fastest counts, since other work on the machine only ever adds.
+/// Number of runs. The fastest counts, since other work on the machine only ever adds time.
 const RUN_COUNT: usize = 5;
 
 pub(crate) fn print(
@@ -42,20 +42,20 @@ pub(crate) fn print(
         match ends {
             Ok(ends) => {
                 let score = |limit| score::right(&mesh, &truth, &ends.extremities, limit);
-                let verdict = match (score(Limit::ByJoint), score(Limit::Strict)) {
+                let outcome = match (score(Limit::ByJoint), score(Limit::Strict)) {
                     (Some(true), Some(true)) => "right, strictly",
                     (Some(true), _) => "right",
                     (Some(false), _) => "WRONG",
                     (None, _) => "found",
                 };
-                strictly += i32::from(verdict == "right, strictly");
-                right += i32::from(verdict.starts_with("right"));
-                wrong += i32::from(verdict == "WRONG");
-                let (misfit, sure) = (ends.misfit.rms, ends.confidence());
+                strictly += i32::from(outcome == "right, strictly");
+                right += i32::from(outcome.starts_with("right"));
+                wrong += i32::from(outcome == "WRONG");
+                let (misfit, confidence) = (ends.misfit.rms, ends.confidence());
                 write!(
                     out,
-                    "{verdict}, told {:?}, misfit {misfit:.2}, margin {:.2}, sure {sure:.2}, out",
-                    ends.told, ends.margin
+                    "{outcome}, by {:?}, misfit {misfit:.2}, margin {:.2}, confidence {confidence:.2}, persistence",
+                    ends.mode, ends.margin
                 )?;
                 for part in ends.persistence {
                     write!(out, " {part:.3}")?;

@@ -1,33 +1,33 @@
-//! One mesh, its known joints and the found ones.
+//! One mesh, its known joints and the estimated ones.
 
 use std::collections::BTreeMap;
 
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joint, Joints, Mesh, Side, Survey};
+use mocapd_body::{Joint, Joints, Mesh, ScanAnalysis, Side};
 
 use crate::paper::ByPaper;
 use crate::read::Truth;
 pub(crate) use crate::score::distance;
 
-/// The joints of a limb, from the trunk outwards, with their names in the truth.
+/// The joints of a limb, from the trunk outwards, with their names in the ground truth.
 pub(crate) const KINDS: [&str; 6] = ["shoulder", "elbow", "wrist", "hip", "knee", "ankle"];
 
-/// A mesh with known joints, and what was found.
+/// A mesh with known joints, and the results on it.
 pub(crate) struct Case {
     pub(crate) name: String,
     pub(crate) mesh: Mesh,
     pub(crate) stature: f64,
     pub(crate) truth: BTreeMap<String, [f64; 3]>,
-    /// The joints, or why there are none.
+    /// The joints, or the reason for the refusal.
     pub(crate) found: Result<Joints, String>,
-    /// What (Yu et al. 2008) give.
+    /// The results of (Yu et al. 2008).
     pub(crate) paper: ByPaper,
-    /// Whether the sides of `found` had to be swapped to be those of the truth.
+    /// Whether the sides of `found` had to be exchanged to agree with the ground truth.
     pub(crate) swapped: bool,
 }
 
 impl Case {
-    /// Measures a mesh; nothing if its joints are not known.
+    /// Measures a mesh; `None` if its joints are not known.
     pub(crate) fn measure(mesh: Mesh, truth: &Truth) -> Option<Self> {
         let joints = truth.joints.clone()?;
         let found = skeleton(&mesh);
@@ -49,7 +49,7 @@ impl Case {
         Some(case)
     }
 
-    /// A found joint by its name in the truth, on the side that it is on.
+    /// An estimated joint by its name in the ground truth, after exchanging sides where necessary.
     pub(crate) fn joint(&self, kind: &str, left: bool) -> Option<[f64; 3]> {
         let side = if left != self.swapped { Side::Left } else { Side::Right };
         let joint = match kind {
@@ -96,7 +96,7 @@ impl Case {
         })
     }
 
-    /// The error of a joint in the middle, in per cent of stature.
+    /// The error of a joint on the midline, in per cent of stature.
     pub(crate) fn midline_error(&self, kind: &str) -> Option<f64> {
         let error = distance(self.joint(kind, true)?, *self.truth.get(kind)?);
         Some(100.0 * error / self.stature)
@@ -117,6 +117,7 @@ impl Case {
 
 /// The whole pipeline from a mesh in memory.
 pub(crate) fn skeleton(mesh: &Mesh) -> Result<Joints, String> {
-    let survey = Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
-    Ok(survey.joints)
+    let analysis =
+        ScanAnalysis::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
+    Ok(analysis.joints)
 }

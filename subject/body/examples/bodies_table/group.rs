@@ -1,8 +1,8 @@
-//! Which meshes stand in one row.
+//! Groups of meshes that share a row.
 
 use crate::case::Case;
 
-/// Meshes of one row.
+/// The meshes of one row.
 pub(crate) struct Group<'a> {
     pub(crate) name: String,
     pub(crate) cases: Vec<&'a Case>,
@@ -23,14 +23,14 @@ impl<'a> Group<'a> {
     }
 }
 
-/// The shapes that the constants were learned on.
+/// The shapes that the constants were learned from.
 pub(crate) fn is_development(name: &str) -> bool {
     ["mh_mavg_", "mh_favg_", "contact_mavg_", "contact_favg_"]
         .iter()
         .any(|start| name.starts_with(start))
 }
 
-/// The classes of poses that other programs were measured by.
+/// The classes of poses by which other programs were measured.
 pub(crate) fn pose_class(name: &str) -> String {
     let pose = name.split('_').nth(2).unwrap_or_default();
     match (name, pose) {
@@ -46,10 +46,10 @@ pub(crate) fn pose_class(name: &str) -> String {
     .to_owned()
 }
 
-/// Whose body it is.
+/// The shape of a body.
 pub(crate) fn shape(name: &str) -> String {
-    let mut words = name.split('_');
-    match (words.next(), words.next()) {
+    let mut parts = name.split('_');
+    match (parts.next(), parts.next()) {
         (Some("mh"), Some(shape)) => shape.to_owned(),
         (Some("contact"), Some(shape)) => format!("{shape}, limbs touching"),
         (Some("faust"), _) => "FAUST".to_owned(),

@@ -1,11 +1,11 @@
-//! What must not change when the body does not.
+//! Invariance of the joints to rotation, scale and resolution.
 
 use mocapd_body::{Joints, Mesh};
 use nalgebra::{Rotation3, Vector3};
 
 use crate::case::{Case, distance, skeleton};
 
-/// How far joints of turned, moved and scaled meshes come to lie from where turning, moving and scaling takes them.
+/// Differences between joints of rotated, translated and scaled meshes and equally transformed joints of the originals.
 pub(crate) fn moved(cases: &[Case]) {
     let turn = Rotation3::from_euler_angles(0.7, -2.1, 1.3);
     let (shift, factor) = (Vector3::new(31.0, -7.5, 400.0), 1000.0);
@@ -21,15 +21,15 @@ pub(crate) fn moved(cases: &[Case]) {
         };
         for (joint, estimate) in &before.estimates {
             let Some(again) = after.estimates.get(joint) else { continue };
-            let way = distance(place(estimate.position), again.position) / factor / case.stature;
-            most = most.max(way);
+            let moved = distance(place(estimate.position), again.position) / factor / case.stature;
+            most = most.max(moved);
         }
         meshes += 1;
     }
     println!("Joints of {meshes} meshes move by at most {most:.1e} of stature.");
 }
 
-/// How far joints move between meshes of one body in different numbers of triangles.
+/// Differences between joints of meshes of one body in different numbers of triangles.
 pub(crate) fn remeshed(cases: &[Case]) {
     println!("| body | faces | mean, % of stature | most | which |\n|---|---|---|---|---|");
     for (index, case) in cases.iter().enumerate() {
@@ -46,7 +46,7 @@ pub(crate) fn remeshed(cases: &[Case]) {
 }
 
 fn apart(one: &Joints, two: &Joints, stature: f64) -> (f64, f64, String) {
-    let ways: Vec<(f64, String)> = one
+    let moved: Vec<(f64, String)> = one
         .estimates
         .iter()
         .filter_map(|(joint, a)| {
@@ -54,7 +54,7 @@ fn apart(one: &Joints, two: &Joints, stature: f64) -> (f64, f64, String) {
             Some((100.0 * distance(a.position, b.position) / stature, format!("{joint:?}")))
         })
         .collect();
-    let mean = ways.iter().map(|way| way.0).sum::<f64>() / ways.len().max(1) as f64;
-    let most = ways.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default();
+    let mean = moved.iter().map(|error| error.0).sum::<f64>() / moved.len().max(1) as f64;
+    let most = moved.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default();
     (mean, most.0, most.1)
 }

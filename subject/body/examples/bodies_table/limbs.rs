@@ -1,8 +1,8 @@
-//! How many limbs are as long as they are.
+//! Accuracy of limb lengths.
 
 use crate::case::Case;
 
-/// Rows of the table, each with the starts of the names of its meshes.
+/// Rows of the table, each with the prefixes of the names of its meshes.
 const ROWS: [(&str, &[&str]); 4] = [
     ("mlean", &["mh_mlean_"]),
     ("mheavy", &["mh_mheavy_"]),
@@ -10,7 +10,7 @@ const ROWS: [(&str, &[&str]); 4] = [
     ("FAUST and SMPL besides", &["mh_mlean_", "mh_mheavy_", "mhr_", "faust_", "smpl_"]),
 ];
 
-/// Limbs with a length within 10 % of the truth, bodies whose limbs touch left out.
+/// Limbs with a length within 10 % of the truth, without bodies whose limbs touch.
 pub(crate) fn within(cases: &[&Case]) {
     println!("\n| bodies | of all four | upper arm | forearm | thigh | shank |");
     println!("|---|---|---|---|---|---|");

@@ -2,7 +2,7 @@
 //!
 //!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example bodies_table [-- START_OF_NAME...]
 //!
-//! Without names, all meshes are measured: those that the constants were learned on stand apart from the others.
+//! Without names, all meshes are measured; those that the constants were learned from get tables of their own.
 #![expect(clippy::print_stdout, reason = "what an example is for")]
 
 use std::error::Error;
@@ -23,7 +23,7 @@ mod timing;
 use case::Case;
 use group::{Group, is_development, pose_class};
 
-/// The title of what nothing was learned from.
+/// Title of the section on test bodies.
 const REPORTED: &str = "Not learned from";
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -1,9 +1,9 @@
-//! The method of (Yu et al. 2008) on the same mesh: on its own, and with the ends that the default method finds.
+//! The method of (Yu et al. 2008) on the same mesh: by itself, and with the extremities that the default method finds.
 
 use mocapd_body::extremity::{self, Extremities};
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joints, Mesh, Survey, paper};
+use mocapd_body::{Joints, Mesh, ScanAnalysis, paper};
 
 use crate::case::KINDS;
 use crate::group::Group;
@@ -11,10 +11,10 @@ use crate::read::Truth;
 use crate::score::{self, Limit};
 use crate::table::{mean, quantile};
 
-/// How many joints there are to find.
+/// Number of joints to find.
 const JOINT_COUNT: usize = 2 * KINDS.len();
 
-/// What it gives for one mesh; none if it gives nothing.
+/// Its result for one mesh; `None` if it is refused.
 pub(crate) struct ByPaper {
     own: Option<Found>,
     with_ends: Option<Found>,
@@ -22,13 +22,13 @@ pub(crate) struct ByPaper {
 
 struct Found {
     ends_right: bool,
-    /// In per cent of stature, of those of the twelve joints that it gives.
+    /// Errors of the found ones of the twelve joints, in per cent of stature.
     errors: Vec<f64>,
 }
 
 impl ByPaper {
     pub(crate) fn measure(mesh: &Mesh, truth: &Truth) -> Self {
-        let own = Survey::new(mesh, Method::Paper).ok();
+        let own = ScanAnalysis::new(mesh, Method::Paper).ok();
         let with_ends = ends(mesh).and_then(|ends| paper::joints(mesh, 0, Some(ends)).ok());
         Self {
             own: own.map(|own| Found::new(mesh, truth, &own.joints, &own.extremities)),
@@ -53,7 +53,7 @@ fn ends(mesh: &Mesh) -> Option<Extremities> {
     Some(extremity::find(mesh, &graph, &mut Workspace::default()).ok()?.extremities)
 }
 
-/// The default method and the paper's beside each other, one row a group.
+/// The default method and the paper's beside each other, one row per group.
 pub(crate) fn beside(of: &str, groups: &[Group<'_>]) {
     println!(
         "| {of} | meshes | default: refused | mean / p95 | paper: refused | ends wrong | joints missing | \
@@ -80,7 +80,7 @@ pub(crate) fn beside(of: &str, groups: &[Group<'_>]) {
     println!();
 }
 
-/// How many are refused, how many of the joints are missing of the others, and the errors of the rest.
+/// The number of refused meshes, the number of missing joints on the others, and the errors of the rest.
 fn cells(all: &[Option<&Found>]) -> [String; 3] {
     let found = || all.iter().flatten();
     let errors: Vec<f64> = found().flat_map(|found| found.errors.iter().copied()).collect();

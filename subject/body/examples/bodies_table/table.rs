@@ -1,9 +1,9 @@
-//! Markdown.
+//! Markdown tables.
 
 use crate::case::{Case, KINDS};
 use crate::group::Group;
 
-/// Mean / 95th percentile of each kind of joint, one row a group.
+/// Mean / 95th percentile for each kind of joint, one row per group.
 pub(crate) fn joints(of: &str, groups: &[Group<'_>]) {
     println!(
         "| {of} | meshes | refused | {} | all twelve: mean / median / p95 |",
@@ -32,7 +32,7 @@ pub(crate) fn joints(of: &str, groups: &[Group<'_>]) {
     println!();
 }
 
-/// Lengths, sides, midline and how honest the standard deviations are.
+/// Lengths, sides, midline and calibration of the standard deviations.
 pub(crate) fn totals(cases: &[&Case]) {
     println!(
         "| limb | length: mean error | too long by, in the mean | within 10 % |\n|---|---|---|---|"
@@ -54,11 +54,11 @@ pub(crate) fn totals(cases: &[&Case]) {
             100.0 * within as f64 / of_limb.len().max(1) as f64
         );
     }
-    let told = cases.iter().filter(|case| case.found.as_ref().is_ok_and(|found| found.sides_told));
-    let (told, right) =
-        told.fold((0, 0), |(n, right), case| (n + 1, right + usize::from(!case.swapped)));
+    let known = cases.iter().filter(|case| case.found.as_ref().is_ok_and(|found| found.sides_told));
+    let (known, right) =
+        known.fold((0, 0), |(n, right), case| (n + 1, right + usize::from(!case.swapped)));
     let found = cases.iter().filter(|case| case.found.is_ok()).count();
-    println!("\nLeft and right: told on {told} of {found}, and right on {right} of these.");
+    println!("\nLeft and right: determined on {known} of {found}, and correctly on {right}.");
     for kind in ["neck", "head_top"] {
         let errors: Vec<f64> = cases.iter().filter_map(|case| case.midline_error(kind)).collect();
         println!(
@@ -77,7 +77,7 @@ pub(crate) fn totals(cases: &[&Case]) {
     }
 }
 
-/// The meshes with the greatest mean errors.
+/// The meshes with the largest mean errors.
 pub(crate) fn worst(cases: &[&Case]) {
     let mut means: Vec<(f64, &str)> = cases
         .iter()

@@ -1,16 +1,16 @@
-//! How long it takes.
+//! Computation time.
 
 use std::hint::black_box;
 use std::time::Instant;
 
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace, distances};
-use mocapd_body::locate::{Landmarks, joints, settle};
+use mocapd_body::locate::{Landmarks, joints, refine_ends};
 use mocapd_body::{Mesh, extremity};
 
 use crate::case::{Case, skeleton};
 use crate::table::quantile;
 
-/// The whole pipeline from a mesh in memory, beside one run of Dijkstra's method along the edges of the same mesh.
+/// The whole pipeline from a mesh in memory, beside one run of Dijkstra's algorithm along the edges of the same mesh.
 pub(crate) fn print(cases: &[Case]) {
     println!(
         "| faces | meshes | median ms | slowest ms | of it joints | one Dijkstra ms | ratio |"
@@ -40,15 +40,15 @@ pub(crate) fn print(cases: &[Case]) {
     }
 }
 
-/// From the ends to the joints.
+/// From the extremities to the joints.
 fn of_joints(mesh: &Mesh, adjacency: &Adjacency) -> Option<f64> {
     let graph = Graph::with_short_cuts(mesh, adjacency);
     let mut workspace = Workspace::default();
     let ends = extremity::find(mesh, &graph, &mut workspace).ok()?;
     Some(median_of_five(|| {
         let (extremities, fields) = (&ends.extremities, ends.fields.clone());
-        let settled = settle(&graph, extremities, fields, &ends.spread, &mut workspace);
-        let landmarks = Landmarks::new(mesh, &settled.fields());
+        let refined = refine_ends(&graph, extremities, fields, &ends.spread, &mut workspace);
+        let landmarks = Landmarks::new(mesh, &refined.fields());
         drop(black_box(landmarks.map(|landmarks| joints(&landmarks))));
     }))
 }

@@ -1,14 +1,14 @@
-//! Longer and shorter bones: a surface stretched along them, and the joints with it.
+//! Bodies with longer and shorter bones: the surface is stretched along the bones, and the joints with it.
 
 use std::collections::BTreeMap;
 
 use mocapd_body::Mesh;
 use nalgebra::Vector3;
 
-/// Where known joints are, by their names.
+/// Known joint positions by name.
 pub(crate) type Truth = BTreeMap<String, [f64; 3]>;
 
-/// How long bones are made, as a multiple of what they were.
+/// Factors by which bones are stretched.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Lengths {
     pub(crate) upper_arm: f64,
@@ -23,10 +23,11 @@ impl Lengths {
         Self { upper_arm: 1.0, forearm: 1.0, thigh: 1.0, shank: 1.0, foot: 1.0 };
 }
 
-/// The surface within this of a joint, in units of `scale`, says how far the joint is from the end of the limb.
+/// Radius around a joint within which the surface determines the distance between joint and extremity, in units of
+/// `scale`.
 const ROUND: f64 = 0.06;
 
-/// Stretches the bones of all limbs. What lies farther out moves along; the trunk stays.
+/// Stretches the bones of all limbs. Everything farther out moves along; the trunk stays.
 pub(crate) fn stretched(
     mesh: &Mesh,
     truth: &Truth,
@@ -41,7 +42,7 @@ pub(crate) fn stretched(
         [[lengths.upper_arm, lengths.forearm, 1.0], [lengths.thigh, lengths.shank, lengths.foot]];
     for (end, field) in fields.iter().enumerate().skip(1) {
         let (names, by) = if end < 3 { (arm, by[0]) } else { (leg, by[1]) };
-        // The limb whose outer joint is nearest to the end of this field.
+        // The limb whose outer joint is nearest to the source of this distance field.
         let outer = |side: &str| level(mesh, field, truth, &format!("{}.{side}", names[2]), scale);
         let side = if outer("L") < outer("R") { "L" } else { "R" };
         let names = names.map(|name| format!("{name}.{side}"));
@@ -51,8 +52,8 @@ pub(crate) fn stretched(
         for bone in 0..3 {
             let longer = (at[bone + 1] - at[bone]) * (by[bone] - 1.0);
             let span = (levels[bone] - levels[bone + 1]).max(f64::MIN_POSITIVE);
-            for (position, way) in changed.positions.iter_mut().zip(field) {
-                let part = ((levels[bone] - way) / span).clamp(0.0, 1.0);
+            for (position, distance) in changed.positions.iter_mut().zip(field) {
+                let part = ((levels[bone] - distance) / span).clamp(0.0, 1.0);
                 *position = (Vector3::from(*position) + longer * part).into();
             }
             for name in &names[bone + 1..] {
@@ -64,14 +65,14 @@ pub(crate) fn stretched(
     (changed, joints)
 }
 
-/// How far the surface round a joint is from the end of the limb, in the mean.
+/// Mean distance of the surface around a joint from the extremity.
 fn level(mesh: &Mesh, field: &[f64], truth: &Truth, joint: &str, scale: f64) -> f64 {
     let at = Vector3::from(truth[joint]);
     let (mut sum, mut count) = (0.0, 0.0);
-    for (position, way) in mesh.positions.iter().zip(field) {
+    for (position, distance) in mesh.positions.iter().zip(field) {
         let far = (Vector3::from(*position) - at).norm() / scale;
         let weight = (1.0 - far / (2.0 * ROUND)).max(0.0);
-        sum += weight * way;
+        sum += weight * distance;
         count += weight;
     }
     sum / count

@@ -1,4 +1,4 @@
-//! The same body in other builds: leaner, stouter, with longer and shorter bones.
+//! A body in other builds: leaner, stouter, with longer and shorter bones.
 
 use mocapd_body::extremity;
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
@@ -7,34 +7,35 @@ use mocapd_body::{Mesh, Refusal};
 use crate::bones::{Lengths, Truth, stretched};
 use crate::surface::{Girth, moved};
 
-/// So many builds are drawn beside the three that are told.
+/// Number of random builds, in addition to the three fixed ones.
 const DRAWN: u64 = 8;
-/// The way between the feet, in body scales.
+/// Geodesic distance between the feet, in body scales.
 const FEET: f64 = 1.09;
 
-/// What is changed of a body.
+/// Modifications of a body.
 pub(crate) struct Build {
     pub(crate) name: String,
     girth: Girth,
     lengths: Lengths,
 }
 
-/// As it is; 2 cm less all round the waist; 4 cm more; and some that are drawn, with a girth of each part and a length of each
-/// bone of their own.
+/// The original; 2 cm less around the waist; 4 cm more; and random ones, with a girth for each part of the body and a
+/// length for each bone.
 pub(crate) fn builds() -> Vec<Build> {
-    let told = [("as-is", 0.0), ("lean", -0.011), ("stout", 0.024)];
-    let told = told.map(|(name, trunk)| Build {
+    let fixed = [("as-is", 0.0), ("lean", -0.011), ("stout", 0.024)];
+    let fixed = fixed.map(|(name, trunk)| Build {
         name: name.to_owned(),
         girth: Girth::evenly(trunk),
         lengths: Lengths::SAME,
     });
-    told.into_iter().chain((0..DRAWN).map(drawn)).collect()
+    fixed.into_iter().chain((0..DRAWN).map(drawn)).collect()
 }
 
 fn drawn(number: u64) -> Build {
-    // By twos: what is more than the average of one is as much less of the other, so that the average stays.
+    // In antithetic pairs: one exceeds the average by as much as the other falls short of it, so that the average is
+    // kept.
     let mut random = Random { state: number / 2, mirrored: number % 2 == 1 };
-    // Fat goes to trunk and thighs first, and the rest of the limbs get a share of their own.
+    // Fat is added to trunk and thighs first; the rest of the limbs get independent shares of it.
     let trunk = random.between(-0.012, 0.036);
     let mut share = |low: f64, high: f64| trunk * random.between(low, high);
     let girth = Girth {
@@ -58,7 +59,7 @@ fn drawn(number: u64) -> Build {
     Build { name: format!("drawn-{number}"), girth, lengths }
 }
 
-/// The body in another build, and its joints.
+/// The modified body and its joints.
 pub(crate) fn changed(mesh: &Mesh, truth: &Truth, build: &Build) -> Result<(Mesh, Truth), Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
     let ends = extremity::find(mesh, &graph, &mut Workspace::default())?;
@@ -67,10 +68,10 @@ pub(crate) fn changed(mesh: &Mesh, truth: &Truth, build: &Build) -> Result<(Mesh
     Ok((moved(&mesh, &ends.fields, scale, &build.girth), truth))
 }
 
-/// Numbers that look drawn and are the same everywhere (Steele et al. 2014, `SplitMix64`).
+/// Seeded pseudo-random numbers (Steele et al. 2014, `SplitMix64`).
 struct Random {
     state: u64,
-    /// Whether what is drawn is as far from the other end.
+    /// Whether numbers are mirrored within their range.
     mirrored: bool,
 }
 

@@ -1,5 +1,5 @@
-//! Prints the landmarks of meshes with known joints, one JSON object a line, for `benches/subject/learn.py`: of each mesh as
-//! it is, and of the same in other builds.
+//! Prints the landmarks of meshes with known joints, one JSON object per line, for `benches/subject/learn.py`: for each
+//! mesh in its original build and in others.
 //!
 //!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example body_landmarks -- mh_mavg mh_favg
 #![expect(clippy::print_stdout, reason = "what an example is for")]
@@ -9,7 +9,7 @@ use std::path::Path;
 
 use mocapd_body::extremity;
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
-use mocapd_body::locate::{Half, Landmarks, settle};
+use mocapd_body::locate::{Half, Landmarks, refine_ends};
 use mocapd_body::{Mesh, Refusal};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
@@ -63,10 +63,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn landmarks(mesh: &Mesh) -> Result<Option<Landmarks>, Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
     let mut workspace = Workspace::default();
-    // A build that is no body any more is not learned from.
+    // A build that is refused as a body is not learned from.
     let Ok(ends) = extremity::find(mesh, &graph, &mut workspace) else { return Ok(None) };
-    let settled = settle(&graph, &ends.extremities, ends.fields, &ends.spread, &mut workspace);
-    Ok(Landmarks::new(mesh, &settled.fields()))
+    let refined = refine_ends(&graph, &ends.extremities, ends.fields, &ends.spread, &mut workspace);
+    Ok(Landmarks::new(mesh, &refined.fields()))
 }
 
 fn points(points: &[Vector3<f64>]) -> Value {

@@ -1,9 +1,9 @@
-//! Fat and lean: a surface moved outwards or inwards, differently on every part of the body.
+//! Fat and lean bodies: the surface is moved outwards or inwards, by different amounts on every part of the body.
 
 use mocapd_body::Mesh;
 use nalgebra::Vector3;
 
-/// How much is added to a body, as parts of the body scale, at places along it: what lies between is in between.
+/// Thickness added to a body, in body scales, at positions along it; interpolated in between.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Girth {
     pub(crate) wrist: f64,
@@ -17,17 +17,17 @@ pub(crate) struct Girth {
 }
 
 impl Girth {
-    /// Grows in proportion to the distance from the nearest end of the body.
+    /// Increases in proportion to the distance from the nearest extremity.
     pub(crate) fn evenly(trunk: f64) -> Self {
-        let at = |way: f64| trunk * ((way - 0.076) / 0.404);
+        let at = |distance: f64| trunk * ((distance - 0.076) / 0.404);
         let [wrist, forearm, upper_arm] = [0.14, 0.20, 0.33].map(at);
         let [ankle, calf, knee, thigh] = [0.16, 0.25, 0.345, 0.46].map(at);
         Self { wrist, forearm, upper_arm, ankle, calf, knee, thigh, trunk }
     }
 
-    /// What is added at a vertex, by its distances from head, hands and feet in body scales.
-    fn at(&self, ways: [f64; 5]) -> f64 {
-        let [head, one, other, foot, other_foot] = ways;
+    /// Thickness added at a vertex, by its distances from head, hands and feet in body scales.
+    fn at(&self, distances: [f64; 5]) -> f64 {
+        let [head, one, other, foot, other_foot] = distances;
         let (hand, foot) = (one.min(other), foot.min(other_foot));
         if head < hand && head < foot {
             return between(&[(0.16, 0.0), (0.36, self.trunk)], head);
@@ -43,7 +43,7 @@ impl Girth {
     }
 }
 
-/// Moves the surface along its normals; `ways` holds a distance a vertex from each end, in units of `scale`.
+/// Moves the surface along its normals; `fields` has a distance per vertex from each extremity, in units of `scale`.
 pub(crate) fn moved(mesh: &Mesh, fields: &[Vec<f64>; 5], scale: f64, girth: &Girth) -> Mesh {
     let normals: Vec<Vector3<f64>> = means(mesh, &normals(mesh))
         .iter()
@@ -52,7 +52,7 @@ pub(crate) fn moved(mesh: &Mesh, fields: &[Vec<f64>; 5], scale: f64, girth: &Gir
     let mut added: Vec<f64> = (0..mesh.positions.len())
         .map(|vertex| girth.at(fields.each_ref().map(|field| field[vertex] / scale)))
         .collect();
-    // Where another end becomes the nearest, what is added would leap.
+    // Smoothed, because the thickness jumps where another extremity becomes the nearest.
     for _ in 0..12 {
         added = means(mesh, &added);
     }

@@ -1,9 +1,11 @@
-//! Cuts limbs off bodies, and asks whether a joint is trusted that is far off: the bar of `docs/subject-body.md`.
+//! Cuts limbs off bodies, and reports joints with a large error but a small standard deviation: the criterion of
+//! `docs/subject-body.md`.
 //!
 //!     MOCAPD_BODIES=... cargo run --release -p mocapd-body --example cut_limbs [-- CUTS_A_BODY [FIRST_SEED [PART_OF_A_NAME]]]
 //!
-//! Twenty cuts of each of ten bodies: generated ones, and where `MOCAPD_BODIES` names a folder, every other is from there.
-//! Bodies and cuts are drawn from the first seed (0 where none is given) onwards. With a part of a name, all bodies that have it are taken. A line is printed for each body as it is, and for each cut.
+//! Twenty cuts of each of ten bodies: generated ones, or, if `MOCAPD_BODIES` names a folder, every other one from
+//! there. Bodies and cuts are derived from seeds, starting with the first seed (default 0). With a part of a name, all
+//! matching bodies are used. A line is printed for each whole body and for each cut.
 #![expect(clippy::print_stdout, reason = "what an example is for")]
 
 use std::collections::BTreeMap;
@@ -13,13 +15,13 @@ use std::path::Path;
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Estimate, Joint, Joints, Mesh, Side, Survey};
-use mocapd_testkit::synthetic_body::{Options, Pose, body, cut_limb};
+use mocapd_body::{Estimate, Joint, Joints, Mesh, ScanAnalysis, Side};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body, cut_limb};
 
 #[path = "../bodies/read.rs"]
 mod read;
 
-/// As far off as no joint may be, in parts of stature, whose stated standard deviation is below [`SURE`].
+/// No joint may have an error above this, in parts of stature, if its stated standard deviation is below [`SURE`].
 const FAR: f64 = 0.1;
 const SURE: f64 = 0.03;
 const BODIES: usize = 10;
@@ -47,7 +49,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let scans = scans(Path::new(&folder))?;
         match &part {
             Some(_) => bodies.extend(scans),
-            // As many of either, the scans spread over all that there are.
+            // Equal numbers of both, with the scans spread evenly over the folder.
             None => {
                 let every = (scans.len() / (BODIES / 2)).max(1);
                 bodies.truncate(BODIES / 2);
@@ -76,7 +78,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                     (mesh, format!("{:?} {:?} {:.0} deg {end}", cut.side, cut.part, cut.tilt_deg))
                 }
             };
-            let kind = match judge(body, mesh) {
+            let kind = match evaluate(body, mesh) {
                 Err(reason) => {
                     println!("{}: {what}: refused, {reason}", body.name);
                     "refused"
@@ -100,8 +102,8 @@ fn generated(first: u64) -> Vec<Body> {
     let poses = [Pose::A, Pose::Down, Pose::Walk, Pose::Sit, Pose::Squat];
     let each = (0..BODIES).map(|at| {
         let (seed, pose) = (first + at as u64, poses[at % poses.len()]);
-        let (mesh, truth) = body(seed, pose, Options::default());
-        let upright = body(seed, Pose::A, Options { n_faces: 500, turned: false }).1;
+        let (mesh, truth) = body(seed, pose, BodyOptions::default());
+        let upright = body(seed, Pose::A, BodyOptions { n_faces: 500, turned: false }).1;
         let stature = upright.estimates[&Joint::Head].position[1];
         Body { name: format!("generated_{seed}_{pose:?}"), mesh, truth, stature }
     });
@@ -120,28 +122,28 @@ fn scans(folder: &Path) -> Result<Vec<Body>, Box<dyn Error>> {
     Ok(found)
 }
 
-/// The codes of the notes, and the joints that are far off and sure.
-fn judge(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String> {
+/// The codes of the notes, and the joints with a large error but a small standard deviation.
+fn evaluate(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String> {
     let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
     let repaired = repair(scan, None).map_err(|error| error.to_string())?;
-    let survey = Survey::new(&repaired.mesh, Method::Default);
-    let survey = survey.map_err(|refusal| refusal.code().to_owned())?;
+    let analysis = ScanAnalysis::new(&repaired.mesh, Method::Default);
+    let analysis = analysis.map_err(|refusal| refusal.code().to_owned())?;
     let errors = |swapped: bool| {
-        survey.joints.estimates.iter().filter_map(move |(joint, found)| {
+        analysis.joints.estimates.iter().filter_map(move |(joint, found)| {
             let joint = if swapped { other_side(*joint) } else { *joint };
             let known = body.truth.estimates.get(&joint)?;
             let error = distance(known.position, found.position) / body.stature;
             Some((joint, error, found.sigma / body.stature))
         })
     };
-    // Where the sides are not told, nobody said which is which.
+    // If the sides are undetermined, either assignment is accepted.
     let sum = |swapped: bool| errors(swapped).map(|(_, error, _)| error).sum::<f64>();
-    let swapped = !survey.joints.sides_told && sum(true) < sum(false);
+    let swapped = !analysis.joints.sides_told && sum(true) < sum(false);
     let far = errors(swapped).filter(|(_, error, sigma)| *error > FAR && *sigma < SURE);
     let far = far.map(|(joint, error, sigma)| {
         format!(" {joint:?} {:.1} % off at {:.1} %", 100.0 * error, 100.0 * sigma)
     });
-    Ok((survey.notes.iter().map(|note| note.code).collect(), far.collect()))
+    Ok((analysis.notes.iter().map(|note| note.code).collect(), far.collect()))
 }
 
 fn truth(known: &BTreeMap<String, [f64; 3]>) -> Joints {

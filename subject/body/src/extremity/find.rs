@@ -1,84 +1,85 @@
-//! From a surface to its named ends.
+//! Identification of the extremities of a surface.
 
 use super::naming::{misfit, misfit_cut, misfit_in_contact, name};
-use super::peaks::{Peak, farthest, standing_out};
-use super::{Ends, Extremities, Told, inside};
+use super::peaks::{Peak, farthest, protrusions};
+use super::{Ends, Extremities, NamingMode, inside};
 use crate::geodesic::{Graph, Workspace, distances};
 use crate::mesh::{Point, distance};
 use crate::{Mesh, Refusal};
 
-/// Whole bodies whose limbs are free have no greater misfit: 0.86 was seen.
+/// Largest misfit of whole bodies with free limbs; 0.86 was measured.
 const FITS_WELL: f64 = 1.0;
 
-/// Finds head, hands and feet; where limbs touch, by what contact leaves, and then through the inside.
+/// Finds head, hands and feet: on a whole body, on one with part of a limb missing, on one whose limbs touch, and last
+/// through the interior.
 ///
-/// The fields are along the surface in every case, so that with [`Told::InContact`] and [`Told::Inside`] they may lead
-/// through contact.
+/// Distance fields always follow the surface. With [`NamingMode::InContact`] and [`NamingMode::Interior`] they may
+/// therefore cross a contact.
 ///
 /// # Errors
 ///
-/// - [`Refusal::InPieces`]: the surface does not hang together.
-/// - [`Refusal::TooFewEnds`]: fewer than five ends stand out.
-/// - [`Refusal::TooManyEnds`]: more than five do, as far as limbs.
-/// - [`Refusal::NotABody`]: no naming of the ends gives a body.
-/// - [`Refusal::Ambiguous`]: two namings do about as well.
+/// - [`Refusal::InPieces`]: the surface is not connected.
+/// - [`Refusal::TooFewEnds`]: fewer than five extremities protrude.
+/// - [`Refusal::TooManyEnds`]: more than five protrude as far as limbs.
+/// - [`Refusal::NotABody`]: no assignment of the extremities gives a body.
+/// - [`Refusal::Ambiguous`]: two assignments fit about equally well.
 pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<Ends, Refusal> {
     let start = start(mesh, graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
-    let standing = standing_out(graph, start, workspace);
-    hangs_together(graph, &standing.mean)?;
-    let whole = name(&standing, misfit);
+    let protrusions = protrusions(graph, start, workspace);
+    check_connected(graph, &protrusions.mean)?;
+    let whole = name(&protrusions, misfit);
     if let Err(refusal @ Refusal::TooManyEnds { .. }) = whole {
         return Err(refusal);
     }
-    // A whole body fits well. Where none does, a body without a part of a limb may, and tells its ends better.
+    // A whole body fits well. If this one does not, a body with part of a limb missing may, and then identifies its
+    // extremities better.
     let fits_well = whole.as_ref().is_ok_and(|naming| naming.misfit.rms <= FITS_WELL);
-    let cut = if fits_well { None } else { name(&standing, misfit_cut).ok() };
-    let (naming, told) = match (cut, whole) {
-        (Some(cut), _) => (cut, Told::Cut),
-        (None, Ok(whole)) => (whole, Told::Freely),
-        (None, Err(refusal)) => match name(&standing, misfit_in_contact) {
-            Ok(touching) => (touching, Told::InContact),
-            // What the surface says of the ends is nearer to what the subject can mend than what a thinned inside says.
+    let cut = if fits_well { None } else { name(&protrusions, misfit_cut).ok() };
+    let (naming, mode) = match (cut, whole) {
+        (Some(cut), _) => (cut, NamingMode::CutLimb),
+        (None, Ok(whole)) => (whole, NamingMode::FreeLimbs),
+        (None, Err(refusal)) => match name(&protrusions, misfit_in_contact) {
+            Ok(touching) => (touching, NamingMode::InContact),
+            // The surface's own reason is more useful to the user than that of a thinned interior.
             Err(_) => return inside::find(mesh, graph, workspace).ok_or(refusal),
         },
     };
-    let ends = naming.ends.map(|end| &standing.candidates[end]);
-    let head = top_of_head(mesh, graph, &standing.mean, ends[0].peak);
+    let ends = naming.ends.map(|end| &protrusions.candidates[end]);
+    let head = top_of_head(mesh, graph, &protrusions.mean, ends[0].peak);
     let [_, a, b, c, d] = ends.map(|end| end.peak.vertex);
     let mut fields = ends.map(|end| end.field.clone());
     fields[0] = distances(graph, head, workspace);
     Ok(Ends {
         extremities: Extremities { head, hands: [a, b], feet: [c, d] },
         fields,
-        persistence: ends.map(|end| end.peak.persistence / standing.longest),
-        spread: standing.spread,
-        told,
+        persistence: ends.map(|end| end.peak.persistence / protrusions.longest),
+        spread: protrusions.spread,
+        mode,
         misfit: naming.misfit,
         margin: naming.margin,
     })
 }
 
-/// The vertex that is farthest, straight, from the centroid of the area: it depends on the shape alone, not on where it
-/// stands or which vertex comes first.
+/// The vertex farthest, in a straight line, from the centroid of the surface: it depends on the shape alone, not on
+/// position or vertex order.
 pub(crate) fn start(mesh: &Mesh, graph: &Graph) -> Option<u32> {
     let far = distances_from_place(mesh, mesh.area_centroid());
-    // A vertex that no triangle uses is no part of the surface.
+    // Unused vertices are no part of the surface.
     farthest(&far, |vertex| !graph.links(vertex).is_empty())
 }
 
-/// Refuses a surface that does not hang together.
-fn hangs_together(graph: &Graph, field: &[f64]) -> Result<(), Refusal> {
+/// Rejects a surface that is not connected.
+fn check_connected(graph: &Graph, field: &[f64]) -> Result<(), Refusal> {
     let on_surface = (0..graph.vertex_count() as u32).filter(|at| !graph.links(*at).is_empty());
     let vertices = on_surface.count();
     let reached = field.iter().filter(|far| far.is_finite()).count();
     if reached < vertices { Err(Refusal::InPieces { reached, vertices }) } else { Ok(()) }
 }
 
-/// The vertex of the head that is farthest, straight, from the neck.
+/// The vertex of the head farthest, in a straight line, from the neck.
 ///
-/// The peak of a function of distances may as well lie in an open mouth or behind an ear, where the way along the surface
-/// is long. The head is what stands out there: all that hangs together with `peak` above its saddle. Where that ends, is
-/// the neck.
+/// The maximum of a distance function may lie in an open mouth or behind an ear, where paths along the surface are
+/// long. The head is the region above the saddle of `peak` that contains it; its border is the neck.
 fn top_of_head(mesh: &Mesh, graph: &Graph, values: &[f64], peak: Peak) -> u32 {
     let mut head = vec![false; values.len()];
     let mut edge = Vec::new();
@@ -105,7 +106,7 @@ fn top_of_head(mesh: &Mesh, graph: &Graph, values: &[f64], peak: Peak) -> u32 {
     farthest(&far, |vertex| head[vertex as usize]).unwrap_or(peak.vertex)
 }
 
-/// How far every vertex is, straight.
+/// Straight distances of all vertices from a point.
 fn distances_from_place(mesh: &Mesh, place: Point) -> Vec<f64> {
     mesh.positions.iter().map(|at| distance(*at, place)).collect()
 }

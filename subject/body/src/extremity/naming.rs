@@ -1,56 +1,57 @@
-//! Which end is which: five of the ends that stand out, named so that the ways between them fit a body best.
+//! Assignment of head, hands and feet: the five protrusions whose geodesic distances fit a body best.
 
-use super::peaks::{Candidate, StandingOut};
+use super::peaks::{Candidate, Protrusions};
 use crate::Refusal;
 
-/// What stands out farther than this part of the longest way is a limb or a head, not an elbow or an ear: those of bodies
-/// stand out by 0.06 at most, the sixth end of a lion or a horse by 0.12 and more.
+/// A protrusion whose persistence exceeds this fraction of the longest distance is a limb or a head, not an elbow or an
+/// ear: those of bodies have at most 0.06, the sixth extremity of a lion or a horse 0.12 or more.
 const LIMB_MIN: f64 = 0.1;
 
-/// Two namings whose ends differ by less than this part of the longest way say the same. From the crown into an open
-/// mouth it is some 0.17, from a hand to its elbow 0.25.
-const OTHER_MIN: f64 = 0.22;
+/// Two assignments whose vertices differ by less than this fraction of the longest distance are the same. From the
+/// crown into an open mouth it is about 0.17, from a hand to its elbow 0.25.
+const DISTINCT_MIN: f64 = 0.22;
 
-/// The misfit of the second best naming must be greater than the best's by so much. On bodies without contact it is by
-/// 1.7 or more, on a lion and a horse by less than 0.25; of some that crouch by 0.5.
+/// Least margin between the misfits of the best and the second best assignment. Bodies without contact have 1.7 or
+/// more, some that crouch 0.5, a lion and a horse less than 0.25.
 pub(crate) const MARGIN_MIN: f64 = 0.4;
 
-/// How far ends with such ways between them are from a body.
+/// The misfit of five points with such geodesic distances to a body.
 pub(crate) type Cost = fn([[f64; 5]; 5]) -> Misfit;
 
-/// Which candidates are head, hands and feet.
+/// An assignment of candidates to head, hands and feet.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Naming {
     pub(crate) ends: [usize; 5],
-    /// What it costs.
+    /// Its misfit.
     pub(crate) misfit: Misfit,
-    /// By how much the next is farther from a body that puts an end elsewhere; infinite if there is none.
+    /// Margin to the best assignment that places an extremity elsewhere; infinite if there is none.
     pub(crate) margin: f64,
 }
 
-/// The naming that is nearest to a body.
+/// The assignment that fits a body best.
 ///
 /// # Errors
 ///
-/// [`Refusal::TooFewEnds`]: fewer than five stand out. [`Refusal::TooManyEnds`]: six are as long as
-/// limbs. [`Refusal::NotABody`]: no naming is near enough. [`Refusal::Ambiguous`]: two are about as near.
-pub(crate) fn name(standing: &StandingOut, cost: Cost) -> Result<Naming, Refusal> {
-    let candidates = &standing.candidates;
-    let limb = |candidate: &&Candidate| candidate.peak.persistence > LIMB_MIN * standing.longest;
+/// [`Refusal::TooFewEnds`]: fewer than five protrude. [`Refusal::TooManyEnds`]: more than five are as long as limbs.
+/// [`Refusal::NotABody`]: no assignment is near enough. [`Refusal::Ambiguous`]: two are about as near.
+pub(crate) fn name(protrusions: &Protrusions, cost: Cost) -> Result<Naming, Refusal> {
+    let candidates = &protrusions.candidates;
+    let limb_min = LIMB_MIN * protrusions.longest;
+    let limb = |candidate: &&Candidate| candidate.peak.persistence > limb_min;
     let found = candidates.iter().filter(limb).count();
     if found > 5 {
         return Err(Refusal::TooManyEnds { found });
     }
-    let other_min = OTHER_MIN * standing.longest;
-    let way = |from: usize, to: usize| {
+    let other_min = DISTINCT_MIN * protrusions.longest;
+    let distance = |from: usize, to: usize| {
         candidates[from].field[candidates[to].peak.vertex as usize].max(f64::MIN_POSITIVE)
     };
-    let namings = namings(candidates.len(), &way, cost);
+    let namings = namings(candidates.len(), &distance, cost);
     let by_misfit = |one: &&Naming, other: &&Naming| one.misfit.rms.total_cmp(&other.misfit.rms);
     let few = Refusal::TooFewEnds { found: candidates.len() };
     let best = *namings.iter().min_by(by_misfit).ok_or(few)?;
     let ends = best.ends;
-    let apart = |one: usize, other: usize| one != other && way(one, other) > other_min;
+    let apart = |one: usize, other: usize| one != other && distance(one, other) > other_min;
     let differs = |other: &[usize; 5]| {
         let pair = |at: usize, to: [usize; 2]| {
             let straight = apart(ends[at], other[to[0]]) || apart(ends[at + 1], other[to[1]]);
@@ -72,17 +73,17 @@ pub(crate) fn name(standing: &StandingOut, cost: Cost) -> Result<Naming, Refusal
     Ok(Naming { margin, ..best })
 }
 
-/// Every way to name five of `count` ends, with what it costs.
-fn namings(count: usize, way: &impl Fn(usize, usize) -> f64, cost: Cost) -> Vec<Naming> {
+/// All assignments of five of `count` candidates, with their misfits.
+fn namings(count: usize, distance: &impl Fn(usize, usize) -> f64, cost: Cost) -> Vec<Naming> {
     let mut found = Vec::new();
     for head in 0..count {
         for [a, b] in pairs(count).filter(|hands| !hands.contains(&head)) {
             let free = |end: &usize| ![head, a, b].contains(end);
             for [c, d] in pairs(count).filter(|feet| feet.iter().all(free)) {
                 // A foot is nearer to the hand on its own side.
-                let crossed = way(a, c) + way(b, d) > way(a, d) + way(b, c);
+                let crossed = distance(a, c) + distance(b, d) > distance(a, d) + distance(b, c);
                 let ends = if crossed { [head, a, b, d, c] } else { [head, a, b, c, d] };
-                let misfit = cost(ends.map(|from| ends.map(|to| way(from, to))));
+                let misfit = cost(ends.map(|from| ends.map(|to| distance(from, to))));
                 found.push(Naming { ends, misfit, margin: f64::INFINITY });
             }
         }
@@ -90,12 +91,12 @@ fn namings(count: usize, way: &impl Fn(usize, usize) -> f64, cost: Cost) -> Vec<
     found
 }
 
-/// Every two of `count`, the lower first.
+/// All pairs of `count` indices, the lower first.
 fn pairs(count: usize) -> impl Iterator<Item = [usize; 2]> {
     (0..count).flat_map(move |one| (one + 1..count).map(move |other| [one, other]))
 }
 
-/// What is known of one measure: its mean over bodies, and its standard deviation.
+/// Mean and standard deviation of a measure over bodies.
 struct Prior {
     mean: f64,
     sd: f64,
@@ -105,15 +106,15 @@ const fn prior(mean: f64, sd: f64) -> Prior {
     Prior { mean, sd }
 }
 
-/// Two shapes say nothing of how people differ, and poses stretch skin: no standard deviation is less than this. Lengths
-/// of limbs differ by some 5 % of themselves between people of one stature.
+/// Least standard deviation of a measure. Two shapes do not show how people differ, and poses stretch skin; limb
+/// lengths differ by about 5 % between people of one stature.
 const BETWEEN_PEOPLE: f64 = 0.06;
-/// The same for what symmetry makes small.
+/// Least standard deviation of a measure that symmetry makes small.
 const BETWEEN_SIDES: f64 = 0.04;
 
-/// Of each of the [`measures`]: means over the two average shapes of `MakeHuman` in 13 poses, by
-/// `cargo run -p mocapd-body --example bodies ratios`. The spreads it found are 0.034 at most between people and 0.017
-/// between sides, so the floors stand.
+/// Priors of the [`measures`]: means over the two average shapes of `MakeHuman` in 13 poses, by `cargo run -p
+/// mocapd-body --example bodies ratios`. The standard deviations found there are at most 0.034 between people and 0.017
+/// between sides, so the floors apply.
 const PRIORS: [Prior; MEASURE_COUNT] = [
     prior(-0.443, BETWEEN_PEOPLE),
     prior(0.075, BETWEEN_PEOPLE),
@@ -126,44 +127,44 @@ const PRIORS: [Prior; MEASURE_COUNT] = [
     prior(0.040, BETWEEN_SIDES),
 ];
 
-/// A naming of ends is taken for a body up to this root mean square of its measures' deviations. Free bodies have 0.8 at
-/// most, a lion and a horse 2.26.
+/// Largest misfit that is accepted. Free bodies have at most 0.8, a lion and a horse 2.26.
 pub const MISFIT_MAX: f64 = 2.0;
 
-/// The same in contact, where much is allowed already: a lion and a horse have 1.97.
+/// Largest misfit that is accepted in contact, where the measures allow more: a lion and a horse have 1.97.
 pub const MISFIT_IN_CONTACT_MAX: f64 = 1.3;
 
-/// The same where one limb, or one of each pair, ends early and is thought to be as long as the other: free bodies, which
-/// have nothing missing, have 0.86 at most.
+/// Largest misfit that is accepted if one limb, or one of each pair, ends early and is extended to the length of the
+/// other. Free bodies without missing parts have at most 0.86.
 const MISFIT_CUT_MAX: f64 = 1.0;
 
-/// A limb is thought to end early that is shorter than the other by so much of the mean way: more than poses make.
+/// Least relative shortening, as a fraction of the mean distance, for which a limb counts as cut: more than poses
+/// cause.
 const SHORTER_MIN: f64 = 0.05;
 
-/// How far a naming of five ends is from a body.
+/// Deviation of an assignment from a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Misfit {
-    /// Logarithms of ratios of the ways: head to hands, head to feet, hand to hand and foot to foot, each to the mean of
-    /// all; the four differences between the sides; across the body to one side.
+    /// Logarithmic ratios of geodesic distances: head to hands, head to feet, hand to hand and foot to foot, each to
+    /// the mean of all; the four differences between the sides; across the body to one side.
     pub measures: [f64; MEASURE_COUNT],
-    /// The root mean square of the measures' deviations, in standard deviations.
+    /// Root mean square of the measures' deviations, in standard deviations.
     pub rms: f64,
-    /// The most that is taken for a body.
+    /// Largest accepted value.
     pub limit: f64,
 }
 
-/// Logarithms of ratios of the ways between five ends.
+/// Number of measures.
 pub(crate) const MEASURE_COUNT: usize = 9;
 
-/// Measures of the ways between head, hands and feet, `ways[i][j]` from end i to end j, in the order of
-/// [`super::Extremities::all`].
+/// Measures of the geodesic distances between head, hands and feet; `distances[i][j]` leads from end i to end j, in the
+/// order of [`super::Extremities::all`].
 ///
-/// First the mean logarithm of head to hands, head to feet, hand to hand, foot to foot, each less the mean of all ten
-/// ways', so that size is out of it; then what a body's symmetry makes small: by how much the two ways from the head to the hands differ, to the
-/// feet, and from hand to foot on both sides and across; last, how much longer than on one side it is from hand to foot
-/// across.
-pub(crate) fn measures(ways: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
-    let log = |from: usize, to: usize| ways[from][to].ln();
+/// The first four are the mean logarithms of head to hands, head to feet, hand to hand, foot to foot, each minus the
+/// mean over all ten distances, which removes the size. The next four are small by symmetry: the differences of the two
+/// distances from the head to the hands, to the feet, and from hand to foot on the same side and across. The last is
+/// the excess of hand to foot across over the same side.
+pub(crate) fn measures(distances: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
+    let log = |from: usize, to: usize| distances[from][to].ln();
     let [a, b] = [log(0, 1), log(0, 2)];
     let [c, d] = [log(0, 3), log(0, 4)];
     let [hands, feet] = [log(1, 2), log(3, 4)];
@@ -184,9 +185,9 @@ pub(crate) fn measures(ways: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
     ]
 }
 
-/// How far ends with such ways between them are from a body.
-pub(crate) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
-    let measures = measures(ways);
+/// The misfit of five points with such geodesic distances to a body.
+pub(crate) fn misfit(distances: [[f64; 5]; 5]) -> Misfit {
+    let measures = measures(distances);
     let squares = measures.iter().zip(&PRIORS).map(|(measure, prior)| {
         let deviation = (measure - prior.mean) / prior.sd;
         deviation * deviation
@@ -195,30 +196,30 @@ pub(crate) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
     Misfit { measures, rms, limit: MISFIT_MAX }
 }
 
-/// How far ends are from a body of which a part of one limb, or of an arm and a leg, is missing: the shorter limb of a pair is
-/// thought to be as long as the other. The misfit is infinite where no limb is shorter.
-pub(crate) fn misfit_cut(ways: [[f64; 5]; 5]) -> Misfit {
-    let arms = completed(ways, [1, 2], [3, 4]);
-    let legs = completed(ways, [3, 4], [1, 2]);
-    let both = arms.and_then(|ways| completed(ways, [3, 4], [1, 2]));
+/// Misfit to a body from which part of one limb, or of an arm and a leg, is missing: the shorter limb of a pair is
+/// extended to the length of the other. Infinite if no limb is shorter.
+pub(crate) fn misfit_cut(distances: [[f64; 5]; 5]) -> Misfit {
+    let arms = completed(distances, [1, 2], [3, 4]);
+    let legs = completed(distances, [3, 4], [1, 2]);
+    let both = arms.and_then(|distances| completed(distances, [3, 4], [1, 2]));
     let misfits = [arms, legs, both].into_iter().flatten().map(misfit);
     let best = misfits.min_by(|one, other| one.rms.total_cmp(&other.rms));
-    let none = Misfit { rms: f64::INFINITY, ..misfit(ways) };
+    let none = Misfit { rms: f64::INFINITY, ..misfit(distances) };
     Misfit { limit: MISFIT_CUT_MAX, ..best.unwrap_or(none) }
 }
 
-/// The ways with the shorter of two limbs as long as the other; nothing if neither is shorter by enough, as seen from the head
-/// and from the other pair of ends.
-fn completed(ways: [[f64; 5]; 5], [a, b]: [usize; 2], others: [usize; 2]) -> Option<[[f64; 5]; 5]> {
-    let by_head = ways[0][a] - ways[0][b];
-    let by_others = others.iter().map(|other| ways[*other][a] - ways[*other][b]).sum::<f64>() / 2.0;
-    let mean = ways.as_flattened().iter().sum::<f64>() / 20.0;
+/// The distances with the shorter of two limbs extended to the length of the other. None unless one is clearly shorter,
+/// as seen from the head and from the other pair of limbs.
+fn completed(all: [[f64; 5]; 5], [a, b]: [usize; 2], others: [usize; 2]) -> Option<[[f64; 5]; 5]> {
+    let by_head = all[0][a] - all[0][b];
+    let by_others = others.iter().map(|other| all[*other][a] - all[*other][b]).sum::<f64>() / 2.0;
+    let mean = all.as_flattened().iter().sum::<f64>() / 20.0;
     let agree = by_head * by_others > 0.0;
     if !agree || by_head.abs().min(by_others.abs()) < SHORTER_MIN * mean {
         return None;
     }
     let (short, by) = (if by_head < 0.0 { a } else { b }, f64::midpoint(by_head, by_others).abs());
-    let mut longer = ways;
+    let mut longer = all;
     for other in (0..5).filter(|other| *other != short) {
         longer[short][other] += by;
         longer[other][short] += by;
@@ -226,20 +227,20 @@ fn completed(ways: [[f64; 5]; 5], [a, b]: [usize; 2], others: [usize; 2]) -> Opt
     Some(longer)
 }
 
-/// How much shorter than on a body a way may be where it leads through contact: two hands on the hips are half as far from
-/// each other as free ones.
+/// Standard deviation of the logarithmic shortening of a distance that crosses a contact: two hands on the hips are
+/// half as far apart as free ones.
 const SHORTENED: f64 = 0.4;
 
-/// Of each hand to each foot: the mean of the priors, in the same units, since all ten ways sum to none.
+/// Prior of each hand-to-foot distance, from the other priors, since all ten logarithms sum to zero.
 const HAND_TO_FOOT: f64 =
     -(2.0 * PRIORS[0].mean + 2.0 * PRIORS[1].mean + PRIORS[2].mean + PRIORS[3].mean) / 4.0;
 
-/// How far ends are from a body whose hands have grown to something: contact makes ways shorter, and never longer.
+/// Misfit to a body whose hands touch something: contact shortens distances and never lengthens them.
 ///
-/// The unit is the way from head to feet, which no hand changes.
-pub(crate) fn misfit_in_contact(ways: [[f64; 5]; 5]) -> Misfit {
-    let measures = measures(ways);
-    let log = |from: usize, to: usize| ways[from][to].ln();
+/// Distances are relative to that from head to feet, which no hand affects.
+pub(crate) fn misfit_in_contact(distances: [[f64; 5]; 5]) -> Misfit {
+    let measures = measures(distances);
+    let log = |from: usize, to: usize| distances[from][to].ln();
     let unit = (log(0, 3) + log(0, 4)) / 2.0 - PRIORS[1].mean;
     let strict = [
         (log(3, 4) - unit - PRIORS[3].mean) / PRIORS[3].sd,
@@ -256,8 +257,8 @@ pub(crate) fn misfit_in_contact(ways: [[f64; 5]; 5]) -> Misfit {
         (log(1, 4), HAND_TO_FOOT + half),
         (log(2, 3), HAND_TO_FOOT + half),
     ];
-    let loose = loose.map(|(way, prior)| {
-        let longer = way - unit - prior;
+    let loose = loose.map(|(distance, prior)| {
+        let longer = distance - unit - prior;
         if longer > 0.0 { longer / BETWEEN_PEOPLE } else { longer / SHORTENED }
     });
     let squares = strict.iter().chain(&loose).map(|deviation| deviation * deviation);

@@ -1,44 +1,45 @@
-//! What stands out of a surface, or of a volume, far enough and apart: the maxima of the mean distance to a few far-spread
-//! vertices.
+//! Protrusions of a surface or a volume: the maxima of the mean distance to a few widely spread vertices, with enough
+//! persistence and distance from each other.
 
 use super::FarPoint;
 use crate::geodesic::{Graph, Workspace, distances};
-use crate::topology::root;
+use crate::topology::find_root;
 
-/// So many far-spread vertices make the function whose maxima are the ends. Five would do for a body; two more keep one
-/// that fell on a knee from bending it.
+/// Number of widely spread vertices. Five would do for a body; two more limit the effect of one that fell on a knee.
 const SPREAD_COUNT: usize = 7;
 
-/// An end stands out by at least this part of the longest way. On bodies, hands that have grown to hips do by 0.034.
+/// Least persistence of a protrusion, as a fraction of the longest distance. On bodies, hands fused with the hips have
+/// 0.034.
 const PERSISTENCE_MIN: f64 = 0.015;
 
-/// Two maxima that are nearer than this part of the longest way are on one end: fingers, chin and crown, heel and toes.
+/// Maxima closer than this fraction of the longest distance belong to one protrusion: fingers, chin and crown, heel and
+/// toes.
 const APART_MIN: f64 = 0.15;
 
-/// So many ends are looked at, the most persistent first; each costs the distances from it.
+/// Most candidates, the most persistent first; each costs a run of distances.
 const CANDIDATE_COUNT_MAX: usize = 8;
 
-/// A candidate: where it stands out, and how far it is from everything.
+/// A candidate extremity: its maximum, and the distances from it.
 pub(crate) struct Candidate {
     pub(crate) peak: Peak,
     pub(crate) field: Vec<f64>,
 }
 
-/// What stands out.
-pub(crate) struct StandingOut {
+/// The protrusions of a surface.
+pub(crate) struct Protrusions {
     /// The most persistent first.
     pub(crate) candidates: Vec<Candidate>,
-    /// The far-spread vertices.
+    /// The widely spread vertices.
     pub(crate) spread: Vec<FarPoint>,
     /// The mean distance to them.
     pub(crate) mean: Vec<f64>,
-    /// The longest way that was seen.
+    /// The longest distance that occurred.
     pub(crate) longest: f64,
 }
 
-/// Finds what stands out of the piece of `graph` that `start` is in.
-pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace) -> StandingOut {
-    let spread = farthest_points(graph, start, SPREAD_COUNT, workspace);
+/// Finds the protrusions of the connected component of `start`.
+pub(crate) fn protrusions(graph: &Graph, start: u32, workspace: &mut Workspace) -> Protrusions {
+    let spread = farthest_points(graph, start, workspace);
     let fields = || spread.iter().map(|far| &far.distances);
     let finite = fields().flatten().copied().filter(|far| far.is_finite());
     let longest = finite.fold(0.0, f64::max);
@@ -56,29 +57,30 @@ pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace)
             candidates.push(Candidate { peak, field: distances(graph, peak.vertex, workspace) });
         }
     }
-    StandingOut { candidates, spread, mean, longest }
+    Protrusions { candidates, spread, mean, longest }
 }
 
 /// A maximum of a function on the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Peak {
-    /// Where it is.
+    /// Vertex of the maximum.
     pub vertex: u32,
-    /// How far the function falls from here before a higher maximum can be reached; for the highest, to its least value.
+    /// Drop of the function before a higher maximum can be reached; for the highest, to its least value.
     pub persistence: f64,
-    /// The value where a higher maximum can be reached.
+    /// Value of the saddle to a higher maximum.
     pub saddle: f64,
 }
 
 const UNSEEN: u32 = u32::MAX;
 
-/// The maxima of `values` upon the links of `graph`, the most persistent first (Edelsbrunner et al. 2002).
+/// The maxima of `values` on `graph` by persistence, largest first (Edelsbrunner et al. 2002).
 ///
-/// Vertices are taken from the highest down and joined to those before; where two hills meet, the lower ends.
+/// Vertices are added from the highest down and united with higher neighbours. Where two components meet, the lower
+/// maximum ends.
 pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
     let finite = values.iter().copied().filter(|value| value.is_finite());
     let most = finite.fold(0.0, f64::max);
-    // Equal values in the order of their vertices: a symmetric body gives many.
+    // Ties are broken by vertex index: a symmetric body has many.
     let mut order: Vec<(i64, u32)> = (0_u32..)
         .zip(values)
         .filter(|(_, value)| value.is_finite())
@@ -87,7 +89,7 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
     order.sort_unstable();
     let value = |vertex: u32| values[vertex as usize];
     let mut hills = vec![UNSEEN; values.len()];
-    // Which of two hills is higher: the one whose top came first.
+    // The component whose maximum came first is the higher one.
     let mut rank = vec![0_u32; values.len()];
     let mut found = Vec::new();
     let mut around = Vec::new();
@@ -99,7 +101,7 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
             if hills[link.to as usize] == UNSEEN {
                 continue;
             }
-            let top = root(&mut hills, link.to);
+            let top = find_root(&mut hills, link.to);
             if top != *vertex && !around.contains(&top) {
                 around.push(top);
             }
@@ -113,8 +115,7 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
             found.push(Peak { vertex: *top, persistence: height - saddle, saddle });
         }
     }
-    let ends = order.first().zip(order.last());
-    if let Some(((_, top), (_, bottom))) = ends {
+    if let Some(((_, top), (_, bottom))) = order.first().zip(order.last()) {
         let saddle = value(*bottom);
         found.push(Peak { vertex: *top, persistence: value(*top) - saddle, saddle });
     }
@@ -123,17 +124,11 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
     found
 }
 
-/// Up to `count` vertices by farthest-point sampling: every one is the farthest from all
-/// before it, and the first is the farthest from `start`.
-fn farthest_points(
-    graph: &Graph,
-    start: u32,
-    count: usize,
-    workspace: &mut Workspace,
-) -> Vec<FarPoint> {
+/// Up to [`SPREAD_COUNT`] vertices by farthest-point sampling, the first of them farthest from `start`.
+fn farthest_points(graph: &Graph, start: u32, workspace: &mut Workspace) -> Vec<FarPoint> {
     let mut found = Vec::new();
     let mut nearest = distances(graph, start, workspace);
-    for turn in 0..count {
+    for turn in 0..SPREAD_COUNT {
         let Some(vertex) = farthest(&nearest, |_| true) else { break };
         let field = distances(graph, vertex, workspace);
         if turn == 0 {
@@ -148,20 +143,20 @@ fn farthest_points(
     found
 }
 
-/// Two lengths that differ by less than this part of the longer are taken for the same.
+/// Lengths that differ by less than this fraction of the longer count as equal.
 ///
-/// Turning or moving a mesh changes a sum of some hundred lengths in its last digits, some 1e-13 of it; a symmetric body
-/// has ties that those digits would break.
+/// Rotating or moving a mesh changes a sum of some hundred lengths by about 1e-13 of it, which would break the ties of
+/// a symmetric body.
 const SAME: f64 = 1e-9;
 
-/// The vertex with the greatest finite value, among those that are allowed; of equals, the first.
+/// The allowed vertex with the largest finite value; of equals, the first.
 pub(super) fn farthest(field: &[f64], allowed: impl Fn(u32) -> bool) -> Option<u32> {
     let vertices = || (0_u32..).zip(field).filter(|(at, value)| value.is_finite() && allowed(*at));
     let most = vertices().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
     vertices().find(|(_, value)| **value >= most - SAME * most.abs()).map(|(vertex, _)| vertex)
 }
 
-/// `length`, so that two that are the same but for their last digits are equal, nearly always.
+/// `length` rounded, so that values that differ in their last digits are equal, nearly always.
 fn rounded(length: f64, unit: f64) -> f64 {
     (length / (SAME * unit)).round()
 }

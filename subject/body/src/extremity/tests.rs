@@ -1,4 +1,4 @@
-//! Shapes whose ends are known, and shapes that are no bodies.
+//! Shapes whose extremities are known, and shapes that are not bodies.
 
 use super::naming::misfit;
 use super::peaks::peaks;
@@ -7,7 +7,7 @@ use crate::Mesh;
 use crate::geodesic::{Adjacency, Graph, Workspace};
 use crate::tests::sphere;
 
-/// A sphere with spikes: every vertex pushed out, to `reach` in a direction, and by less about it.
+/// A sphere with spikes: vertices are pushed out, to `reach` in a given direction, and by less around it.
 fn spiked(spikes: &[([f64; 3], f64)]) -> Mesh {
     let mut mesh = sphere(60);
     for at in &mut mesh.positions {
@@ -29,8 +29,8 @@ fn ends(mesh: &Mesh) -> Result<Ends, crate::Refusal> {
 }
 
 #[test]
-fn peaks_stand_out_by_what_parts_them() {
-    // A strip whose heights rise and fall: 5 at one end, 3 and 4 further on, with valleys of 1 and 2 between.
+fn peak_prominence_is_measured_from_the_separating_valley() {
+    // A strip with heights of 5 at one end and 3 and 4 further on, with valleys of 1 and 2 in between.
     let heights = [5.0, 1.0, 3.0, 2.0, 4.0, 0.0];
     let positions = (0..12_u32).map(|at| [f64::from(at / 2), f64::from(at % 2), 0.0]).collect();
     let triangles =
@@ -73,7 +73,7 @@ fn an_animal_has_more_limbs_than_a_body() {
 }
 
 #[test]
-fn a_table_with_four_legs_and_nothing_else_has_too_few_ends() {
+fn a_table_with_four_legs_has_too_few_ends() {
     let towards = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]];
     let refusal = ends(&spiked(&towards.map(|towards| (towards, 4.0)))).unwrap_err();
     assert_eq!(refusal, crate::Refusal::TooFewEnds { found: 4 });
@@ -91,8 +91,8 @@ fn two_pieces_are_refused() {
 }
 
 #[test]
-fn the_misfit_knows_no_size_and_no_side() {
-    // A tree: half ways from a neck and a crotch that are 0.6 apart.
+fn the_misfit_is_independent_of_size_and_side() {
+    // A tree: half distances from a neck and a crotch that are 0.6 apart.
     let (head, hand, foot, trunk) = (0.28, 0.75, 0.95, 0.6);
     let arm = |one: usize, other: usize| match (one.min(other), one.max(other)) {
         (a, b) if a == b => 0.0,
@@ -102,11 +102,11 @@ fn the_misfit_knows_no_size_and_no_side() {
         (3, 4) => 2.0 * foot,
         _ => hand + trunk + foot,
     };
-    let ways = |order: [usize; 5], scale: f64| order.map(|a| order.map(|b| scale * arm(a, b)));
-    let whole = misfit(ways([0, 1, 2, 3, 4], 1.0)).rms;
+    let distances = |order: [usize; 5], scale: f64| order.map(|a| order.map(|b| scale * arm(a, b)));
+    let whole = misfit(distances([0, 1, 2, 3, 4], 1.0)).rms;
     for (order, scale) in [([0, 2, 1, 4, 3], 1.0), ([0, 1, 2, 3, 4], 1000.0)] {
-        assert!((misfit(ways(order, scale)).rms - whole).abs() < 1e-9);
+        assert!((misfit(distances(order, scale)).rms - whole).abs() < 1e-9);
     }
-    let swapped = misfit(ways([0, 3, 4, 1, 2], 1.0)).rms;
+    let swapped = misfit(distances([0, 3, 4, 1, 2], 1.0)).rms;
     assert!(whole < MISFIT_MAX && swapped > 2.0 * whole, "{whole} and {swapped}");
 }

@@ -1,37 +1,40 @@
-//! Shortest paths from one vertex, or several, to all.
+//! Shortest paths from one vertex or several to all others.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::graph::Graph;
 
-/// Turns over all vertices before a heap takes over, whose time is bounded. Bodies need some ten.
-const TURNS_MAX: usize = 48;
-/// How often a vertex may be come to in them, on average. On bodies it is 1.3 to 1.7 times.
+/// Most sweeps over all vertices before Dijkstra's method takes over, whose time is bounded. Bodies need about ten.
+const SWEEPS_MAX: usize = 48;
+/// Mean number of visits per vertex in the sweeps, at most. Bodies need 1.3 to 1.7.
 const VISITS_MAX: usize = 4;
 
-/// What one run leaves for the next, so that a dozen sources cost little more than their links.
+/// State that runs reuse, so that a dozen sources cost little more than their links.
 ///
-/// It may be used with any graph: what it leaves changes how long a run takes, and never what it gives.
+/// Any graph may follow any other: the workspace affects only the time of a run, never its result.
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
-    // Lengths are never negative, and the bits of such numbers are in the order of the numbers.
-    heap: BinaryHeap<Reverse<(u64, u32)>>,
-    /// Every vertex once, in the order in which the first run came to them.
+    // Distances are never negative, and the bits of such numbers are in the order of the numbers.
+    heap: Heap,
+    /// Every vertex once, in the order in which the first run reached them.
     order: Vec<u32>,
-    /// Which vertices have come nearer since their links were last followed.
-    open: Vec<bool>,
+    /// Vertices that came nearer since their links were last followed.
+    active: Vec<bool>,
 }
 
-/// The length of the shortest way from `source` to every vertex, in the mesh's unit; infinite where there is none.
+/// Vertices by distance, the nearest first.
+type Heap = BinaryHeap<Reverse<(u64, u32)>>;
+
+/// The length of the shortest path from `source` to every vertex, in the mesh's unit; infinite if there is none.
 #[must_use]
 pub fn distances(graph: &Graph, source: u32, workspace: &mut Workspace) -> Vec<f64> {
     distances_from(graph, [(source, 0.0)], workspace)
 }
 
-/// The same from several sources at once, each with a length that its ways start with: the least of all.
+/// The least distance from several sources, each with an initial length.
 ///
-/// A source that is no vertex is passed over.
+/// A source that is no vertex is ignored.
 #[must_use]
 pub fn distances_from(
     graph: &Graph,
@@ -40,23 +43,23 @@ pub fn distances_from(
 ) -> Vec<f64> {
     let count = graph.vertex_count();
     let mut found = vec![f64::INFINITY; count];
-    let Workspace { heap, order, open } = workspace;
-    open.clear();
-    open.resize(count, false);
+    let Workspace { heap, order, active } = workspace;
+    active.clear();
+    active.resize(count, false);
     for (source, start) in sources {
         if let Some(best) = found.get_mut(source as usize).filter(|best| start < **best) {
             *best = start;
-            open[source as usize] = true;
+            active[source as usize] = true;
         }
     }
     let known = order.len() == count;
-    if !(known && in_turns(graph, order, &mut found, open)) {
-        let nearer = (0_u32..).zip(&found).filter(|(vertex, _)| open[*vertex as usize]);
+    if !(known && sweep(graph, order, &mut found, active)) {
+        let nearer = (0_u32..).zip(&found).filter(|(vertex, _)| active[*vertex as usize]);
         heap.clear();
         heap.extend(nearer.map(|(vertex, far)| Reverse((far.to_bits(), vertex))));
-        let reached = by_heap(graph, heap, &mut found);
+        let reached = dijkstra(graph, heap, &mut found);
         order.clear();
-        // What was known and did not help is forgotten: the next run begins without.
+        // An order that did not help is dropped: the next run starts without one.
         if !known {
             let apart = (0_u32..).zip(&found).filter(|(_, far)| far.is_infinite());
             order.extend(reached.into_iter().chain(apart.map(|(vertex, _)| vertex)));
@@ -65,12 +68,8 @@ pub fn distances_from(
     found
 }
 
-/// Dijkstra's method, from what lies in the heap; gives the vertices in the order in which it came to them.
-fn by_heap(
-    graph: &Graph,
-    heap: &mut BinaryHeap<Reverse<(u64, u32)>>,
-    found: &mut [f64],
-) -> Vec<u32> {
+/// Dijkstra's method from the vertices in the heap. Returns the vertices in the order in which they were reached.
+fn dijkstra(graph: &Graph, heap: &mut Heap, found: &mut [f64]) -> Vec<u32> {
     let mut reached = Vec::with_capacity(found.len());
     while let Some(Reverse((bits, vertex))) = heap.pop() {
         let here = f64::from_bits(bits);
@@ -90,23 +89,23 @@ fn by_heap(
     reached
 }
 
-/// Follows the links of what has come nearer, there and back in an `order` that was right for another source, until
-/// nothing comes nearer; false if that takes too many turns.
+/// Relaxes links in alternating sweeps over an `order` computed for another source, until nothing changes; false if
+/// that takes too many sweeps.
 ///
-/// Limbs are tubes: along each, the order of any source is that of this one or its reverse. So most vertices are come to
-/// when they are final, and no heap and no branch is in the way. Lengths are the least sums along ways, as a heap gives
-/// them, to the last bit.
-fn in_turns(graph: &Graph, order: &[u32], found: &mut [f64], open: &mut [bool]) -> bool {
+/// Limbs are tubes, and along each the order for any source is this one or its reverse. Most vertices are final when
+/// visited, without a heap or a branch. The distances are the least sums along paths, equal to those of Dijkstra's
+/// method to the last bit.
+fn sweep(graph: &Graph, order: &[u32], found: &mut [f64], active: &mut [bool]) -> bool {
     let mut left = VISITS_MAX * order.len();
-    for turn in 0..TURNS_MAX {
+    for pass in 0..SWEEPS_MAX {
         let before = left;
         for index in 0..order.len() {
-            let vertex = order[if turn % 2 == 0 { index } else { order.len() - 1 - index }];
-            if !std::mem::replace(&mut open[vertex as usize], false) {
+            let vertex = order[if pass % 2 == 0 { index } else { order.len() - 1 - index }];
+            if !std::mem::replace(&mut active[vertex as usize], false) {
                 continue;
             }
             let Some(rest) = left.checked_sub(1) else {
-                open[vertex as usize] = true;
+                active[vertex as usize] = true;
                 return false;
             };
             left = rest;
@@ -116,7 +115,7 @@ fn in_turns(graph: &Graph, order: &[u32], found: &mut [f64], open: &mut [bool]) 
                 let (there, best) = (here + link.length, found[to]);
                 let nearer = there < best;
                 found[to] = if nearer { there } else { best };
-                open[to] |= nearer;
+                active[to] |= nearer;
             }
         }
         if left == before {

@@ -1,24 +1,24 @@
-//! Which triangles share an edge, and graphs upon a mesh whose shortest paths stand for geodesics.
+//! Mesh connectivity, and graphs on a mesh whose shortest paths approximate geodesics.
 
 use crate::mesh::{Point, distance};
-use crate::topology::{self, Rows, sides};
+use crate::topology::{self, SparseRows, half_edges};
 use crate::{Mesh, Refusal};
 
-/// Stands for no triangle: the other side of an edge of a hole.
+/// No triangle: the other side of a border edge.
 pub const NONE: u32 = u32::MAX;
 
-/// An edge, with up to two of its triangles.
+/// An edge and up to two of its triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Edge {
-    /// Its ends, the smaller index first.
+    /// Its vertices, the smaller index first.
     pub vertices: [u32; 2],
-    /// The triangles on its sides, or [`NONE`]. Of an edge with more than two, the first two.
+    /// The triangles on its sides, or [`NONE`]. Of more than two, the first two.
     pub triangles: [u32; 2],
 }
 
-/// The edges of a mesh, and which triangle has which.
+/// The edges of a mesh, and the edges of each triangle.
 ///
-/// Edges stand in the order of their ends' indices, so that nothing depends on the order of the triangles.
+/// Edges are sorted by their vertices, so the order of the triangles does not matter.
 #[derive(Debug, Clone)]
 pub struct Adjacency {
     vertex_count: usize,
@@ -27,32 +27,32 @@ pub struct Adjacency {
 }
 
 impl Adjacency {
-    /// Finds the edges of `mesh`, in time proportional to its size.
+    /// Finds the edges of `mesh` in linear time.
     ///
     /// # Errors
     ///
-    /// [`Refusal::BrokenMesh`]: a triangle names a vertex that is not there, or a position is not a finite number.
+    /// [`Refusal::BrokenMesh`]: a triangle names a missing vertex, or a position is not finite.
     pub fn new(mesh: &Mesh) -> Result<Self, Refusal> {
         check(mesh)?;
         let mut edges: Vec<Edge> = Vec::with_capacity(mesh.triangles.len() * 3 / 2);
         let mut triangle_edges = vec![[0; 3]; mesh.triangles.len()];
-        let all = sides(&mesh.triangles);
-        for of_edge in topology::edges(&all) {
+        let all = half_edges(&mesh.triangles);
+        for half_edges in topology::edges(&all) {
             let mut triangles = [NONE; 2];
-            for (triangle, side) in triangles.iter_mut().zip(of_edge) {
+            for (triangle, side) in triangles.iter_mut().zip(half_edges) {
                 *triangle = side.index / 3;
             }
-            for side in of_edge {
+            for side in half_edges {
                 triangle_edges[side.index as usize / 3][side.index as usize % 3] =
                     edges.len() as u32;
             }
-            edges.push(Edge { vertices: of_edge[0].ends, triangles });
+            edges.push(Edge { vertices: half_edges[0].ends, triangles });
         }
         let vertex_count = mesh.positions.len();
         Ok(Self { vertex_count, edges, triangle_edges })
     }
 
-    /// How many vertices the mesh has.
+    /// Number of vertices of the mesh.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
         self.vertex_count
@@ -64,18 +64,18 @@ impl Adjacency {
         &self.edges
     }
 
-    /// For each triangle `[a, b, c]` the edges `[ab, bc, ca]`, as indices into [`Self::edges`].
+    /// For each triangle `[a, b, c]`, the edges `[ab, bc, ca]` as indices into [`Self::edges`].
     #[must_use]
     pub fn triangle_edges(&self) -> &[[u32; 3]] {
         &self.triangle_edges
     }
 
-    /// How many handles a closed surface has.
+    /// Number of handles of a closed surface.
     pub(crate) fn handles(&self) -> usize {
         usize::try_from((2 - self.euler_characteristic()) / 2).unwrap_or(0)
     }
 
-    /// Vertices that a triangle uses - edges + triangles: 2 for a closed surface without handles, 2 - 2g with g of them.
+    /// Used vertices - edges + triangles: 2 - 2g for a closed surface with g handles.
     #[must_use]
     pub fn euler_characteristic(&self) -> i64 {
         let mut used = vec![false; self.vertex_count];
@@ -92,14 +92,14 @@ fn check(mesh: &Mesh) -> Result<(), Refusal> {
     // Indices are u32, and three sides a triangle are counted in u32.
     let countable = |count: usize| u32::try_from(count).is_ok_and(|count| count < NONE / 3);
     if !countable(mesh.positions.len()) || !countable(mesh.triangles.len()) {
-        return Err(Refusal::BrokenMesh { what: "more vertices or triangles than can be counted" });
+        return Err(Refusal::BrokenMesh { what: "too many vertices or triangles" });
     }
     if !mesh.positions.iter().flatten().all(|value| value.is_finite()) {
         return Err(Refusal::BrokenMesh { what: "a position that is not a finite number" });
     }
     let count = mesh.positions.len() as u32;
     if !mesh.triangles.iter().flatten().all(|vertex| *vertex < count) {
-        return Err(Refusal::BrokenMesh { what: "a triangle of a vertex that is not there" });
+        return Err(Refusal::BrokenMesh { what: "a triangle with a missing vertex" });
     }
     if mesh.triangles.is_empty() {
         return Err(Refusal::BrokenMesh { what: "no triangle" });
@@ -107,49 +107,49 @@ fn check(mesh: &Mesh) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// A way from one vertex to another.
+/// A directed link of a graph.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Link {
-    /// Where it leads.
+    /// Target vertex.
     pub to: u32,
-    /// Its length, in the mesh's unit.
+    /// Length, in the mesh's unit.
     pub length: f64,
 }
 
-/// A way that leads both there and back.
+/// An undirected edge of a graph.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Way {
+pub(crate) struct GraphEdge {
     pub(crate) ends: [u32; 2],
     pub(crate) length: f64,
 }
 
-impl Way {
-    /// The straight one.
+impl GraphEdge {
+    /// The mesh edge itself.
     fn along(mesh: &Mesh, edge: &Edge) -> Self {
         let [a, b] = edge.vertices.map(|vertex| mesh.point(vertex));
         Self { ends: edge.vertices, length: distance(a, b) }
     }
 }
 
-/// Vertices and the ways between them.
+/// A weighted graph on the vertices of a mesh.
 #[derive(Debug, Clone)]
-pub struct Graph(Rows<Link>);
+pub struct Graph(SparseRows<Link>);
 
 impl Graph {
-    /// Edges alone: the g of (Yu et al. 2008, section 2).
+    /// Mesh edges only: the distance g of (Yu et al. 2008, section 2).
     #[must_use]
     pub fn along_edges(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let ways = adjacency.edges().iter().map(|edge| Way::along(mesh, edge));
-        Self::new(adjacency.vertex_count(), ways)
+        let edges = adjacency.edges().iter().map(|edge| GraphEdge::along(mesh, edge));
+        Self::new(adjacency.vertex_count(), edges)
     }
 
-    /// Edges, and the straight way across each edge from the corner opposite to it on one side to the one on the other, as
-    /// long as it is when both triangles are laid into one plane.
+    /// Mesh edges, and across each edge the straight segment between the two opposite corners, with both triangles
+    /// unfolded into one plane.
     #[must_use]
     pub fn with_short_cuts(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let mut ways = Vec::with_capacity(2 * adjacency.edges().len());
+        let mut edges = Vec::with_capacity(2 * adjacency.edges().len());
         for edge in adjacency.edges() {
-            ways.push(Way::along(mesh, edge));
+            edges.push(GraphEdge::along(mesh, edge));
             let [one, other] = edge.triangles;
             if one == NONE || other == NONE {
                 continue;
@@ -158,43 +158,43 @@ impl Graph {
             let Some((from, to)) = ends else { continue };
             let edge = edge.vertices.map(|vertex| mesh.point(vertex));
             if let Some(length) = across(edge, mesh.point(from), mesh.point(to)) {
-                ways.push(Way { ends: [from, to], length });
+                edges.push(GraphEdge { ends: [from, to], length });
             }
         }
-        Self::new(adjacency.vertex_count(), ways.into_iter())
+        Self::new(adjacency.vertex_count(), edges.into_iter())
     }
 
-    /// A graph of any ways.
-    pub(crate) fn new(vertex_count: usize, ways: impl Iterator<Item = Way> + Clone) -> Self {
-        let there_and_back = |Way { ends: [a, b], length }| {
+    /// A graph of arbitrary edges.
+    pub(crate) fn new(vertex_count: usize, edges: impl Iterator<Item = GraphEdge> + Clone) -> Self {
+        let there_and_back = |GraphEdge { ends: [a, b], length }| {
             [(a, Link { to: b, length }), (b, Link { to: a, length })]
         };
-        Self(Rows::new(vertex_count, ways.flat_map(there_and_back)))
+        Self(SparseRows::new(vertex_count, edges.flat_map(there_and_back)))
     }
 
-    /// How many vertices there are.
+    /// Number of vertices.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
         self.0.count()
     }
 
-    /// The ways out of `vertex`; none if there is no such vertex.
+    /// The links of `vertex`; none if there is no such vertex.
     #[must_use]
     pub fn links(&self, vertex: u32) -> &[Link] {
         self.0.row(vertex)
     }
 }
 
-/// The corner of `triangle` that is not on the edge; none if the triangle names a vertex twice.
+/// The corner of `triangle` that is not on the edge; none if the triangle is degenerate.
 fn opposite(mesh: &Mesh, triangle: u32, edge: [u32; 2]) -> Option<u32> {
     mesh.triangles[triangle as usize].into_iter().find(|corner| !edge.contains(corner))
 }
 
-/// How long the straight way from `from` to `to` is across the edge that their triangles share, when both are laid into one
-/// plane; none if that way would leave the two triangles, since one along edges is then as short.
+/// Length of the straight segment from `from` to `to` across the edge that their triangles share, unfolded into one
+/// plane. None if it would leave the two triangles, since a path along edges is then as short.
 ///
-/// On the edge's own axis each corner is an offset along it and a height above it. The heights point to opposite sides
-/// once unfolded, so they add.
+/// In the frame of the edge each corner has an offset along it and a height above it. Unfolded, the heights point to
+/// opposite sides, so they add.
 fn across([a, b]: [Point; 2], from: Point, to: Point) -> Option<f64> {
     let axis = b - a;
     let edge = axis.norm();

@@ -1,8 +1,8 @@
-//! Distances along the surface: the connectivity of a mesh, graphs upon it, and shortest paths in them.
+//! Geodesic distances: mesh connectivity, graphs on a mesh, and shortest paths in them.
 //!
-//! Two metrics. [`Graph::along_edges`] is that of the paper (Yu et al. 2008, section 2): Dijkstra along edges, which
-//! overestimates by 3 to 6 %, and by what, depends on how the surface is cut into triangles. [`Graph::with_short_cuts`]
-//! may also cross an edge straight from one triangle into the next, which takes most of that error away.
+//! There are two metrics. [`Graph::along_edges`] is that of (Yu et al. 2008, section 2): paths along edges, 3 to 6 %
+//! too long by an amount that depends on the triangulation. [`Graph::with_short_cuts`] also crosses edges straight from
+//! one triangle into the next, which removes most of that error.
 
 mod dijkstra;
 mod graph;
@@ -10,5 +10,5 @@ mod graph;
 mod tests;
 
 pub use dijkstra::{Workspace, distances, distances_from};
-pub(crate) use graph::Way;
+pub(crate) use graph::GraphEdge;
 pub use graph::{Adjacency, Edge, Graph, Link, NONE};

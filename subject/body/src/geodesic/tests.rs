@@ -1,4 +1,4 @@
-//! Against surfaces whose geodesics are known.
+//! Comparison with surfaces whose geodesics are known.
 
 use std::f64::consts::PI;
 
@@ -53,7 +53,7 @@ fn sphere(rows: u32, seed: u64) -> Mesh {
     Mesh { positions, triangles }
 }
 
-/// The mean of `found / exact` over the vertices that are not near the source, and the greatest.
+/// Mean and maximum of `found / exact` over the vertices that are not near the source.
 fn overestimate(found: &[f64], exact: impl Fn(usize) -> f64) -> (f64, f64) {
     let ratios = found.iter().enumerate().filter(|(vertex, _)| exact(*vertex) > 0.3);
     let ratios: Vec<f64> = ratios.map(|(vertex, found)| found / exact(vertex)).collect();
@@ -69,7 +69,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn short_cuts_come_near_a_spheres_arcs(seed: u64, rows in 16_u32..28, source in 0_u32..400) {
+    fn shortcuts_approximate_the_arcs_of_a_sphere(seed: u64, rows in 16_u32..28, source in 0_u32..400) {
         let mesh = sphere(rows, seed);
         let adjacency = Adjacency::new(&mesh).unwrap();
         prop_assert_eq!(adjacency.euler_characteristic(), 2);
@@ -82,15 +82,15 @@ proptest! {
             (overestimate(&edges, exact), overestimate(&cuts, exact));
         // Chords are shorter than arcs, by 1 - x^2 / 24 of them; so the ratio may fall a little short of one.
         prop_assert!((0.99..1.06).contains(&cut_mean), "{cut_mean}");
-        // The slivers about the poles make single ways long; they stay no longer than along edges.
+        // The slivers around the poles make single paths long; they remain no longer than along edges.
         prop_assert!(cut_max <= edge_max, "{cut_max} of {edge_max}");
-        // From a pole the edges lie along the arcs already, and there is little to be won.
+        // From a pole the edges already lie along the arcs, so little can be gained.
         let nearer = cut_mean - 1.0 < 0.7 * (edge_mean - 1.0) || edge_mean < 1.02;
         prop_assert!(nearer, "{cut_mean} of {edge_mean}");
     }
 
     #[test]
-    fn short_cuts_come_near_a_tubes_helices(around in 20_u32..40, start in 0_u32..20) {
+    fn shortcuts_approximate_the_helices_of_a_tube(around in 20_u32..40, start in 0_u32..20) {
         let mesh = tube(around, 60);
         let source = 10 * around + start;
         let adjacency = Adjacency::new(&mesh).unwrap();
@@ -100,7 +100,8 @@ proptest! {
         };
         let graph = Graph::with_short_cuts(&mesh, &adjacency);
         let (mean, max) = overestimate(&distances(&graph, source, &mut Workspace::default()), exact);
-        // Where the cells have no diagonal, the worst way is half way between a row and a short cut: 1 / cos(45 / 2 deg).
+        // Where the cells have no diagonal, the worst direction is midway between a row and a shortcut: 1 / cos(45 / 2
+        // deg).
         prop_assert!((0.99..1.05).contains(&mean), "{mean}");
         prop_assert!(max < 1.083, "{max}");
     }
@@ -119,7 +120,7 @@ proptest! {
     }
 
     #[test]
-    fn several_sources_give_the_least_of_each(seed: u64, a in 0_u32..400, b in 0_u32..400) {
+    fn several_sources_give_the_minimum(seed: u64, a in 0_u32..400, b in 0_u32..400) {
         let mesh = sphere(16, seed);
         let adjacency = Adjacency::new(&mesh).unwrap();
         let graph = Graph::along_edges(&mesh, &adjacency);
@@ -129,7 +130,7 @@ proptest! {
         prop_assert!(both.iter().zip(one.iter().zip(&other)).all(|(both, (a, b))| *both == a.min(*b)));
     }
     #[test]
-    fn what_a_run_leaves_changes_nothing(seed: u64, sources in prop::collection::vec(0_u32..400, 1..6)) {
+    fn a_reused_workspace_gives_the_same_distances(seed: u64, sources in prop::collection::vec(0_u32..400, 1..6)) {
         let mesh = sphere(16, seed);
         let adjacency = Adjacency::new(&mesh).unwrap();
         let mut used = Workspace::default();
@@ -152,7 +153,7 @@ fn a_hole_leaves_edges_with_one_triangle() {
 }
 
 #[test]
-fn what_hangs_apart_is_infinitely_far() {
+fn disconnected_pieces_are_infinitely_far() {
     let mesh = Mesh {
         positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [5.0; 3]],
         triangles: vec![[0, 1, 2]],
@@ -177,14 +178,14 @@ fn broken_meshes_are_refused() {
 }
 
 #[test]
-fn an_order_that_fits_nothing_costs_time_and_nothing_else() {
-    // A comb: to go along it, turn after turn, is more than turns may do.
+fn an_unsuitable_sweep_order_only_costs_time() {
+    // A comb: a path along it needs more sweeps than the limit.
     let steps = 400_u32;
-    let ways = (1..steps).map(|at| Way { ends: [at - 1, at], length: 1.0 });
-    let line = Graph::new(steps as usize, ways);
+    let edges = (1..steps).map(|at| GraphEdge { ends: [at - 1, at], length: 1.0 });
+    let line = Graph::new(steps as usize, edges);
     let shuffled = |at: u32| (at * 7919) % steps;
-    let ways = (1..steps).map(|at| Way { ends: [shuffled(at - 1), shuffled(at)], length: 1.0 });
-    let comb = Graph::new(steps as usize, ways);
+    let edge = |at: u32| GraphEdge { ends: [shuffled(at - 1), shuffled(at)], length: 1.0 };
+    let comb = Graph::new(steps as usize, (1..steps).map(edge));
     let mut workspace = Workspace::default();
     assert_eq!(distances(&line, 0, &mut workspace)[steps as usize - 1], f64::from(steps - 1));
     let found = distances(&comb, shuffled(0), &mut workspace);

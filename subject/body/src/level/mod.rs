@@ -1,4 +1,4 @@
-//! Level sets of a function on the surface: rings about the limbs (Yu et al. 2008, section 6).
+//! Level sets of a function on the surface: closed curves around the limbs (Yu et al. 2008, section 6).
 
 use std::f64::consts::PI;
 
@@ -9,27 +9,28 @@ use crate::mesh::Point;
 #[cfg(test)]
 mod tests;
 
-/// The rings of a function at some levels.
+/// Level-set curves of a function.
 #[derive(Debug, Clone)]
 pub struct Rings {
     /// The levels, ascending.
     pub values: Vec<f64>,
-    /// The rings, those of lower levels first.
+    /// The curves, those of lower levels first.
     pub rings: Vec<Ring>,
     pub(crate) spans: Spans,
 }
 
-/// `count - 1` levels that part the range of `field` evenly, algorithm 2 of (Yu et al. 2008): its ends have no rings.
+/// `count - 1` levels that divide the range of `field` evenly, as in algorithm 2 of (Yu et al. 2008); its ends have no
+/// curves.
 #[must_use]
 pub fn even_levels(field: &[f64], count: u32) -> Vec<f64> {
     let most = field.iter().copied().filter(|value| value.is_finite()).fold(0.0, f64::max);
     (1..count).map(|level| most * f64::from(level) / f64::from(count)).collect()
 }
 
-/// Cuts the surface where `field`, one value a vertex, passes `values`, by (3) of (Yu et al. 2008).
+/// Cuts the surface where `field`, one value per vertex, crosses `values`, by (3) of (Yu et al. 2008).
 ///
-/// What is connected is known from the mesh's edges, not from where points lie. `values` need not be in order. A field
-/// that is shorter than the mesh has vertices gives no rings.
+/// Connectivity comes from the mesh's edges, not from positions. `values` may be in any order. A field of the wrong
+/// length gives no curves.
 #[must_use]
 pub fn cut(mesh: &Mesh, adjacency: &Adjacency, field: &[f64], mut values: Vec<f64>) -> Rings {
     values.retain(|value| value.is_finite());
@@ -59,7 +60,7 @@ pub fn cut(mesh: &Mesh, adjacency: &Adjacency, field: &[f64], mut values: Vec<f6
     Rings { values, rings, spans }
 }
 
-/// Where a level crosses an edge, (3): the same point from both of its triangles.
+/// The crossing of a level with an edge (3): the same point from both triangles.
 fn crossing(mesh: &Mesh, adjacency: &Adjacency, field: &[f64], edge: u32, value: f64) -> [f64; 3] {
     let [o, p] = adjacency.edges()[edge as usize].vertices.map(|vertex| vertex as usize);
     let part = ((value - field[o]) / (field[p] - field[o])).clamp(0.0, 1.0);
@@ -67,20 +68,20 @@ fn crossing(mesh: &Mesh, adjacency: &Adjacency, field: &[f64], edge: u32, value:
     (from + (to - from) * part).into()
 }
 
-/// How many levels are at or below each vertex.
+/// The rank of each vertex: the number of levels at or below it.
 ///
-/// A vertex that lies on a level counts as above it, everywhere alike: so no level ever passes through a vertex, and every
-/// triangle that it enters it leaves through another side.
+/// A vertex on a level counts as above it, everywhere alike. So no level passes through a vertex, and a level that
+/// enters a triangle leaves it through another side.
 #[derive(Debug, Clone)]
 pub(crate) struct Spans {
     ranks: Vec<u32>,
 }
 
-/// The rank of a vertex that cannot be reached: no level is near it.
+/// Rank of an unreachable vertex: no level is near it.
 const UNREACHED: u32 = u32::MAX;
 
 impl Spans {
-    /// `values` in ascending order.
+    /// `values` must ascend.
     pub(crate) fn new(field: &[f64], values: &[f64]) -> Self {
         let rank = |at: &f64| match at.is_finite() {
             true => values.partition_point(|value| value <= at) as u32,
@@ -89,24 +90,24 @@ impl Spans {
         Self { ranks: field.iter().map(rank).collect() }
     }
 
-    /// The band of a vertex: how many levels are at or below it.
+    /// The rank of a vertex; none if it is unreachable.
     pub(crate) fn rank(&self, vertex: u32) -> Option<u32> {
         self.ranks.get(vertex as usize).copied().filter(|rank| *rank != UNREACHED)
     }
 
-    /// Whether a vertex is at or above a level.
+    /// Whether a vertex lies at or above a level.
     pub(crate) fn above(&self, vertex: u32, level: u32) -> bool {
         self.ranks[vertex as usize] > level
     }
 
-    /// The lowest and the highest band that vertices reach into; none if one of them cannot be reached.
+    /// The lowest and the highest rank of some vertices; none if one is unreachable.
     pub(crate) fn bands(&self, vertices: &[u32]) -> Option<[u32; 2]> {
         let ranks = || vertices.iter().map(|vertex| self.ranks[*vertex as usize]);
         let highest = ranks().max().filter(|rank| *rank != UNREACHED)?;
         Some([ranks().min()?, highest])
     }
 
-    /// For each level the triangles that it crosses, in ascending order.
+    /// For each level, the triangles that it crosses, ascending.
     pub(crate) fn crossed(&self, mesh: &Mesh, level_count: usize) -> Vec<Vec<u32>> {
         let mut crossed = vec![Vec::new(); level_count];
         for (triangle, corners) in (0_u32..).zip(&mesh.triangles) {
@@ -119,7 +120,7 @@ impl Spans {
     }
 }
 
-/// What a walk goes over.
+/// The surface and the level of a traversal.
 struct Ground<'a> {
     mesh: &'a Mesh,
     adjacency: &'a Adjacency,
@@ -128,9 +129,9 @@ struct Ground<'a> {
 }
 
 impl Ground<'_> {
-    /// The edges that the level crosses on its way about the vertices above, from `start`; and whether it came back.
+    /// The edges that the level crosses from triangle `start` on, around the vertices above, and whether it closed.
     ///
-    /// `seen` holds for each triangle the level, plus one, that last passed it.
+    /// `seen` stores for each triangle the last level that passed it, plus one.
     fn walk(&self, start: u32, seen: &mut [u32]) -> (Vec<u32>, bool) {
         let Some([entry, exit]) = self.sides(start) else { return (Vec::new(), false) };
         let mut crossed = vec![entry];
@@ -138,17 +139,17 @@ impl Ground<'_> {
         if self.follow(start, exit, seen, &mut crossed) {
             return (crossed, true);
         }
-        // It ran into a hole: what lies before the start comes before it.
+        // The curve ran into a hole: prepend what lies on the other side of the start.
         let mut before = Vec::new();
         self.follow(start, entry, seen, &mut before);
         before.reverse();
-        // The entry stands in both.
+        // The entry is in both halves.
         before.pop();
         before.append(&mut crossed);
         (before, false)
     }
 
-    /// Goes on from `triangle` over `edge`, until a hole or a triangle that was passed; whether that is where it began.
+    /// Continues from `triangle` over `edge` until a hole or a visited triangle; whether that is the start.
     fn follow(&self, start: u32, first: u32, seen: &mut [u32], crossed: &mut Vec<u32>) -> bool {
         let (mut triangle, mut edge) = (start, first);
         loop {
@@ -167,7 +168,7 @@ impl Ground<'_> {
         }
     }
 
-    /// The two sides of a triangle that the level crosses: first the one that climbs, going round the triangle.
+    /// The two sides of a triangle that the level crosses, the ascending one first.
     fn sides(&self, triangle: u32) -> Option<[u32; 2]> {
         let corners = self.mesh.triangles.get(triangle as usize)?;
         let edges = self.adjacency.triangle_edges().get(triangle as usize)?;
@@ -179,22 +180,23 @@ impl Ground<'_> {
     }
 }
 
-/// One curve of a level set: points on edges of the mesh, in order, with the higher part of the surface on one side.
+/// One curve of a level set: ordered points on mesh edges, with the higher part of the surface on one side.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ring {
-    /// Which level it is of.
+    /// Index of its level.
     pub level: u32,
-    /// Where it crosses edges. The last is joined to the first, through the hole if it runs into one.
+    /// Crossings with edges. The last connects to the first, through the hole if the curve is open.
     pub points: Vec<[f64; 3]>,
     /// A triangle that it crosses.
     pub triangle: u32,
-    /// Whether it comes back to where it began, without a hole in between.
+    /// Whether the curve is closed, without a hole in between.
     pub closed: bool,
-    /// The mean of the curve, each piece weighted by its length: what (4) is without its bias to where edges are dense.
+    /// Centroid of the curve, weighted by length: (4) without its bias towards dense edges.
     pub centroid: [f64; 3],
-    /// Its length, in the mesh's unit.
+    /// Perimeter, in the mesh's unit.
     pub perimeter: f64,
-    /// Half the sum of `(p[k] - c) x (p[k + 1] - c)`: its length is the area of a flat ring, its direction the normal.
+    /// Half the sum of `(p[k] - c) x (p[k + 1] - c)`. For a flat curve its length is the area and its direction the
+    /// normal.
     pub vector_area: [f64; 3],
 }
 
@@ -222,7 +224,8 @@ impl Ring {
         mean_of(&self.points).into()
     }
 
-    /// 4 pi s / c^2, (5) of (Yu et al. 2008), with the length of the vector area for s: 1 for a circle, less for all else.
+    /// Circularity 4 pi s / c^2, (5) of (Yu et al. 2008), with the length of the vector area for s: 1 for a circle,
+    /// less for anything else.
     #[must_use]
     pub fn circularity(&self) -> f64 {
         if self.perimeter > 0.0 {

@@ -1,4 +1,4 @@
-//! Rings of tubes and of what is torn or forked.
+//! Level curves of tubes, and of torn and branching surfaces.
 
 use std::f64::consts::PI;
 
@@ -51,7 +51,7 @@ fn a_round_tube_gives_circles_and_a_flat_one_less() {
 }
 
 #[test]
-fn rings_turn_the_same_way() {
+fn rings_have_the_same_orientation() {
     let found = rings(&tube(24, 11, 1.0), even_levels(&heights(&tube(24, 11, 1.0)), 20));
     assert_eq!((found.values.len(), found.rings.len()), (19, 19));
     assert!(
@@ -63,7 +63,7 @@ fn rings_turn_the_same_way() {
 }
 
 #[test]
-fn a_ring_that_runs_into_a_hole_is_one_and_open() {
+fn a_ring_that_meets_a_hole_is_one_open_curve() {
     let mut mesh = tube(24, 11, 1.0);
     let whole = rings(&mesh, vec![0.9]).rings[0].clone();
     // Three cells' triangles at that height, so that the level is cut once.
@@ -99,7 +99,7 @@ fn two_tubes_give_two_rings_a_level() {
 }
 
 #[test]
-fn a_field_that_does_not_fit_gives_nothing() {
+fn an_unusable_field_gives_no_rings() {
     let mesh = tube(16, 6, 1.0);
     let adjacency = Adjacency::new(&mesh).unwrap();
     assert!(cut(&mesh, &adjacency, &[0.0, 1.0], vec![0.5]).rings.is_empty());

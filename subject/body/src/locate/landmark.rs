@@ -1,118 +1,119 @@
-//! Points inside the body, at places that every body has.
+//! Landmarks: points inside the body, at places that exist on every body.
 
 use super::limb::{Marks, arm, leg};
 use super::missing::{self, Neck};
-use super::model::{Model, Part};
+use super::model::{LandmarkGroup, Model};
 use super::scale::{BodyScale, Touching};
 use super::section::Sections;
 use super::{FOOT, Fields, HAND, HEAD};
 use crate::Mesh;
 use crate::mesh::Point;
 
-/// How many landmarks an arm has.
+/// Number of landmarks of an arm.
 pub const ARM_LANDMARKS: usize = BY_WRIST.len() + 1 + BY_ELBOW.len() + 1 + BY_ARMPIT.len();
-/// How many landmarks a leg has, with the half of the trunk above it.
+/// Number of landmarks of a leg, with its half of the trunk.
 pub const LEG_LANDMARKS: usize = OF_FOOT.len() + BY_ANKLE.len() + BY_KNEE.len() + BY_GROIN.len();
-/// How many landmarks lie between the crown and the chest.
+/// Number of landmarks between crown and chest.
 pub const HEAD_LANDMARKS: usize = 13;
 
-/// From the crown down, in body scales.
+/// Distances of the head's landmarks from the crown, in body scales.
 const HEAD_LEVELS: [f64; HEAD_LANDMARKS] =
     [0.03, 0.06, 0.1, 0.14, 0.16, 0.18, 0.20, 0.22, 0.26, 0.30, 0.36, 0.42, 0.48];
-/// Which of them is at the neck.
+/// Index of the landmark at the neck.
 const NECK: usize = 6;
-/// The head's first landmark, which lies 0.03 below what was taken for its top, is no farther than this from what is farthest
-/// from the neck: 0.038 was seen of heads whose top was found, and 0.074 of one that was off by 8 % of stature.
+/// Largest distance of the head's first landmark, which lies 0.03 below its presumed top, from the point farthest from
+/// the neck: 0.038 was measured with the correct top, 0.074 with one off by 8 % of stature.
 const FROM_TOP_MOST: f64 = 0.055;
-/// No more than this of a limb is missing, in body scales: an arm has 0.44 of stature with its hand, a leg 0.53 (Drillis and
-/// Contini 1966), and what is left of less than 0.04 does not stand out.
+/// Largest missing length of a limb, in body scales: an arm has 0.44 of stature with its hand, a leg 0.53 (Drillis and
+/// Contini 1966), and a remainder of less than 0.04 does not protrude.
 const MISSING_MOST: f64 = 0.40;
-/// The surface within this of the end of a hand, in body scales, is arm and not trunk.
+/// The surface within this distance of the end of a hand belongs to the arm, in body scales.
 const ARM_LENGTH: f64 = 0.40;
-/// The curves round a hand are looked at up to the middle of the chest, in body scales.
+/// Curves of a hand reach to the middle of the chest, in body scales.
 const ARM_REACH: f64 = 0.6;
-/// Those round a foot up to the neck.
+/// Curves of a foot reach to the neck.
 const LEG_REACH: f64 = 0.96;
-/// Those round the crown down to the chest.
+/// Curves of the crown reach to the chest.
 const HEAD_REACH: f64 = 0.54;
-/// Where two limbs' shares of the surface meet, one fades into the other over this, in body scales: a triangle on the
-/// boundary would otherwise be all here or all there.
+/// Width of the transition between the regions of two limbs, in body scales, so that no triangle on the boundary is all
+/// or nothing.
 const FADE: f64 = 0.04;
 
 /// The landmarks of one half of the body, in body scales.
 #[derive(Debug, Clone)]
 pub struct Half {
-    /// From the hand to the shoulder, and beyond it into the trunk.
+    /// From the hand to the shoulder and into the trunk.
     pub arm: Vec<Point>,
-    /// From the foot to the hip, and beyond it up the trunk.
+    /// From the foot to the hip and up the trunk.
     pub leg: Vec<Point>,
-    /// How sharply the centre line bends at elbow and knee: in no unit, for how sure the joint is.
+    /// Sharpness of the centre line's bend at elbow and knee, dimensionless: determines the standard deviation of the
+    /// joint.
     pub sharpness: [f64; 2],
-    /// The marks of the arm, then the leg: narrowing, hinge, root, in body scales from the end.
+    /// Marks of arm and leg (wrist or ankle, hinge, root), in body scales from the end.
     pub marks: [[f64; 3]; 2],
-    /// The level-set curves round the hand's end, and round the foot's.
+    /// Level-set curves of the hand and of the foot.
     pub sections: [Sections; 2],
 }
 
-/// The landmarks of a body, each the middle of a level-set curve, in body scales.
+/// The landmarks of a body, each the centre of a level-set curve, in body scales.
 #[derive(Debug, Clone)]
 pub struct Landmarks {
-    /// The side of the first hand and the first foot, and the other.
+    /// The side of the first hand and foot, and the other.
     pub halves: [Half; 2],
     /// From the crown down.
     pub head: Vec<Point>,
-    /// How far the first of them is from the place on the head that is farthest, straight, from the neck, in body scales.
+    /// Straight distance of the first of them from the point of the head farthest from the neck, in body scales.
     pub from_top: f64,
-    /// The body scale, in the mesh's unit: what all is to be multiplied by.
+    /// Body scale, in the mesh's unit: the factor for all lengths here.
     pub scale: f64,
     /// Which limbs touch something.
     pub touching: Touching,
-    /// How much of each arm and of each leg is missing, in body scales: 0 of whole ones.
+    /// Missing length of each arm and leg, in body scales; 0 if whole.
     pub missing: [[f64; 2]; 2],
-    /// The girths of head and neck.
+    /// Girths of head and neck.
     pub neck: Neck,
 }
 
 impl Landmarks {
-    /// Finds the landmarks of `mesh`. Nothing if the ends are no body's: a field that does not reach, ways between ends that
-    /// contradict each other, or a limb without a centre line.
+    /// Finds the landmarks of `mesh`. None if the extremities are no body's: an unreachable one, contradictory
+    /// distances, or a limb without a centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
-        let by_ways = missing::by_ways(fields);
-        let curves = Curves::new(mesh, &Fields { missing: by_ways, ..*fields })?;
+        let from_distances = missing::from_distances(fields);
+        let curves = Curves::new(mesh, &Fields { missing: from_distances, ..*fields })?;
         let toes = FOOT.map(|foot| mesh.point(fields.ends[foot]) / curves.scale.length);
         let (arms, legs) = (curves.arms.each_ref(), curves.legs.each_ref());
-        let missing = missing::by_shape(fields, by_ways, arms, legs, toes);
+        let missing = missing::from_shape(fields, from_distances, arms, legs, toes);
         let fields = Fields { missing, ..*fields };
-        let curves = if missing == by_ways { curves } else { Curves::new(mesh, &fields)? };
-        Self::among(curves, &fields)
+        let curves = if missing == from_distances { curves } else { Curves::new(mesh, &fields)? };
+        Self::from_curves(curves, &fields)
     }
 
-    fn among(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
+    fn from_curves(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
         let scale = curves.scale.length;
         let hands = fields.between(HAND[0], HAND[1])? / scale;
         let missing = [HAND, FOOT].map(|pair| pair.map(|end| fields.missing[end] / scale));
-        // The curves of a limb that ends early say nothing of what it touches.
+        // The curves of a cut limb give no evidence of contact.
         let arms = whole(&curves.arms, missing[0]);
         let touching = Touching::new(curves.scale, arms, whole(&curves.legs, missing[1]));
         let marks_of = |found: [Option<Marks>; 2], missing: [f64; 2]| {
             let [one, other] = found;
             match missing.map(|part| part > 0.0) {
                 [false, false] | [true, true] => Some([one?, other?]),
-                // Of a limb that ends early its marks cannot be told: they are as far from its end as the other's.
+                // A cut limb gives no marks; it takes those of the other.
                 [true, false] => other.map(|marks| [marks; 2]),
                 [false, true] => one.map(|marks| [marks; 2]),
             }
         };
         let at_arms = marks_of(curves.arms.each_ref().map(|of| arm(of, hands)), missing[0])?;
         let at_legs = marks_of(curves.legs.each_ref().map(leg), missing[1])?;
-        let from_top = curves.off_top();
+        let from_top = curves.distance_from_top();
         let [arm, other_arm] = curves.arms;
         let [leg, other_leg] = curves.legs;
         Some(Self {
             halves: [
-                along(arm, at_arms[0], leg, at_legs[0]),
-                along(other_arm, at_arms[1], other_leg, at_legs[1]),
+                half_landmarks(arm, at_arms[0], leg, at_legs[0]),
+                half_landmarks(other_arm, at_arms[1], other_leg, at_legs[1]),
             ],
             touching,
             missing,
@@ -123,18 +124,18 @@ impl Landmarks {
         })
     }
 
-    /// Where a joint is, as seen from one side of the body, in body scales.
+    /// Position of a joint as seen from one side of the body, in body scales.
     pub(super) fn joint(&self, model: &Model, side: usize) -> Point {
         let [one, other] = &self.halves;
         let (own, other) = if side == 0 { (one, other) } else { (other, one) };
         let mut sum = Point::zeros();
         for span in &model.spans {
             let points = match span.part {
-                Part::Arm => &own.arm,
-                Part::OtherArm => &other.arm,
-                Part::Leg => &own.leg,
-                Part::OtherLeg => &other.leg,
-                Part::Head => &self.head,
+                LandmarkGroup::Arm => &own.arm,
+                LandmarkGroup::OtherArm => &other.arm,
+                LandmarkGroup::Leg => &own.leg,
+                LandmarkGroup::OtherLeg => &other.leg,
+                LandmarkGroup::Head => &self.head,
             };
             for (weight, point) in span.weights.iter().zip(points.iter().skip(span.first)) {
                 sum += point * *weight;
@@ -143,8 +144,8 @@ impl Landmarks {
         sum
     }
 
-    /// Whether head and hands have the girths of such. Where a limb is short or touches something, a hand with its wrist fits
-    /// for a head with its neck by the ways between them, and the head for a hand.
+    /// Whether head and hands have plausible girths. On a body with a short limb or a contact, a hand with its wrist
+    /// can fit for a head with its neck by the distances, and the head for a hand.
     #[must_use]
     pub fn ends_may_be_right(&self) -> bool {
         let hands =
@@ -152,22 +153,22 @@ impl Landmarks {
         hands && self.neck.may_be_a_head()
     }
 
-    /// Whether what is missing may be, of ends that fit a body by ways only if a part of a limb is missing: there is such a part,
-    /// and something is left of the limb. Otherwise an end was taken for another.
+    /// Whether the missing parts are plausible, for extremities that fit a body only if part of a limb is missing: some
+    /// part is missing, and some of the limb is left. Otherwise an extremity was mistaken for another.
     #[must_use]
     pub fn limbs_may_be_cut(&self) -> bool {
         let parts = self.missing.as_flattened();
         parts.iter().any(|part| *part > 0.0) && parts.iter().all(|part| *part <= MISSING_MOST)
     }
 
-    /// Whether what was taken for the top may be the forehead, a temple or an open mouth.
+    /// Whether the presumed top of the head may be the forehead, a temple or an open mouth.
     #[must_use]
     pub fn head_is_in_doubt(&self) -> bool {
         self.from_top > FROM_TOP_MOST
     }
 }
 
-/// The level-set curves of all five ends.
+/// The level-set curves of all five extremities.
 struct Curves {
     scale: BodyScale,
     arms: [Sections; 2],
@@ -220,40 +221,40 @@ impl Curves {
         })
     }
 
-    /// How far the head's first landmark is from the place on the head that is farthest from the neck.
-    fn off_top(&self) -> f64 {
+    /// Distance of the head's first landmark from the point of the head farthest from the neck.
+    fn distance_from_top(&self) -> f64 {
         let neck = self.head.centre_at(HEAD_LEVELS[NECK]);
         let first = self.head.centre_at(HEAD_LEVELS[0]);
-        let way = |at: &&Point| (*at - neck).norm();
-        let top = self.head_vertices.iter().max_by(|one, other| way(one).total_cmp(&way(other)));
+        let far = |at: &&Point| (*at - neck).norm();
+        let top = self.head_vertices.iter().max_by(|one, other| far(one).total_cmp(&far(other)));
         top.map_or(0.0, |top| (top - first).norm())
     }
 }
 
-/// The curves of limbs that do not end early.
+/// The curves of whole limbs.
 fn whole(curves: &[Sections; 2], missing: [f64; 2]) -> [Option<&Sections>; 2] {
     [0, 1].map(|side| curves.get(side).filter(|_| missing[side] <= 0.0))
 }
 
-/// 1 where `far` is well beyond `near`, 0 where it is well before, and between them in between.
+/// Smooth step from 0 to 1 as `far` grows past `near`.
 fn share(far: f64, near: f64, scale: f64) -> f64 {
     let share = 0.5 + (far - near) / (FADE * scale);
-    // A vertex that neither reaches has no difference.
+    // NaN for a vertex that neither end reaches.
     if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
 }
 
-/// Where an arm's landmarks are, beside its wrist, elbow and armpit, in body scales.
+/// Places of an arm's landmarks relative to wrist, elbow and armpit, in body scales.
 const BY_WRIST: [f64; 7] = [-0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04];
 const BY_ELBOW: [f64; 5] = [-0.04, -0.02, 0.0, 0.02, 0.04];
 const BY_ARMPIT: [f64; 8] = [-0.04, -0.02, 0.0, 0.02, 0.04, 0.07, 0.10, 0.14];
-/// Where a leg's are, from the end of the foot and beside ankle, knee and groin.
+/// Places of a leg's landmarks from the end of the foot and relative to ankle, knee and groin.
 const OF_FOOT: [f64; 3] = [0.05, 0.08, 0.10];
 const BY_ANKLE: [f64; 6] = [-0.02, -0.01, 0.0, 0.02, 0.04, 0.08];
 const BY_KNEE: [f64; 7] = [-0.06, -0.03, -0.015, 0.0, 0.015, 0.03, 0.06];
 const BY_GROIN: [f64; 12] =
     [-0.12, -0.08, -0.04, 0.0, 0.02, 0.04, 0.08, 0.12, 0.16, 0.22, 0.28, 0.34];
 
-fn along(arm: Sections, at_arm: Marks, leg: Sections, at_leg: Marks) -> Half {
+fn half_landmarks(arm: Sections, at_arm: Marks, leg: Sections, at_leg: Marks) -> Half {
     let Marks { narrow: wrist, hinge: elbow, root: armpit, .. } = at_arm;
     let Marks { narrow: ankle, hinge: knee, root: groin, .. } = at_leg;
     let arm_levels = (BY_WRIST.map(|by| wrist + by).into_iter())

@@ -1,4 +1,4 @@
-//! The marks along a limb, in body scales from its end: what the landmarks are placed by.
+//! Marks along a limb, in body scales from its end, which place the landmarks.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,64 +6,66 @@ use super::model::GIRTHS;
 use super::section::{STEP, Sections, between, level};
 use crate::mesh::Point;
 
-/// The middle of the ankle, from the end of the foot, on average.
+/// Average distance from the end of the foot to the middle of the ankle.
 const ANKLE: f64 = 0.128;
-/// Where the curves come to the heel, from the end of the foot, on average.
+/// Average distance from the end of the foot to where the curves reach the heel.
 const HEEL: f64 = 0.119;
-/// The heel is taken no farther than this from there.
+/// Largest deviation of the heel from that average.
 const HEEL_REACH: f64 = 0.03;
-/// From there to the middle of the ankle.
+/// From the heel to the middle of the ankle.
 const HEEL_TO_ANKLE: f64 = 0.009;
-/// From there to the middle of the knee.
+/// From the heel to the middle of the knee.
 const HEEL_TO_KNEE: f64 = 0.225;
-/// How far the knee may be from there.
+/// Search range of the knee.
 const KNEE_REACH: f64 = 0.07;
-/// The groin, from the end of the foot.
+/// From the end of the foot to the groin.
 const GROIN: f64 = 0.558;
-/// The armpit, from the end of the hand, on average.
+/// Average distance from the end of the hand to the armpit.
 const ARMPIT: f64 = 0.387;
-/// The same as a part of the way between the hands.
+/// The armpit as a fraction of the distance between the hands.
 const ARMPIT_OF_HANDS: f64 = 0.402;
-/// The armpit as the curve's widening has it is taken no farther than this from the average.
+/// Largest deviation of the armpit by widening from the average.
 const ARMPIT_REACH: f64 = 0.05;
-/// How much the widening counts, the way between the hands, and the average. Raised arms widen late, and stout ones early.
+/// Weights of the widening, of the distance between the hands, and of the average. Raised arms widen late, stout ones
+/// early.
 const ARMPIT_WEIGHTS: [f64; 3] = [0.4, 0.3, 0.3];
-/// Where between wrist and armpit the elbow is on average.
+/// Average position of the elbow between wrist and armpit.
 const ELBOW: f64 = 0.505;
-/// The levels of the upper arm, whose girth the widening is measured by: stout or lean, it is that of the trunk that counts.
+/// Levels of the upper arm, whose girth is the reference for the widening: stout or lean, what counts is the trunk's
+/// girth.
 const UPPER_ARM: [f64; 2] = [0.28, 0.33];
-/// The curve round the arm is so much longer at the armpit than round the upper arm.
+/// Girth at the armpit relative to the upper arm.
 const WIDENED: f64 = 1.6;
 /// [`Window::weight`] of the elbow, whose centre line is straight on both sides.
 const ELBOW_WEIGHT: f64 = 1e-3;
-/// [`Window::rounded`] of the elbow. Where the middle of a long corner is taken for the line, the elbow is drawn to the middle of
-/// the arm.
+/// [`Window::rounded`] of the elbow. If the middle of a long corner counted for the lines, the elbow would be drawn to
+/// the middle of the arm.
 const ELBOW_ROUNDED: f64 = 0.015;
-/// How much the girth counts at the elbow, which changes little along an arm, and with the muscles.
+/// Weight of the girth at the elbow, which changes little along an arm, and with the muscles.
 const ELBOW_GIRTH: f64 = 5e-7;
-/// [`Window::weight`] of the knee: the calf alone bends the centre line. By it a misfit of 2e-5 is one of variance, and knees
-/// are 0.02 from their average place.
+/// [`Window::weight`] of the knee: the calf alone bends the centre line. With it a misfit of 2e-5 is one variance, and
+/// knees are 0.02 from their average place.
 const KNEE_WEIGHT: f64 = 0.05;
-/// How much the girth counts at the knee: half of what it would if its deviations were each for itself.
+/// Weight of the girth at the knee: half of what independent deviations would have.
 const KNEE_GIRTH: f64 = 1e-5;
 
 /// The marks of an arm or a leg.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Marks {
-    /// The wrist, or the ankle.
+    /// Wrist or ankle.
     pub(super) narrow: f64,
     /// Elbow or knee.
     pub(super) hinge: f64,
     /// Armpit or groin.
     pub(super) root: f64,
-    /// [`Least::sharpness`] of the hinge.
+    /// [`Minimum::sharpness`] of the hinge.
     pub(super) sharpness: f64,
 }
 
-/// The marks of an arm: the wrist; the armpit, where the arm has widened to a multiple of the upper arm's; the elbow where the
-/// centre line between them bends.
+/// The marks of an arm: the wrist; the armpit, where the girth reaches a multiple of the upper arm's; the elbow, where
+/// the centre line between them bends.
 ///
-/// `hands` is the way between the hands, in body scales.
+/// `hands` is the geodesic distance between the hands, in body scales.
 pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
     let perimeter = &sections.perimeter;
     let narrow = wrist(perimeter)?;
@@ -83,12 +85,12 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
         rounded: ELBOW_ROUNDED,
     };
     let of_girth = |at| ELBOW_GIRTH * GIRTHS.elbow.misfit(perimeter, at);
-    let Least { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
+    let Minimum { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
     Some(Marks { narrow, hinge, root, sharpness })
 }
 
-/// The marks of a leg. From the toes on, the curves come to the heel all at once, and are half-way between the thinnest of
-/// the foot and the thickest round the heel at a place that is as far from the ankle and the knee on everybody.
+/// The marks of a leg. From the toes on, the curves reach the heel all at once. The level half-way between the thinnest
+/// curve of the foot and the thickest around the heel is equally far from ankle and knee on everybody.
 pub(super) fn leg(sections: &Sections) -> Option<Marks> {
     let heel =
         heel(&sections.perimeter).unwrap_or(HEEL).clamp(HEEL - HEEL_REACH, HEEL + HEEL_REACH);
@@ -101,12 +103,12 @@ pub(super) fn leg(sections: &Sections) -> Option<Marks> {
         rounded: 0.0,
     };
     let of_girth = |at| KNEE_GIRTH * GIRTHS.knee.misfit(&sections.perimeter, at);
-    let Least { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
+    let Minimum { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
     let narrow = f64::midpoint(ANKLE, heel + HEEL_TO_ANKLE);
     Some(Marks { narrow, hinge, root: GROIN, sharpness })
 }
 
-/// Where the curves come to the heel.
+/// The level at which the curves reach the heel.
 fn heel(perimeter: &[f64]) -> Option<f64> {
     let by_length = |one: &(usize, f64), other: &(usize, f64)| one.1.total_cmp(&other.1);
     let (thickest, longest) = between(perimeter, [0.10, 0.19]).max_by(by_length)?;
@@ -115,7 +117,7 @@ fn heel(perimeter: &[f64]) -> Option<f64> {
     widens(perimeter.get(..=thickest)?, half, level(thinnest))
 }
 
-/// The first level behind `from` where the curve is longer than `length`.
+/// The first level after `from` where the curve is longer than `length`, interpolated.
 fn widens(perimeter: &[f64], length: f64, from: f64) -> Option<f64> {
     let mut pairs = perimeter.windows(2).enumerate().map(|(index, pair)| (index + 1, pair));
     pairs.find_map(|(index, pair)| {
@@ -128,66 +130,65 @@ fn widens(perimeter: &[f64], length: f64, from: f64) -> Option<f64> {
     })
 }
 
-/// How far elbows are from their average place on the arm, as a standard deviation in body scales.
-const ELBOW_VARIES: f64 = 0.012;
-/// How far knees are from theirs.
-const KNEE_VARIES: f64 = 0.008;
+/// Standard deviation of elbows from their average place on the arm, in body scales.
+const ELBOW_SD: f64 = 0.012;
+/// Standard deviation of knees from their average place on the leg, in body scales.
+const KNEE_SD: f64 = 0.008;
 
-/// How far along the arm the elbow may be off, as a standard deviation in body scales: as much as elbows vary on a straight
-/// arm, less the more sharply the arm bends.
-pub(super) fn elbow_spread(sharpness: f64) -> f64 {
-    spread(ELBOW_VARIES, ELBOW_WEIGHT, sharpness)
+/// Standard deviation of an elbow along the arm, in body scales: that of all elbows on a straight arm, less the more
+/// sharply the arm bends.
+pub(super) fn elbow_sigma(sharpness: f64) -> f64 {
+    hinge_sigma(ELBOW_SD, ELBOW_WEIGHT, sharpness)
 }
 
-/// The same for a knee.
-pub(super) fn knee_spread(sharpness: f64) -> f64 {
-    spread(KNEE_VARIES, KNEE_WEIGHT, sharpness)
+/// Standard deviation of a knee along the leg, in body scales.
+pub(super) fn knee_sigma(sharpness: f64) -> f64 {
+    hinge_sigma(KNEE_SD, KNEE_WEIGHT, sharpness)
 }
 
-/// The prior alone has a sharpness of twice its weight, and costs are to each other as variances.
-fn spread(varies: f64, weight: f64, sharpness: f64) -> f64 {
+/// The prior alone has a sharpness of twice its weight, and costs relate as variances.
+fn hinge_sigma(varies: f64, weight: f64, sharpness: f64) -> f64 {
     varies * (2.0 * weight / sharpness.max(2.0 * weight)).sqrt()
 }
 
-/// Where the hand is thickest: nearer to its end than this, in body scales.
+/// Largest distance from the end of the hand to its thickest curve, in body scales.
 const HAND_ENDS: f64 = 0.13;
-/// The forearm is thinnest at most so far behind that.
+/// Largest distance from there to the thinnest curve of the forearm.
 const THINNEST_REACH: f64 = 0.11;
-/// At the wrist the curve is about so much longer than where it is shortest, which is on the forearm: where exactly is hard to
-/// say of a lean one, and the hand ends all at once.
-const HAND_ENDED: f64 = 1.2;
-/// How far the wrist is looked for from there, towards the hand and towards the elbow. A layer of fat makes the forearm more
-/// like the hand, and a stout hand then seems to end too early.
+/// Girth at the wrist relative to the least girth. The minimum lies on the forearm, is hard to place on a lean one, and
+/// the hand ends abruptly.
+const HAND_TO_FOREARM: f64 = 1.2;
+/// Search range of the wrist from there, towards the hand and towards the elbow. Fat makes the forearm more like the
+/// hand, and a stout hand then seems to end too early.
 const WRIST_REACH: [f64; 2] = [0.02, 0.03];
-/// How far it is from there, as a standard deviation.
-const WRIST_VARIES: f64 = 0.01;
-/// How much the girth counts: a quarter of what it would if its deviations were each for itself.
+/// Standard deviation of the wrist from there.
+const WRIST_SD: f64 = 0.01;
+/// Weight of the girth: a quarter of what independent deviations would have.
 const WRIST_GIRTH: f64 = 0.25;
-/// A wrist is no farther from the end of the hand than this.
-const WRIST_MOST: f64 = 0.17;
+/// Largest distance of a wrist from the end of the hand.
+const WRIST_MAX: f64 = 0.17;
 
-/// Where the wrist is, in body scales from the end of the hand: where the hand, open or a fist, has narrowed almost to the
-/// forearm, weighed against how thick hand and forearm are round there.
+/// The wrist, in body scales from the end of the hand: where the hand, open or a fist, has narrowed almost to the
+/// forearm, weighed against the girths of hand and forearm there.
 pub(super) fn wrist(perimeter: &[f64]) -> Option<f64> {
-    let narrowed = narrowed(perimeter)?.min(WRIST_MOST);
+    let narrowed = narrowed(perimeter)?.min(WRIST_MAX);
     let cost = |at: f64| {
-        WRIST_GIRTH * GIRTHS.wrist.misfit(perimeter, at) + ((at - narrowed) / WRIST_VARIES).powi(2)
+        WRIST_GIRTH * GIRTHS.wrist.misfit(perimeter, at) + ((at - narrowed) / WRIST_SD).powi(2)
     };
-    let found = least([narrowed - WRIST_REACH[0], narrowed + WRIST_REACH[1]], cost)?;
-    Some(found.level.min(WRIST_MOST))
+    let found = minimise([narrowed - WRIST_REACH[0], narrowed + WRIST_REACH[1]], cost)?;
+    Some(found.level.min(WRIST_MAX))
 }
 
-/// Where the hand has narrowed almost to the forearm.
+/// The level at which the hand has narrowed almost to the forearm.
 fn narrowed(perimeter: &[f64]) -> Option<f64> {
     let by_length = |one: &(usize, f64), other: &(usize, f64)| one.1.total_cmp(&other.1);
     let (thickest, _) = between(perimeter, [0.0, HAND_ENDS]).max_by(by_length)?;
-    let behind = level(thickest) + STEP / 2.0;
-    let (least, shortest) =
-        between(perimeter, [behind, behind + THINNEST_REACH]).min_by(by_length)?;
-    Some(narrows(perimeter, HAND_ENDED * shortest, least))
+    let from = level(thickest) + STEP / 2.0;
+    let (least, shortest) = between(perimeter, [from, from + THINNEST_REACH]).min_by(by_length)?;
+    Some(narrows(perimeter, HAND_TO_FOREARM * shortest, least))
 }
 
-/// The last level before that of `least` where the curve is longer than `length`.
+/// The last level before `least` where the curve is longer than `length`, interpolated.
 fn narrows(perimeter: &[f64], length: f64, least: usize) -> f64 {
     let before = perimeter.iter().enumerate().take(least).rev();
     let mut last = perimeter.get(least).copied().unwrap_or(length);
@@ -201,31 +202,31 @@ fn narrows(perimeter: &[f64], length: f64, least: usize) -> f64 {
     level(least)
 }
 
-/// Where on a limb its middle joint is looked for.
+/// Search for the hinge of a limb.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Window {
-    /// The levels of the centre line that are taken, in body scales.
+    /// Range of the centre line that is fitted, in body scales.
     pub(super) line: [f64; 2],
-    /// The levels between which the joint is.
+    /// Range of the joint.
     pub(super) joint: [f64; 2],
-    /// Where it is on average.
+    /// Average place of the joint.
     pub(super) prior: f64,
-    /// How much a distance from there costs: mean square of the two lines' misfit, over distance squared.
+    /// Cost of a deviation from there: mean squared misfit of the two lines per squared distance.
     pub(super) weight: f64,
-    /// How far from the joint the centre line is round and no corner: points within this count less.
+    /// Radius of the rounded corner: points within it count less.
     pub(super) rounded: f64,
 }
 
-/// Fits two straight lines that meet to the centre line, for each place where they might meet, and weighs the misfit
-/// against how thick the limb is there, and the place's distance from where the joint is on average.
+/// Finds the bend of a limb. For each candidate place, two straight lines that meet there are fitted to the centre
+/// line; their misfit is weighed against the girth of the limb there and the distance from the joint's average place.
 ///
-/// A flexed limb has one place that fits. On a straight one all fit alike, and the girth decides; on one as thick everywhere,
-/// the average. `of_girth` is what a place costs by the girth, in the unit of the two lines' mean square.
+/// A flexed limb has one place that fits. On a straight limb all places fit alike and the girth decides; without a
+/// change of girth, the average does. `of_girth` is the cost by girth, in the unit of the lines' mean square.
 pub(super) fn bend(
     sections: &Sections,
     window: &Window,
     of_girth: impl Fn(f64) -> f64,
-) -> Option<Least> {
+) -> Option<Minimum> {
     let points: Vec<(f64, Point)> = (0..)
         .map(level)
         .zip(&sections.centre)
@@ -235,19 +236,19 @@ pub(super) fn bend(
     if points.len() < 6 {
         return None;
     }
-    least(window.joint, |at| {
+    minimise(window.joint, |at| {
         let from_average = window.weight * (at - window.prior).powi(2);
         misfit(&points, at, window.rounded) + from_average + of_girth(at)
     })
 }
 
-/// Mean squared distance of the points from two lines that meet at `knot`, fitted by least squares. Points count the less the
-/// nearer they are to the knot: by a Gaussian whose standard deviation is `rounded`.
+/// Mean squared distance of the points from two lines that meet at `knot`, fitted by least squares. Points near the
+/// knot are down-weighted by a Gaussian of standard deviation `rounded`.
 fn misfit(points: &[(f64, Point)], knot: f64, rounded: f64) -> f64 {
     let mut normal = Matrix3::zeros();
     let mut right = Matrix3::zeros();
     let (mut square, mut total) = (0.0, 0.0);
-    // Relative to the first point, or far from the origin the digits would go.
+    // Relative to the first point, to keep digits far from the origin.
     let Some((_, origin)) = points.first().copied() else { return 0.0 };
     for (at, point) in points {
         let counts =
@@ -260,7 +261,7 @@ fn misfit(points: &[(f64, Point)], knot: f64, rounded: f64) -> f64 {
         square += point.norm_squared() * counts;
         total += counts;
     }
-    // At least one point lies off the knot, for there are more than two.
+    // At least one point lies off the knot, since there are more than two.
     let total = f64::max(total, f64::MIN_POSITIVE);
     let Some(cholesky) = normal.cholesky() else { return square / total };
     let solution = cholesky.solve(&right);
@@ -268,37 +269,37 @@ fn misfit(points: &[(f64, Point)], knot: f64, rounded: f64) -> f64 {
     (square - explained).max(0.0) / total
 }
 
-/// Distance between two places that are tried, in body scales.
-const TRY_EVERY: f64 = 0.004;
-/// At most so many places are tried; the windows hold some thirty.
-const MOST_TRIED: usize = 200;
+/// Step of the search, in body scales.
+const SEARCH_STEP: f64 = 0.004;
+/// Most candidate places; the windows hold about thirty.
+const SEARCH_STEPS_MAX: usize = 200;
 
-/// The place of the least cost.
+/// The minimum of a cost along a limb.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Least {
-    /// Where, in body scales from the end of the limb.
+pub(super) struct Minimum {
+    /// Place, in body scales from the end of the limb.
     pub(super) level: f64,
-    /// How sharply the cost rises to both sides: its second derivative.
+    /// Second derivative of the cost.
     pub(super) sharpness: f64,
 }
 
-/// Tries places from `low` to `high`, and takes the lowest point of the parabola through the best and its neighbours.
+/// Samples the cost from `low` to `high` and returns the vertex of the parabola through the minimum and its neighbours.
 ///
-/// Nothing if there is no place to try.
-pub(super) fn least([low, high]: [f64; 2], cost: impl Fn(f64) -> f64) -> Option<Least> {
-    let tries = (((high - low) / TRY_EVERY).ceil().max(0.0) as usize).min(MOST_TRIED);
-    let place = |index: usize| low + index as f64 * TRY_EVERY;
+/// None if the range is empty.
+pub(super) fn minimise([low, high]: [f64; 2], cost: impl Fn(f64) -> f64) -> Option<Minimum> {
+    let tries = (((high - low) / SEARCH_STEP).ceil().max(0.0) as usize).min(SEARCH_STEPS_MAX);
+    let place = |index: usize| low + index as f64 * SEARCH_STEP;
     let costs: Vec<f64> = (0..tries).map(|index| cost(place(index))).collect();
     let (best, _) = costs.iter().enumerate().min_by(|one, other| one.1.total_cmp(other.1))?;
     let (offset, curvature) = vertex_of_parabola(&costs, best);
-    Some(Least {
-        level: place(best) + TRY_EVERY * offset,
-        sharpness: curvature / (TRY_EVERY * TRY_EVERY),
+    Some(Minimum {
+        level: place(best) + SEARCH_STEP * offset,
+        sharpness: curvature / (SEARCH_STEP * SEARCH_STEP),
     })
 }
 
-/// Where between the neighbours of `index` the parabola through the three is least or greatest, in steps, and its second
-/// difference there. At an end of `values`, and where they are on a line, 0.
+/// Offset of the vertex of the parabola through `index` and its neighbours, in steps, and the second difference there;
+/// zeros at an end of `values` and on a line.
 fn vertex_of_parabola(values: &[f64], index: usize) -> (f64, f64) {
     let three = index.checked_sub(1).and_then(|before| values.get(before..before + 3));
     let Some([before, at, after]) = three else { return (0.0, 0.0) };

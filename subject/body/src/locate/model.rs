@@ -1,6 +1,6 @@
-//! What was learned of bodies: joints as weighted means of landmarks, and how thick limbs are round their joints.
+//! Learned constants: joints as weighted means of landmarks, and the girths of limbs around their joints.
 //!
-//! `benches/subject/learn.py` writes both files of `data/`, from the shapes mavg and favg: it is changed there.
+//! `benches/subject/learn.py` writes both files in `data/` from the shapes mavg and favg. Change them there.
 
 use std::sync::LazyLock;
 
@@ -8,16 +8,16 @@ use serde::{Deserialize, de::DeserializeOwned};
 
 use super::section::STEP;
 
-/// Where joints are among the landmarks.
+/// Weights of landmarks for each joint.
 pub(super) static JOINTS: LazyLock<JointModels> =
-    LazyLock::new(|| learned(include_str!("../../data/joint-weights.json")));
+    LazyLock::new(|| built_in(include_str!("../../data/joint-weights.json")));
 
-/// How thick limbs are.
+/// Girths of limbs.
 pub(super) static GIRTHS: LazyLock<Girths> =
-    LazyLock::new(|| learned(include_str!("../../data/girths.json")));
+    LazyLock::new(|| built_in(include_str!("../../data/girths.json")));
 
-/// A file that is built in, and is read by tests: it has no error.
-fn learned<T: DeserializeOwned + Default>(json: &str) -> T {
+/// Parses a built-in file. Tests read both files, so there is no error.
+fn built_in<T: DeserializeOwned + Default>(json: &str) -> T {
     serde_json::from_str(json).unwrap_or_default()
 }
 
@@ -32,34 +32,34 @@ pub(super) struct JointModels {
     pub(super) hip: Model,
     pub(super) knee: Model,
     pub(super) ankle: Model,
-    /// Length of the average body's, in body scales.
+    /// Bone lengths of the average body, in body scales.
     pub(super) upper_arm: f64,
     pub(super) thigh: f64,
 }
 
-/// Where a joint is among the landmarks. The weights of all spans add up to one: the joint then moves, turns and grows
+/// A joint as a weighted mean of landmarks. The weights of all spans add up to one, so the joint moves, turns and grows
 /// with the body.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Model {
-    /// Root mean square of the error on a shape that was not learned from, in body scales.
+    /// Root mean square error on a shape that was not learned from, in body scales.
     pub(super) sigma: f64,
     pub(super) spans: Vec<Span>,
 }
 
-/// Weights of landmarks that follow one another.
+/// Weights of consecutive landmarks.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Span {
-    pub(super) part: Part,
+    pub(super) part: LandmarkGroup,
     pub(super) first: usize,
     pub(super) weights: Vec<f64>,
 }
 
-/// A run of landmarks, as seen from one side of the body.
+/// A group of landmarks, as seen from one side of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Part {
+pub(super) enum LandmarkGroup {
     Arm,
     OtherArm,
     Leg,
@@ -75,34 +75,34 @@ pub(super) struct Girths {
     pub(super) wrist: Girth,
 }
 
-/// From one level that is looked at to the next, in body scales: two levels.
-const EVERY: f64 = 2.0 * STEP;
+/// Distance between the levels that are compared, in body scales: two levels.
+const LEVEL_STEP: f64 = 2.0 * STEP;
 
-/// How thick a limb is round a joint: a mean over bodies, and the ways in which bodies differ from it.
+/// Girth of a limb around a joint: a probabilistic principal component model (Tipping and Bishop 1999).
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Girth {
-    /// The first level that is looked at, from the joint towards the end of the limb, in body scales.
+    /// First level that is compared, relative to the joint and towards the end of the limb, in body scales.
     pub(super) first: f64,
-    /// What is compared of the lengths of level-set curves.
+    /// Measure of the level-set curves' lengths.
     pub(super) measure: Measure,
-    /// The measure at each level.
+    /// Mean of the measure at each level.
     pub(super) mean: Vec<f64>,
-    /// Orthogonal, each as long as the part of a deviation along it that counts for nothing. The first two are thicker or thinner
-    /// as a whole, and towards one end.
+    /// Orthogonal modes, scaled by the fraction of a deviation along them that is free. The first two are overall
+    /// thickness and taper.
     modes: Vec<Vec<f64>>,
-    /// Standard deviation of what is left.
+    /// Standard deviation of the residual.
     rest: f64,
 }
 
-/// What is compared of the length of a curve.
+/// A measure of a curve's length.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Measure {
-    /// Its logarithm, of a length in body scales: a limb twice as thick has the same ups and downs.
+    /// Logarithm of the length in body scales: a limb twice as thick has the same profile.
     #[default]
     Logarithm,
-    /// Over the average, which is this in body scales: a layer of fat makes all curves longer by the same.
+    /// Length relative to an average in body scales: a layer of fat lengthens all curves by the same amount.
     Length(f64),
 }
 
@@ -116,11 +116,11 @@ impl Measure {
 }
 
 impl Girth {
-    /// How far the limb with these lengths of curves is from having its joint `at` so far from its end, in body scales: the
-    /// squared deviation in units of the expected variance (Tipping and Bishop 1999).
+    /// Misfit of a limb with these curve lengths to a joint at distance `at` from its end, in body scales: squared
+    /// deviation in units of the expected variance (Tipping and Bishop 1999).
     pub(super) fn misfit(&self, perimeter: &[f64], at: f64) -> f64 {
         let deviation = |(index, mean): (usize, &f64)| {
-            let level = at + self.first + index as f64 * EVERY;
+            let level = at + self.first + index as f64 * LEVEL_STEP;
             self.measure.of(length(perimeter, level)) - mean
         };
         let deviations: Vec<f64> = self.mean.iter().enumerate().map(deviation).collect();
@@ -131,7 +131,7 @@ impl Girth {
     }
 }
 
-/// The length of the curve at `level`, and between two levels in between.
+/// Length of the curve at `level`, interpolated.
 fn length(perimeter: &[f64], level: f64) -> f64 {
     let last = perimeter.len().saturating_sub(1);
     let at = (level / STEP - 1.0).clamp(0.0, last as f64);

@@ -1,19 +1,19 @@
-//! The level-set curves of a distance field, all at once.
+//! Level-set curves of a distance field, all levels in one pass.
 
 use crate::Mesh;
 use crate::mesh::Point;
 
 /// Distance between two levels, in body scales.
 pub(super) const STEP: f64 = 0.006;
-/// How many levels there are: up to 1.08 body scales from the end, which is past the other end of the trunk.
+/// Number of levels: up to 1.08 body scales from the end, past the far end of the trunk.
 pub(super) const LEVELS: usize = 180;
 
-/// The level-set curves round one end of the body, in body scales: level `i` is `(i + 1) * STEP` from the end.
+/// Level-set curves of one extremity, in body scales: level `i` is `(i + 1) * STEP` from the end.
 #[derive(Debug, Clone)]
 pub struct Sections {
-    /// Length of the whole curve at each level.
+    /// Length of the curve at each level.
     pub perimeter: Vec<f64>,
-    /// Where the curve's middle is, weighted by its length and by the weights of the vertices that it passes.
+    /// Centre of the curve, weighted by its length and by the weights of the vertices that it passes.
     pub centre: Vec<Point>,
 }
 
@@ -32,11 +32,11 @@ struct Corner {
 }
 
 impl Sections {
-    /// Cuts `mesh` by `field` (mesh's unit, one value a vertex; infinite where the end cannot be reached): (3) and (4) of
-    /// (Yu et al. 2008), with the points of a curve weighted by its length, so that the size of triangles does not matter.
+    /// Cuts `mesh` by `field` (mesh's unit, one value per vertex; infinite if unreachable): (3) and (4) of (Yu et al.
+    /// 2008), with points weighted by curve length, so that the size of triangles does not matter.
     ///
-    /// `weights`, one a vertex, are 0 where the surface belongs to another limb. Levels farther than `reach` from the end,
-    /// in body scales, are not cut: there are no curves. Nothing if no level has a curve.
+    /// `weights`, one per vertex, are 0 where the surface belongs to another limb. Levels farther than `reach` from the
+    /// end, in body scales, stay empty. None if no level has a curve.
     pub(super) fn new(
         mesh: &Mesh,
         field: &[f64],
@@ -46,9 +46,13 @@ impl Sections {
     ) -> Option<Self> {
         let mut sums = vec![Sum::default(); LEVELS];
         let end = ((reach / STEP).ceil() as usize).min(LEVELS);
-        let vertices = 0..mesh.positions.len();
-        let corners: Vec<Option<Corner>> =
-            vertices.map(|vertex| corner(mesh, field, weights, vertex, scale)).collect();
+        let corner = |vertex: usize| {
+            let position = Point::from(*mesh.positions.get(vertex)?) / scale;
+            let level = field.get(vertex)? / (scale * STEP);
+            let weight = *weights.get(vertex)?;
+            level.is_finite().then_some(Corner { level, weight, position })
+        };
+        let corners: Vec<Option<Corner>> = (0..mesh.positions.len()).map(corner).collect();
         for triangle in &mesh.triangles {
             let corner = |vertex: u32| corners.get(vertex as usize).copied().flatten();
             let [Some(a), Some(b), Some(c)] = triangle.map(corner) else { continue };
@@ -59,23 +63,21 @@ impl Sections {
         let perimeter: Vec<f64> = sums.iter().map(|sum| sum.perimeter).collect();
         let mut found = sums.iter().filter(|sum| sum.weight > 0.0);
         let mut last = found.next().map(|sum| sum.moment / sum.weight)?;
-        let centre: Vec<Point> = sums
-            .iter()
-            .map(|sum| {
-                // A level without a curve takes the one before: nothing may fall to the origin.
-                if sum.weight > 0.0 {
-                    last = sum.moment / sum.weight;
-                }
-                last
-            })
-            .collect();
+        let centres = sums.iter().map(|sum| {
+            // An empty level repeats the one before, so that no centre falls to the origin.
+            if sum.weight > 0.0 {
+                last = sum.moment / sum.weight;
+            }
+            last
+        });
+        let centre: Vec<Point> = centres.collect();
         Some(Self {
             perimeter: smoothed(&perimeter, &[1.0, 2.0, 3.0, 2.0, 1.0]),
             centre: smoothed(&centre, &[1.0, 2.0, 1.0]),
         })
     }
 
-    /// The middle of the curve at `level`, in body scales; between two levels, between their middles.
+    /// Centre of the curve at `level`, in body scales, interpolated.
     pub(super) fn centre_at(&self, level: f64) -> Point {
         let at = (level / STEP - 1.0).clamp(0.0, (LEVELS - 1) as f64 - 1e-9);
         let (below, part) = (at.floor() as usize, at.fract());
@@ -86,31 +88,18 @@ impl Sections {
     }
 }
 
-/// Where level `index` is, in body scales.
+/// Position of level `index`, in body scales.
 pub(super) fn level(index: usize) -> f64 {
     (index + 1) as f64 * STEP
 }
 
-/// The curves between two levels, the lower included, each with its index.
+/// The curves from one level up to another, the first included, with their indices.
 pub(super) fn between(
     perimeter: &[f64],
     [from, to]: [f64; 2],
 ) -> impl Iterator<Item = (usize, f64)> {
     let curves = perimeter.iter().copied().enumerate();
     curves.filter(move |(index, _)| (from..to).contains(&level(*index)))
-}
-
-fn corner(
-    mesh: &Mesh,
-    field: &[f64],
-    weights: &[f64],
-    vertex: usize,
-    scale: f64,
-) -> Option<Corner> {
-    let position = Point::from(*mesh.positions.get(vertex)?) / scale;
-    let level = field.get(vertex)? / (scale * STEP);
-    let weight = *weights.get(vertex)?;
-    level.is_finite().then_some(Corner { level, weight, position })
 }
 
 /// Adds the pieces of the curves in one triangle: one for each whole number in `(least, greatest]` of its corners.
@@ -133,14 +122,14 @@ fn cut(mut corners: [Corner; 3], sums: &mut [Sum]) {
     }
 }
 
-/// The point of the side from `low` to `high` where the field is `level`, and its weight.
+/// The point where the side from `low` to `high` has the value `level`, and its weight.
 fn passing(low: Corner, high: Corner, level: f64) -> (Point, f64) {
     let span = high.level - low.level;
     let part = if span > 0.0 { ((level - low.level) / span).clamp(0.0, 1.0) } else { 0.0 };
     (low.position.lerp(&high.position, part), low.weight + (high.weight - low.weight) * part)
 }
 
-/// `values` under a symmetric kernel of odd length; beyond the ends the end value goes on.
+/// `values` convolved with a symmetric kernel of odd length; end values continue beyond the ends.
 fn smoothed<T>(values: &[T], kernel: &[f64]) -> Vec<T>
 where
     T: Copy + std::ops::Add<Output = T> + std::ops::Mul<f64, Output = T>,

@@ -1,8 +1,15 @@
-//! The method of (Yu et al. 2008) as it is printed, to compare with: what it does, and what it does not.
+//! The method of (Yu et al. 2008) as printed, for comparison with the default method.
 //!
-//! Distances are Dijkstra's along edges, ends are those of algorithm 1, the head is told by symmetry alone, and joints are
-//! where rings of the distance from the head are least round. Where the paper leaves something open, it is read as plainly
-//! as it can be, and the reading is said.
+//! 1. Geodesic distances are Dijkstra's along edges, the extremities those of algorithm 1, and the head is found by
+//!    symmetry alone.
+//!
+//! 2. Algorithm 2: the distance from the head is cut at even levels. The Reeb graph of the level-set curves gives
+//!    trunk, arms and legs.
+//!
+//! 3. A joint is the centroid (7) of a curve whose circularity (5) has a local minimum (6): near a joint the ends of
+//!    the bones make the section irregular, in the middle of a bone the muscles make it round.
+//!
+//! What the paper leaves open is read in the plainest way, and the reading is documented where it is applied.
 
 use crate::extremity::Extremities;
 use crate::geodesic::{Adjacency, Graph, Workspace, distances};
@@ -14,12 +21,12 @@ use crate::{Estimate, Joint, Joints, Mesh, Refusal, Side};
 #[cfg(test)]
 mod tests;
 
-/// A minimum nearer to an end of its segment than this part of it is no joint: the rings there are cut askew.
+/// A minimum within this fraction of a segment's length from its end is no joint, since curves are cut obliquely there.
 const MARGIN: f64 = 0.1;
 
-/// What is expected of the distance to the true centre, as a part of the longest way from the head: the root mean square
-/// over the two average shapes of `MakeHuman` in 13 poses, of which that way is the stature, to a few per cent
-/// (`cargo run -p mocapd-body --example bodies paper`).
+/// Expected error of each joint as a fraction of the longest distance from the head, which equals stature to a few per
+/// cent: the root mean square over the two average shapes of `MakeHuman` in 13 poses (`cargo run -p mocapd-body
+/// --example bodies paper`).
 fn sigma(joint: Joint) -> f64 {
     match joint {
         Joint::Head => 0.043,
@@ -34,28 +41,28 @@ fn sigma(joint: Joint) -> f64 {
     }
 }
 
-/// What the paper's method gives for a mesh.
+/// Result of the published method.
 #[derive(Debug, Clone)]
-pub struct Paper {
-    /// Its joints; those without a minimum are missing.
+pub struct PaperResult {
+    /// Joints; those without a minimum are missing.
     pub joints: Joints,
-    /// The ends that it was given or found.
+    /// The extremities, given or found.
     pub extremities: Extremities,
-    /// Level sets of the distance from the head, how they hang together, and the five segments.
+    /// Level sets of the distance from the head, their Reeb graph, and the five segments.
     pub levels: Levels,
 }
 
-/// The paper's method on `mesh`, from the vertex `start` of algorithm 1 on, or with ends that are known already.
+/// Runs the published method on `mesh`, with algorithm 1 starting at vertex `start`, or with known extremities.
 ///
-/// The reading of what the paper leaves open: shoulder and hip are where arm and leg begin; elbow and wrist, knee and
-/// ankle are the two deepest minima of the smoothed circularity inside the segment, in order; the throat is the deepest
-/// of the trunk above the armpits, the pelvis its last ring.
+/// Reading of what the paper leaves open: shoulder and hip are where arm and leg begin. Elbow and wrist, knee and ankle
+/// are the two deepest minima of the smoothed circularity inside the segment, in order. The throat is the deepest
+/// minimum of the trunk above the armpits, the pelvis the trunk's last curve.
 ///
 /// # Errors
 ///
 /// [`Refusal::TooFewEnds`]: algorithm 1 ended with other than five points. [`Refusal::Contact`]: the Reeb graph is not
-/// that of a body. [`Refusal::BrokenMesh`] as [`Adjacency::new`] says.
-pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Paper, Refusal> {
+/// that of a body. [`Refusal::BrokenMesh`]: see [`Adjacency::new`].
+pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<PaperResult, Refusal> {
     let adjacency = Adjacency::new(mesh)?;
     let graph = Graph::along_edges(mesh, &adjacency);
     let mut workspace = Workspace::default();
@@ -91,27 +98,26 @@ pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Pap
     put(Joint::Throat, inside(rings, &upper).first().map(|ring| mean(rings, *ring)));
     put(Joint::Pelvis, segments.trunk.last().map(|ring| mean(rings, *ring)));
     put(Joint::Head, mesh.positions.get(extremities.head as usize).copied());
-    Ok(Paper { joints, extremities, levels })
+    Ok(PaperResult { joints, extremities, levels })
 }
 
-/// The five ends, from the vertex `start` on.
+/// The five extremities by algorithm 1.
 fn ends(graph: &Graph, start: u32, workspace: &mut Workspace) -> Result<Extremities, Refusal> {
     let points = extremity_points(graph, start, StopRule::Corrected, workspace);
-    let ends: [u32; 5] = points
-        .try_into()
-        .map_err(|points: Vec<u32>| Refusal::TooFewEnds { found: points.len() })?;
+    let few = |points: Vec<u32>| Refusal::TooFewEnds { found: points.len() };
+    let ends: [u32; 5] = points.try_into().map_err(few)?;
     let fields = ends.map(|end| distances(graph, end, workspace));
     Ok(head_by_symmetry(ends, &fields))
 }
 
-/// The two deepest minima inside a limb, (6), the nearer to the trunk first.
+/// The two deepest minima (6) inside a limb, the one nearer to the trunk first.
 fn two_deepest(rings: &Rings, limb: &[u32]) -> [Option<[f64; 3]>; 2] {
     let mut two: Vec<u32> = inside(rings, limb).into_iter().take(2).collect();
     two.sort_by_key(|ring| rings.rings[*ring as usize].level);
     [0, 1].map(|at| two.get(at).map(|ring| mean(rings, *ring)))
 }
 
-/// The rings of a segment where its circularity has a minimum, the deepest first, without those near its ends.
+/// The curves of a segment at minima of its circularity, deepest first, without those near its ends.
 fn inside(rings: &Rings, segment: &[u32]) -> Vec<u32> {
     let curve: Vec<f64> =
         segment.iter().map(|ring| rings.rings[*ring as usize].circularity()).collect();
@@ -121,18 +127,18 @@ fn inside(rings: &Rings, segment: &[u32]) -> Vec<u32> {
     found.map(|(at, _)| segment[at]).collect()
 }
 
-/// (7): the mean of a ring's points.
+/// Centroid (7): the mean of a curve's points.
 fn mean(rings: &Rings, ring: u32) -> [f64; 3] {
     rings.rings[ring as usize].mean_point()
 }
 
-/// Where a curve has local minima, and how deep each is: how far the curve climbs on its lower side before a deeper one.
+/// Local minima and their depths: how far the curve rises on its lower side before a deeper minimum.
 ///
-/// The deepest first; of a curve's two ends, neither counts.
+/// Deepest first; end points do not count.
 fn minima(curve: &[f64]) -> Vec<(usize, f64)> {
     let mut found = Vec::new();
     for at in 1..curve.len().saturating_sub(1) {
-        // On a level stretch, its first.
+        // Of a plateau, the first point.
         if !(curve[at] < curve[at - 1] && curve[at] <= curve[at + 1]) {
             continue;
         }
@@ -148,7 +154,7 @@ fn minima(curve: &[f64]) -> Vec<(usize, f64)> {
     found
 }
 
-/// The mean of each value and its neighbours.
+/// Moving average over three values.
 fn smoothed(curve: &[f64]) -> Vec<f64> {
     let windows = (0..curve.len()).map(|at| {
         let window = &curve[at.saturating_sub(1)..curve.len().min(at + 2)];
@@ -157,22 +163,23 @@ fn smoothed(curve: &[f64]) -> Vec<f64> {
     windows.collect()
 }
 
-/// How near a new point must be to those before, as a part of the longest way between them, to be none: a of the paper.
+/// The paper's `a`: a new point within this fraction of the longest distance from earlier points is no extremity.
 const NEARNESS: f64 = 0.2;
-/// More ends than any body has; a bound, since the loop is told to end by the shape alone.
+/// Bound on the number of points, since only the shape ends the loop.
 const POINT_COUNT_MAX: usize = 32;
 
-/// When algorithm 1 takes another point.
+/// The condition under which algorithm 1 takes another point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopRule {
-    /// As printed: while the new point is NEARER to those before than a times the longest way. It contradicts the
-    /// sentence beside it, and ends at the second point or the third.
+    /// As printed: while the new point is NEARER to earlier points than `a` times the longest distance. This
+    /// contradicts the sentence beside it and ends at the second or third point.
     Printed,
-    /// As the sentence says: until the new point is near enough to those before.
+    /// As the sentence says: until the new point is near enough to earlier points.
     Corrected,
 }
 
-/// Algorithm 1: points that are far from all others by the SUM of the distances, from the vertex `start` on.
+/// Algorithm 1: repeatedly takes the vertex with the largest SUM of distances to earlier points, beginning with the one
+/// farthest from `start`.
 #[must_use]
 pub fn extremity_points(
     graph: &Graph,
@@ -201,22 +208,22 @@ pub fn extremity_points(
     points
 }
 
-/// The head among five ends: the one whose distances to the other four fall into two equal pairs; the nearer pair are the
-/// hands (section 5: cost |g(c,p1) - g(c,p2)| + |g(c,p3) - g(c,p4)|, least over the three pairings).
+/// Finds the head among five extremities: its distances to the other four fall into two equal pairs, of which the
+/// nearer are the hands (section 5: cost |g(c,p1) - g(c,p2)| + |g(c,p3) - g(c,p4)|, least over the three pairings).
 ///
-/// A foot is often as symmetric, and is then taken for the head: the paper has nothing against it.
+/// A foot is often as symmetric and then wins; nothing in the paper prevents it.
 #[must_use]
 pub fn head_by_symmetry(ends: [u32; 5], fields: &[Vec<f64>; 5]) -> Extremities {
     let mut best = (f64::INFINITY, Extremities { head: 0, hands: [0; 2], feet: [0; 2] });
     for (head, field) in fields.iter().enumerate() {
-        let way = |end: usize| field.get(ends[end] as usize).copied().unwrap_or(f64::INFINITY);
+        let reach = |end: usize| field.get(ends[end] as usize).copied().unwrap_or(f64::INFINITY);
         let mut others = [0, 1, 2, 3, 4].into_iter().filter(|end| *end != head);
         let [a, b, c, d] = [0; 4].map(|_| others.next().unwrap_or(head));
         for [[p, q], [r, s]] in [[[a, b], [c, d]], [[a, c], [b, d]], [[a, d], [b, c]]] {
-            let cost = (way(p) - way(q)).abs() + (way(r) - way(s)).abs();
+            let cost = (reach(p) - reach(q)).abs() + (reach(r) - reach(s)).abs();
             if cost < best.0 {
                 let (mut hands, mut feet) = ([ends[p], ends[q]], [ends[r], ends[s]]);
-                if way(p) + way(q) > way(r) + way(s) {
+                if reach(p) + reach(q) > reach(r) + reach(s) {
                     std::mem::swap(&mut hands, &mut feet);
                 }
                 best = (cost, Extremities { head: ends[head], hands, feet });
@@ -226,7 +233,7 @@ pub fn head_by_symmetry(ends: [u32; 5], fields: &[Vec<f64>; 5]) -> Extremities {
     best.1
 }
 
-/// The vertex with the greatest finite value, the first of equals.
+/// The vertex with the largest finite value, the first of equals.
 fn farthest(field: &[f64]) -> Option<u32> {
     let mut best: Option<(u32, f64)> = None;
     for (vertex, value) in (0_u32..).zip(field).filter(|(_, value)| value.is_finite()) {
@@ -237,12 +244,12 @@ fn farthest(field: &[f64]) -> Option<u32> {
     best.map(|(vertex, _)| vertex)
 }
 
-/// What the ends of a body are of, in the order of [`Extremities::all`].
-const OF: [&str; 5] = ["a head", "a hand", "a hand", "a foot", "a foot"];
+/// Names of the extremities, in the order of [`Extremities::all`].
+const ENDS: [&str; 5] = ["a head", "a hand", "a hand", "a foot", "a foot"];
 
-/// The method's own reason for a `refusal` of [`joints()`] from `start` on, of a body with its limbs free
-/// whose ends are `known`.
-pub(crate) fn reason(
+/// The published method's own fault behind a `refusal` of [`joints()`], on a body with free limbs whose extremities are
+/// `known`.
+pub(crate) fn explain(
     mesh: &Mesh,
     adjacency: &Adjacency,
     start: u32,
@@ -256,14 +263,14 @@ pub(crate) fn reason(
             let taken = ends(&graph, start, &mut Workspace::default()).ok();
             match taken.and_then(|taken| nearest(mesh, taken.head, known)) {
                 None | Some(0) => Refusal::PaperParts,
-                Some(end) => Refusal::PaperHead { taken: OF.get(end).copied().unwrap_or("a limb") },
+                Some(i) => Refusal::PaperHead { taken: ENDS.get(i).copied().unwrap_or("a limb") },
             }
         }
         other => other,
     }
 }
 
-/// Which of the ends a vertex is nearest to.
+/// The extremity nearest to a vertex.
 fn nearest(mesh: &Mesh, vertex: u32, ends: &Extremities) -> Option<usize> {
     let at = |vertex: u32| mesh.positions.get(vertex as usize).copied();
     let from = at(vertex)?;

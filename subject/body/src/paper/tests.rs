@@ -1,10 +1,10 @@
-//! The printed rules, on shapes where what they give can be worked out.
+//! The printed rules on shapes whose results can be derived by hand.
 
 use super::*;
 use crate::Mesh;
 use crate::geodesic::{Adjacency, Graph, Workspace, distances};
 
-/// A flat star: strips of such lengths out of a common corner, each two vertices wide.
+/// A flat star: strips of the given lengths from a common corner, each two vertices wide.
 fn star(lengths: &[u32]) -> (Mesh, Vec<u32>) {
     let mut mesh = Mesh { positions: vec![[0.0; 3]], triangles: Vec::new() };
     let mut tips = Vec::new();
@@ -36,19 +36,19 @@ fn points(lengths: &[u32], rule: StopRule) -> usize {
 }
 
 #[test]
-fn the_corrected_rule_finds_all_ends_of_a_star_and_the_printed_one_does_not() {
+fn only_the_corrected_rule_finds_all_ends_of_a_star() {
     assert_eq!(points(&[10, 10, 10, 10, 10], StopRule::Corrected), 5);
     assert_eq!(points(&[10, 10, 10, 10, 10], StopRule::Printed), 2);
 }
 
 #[test]
 fn the_sum_misses_a_short_end() {
-    // Three ends at 12 and a head at 4: to go back to a long end adds more than to go to the head does.
+    // Three ends at 12 and a head at 4: returning to a long end adds more to the sum than visiting the head.
     assert!(points(&[12, 12, 12, 12, 4], StopRule::Corrected) < 5);
 }
 
 #[test]
-fn the_head_is_where_two_pairs_are_equally_far() {
+fn the_head_is_equally_far_from_two_pairs() {
     let (mesh, tips) = star(&[3, 7, 9, 9, 7]);
     let graph = Graph::along_edges(&mesh, &Adjacency::new(&mesh).unwrap());
     let ends: [u32; 5] = tips.try_into().unwrap();

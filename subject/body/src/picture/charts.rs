@@ -1,8 +1,8 @@
-//! Charts: circularity against the distance along a part, and the Reeb graph.
+//! Charts of circularity along each part, and the Reeb graph.
 
-use super::sheet::{DIM, GRID, INK, Sheet, Stand};
+use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
 use super::views::{Upright, bounds};
-use super::{Curve, Drawing, Mark, Part, ReebEdge, colour};
+use super::{BodyPart, Curve, Drawing, Mark, ReebEdge, colour};
 use crate::Side;
 use crate::mesh::Point;
 
@@ -10,16 +10,16 @@ const TOP: f64 = 830.0;
 const WIDTH: f64 = 360.0;
 const HEIGHT: f64 = 178.0;
 
-/// A line across a chart at each of some values, with the value beside it.
+/// Horizontal grid lines with their values.
 fn grid(sheet: &mut Sheet, [left, width]: [f64; 2], values: Vec<f64>, height: impl Fn(f64) -> f64) {
     for value in values {
         let y = height(value);
         sheet.line([left, y], [left + width, y], &format!("stroke=\"{GRID}\""));
-        sheet.text(left - 6.0, y, &format!("{value}"), 11.0, DIM, Stand::Right);
+        sheet.text(left - 6.0, y, &format!("{value}"), 11.0, DIM, Anchor::Right);
     }
 }
 
-/// Round numbers between two, about so many.
+/// About `about` round numbers between two values.
 fn ticks(low: f64, high: f64, about: usize) -> Vec<f64> {
     let raw = (high - low) / about.max(1) as f64;
     if !(raw > 0.0 && raw.is_finite()) {
@@ -43,22 +43,19 @@ pub(super) fn circularity(
 ) {
     let left = left + 46.0;
     let mm = drawing.mm();
-    sheet.text(left, TOP - 20.0, title, 13.0, INK, Stand::Left);
+    sheet.text(left, TOP - 20.0, title, 13.0, INK, Anchor::Left);
     let values = || curves.iter().flat_map(|curve| &curve.samples).filter(|s| s[1].is_finite());
     let longest = values().map(|s| s[0] * mm).fold(0.0, f64::max);
     let lowest = values().map(|s| s[1]).fold(1.0, f64::min);
     if !(longest > 0.0 && longest.is_finite()) {
         let style = format!("fill=\"none\" stroke=\"{GRID}\"");
         let (right, bottom) = (left + WIDTH, TOP + HEIGHT);
-        sheet.path(
-            &[vec![[left, TOP], [right, TOP], [right, bottom], [left, bottom]]],
-            true,
-            &style,
-        );
-        sheet.text(left + WIDTH / 2.0, TOP + HEIGHT / 2.0, "no curve", 12.0, DIM, Stand::Middle);
+        let corners = vec![[left, TOP], [right, TOP], [right, bottom], [left, bottom]];
+        sheet.path(&[corners], true, &style);
+        sheet.text(left + WIDTH / 2.0, TOP + HEIGHT / 2.0, "no curve", 12.0, DIM, Anchor::Middle);
         return;
     }
-    // From a round number below the lowest value up to a circle.
+    // The axis runs from a round number below the lowest value to 1, a circle.
     let bottom = ((lowest.max(0.0) - 0.02) * 10.0).floor().max(0.0) / 10.0;
     let at = |s: &[f64; 2]| {
         let x = left + WIDTH * s[0] * mm / longest;
@@ -69,11 +66,11 @@ pub(super) fn circularity(
         let x = left + WIDTH * tick / longest;
         let foot = TOP + HEIGHT;
         sheet.line([x, foot], [x, foot + 4.0], &format!("stroke=\"{DIM}\""));
-        sheet.text(x, foot + 13.0, &format!("{tick}"), 11.0, DIM, Stand::Middle);
+        sheet.text(x, foot + 13.0, &format!("{tick}"), 11.0, DIM, Anchor::Middle);
     }
-    sheet.upward(left - 36.0, TOP + HEIGHT / 2.0, "circularity", 12.0);
-    let words = "distance along the part / mm";
-    sheet.text(left + WIDTH / 2.0, TOP + HEIGHT + 30.0, words, 12.0, DIM, Stand::Middle);
+    sheet.vertical_text(left - 36.0, TOP + HEIGHT / 2.0, "circularity", 12.0);
+    let label = "distance along the part / mm";
+    sheet.text(left + WIDTH / 2.0, TOP + HEIGHT + 30.0, label, 12.0, DIM, Anchor::Middle);
     for (row, curve) in curves.iter().enumerate() {
         let colour = colour(curve.part);
         let line = curve.samples.iter().map(at).collect();
@@ -82,21 +79,21 @@ pub(super) fn circularity(
         );
         sheet.path(&[line], false, &style);
         marks(sheet, curve, row, [left, longest / mm]);
-        // A key, for where there are two.
+        // A legend if there are two curves.
         if curves.len() > 1 {
             let x = left + WIDTH - 150.0 + 76.0 * row as f64;
             sheet.line([x, TOP - 20.0], [x + 18.0, TOP - 20.0], &style);
             let name = side_name(curve.part, drawing.joints.sides_told);
-            sheet.text(x + 23.0, TOP - 20.0, name, 11.0, INK, Stand::Left);
+            sheet.text(x + 23.0, TOP - 20.0, name, 11.0, INK, Anchor::Left);
         }
     }
 }
 
-/// Width of a letter of the names, on average.
+/// Average width of a letter.
 const LETTER: f64 = 6.3;
 
-/// Where the joints are; names of the first curve above, of the second below. A name that would stand on the one before
-/// it stands beside it.
+/// Joint positions with names, above for the first curve, below for the second. A name that would overlap the previous
+/// one moves beside it.
 fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]) {
     let colour = colour(curve.part);
     let mut taken = f64::NEG_INFINITY;
@@ -105,88 +102,77 @@ fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]
         let style = format!("stroke=\"{colour}\" stroke-width=\"1\" stroke-dasharray=\"4 3\"");
         sheet.line([x, TOP], [x, TOP + HEIGHT], &style);
         let y = if row == 0 { TOP - 6.0 } else { TOP + HEIGHT - 8.0 };
-        let (x, stand) = match x - left {
-            _ if row > 0 && x < left + WIDTH - 40.0 => (x + 4.0, Stand::Left),
-            _ if row > 0 => (x - 4.0, Stand::Right),
-            // Not over the numbers beside the chart.
-            dx if dx < 24.0 => (x, Stand::Left),
-            dx if dx > WIDTH - 24.0 => (x, Stand::Right),
-            _ => (x, Stand::Middle),
+        let (x, anchor) = match x - left {
+            _ if row > 0 && x < left + WIDTH - 40.0 => (x + 4.0, Anchor::Left),
+            _ if row > 0 => (x - 4.0, Anchor::Right),
+            // Keeps clear of the axis labels.
+            dx if dx < 24.0 => (x, Anchor::Left),
+            dx if dx > WIDTH - 24.0 => (x, Anchor::Right),
+            _ => (x, Anchor::Middle),
         };
         let width = LETTER * name.chars().count() as f64;
-        let begins = match stand {
-            Stand::Left => x,
-            Stand::Middle => x - width / 2.0,
-            Stand::Right => x - width,
+        let begins = match anchor {
+            Anchor::Left => x,
+            Anchor::Middle => x - width / 2.0,
+            Anchor::Right => x - width,
         };
         let begins = begins.max(taken);
         taken = begins + width + 4.0;
-        sheet.text(begins, y, name, 11.0, colour, Stand::Left);
+        sheet.text(begins, y, name, 11.0, colour, Anchor::Left);
     }
 }
 
-fn side_name(part: Part, told: bool) -> &'static str {
-    match (part, told) {
-        (Part::Trunk, _) => "trunk",
-        (Part::Arm(Side::Left) | Part::Leg(Side::Left), true) => "left",
-        (Part::Arm(Side::Right) | Part::Leg(Side::Right), true) => "right",
-        (Part::Arm(Side::Left) | Part::Leg(Side::Left), false) => "side A",
-        (Part::Arm(Side::Right) | Part::Leg(Side::Right), false) => "side B",
+fn side_name(part: BodyPart, sides_known: bool) -> &'static str {
+    match (part, sides_known) {
+        (BodyPart::Trunk, _) => "trunk",
+        (BodyPart::Arm(Side::Left) | BodyPart::Leg(Side::Left), true) => "left",
+        (BodyPart::Arm(Side::Right) | BodyPart::Leg(Side::Right), true) => "right",
+        (BodyPart::Arm(Side::Left) | BodyPart::Leg(Side::Left), false) => "side A",
+        (BodyPart::Arm(Side::Right) | BodyPart::Leg(Side::Right), false) => "side B",
     }
 }
 
-/// Left, top, width, height of the Reeb graph.
-const PLACE: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
+/// Left, top, width and height of the Reeb graph.
+const REEB_BOX: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
 
-/// As deep as a level set is far from the head, and as far to the side as it is on the body.
+/// Nodes are as low as their level set is far from the head, and as far aside as it is on the body.
 pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
-    let [left, top, width, height] = PLACE;
+    let [left, top, width, height] = REEB_BOX;
     let mm = drawing.mm();
-    sheet.text(
-        left + width / 2.0,
-        66.0,
-        "Reeb graph of the distance from the head",
-        13.0,
-        DIM,
-        Stand::Middle,
-    );
+    let title = "Reeb graph of the distance from the head";
+    sheet.text(left + width / 2.0, 66.0, title, 13.0, DIM, Anchor::Middle);
     let deepest = drawing.reeb_nodes.iter().map(|node| node.value * mm).fold(0.0, f64::max);
     if !(deepest > 0.0 && deepest.is_finite()) {
-        sheet.text(left + width / 2.0, top + height / 2.0, "none", 12.0, DIM, Stand::Middle);
+        sheet.text(left + width / 2.0, top + height / 2.0, "none", 12.0, DIM, Anchor::Middle);
         return;
     }
     let down = |value: f64| top + height * value / deepest;
     grid(sheet, [left, width], ticks(0.0, deepest, 6), down);
-    sheet.upward(left - 46.0, top + height / 2.0, "distance along the surface / mm", 12.0);
+    sheet.vertical_text(left - 46.0, top + height / 2.0, "distance along the surface / mm", 12.0);
     let across = |at: [f64; 3]| upright.front(at.into()).x;
     let nodes = drawing.reeb_nodes.iter().map(|node| Point::new(across(node.position), 0.0, 0.0));
     let [low, high] = bounds(nodes);
-    let room = (high[0] - low[0]).max(1e-9);
+    let span = (high[0] - low[0]).max(1e-9);
     let place = |index: usize| {
         let node = drawing.reeb_nodes.get(index)?;
-        let x = left + 14.0 + (width - 28.0) * (across(node.position) - low[0]) / room;
+        let x = left + 14.0 + (width - 28.0) * (across(node.position) - low[0]) / span;
         Some([x, down(node.value * mm)])
     };
     for &ReebEdge { from, to, part } in &drawing.reeb_edges {
         if let (Some(from), Some(to)) = (place(from), place(to)) {
-            let style = format!(
-                "stroke=\"{}\" stroke-width=\"2.5\" stroke-linecap=\"round\"",
-                colour(part)
-            );
+            let tone = colour(part);
+            let style = format!("stroke=\"{tone}\" stroke-width=\"2.5\" stroke-linecap=\"round\"");
             sheet.line(from, to, &style);
         }
     }
     let degree = |index: usize| {
         drawing.reeb_edges.iter().filter(|edge| edge.from == index || edge.to == index).count()
     };
-    // Only ends and branches: what lies between is a line.
+    // Only ends and forks are drawn; nodes between them are points of a line.
     for index in (0..drawing.reeb_nodes.len()).filter(|&index| degree(index) != 2) {
         if let Some(at) = place(index) {
-            sheet.circle(
-                at,
-                4.0,
-                &format!("fill=\"#ffffff\" stroke=\"{INK}\" stroke-width=\"1.5\""),
-            );
+            let style = format!("fill=\"#ffffff\" stroke=\"{INK}\" stroke-width=\"1.5\"");
+            sheet.circle(at, 4.0, &style);
         }
     }
 }

@@ -1,34 +1,34 @@
-//! What is seen of a surface, cell by cell: how bright, and how near; and lines around what is above a level.
+//! Rasterised shading of a surface with a depth buffer, and contour lines of a raster.
 
 use std::collections::HashMap;
 
 use crate::Mesh;
 use crate::mesh::{Point, normal, unit};
 
-/// Cells on a side of the picture at most.
+/// Most cells along a side.
 const CELLS_MAX: usize = 700;
 
-/// A grid over a part of the paper.
+/// A raster over part of the page.
 #[derive(Debug)]
 pub(super) struct Shade {
     pub(super) size: [usize; 2],
-    /// Cells of a unit of the paper.
+    /// Size of a cell in page units.
     pub(super) cell: f64,
-    /// Corner of the first cell on the paper.
+    /// Page position of the first cell's corner.
     pub(super) corner: [f64; 2],
-    /// Brightness, 0 outside and up to 1 where the surface faces the light; row by row.
+    /// Brightness row by row: 0 outside, up to 1 where the surface faces the light.
     pub(super) light: Vec<f64>,
-    /// 1 where there is a surface.
+    /// 1 where the surface covers the cell.
     pub(super) cover: Vec<f64>,
-    /// Nearness to the viewer in the unit of the points.
+    /// Depth buffer: nearness to the viewer, in the unit of the points.
     depth: Vec<f64>,
 }
 
-/// Where the light comes from: over the viewer's left shoulder.
+/// Direction to the light: over the viewer's left shoulder.
 const LIGHT: [f64; 3] = [-0.35, 0.45, 0.82];
 
 impl Shade {
-    /// Of a mesh whose vertices are given as they are seen: x and y on the paper, z towards the viewer.
+    /// Rasterises a mesh whose vertices are given in view coordinates: x and y on the page, z towards the viewer.
     pub(super) fn new(mesh: &Mesh, seen: &[Point], low: [f64; 2], high: [f64; 2]) -> Self {
         let extent = [high[0] - low[0], high[1] - low[1]];
         let cell = (extent[0].max(extent[1]) / (CELLS_MAX - 8) as f64).max(1.0);
@@ -43,7 +43,7 @@ impl Shade {
             let corners = triangle.map(|i| seen.get(i as usize).copied().unwrap_or_default());
             let bright = triangle.map(|i| {
                 let normal = normals.get(i as usize).copied().unwrap_or_default();
-                // Paper has y down, the light does not.
+                // The page has y down, the light has y up.
                 let lit = Point::new(normal.x, -normal.y, normal.z).dot(&towards).max(0.0);
                 0.12 + 0.45 * normal[2].max(0.0) + 0.43 * lit
             });
@@ -89,7 +89,7 @@ impl Shade {
         }
     }
 
-    /// Whether a point of the surface is in front of all others, up to some tolerance in the unit of the points.
+    /// Whether a surface point is visible, up to a tolerance in the unit of the points.
     pub(super) fn sees(&self, p: Point, tolerance: f64) -> bool {
         let cell = |k: usize| (p[k] - self.corner[k]) / self.cell;
         let (x, y) = (cell(0), cell(1));
@@ -100,12 +100,12 @@ impl Shade {
     }
 }
 
-/// Of vertices, each triangle with its area for a weight; towards the viewer where it faces him.
+/// Vertex normals weighted by area, pointing to the viewer where the surface faces it.
 fn normals(mesh: &Mesh, seen: &[Point]) -> Vec<Point> {
     let mut normals = vec![Point::zeros(); seen.len()];
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.map(|i| seen.get(i as usize).copied().unwrap_or_default());
-        // The paper is a mirror image: y is down.
+        // The page mirrors the view: y is down.
         let normal = normal([a, c, b]);
         for &corner in triangle {
             if let Some(sum) = normals.get_mut(corner as usize) {
@@ -116,7 +116,7 @@ fn normals(mesh: &Mesh, seen: &[Point]) -> Vec<Point> {
     normals.into_iter().map(unit).collect()
 }
 
-/// Means over three by three cells; the border stays.
+/// Box blur of three by three cells; the border stays.
 fn blur(values: &mut [f64], [width, height]: [usize; 2]) {
     let before = values.to_vec();
     for y in 1..height.saturating_sub(1) {
@@ -131,12 +131,12 @@ fn blur(values: &mut [f64], [width, height]: [usize; 2]) {
     }
 }
 
-/// How far a loop may be from the line, in cells.
+/// Largest deviation of a thinned contour, in cells.
 const TOLERANCE: f64 = 0.18;
 
-/// Loops around all cells above a level, in units of cells. The border of the grid has to be below.
+/// Closed contours around all cells above a level, in units of cells. The border of the raster must be below it.
 pub(super) fn loops(values: &[f64], [width, height]: [usize; 2], level: f64) -> Vec<Vec<[f64; 2]>> {
-    // Each crossing lies between a cell and its neighbour to the right (false) or below (true).
+    // A crossing lies between a cell and its neighbour to the right (false) or below (true).
     let mut next: HashMap<(usize, bool), (usize, bool)> = HashMap::new();
     let mut starts = Vec::new();
     let value = |at: usize| values.get(at).copied().unwrap_or(0.0);
@@ -147,7 +147,7 @@ pub(super) fn loops(values: &[f64], [width, height]: [usize; 2], level: f64) -> 
             let sides = [(at, false), (at + 1, true), (at + width, false), (at, true)];
             let above = corners.map(|corner| value(corner) > level);
             for i in 0..4 {
-                // In over this side, around the corners above, and out: corner i + 1 is below, so there is an end.
+                // Enter over this side, go around the corners above, leave: corner i + 1 is below, so the loop ends.
                 if above[i] && !above[(i + 1) % 4] {
                     let mut j = i;
                     while above[(j + 3) % 4] {
@@ -175,7 +175,7 @@ pub(super) fn loops(values: &[f64], [width, height]: [usize; 2], level: f64) -> 
             points.push(crossing(at));
             at = after;
         }
-        // Smaller ones are grains.
+        // Smaller contours are noise.
         if points.len() > 8 {
             loops.push(thinned(&points));
         }
@@ -183,7 +183,7 @@ pub(super) fn loops(values: &[f64], [width, height]: [usize; 2], level: f64) -> 
     loops
 }
 
-/// Leaves out points that are all but on the line between those that are kept.
+/// Drops points that lie almost on the line between kept ones.
 fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let mut kept = Vec::new();
     let mut from = 0;

@@ -1,4 +1,4 @@
-//! SVG, element by element.
+//! An SVG document, written element by element.
 
 use std::fmt::Write as _;
 
@@ -6,18 +6,18 @@ pub(super) const INK: &str = "#282828";
 pub(super) const DIM: &str = "#6e6e6e";
 pub(super) const GRID: &str = "#e1e1e1";
 const FONT: &str = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif";
-/// Characters of a foreign text that are drawn.
+/// Most characters of foreign text.
 const TEXT_MAX: usize = 160;
 
-/// Where a text stands at its point.
+/// Alignment of a text at its point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stand {
+pub(super) enum Anchor {
     Left,
     Middle,
     Right,
 }
 
-/// A document in the making. Coordinates are written to a tenth; what is not finite is not written.
+/// A document under construction. Coordinates have one decimal; elements with non-finite ones are dropped.
 pub(super) struct Sheet(String);
 
 impl Sheet {
@@ -36,12 +36,12 @@ impl Sheet {
         self.0
     }
 
-    /// Writing to a text does not fail.
+    /// Writing to a `String` cannot fail.
     fn put(&mut self, what: std::fmt::Arguments<'_>) {
         self.0.write_fmt(what).ok();
     }
 
-    /// Words whose middle is as high as the point.
+    /// Text, vertically centred at the point.
     pub(super) fn text(
         &mut self,
         x: f64,
@@ -49,22 +49,22 @@ impl Sheet {
         text: &str,
         size: f64,
         colour: &str,
-        stand: Stand,
+        anchor: Anchor,
     ) {
-        let anchor = match stand {
-            Stand::Left => "start",
-            Stand::Middle => "middle",
-            Stand::Right => "end",
+        let value = match anchor {
+            Anchor::Left => "start",
+            Anchor::Middle => "middle",
+            Anchor::Right => "end",
         };
         let baseline = y + 0.36 * size;
         self.put(format_args!(
-            "<text x=\"{x:.1}\" y=\"{baseline:.1}\" font-size=\"{size}\" fill=\"{colour}\" text-anchor=\"{anchor}\">{}</text>\n",
+            "<text x=\"{x:.1}\" y=\"{baseline:.1}\" font-size=\"{size}\" fill=\"{colour}\" text-anchor=\"{value}\">{}</text>\n",
             escaped(text)
         ));
     }
 
-    /// Words along the left edge of a chart, read upwards.
-    pub(super) fn upward(&mut self, x: f64, y: f64, text: &str, size: f64) {
+    /// Text that runs upwards along the left edge of a chart.
+    pub(super) fn vertical_text(&mut self, x: f64, y: f64, text: &str, size: f64) {
         self.put(format_args!(
             "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" font-size=\"{size}\" fill=\"{DIM}\" text-anchor=\"middle\">{}</text>\n",
             escaped(text)
@@ -84,7 +84,7 @@ impl Sheet {
         }
     }
 
-    /// Lines through points, one element for all.
+    /// Polylines as one element.
     pub(super) fn path(&mut self, lines: &[Vec<[f64; 2]>], closed: bool, style: &str) {
         let finite = |line: &&Vec<[f64; 2]>| {
             line.len() > 1 && line.iter().all(|p| p.iter().all(|c| c.is_finite()))
@@ -107,7 +107,7 @@ impl Sheet {
     }
 }
 
-/// A text that XML holds, of a bounded length.
+/// Text escaped for XML, of bounded length.
 fn escaped(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars().take(TEXT_MAX) {

@@ -1,7 +1,7 @@
-//! Lengths of the limbs, left and right beside each other; and below everything what whoever reads the picture should know.
+//! The table of limb lengths, left beside right, and the notes at the foot of the page.
 
-use super::sheet::{DIM, GRID, INK, Sheet, Stand};
-use super::{Drawing, Part, colour};
+use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
+use super::{BodyPart, Drawing, colour};
 use crate::mesh::distance;
 use crate::skeleton::BONES;
 use crate::{Joint, Side};
@@ -9,7 +9,7 @@ use crate::{Joint, Side};
 const LEFT: f64 = 1040.0;
 const TOP: f64 = 476.0;
 const ROW: f64 = 23.0;
-/// Words of a row, with its bones.
+/// Label of a row, with its bones.
 const ROWS: [(&str, &str, &str); 8] = [
     ("upper arm", "l_upper_arm", "r_upper_arm"),
     ("forearm", "l_forearm", "r_forearm"),
@@ -23,53 +23,50 @@ const ROWS: [(&str, &str, &str); 8] = [
 
 pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
     let columns = [LEFT + 225.0, LEFT + 325.0];
-    sheet.text(LEFT, TOP, "Lengths / mm", 13.0, INK, Stand::Left);
+    sheet.text(LEFT, TOP, "Lengths / mm", 13.0, INK, Anchor::Left);
     let heads = if drawing.joints.sides_told { ["left", "right"] } else { ["side A", "side B"] };
     for ((x, head), side) in columns.into_iter().zip(heads).zip(Side::BOTH) {
-        sheet.text(x, TOP, head, 12.0, DIM, Stand::Right);
-        for (part, dx) in [(Part::Arm(side), -60.0), (Part::Leg(side), -52.0)] {
+        sheet.text(x, TOP, head, 12.0, DIM, Anchor::Right);
+        for (part, dx) in [(BodyPart::Arm(side), -60.0), (BodyPart::Leg(side), -52.0)] {
             let style = format!("fill=\"{}\"", colour(part));
             sheet.circle([x + dx, TOP], 3.5, &style);
         }
     }
-    // Joints may have been left out, and what hangs on them with them.
+    // Joints may be missing, and with them the lengths that need them.
     let rows = ROWS
         .into_iter()
-        .map(|(words, left, right)| (words, [left, right].map(|bone| length(drawing, bone))));
+        .map(|(label, left, right)| (label, [left, right].map(|bone| length(drawing, bone))));
     let rows = [("stature", [stature(drawing), None])].into_iter().chain(rows);
     let mut y = TOP + 8.0 + ROW;
-    for (words, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
-        sheet.line(
-            [LEFT, y - ROW / 2.0],
-            [LEFT + 325.0, y - ROW / 2.0],
-            &format!("stroke=\"{GRID}\""),
-        );
-        sheet.text(LEFT, y, words, 12.0, INK, Stand::Left);
+    for (label, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
+        let top = y - ROW / 2.0;
+        sheet.line([LEFT, top], [LEFT + 325.0, top], &format!("stroke=\"{GRID}\""));
+        sheet.text(LEFT, y, label, 12.0, INK, Anchor::Left);
         for (x, text) in columns.into_iter().zip(lengths) {
             if let Some(text) = text {
-                sheet.text(x, y, &text, 12.0, INK, Stand::Right);
+                sheet.text(x, y, &text, 12.0, INK, Anchor::Right);
             }
         }
         y += ROW;
     }
-    sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Stand::Left);
+    sheet.text(LEFT, y, "± one expected standard deviation", 11.0, DIM, Anchor::Left);
 }
 
 fn stature(drawing: &Drawing<'_>) -> Option<String> {
     let skeleton = drawing.skeleton?;
-    Some(format!("{:.0}{}", skeleton.stature_mm?, give(skeleton.stature_uncertainty_mm)))
+    Some(format!("{:.0}{}", skeleton.stature_mm?, plus_minus(skeleton.stature_uncertainty_mm)))
 }
 
-/// How far off it may be, where that is known.
-fn give(sigma_mm: Option<f64>) -> String {
+/// Standard deviation as text, if known.
+fn plus_minus(sigma_mm: Option<f64>) -> String {
     sigma_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"))
 }
 
-/// From the skeleton, and from the joints where there is none.
+/// A length from the skeleton, or from the joints without one.
 fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
     if let Some(skeleton) = drawing.skeleton {
         let bone = skeleton.bones.iter().find(|bone| bone.name == name)?;
-        return Some(format!("{:.0}{}", bone.length_mm, give(bone.uncertainty_mm)));
+        return Some(format!("{:.0}{}", bone.length_mm, plus_minus(bone.uncertainty_mm)));
     }
     let ends = BONES.iter().find(|ends| ends.name == name)?;
     let at = |joint: Joint| drawing.joints.estimates.get(&joint);
@@ -82,18 +79,18 @@ fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
 
 const NOTES_LEFT: f64 = 40.0;
 const NOTES_STEP: f64 = 17.0;
-/// Characters of a line; the sheet has room for more.
+/// Most characters of a line; the page has room for more.
 const LINE_MAX: usize = 150;
-/// Lines of all notes; the skeleton has the rest.
+/// Most lines of notes; the skeleton has all of them.
 const LINES_MAX: usize = 24;
 
-/// The lines of all notes, each of which begins with a mark.
+/// The lines of all notes, each note beginning with a bullet.
 pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
     let mut lines = Vec::new();
     for (i, note) in notes.iter().enumerate() {
-        let note = broken(note);
+        let note = wrapped(note);
         if lines.len() + note.len() >= LINES_MAX {
-            lines.push(format!("• {} more notes stand in the skeleton", notes.len() - i));
+            lines.push(format!("• {} more notes in the skeleton", notes.len() - i));
             break;
         }
         lines.extend(note);
@@ -101,8 +98,8 @@ pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
     lines
 }
 
-/// A note in lines, broken between words, and within those that are longer than a line.
-fn broken(note: &str) -> Vec<String> {
+/// Wraps a note between words, and within words longer than a line.
+fn wrapped(note: &str) -> Vec<String> {
     let mut lines = Vec::new();
     let mut line = "•".to_owned();
     let mut length = 1;
@@ -122,7 +119,7 @@ fn broken(note: &str) -> Vec<String> {
     lines
 }
 
-/// How much higher the picture is for them.
+/// Additional height of the picture.
 pub(super) fn notes_height(lines: &[String]) -> f64 {
     if lines.is_empty() { 0.0 } else { NOTES_STEP * (lines.len() as f64 + 2.0) }
 }
@@ -132,11 +129,11 @@ pub(super) fn notes(sheet: &mut Sheet, lines: &[String], top: f64) {
         return;
     }
     let mut y = top + 0.8 * NOTES_STEP;
-    sheet.text(NOTES_LEFT, y, "Notes", 13.0, INK, Stand::Left);
+    sheet.text(NOTES_LEFT, y, "Notes", 13.0, INK, Anchor::Left);
     for line in lines {
         y += NOTES_STEP;
-        // White space at the beginning is none to SVG.
+        // SVG ignores leading white space.
         let x = if line.starts_with(' ') { NOTES_LEFT + 11.0 } else { NOTES_LEFT };
-        sheet.text(x, y, line.trim_start(), 12.0, INK, Stand::Left);
+        sheet.text(x, y, line.trim_start(), 12.0, INK, Anchor::Left);
     }
 }

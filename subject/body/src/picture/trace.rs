@@ -1,6 +1,6 @@
-//! From what the methods give to what is drawn.
+//! Conversion of level sets and Reeb graph into a drawing.
 
-use super::{Curve, Drawing, Line, Mark, Part, ReebEdge, ReebNode};
+use super::{BodyPart, Curve, Drawing, Line, Mark, ReebEdge, ReebNode};
 use crate::level::{Ring, Rings};
 use crate::mesh::{Point, distance};
 use crate::reeb::Levels;
@@ -8,18 +8,18 @@ use crate::skeleton::joint_name;
 use crate::{Joint, Side};
 
 impl Drawing<'_> {
-    /// Takes over the level sets, the Reeb graph, and centre line and circularity of each segment; joints have to be
-    /// there before, since they say which arm is which, and are marked on the curves.
+    /// Adds the level sets, the Reeb graph, and centre line and circularity of each segment. The joints must be set
+    /// before: they determine which arm is which and are marked on the curves.
     pub fn trace(&mut self, Levels { rings, reeb, segments }: &Levels) {
-        let mut parts = vec![(Part::Trunk, &segments.trunk)];
-        for (side, arm) in self.told_apart(rings, &segments.arms, Joint::Wrist) {
-            parts.push((Part::Arm(side), arm));
+        let mut parts = vec![(BodyPart::Trunk, &segments.trunk)];
+        for (side, arm) in self.assign_sides(rings, &segments.arms, Joint::Wrist) {
+            parts.push((BodyPart::Arm(side), arm));
         }
-        for (side, leg) in self.told_apart(rings, &segments.legs, Joint::Ankle) {
-            parts.push((Part::Leg(side), leg));
+        for (side, leg) in self.assign_sides(rings, &segments.legs, Joint::Ankle) {
+            parts.push((BodyPart::Leg(side), leg));
         }
-        // What belongs to none of the segments, such as an ear, is the trunk's.
-        let mut part_of = vec![Part::Trunk; rings.rings.len()];
+        // Curves of no segment, such as those of an ear, count to the trunk.
+        let mut part_of = vec![BodyPart::Trunk; rings.rings.len()];
         for (part, indices) in parts {
             for &index in indices {
                 if let Some(of) = part_of.get_mut(index as usize) {
@@ -38,14 +38,14 @@ impl Drawing<'_> {
             self.reeb_nodes.push(ReebNode { position: ring.centroid, value });
         }
         self.reeb_edges.extend(reeb.arcs().map(|[from, to]| {
-            // An arc has the colour of its end, so that limbs begin at the trunk.
-            let part = part_of.get(to as usize).copied().unwrap_or(Part::Trunk);
+            // An arc has the colour of its outer end, so limbs begin at the trunk.
+            let part = part_of.get(to as usize).copied().unwrap_or(BodyPart::Trunk);
             ReebEdge { from: from as usize, to: to as usize, part }
         }));
     }
 
-    /// Both limbs with the side whose last joint they end nearer to.
-    fn told_apart<'a>(
+    /// Assigns each limb the side whose last joint is nearer to its end.
+    fn assign_sides<'a>(
         &self,
         rings: &Rings,
         limbs: &'a [Vec<u32>; 2],
@@ -66,22 +66,24 @@ impl Drawing<'_> {
     }
 
     /// Circularity over the length of the centre line.
-    fn curve(&self, part: Part, along: &[&Ring], points: &[[f64; 3]]) -> Curve {
+    fn curve(&self, part: BodyPart, along: &[&Ring], points: &[[f64; 3]]) -> Curve {
         let mut far = vec![0.0];
         for pair in points.windows(2) {
             far.push(far.last().copied().unwrap_or(0.0) + distance(pair[0], pair[1]));
         }
         let samples = far.iter().zip(along).map(|(far, ring)| [*far, ring.circularity()]).collect();
         let joints: Vec<Joint> = match part {
-            Part::Trunk => vec![Joint::Throat, Joint::Pelvis],
-            Part::Arm(side) => vec![Joint::Shoulder(side), Joint::Elbow(side), Joint::Wrist(side)],
-            Part::Leg(side) => vec![Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)],
+            BodyPart::Trunk => vec![Joint::Throat, Joint::Pelvis],
+            BodyPart::Arm(side) => {
+                vec![Joint::Shoulder(side), Joint::Elbow(side), Joint::Wrist(side)]
+            }
+            BodyPart::Leg(side) => vec![Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)],
         };
         let mark = |joint: Joint| {
             let at = self.joints.estimates.get(&joint)?.position;
             let far_off = |index: &usize| distance(points[*index], at);
             let nearest = (0..points.len()).min_by(|a, b| far_off(a).total_cmp(&far_off(b)))?;
-            // A shoulder lies before the first ring that is the arm's alone: it is on no curve.
+            // A shoulder lies before the first curve of the arm alone, so it is on no curve.
             if beyond(points, nearest, at) {
                 return None;
             }
@@ -93,10 +95,10 @@ impl Drawing<'_> {
     }
 }
 
-/// Points of a line that give its direction: single ones are not in line.
+/// Number of points that give the direction of a line at its end; fewer are not in line.
 const DIRECTION: usize = 4;
 
-/// Whether a point whose nearest is the first or the last of a line lies beyond it, and not beside it.
+/// Whether a point nearest to an end of a line lies beyond it, not beside it.
 fn beyond(line: &[[f64; 3]], nearest: usize, at: [f64; 3]) -> bool {
     let behind = |end: [f64; 3], inward: Option<&[f64; 3]>| {
         let from_end = |at: [f64; 3]| Point::from(at) - Point::from(end);

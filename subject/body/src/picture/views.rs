@@ -1,22 +1,22 @@
-//! The body from the front and from its right: shaded, with level sets, centre lines and joints.
+//! Front and right view of the body: shaded, with level sets, centre lines and joints.
 
 use super::shade::{Shade, loops};
-use super::sheet::{DIM, INK, Sheet, Stand};
+use super::sheet::{Anchor, DIM, INK, Sheet};
 use super::{Drawing, Line, colour};
 use crate::mesh::{Point, axes, mean};
 use crate::skeleton::joint_name;
 use crate::{Estimate, Joint, Joints, Side};
 
-/// Place of both views, side by side: left edge, and width; top and bottom.
+/// Area of both views, side by side.
 const LEFT: f64 = 26.0;
 const WIDTH: f64 = 984.0;
 const ROWS: [f64; 2] = [90.0, 740.0];
-/// Names are no longer than this, and with how unsure they are.
+/// Widths of a name, without and with its standard deviation.
 const COLUMN: f64 = 87.0;
 const UNSURE_COLUMN: f64 = 122.0;
-/// From a body to its names.
+/// Gap between a body and its names.
 const BESIDE: f64 = 15.0;
-/// Brightness from which a tone is laid, and the tone.
+/// Brightness thresholds and their tones.
 const TONES: [(f64, &str); 6] = [
     (0.30, "#c9ced4"),
     (0.50, "#d5d9de"),
@@ -26,47 +26,47 @@ const TONES: [(f64, &str); 6] = [
     (0.94, "#f7f8f9"),
 ];
 const RIM: &str = "#b4bac2";
-/// Circles of standard deviations.
+/// Colour of standard deviations.
 const UNSURE: &str = "#7b3294";
-/// Wider ones are not drawn: half a thigh.
+/// Largest circle: half a thigh.
 const WIDE_MM: f64 = 80.0;
-/// Rings that are drawn; more are thinned out.
+/// Most level-set curves; more are thinned out.
 const RINGS_MAX: usize = 160;
 
-type Look = fn(&Upright, Point) -> Point;
+type Projection = fn(&Upright, Point) -> Point;
 
 pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
     let Some(mesh) = drawing.mesh else { return };
-    let looks: [Look; 2] = [Upright::front, Upright::side];
+    let projections: [Projection; 2] = [Upright::front, Upright::side];
     let boxes =
-        looks.map(|look| bounds(mesh.positions.iter().map(|p| look(upright, Point::from(*p)))));
+        projections.map(|to| bounds(mesh.positions.iter().map(|p| to(upright, Point::from(*p)))));
     let column = if anything_wide(drawing) { UNSURE_COLUMN } else { COLUMN };
-    // Room for names on either side of a body.
+    // Space for names on either side of a body.
     let names = column + BESIDE;
-    // One scale for both, as large as both have room.
+    // One scale for both views, as large as fits.
     let extent = |axis: usize| boxes.map(|[low, high]| (high[axis] - low[axis]).max(1e-9));
     let (widths, heights) = (extent(0), extent(1));
     let per_unit = ((WIDTH - 4.0 * names) / (widths[0] + widths[1]))
         .min((ROWS[1] - ROWS[0]) / heights[0].max(heights[1]));
     let spare = (WIDTH - 4.0 * names - per_unit * (widths[0] + widths[1])) / 2.0;
     let mut left = LEFT;
-    for (i, look) in looks.into_iter().enumerate() {
+    for (i, project) in projections.into_iter().enumerate() {
         let [low, high] = boxes[i];
         let width = per_unit * widths[i] + 2.0 * names + spare;
         let centre = [left + width / 2.0, (ROWS[0] + ROWS[1]) / 2.0];
         let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
         let origin = [centre[0] - per_unit * middle[0], centre[1] + per_unit * middle[1]];
-        let fit = Fit { per_unit, origin };
-        let view = View { drawing, upright, look, fit };
+        let fit = PageTransform { per_unit, origin };
+        let view = BodyView { drawing, upright, project, fit };
         let title = match (i, drawing.joints.sides_told) {
             (0, true) => "front",
             (1, true) => "from the right",
-            (0, false) => "front or back (sides not told)",
-            _ => "from one side (sides not told)",
+            (0, false) => "front or back (sides unknown)",
+            _ => "from one side (sides unknown)",
         };
-        sheet.text(centre[0], 66.0, title, 13.0, DIM, Stand::Middle);
+        sheet.text(centre[0], 66.0, title, 13.0, DIM, Anchor::Middle);
         view.surface(sheet);
-        // Names stand near the body, however slim it is.
+        // Names stay near the body, however slim it is.
         let half = per_unit * widths[i] / 2.0 + names;
         view.joints(sheet, [centre[0] - half, centre[0] + half], column, i == 0);
         left += width;
@@ -74,33 +74,34 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
     scale_bar(sheet, drawing, per_unit);
 }
 
-struct View<'a> {
+struct BodyView<'a> {
     drawing: &'a Drawing<'a>,
     upright: &'a Upright,
-    look: Look,
-    fit: Fit,
+    project: Projection,
+    fit: PageTransform,
 }
 
-impl View<'_> {
+impl BodyView<'_> {
     fn at(&self, p: Point) -> [f64; 2] {
-        self.fit.at((self.look)(self.upright, p))
+        self.fit.at((self.project)(self.upright, p))
     }
 
-    /// On the paper, and how near.
-    fn seen(&self, p: Point) -> Point {
-        let looked = (self.look)(self.upright, p);
-        let [x, y] = self.fit.at(looked);
-        Point::new(x, y, looked.z * self.fit.per_unit)
+    /// Page coordinates and nearness.
+    fn on_page(&self, p: Point) -> Point {
+        let projected = (self.project)(self.upright, p);
+        let [x, y] = self.fit.at(projected);
+        Point::new(x, y, projected.z * self.fit.per_unit)
     }
 
     fn surface(&self, sheet: &mut Sheet) {
         let Some(mesh) = self.drawing.mesh else { return };
-        let seen: Vec<Point> = mesh.positions.iter().map(|p| self.seen(Point::from(*p))).collect();
-        let [low, high] = bounds(seen.iter().copied());
+        let page: Vec<Point> =
+            mesh.positions.iter().map(|p| self.on_page(Point::from(*p))).collect();
+        let [low, high] = bounds(page.iter().copied());
         if !low.iter().chain(&high).all(|c| c.is_finite()) {
             return;
         }
-        let shade = Shade::new(mesh, &seen, low, high);
+        let shade = Shade::new(mesh, &page, low, high);
         let place = |loops: Vec<Vec<[f64; 2]>>| -> Vec<Vec<[f64; 2]>> {
             let to_paper =
                 |p: [f64; 2]| [0, 1].map(|k| shade.corner[k] + (p[k] + 0.5) * shade.cell);
@@ -118,7 +119,7 @@ impl View<'_> {
         self.centre_lines(sheet);
     }
 
-    /// The nearer half of each ring, part by part.
+    /// The visible part of each curve, part by part.
     fn rings(&self, sheet: &mut Sheet, shade: &Shade) {
         let rings = &self.drawing.rings;
         let step = rings.len().div_ceil(RINGS_MAX).max(1);
@@ -127,12 +128,12 @@ impl View<'_> {
         parts.dedup();
         for part in parts {
             let mut pieces = Vec::new();
-            // Thinned out part by part: rings of both legs take turns.
+            // Thinned out per part, since curves of both legs alternate.
             for ring in rings.iter().filter(|ring| ring.part == part).step_by(step) {
                 let mut piece: Vec<[f64; 2]> = Vec::new();
                 let around = ring.points.iter().chain(ring.points.first());
-                for p in around.map(|p| self.seen(Point::from(*p))) {
-                    // Two units of paper: less than the thickness of a wrist.
+                for p in around.map(|p| self.on_page(Point::from(*p))) {
+                    // Two page units: less than the thickness of a wrist.
                     if shade.sees(p, 2.0) {
                         let far = |last: &[f64; 2]| (last[0] - p[0]).hypot(last[1] - p[1]) > 0.7;
                         if piece.last().is_none_or(far) {
@@ -156,12 +157,9 @@ impl View<'_> {
         let lines =
             |line: &Line| vec![line.points.iter().map(|p| self.at(Point::from(*p))).collect()];
         let round = "fill=\"none\" stroke-linecap=\"round\" stroke-linejoin=\"round\"";
+        let white = format!("{round} stroke=\"#ffffff\" stroke-width=\"4\"");
         for line in &self.drawing.centre_lines {
-            sheet.path(
-                &lines(line),
-                false,
-                &format!("{round} stroke=\"#ffffff\" stroke-width=\"4\""),
-            );
+            sheet.path(&lines(line), false, &white);
         }
         for line in &self.drawing.centre_lines {
             let colour = colour(line.part);
@@ -170,8 +168,8 @@ impl View<'_> {
         }
     }
 
-    /// Dots, with a circle of one standard deviation, and names in the margins. A circle as wide as the body would hide it:
-    /// joints that are so unsure are hollow, and their names say how unsure.
+    /// Joints as dots with a circle of one standard deviation, and names in the margins. A circle as wide as the body
+    /// would hide it, so very uncertain joints are hollow and state their standard deviation.
     fn joints(&self, sheet: &mut Sheet, margins: [f64; 2], column: f64, front: bool) {
         let mut names = Vec::new();
         for (&joint, estimate) in &self.drawing.joints.estimates {
@@ -181,7 +179,7 @@ impl View<'_> {
             if sigma > 0.5 && !is_wide(self.drawing, estimate) {
                 sheet.circle(at, sigma, &ring);
             }
-            // The far side's names would cover the near side's.
+            // Names of the far side would cover those of the near side.
             if front || !joint_name(joint).starts_with("l_") {
                 let mut text = self.name(joint);
                 if is_wide(self.drawing, estimate) {
@@ -204,10 +202,10 @@ impl View<'_> {
 
     fn name(&self, joint: Joint) -> String {
         let name = joint_name(joint);
-        let told = self.drawing.joints.sides_told;
+        let sides_known = self.drawing.joints.sides_told;
         match name.split_once('_') {
-            Some(("l", rest)) if told => format!("left {rest}"),
-            Some(("r", rest)) if told => format!("right {rest}"),
+            Some(("l", rest)) if sides_known => format!("left {rest}"),
+            Some(("r", rest)) if sides_known => format!("right {rest}"),
             Some(("l", rest)) => format!("{rest} A"),
             Some((_, rest)) => format!("{rest} B"),
             None => name.to_owned(),
@@ -215,7 +213,7 @@ impl View<'_> {
     }
 }
 
-/// Whether a joint's circle would be too wide.
+/// Whether the circle of a joint would be too wide.
 fn is_wide(drawing: &Drawing<'_>, estimate: &Estimate) -> bool {
     estimate.sigma * drawing.mm() > WIDE_MM
 }
@@ -232,41 +230,41 @@ fn scale_bar(sheet: &mut Sheet, drawing: &Drawing<'_>, per_unit: f64) {
     let end = x + mm * per_mm;
     let style = format!("stroke=\"{INK}\" stroke-width=\"1.5\" fill=\"none\"");
     sheet.path(&[vec![[x, y - 4.0], [x, y], [end, y], [end, y - 4.0]]], false, &style);
-    sheet.text(end + 8.0, y - 1.0, &format!("{mm} mm, both views"), 12.0, INK, Stand::Left);
-    let words = if anything_wide(drawing) {
+    sheet.text(end + 8.0, y - 1.0, &format!("{mm} mm, both views"), 12.0, INK, Anchor::Left);
+    let legend = if anything_wide(drawing) {
         format!(
-            "circles: one standard deviation of a joint; hollow: more than {WIDE_MM} mm, at its name"
+            "circles: one standard deviation of a joint; hollow: more than {WIDE_MM} mm, see its name"
         )
     } else {
         "circles: one standard deviation of a joint".to_owned()
     };
-    sheet.text(end + 140.0, y - 1.0, &words, 12.0, DIM, Stand::Left);
+    sheet.text(end + 140.0, y - 1.0, &legend, 12.0, DIM, Anchor::Left);
 }
 
-/// A name, and the point that it names.
+/// A name and its point.
 struct Label {
     at: [f64; 2],
     text: String,
 }
 
-/// Lines from one name to the next.
+/// Distance between names.
 const STEP: f64 = 17.0;
-/// Names stay within these rows.
+/// Vertical range of names.
 const LABEL_ROWS: [f64; 2] = [96.0, 736.0];
 
-/// Half of the names go to either margin, each at the height of its point or as near as there is room. None is longer than
-/// `column`: what lies beside them is left free.
+/// Half of the names go to either margin, each as near to the height of its point as possible. None is wider than
+/// `column`.
 fn labels(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f64; 2], column: f64) {
     labels.retain(|label| label.at.iter().all(|c| c.is_finite()));
     labels.sort_by(|a, b| a.at[0].total_cmp(&b.at[0]));
     let rest = labels.split_off(labels.len() / 2);
-    for (mut names, edge, stand, inward) in
-        [(labels, left + column, Stand::Right, 1.0), (rest, right - column, Stand::Left, -1.0)]
+    for (mut names, edge, anchor, inward) in
+        [(labels, left + column, Anchor::Right, 1.0), (rest, right - column, Anchor::Left, -1.0)]
     {
         names.sort_by(|a, b| a.at[1].total_cmp(&b.at[1]));
         let heights = spread(&names.iter().map(|label| label.at[1]).collect::<Vec<f64>>());
         for (label, y) in names.iter().zip(heights) {
-            sheet.text(edge, y, &label.text, 11.5, INK, stand);
+            sheet.text(edge, y, &label.text, 11.5, INK, anchor);
             let from = [edge + inward * 5.0, y];
             let knee = [edge + inward * 14.0, y];
             let style =
@@ -276,7 +274,7 @@ fn labels(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f64; 2], co
     }
 }
 
-/// Heights in the same order, a step apart at least, within the rows.
+/// Heights in the same order, at least a step apart, within the range.
 fn spread(wanted: &[f64]) -> Vec<f64> {
     let n = wanted.len();
     let mut heights = Vec::with_capacity(n);
@@ -294,7 +292,7 @@ fn spread(wanted: &[f64]) -> Vec<f64> {
     heights
 }
 
-/// Axes of the body: left, up, forward; of length one.
+/// Axes of the body: left, up, forward; of unit length.
 #[derive(Debug)]
 pub(super) struct Upright {
     axes: [Point; 3],
@@ -302,7 +300,7 @@ pub(super) struct Upright {
 }
 
 impl Upright {
-    /// From trunk and hips; where these are not known, from the mesh's own axes.
+    /// Axes from trunk and hips; without them the mesh's own.
     pub(super) fn of(drawing: &Drawing<'_>) -> Self {
         let positions = drawing.mesh.map_or(&[][..], |mesh| &mesh.positions);
         let middle = mean(positions.iter().map(|at| Point::from(*at))).unwrap_or_default();
@@ -310,13 +308,13 @@ impl Upright {
         Self { axes: axes.unwrap_or([Point::x(), Point::y(), Point::z()]), middle }
     }
 
-    /// Seen from the front: right on the paper, up, towards the viewer. The subject's left is on the right.
+    /// Front view: x right, y up, z towards the viewer. The subject's left is on the right.
     pub(super) fn front(&self, p: Point) -> Point {
         let p = p - self.middle;
         self.axes.map(|axis| axis.dot(&p)).into()
     }
 
-    /// Seen from the subject's right: forward is on the right.
+    /// View from the subject's right: forward is on the right.
     pub(super) fn side(&self, p: Point) -> Point {
         let front = self.front(p);
         Point::new(front.z, front.y, -front.x)
@@ -333,21 +331,21 @@ fn upright_axes(joints: &Joints) -> Option<[Point; 3]> {
     axes(top - pelvis, left - right)
 }
 
-/// How much of the paper a length is, and where the origin lies.
+/// Scale and origin of a view on the page.
 #[derive(Debug, Clone, Copy)]
-struct Fit {
+struct PageTransform {
     per_unit: f64,
     origin: [f64; 2],
 }
 
-impl Fit {
-    /// A point on the paper, y down.
+impl PageTransform {
+    /// A point on the page, y down.
     fn at(&self, p: Point) -> [f64; 2] {
         [self.origin[0] + self.per_unit * p[0], self.origin[1] - self.per_unit * p[1]]
     }
 }
 
-/// Lowest and highest of the first two coordinates.
+/// Minima and maxima of the first two coordinates.
 pub(super) fn bounds(points: impl Iterator<Item = Point>) -> [[f64; 2]; 2] {
     let all = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
     points.fold(all, |[low, high], p| {

@@ -1,7 +1,7 @@
-//! Mesh files: OBJ, PLY (text, binary of both byte orders), STL (text, binary) and OFF.
+//! Readers of mesh files: OBJ, PLY (text and binary of both byte orders), STL (text and binary) and OFF.
 //!
-//! The content says which format it is; the name's ending is asked only where the content leaves it open. Nothing is
-//! allocated on a number that a file merely claims: every vertex and face stands in the bytes that were given.
+//! The content determines the format; the file name's extension counts only if the content leaves it open. Counts in a
+//! file are never trusted for allocation: every vertex and face comes from bytes that exist.
 
 mod obj;
 mod off;
@@ -16,31 +16,31 @@ use std::fmt;
 
 use super::{Mesh, Note, Unit};
 
-/// Bytes of a file that are read at most: five million triangles as text need less.
+/// Largest file: five million triangles as text need less.
 pub const BYTES_MAX: usize = 1 << 30;
-/// Triangles of a mesh that are read at most. A body scanner gives 0.1 to 2 million.
+/// Most triangles. A body scanner gives 0.1 to 2 million.
 pub const FACES_MAX: usize = 5_000_000;
-/// Vertices of a mesh that are read at most: three a face, as where none are shared.
+/// Most vertices: three per face, as if none were shared.
 pub const VERTICES_MAX: usize = 3 * FACES_MAX;
 
-/// A mesh as the file has it: polygons are triangles, every position is finite, every index is of a position. Whether it
-/// is one clean surface is for [`repair`](super::repair) to see.
+/// A mesh as read: polygons are triangulated, every position is finite, every index valid. Whether it is one clean
+/// surface is up to [`repair`](super::repair).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scan {
-    /// The surface, in the file's own unit.
+    /// The surface, in the file's unit.
     pub mesh: Mesh,
-    /// What the file was.
+    /// Format of the file.
     pub format: Format,
-    /// The unit, where a comment of the file tells it.
+    /// The unit, if a comment in the file states it.
     pub unit: Option<Unit>,
-    /// What a reader of the result should know of the file.
+    /// Remarks on the file.
     pub notes: Vec<Note>,
 }
 
-/// Reads a whole file. `name` is that of the file: only its ending is looked at, and only as a hint.
+/// Reads a mesh file. Only the extension of `name` is used, as a hint.
 ///
 /// # Errors
-/// [`ReadError`], by what to do about it.
+/// [`ReadError`], with what to do about it.
 pub fn read(bytes: &[u8], name: &str) -> Result<Scan, ReadError> {
     if bytes.is_empty() {
         return Err(ReadError::Empty);
@@ -59,27 +59,27 @@ pub fn read(bytes: &[u8], name: &str) -> Result<Scan, ReadError> {
     if let Some(ending) = Format::from_name(name)
         && ending != format
     {
-        let text = format!("the name says {ending}, the content is {format}: read as {format}");
+        let text = format!("read as {format} by its content, though its name ends as {ending}");
         scan.notes.push(Note::new("other-ending", text));
     }
     Ok(scan)
 }
 
-/// A format of meshes.
+/// A mesh file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// Wavefront's text.
+    /// Wavefront OBJ, text.
     Obj,
-    /// The polygon format of Stanford, text or binary.
+    /// Stanford PLY, text or binary.
     Ply,
-    /// Triangles of stereolithography, text or binary.
+    /// STL (stereolithography), text or binary.
     Stl,
-    /// The object file format of Geomview, text.
+    /// Geomview OFF, text.
     Off,
 }
 
 impl Format {
-    /// By the ending of a file's name.
+    /// Recognises the extension of a file name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let (_, ending) = name.rsplit_once('.')?;
@@ -92,13 +92,17 @@ impl Format {
         }
     }
 
-    /// That a file does not keep to this format, by where and why.
+    /// A [`ReadError::Malformed`] at a place, with a reason.
     fn malformed(self, place: impl Into<String>, reason: impl Into<String>) -> ReadError {
         ReadError::Malformed { format: self, place: place.into(), reason: reason.into() }
     }
 
     fn malformed_line(self, number: usize, reason: impl Into<String>) -> ReadError {
         self.malformed(format!("line {number}"), reason)
+    }
+
+    fn unexpected(self, number: usize, expected: &str, found: &[u8]) -> ReadError {
+        self.malformed_line(number, format!("expected {expected}, found {}", text::quote(found)))
     }
 }
 
@@ -113,24 +117,24 @@ impl fmt::Display for Format {
     }
 }
 
-/// Words that lines of an OBJ begin with.
-const OBJ_WORDS: [&[u8]; 11] =
+/// Keywords of OBJ lines.
+const OBJ_KEYWORDS: [&[u8]; 11] =
     [b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"mtllib", b"usemtl"];
-/// Lines in which the first word of an OBJ must stand: comments of exporters are shorter.
+/// Most lines before the first keyword of an OBJ: exporters' comments are shorter.
 const OBJ_LINES: usize = 1000;
 
 fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
-    let bytes = text::without_mark(bytes);
+    let bytes = text::without_bom(bytes);
     if matches!(bytes, [b'p', b'l', b'y', b'\r' | b'\n', ..]) {
         return Ok(Format::Ply);
     }
-    // Before the others: a binary STL may begin with any text at all.
+    // Before the other formats: a binary STL may begin with any text.
     if stl::binary_fits(bytes) {
         return Ok(Format::Stl);
     }
     let mut lines = text::lines(bytes)
         .take(OBJ_LINES)
-        .filter_map(|(_, line)| text::words(text::before_comment(line)).next());
+        .filter_map(|(_, line)| text::tokens(text::before_comment(line)).next());
     let first = lines.next().unwrap_or_default();
     if first.ends_with(b"OFF") && first.len() <= 9 && first.iter().all(u8::is_ascii_alphanumeric) {
         return Ok(Format::Off);
@@ -138,14 +142,14 @@ fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
     if first.eq_ignore_ascii_case(b"solid") {
         return Ok(Format::Stl);
     }
-    if OBJ_WORDS.contains(&first) || lines.any(|word| OBJ_WORDS.contains(&word)) {
+    if OBJ_KEYWORDS.contains(&first) || lines.any(|token| OBJ_KEYWORDS.contains(&token)) {
         return Ok(Format::Obj);
     }
-    Format::from_name(name).ok_or_else(|| ReadError::Unknown { found: guess(bytes).to_owned() })
+    Format::from_name(name).ok_or_else(|| ReadError::Unknown { found: describe(bytes).to_owned() })
 }
 
-/// What people give instead.
-fn guess(bytes: &[u8]) -> &'static str {
+/// Describes files that people try instead.
+fn describe(bytes: &[u8]) -> &'static str {
     match bytes {
         [0x1f, 0x8b, ..] => "a gzip file: unpack it first",
         [b'P', b'K', 3, 4, ..] => "a ZIP archive, perhaps 3MF: unpack it first",
@@ -155,67 +159,67 @@ fn guess(bytes: &[u8]) -> &'static str {
         [b'<', ..] => "an XML document",
         [b'{', ..] => "a JSON document",
         [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => "a text in UTF-16: save it as UTF-8",
-        _ => "its beginning is of no known format",
+        _ => "it begins like no known format",
     }
 }
 
-/// A file that was not read, by what to do about it.
+/// Why a file could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadError {
-    /// No bytes at all.
+    /// The file is empty.
     #[error("the file is empty: export the scan again")]
     Empty,
-    /// None of the formats.
-    #[error("not a mesh that can be read ({found}): export it as OBJ, PLY, STL or OFF")]
+    /// Not one of the formats.
+    #[error("not a supported mesh format ({found}): export it as OBJ, PLY, STL or OFF")]
     Unknown {
         /// What it seems to be.
         found: String,
     },
-    /// The file does not keep to its format, or is cut off.
+    /// The file violates its format, or is cut off.
     #[error("{format}, {place}: {reason}")]
     Malformed {
         /// The format.
         format: Format,
-        /// `line 12`, `byte 4096`, `face 7`.
+        /// Such as `line 12`, `byte 4096` or `face 7`.
         place: String,
         /// What was expected, and what was found.
         reason: String,
     },
-    /// In the format, but of a kind that is not read.
-    #[error("{format}: {what} is not read: export it as plain text or binary triangles")]
+    /// A variant of the format that is not supported.
+    #[error("{format}: {what} is not supported: export it as plain text or binary triangles")]
     Unsupported {
         /// The format.
         format: Format,
-        /// The kind.
+        /// The variant.
         what: String,
     },
-    /// Beyond what memory is kept for.
-    #[error("{found} {what}, at most {limit} are read: decimate the mesh in the scanner's program")]
+    /// More than memory is reserved for.
+    #[error("{found} {what}, the limit is {limit}: decimate the mesh in the scanner's software")]
     TooLarge {
-        /// Of what: `faces`.
+        /// Of what, such as `faces`.
         what: &'static str,
         /// How many there are, or more.
         found: usize,
-        /// How many are read.
+        /// The limit.
         limit: usize,
     },
-    /// Points, and no surface.
-    #[error("{format}: {vertices} vertices and no face: export a mesh, not a cloud of points")]
+    /// Vertices without faces.
+    #[error("{format}: {vertices} vertices and no face: export a mesh, not a point cloud")]
     NoSurface {
         /// The format.
         format: Format,
-        /// Its vertices.
+        /// Number of vertices.
         vertices: usize,
     },
-    /// Too many coordinates are no numbers.
+    /// Too many coordinates are not numbers.
     #[error(
-        "{found} of {vertices} vertices are no finite positions (NaN, infinite, or beyond 1e9): export the scan again"
+        "{found} of {vertices} vertices have no finite position (NaN, infinite, or beyond 1e9): export the scan again"
     )]
     NotFinite {
-        /// Such vertices.
+        /// Number of such vertices.
         found: usize,
-        /// All vertices.
+        /// Number of all vertices.
         vertices: usize,
     },
 }

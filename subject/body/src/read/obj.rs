@@ -1,22 +1,22 @@
-//! Wavefront OBJ: lines of `v x y z` and `f v/vt/vn ...`; what else there is does not change the surface.
+//! Wavefront OBJ: lines of `v x y z` and `f v/vt/vn ...`; other lines do not affect the surface.
 
 use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 use crate::{Note, Unit};
 
-/// Reads a whole file. Indices count from 1, or backwards from the last vertex so far where they are negative. A vertex
-/// may be named before it stands.
+/// Reads an OBJ file. Indices count from 1, or backwards from the latest vertex if negative, and may name vertices that
+/// follow.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut surface = Surface::new(Format::Obj);
     let mut corners = Vec::new();
     let mut joined = Vec::new();
     let mut curved = 0_usize;
-    for (number, line) in text::lines(text::without_mark(bytes)) {
+    for (number, line) in text::lines(text::without_bom(bytes)) {
         if surface.unit.is_none() && line.first() == Some(&b'#') {
             surface.unit = Unit::from_comment(line);
         }
         let line = text::before_comment(line);
-        // A backslash at the end: the line goes on in the next.
+        // A backslash at the end continues the line.
         if let Some(front) = line.trim_ascii_end().strip_suffix(b"\\") {
             joined.extend_from_slice(front);
             joined.push(b' ');
@@ -30,23 +30,17 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
             whole = std::mem::take(&mut joined);
             &whole
         };
-        let mut words = text::words(line);
-        match words.next() {
-            Some(b"v") => surface.vertex(text::position(&mut words).ok_or_else(|| {
-                Format::Obj.malformed_line(
-                    number,
-                    format!("expected `v` and three numbers, found {}", text::quote(line)),
-                )
-            })?)?,
+        let mut tokens = text::tokens(line);
+        match tokens.next() {
+            Some(b"v") => {
+                let wrong = || Format::Obj.unexpected(number, "`v` and three numbers", line);
+                surface.vertex(text::position(&mut tokens).ok_or_else(wrong)?)?;
+            }
             Some(b"f") => {
                 corners.clear();
-                for word in words {
-                    let index = index(word, surface.n_vertices()).ok_or_else(|| {
-                        Format::Obj.malformed_line(
-                            number,
-                            format!("expected the index of a vertex, found {}", text::quote(word)),
-                        )
-                    })?;
+                for token in tokens {
+                    let wrong = || Format::Obj.unexpected(number, "the index of a vertex", token);
+                    let index = index(token, surface.n_vertices()).ok_or_else(wrong)?;
                     put_corner(&mut corners, index)?;
                 }
                 surface.face(&corners)?;
@@ -56,16 +50,16 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
         }
     }
     if curved > 0 {
-        let text = format!("{curved} curved surfaces are no triangles: left out");
+        let text = format!("left out curved surfaces: {curved}");
         surface.notes.push(Note::new("curved-surfaces", text));
     }
     Ok(surface)
 }
 
-/// `7`, `7/1`, `7//3`, `7/1/3` or `-1`, as an index from 0. Zero is none.
-fn index(word: &[u8], n_vertices: usize) -> Option<u32> {
-    let vertex = word.split(|&b| b == b'/').next()?;
-    let given = text::whole(vertex)?;
+/// Parses `7`, `7/1`, `7//3`, `7/1/3` or `-1` as an index from 0; 0 is invalid.
+fn index(token: &[u8], n_vertices: usize) -> Option<u32> {
+    let vertex = token.split(|&b| b == b'/').next()?;
+    let given = text::integer(vertex)?;
     let index = if given < 0 { (n_vertices as i64).checked_add(given)? } else { given - 1 };
     u32::try_from(index).ok()
 }

@@ -1,60 +1,47 @@
-//! Geomview's object file format: a keyword, three counts, a line a vertex, a line a face.
+//! Geomview OFF: a keyword, three counts, one line per vertex, one line per face.
 
 use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 
-/// Reads a whole file. Colours, normals and texture coordinates stand behind the positions, and are passed over.
+/// Reads an OFF file. Colours, normals and texture coordinates are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut surface = Surface::new(Format::Off);
-    let mut lines = text::lines(text::without_mark(bytes))
+    let mut lines = text::lines(text::without_bom(bytes))
         .map(|(number, line)| (number, text::before_comment(line)))
         .filter(|(_, line)| !line.trim_ascii().is_empty());
     let (number, line) = lines.next().unwrap_or((1, &[]));
-    let mut words = text::words(line).peekable();
-    let keyword = words.next().unwrap_or_default();
+    let mut tokens = text::tokens(line).peekable();
+    let keyword = tokens.next().unwrap_or_default();
     if keyword.contains(&b'4') || keyword.contains(&b'n') {
         let what = format!("{}, of more than three dimensions,", text::quote(keyword));
         return Err(ReadError::Unsupported { format: Format::Off, what });
     }
-    if words.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"BINARY")) {
-        return Err(ReadError::Unsupported {
-            format: Format::Off,
-            what: "its binary form".to_owned(),
-        });
+    if tokens.peek().is_some_and(|token| token.eq_ignore_ascii_case(b"BINARY")) {
+        let what = "its binary form".to_owned();
+        return Err(ReadError::Unsupported { format: Format::Off, what });
     }
-    // Some writers put the counts behind the keyword, or even at it.
-    let counts = if words.peek().is_some() {
-        counts(number, &mut words)
+    // Some writers put the counts on the line of the keyword.
+    let counts = if tokens.peek().is_some() {
+        counts(number, &mut tokens)
     } else {
         let (number, line) = lines.next().unwrap_or((number, &[]));
-        counts(number, &mut text::words(line))
+        counts(number, &mut text::tokens(line))
     };
     let (n_vertices, n_faces) = counts?;
     for found in 0..n_vertices {
         let (number, line) = lines.next().ok_or_else(|| cut_off("vertices", n_vertices, found))?;
-        let position = text::position(&mut text::words(line)).ok_or_else(|| {
-            Format::Off.malformed_line(
-                number,
-                format!("expected three numbers, found {}", text::quote(line)),
-            )
-        })?;
-        surface.vertex(position)?;
+        let wrong = || Format::Off.unexpected(number, "three numbers", line);
+        surface.vertex(text::position(&mut text::tokens(line)).ok_or_else(wrong)?)?;
     }
     let mut corners = Vec::new();
     for found in 0..n_faces {
         let (number, line) = lines.next().ok_or_else(|| cut_off("faces", n_faces, found))?;
-        let mut words = text::words(line);
-        let wrong = || {
-            let found = text::quote(line);
-            Format::Off.malformed_line(
-                number,
-                format!("expected a count and as many indices, found {found}"),
-            )
-        };
-        let count = words.next().and_then(text::whole).ok_or_else(wrong)?;
+        let mut tokens = text::tokens(line);
+        let wrong = || Format::Off.unexpected(number, "a count and as many indices", line);
+        let count = tokens.next().and_then(text::integer).ok_or_else(wrong)?;
         corners.clear();
         for _ in 0..count {
-            let index = words.next().and_then(text::whole).ok_or_else(wrong)?;
+            let index = tokens.next().and_then(text::integer).ok_or_else(wrong)?;
             put_corner(&mut corners, u32::try_from(index).map_err(|_| wrong())?)?;
         }
         surface.face(&corners)?;
@@ -62,9 +49,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     Ok(surface)
 }
 
-/// Vertices and faces; the edges are not needed, and often left at zero.
-fn counts(number: usize, words: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64, u64), ReadError> {
-    let mut next = || words.next().and_then(text::whole).and_then(|n| u64::try_from(n).ok());
+/// The counts of vertices and faces; that of edges is not needed and often 0.
+fn counts(number: usize, tokens: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64, u64), ReadError> {
+    let mut next = || tokens.next().and_then(text::integer).and_then(|n| u64::try_from(n).ok());
     let counts = next().zip(next());
     counts.ok_or_else(|| {
         Format::Off.malformed_line(number, "expected the counts of vertices and faces")
@@ -73,6 +60,6 @@ fn counts(number: usize, words: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64,
 
 fn cut_off(what: &str, announced: u64, found: u64) -> ReadError {
     let reason =
-        format!("{announced} {what} announced, {found} found: cut off, export the scan again");
+        format!("expected {announced} {what}, found {found}: cut off, export the scan again");
     Format::Off.malformed("end of file", reason)
 }

@@ -1,12 +1,14 @@
-//! The polygon format of Stanford: a header in text that describes elements and their properties, then their values.
+//! Stanford PLY: a text header that describes elements and their properties, then their values.
 
 use super::surface::{Surface, put_corner};
 use super::{Format, ReadError, text};
 use crate::Unit;
 
-/// Reads a whole file. Of the vertices, `x`, `y` and `z` are read, of any type; of the faces, `vertex_indices` or
-/// `vertex_index`; of `tristrips`, the same. All else is passed over.
-pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
+type Result<T = ()> = std::result::Result<T, ReadError>;
+
+/// Reads a PLY file: `x`, `y` and `z` of the vertices in any type, `vertex_indices` or `vertex_index` of faces and of
+/// `tristrips`. Everything else is ignored.
+pub(super) fn read(bytes: &[u8]) -> Result<Surface> {
     let header = Header::parse(bytes)?;
     let mut surface = Surface::new(Format::Ply);
     surface.unit = header.unit;
@@ -20,36 +22,35 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     Ok(surface)
 }
 
-/// What is done with the values of an element.
+/// What the values of an element are used for.
 enum Role {
-    /// Where x, y and z stand among the properties.
+    /// Indices of x, y and z among the properties.
     Vertices([usize; 3]),
-    /// Where the list of corners stands.
+    /// Index of the list of corners.
     Faces(usize),
-    /// Where the list of a strip's corners stands; -1 begins a new strip.
+    /// Index of the list of a strip's corners; -1 begins a new strip.
     Strips(usize),
     Passed,
 }
 
 impl Role {
-    fn of(element: &Element) -> Result<Self, ReadError> {
+    fn of(element: &Element) -> Result<Self> {
         let find = |name: &str| element.properties.iter().position(|p| p.name == name);
         let list = || find("vertex_indices").or_else(|| find("vertex_index"));
         let is_list = |at: usize| {
-            element.properties.get(at).is_some_and(|p| matches!(p.kind, Kind::List { .. }))
+            element.properties.get(at).is_some_and(|p| matches!(p.kind, PropertyType::List { .. }))
         };
         match element.name.as_str() {
             "vertex" => match [find("x"), find("y"), find("z")] {
                 [Some(x), Some(y), Some(z)] if ![x, y, z].into_iter().any(is_list) => {
                     Ok(Self::Vertices([x, y, z]))
                 }
-                _ => Err(Format::Ply
-                    .malformed("header", "expected a vertex with the properties x, y and z")),
+                _ => Err(malformed("header", "expected a vertex with the properties x, y and z")),
             },
             "face" | "tristrips" => {
                 let Some(at) = list().filter(|&at| is_list(at)) else {
-                    return Err(Format::Ply
-                        .malformed("header", "expected faces with a list of vertex_indices"));
+                    let expected = "expected faces with a list of vertex_indices";
+                    return Err(malformed("header", expected));
                 };
                 Ok(if element.name == "face" { Self::Faces(at) } else { Self::Strips(at) })
             }
@@ -58,15 +59,11 @@ impl Role {
     }
 }
 
-fn elements(
-    header: &Header,
-    source: &mut impl Source,
-    surface: &mut Surface,
-) -> Result<(), ReadError> {
+fn elements(header: &Header, source: &mut impl ValueSource, surface: &mut Surface) -> Result {
     let mut row = Row::default();
     for element in &header.elements {
         let role = Role::of(element)?;
-        // Nothing stands for it, however many are announced.
+        // An element without properties occupies nothing, whatever its count.
         if element.properties.is_empty() {
             continue;
         }
@@ -78,10 +75,10 @@ fn elements(
     Ok(())
 }
 
-/// What one row holds; kept, so that rows need no memory of their own.
+/// Buffers for one row, reused for all.
 #[derive(Default)]
 struct Row {
-    /// One a property; zero in the place of a list.
+    /// One per property; zero in place of a list.
     scalars: Vec<f64>,
     corners: Vec<u32>,
 }
@@ -91,26 +88,24 @@ impl Row {
         &mut self,
         element: &Element,
         role: &Role,
-        source: &mut impl Source,
+        source: &mut impl ValueSource,
         surface: &mut Surface,
-    ) -> Result<(), ReadError> {
+    ) -> Result {
         self.scalars.clear();
         for (at, property) in element.properties.iter().enumerate() {
             let (count, item) = match property.kind {
-                Kind::Scalar(scalar) => {
+                PropertyType::Scalar(scalar) => {
                     self.scalars.push(source.value(scalar)?);
                     continue;
                 }
-                Kind::List { count, item } => (source.value(count)?, item),
+                PropertyType::List { count, item } => (source.value(count)?, item),
             };
             self.scalars.push(0.0);
             if count < 0.0 || count.fract() != 0.0 {
-                return Err(
-                    Format::Ply.malformed(source.place(), "a list whose length is no whole number")
-                );
+                return Err(malformed(source.place(), "a list length that is not an integer"));
             }
             self.corners.clear();
-            // The length is a claim: every item is asked for, and there is an end of bytes.
+            // The length is not trusted: every item is read, and the bytes end.
             let mut left = count;
             while left > 0.0 {
                 let value = source.value(item)?;
@@ -133,13 +128,8 @@ impl Row {
         Ok(())
     }
 
-    /// Every vertex makes a triangle with the two before it; every second one is turned.
-    fn strip(
-        &mut self,
-        value: f64,
-        source: &impl Source,
-        surface: &mut Surface,
-    ) -> Result<(), ReadError> {
+    /// Each vertex of a strip makes a triangle with the two before it; every second triangle is flipped.
+    fn strip(&mut self, value: f64, source: &impl ValueSource, surface: &mut Surface) -> Result {
         if value == -1.0 {
             self.corners.clear();
             return Ok(());
@@ -154,27 +144,30 @@ impl Row {
     }
 }
 
-fn index(value: f64, source: &impl Source) -> Result<u32, ReadError> {
+fn index(value: f64, source: &impl ValueSource) -> Result<u32> {
     if value.fract() == 0.0 && (0.0..f64::from(u32::MAX)).contains(&value) {
         return Ok(value as u32);
     }
-    Err(Format::Ply
-        .malformed(source.place(), format!("expected the index of a vertex, found {value}")))
+    Err(malformed(source.place(), format!("expected the index of a vertex, found {value}")))
 }
 
-/// Elements of a file, and properties of an element, that are read at most; scanners write fewer than twenty.
+fn malformed(place: impl Into<String>, reason: impl Into<String>) -> ReadError {
+    Format::Ply.malformed(place, reason)
+}
+
+/// Most elements of a file and properties of an element; scanners write fewer than twenty.
 const PARTS_MAX: usize = 256;
-/// Bytes in which the header must end.
+/// Largest header in bytes.
 const LEN_MAX: usize = 1 << 20;
 
-/// How the values are written.
+/// Encoding of the values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Encoding {
     Text,
     Binary { big_endian: bool },
 }
 
-/// A type of numbers, all of which a float64 holds exactly.
+/// A scalar type; float64 holds all values of each exactly.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Scalar {
     I8,
@@ -203,9 +196,9 @@ impl Scalar {
     }
 }
 
-/// One number, or a count and as many.
+/// A scalar, or a list: a count and that many items.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum PropertyType {
     Scalar(Scalar),
     List { count: Scalar, item: Scalar },
 }
@@ -213,13 +206,13 @@ enum Kind {
 #[derive(Debug)]
 struct Property {
     name: String,
-    kind: Kind,
+    kind: PropertyType,
 }
 
 #[derive(Debug)]
 struct Element {
     name: String,
-    /// As announced.
+    /// As announced in the header.
     count: u64,
     properties: Vec<Property>,
 }
@@ -229,40 +222,35 @@ struct Header {
     encoding: Encoding,
     elements: Vec<Element>,
     unit: Option<Unit>,
-    /// Its bytes, with the end of its last line.
+    /// Length in bytes, its last line end included.
     len: usize,
-    /// Its lines.
+    /// Number of lines.
     n_lines: usize,
 }
 
 impl Header {
-    fn parse(bytes: &[u8]) -> Result<Self, ReadError> {
+    fn parse(bytes: &[u8]) -> Result<Self> {
         let (mut encoding, mut elements, mut unit) = (None, Vec::<Element>::new(), None);
         let mut rest = bytes.get(..LEN_MAX).unwrap_or(bytes);
         let whole = rest.len();
         for number in 1.. {
             let Some((line, after)) = split_line(rest) else { break };
             rest = after;
-            let mut words = text::words(line);
-            let wrong = |expected: &str| {
-                let reason = format!("expected {expected}, found {}", text::quote(line));
-                Format::Ply.malformed_line(number, reason)
-            };
-            match words.next() {
+            let mut tokens = text::tokens(line);
+            let wrong = |expected: &str| Format::Ply.unexpected(number, expected, line);
+            match tokens.next() {
                 Some(b"format") => {
-                    encoding = match words.next() {
-                        Some(b"ascii") => Some(Encoding::Text),
-                        Some(b"binary_little_endian") => {
-                            Some(Encoding::Binary { big_endian: false })
-                        }
-                        Some(b"binary_big_endian") => Some(Encoding::Binary { big_endian: true }),
+                    encoding = Some(match tokens.next() {
+                        Some(b"ascii") => Encoding::Text,
+                        Some(b"binary_little_endian") => Encoding::Binary { big_endian: false },
+                        Some(b"binary_big_endian") => Encoding::Binary { big_endian: true },
                         _ => return Err(wrong("`format` and ascii or binary_..._endian")),
-                    };
+                    });
                 }
                 Some(b"comment" | b"obj_info") => unit = unit.or_else(|| Unit::from_comment(line)),
                 Some(b"element") => {
-                    let name = words.next().map(|name| String::from_utf8_lossy(name).into_owned());
-                    let count = words.next().and_then(text::whole);
+                    let name = tokens.next().map(|name| String::from_utf8_lossy(name).into_owned());
+                    let count = tokens.next().and_then(text::integer);
                     let count = count.and_then(|count| u64::try_from(count).ok());
                     let (name, count) =
                         name.zip(count).ok_or_else(|| wrong("a name and a count"))?;
@@ -273,7 +261,7 @@ impl Header {
                 }
                 Some(b"property") => {
                     let property =
-                        property(&mut words).ok_or_else(|| wrong("a type and a name"))?;
+                        property(&mut tokens).ok_or_else(|| wrong("a type and a name"))?;
                     let element = elements.last_mut().ok_or_else(|| wrong("an element first"))?;
                     element.properties.push(property);
                     if element.properties.len() > PARTS_MAX {
@@ -288,23 +276,22 @@ impl Header {
                 _ => {}
             }
         }
-        Err(Format::Ply
-            .malformed("end of file", "expected `end_header`: cut off, export the scan again"))
+        Err(malformed("end of file", "expected `end_header`: cut off, export the scan again"))
     }
 }
 
-fn property(words: &mut dyn Iterator<Item = &[u8]>) -> Option<Property> {
-    let kind = match words.next()? {
+fn property(tokens: &mut dyn Iterator<Item = &[u8]>) -> Option<Property> {
+    let kind = match tokens.next()? {
         b"list" => {
-            let count = Scalar::from_name(words.next()?)?;
-            Kind::List { count, item: Scalar::from_name(words.next()?)? }
+            let count = Scalar::from_name(tokens.next()?)?;
+            PropertyType::List { count, item: Scalar::from_name(tokens.next()?)? }
         }
-        scalar => Kind::Scalar(Scalar::from_name(scalar)?),
+        scalar => PropertyType::Scalar(Scalar::from_name(scalar)?),
     };
-    Some(Property { name: String::from_utf8_lossy(words.next()?).into_owned(), kind })
+    Some(Property { name: String::from_utf8_lossy(tokens.next()?).into_owned(), kind })
 }
 
-/// The first line, and what follows its end: LF, CR LF or CR. A CR is the whole end only where no LF follows.
+/// The first line, and what follows its end: LF, CR LF or CR.
 fn split_line(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let end = bytes.iter().position(|&b| b == b'\n' || b == b'\r')?;
     let (line, rest) = bytes.split_at(end);
@@ -312,17 +299,17 @@ fn split_line(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     Some((line, rest))
 }
 
-/// Where values come from.
-trait Source {
-    /// The next value belongs to the next vertex, face or whatever.
-    fn begin_row(&mut self) -> Result<(), ReadError>;
+/// A source of values.
+trait ValueSource {
+    /// Begins the next vertex, face or other element.
+    fn begin_row(&mut self) -> Result;
     /// The next value, which takes at least one byte of the file.
-    fn value(&mut self, scalar: Scalar) -> Result<f64, ReadError>;
-    /// Where the last value stood, for messages.
+    fn value(&mut self, scalar: Scalar) -> Result<f64>;
+    /// Position of the last value, for messages.
     fn place(&self) -> String;
 }
 
-/// A line a row, values between blanks.
+/// Text: one row per line, values separated by white space.
 struct Text<'a> {
     lines: Box<dyn Iterator<Item = (usize, &'a [u8])> + 'a>,
     line: &'a [u8],
@@ -330,18 +317,18 @@ struct Text<'a> {
 }
 
 impl<'a> Text<'a> {
-    /// Behind a header of so many lines.
+    /// Starts after a header of `n_lines` lines.
     fn new(bytes: &'a [u8], n_lines: usize) -> Self {
         let lines = text::lines(bytes).map(move |(number, line)| (number + n_lines, line));
         Self { lines: Box::new(lines), line: &[], number: n_lines }
     }
 }
 
-impl Source for Text<'_> {
-    fn begin_row(&mut self) -> Result<(), ReadError> {
+impl ValueSource for Text<'_> {
+    fn begin_row(&mut self) -> Result {
         let mut filled = self.lines.by_ref().filter(|(_, line)| !line.trim_ascii().is_empty());
         let Some((number, line)) = filled.next() else {
-            return Err(Format::Ply.malformed(
+            return Err(malformed(
                 "end of file",
                 "fewer lines than announced: cut off, export the scan again",
             ));
@@ -350,14 +337,13 @@ impl Source for Text<'_> {
         Ok(())
     }
 
-    fn value(&mut self, _: Scalar) -> Result<f64, ReadError> {
+    fn value(&mut self, _: Scalar) -> Result<f64> {
         let line = self.line.trim_ascii_start();
         let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
-        let (word, rest) = line.split_at(end);
+        let (token, rest) = line.split_at(end);
         self.line = rest;
-        text::number(word).ok_or_else(|| {
-            Format::Ply
-                .malformed(self.place(), format!("expected a number, found {}", text::quote(word)))
+        text::number(token).ok_or_else(|| {
+            malformed(self.place(), format!("expected a number, found {}", text::quote(token)))
         })
     }
 
@@ -366,23 +352,23 @@ impl Source for Text<'_> {
     }
 }
 
-/// Values side by side.
+/// Binary: values without separators.
 struct Binary<'a> {
     rest: &'a [u8],
-    /// Bytes of the whole file.
+    /// Length of the whole file.
     len: usize,
     big_endian: bool,
 }
 
 impl<'a> Binary<'a> {
-    /// Behind a header of so many bytes.
+    /// Starts after a header of `header_len` bytes.
     fn new(rest: &'a [u8], header_len: usize, big_endian: bool) -> Self {
         Self { rest, len: rest.len() + header_len, big_endian }
     }
 
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], ReadError> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
         let Some((&(mut bytes), rest)) = self.rest.split_first_chunk() else {
-            return Err(Format::Ply.malformed(
+            return Err(malformed(
                 self.place(),
                 "fewer values than announced: cut off, export the scan again",
             ));
@@ -395,12 +381,12 @@ impl<'a> Binary<'a> {
     }
 }
 
-impl Source for Binary<'_> {
-    fn begin_row(&mut self) -> Result<(), ReadError> {
+impl ValueSource for Binary<'_> {
+    fn begin_row(&mut self) -> Result {
         Ok(())
     }
 
-    fn value(&mut self, scalar: Scalar) -> Result<f64, ReadError> {
+    fn value(&mut self, scalar: Scalar) -> Result<f64> {
         Ok(match scalar {
             Scalar::I8 => i8::from_le_bytes(self.take()?).into(),
             Scalar::U8 => u8::from_le_bytes(self.take()?).into(),

@@ -1,27 +1,27 @@
-//! Stereolithography: triangles one by one, text or binary. Corners at the same position become one vertex.
+//! STL (stereolithography): separate triangles, text or binary. Corners at one position become one vertex.
 
 use std::collections::HashMap;
 
 use super::surface::Surface;
 use super::{Format, ReadError, text};
 
-/// Bytes before the count of a binary file.
+/// Length of the title in a binary file.
 const TITLE: usize = 80;
-/// Bytes before the first triangle.
+/// Length of the title and the count.
 const HEAD: usize = TITLE + 4;
-/// Bytes of a triangle: a normal, three corners as float32, two bytes of anything.
+/// Length of a triangle: a normal and three corners as float32, two attribute bytes.
 const RECORD: usize = 50;
 
-/// Whether a binary file of as many triangles as the bytes announce has just this length.
+/// Whether the length is exactly that of a binary file with the announced number of triangles.
 pub(super) fn binary_fits(bytes: &[u8]) -> bool {
     announced(bytes)
         .is_some_and(|n| n > 0 && bytes.len() as u64 == HEAD as u64 + RECORD as u64 * u64::from(n))
 }
 
-/// Reads a whole file.
+/// Reads an STL file.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut triangles = Triangles { surface: Surface::new(Format::Stl), vertices: HashMap::new() };
-    let is_text = text::words(bytes.get(..HEAD).unwrap_or(bytes)).next() == Some(b"solid");
+    let is_text = text::tokens(bytes.get(..HEAD).unwrap_or(bytes)).next() == Some(b"solid");
     if is_text && !binary_fits(bytes) {
         read_text(bytes, &mut triangles)?;
     } else {
@@ -40,7 +40,7 @@ fn read_binary(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError>
     let n = announced(bytes).unwrap_or(0) as usize;
     if n == 0 || whole < n {
         let reason = format!(
-            "{n} triangles announced, {whole} found: cut off or not a mesh, export the scan again"
+            "expected {n} triangles, found {whole}: cut off or not a mesh, export the scan again"
         );
         return Err(Format::Stl.malformed(format!("byte {TITLE}"), reason));
     }
@@ -59,30 +59,27 @@ fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
     let mut corners = Vec::with_capacity(4);
     let (mut in_facet, mut ended) = (false, false);
     for (number, line) in text::lines(bytes) {
-        let mut words = text::words(line);
-        let Some(word) = words.next() else { continue };
-        let wrong = |expected: &str| {
-            let found = text::quote(line);
-            Format::Stl.malformed_line(number, format!("expected {expected}, found {found}"))
-        };
-        if word.eq_ignore_ascii_case(b"vertex") {
+        let mut tokens = text::tokens(line);
+        let Some(token) = tokens.next() else { continue };
+        let wrong = |expected: &str| Format::Stl.unexpected(number, expected, line);
+        if token.eq_ignore_ascii_case(b"vertex") {
             if corners.len() == 3 {
                 return Err(wrong("three corners a facet"));
             }
-            let corner = text::position(&mut words);
+            let corner = text::position(&mut tokens);
             corners.push(corner.ok_or_else(|| wrong("`vertex` and three numbers"))?);
-        } else if word.eq_ignore_ascii_case(b"facet") {
+        } else if token.eq_ignore_ascii_case(b"facet") {
             if in_facet {
                 return Err(wrong("`endfacet`"));
             }
             (in_facet, ended) = (true, false);
             corners.clear();
-        } else if word.eq_ignore_ascii_case(b"endfacet") {
+        } else if token.eq_ignore_ascii_case(b"endfacet") {
             let [a, b, c] = corners[..] else { return Err(wrong("three corners a facet")) };
             triangles.push([a, b, c])?;
             in_facet = false;
             corners.clear();
-        } else if word.eq_ignore_ascii_case(b"endsolid") {
+        } else if token.eq_ignore_ascii_case(b"endsolid") {
             ended = true;
         }
     }
@@ -93,7 +90,7 @@ fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
     Ok(())
 }
 
-/// Triangles whose corners are shared by position.
+/// Triangles that share corners by position.
 struct Triangles {
     surface: Surface,
     vertices: HashMap<[u64; 3], u32>,
@@ -103,7 +100,7 @@ impl Triangles {
     fn push(&mut self, corners: [[f64; 3]; 3]) -> Result<(), ReadError> {
         let mut indices = [0; 3];
         for (index, corner) in indices.iter_mut().zip(corners) {
-            // Adding zero makes the two zeros one.
+            // Adding zero unifies both zeros.
             let key = corner.map(|c| (c + 0.0).to_bits());
             let next = self.surface.n_vertices() as u32;
             *index = *self.vertices.entry(key).or_insert(next);

@@ -1,17 +1,17 @@
-//! What the readers fill: vertices and faces, within limits, and checked at the end.
+//! Collects vertices and faces for the readers, within limits, and checks them at the end.
 
 use super::{FACES_MAX, Format, ReadError, Scan, VERTICES_MAX};
 use crate::mesh::{self, Point, unit};
 use crate::{Mesh, Note, Unit};
 
-/// Beyond this, in any unit, is no scan; and within, no square of a distance overflows.
+/// Largest coordinate in any unit; squares of distances cannot overflow within it.
 const COORDINATE_MAX: f64 = 1e9;
-/// Corners of one face: those of as many triangles as are read.
+/// Most corners of a face: those of the largest mesh.
 const CORNERS_MAX: usize = FACES_MAX + 2;
-/// Of the vertices, how many may be no numbers, before the file is taken for damaged. Scanners leave single ones.
+/// Largest fraction of vertices that are not numbers; scanners leave single ones, a damaged file many.
 const NOT_FINITE_SHARE_MAX: f64 = 0.01;
 
-/// Puts one more corner to a face that is being read; there is an end to it.
+/// Adds a corner to a face, within the limit.
 pub(super) fn put_corner(corners: &mut Vec<u32>, index: u32) -> Result<(), ReadError> {
     if corners.len() >= CORNERS_MAX {
         let found = corners.len() + 1;
@@ -21,27 +21,27 @@ pub(super) fn put_corner(corners: &mut Vec<u32>, index: u32) -> Result<(), ReadE
     Ok(())
 }
 
-/// A mesh in the making.
+/// A mesh under construction.
 #[derive(Debug)]
 pub(super) struct Surface {
     format: Format,
     positions: Vec<[f64; 3]>,
     triangles: Vec<[u32; 3]>,
-    /// They are cut when all vertices are known.
+    /// Triangulated once all vertices are known.
     polygons: Polygons,
-    /// Triangles there will be.
+    /// Number of triangles, polygons included.
     n_faces: usize,
-    /// What a comment said.
+    /// Unit from a comment.
     pub(super) unit: Option<Unit>,
     pub(super) notes: Vec<Note>,
 }
 
-/// Faces of more than three corners.
+/// Faces with more than three corners.
 #[derive(Debug, Default)]
 struct Polygons {
-    /// Of one after the other.
+    /// Corners of all polygons in sequence.
     corners: Vec<u32>,
-    /// How many corners each has.
+    /// Number of corners of each.
     sizes: Vec<u32>,
 }
 
@@ -71,7 +71,7 @@ impl Surface {
         Ok(())
     }
 
-    /// A face of three or more corners; vertices may come later. Fewer corners are no face, and pass.
+    /// Adds a face; its vertices may follow later. Faces of fewer than three corners are ignored.
     pub(super) fn face(&mut self, corners: &[u32]) -> Result<(), ReadError> {
         self.n_faces += corners.len().saturating_sub(2);
         if self.n_faces > FACES_MAX {
@@ -89,13 +89,13 @@ impl Surface {
         Ok(())
     }
 
-    /// Every index is of a vertex, every position finite, every face a triangle.
+    /// Checks that every index is valid and every position finite, and triangulates polygons.
     pub(super) fn finish(mut self) -> Result<Scan, ReadError> {
         let n = self.positions.len();
         let corners = self.triangles.as_flattened().iter().chain(&self.polygons.corners);
         if let Some(index) = corners.copied().find(|&index| index as usize >= n) {
             let reason = format!(
-                "names vertex {}, there are {n}: cut off or damaged, export the scan again",
+                "uses vertex {} of {n}: cut off or damaged, export the scan again",
                 u64::from(index) + 1
             );
             return Err(self.format.malformed("a face", reason));
@@ -119,21 +119,18 @@ impl Surface {
             rest = after;
         }
         if !sizes.is_empty() {
-            let n = sizes.len();
-            self.notes.push(Note::new(
-                "polygons",
-                format!("{n} faces of more than three corners were cut into triangles"),
-            ));
+            let text = format!("triangulated faces with more than three corners: {}", sizes.len());
+            self.notes.push(Note::new("polygons", text));
         }
         let large = sizes.iter().filter(|&&size| size as usize > EARS_MAX).count();
         if large > 0 {
             let text =
-                format!("{large} of them have more than {EARS_MAX} corners, and were cut as fans");
+                format!("faces with more than {EARS_MAX} corners, triangulated as fans: {large}");
             self.notes.push(Note::new("fans", text));
         }
     }
 
-    /// Takes away vertices that are no positions, with their faces: they leave holes, which can be closed.
+    /// Removes vertices without a finite position and their faces; the holes can be closed later.
     fn drop_not_finite(&mut self) -> Result<(), ReadError> {
         let usable = |p: &[f64; 3]| p.iter().all(|c| c.abs() <= COORDINATE_MAX);
         let vertices = self.positions.len();
@@ -145,15 +142,12 @@ impl Surface {
             return Err(ReadError::NotFinite { found, vertices });
         }
         let mut kept = 0;
-        let moved: Vec<Option<u32>> = self
-            .positions
-            .iter()
-            .map(|p| {
-                let index = usable(p).then_some(kept);
-                kept += u32::from(index.is_some());
-                index
-            })
-            .collect();
+        let moved = self.positions.iter().map(|p| {
+            let index = usable(p).then_some(kept);
+            kept += u32::from(index.is_some());
+            index
+        });
+        let moved: Vec<Option<u32>> = moved.collect();
         let of = |corner: u32| moved.get(corner as usize).copied().flatten();
         let before = self.triangles.len();
         self.triangles =
@@ -161,7 +155,7 @@ impl Surface {
         self.positions.retain(usable);
         let faces = before - self.triangles.len();
         let text =
-            format!("{found} vertices are no finite positions: left out with their {faces} faces");
+            format!("left out {found} vertices without a finite position and their {faces} faces");
         self.notes.push(Note::new("not-finite", text));
         if self.triangles.is_empty() {
             return Err(ReadError::NotFinite { found, vertices });
@@ -170,13 +164,13 @@ impl Surface {
     }
 }
 
-/// Corners of a polygon that are cut ear by ear; that takes time with their square, or more. Larger ones are fans.
+/// Most corners of a polygon that is cut by ears, which takes quadratic time or more; larger ones are cut as fans.
 const EARS_MAX: usize = 64;
 
-/// Cuts a polygon of three or more corners into triangles of the same orientation. `at` gives the position of a corner.
+/// Triangulates a polygon of three or more corners, keeping its orientation. `at` gives the position of a corner.
 ///
-/// A convex polygon could be cut anyhow. One with a notch must be cut from its ears, and a quad that is not plane is best
-/// cut where its halves bend least: the ear whose triangle agrees most with the polygon's own normal goes first.
+/// A polygon with a notch must be cut from its ears, and a quad that is not planar is best cut where its halves bend
+/// least. So the ear whose triangle agrees most with the polygon's normal goes first.
 fn triangulate(corners: &[u32], at: impl Fn(u32) -> Point, out: &mut Vec<[u32; 3]>) {
     let mut left = corners.to_vec();
     while left.len() > 3 && corners.len() <= EARS_MAX {
@@ -199,8 +193,8 @@ fn triangulate(corners: &[u32], at: impl Fn(u32) -> Point, out: &mut Vec<[u32; 3
     }
 }
 
-/// How good an ear this corner is: the least agreement with the polygon's normal among its triangle and the two that it
-/// leaves beside it; below all others where another corner lies within.
+/// Quality of an ear: the least agreement with the polygon's normal among its triangle and the two that it leaves
+/// beside it; lowest of all if another corner lies within.
 fn ear(positions: &[Point], i: usize, normal: Point) -> f64 {
     let n = positions.len();
     let at = |k: usize| positions[(i + n + k) % n];
@@ -218,7 +212,7 @@ fn ear(positions: &[Point], i: usize, normal: Point) -> f64 {
     own.min(facing(before, after, at(2))).min(facing(at(n - 2), before, after)).max(-0.99)
 }
 
-/// Twice the area, along the normal.
+/// The vector area, doubled.
 fn area_vector(positions: &[Point]) -> Point {
     let Some(&origin) = positions.first() else { return Point::zeros() };
     positions.windows(2).map(|pair| mesh::normal([origin, pair[0], pair[1]])).sum()

@@ -1,14 +1,14 @@
-//! Lines, words and numbers of text formats.
+//! Lines, tokens and numbers of text formats.
 
-/// Characters of a foreign word that are repeated in a message.
+/// Most bytes of foreign text that a message quotes.
 const QUOTE_MAX: usize = 24;
 
-/// Without the mark that some programs put in front of UTF-8.
-pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
+/// Strips a UTF-8 byte order mark.
+pub(super) fn without_bom(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(&[0xef, 0xbb, 0xbf]).unwrap_or(bytes)
 }
 
-/// Lines with their numbers from 1, whatever ends them: LF, CR LF, or CR alone where there is no LF at all.
+/// Lines with their numbers from 1. Line ends are LF, CR LF, or CR alone if there is no LF.
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
     bytes
@@ -17,12 +17,12 @@ pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
         .map(|(i, line)| (i + 1, line.strip_suffix(b"\r").unwrap_or(line)))
 }
 
-/// Words between blanks.
-pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
-    line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
+/// Tokens separated by white space.
+pub(super) fn tokens(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(u8::is_ascii_whitespace).filter(|token| !token.is_empty())
 }
 
-/// The line up to a `#` that begins a word.
+/// The line up to a `#` that begins a token.
 pub(super) fn before_comment(line: &[u8]) -> &[u8] {
     let begins = |at: &usize| {
         line.get(*at) == Some(&b'#')
@@ -31,29 +31,29 @@ pub(super) fn before_comment(line: &[u8]) -> &[u8] {
     (0..line.len()).find(begins).and_then(|at| line.get(..at)).unwrap_or(line)
 }
 
-/// A number as people and programs write it; what programs write for "not a number" is one, too.
-pub(super) fn number(word: &[u8]) -> Option<f64> {
-    let word = std::str::from_utf8(word).ok()?;
-    if let Ok(number) = word.parse() {
+/// Parses a number, including the ways in which programs write "not a number".
+pub(super) fn number(token: &[u8]) -> Option<f64> {
+    let token = std::str::from_utf8(token).ok()?;
+    if let Ok(number) = token.parse() {
         return Some(number);
     }
     // Microsoft's run-time library: `-1.#IND`, `1.#QNAN`, `1.#INF`.
-    let odd = word.trim_start_matches(['-', '+']);
+    let odd = token.trim_start_matches(['-', '+']);
     odd.starts_with("1.#").then_some(f64::NAN)
 }
 
-/// A whole number.
-pub(super) fn whole(word: &[u8]) -> Option<i64> {
-    std::str::from_utf8(word).ok()?.parse().ok()
+/// Parses an integer.
+pub(super) fn integer(token: &[u8]) -> Option<i64> {
+    std::str::from_utf8(token).ok()?.parse().ok()
 }
 
-/// The next three words as a position.
-pub(super) fn position(words: &mut dyn Iterator<Item = &[u8]>) -> Option<[f64; 3]> {
-    let mut next = || number(words.next()?);
+/// The next three tokens as a position.
+pub(super) fn position(tokens: &mut dyn Iterator<Item = &[u8]>) -> Option<[f64; 3]> {
+    let mut next = || number(tokens.next()?);
     Some([next()?, next()?, next()?])
 }
 
-/// A piece of a file that can stand in a message: short, and without control characters.
+/// Quotes a piece of a file: short, and without control characters.
 pub(super) fn quote(bytes: &[u8]) -> String {
     let short = bytes.get(..QUOTE_MAX).unwrap_or(bytes);
     let dots = if short.len() < bytes.len() { "..." } else { "" };

@@ -1,11 +1,11 @@
-//! How the rings of a function hang together, and the five segments of a body (Yu et al. 2008, section 6).
+//! The Reeb graph of the level-set curves, and the five segments of a body (Yu et al. 2008, section 6).
 
 use std::collections::BTreeMap;
 
 use crate::extremity::Extremities;
 use crate::geodesic::{Adjacency, Graph, NONE, Workspace, distances};
 use crate::level::{Rings, Spans, cut, even_levels};
-use crate::topology::root;
+use crate::topology::find_root;
 use crate::{Mesh, Refusal};
 
 #[cfg(test)]
@@ -14,29 +14,29 @@ mod tests;
 /// n of algorithm 2, which the paper does not give.
 const LEVEL_COUNT: u32 = 100;
 
-/// A piece of the surface between two neighbouring levels: a node of the Reeb graph if it has other than one ring below
-/// and one above.
+/// A connected piece of the surface between two neighbouring levels. It is a node of the Reeb graph unless it has
+/// exactly one curve below and one above.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Band {
-    /// The rings that it begins with; none if a minimum lies in it.
+    /// The curves that bound it below; none at a minimum.
     pub below: Vec<u32>,
-    /// The rings that it ends with; none if a maximum lies in it, several if the surface forks.
+    /// The curves that bound it above; none at a maximum, several at a fork.
     pub above: Vec<u32>,
 }
 
-/// The Reeb graph of a function, as fine as the levels that it was cut at.
+/// The Reeb graph of a function, at the resolution of its levels.
 #[derive(Debug, Clone)]
 pub struct Reeb {
     /// The pieces between levels.
     pub bands: Vec<Band>,
-    /// For each ring the bands below and above it.
+    /// For each curve, the bands below and above it.
     pub sides: Vec<[u32; 2]>,
-    /// For each vertex that was asked for the band that it lies in.
+    /// For each tip, the band that contains it.
     tips: Vec<Option<u32>>,
 }
 
 impl Reeb {
-    /// Links the rings of `mesh`; `tips` are vertices that [`Self::down`] will be asked for.
+    /// Builds the graph of the curves of `mesh`; `tips` are the vertices that [`Self::down`] may start from.
     #[must_use]
     pub fn new(mesh: &Mesh, adjacency: &Adjacency, cut: &Rings, tips: &[u32]) -> Self {
         let mut parts = Parts::new(mesh, adjacency, &cut.spans);
@@ -53,13 +53,11 @@ impl Reeb {
         for ring in &cut.rings {
             let [below, above] =
                 [ring.level, ring.level + 1].map(|rank| band_of(ring.triangle, rank));
-            // A ring crosses its triangle, which so reaches into both bands.
+            // A curve crosses its triangle, so the triangle has a part in both bands.
             sides.push([below.unwrap_or(u32::MAX), above.unwrap_or(u32::MAX)]);
         }
-        let first_triangle =
-            |tip: u32| mesh.triangles.iter().position(|corners| corners.contains(&tip));
         let tips = tips.iter().map(|tip| {
-            let triangle = first_triangle(*tip)? as u32;
+            let triangle = mesh.triangles.iter().position(|corners| corners.contains(tip))? as u32;
             band_of(triangle, cut.spans.rank(*tip)?)
         });
         let tips = tips.collect();
@@ -74,42 +72,37 @@ impl Reeb {
         Self { bands, sides, tips }
     }
 
-    /// The rings from the tip down to the source of the function, highest first; where several lead down, as about a
-    /// handle, the longest.
+    /// The curves from a tip down to the source of the function, highest first. Where several lead down, as around a
+    /// handle, the longest counts.
     #[must_use]
     pub fn down(&self, tip: usize, cut: &Rings) -> Vec<u32> {
-        let mut way = Vec::new();
+        let mut path = Vec::new();
         let mut band = self.tips.get(tip).copied().flatten();
-        // Each step goes one level lower, so there are no more than levels.
+        // Each step descends one level, so the loop ends.
         while let Some(at) = band.and_then(|band| self.bands.get(band as usize)) {
             let length = |ring: &u32| cut.rings[*ring as usize].perimeter;
             let longest = |one: &&u32, other: &&u32| length(one).total_cmp(&length(other));
             let Some(ring) = at.below.iter().max_by(longest) else { break };
-            way.push(*ring);
+            path.push(*ring);
             band = Some(self.sides[*ring as usize][0]);
         }
-        way
+        path
     }
 
-    /// Every two rings that a band joins: the arcs of the graph, to be drawn between centroids.
+    /// All pairs of curves joined by a band: the arcs of the graph, drawn between centroids.
     pub fn arcs(&self) -> impl Iterator<Item = [u32; 2]> {
-        let pairs = |band: &Band| {
-            let above = band.above.clone();
-            band.below
-                .clone()
-                .into_iter()
-                .flat_map(move |low| above.clone().into_iter().map(move |high| [low, high]))
-        };
-        self.bands.iter().flat_map(pairs)
+        self.bands.iter().flat_map(|band| {
+            band.below.iter().flat_map(move |low| band.above.iter().map(move |high| [*low, *high]))
+        })
     }
 }
 
-/// Which triangles hang together between two neighbouring levels.
+/// Connectivity of triangles between neighbouring levels.
 ///
-/// A triangle that reaches over several bands has a part in each; parts of neighbours are joined where their common edge
-/// reaches into the band too.
+/// A triangle that spans several bands has a part in each. Parts of neighbouring triangles are united if their common
+/// edge reaches into the band.
 struct Parts {
-    /// Where the parts of each triangle begin, and the band of the first; none for a triangle that cannot be reached.
+    /// The first part and the lowest band of each triangle; none if it is unreachable.
     starts: Vec<Option<(u32, u32)>>,
     joined: Vec<u32>,
 }
@@ -132,7 +125,7 @@ impl Parts {
             }
             for band in lowest..=highest {
                 if let (Some(a), Some(b)) = (parts.root(one, band), parts.root(other, band)) {
-                    // The lower number stands for both, so that the order of edges does not show.
+                    // The lower index becomes the representative, so the order of edges does not matter.
                     parts.joined[a.max(b) as usize] = a.min(b);
                 }
             }
@@ -140,24 +133,24 @@ impl Parts {
         parts
     }
 
-    /// What stands for the piece that `triangle` has a part of in `band`.
+    /// The representative of the part of `triangle` in `band`.
     fn root(&mut self, triangle: u32, band: u32) -> Option<u32> {
         let (start, lowest) = (*self.starts.get(triangle as usize)?)?;
         let part = start + band.checked_sub(lowest)?;
         self.joined.get(part as usize)?;
-        Some(root(&mut self.joined, part))
+        Some(find_root(&mut self.joined, part))
     }
 }
 
-/// From the end of a hand to the armpit, as a part of the way from there to the head.
+/// Distance from the fingertips to the armpit, as a fraction of the distance to the head.
 const ARM_REACH: f64 = 0.61;
-/// From the end of a foot to the crotch, as a part of the same.
+/// Distance from the toes to the crotch, as a fraction of the distance to the head.
 const LEG_REACH: f64 = 0.52;
 
-/// The five segments of a body, as rings of the distance from the head, each a centre line from the trunk outwards.
+/// The five segments of a body: curves of the distance from the head, each list a centre line from the trunk outwards.
 ///
-/// The Reeb graph has more ends than a body has limbs: ears, fingers, toes, and what noise and coarse triangles add. Here
-/// those are no arcs at all: an arc counts only if it leads down from one of the four chosen ends.
+/// The Reeb graph has more ends than a body has limbs: ears, fingers, toes, noise. An arc counts only if it leads down
+/// from one of the four chosen tips.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Segments {
     /// From the head to where the legs part.
@@ -173,21 +166,21 @@ pub struct Segments {
 }
 
 impl Segments {
-    /// Cuts the graph where limbs leave the trunk; the tips of `reeb` are hands and feet, in this order.
+    /// Splits the graph where limbs leave the trunk. The tips of `reeb` must be hands and feet, in this order.
     ///
     /// # Errors
     ///
-    /// [`Refusal::Contact`]: a hand hangs together with a leg or the other arm before it does with the trunk.
+    /// [`Refusal::Contact`]: a hand joins a leg or the other arm before the trunk.
     pub fn new(reeb: &Reeb, cut: &Rings) -> Result<Self, Refusal> {
         let [one, other, left, right] = [0, 1, 2, 3].map(|tip| upwards(reeb, cut, tip));
         let (trunk_count, legs) = split(&left, &right);
         let trunk = left[..trunk_count].to_vec();
-        let arm = |way: &[u32]| split(way, &left).0.min(split(way, &right).0);
+        let arm = |path: &[u32]| split(path, &left).0.min(split(path, &right).0);
         let starts = [arm(&one), arm(&other)];
         let between_hands = split(&one, &other).0;
         let fused = starts.iter().any(|start| *start >= trunk_count || *start < between_hands);
         let short = [&one[starts[0]..], &other[starts[1]..], &legs[0], &legs[1], &trunk];
-        if fused || short.iter().any(|way| way.is_empty()) {
+        if fused || short.iter().any(|path| path.is_empty()) {
             return Err(Refusal::Contact { handles: 0 });
         }
         let value = |ring: u32| cut.values[cut.rings[ring as usize].level as usize];
@@ -200,8 +193,8 @@ impl Segments {
         })
     }
 
-    /// The rings on the ways from the head to the tips, where limbs touch and the graph says not where they begin: a limb
-    /// is what lies so near to its tip as limbs are long. `fields` are the distances from hands and feet, in this order.
+    /// Segments by length, for bodies whose limbs touch: a limb is what lies within its usual length of its tip.
+    /// `fields` are the distances from hands and feet, in this order.
     #[must_use]
     fn within_reach(
         mesh: &Mesh,
@@ -216,15 +209,15 @@ impl Segments {
         let limb = |tip: usize| {
             let part = if tip < 2 { ARM_REACH } else { LEG_REACH };
             let reach = part * far(tip, extremities.head);
-            let mut way = upwards(reeb, cut, tip);
+            let mut path = upwards(reeb, cut, tip);
             let near = |ring: &u32| {
                 let triangle = cut.rings[*ring as usize].triangle;
                 let corners = mesh.triangles.get(triangle as usize);
                 corners.is_some_and(|[vertex, ..]| far(tip, *vertex) <= reach)
             };
-            let count = way.iter().rev().take_while(|ring| near(ring)).count();
-            let rest = way.split_off(way.len() - count);
-            (way, rest)
+            let count = path.iter().rev().take_while(|ring| near(ring)).count();
+            let rest = path.split_off(path.len() - count);
+            (path, rest)
         };
         let [(_, one), (_, other), (trunk, left), (_, right)] = [0, 1, 2, 3].map(limb);
         let begins = |limb: &[u32]| {
@@ -241,33 +234,33 @@ impl Segments {
     }
 }
 
-/// The rings from the head to a tip.
+/// The curves from the head to a tip.
 fn upwards(reeb: &Reeb, cut: &Rings, tip: usize) -> Vec<u32> {
-    let mut way = reeb.down(tip, cut);
-    way.reverse();
-    way
+    let mut path = reeb.down(tip, cut);
+    path.reverse();
+    path
 }
 
-/// How many rings two ways have in common from the head on, and what they have apart.
+/// Number of curves that two paths share from the head on, and their separate parts.
 fn split(one: &[u32], other: &[u32]) -> (usize, [Vec<u32>; 2]) {
     let common = one.iter().zip(other).take_while(|(a, b)| a == b).count();
     (common, [one[common..].to_vec(), other[common..].to_vec()])
 }
 
-/// Level sets and Reeb graph of the distance from the head (Yu et al. 2008, section 6), and which of them are limbs.
+/// Level sets and Reeb graph of the distance from the head (Yu et al. 2008, section 6), split into trunk and limbs.
 #[derive(Debug, Clone)]
 pub struct Levels {
-    /// The rings.
+    /// The level-set curves.
     pub rings: Rings,
-    /// How they hang together.
+    /// Their connectivity.
     pub reeb: Reeb,
     /// Trunk, arms and legs.
     pub segments: Segments,
 }
 
 impl Levels {
-    /// Those of a mesh whose ends are known. Where the graph has not the five segments of a body, because limbs touch, a
-    /// limb is what lies within its length of its end. Nothing if the mesh is no surface.
+    /// Computes the levels of a mesh with known extremities. If the graph lacks the five segments of a body because
+    /// limbs touch, limbs are delimited by their length. None if the mesh is not a surface.
     #[must_use]
     pub fn new(mesh: &Mesh, extremities: &Extremities) -> Option<Self> {
         let adjacency = Adjacency::new(mesh).ok()?;
@@ -283,11 +276,11 @@ impl Levels {
         Some(Self { rings, reeb, segments })
     }
 
-    /// Those of `field`, the distances from the head.
+    /// Computes the levels of `field`, the distances from the head.
     ///
     /// # Errors
     ///
-    /// [`Refusal::Contact`]: the graph has not the five segments of a body.
+    /// [`Refusal::Contact`]: the graph does not have the five segments of a body.
     pub(crate) fn of_free_limbs(
         mesh: &Mesh,
         adjacency: &Adjacency,

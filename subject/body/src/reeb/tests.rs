@@ -1,4 +1,4 @@
-//! A tree of plates whose forks are known.
+//! A Reeb graph whose branches are known.
 
 use super::*;
 use crate::Mesh;
@@ -6,7 +6,7 @@ use crate::geodesic::Adjacency;
 use crate::level::{Rings, cut};
 use crate::tests::cubes;
 
-/// A body of cubes, head down at 0: neck and trunk up to 6, arms that fork off at 2 and climb to 5, legs from 6 to 10.
+/// A body of cubes, head down at 0: neck and trunk up to 6, arms that branch off at 2 and rise to 5, legs from 6 to 10.
 fn body() -> Vec<[i32; 3]> {
     let mut places = Vec::new();
     for up in 0..6 {
@@ -51,14 +51,14 @@ fn a_tree_has_its_ends_and_forks() {
     let forks = reeb.bands.iter().filter(|band| band.above.len() > 1).count();
     let starts = reeb.bands.iter().filter(|band| band.below.is_empty()).count();
     assert_eq!((starts, forks, ends), (1, 2, 4), "{:?}", reeb.bands);
-    // A tree: one arc fewer than nodes, if each ring is an arc between its two bands.
+    // A tree has one arc fewer than nodes, each ring being an arc between its two bands.
     assert_eq!(reeb.sides.len() + 1, reeb.bands.len());
     // All rings but the lowest have one below them.
     assert_eq!(reeb.arcs().count(), reeb.sides.len() - 1);
 }
 
 #[test]
-fn a_body_falls_into_five() {
+fn a_body_splits_into_five_parts() {
     let (rings, reeb) = linked(&cubes(&body()), &TIPS);
     let body = Segments::new(&reeb, &rings).unwrap();
     assert_eq!((body.armpits, body.crotch), ([3.25, 3.25], 6.25));
@@ -72,7 +72,7 @@ fn a_body_falls_into_five() {
 }
 
 #[test]
-fn a_handle_is_no_tree() {
+fn a_handle_is_not_a_tree() {
     let mut places = body();
     places.extend([[0, 0, 9]]);
     let (_, reeb) = linked(&cubes(&places), &TIPS);
@@ -82,7 +82,7 @@ fn a_handle_is_no_tree() {
 #[test]
 fn a_hand_on_a_leg_is_contact() {
     let mut places = body();
-    // The arm goes on to the leg, and no more ends by itself.
+    // The arm continues into the leg and no longer has an end of its own.
     places.extend([[-3, 0, 5], [-3, 0, 6], [-2, 0, 6]]);
     let (rings, reeb) = linked(&cubes(&places), &[TIPS[2], TIPS[1], TIPS[2], TIPS[3]]);
     let refusal = Segments::new(&reeb, &rings).unwrap_err();

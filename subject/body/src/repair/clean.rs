@@ -1,30 +1,30 @@
-//! Vertices that are one, triangles that are none, and what is not the body: spikes and other pieces.
+//! Removal of what is no part of the body's surface: duplicate vertices and triangles, cracks, spikes and stray pieces.
 
 use std::collections::HashMap;
 
-use super::manifold::{pair_up, pieces};
+use super::manifold::{pair_half_edges, pieces};
 use super::{RepairError, drop_unused};
 use crate::mesh::distance;
-use crate::topology::{edges, sides};
+use crate::topology::{edges, half_edges};
 use crate::{Mesh, Note};
 
-/// Vertices at borders that are nearer than this share of the extent are one: 0.02 mm of a body. Programs that write
-/// each part for itself round in the seventh digit.
+/// Border vertices closer than this fraction of the extent are merged: 0.02 mm on a body. Programs that write each part
+/// by itself round in the seventh digit.
 const CRACK: f64 = 1e-5;
 
-/// Vertices at just the same position become the first of them, where triangles that should hang together do not: on edges
-/// that are not of two triangles, as where a file writes each triangle's corners for itself, or a seam's twice.
+/// Merges vertices at identical positions into the first of them, but only on edges that do not have exactly two
+/// triangles: files that write each triangle's corners, or both sides of a seam, separately.
 ///
-/// All other vertices are joined as they should be already. They may lie in one place all the same: lips and eyelids that
-/// touch, and what rounding has brought together. To merge those would join surfaces that do not hang together.
-pub(super) fn same_positions(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+/// All other vertices are connected already, even those that share a position: lips and eyelids that touch, or points
+/// that rounding brought together. Merging those would fuse surfaces that are separate.
+pub(super) fn merge_duplicate_vertices(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let n = mesh.positions.len();
     let mut loose = vec![false; n];
-    let all = sides(&mesh.triangles);
-    for sides in edges(&all).filter(|sides| sides.len() != 2) {
-        sides[0].ends.iter().for_each(|&end| loose[end as usize] = true);
+    let all = half_edges(&mesh.triangles);
+    for edge in edges(&all).filter(|edge| edge.len() != 2) {
+        edge[0].ends.iter().for_each(|&end| loose[end as usize] = true);
     }
-    // By x first: the rest seldom needs to be looked at. Adding zero makes the two zeros one.
+    // Compares x first, since the rest is seldom needed. Adding zero unifies both zeros.
     let key = |index: &u32| mesh.positions[*index as usize].map(|c| (c + 0.0).to_bits());
     let x = |index: u32| (mesh.positions[index as usize][0] + 0.0).to_bits();
     let loose = (0..n as u32).filter(|index| loose[*index as usize]);
@@ -43,18 +43,17 @@ pub(super) fn same_positions(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     }
     if merged > 0 {
         mesh.triangles.as_flattened_mut().iter_mut().for_each(|c| *c = first[*c as usize]);
-        let text = format!("{merged} vertices lie just on others: merged");
+        let text = format!("merged duplicate vertices: {merged}");
         notes.push(Note::new("vertices-merged", text));
     }
 }
 
-/// A surface of which more than this share of triangles has a twin that looks the other way was written with both of its
-/// sides.
+/// A surface is two-sided if more than this fraction of its triangles has a twin that faces the other way.
 const TWO_SIDED: f64 = 0.5;
 
-/// Leaves out triangles with a vertex twice, and those whose vertices another has that looks the same way; then the vertices
-/// of none. Two that look opposite ways are both sides of something thin, unless the whole surface is two-sided.
-pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+/// Removes degenerate triangles and duplicates of the same orientation, then unused vertices. Two triangles of opposite
+/// orientation are the two sides of something thin and stay, unless the whole surface is two-sided.
+pub(super) fn remove_degenerate_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let all = mesh.triangles.len();
     mesh.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
     let degenerate = all - mesh.triangles.len();
@@ -63,48 +62,47 @@ pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
         key.sort_unstable();
         key
     };
-    // Two ways round three vertices: one rises once and falls once when it begins with the least, the other the other way.
-    let looks_back = |&[a, b, c]: &[u32; 3]| (a < b) ^ (b < c) ^ (c < a);
+    // The orientation of a triangle relative to the sorted order of its vertices.
+    let is_reversed = |&[a, b, c]: &[u32; 3]| (a < b) ^ (b < c) ^ (c < a);
     let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     order.sort_unstable_by_key(|&index| (key(&mesh.triangles[index as usize]), index));
-    let mut again = vec![false; mesh.triangles.len()];
+    let mut duplicate = vec![false; mesh.triangles.len()];
     let same =
         |a: &u32, b: &u32| key(&mesh.triangles[*a as usize]) == key(&mesh.triangles[*b as usize]);
     let mut twins = Vec::new();
     for group in order.chunk_by(same).filter(|group| group.len() > 1) {
-        let way = |index: &u32| looks_back(&mesh.triangles[*index as usize]);
-        let twin = group.iter().position(|index| way(index) != way(&group[0]));
+        let orientation = |index: &u32| is_reversed(&mesh.triangles[*index as usize]);
+        let twin = group.iter().position(|index| orientation(index) != orientation(&group[0]));
         for (at, &index) in group.iter().enumerate().skip(1) {
-            again[index as usize] = Some(at) != twin;
+            duplicate[index as usize] = Some(at) != twin;
         }
         twins.extend(twin.map(|at| group[at]));
     }
     if 2.0 * twins.len() as f64 > TWO_SIDED * mesh.triangles.len() as f64 {
-        twins.iter().for_each(|&index| again[index as usize] = true);
+        twins.iter().for_each(|&index| duplicate[index as usize] = true);
     }
     let before = mesh.triangles.len();
-    mesh.keep_triangles(|triangle| !again[triangle]);
-    let twice = before - mesh.triangles.len();
+    mesh.keep_triangles(|triangle| !duplicate[triangle]);
+    let duplicates = before - mesh.triangles.len();
     drop_unused(mesh);
-    if degenerate + twice > 0 {
-        let text =
-            format!("{degenerate} triangles without an area and {twice} double ones: left out");
+    if degenerate + duplicates > 0 {
+        let text = format!("left out {degenerate} degenerate and {duplicates} duplicate triangles");
         notes.push(Note::new("needless-triangles", text));
     }
 }
 
-/// Joins vertices at borders that all but touch each other.
-pub(super) fn cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
-    let all = sides(&mesh.triangles);
+/// Merges border vertices that nearly coincide.
+pub(super) fn close_cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+    let all = half_edges(&mesh.triangles);
     let mut border: Vec<u32> =
-        edges(&all).filter(|sides| sides.len() == 1).flat_map(|sides| sides[0].ends).collect();
+        edges(&all).filter(|edge| edge.len() == 1).flat_map(|edge| edge[0].ends).collect();
     border.sort_unstable();
     border.dedup();
     if border.is_empty() {
         return;
     }
     let near = CRACK * mesh.extent();
-    // One vertex a cell is kept to compare with: what shares a cell with it is near it, too.
+    // One vertex per cell is kept for comparison; others in the cell are close to it.
     let cell = |p: [f64; 3]| p.map(|c| (c / near).floor() as i64);
     let mut kept: HashMap<[i64; 3], u32> = HashMap::new();
     let mut moved = HashMap::new();
@@ -125,34 +123,34 @@ pub(super) fn cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     }
     let corners = mesh.triangles.as_flattened_mut().iter_mut();
     corners.for_each(|corner| *corner = moved.get(corner).copied().unwrap_or(*corner));
-    let text = format!("{} vertices at borders lie all but on others: merged", moved.len());
+    let text = format!("merged border vertices that nearly coincide: {}", moved.len());
     notes.push(Note::new("cracks-closed", text));
-    needless_triangles(mesh, notes);
+    remove_degenerate_triangles(mesh, notes);
 }
 
-/// An edge of a spike is longer than this share of the extent: a fifth of a metre, on a body.
-const EXTENTS: f64 = 0.1;
-/// And longer than so many of the middle edges, which coarse surfaces have none of.
-const MEDIANS: f64 = 12.0;
-/// More of the triangles are no spikes but the way the surface was made.
+/// An edge of a spike is longer than this fraction of the extent: a fifth of a metre on a body.
+const SPIKE_EXTENTS: f64 = 0.1;
+/// It is also longer than this many median edges, which excludes coarse surfaces.
+const SPIKE_MEDIANS: f64 = 12.0;
+/// A larger fraction of such triangles is the way the surface was made, not spikes.
 const SHARE_MAX: f64 = 0.01;
 
-/// Takes out triangles that reach far out: what they leave are holes.
-pub(super) fn spikes(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+/// Removes triangles that reach far out; they leave holes.
+pub(super) fn remove_spikes(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let longest: Vec<f64> = mesh.triangles.iter().map(|t| longest_edge(mesh, t)).collect();
     let middle = longest.len() / 2;
     if middle == 0 {
         return;
     }
     let median = *longest.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
-    let limit = (MEDIANS * median).max(EXTENTS * mesh.extent());
+    let limit = (SPIKE_MEDIANS * median).max(SPIKE_EXTENTS * mesh.extent());
     let n = longest.iter().filter(|&&edge| edge > limit).count();
     if n == 0 || n as f64 > SHARE_MAX * longest.len() as f64 {
         return;
     }
     mesh.keep_triangles(|triangle| longest[triangle] <= limit);
     drop_unused(mesh);
-    notes.push(Note::new("spikes-cut", format!("{n} triangles reached far out: taken out")));
+    notes.push(Note::new("spikes-cut", format!("removed triangles that reached far out: {n}")));
 }
 
 fn longest_edge(mesh: &Mesh, triangle: &[u32; 3]) -> f64 {
@@ -160,14 +158,14 @@ fn longest_edge(mesh: &Mesh, triangle: &[u32; 3]) -> f64 {
     distance(a, b).max(distance(b, c)).max(distance(c, a))
 }
 
-/// Of the area of everything, in the largest piece: below, it is not known which one is the subject.
+/// Least area of the largest piece, as a fraction of the whole; below it the subject is ambiguous.
 const SHARE_MIN: f64 = 0.6;
 
 /// Keeps the piece with the largest area.
-pub(super) fn other_pieces(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
-    let (across, _) = pair_up(mesh);
+pub(super) fn keep_largest(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
+    let (across, _) = pair_half_edges(mesh);
     let pieces = pieces(&across);
-    // Each piece has the number of its first triangle.
+    // A piece is identified by its first triangle.
     let count = (0_u32..).zip(&pieces).filter(|(triangle, piece)| triangle == *piece).count();
     let mut areas = vec![0.0; pieces.len()];
     for (piece, triangle) in pieces.iter().zip(&mesh.triangles) {
@@ -187,7 +185,7 @@ pub(super) fn other_pieces(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(),
     areas[best] = 0.0;
     let second = areas.iter().copied().fold(0.0, f64::max);
     let text = format!(
-        "{} other pieces were left out: {:.2} % of the surface, the largest of them {:.2} %",
+        "left out other pieces: {}, {:.2} % of the surface, the largest {:.2} %",
         count - 1,
         100.0 * (all - kept) / all,
         100.0 * second / all

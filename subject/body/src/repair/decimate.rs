@@ -1,25 +1,24 @@
-//! Fewer faces: vertices that lie together, and hang together, become one.
+//! Decimation: connected vertices that lie close together become one.
 
 use super::RepairError;
-use super::clean::needless_triangles;
+use super::clean::remove_degenerate_triangles;
 use crate::mesh::{Point, distance};
-use crate::topology::{Rows, Side, edges, sides};
+use crate::topology::{HalfEdge, SparseRows, edges, half_edges};
 use crate::{Mesh, Note};
 
-/// Balls that are tried, each a fifth larger.
+/// Number of radii that are tried, each a fifth larger.
 const ROUNDS: usize = 20;
-/// Radius of the first balls, in the edge of a square of which there are as many as vertices.
-const FIRST: f64 = 0.7;
+/// First radius, in side lengths of a square with the mean area per vertex.
+const FIRST_RADIUS: f64 = 0.7;
 
-/// Makes the surface coarser until it has at most so many faces.
+/// Decimates the surface to at most `n_faces` faces.
 ///
-/// Each ball begins at the first vertex that is in none, and takes what it reaches over edges within its radius, so that
-/// sheets that merely come close, such as an arm beside a trunk, stay apart. No grid is laid: a turned mesh gives the
-/// same balls.
+/// Each cluster grows from the first unassigned vertex along edges within the radius, so sheets that merely come close,
+/// such as an arm beside the trunk, stay apart. There is no grid: a rotated mesh gives the same clusters.
 ///
 /// # Errors
-/// [`RepairError::Tangled`] where no ball makes so few: the surface is more knot than sheet.
-pub(super) fn to(
+/// [`RepairError::Tangled`] if no radius gives so few faces: the surface is more knot than sheet.
+pub(super) fn decimate(
     mesh: &mut Mesh,
     n_faces: usize,
     notes: &mut Vec<Note>,
@@ -28,7 +27,7 @@ pub(super) fn to(
     if before <= n_faces {
         return Ok(());
     }
-    let mut radius = FIRST * (mesh.area() / (n_faces as f64 / 2.0)).sqrt();
+    let mut radius = FIRST_RADIUS * (mesh.area() / (n_faces as f64 / 2.0)).sqrt();
     for _ in 0..ROUNDS {
         if mesh.triangles.len() <= n_faces {
             break;
@@ -39,18 +38,18 @@ pub(super) fn to(
     if mesh.triangles.len() > n_faces {
         return Err(RepairError::Tangled);
     }
-    let text = format!("{before} faces are more than {n_faces}: made {}", mesh.triangles.len());
+    let text = format!("decimated {before} faces to {}", mesh.triangles.len());
     notes.push(Note::new("decimated", text));
     Ok(())
 }
 
 fn coarsen(mesh: &mut Mesh, radius: f64) {
-    let all = sides(&mesh.triangles);
-    let there_and_back = |sides: &[Side]| {
-        let [a, b] = sides[0].ends;
+    let all = half_edges(&mesh.triangles);
+    let there_and_back = |edge: &[HalfEdge]| {
+        let [a, b] = edge[0].ends;
         [(a, b), (b, a)]
     };
-    let neighbours = Rows::new(mesh.positions.len(), edges(&all).flat_map(there_and_back));
+    let neighbours = SparseRows::new(mesh.positions.len(), edges(&all).flat_map(there_and_back));
     let mut ball = vec![u32::MAX; mesh.positions.len()];
     let mut middles: Vec<[f64; 3]> = Vec::new();
     let mut reached = Vec::new();
@@ -78,13 +77,13 @@ fn coarsen(mesh: &mut Mesh, radius: f64) {
     }
     mesh.triangles.as_flattened_mut().iter_mut().for_each(|c| *c = ball[*c as usize]);
     mesh.positions = middles;
-    // Most triangles lie within a ball, and are none now.
-    needless_triangles(mesh, &mut Vec::new());
+    // Most triangles lie within one cluster and are degenerate now.
+    remove_degenerate_triangles(mesh, &mut Vec::new());
 }
 
 #[cfg(test)]
 mod tests {
-    use super::to;
+    use super::decimate;
     use crate::tests::sphere;
 
     #[test]
@@ -93,7 +92,7 @@ mod tests {
         let mut turned = mesh.clone();
         turned.positions.iter_mut().for_each(|p| *p = [p[1], p[2], p[0]]);
         for mesh in [&mut mesh, &mut turned] {
-            to(mesh, 1200, &mut Vec::new()).unwrap();
+            decimate(mesh, 1200, &mut Vec::new()).unwrap();
         }
         assert_eq!(mesh.triangles, turned.triangles);
         assert!(mesh.triangles.len() <= 1200);

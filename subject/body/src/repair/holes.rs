@@ -1,18 +1,18 @@
-//! Holes: borders of the surface, closed.
+//! Closing of holes.
 
 use super::RepairError;
-use super::manifold::{NONE, pair_up};
+use super::manifold::{NONE, pair_half_edges};
 use crate::mesh::{Point, distance, mean};
 use crate::topology::ends;
 use crate::{Mesh, Note};
 
-/// Largest area that is closed, in areas of the surface. A sole that was not scanned has 0.01, a neck 0.007, the leg of
-/// a hip 0.02, the waist of half a body 0.05.
+/// Largest patch that is closed, as a fraction of the surface. A missing sole has 0.01, a neck 0.007, a leg cut at the
+/// hip 0.02, a body cut at the waist 0.05.
 const AREA_MAX: f64 = 0.03;
-/// Rings of vertices that a large hole is filled with, at most.
+/// Most rings of vertices that fill a hole.
 const RINGS_MAX: usize = 24;
 
-/// Closes every hole with rings of triangles around its middle.
+/// Closes every hole with rings of triangles around its centroid.
 pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
     let borders = borders(mesh);
     if borders.is_empty() {
@@ -23,20 +23,21 @@ pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), Repair
     let mut longest = (0.0, 0.0);
     let count = borders.len();
     for border in borders {
-        let around = around(mesh, &border);
+        let perimeter = perimeter(mesh, &border);
         let before = mesh.triangles.len();
-        fill(mesh, &border, around);
+        fill(mesh, &border, perimeter);
         let filled: f64 = mesh.triangles[before..].iter().map(|t| mesh.area_of(*t)).sum();
         if filled > AREA_MAX * whole {
-            let (around, area) = (100.0 * around / across, 100.0 * filled / whole);
-            return Err(RepairError::Hole { around, area });
+            let (perimeter, area) = (100.0 * perimeter / across, 100.0 * filled / whole);
+            return Err(RepairError::Hole { perimeter, area });
         }
-        if around > longest.0 {
-            longest = (around, filled);
+        if perimeter > longest.0 {
+            longest = (perimeter, filled);
         }
     }
     let text = format!(
-        "{count} holes were closed, the longest {:.1} % of the extent around and {:.2} % of the surface",
+        "closed {count} {}, the longest {:.1} % of the extent around and {:.2} % of the surface",
+        if count == 1 { "hole" } else { "holes" },
         100.0 * longest.0 / across,
         100.0 * longest.1 / whole
     );
@@ -44,9 +45,9 @@ pub(super) fn close(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), Repair
     Ok(())
 }
 
-/// The vertices of each border, in the direction of its triangles. In a manifold each vertex is on one border at most.
+/// The vertices of each border loop, in the direction of its triangles. In a manifold a vertex lies on at most one.
 fn borders(mesh: &Mesh) -> Vec<Vec<u32>> {
-    let (across, _) = pair_up(mesh);
+    let (across, _) = pair_half_edges(mesh);
     let mut after = vec![NONE; mesh.positions.len()];
     for (side, _) in across.iter().enumerate().filter(|(_, other)| **other == NONE) {
         let [from, to] = ends(&mesh.triangles, side as u32);
@@ -71,14 +72,15 @@ fn points(mesh: &Mesh, border: &[u32]) -> Vec<Point> {
     border.iter().map(|&vertex| mesh.point(vertex)).collect()
 }
 
-fn around(mesh: &Mesh, border: &[u32]) -> f64 {
+fn perimeter(mesh: &Mesh, border: &[u32]) -> f64 {
     let points = points(mesh, border);
     let after = points.iter().cycle().skip(1);
     points.iter().zip(after).map(|(&a, &b)| distance(a, b)).sum()
 }
 
-/// As many rings as make triangles about as long as the border's edges; the innermost is one vertex.
-fn fill(mesh: &mut Mesh, border: &[u32], around: f64) {
+/// Fills a border loop with as many rings as make triangles about as long as its edges; the innermost ring is one
+/// vertex.
+fn fill(mesh: &mut Mesh, border: &[u32], perimeter: f64) {
     if let [a, b, c] = border[..] {
         mesh.triangles.push([c, b, a]);
         return;
@@ -86,7 +88,7 @@ fn fill(mesh: &mut Mesh, border: &[u32], around: f64) {
     let points = points(mesh, border);
     let Some(middle) = mean(points.iter().copied()) else { return };
     let radius = points.iter().map(|&p| (p - middle).norm()).sum::<f64>() / points.len() as f64;
-    let edge = around / points.len() as f64;
+    let edge = perimeter / points.len() as f64;
     let rings = ((radius / edge).round() as usize).clamp(1, RINGS_MAX);
     let n = border.len();
     let mut outer = border.to_vec();

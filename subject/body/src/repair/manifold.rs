@@ -1,34 +1,34 @@
-//! Which triangle hangs on which, so that every edge is of two triangles at most and both face the same way.
+//! Makes the surface manifold: at most two triangles per edge, facing the same way.
 
 use std::collections::HashMap;
 
 use super::drop_unused;
 use crate::mesh::{self, Point, unit};
-use crate::topology::{Side, edges, ends, join, root, sides};
+use crate::topology::{HalfEdge, edges, ends, find_root, half_edges, union};
 use crate::{Mesh, Note};
 
-/// No triangle.
+/// No half-edge.
 pub(super) const NONE: u32 = u32::MAX;
-/// Triangles at an edge that are paired; where more meet, all are cut apart.
+/// Most triangles at an edge that are paired; beyond that the edge is cut.
 const FAN_MAX: usize = 16;
 
-/// Rounds of cutting; one or two are enough for scans.
+/// Most rounds of cutting; scans need one or two.
 const ROUNDS: usize = 16;
 
-/// Cuts the surface where more than two triangles meet in an edge, turns triangles to face as their neighbours do, and
-/// gives each sheet that merely touches another in a vertex a vertex of its own. Where a cut is not enough, because the
-/// sheets hang together all around it, its triangles are taken out: they leave holes.
-pub(super) fn manifold(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+/// Cuts edges with more than two triangles, orients triangles like their neighbours, and gives sheets that touch only
+/// in a vertex a vertex each. Triangles that stay tangled, because sheets are connected all around them, are removed;
+/// they leave holes.
+pub(super) fn make_manifold(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let before = mesh.positions.len();
     let (mut tangled, mut turned, mut taken) = (0, 0, 0);
     for round in 0..ROUNDS {
-        let (mut across, found) = pair_up(mesh);
+        let (mut across, found) = pair_half_edges(mesh);
         let n = orient(&mut mesh.triangles, &mut across);
         if round == 0 {
             (tangled, turned) = (found, n);
         }
         split_vertices(mesh, &across);
-        let n = take_out(mesh);
+        let n = remove_tangled(mesh);
         taken += n;
         if n == 0 {
             break;
@@ -36,24 +36,24 @@ pub(super) fn manifold(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     }
     let split = mesh.positions.len().saturating_sub(before);
     drop_unused(mesh);
-    let mut tell = |n: usize, code: &'static str, text: &str| {
+    let mut note = |n: usize, code: &'static str, text: &str| {
         if n > 0 {
-            notes.push(Note::new(code, format!("{n} {text}")));
+            notes.push(Note::new(code, format!("{text}: {n}")));
         }
     };
-    tell(tangled, "edges-cut", "edges had more than two triangles: cut apart");
-    tell(turned, "triangles-turned", "triangles faced otherwise than their neighbours: turned");
-    tell(split, "vertices-split", "vertices joined sheets that only touched: doubled");
-    tell(taken, "triangles-taken-out", "triangles were tangled: taken out");
+    note(tangled, "edges-cut", "cut edges with more than two triangles");
+    note(turned, "triangles-turned", "flipped triangles that faced away from their neighbours");
+    note(split, "vertices-split", "split vertices where sheets only touched");
+    note(taken, "triangles-taken-out", "removed tangled triangles");
 }
 
-/// Takes out the triangles of edges that still have more than two, or two that face different ways.
-fn take_out(mesh: &mut Mesh) -> usize {
-    let all = sides(&mesh.triangles);
+/// Removes the triangles of edges that still have more than two of them, or two of opposite orientation.
+fn remove_tangled(mesh: &mut Mesh) -> usize {
+    let all = half_edges(&mesh.triangles);
     let mut out = vec![false; mesh.triangles.len()];
-    for sides in edges(&all) {
-        if !fits(mesh, sides) {
-            sides.iter().for_each(|side| out[side.index as usize / 3] = true);
+    for edge in edges(&all) {
+        if !fits(mesh, edge) {
+            edge.iter().for_each(|side| out[side.index as usize / 3] = true);
         }
     }
     let before = mesh.triangles.len();
@@ -61,19 +61,19 @@ fn take_out(mesh: &mut Mesh) -> usize {
     before - mesh.triangles.len()
 }
 
-/// The side on the other side of each side, or [`NONE`]; and how many edges have too many.
+/// The opposite half-edge of each half-edge, or [`NONE`], and the number of edges with more than two triangles.
 ///
-/// Where more than two triangles meet, those go together that face the same way and bend least: a sheet goes on as it came.
-pub(super) fn pair_up(mesh: &Mesh) -> (Vec<u32>, usize) {
-    let all = sides(&mesh.triangles);
+/// Among more than two triangles, those pair up that face the same way and bend least: a sheet continues straight on.
+pub(super) fn pair_half_edges(mesh: &Mesh) -> (Vec<u32>, usize) {
+    let all = half_edges(&mesh.triangles);
     let mut across = vec![NONE; all.len()];
     let mut tangled = 0;
-    for sides in edges(&all) {
-        if let [a, b] = sides {
+    for edge in edges(&all) {
+        if let [a, b] = edge {
             (across[a.index as usize], across[b.index as usize]) = (b.index, a.index);
-        } else if sides.len() > 2 {
+        } else if edge.len() > 2 {
             tangled += 1;
-            let mut left: Vec<u32> = sides.iter().map(|side| side.index).collect();
+            let mut left: Vec<u32> = edge.iter().map(|side| side.index).collect();
             while (2..=FAN_MAX).contains(&left.len()) {
                 let Some((i, j)) = flattest(mesh, &left) else { break };
                 let (b, a) = (left.remove(j), left.remove(i));
@@ -84,16 +84,16 @@ pub(super) fn pair_up(mesh: &Mesh) -> (Vec<u32>, usize) {
     (across, tangled)
 }
 
-/// Which two of the sides belong to the flattest pair of triangles.
-fn flattest(mesh: &Mesh, sides: &[u32]) -> Option<(usize, usize)> {
-    let pairs = (0..sides.len()).flat_map(|i| (i + 1..sides.len()).map(move |j| (i, j)));
+/// The two half-edges of the flattest pair of triangles.
+fn flattest(mesh: &Mesh, half_edges: &[u32]) -> Option<(usize, usize)> {
+    let pairs = (0..half_edges.len()).flat_map(|i| (i + 1..half_edges.len()).map(move |j| (i, j)));
     let mut best = None;
     for (i, j) in pairs {
-        let (normal_i, normal_j) = (normal(mesh, sides[i]), normal(mesh, sides[j]));
-        let [from_i, _] = ends(&mesh.triangles, sides[i]);
-        let [from_j, _] = ends(&mesh.triangles, sides[j]);
-        // Two triangles that pass the edge in the same direction face opposite ways. Where sheets touch, one of this and one
-        // of that are as flat as two of one sheet: those that face the same way come first.
+        let (normal_i, normal_j) = (normal(mesh, half_edges[i]), normal(mesh, half_edges[j]));
+        let [from_i, _] = ends(&mesh.triangles, half_edges[i]);
+        let [from_j, _] = ends(&mesh.triangles, half_edges[j]);
+        // Triangles that traverse the edge in the same direction face opposite ways. Where sheets touch, triangles of
+        // two sheets can be as flat as those of one, so equal orientation counts first.
         let same_way = from_i != from_j;
         let agreement = normal_i.dot(&normal_j) * if same_way { 1.0 } else { -1.0 };
         if best.is_none_or(|(_, most)| (same_way, agreement) > most) {
@@ -107,8 +107,8 @@ fn normal(mesh: &Mesh, side: u32) -> Point {
     unit(mesh::normal(mesh.corners(mesh.triangles[side as usize / 3])))
 }
 
-/// Turns what faces otherwise, from the first triangle of each piece on, and gives how many were turned. Where no turning
-/// helps, as on a Möbius strip, the edge is cut.
+/// Orients each piece consistently, as most of its triangles were, and returns the number flipped. Where that is
+/// impossible, as on a Möbius strip, the edge is cut.
 fn orient(triangles: &mut [[u32; 3]], across: &mut [u32]) -> usize {
     let mut flipped = vec![None; triangles.len()];
     let mut next = Vec::new();
@@ -143,7 +143,7 @@ fn orient(triangles: &mut [[u32; 3]], across: &mut [u32]) -> usize {
                 }
             }
         }
-        // As most of the piece was.
+        // The majority decides.
         let n_flipped = piece.iter().filter(|&&at| flipped[at] == Some(true)).count();
         let other_way = 2 * n_flipped > piece.len();
         for at in piece {
@@ -156,7 +156,7 @@ fn orient(triangles: &mut [[u32; 3]], across: &mut [u32]) -> usize {
     turned
 }
 
-/// Swaps the last two corners: the first side becomes the last, and the other way round.
+/// Swaps the last two corners, which exchanges the first and the last half-edge.
 fn flip(triangles: &mut [[u32; 3]], across: &mut [u32], at: usize) {
     triangles[at].swap(1, 2);
     across.swap(3 * at, 3 * at + 2);
@@ -168,21 +168,21 @@ fn flip(triangles: &mut [[u32; 3]], across: &mut [u32], at: usize) {
     }
 }
 
-/// Whether the surface is one piece, every edge of two triangles that face the same way, every vertex of one fan.
+/// Whether the surface is connected, with two triangles of equal orientation at every edge and one fan at every vertex.
 pub(super) fn is_clean(mesh: &Mesh) -> bool {
-    let all = sides(&mesh.triangles);
-    if all.is_empty() || !edges(&all).all(|sides| sides.len() == 2 && fits(mesh, sides)) {
+    let all = half_edges(&mesh.triangles);
+    if all.is_empty() || !edges(&all).all(|edge| edge.len() == 2 && fits(mesh, edge)) {
         return false;
     }
-    let (across, _) = pair_up(mesh);
+    let (across, _) = pair_half_edges(mesh);
     let fans = fans(&across).into_iter().enumerate().filter(|(at, fan)| *at as u32 == *fan);
     let is_one_piece = pieces(&across).iter().all(|piece| *piece == 0);
     is_one_piece && fans.count() == mesh.positions.len()
 }
 
-/// Whether an edge is at a border, or of two triangles that face the same way.
-fn fits(mesh: &Mesh, sides: &[Side]) -> bool {
-    match sides {
+/// Whether an edge is a border, or joins two triangles of equal orientation.
+fn fits(mesh: &Mesh, edge: &[HalfEdge]) -> bool {
+    match edge {
         [_] => true,
         [a, b] => {
             let from = |side| ends(&mesh.triangles, side)[0];
@@ -192,35 +192,35 @@ fn fits(mesh: &Mesh, sides: &[Side]) -> bool {
     }
 }
 
-/// For each triangle, the first of those that hang together with it over edges.
+/// For each triangle, the first triangle of its edge-connected piece.
 pub(super) fn pieces(across: &[u32]) -> Vec<u32> {
     let mut first: Vec<u32> = (0..across.len() as u32 / 3).collect();
     for (side, &other) in (0_u32..).zip(across).filter(|(_, other)| **other != NONE) {
-        join(&mut first, side / 3, other / 3);
+        union(&mut first, side / 3, other / 3);
     }
-    (0..first.len() as u32).map(|triangle| root(&mut first, triangle)).collect()
+    (0..first.len() as u32).map(|triangle| find_root(&mut first, triangle)).collect()
 }
 
-/// For each corner, the first corner of those that hang together with it over edges.
+/// For each corner, the first corner of its edge-connected fan.
 pub(super) fn fans(across: &[u32]) -> Vec<u32> {
     let mut leader: Vec<u32> = (0..across.len() as u32).collect();
     for (side, &other) in across.iter().enumerate() {
         if other == NONE || other < side as u32 {
             continue;
         }
-        // A side begins at the corner of its own number, and ends at the next of its triangle.
+        // A half-edge begins at the corner of its own number and ends at the next corner of the triangle.
         let ends = |side: u32| [side, side - side % 3 + (side + 1) % 3];
         let ([a, b], [c, d]) = (ends(side as u32), ends(other));
         for (one, two) in [(a, d), (b, c)] {
-            join(&mut leader, one, two);
+            union(&mut leader, one, two);
         }
     }
-    (0..leader.len() as u32).map(|corner| root(&mut leader, corner)).collect()
+    (0..leader.len() as u32).map(|corner| find_root(&mut leader, corner)).collect()
 }
 
-/// Corners that hang together over edges share a vertex, and no others do.
+/// Gives every edge-connected fan of triangles a vertex of its own.
 pub(super) fn split_vertices(mesh: &mut Mesh, across: &[u32]) {
-    // The first fan keeps the vertex, every other gets a copy.
+    // The first fan keeps the vertex, the others get copies.
     let mut owner = vec![NONE; mesh.positions.len()];
     let mut copies = HashMap::new();
     for (corner, fan) in fans(across).into_iter().enumerate() {

@@ -1,7 +1,7 @@
-//! From a scan as it was read to one clean surface: closed, manifold, facing outside, of a bounded size.
+//! Repair of a scan into one clean surface: closed, manifold, facing outwards, of bounded size.
 //!
-//! Every vertex that stays is where the scan had it, unless there are too many ([`FACES_KEPT_MAX`]). What is missing is
-//! closed, what is too much is left out, both are told; and where nothing sensible is left, there is a reason.
+//! Vertices that remain keep their positions, unless there are too many ([`FACES_KEPT_MAX`]). Holes are closed and
+//! stray pieces removed, each with a note; if no sensible surface is left, [`RepairError`] says why.
 
 mod clean;
 mod decimate;
@@ -11,30 +11,31 @@ mod manifold;
 use super::read::Scan;
 use super::{Mesh, Note, Unit, UnitError, unit};
 
-/// Faces above which a surface is made coarser: joints move less than what a scanner's noise moves them (Yu et al. 2008
-/// have 5000), and time and memory of the methods stay bounded.
+/// Faces above which a surface is decimated. Joints move less than by a scanner's noise (Yu et al. 2008 use 5000
+/// faces), and time and memory stay bounded.
 pub const FACES_KEPT_MAX: usize = 60_000;
-/// Volume of a solid in cubes of its extent, below which it is a sheet. The slimmest bodies with arms spread have 0.01.
+/// Least volume of a solid, as a fraction of its extent cubed; below it the surface is a sheet. The slimmest bodies
+/// with arms spread have 0.01.
 const SOLIDITY_MIN: f64 = 1e-3;
 
-/// A surface that the methods take.
+/// A repaired scan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Repaired {
-    /// One piece, closed, every edge of two triangles, facing outside; in the scan's own frame and unit.
+    /// Connected, closed, every edge shared by two triangles, facing outwards; in the scan's frame and unit.
     pub mesh: Mesh,
-    /// That unit: its factor to millimetres is [`Unit::mm`].
+    /// The unit of `mesh`.
     pub unit: Unit,
-    /// Whether the unit was inferred from the size, and neither stated nor told by the file.
+    /// Whether the unit was inferred from the size, rather than stated by the user or the file.
     pub unit_inferred: bool,
-    /// Handles, such as between an arm and a trunk that touch.
+    /// Number of handles, such as between an arm and a trunk that touch.
     pub genus: usize,
-    /// What was found and done, of the file, too.
+    /// What was found and done, notes on the file included.
     pub notes: Vec<Note>,
 }
 
 impl Repaired {
-    /// Whether the unit that was inferred may be another, by how tall the subject is in the mesh's own unit
-    /// ([`Survey::body_scale`](super::Survey::body_scale)), or else by how large the mesh is.
+    /// A note if the inferred unit may be another. `stature` is in the mesh's unit
+    /// ([`ScanAnalysis::body_scale`](super::Survey::body_scale)); without it, the extent of the mesh counts.
     #[must_use]
     pub fn unit_ambiguity(&self, stature: Option<f64>) -> Option<Note> {
         let stature = || stature.unwrap_or_else(|| self.mesh.extent());
@@ -42,54 +43,55 @@ impl Repaired {
     }
 }
 
-/// A scan that was not repaired, by what to do about it.
+/// Why a scan could not be repaired.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RepairError {
-    /// Every triangle was needless.
+    /// Every triangle was degenerate or a duplicate.
     #[error("no triangle has an area: export the scan again")]
     NoSurface,
-    /// No piece is most of the surface.
+    /// No piece holds most of the surface.
     #[error(
-        "{pieces} pieces that do not hang together, the largest with {share:.0} % of the surface: join them, or export the subject alone"
+        "{pieces} disconnected pieces, the largest with {share:.0} % of the surface: join them, or export the subject alone"
     )]
     Pieces {
-        /// How many.
+        /// Number of pieces.
         pieces: usize,
-        /// The area of the largest, in per cent of all.
+        /// Area of the largest, in per cent of the whole.
         share: f64,
     },
-    /// A hole is so large that it is not known what was there.
+    /// A hole is too large to guess what was there.
     #[error(
-        "a hole of {around:.0} % of the extent around, and {area:.0} % of the surface: part of the body is missing, scan it again"
+        "a hole with a perimeter of {perimeter:.0} % of the body's extent, and {area:.0} % of the surface: part of the \
+         body is missing, scan it again"
     )]
     Hole {
-        /// Its length in per cent of the largest extent.
-        around: f64,
-        /// The area of what would close it, in per cent of the surface.
+        /// Its perimeter, in per cent of the extent.
+        perimeter: f64,
+        /// Area of the patch that would close it, in per cent of the surface.
         area: f64,
     },
-    /// The surface runs into itself in a way that no cut undoes.
-    #[error("the surface is tangled beyond repair: make it manifold in the scanner's program")]
+    /// The surface intersects itself in a way that no cut resolves.
+    #[error("the surface is too tangled to repair: make it manifold in the scanner's software")]
     Tangled,
-    /// A sheet, and not a solid.
-    #[error("the surface encloses nothing: export a closed mesh")]
+    /// A sheet, not a solid.
+    #[error("the surface encloses no volume: export a closed mesh")]
     Flat,
-    /// Of no body's size.
+    /// The size fits no unit.
     #[error(transparent)]
     Unit(#[from] UnitError),
 }
 
-/// Repairs a scan. `unit` is what its user states; otherwise it is what the file tells, or inferred.
+/// Repairs a scan. `unit` is the unit that the user states; without it the file's unit counts, or the inferred one.
 ///
 /// # Errors
-/// [`RepairError`] where no single closed body is left, or its unit cannot be told.
+/// [`RepairError`] if no single closed body is left, or its unit is unknown.
 pub fn repair(scan: Scan, unit: Option<Unit>) -> Result<Repaired, RepairError> {
-    let Scan { mut mesh, unit: told, mut notes, .. } = scan;
-    clean::same_positions(&mut mesh, &mut notes);
-    clean::spikes(&mut mesh, &mut notes);
+    let Scan { mut mesh, unit: declared, mut notes, .. } = scan;
+    clean::merge_duplicate_vertices(&mut mesh, &mut notes);
+    clean::remove_spikes(&mut mesh, &mut notes);
     if mesh.triangles.len() > FACES_KEPT_MAX || !manifold::is_clean(&mesh) {
-        mend(&mut mesh, &mut notes)?;
+        repair_surface(&mut mesh, &mut notes)?;
     }
     let volume = mesh.volume();
     if volume.abs() < SOLIDITY_MIN * mesh.extent().powi(3) {
@@ -97,26 +99,26 @@ pub fn repair(scan: Scan, unit: Option<Unit>) -> Result<Repaired, RepairError> {
     }
     if volume < 0.0 {
         mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
-        notes.push(Note::new("inside-out", "all faces looked inside: turned"));
+        notes.push(Note::new("inside-out", "flipped all faces, which pointed inwards"));
     }
     let genus = genus(&mesh);
     if genus > 0 {
         let handles = if genus == 1 { "a handle".into() } else { format!("{genus} handles") };
-        let text = format!("the surface has {handles}, as where limbs touch the body");
+        let text = format!("the surface has {handles}: limbs may touch the body");
         notes.push(Note::new("handles", text));
     }
-    let (unit, unit_inferred) = choose_unit(&mesh, unit.or(told), &mut notes)?;
+    let (unit, unit_inferred) = choose_unit(&mesh, unit.or(declared), &mut notes)?;
     Ok(Repaired { mesh, unit, unit_inferred, genus, notes })
 }
 
-fn mend(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
-    clean::needless_triangles(mesh, notes);
-    clean::cracks(mesh, notes);
-    // Before what takes longer with every piece, and once more when the surface has been cut where it was tangled.
-    clean::other_pieces(mesh, notes)?;
-    decimate::to(mesh, FACES_KEPT_MAX, notes)?;
-    manifold::manifold(mesh, notes);
-    clean::other_pieces(mesh, notes)?;
+fn repair_surface(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
+    clean::remove_degenerate_triangles(mesh, notes);
+    clean::close_cracks(mesh, notes);
+    // Stray pieces go before the steps whose cost grows with them, and once more after tangles were cut.
+    clean::keep_largest(mesh, notes)?;
+    decimate::decimate(mesh, FACES_KEPT_MAX, notes)?;
+    manifold::make_manifold(mesh, notes);
+    clean::keep_largest(mesh, notes)?;
     holes::close(mesh, notes)?;
     if manifold::is_clean(mesh) { Ok(()) } else { Err(RepairError::Tangled) }
 }
@@ -129,24 +131,25 @@ fn choose_unit(
     if let Some(unit) = stated {
         if !unit.fits(mesh) {
             let mm = mesh.extent() * unit.mm();
-            let text = format!("in {unit} the mesh is {mm:.0} mm across, which is no body's size");
+            let text = format!("in {unit} the mesh is {mm:.0} mm across, not the size of a body");
             notes.push(Note::new("odd-size", text));
         }
         return Ok((unit, false));
     }
     let unit = Unit::infer(mesh)?;
-    let text = format!("the file tells no unit: taken as {unit}, in which it has a body's size");
+    let text =
+        format!("the file states no unit: assumed {unit}, in which it has the size of a body");
     notes.push(Note::new("unit-inferred", text));
     Ok((unit, true))
 }
 
-/// By Euler's formula, of one closed piece.
+/// Genus of one closed piece, by Euler's formula.
 fn genus(mesh: &Mesh) -> usize {
     // V - E + F = 2 - 2 genus, and E = 3 F / 2.
     (mesh.triangles.len() / 2 + 2).saturating_sub(mesh.positions.len()) / 2
 }
 
-/// Leaves out vertices that no triangle has.
+/// Removes vertices that no triangle uses.
 fn drop_unused(mesh: &mut Mesh) {
     let mut moved = vec![u32::MAX; mesh.positions.len()];
     mesh.triangles.as_flattened().iter().for_each(|&corner| moved[corner as usize] = 0);

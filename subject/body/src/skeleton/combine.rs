@@ -1,4 +1,4 @@
-//! One skeleton out of the joints of several scans.
+//! Combination of several scans into one skeleton.
 
 use super::functional::{self, Centre, LENGTH_MAX_MM};
 use super::json::{POSITION_MAX_MM, round};
@@ -9,23 +9,23 @@ use super::{
 use crate::mesh::distance;
 use crate::{Estimate, Joint, Joints};
 
-/// Sources, and notes, at most.
+/// Most sources, and most notes.
 const LIST_MAX: usize = 100;
-/// Characters of a name or note at most.
+/// Most characters of a name or a note.
 pub(super) const TEXT_MAX: usize = 300;
-/// Statures of people.
+/// Plausible statures.
 const STATURE_MM: std::ops::RangeInclusive<f64> = 300.0..=3000.0;
 
-/// What no joint is known better than, in millimetres: scans are of skin. It keeps a scan that is too sure of itself from
-/// outweighing the others.
+/// Least standard deviation of a length, in millimetres, since a scan shows only skin. It keeps an overconfident scan
+/// from outweighing the others.
 const FLOOR_MM: f64 = 1.0;
 
-/// Bones: two joints in one place are none, and nobody has longer ones.
+/// Plausible bone lengths: two joints in one place are no bone, and nobody has longer ones.
 const LENGTHS_MM: std::ops::RangeInclusive<f64> = FLOOR_MM..=LENGTH_MAX_MM;
 
-/// How much longer the longest of a limb's lengths is than the shortest in all poses of one person, at most, as a part:
-/// measured were 0.07 of thighs and shanks, and 0.14 of upper arms and forearms.
-const APART_MOST: [(&str, f64); 4] =
+/// Largest relative difference between the longest and the shortest length of a limb over all poses of one person:
+/// measured were 0.07 for thighs and shanks, 0.14 for upper arms and forearms.
+const SPREAD_MAX: [(&str, f64); 4] =
     [("thigh", 0.09), ("shank", 0.09), ("upper_arm", 0.16), ("forearm", 0.16)];
 
 pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> {
@@ -34,7 +34,7 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
     let found: usize = scans.iter().map(|scan| scan.joints.estimates.len()).sum();
     let usable: usize = in_mm.iter().map(|joints| joints.estimates.len()).sum();
     if usable < found {
-        notes.push(format!("{} joints have no position that can be written", found - usable));
+        notes.push(format!("left out joints without a finite position: {}", found - usable));
     }
     let sides_told = in_mm.iter().all(|joints| joints.sides_told);
     let centres = functional::centres(&in_mm, &mut notes);
@@ -46,9 +46,9 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
             in_mm.iter().filter_map(of_scan).partition(|length| LENGTHS_MM.contains(&length.mm));
         let name = ends.name;
         if let Some(Length { mm, .. }) = odd.first() {
-            notes.push(format!("{name}: {mm:.0} mm is no length of a body: left out"));
+            notes.push(format!("{name}: left out, {mm:.0} mm is not a plausible length"));
         }
-        // A bone without its ends in the first scan could not be drawn.
+        // A bone whose ends are missing from the first scan could not be drawn.
         if lengths.is_empty() || length(&first, ends).is_none() {
             continue;
         }
@@ -57,22 +57,20 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
             bone.length_mm = round(centre.radius.mm);
             bone.uncertainty_mm = Some(round(centre.radius.sigma_mm));
         }
-        let most = APART_MOST.iter().find(|(limb, _)| name.ends_with(limb)).map(|(_, most)| *most);
-        if let Some(apart) = apart(&lengths).filter(|apart| most.is_some_and(|most| *apart > most))
-        {
-            let why = "they are of several people, or a joint is wrong in one of them";
-            notes.push(format!(
-                "{name}: {:.0} % longer in one scan than in another: {why}",
-                100.0 * apart
-            ));
+        let most = SPREAD_MAX.iter().find(|(limb, _)| name.ends_with(limb)).map(|(_, most)| *most);
+        let spread = relative_spread(&lengths);
+        if let Some(spread) = spread.filter(|spread| most.is_some_and(|most| *spread > most)) {
+            let why = "the scans are of several people, or a joint is wrong in one of them";
+            let percent = 100.0 * spread;
+            notes.push(format!("{name}: differs by {percent:.0} % between scans: {why}"));
         }
         bones.push(bone);
     }
     if in_mm.len() > 1 && !sides_told {
-        notes.push("left and right are not told in every scan: each pair of limbs has the mean of both sides".to_owned());
-        level_sides(&mut bones);
+        notes.push("left and right are unknown in some scan: each pair of limbs has the mean of both sides".to_owned());
+        average_sides(&mut bones);
     }
-    // The surest scan has the most weight in every bone.
+    // The most certain scan has the largest weight in every bone.
     let size_sigma = in_mm.iter().map(|joints| joints.size_sigma).fold(f64::INFINITY, f64::min);
     let stature = stature(&bones, size_sigma).filter(|_| method == Method::Default);
     let joints = skeleton_joints(in_mm.first_mut()?, &centres);
@@ -105,17 +103,17 @@ fn millimetres(scan: &ScanJoints) -> Joints {
     Joints { estimates, ..scan.joints.clone() }
 }
 
-/// Distance of the two joints of a bone.
+/// Distance between the two joints of a bone.
 fn length(joints: &Joints, ends: BoneEnds) -> Option<Length> {
     let (a, b) = (joints.estimates.get(&ends.parent)?, joints.estimates.get(&ends.child)?);
-    // Of an error in all directions, a third of the square lies along the bone.
+    // A third of the variance of an isotropic error lies along the bone.
     let sigma = (a.sigma.powi(2) + b.sigma.powi(2)).sqrt() / 3_f64.sqrt();
     let mm = distance(a.position, b.position);
     Some(Length { mm, sigma_mm: sigma.max(FLOOR_MM).hypot(joints.size_sigma * mm) })
 }
 
-/// How much longer the longest is than the shortest.
-fn apart(lengths: &[Length]) -> Option<f64> {
+/// Relative excess of the longest length over the shortest.
+fn relative_spread(lengths: &[Length]) -> Option<f64> {
     let mm = || lengths.iter().map(|length| length.mm);
     let (least, most) = (mm().min_by(f64::total_cmp)?, mm().max_by(f64::total_cmp)?);
     Some(most / least - 1.0)
@@ -129,7 +127,7 @@ fn mean_bone(ends: BoneEnds, lengths: &[Length]) -> Bone {
     let plain = lengths.iter().map(|length| length.mm).sum::<f64>() / n;
     let squares: f64 = lengths.iter().map(|length| (length.mm - plain).powi(2)).sum();
     let spread = (lengths.len() > 1).then(|| (squares / (n - 1.0)).sqrt());
-    // What is expected, or what was seen between scans, whichever is more.
+    // The larger of the expected uncertainty and the observed spread.
     let uncertainty = weight.powf(-0.5).max(spread.unwrap_or(0.0) / n.sqrt());
     Bone {
         name: ends.name.to_owned(),
@@ -142,8 +140,8 @@ fn mean_bone(ends: BoneEnds, lengths: &[Length]) -> Bone {
     }
 }
 
-/// Both bones of a pair become their mean.
-fn level_sides(bones: &mut [Bone]) {
+/// Replaces both bones of a pair by their mean.
+fn average_sides(bones: &mut [Bone]) {
     let before = bones.to_vec();
     for bone in bones {
         let twin = twin(&bone.name);
@@ -171,42 +169,43 @@ fn skeleton_joints(first: &mut Joints, centres: &[Centre]) -> Vec<SkeletonJoint>
         .collect()
 }
 
-/// Stature, over the way from the crown along throat, pelvis, thigh and shank: the mean over the two average shapes of
-/// `MakeHuman` in 13 poses, with the joints of the default method. It stands for the feet and for what the way leaves out.
+/// Ratio of stature to the path from the crown along throat, pelvis, thigh and shank: the mean over the two average
+/// shapes of `MakeHuman` in 13 poses, with the joints of the default method. It accounts for the feet and for what the
+/// path leaves out.
 const STATURE_OF_BONES: f64 = 1.045;
-/// Standard deviation of that, as a part of stature: 0.013 on these two shapes, 0.018 at most on others.
-const VARIES: f64 = 0.018;
+/// Relative standard deviation of that ratio: 0.013 on these two shapes, at most 0.018 on others.
+const STATURE_SD: f64 = 0.018;
 
-/// The root sum square of the bones' standard deviations, as a part of stature, is 0.031 to 0.035 where no joint is in doubt. Above
-/// this stature is no surer than the bones are.
-const IN_DOUBT: f64 = 0.045;
+/// The bones' combined standard deviation relative to stature is 0.031 to 0.035 if no joint is in doubt. Above this
+/// value stature is no more certain than the bones.
+const BONES_UNCERTAIN: f64 = 0.045;
 
-/// One side's bone is taken alone where it is so many times as sure as the other's.
-const SURER: f64 = 1.5;
+/// If one side's bone is more certain than the other's by this factor, it counts alone.
+const SIGMA_RATIO: f64 = 1.5;
 
-/// How tall a subject stands, whatever the pose of the scan; nothing where a bone is missing, or of nobody's size. `size_sigma` is
-/// what is expected of all bones together, as a part of them: it does not become less by their number.
+/// Stature in any pose; none if a bone is missing or the result is implausible. `size_sigma` is the relative error
+/// common to all bones, which their number does not reduce.
 fn stature(bones: &[Bone], size_sigma: f64) -> Option<Length> {
     let alone = |name: &str| bones.iter().find(|bone| bone.name == name).map(Bone::length);
     let mean = |a: &str, b: &str| match (alone(a), alone(b)) {
-        // Of a limb that is cut off the other side tells more than both.
-        (Some(a), Some(b)) if a.sigma_mm > SURER * b.sigma_mm => Some(b),
-        (Some(a), Some(b)) if b.sigma_mm > SURER * a.sigma_mm => Some(a),
+        // If a limb is cut off, the other side is worth more than the mean.
+        (Some(a), Some(b)) if a.sigma_mm > SIGMA_RATIO * b.sigma_mm => Some(b),
+        (Some(a), Some(b)) if b.sigma_mm > SIGMA_RATIO * a.sigma_mm => Some(a),
         (Some(a), Some(b)) => Some(Length {
             mm: f64::midpoint(a.mm, b.mm),
             sigma_mm: f64::midpoint(a.sigma_mm, b.sigma_mm),
         }),
         (one, other) => one.or(other),
     };
-    let way = [
+    let path = [
         alone("head_throat")?,
         alone("throat_pelvis")?,
         mean("l_thigh", "r_thigh")?,
         mean("l_shank", "r_shank")?,
     ];
-    let stature_mm = STATURE_OF_BONES * way.iter().map(|bone| bone.mm).sum::<f64>();
-    let of_bones = way.iter().map(|bone| bone.sigma_mm.powi(2)).sum::<f64>().sqrt() / stature_mm;
-    let sigma = if of_bones > IN_DOUBT { of_bones } else { VARIES }.hypot(size_sigma);
+    let stature_mm = STATURE_OF_BONES * path.iter().map(|bone| bone.mm).sum::<f64>();
+    let of_bones = path.iter().map(|bone| bone.sigma_mm.powi(2)).sum::<f64>().sqrt() / stature_mm;
+    let sigma = if of_bones > BONES_UNCERTAIN { of_bones } else { STATURE_SD }.hypot(size_sigma);
     STATURE_MM
         .contains(&stature_mm)
         .then_some(Length { mm: stature_mm, sigma_mm: sigma * stature_mm })

@@ -1,7 +1,7 @@
-//! Centres that limbs turn about, out of several poses.
+//! Functional joint centres: the centres of rotation of limbs, from several poses.
 //!
-//! Seen from the trunk, an elbow moves on a sphere about the shoulder, and a knee about the hip. A surface shows neither
-//! centre, and every pose shows another part of the sphere.
+//! In the frame of the trunk, the elbow moves on a sphere about the shoulder, and the knee on one about the hip. A
+//! sphere fitted to several poses gives the centre, which no single surface shows.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -9,40 +9,40 @@ use super::{Length, joint_name};
 use crate::mesh::{Point, axes, distance, mean, unit};
 use crate::{Joint, Joints, Side};
 
-/// Longest bone: more than the trunk of any person.
+/// Longest bone: more than any person's trunk.
 pub(super) const LENGTH_MAX_MM: f64 = 2000.0;
-/// Scans that are needed.
+/// Fewest scans.
 const SCANS_MIN: usize = 3;
-/// Largest angle between two directions of the limb that is needed, in degrees.
+/// Least range of motion of the limb, in degrees.
 const SWING_MIN_DEGREES: f64 = 40.0;
-/// What an elbow or knee is not seen better than from the trunk, in millimetres: the trunk bends.
+/// Least standard deviation of an elbow or knee in the frame of the trunk, in millimetres, since the trunk bends.
 const FLOOR_MM: f64 = 8.0;
-/// Steps of the fit: it settles within five.
+/// Iterations of the fit, which converges within five.
 const STEPS: usize = 20;
-/// A centre is taken when it is surer than what one scan gives, by this factor.
+/// A functional centre replaces the estimate of single scans if its standard deviation is smaller by this factor.
 const GAIN: f64 = 0.8;
 
-/// A centre that was found.
+/// A functional centre.
 #[derive(Debug)]
 pub(super) struct Centre {
     /// Shoulder or hip.
     pub(super) joint: Joint,
     /// Elbow or knee.
     pub(super) child: Joint,
-    /// In the frame of the first scan, in millimetres.
+    /// Position in the frame of the first scan, in millimetres.
     pub(super) in_first: Point,
     pub(super) sigma: f64,
-    /// Of the bone.
+    /// Length of the bone.
     pub(super) radius: Length,
 }
 
-/// Shoulders and hips that several poses tell better than each of them; `notes` say why the others are not told so.
+/// The functional centres of shoulders and hips. `notes` record each result, or why there is none.
 pub(super) fn centres(scans: &[Joints], notes: &mut Vec<String>) -> Vec<Centre> {
     if scans.len() < 2 {
         return Vec::new();
     }
     if !scans.iter().all(|scan| scan.sides_told) {
-        notes.push("no functional centres: left and right are not told in every scan".to_owned());
+        notes.push("no functional centres: left and right are unknown in some scan".to_owned());
         return Vec::new();
     }
     let mut centres = Vec::new();
@@ -53,10 +53,7 @@ pub(super) fn centres(scans: &[Joints], notes: &mut Vec<String>) -> Vec<Centre> 
             let name = joint_name(joint);
             match centre(scans, joint, child) {
                 Ok(centre) => {
-                    notes.push(format!(
-                        "{name}: the centre that {} turned about",
-                        joint_name(child)
-                    ));
+                    notes.push(format!("{name}: centre of rotation of {}", joint_name(child)));
                     centres.push(centre);
                 }
                 Err(reason) => notes.push(format!("{name}: no functional centre, {reason}")),
@@ -66,7 +63,7 @@ pub(super) fn centres(scans: &[Joints], notes: &mut Vec<String>) -> Vec<Centre> 
     centres
 }
 
-/// Origin at the throat, y up the trunk, x to the left, z forward.
+/// Frame of the trunk: origin at the throat, x to the left, y up the trunk, z forward.
 struct Trunk {
     origin: Point,
     axes: [Point; 3],
@@ -80,71 +77,71 @@ impl Trunk {
         Some(Self { origin, axes: axes(origin - mean([left, right])?, left - right)? })
     }
 
-    fn inward(&self, p: Point) -> Point {
+    fn to_local(&self, p: Point) -> Point {
         self.axes.map(|axis| axis.dot(&(p - self.origin))).into()
     }
 
-    fn outward(&self, p: Point) -> Point {
+    fn to_world(&self, p: Point) -> Point {
         let [left, up, forward] = [0, 1, 2].map(|k| self.axes[k] * p[k]);
         self.origin + (left + (up + forward))
     }
 }
 
-/// What a scan shows, in its trunk's frame.
-struct View {
-    joint: Seen,
-    child: Seen,
+/// A joint and its child in the frame of one scan's trunk.
+struct JointPair {
+    joint: LocatedJoint,
+    child: LocatedJoint,
 }
 
-struct Seen {
+struct LocatedJoint {
     at: Point,
     sigma: f64,
 }
 
 fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String> {
     let first = scans.first().and_then(Trunk::of).ok_or("the first scan has no trunk")?;
-    let view = |scan: &Joints| {
+    let pair = |scan: &Joints| {
         let trunk = Trunk::of(scan)?;
         let of = |joint: Joint| {
             let estimate = scan.estimates.get(&joint)?;
-            let at = trunk.inward(estimate.position.into());
-            Some(Seen { at, sigma: estimate.sigma.hypot(FLOOR_MM) })
+            let at = trunk.to_local(estimate.position.into());
+            Some(LocatedJoint { at, sigma: estimate.sigma.hypot(FLOOR_MM) })
         };
-        Some(View { joint: of(joint)?, child: of(child)? })
+        Some(JointPair { joint: of(joint)?, child: of(child)? })
     };
-    let views: Vec<View> = scans.iter().filter_map(view).collect();
-    if views.len() < SCANS_MIN {
-        return Err(format!("{} scans show it, {SCANS_MIN} are needed", views.len()));
+    let pairs: Vec<JointPair> = scans.iter().filter_map(pair).collect();
+    if pairs.len() < SCANS_MIN {
+        return Err(format!("{} scans show it, at least {SCANS_MIN} are needed", pairs.len()));
     }
-    let n = views.len() as f64;
-    let prior = mean(views.iter().map(|view| view.joint.at)).ok_or("no scan shows it")?;
-    // What is wrong with one scan's estimate is wrong with the next one's: their mean is hardly surer than one of them.
-    let prior_sigma = views.iter().map(|view| view.joint.sigma).sum::<f64>() / n;
-    let degrees = swing(&views, prior).to_degrees();
+    let n = pairs.len() as f64;
+    let prior = mean(pairs.iter().map(|pair| pair.joint.at)).ok_or("no scan shows it")?;
+    // Errors of the estimates are correlated between scans, so their mean is hardly better than one of them.
+    let prior_sigma = pairs.iter().map(|pair| pair.joint.sigma).sum::<f64>() / n;
+    let degrees = swing(&pairs, prior).to_degrees();
     if degrees < SWING_MIN_DEGREES {
         return Err(format!(
-            "the poses turn it by {degrees:.0} degrees, {SWING_MIN_DEGREES} are needed"
+            "its range of motion is {degrees:.0} degrees, at least {SWING_MIN_DEGREES} are needed"
         ));
     }
-    let fit = Fit::new(&views, prior, prior_sigma).ok_or("no sphere fits")?;
+    let fit = SphereFit::new(&pairs, prior, prior_sigma).ok_or("no sphere fits")?;
     if !(fit.radius.mm < LENGTH_MAX_MM && fit.radius.sigma_mm < fit.radius.mm) {
         return Err("no sphere of a limb's size fits".to_owned());
     }
     if fit.sigma > GAIN * prior_sigma {
-        return Err("the poses lie too near to one plane".to_owned());
+        return Err("the poses lie almost in one plane".to_owned());
     }
     Ok(Centre {
         joint,
         child,
-        in_first: first.outward(fit.centre),
+        in_first: first.to_world(fit.centre),
         sigma: fit.sigma,
         radius: fit.radius,
     })
 }
 
 /// Largest angle between two directions, in radians.
-fn swing(views: &[View], from: Point) -> f64 {
-    let directions: Vec<Point> = views.iter().map(|view| unit(view.child.at - from)).collect();
+fn swing(pairs: &[JointPair], from: Point) -> f64 {
+    let directions: Vec<Point> = pairs.iter().map(|pair| unit(pair.child.at - from)).collect();
     let pairs = directions
         .iter()
         .enumerate()
@@ -152,20 +149,19 @@ fn swing(views: &[View], from: Point) -> f64 {
     pairs.fold(0.0, f64::max)
 }
 
-/// A sphere through the children, whose centre is expected near the estimates: Gauss and Newton's least squares in the
-/// centre and the radius.
-struct Fit {
+/// A sphere through the child joints with a prior on its centre: Gauss-Newton least squares in centre and radius.
+struct SphereFit {
     centre: Point,
     sigma: f64,
     radius: Length,
 }
 
-impl Fit {
-    fn new(views: &[View], prior: Point, prior_sigma: f64) -> Option<Self> {
-        let n = views.len() as f64;
+impl SphereFit {
+    fn new(pairs: &[JointPair], prior: Point, prior_sigma: f64) -> Option<Self> {
+        let n = pairs.len() as f64;
         let mut centre = prior;
-        let mut radius = views.iter().map(|view| distance(view.child.at, prior)).sum::<f64>() / n;
-        // One of three directions has a third of the square.
+        let mut radius = pairs.iter().map(|pair| distance(pair.child.at, prior)).sum::<f64>() / n;
+        // Each of three directions has a third of the variance.
         let stiffness = 3.0 / prior_sigma.powi(2);
         let mut inverse = Matrix4::zeros();
         for _ in 0..STEPS {
@@ -173,8 +169,8 @@ impl Fit {
             let mut normal =
                 Matrix4::from_diagonal(&Vector4::new(stiffness, stiffness, stiffness, 0.0));
             let mut right = Vector4::new(offset[0], offset[1], offset[2], 0.0) * stiffness;
-            for view in views {
-                let Seen { at, sigma } = view.child;
+            for pair in pairs {
+                let LocatedJoint { at, sigma } = pair.child;
                 let toward = unit(centre - at);
                 let row = Vector4::new(toward[0], toward[1], toward[2], -1.0);
                 let weight = 3.0 / sigma.powi(2);

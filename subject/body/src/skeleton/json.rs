@@ -1,4 +1,4 @@
-//! JSON of anybody to a skeleton, and back.
+//! Reading and writing of skeleton documents.
 
 use std::ops::RangeInclusive;
 
@@ -9,50 +9,48 @@ use super::{Bone, Skeleton};
 
 const FORMAT: &str = "mocapd-skeleton";
 const VERSION: u64 = 1;
-/// Bytes of a document at most: a take holds no more of one.
+/// Largest document: the most that a take holds.
 pub const LEN_MAX: usize = 1 << 20;
-/// Joints, and bones, at most: more than any body has.
+/// Most joints, and most bones.
 const PARTS_MAX: usize = 256;
-/// Characters of a document that an error repeats at most.
+/// Most characters of a document that an error quotes.
 const QUOTED_MAX: usize = 200;
-/// Farthest from the origin of a scan, in millimetres.
+/// Largest coordinate, in millimetres.
 pub(super) const POSITION_MAX_MM: f64 = 1e9;
-/// Statures, and how far off lengths are, in millimetres: those of any body, and of one whose unit is in doubt.
+/// Statures and standard deviations, in millimetres, a doubtful unit included.
 const SIZES_MM: RangeInclusive<f64> = 0.0..=10_000.0;
-/// Bones: of a shorter one nothing would be left when it is written ([`round`]).
+/// Bone lengths, in millimetres; [`round`] would leave nothing of a shorter one.
 const LENGTHS_MM: RangeInclusive<f64> = 0.001..=10_000.0;
 
-/// Why a document is no skeleton.
+/// Why a document is not a skeleton.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SkeletonError {
-    /// Longer than any skeleton.
-    #[error(
-        "{0} bytes are more than a skeleton has ({LEN_MAX}): give what `mocapd subject body` wrote"
-    )]
+    /// The document is too long.
+    #[error("{0} bytes, a skeleton has at most {LEN_MAX}: use the output of `mocapd subject body`")]
     TooLong(usize),
-    /// No JSON, another document, or one of a later version.
+    /// Not JSON, another kind of document, or a later version.
     #[error("{0}")]
-    Kind(String),
-    /// A key that is missing, or a value of another type.
-    #[error("a damaged {FORMAT} (docs/subject-body-format.md has the format): {0}")]
+    DocumentHeader(String),
+    /// A missing key, or a value of the wrong type.
+    #[error("invalid {FORMAT} (see docs/subject-body-format.md): {0}")]
     Schema(String),
-    /// A value that no skeleton has.
-    #[error("a damaged {FORMAT}: `{place}` is {found}: expected {expected}")]
+    /// A value out of range.
+    #[error("invalid {FORMAT}: `{place}` is {found}, expected {expected}")]
     Value {
-        /// Which one: `joints[3].uncertainty_mm`.
+        /// Its place, such as `joints[3].uncertainty_mm`.
         place: String,
-        /// What it is.
+        /// The value.
         found: String,
-        /// What it should be.
+        /// The expected value.
         expected: String,
     },
 }
 
-/// Which document it is.
+/// The keys that identify a document.
 #[derive(Deserialize)]
 #[serde(expecting = "an object")]
-struct Kind {
+struct DocumentHeader {
     #[serde(default)]
     format: Option<String>,
     #[serde(default)]
@@ -68,7 +66,7 @@ struct Document<'a> {
 }
 
 impl Skeleton {
-    /// Reads a document. Keys that it does not know are passed over.
+    /// Reads a document. Unknown keys are ignored.
     ///
     /// # Errors
     /// [`SkeletonError`] with the first reason.
@@ -76,7 +74,7 @@ impl Skeleton {
         if bytes.len() > LEN_MAX {
             return Err(SkeletonError::TooLong(bytes.len()));
         }
-        check_kind(bytes).map_err(SkeletonError::Kind)?;
+        check_kind(bytes).map_err(SkeletonError::DocumentHeader)?;
         let mut json = serde_json::Deserializer::from_slice(bytes);
         let skeleton: Self = serde_path_to_error::deserialize(&mut json)
             .map_err(|error| SkeletonError::Schema(quoted(&error.to_string())))?;
@@ -84,13 +82,13 @@ impl Skeleton {
         Ok(skeleton)
     }
 
-    /// The document, with a line a value, a line end, and numbers that every reader of JSON reads to the last bit: what
-    /// [`Self::from_json`] makes of it gives the same document again.
+    /// The document as pretty-printed JSON with a final newline. Numbers are rounded so that every JSON reader restores
+    /// them to the last bit: reading it with [`Self::from_json`] and writing it again gives the same bytes.
     #[must_use]
     pub fn to_json(&self) -> String {
         let skeleton = &self.clone().rounded();
         let document = Document { format: FORMAT, version: VERSION, skeleton };
-        // There is no map and no number in it that JSON could not hold.
+        // Serialisation cannot fail: there are no maps and no special numbers.
         serde_json::to_string_pretty(&document).map(|text| text + "\n").unwrap_or_default()
     }
 
@@ -112,7 +110,7 @@ impl Skeleton {
     fn check(&self) -> Result<(), SkeletonError> {
         for (key, count) in [("joints", self.joints.len()), ("bones", self.bones.len())] {
             let found = || format!("a list of {count}");
-            expect(count <= PARTS_MAX, key, found, format!("no more than {PARTS_MAX}"))?;
+            expect(count <= PARTS_MAX, key, found, format!("at most {PARTS_MAX}"))?;
         }
         expect_size(self.stature_mm, "stature_mm")?;
         expect_size(self.stature_uncertainty_mm, "stature_uncertainty_mm")?;
@@ -122,7 +120,7 @@ impl Skeleton {
             expect(is_new, of("name"), || quoted(&joint.name), "each joint once")?;
             let at = joint.position_mm.unwrap_or_default();
             let is_near = at.iter().all(|mm| mm.abs() <= POSITION_MAX_MM);
-            let expected = "no more than 1000 km from the origin";
+            let expected = "at most 1000 km from the origin";
             expect(is_near, of("position_mm"), || format!("{at:?}"), expected)?;
             expect_size(joint.uncertainty_mm, of("uncertainty_mm"))?;
         }
@@ -136,7 +134,7 @@ impl Skeleton {
             expect(is_joint, of(key), || quoted(end), "one of the joints")?;
         }
         let is_between = bone.parent != bone.child;
-        expect(is_between, of("child"), || quoted(&bone.child), "another joint than the parent")?;
+        expect(is_between, of("child"), || quoted(&bone.child), "a joint other than the parent")?;
         let (mm, is_length) = (bone.length_mm, LENGTHS_MM.contains(&bone.length_mm));
         expect(is_length, of("length_mm"), || mm.to_string(), "0.001 to 10000")?;
         expect_size(bone.uncertainty_mm, of("uncertainty_mm"))?;
@@ -144,29 +142,29 @@ impl Skeleton {
     }
 }
 
-/// Refuses what is no JSON, JSON that is another document, and one of a later version.
+/// Rejects what is not JSON, another kind of document, or a later version.
 fn check_kind(bytes: &[u8]) -> Result<(), String> {
     const MADE_BY: &str = "which `mocapd subject body -o` writes";
     const WRITE_VERSION: &str = "write \"version\": 1";
-    let kind: Kind = serde_json::from_slice(bytes).map_err(|error| {
+    let kind: DocumentHeader = serde_json::from_slice(bytes).map_err(|error| {
         let is = match error.classify() {
-            Category::Data => "it is no",
-            Category::Eof => "it is cut off, or no",
-            Category::Syntax | Category::Io => "it is no JSON, and so no",
+            Category::Data => "not a",
+            Category::Eof => "cut off, or not a",
+            Category::Syntax | Category::Io => "not JSON, and so not a",
         };
         format!("{is} {FORMAT}, {MADE_BY}: {}", quoted(&error.to_string()))
     })?;
     if kind.format.as_deref() != Some(FORMAT) {
-        let says = kind.format.map_or("no format".to_owned(), |format| quoted(&format));
-        return Err(format!("it says {says} where {FORMAT} is expected, {MADE_BY}"));
+        let found = kind.format.map_or("no format".to_owned(), |format| quoted(&format));
+        return Err(format!("expected format {FORMAT}, {MADE_BY}; found {found}"));
     }
     match kind.version {
         Some(VERSION) => Ok(()),
         Some(found @ VERSION..) => Err(format!(
-            "it is version {found} of {FORMAT}, this build reads {VERSION}: use a newer mocapd"
+            "version {found} of {FORMAT}, but this build reads {VERSION}: use a newer mocapd"
         )),
-        Some(found) => Err(format!("there is no version {found} of {FORMAT}: {WRITE_VERSION}")),
-        None => Err(format!("it says {FORMAT} and no version: {WRITE_VERSION}")),
+        Some(found) => Err(format!("no version {found} of {FORMAT}: {WRITE_VERSION}")),
+        None => Err(format!("{FORMAT} with no version: {WRITE_VERSION}")),
     }
 }
 
@@ -182,18 +180,18 @@ fn expect(
     Err(SkeletonError::Value { place: place.into(), found: found(), expected: expected.into() })
 }
 
-/// A length or a standard deviation, in millimetres, where it is known.
+/// Checks a length or a standard deviation in millimetres, if present.
 fn expect_size(mm: Option<f64>, place: impl Into<String>) -> Result<(), SkeletonError> {
     let mm = mm.unwrap_or_default();
     expect(SIZES_MM.contains(&mm), place, || mm.to_string(), "0 to 10000")
 }
 
-/// To a tenth of a micrometre: numbers this short are read back to the last bit by every reader of JSON.
+/// Rounds to 0.1 µm: every JSON reader restores numbers this short to the last bit.
 pub(super) fn round(mm: f64) -> f64 {
     (mm * 1e4).round() / 1e4
 }
 
-/// Foreign words, of any length, as a short line.
+/// Quotes foreign text as a short line.
 fn quoted(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(QUOTED_MAX).collect()
 }

@@ -1,4 +1,5 @@
-//! What remains of scans: joints, bones, how sure each is, and what they are from, as JSON that a take can carry.
+//! The skeleton of a subject: joints and bones with their uncertainties, from one scan or several, as JSON that a take
+//! can carry.
 
 mod combine;
 mod functional;
@@ -12,7 +13,7 @@ use super::{Joint, Joints, Repaired, Side, Unit};
 use Joint::{Ankle, Elbow, Head, Hip, Knee, Pelvis, Shoulder, Throat, Wrist};
 use Side::{Left, Right};
 
-/// Every joint with its name, in the order in which they are written.
+/// Joints and their names, in the order of documents.
 const JOINTS: [(Joint, &str); 15] = [
     (Head, "head"),
     (Throat, "throat"),
@@ -31,10 +32,10 @@ const JOINTS: [(Joint, &str); 15] = [
     (Ankle(Right), "r_ankle"),
 ];
 
-/// The joints that a bone joins.
+/// A bone and the joints that it connects.
 #[derive(Debug, Clone, Copy)]
 pub struct BoneEnds {
-    /// The bone.
+    /// Name of the bone.
     pub name: &'static str,
     /// The joint nearer to the pelvis.
     pub parent: Joint,
@@ -46,7 +47,7 @@ const fn bone(name: &'static str, parent: Joint, child: Joint) -> BoneEnds {
     BoneEnds { name, parent, child }
 }
 
-/// Every bone: a tree whose root is the pelvis.
+/// All bones: a tree with its root at the pelvis.
 pub const BONES: [BoneEnds; 14] = [
     bone("throat_pelvis", Pelvis, Throat),
     bone("head_throat", Throat, Head),
@@ -70,41 +71,41 @@ pub fn joint_name(joint: Joint) -> &'static str {
     JOINTS.iter().find(|(other, _)| *other == joint).map_or("", |(_, name)| name)
 }
 
-/// The joint of a name.
+/// The joint with this name.
 #[must_use]
 pub fn joint_from_name(name: &str) -> Option<Joint> {
     JOINTS.iter().find(|(_, other)| *other == name).map(|(joint, _)| *joint)
 }
 
-/// The same bone of the other side: those of the left stand in the order of those of the right.
+/// The corresponding bone of the other side. Left and right bones are stored in the same order.
 fn twin(name: &str) -> Option<&'static str> {
     let at = BONES.iter().position(|bone| bone.name == name)?.checked_sub(2)?;
     Some(BONES[2 + (at + 6) % 12].name)
 }
 
-/// Side and pair of a bone: `l` and `thigh`, of `l_thigh`.
+/// Side and pair of a bone: `l` and `thigh` of `l_thigh`.
 fn pair(name: &str) -> Option<(char, &str)> {
     [('l', "l_"), ('r', "r_")]
         .into_iter()
         .find_map(|(side, prefix)| Some((side, name.strip_prefix(prefix)?)))
 }
 
-/// All joints, in the order in which they are written.
+/// All joints, in the order of documents.
 fn joints() -> impl Iterator<Item = Joint> {
     JOINTS.iter().map(|(joint, _)| *joint)
 }
 
-/// How the joints were found.
+/// The method that found the joints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
-    /// As this crate does.
+    /// This crate's method.
     Default,
-    /// As Yu et al. 2008 print it.
+    /// The method of Yu et al. 2008 as printed.
     Paper,
 }
 
 impl Method {
-    /// As documents have it.
+    /// Its name in documents.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -114,23 +115,23 @@ impl Method {
     }
 }
 
-/// The file that a scan came from.
+/// A scan file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
-    /// The file's name, without its folder.
+    /// File name without its folder.
     pub name: String,
     /// SHA-256 of its bytes, in hexadecimal.
     pub sha256: String,
-    /// `m`, `cm`, `mm` or `in`; a document may leave it out.
+    /// `m`, `cm`, `mm` or `in`; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// Whether the unit was inferred from the size; a document may leave it out.
+    /// Whether the unit was inferred from the size; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit_inferred: Option<bool>,
 }
 
 impl Source {
-    /// Of a file's name and bytes, and what became of its mesh.
+    /// Describes a file by its name, its bytes and its repaired mesh.
     #[must_use]
     pub fn new(name: &str, bytes: &[u8], repaired: &Repaired) -> Self {
         let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
@@ -141,35 +142,35 @@ impl Source {
     }
 }
 
-/// One joint, in the frame of the first source, turned as it was.
+/// A joint, in the frame of the first source.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SkeletonJoint {
-    /// One of the 15 sites ([`joint_name`]), or what others call theirs.
+    /// One of the 15 sites ([`joint_name`]), or another program's name.
     pub name: String,
-    /// x, y, z in millimetres; a skeleton that was measured by hand has none.
+    /// x, y, z in millimetres; none in a skeleton measured by hand.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_mm: Option<[f64; 3]>,
-    /// Standard deviation of the distance to the true centre, in millimetres, where it is known.
+    /// Standard deviation of the distance to the true centre, in millimetres, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty_mm: Option<f64>,
 }
 
-/// A length that does not change with the pose, from one joint to the next.
+/// A segment between two joints, whose length does not depend on the pose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bone {
-    /// One of [`BONES`], or what others call theirs.
+    /// One of [`BONES`], or another program's name.
     pub name: String,
     /// The joint nearer to the pelvis.
     pub parent: String,
     /// The other joint.
     pub child: String,
-    /// Over all scans, in millimetres.
+    /// Length over all scans, in millimetres.
     pub length_mm: f64,
-    /// Standard deviation that is expected of it, in millimetres, where it is known.
+    /// Expected standard deviation of the length, in millimetres, if known.
     pub uncertainty_mm: Option<f64>,
     /// Standard deviation between scans, in millimetres; null for one scan.
     pub spread_mm: Option<f64>,
-    /// How many scans it is from; 0 where nobody said.
+    /// Number of scans; 0 if unknown.
     #[serde(default)]
     pub scans: u64,
 }
@@ -180,62 +181,62 @@ impl Bone {
     }
 }
 
-/// A subject's skeleton, as `docs/subject-body-format.md` has it: the keys are the fields, in their order, with `format`
-/// and `version` before them. What a document may leave out has a default, or is an `Option`.
+/// A subject's skeleton. Serialised as in `docs/subject-body-format.md`: the fields in order, after `format` and
+/// `version`. What a document may omit has a default or is an `Option`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Skeleton {
-    /// How the joints were found: [`Method::name`], or what others say; empty where nobody said.
+    /// The method: [`Method::name`], or another program's; empty if unknown.
     #[serde(default)]
     pub method: String,
-    /// The scans, the first of which gives the frame of the joints; none of a skeleton that was measured by hand.
+    /// The scans. The first gives the frame of the joints; a skeleton measured by hand has none.
     #[serde(default)]
     pub sources: Vec<Source>,
-    /// How tall the subject stands, in millimetres, out of the bones: whatever the pose. None where one is missing, and
-    /// of [`Method::Paper`], whose bones do not tell.
+    /// Stature in millimetres, computed from the bones in any pose. None if a bone is missing, and for
+    /// [`Method::Paper`], whose bones do not allow it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stature_mm: Option<f64>,
-    /// Standard deviation that is expected of it, in millimetres.
+    /// Expected standard deviation of the stature, in millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stature_uncertainty_mm: Option<f64>,
-    /// Whether `l_` is the subject's left. If not, the sides may be the wrong way round as a whole.
+    /// Whether `l_` is the subject's left. If false, the sides may be exchanged as a whole.
     #[serde(default)]
     pub sides_told: bool,
-    /// Those that were found.
+    /// The joints that were found.
     pub joints: Vec<SkeletonJoint>,
-    /// Those between joints that were found.
+    /// The bones between joints that were found.
     pub bones: Vec<Bone>,
-    /// What a reader should know.
+    /// Remarks for readers.
     #[serde(default)]
     pub notes: Vec<String>,
 }
 
-/// A length, in millimetres.
+/// A length with its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Length {
-    /// The length.
+    /// Length in millimetres.
     pub mm: f64,
-    /// Standard deviation that is expected of it.
+    /// Expected standard deviation in millimetres.
     pub sigma_mm: f64,
 }
 
-/// What one scan gives.
+/// The joints of one scan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScanJoints {
-    /// Where from.
+    /// The scan file.
     pub source: Source,
     /// The joints, in the mesh's frame and unit.
     pub joints: Joints,
-    /// That unit.
+    /// The unit of `joints`.
     pub unit: Unit,
-    /// Sentences for people.
+    /// Remarks for people.
     pub notes: Vec<String>,
 }
 
 impl Skeleton {
-    /// The skeleton of one person out of one scan or several, in any poses; nothing of none.
+    /// Combines one or several scans of one person, in any poses; none without scans.
     ///
-    /// Lengths are means over the scans, each weighted with what is expected of its joints. Where the poses of several
-    /// scans differ enough, shoulders and hips are the centres that elbows and knees turned about (`functional`).
+    /// Lengths are means over the scans, weighted by the uncertainty of the joints. If the poses of several scans
+    /// differ enough, shoulders and hips become the centres of rotation of elbows and knees (`functional`).
     #[must_use]
     pub fn new(method: Method, scans: &[ScanJoints]) -> Option<Self> {
         combine::combine(method, scans)
@@ -243,7 +244,7 @@ impl Skeleton {
 
     /// Length of a pair of bones, such as `upper_arm`: the mean of both sides.
     ///
-    /// Limbs differ by a per cent between sides, scans by more.
+    /// Sides differ by about a per cent, scans by more.
     #[must_use]
     pub fn symmetric_length(&self, pair: &str) -> Option<Length> {
         let side = |side: char| {

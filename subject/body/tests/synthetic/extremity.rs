@@ -1,9 +1,9 @@
 //! Head, hands and feet of generated bodies.
 
-use mocapd_body::extremity::{Ends, Told, find};
+use mocapd_body::extremity::{Ends, NamingMode, find};
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_body::{Joint, Joints, Mesh, Refusal, Side};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn ends(mesh: &Mesh) -> Result<Ends, Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
@@ -18,7 +18,7 @@ fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Whether two ends are each within `most` of a joint of their kind, on two sides.
+/// Whether two extremities are each within `most` of a joint of their kind, on two sides.
 fn pair(mesh: &Mesh, joints: &Joints, ends: [u32; 2], joint: fn(Side) -> Joint, most: f64) -> bool {
     let [a, b] = ends.map(|end| mesh.positions[end as usize]);
     let [left, right] = [Side::Left, Side::Right].map(|side| at(joints, joint(side)));
@@ -29,16 +29,16 @@ fn pair(mesh: &Mesh, joints: &Joints, ends: [u32; 2], joint: fn(Side) -> Joint, 
 #[test]
 fn head_hands_and_feet_are_found_in_every_pose() {
     for (seed, pose) in (1..).zip(Pose::ALL) {
-        let (mesh, joints) = body(seed, pose, Options { n_faces: 4000, turned: true });
+        let (mesh, joints) = body(seed, pose, BodyOptions { n_faces: 4000, turned: true });
         let side = Side::Left;
         let [hip, knee, ankle] = [Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)]
             .map(|joint| at(&joints, joint));
         let leg = apart(hip, knee) + apart(knee, ankle);
         let found = ends(&mesh).unwrap_or_else(|refusal| panic!("{pose:?}: {refusal}"));
         let named = found.extremities;
-        assert_eq!(found.told, Told::Freely, "{pose:?}");
+        assert_eq!(found.mode, NamingMode::FreeLimbs, "{pose:?}");
         assert!(found.confidence() > 0.5, "{pose:?}: {}", found.confidence());
-        // A leg is half of the stature: a hand or a foot is less than a third of it long.
+        // A leg is half of the stature: a hand or a foot is less than a third of its length.
         assert!(pair(&mesh, &joints, named.hands, Joint::Wrist, 0.34 * leg), "{pose:?}");
         assert!(pair(&mesh, &joints, named.feet, Joint::Ankle, 0.34 * leg), "{pose:?}");
         let head = mesh.positions[named.head as usize];
@@ -50,8 +50,8 @@ fn head_hands_and_feet_are_found_in_every_pose() {
 }
 
 #[test]
-fn turning_moving_and_scaling_leaves_the_ends() {
-    let (mesh, _) = body(7, Pose::Walk, Options { n_faces: 4000, turned: false });
+fn the_ends_are_invariant_to_rotation_translation_and_scale() {
+    let (mesh, _) = body(7, Pose::Walk, BodyOptions { n_faces: 4000, turned: false });
     let whole = ends(&mesh).unwrap();
     let (sin, cos) = 1.1_f64.sin_cos();
     for scale in [1.0, 1000.0] {
@@ -68,21 +68,21 @@ fn turning_moving_and_scaling_leaves_the_ends() {
     }
 }
 
-/// What is left, how it is cut, and where.
+/// What remains, the kind of cut, and its position.
 type Cut = (&'static str, fn([f64; 3], f64) -> [f64; 3], f64);
 
 #[test]
-fn an_arm_that_is_missing_is_noticed() {
-    let (mut mesh, joints) = body(5, Pose::A, Options { n_faces: 6000, turned: false });
+fn a_missing_arm_is_detected() {
+    let (mut mesh, joints) = body(5, Pose::A, BodyOptions { n_faces: 6000, turned: false });
     let elbow = at(&joints, Joint::Elbow(Side::Left))[0];
     mesh.positions.iter_mut().for_each(|at| at[0] = at[0].min(elbow));
-    assert_eq!(ends(&mesh).unwrap().told, Told::Cut);
+    assert_eq!(ends(&mesh).unwrap().mode, NamingMode::CutLimb);
 }
 
 #[test]
 fn a_part_of_a_body_is_refused() {
-    // What is not there is pressed into the plane where it was cut off, so that the surface stays closed.
-    let (mesh, joints) = body(5, Pose::A, Options { n_faces: 6000, turned: false });
+    // The missing part is pressed into the cutting plane, so that the surface stays closed.
+    let (mesh, joints) = body(5, Pose::A, BodyOptions { n_faces: 6000, turned: false });
     let waist = at(&joints, Joint::Pelvis)[1] + 0.15;
     let knee = at(&joints, Joint::Knee(Side::Left))[1];
     let cuts: [Cut; 3] = [

@@ -1,14 +1,14 @@
-//! A head that is not there.
+//! Missing heads.
 
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Joint, Mesh, Survey, Unit};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_body::{Joint, Mesh, ScanAnalysis, Unit};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
-const UPRIGHT: Options = Options { n_faces: 5000, turned: false };
+const UPRIGHT: BodyOptions = BodyOptions { n_faces: 5000, turned: false };
 
-/// What is below a height, closed again.
+/// The part of a body below a height, closed.
 fn below(mesh: Mesh, height: f64) -> Mesh {
     let Mesh { positions, mut triangles } = mesh;
     triangles.retain(|corners| corners.iter().all(|at| positions[*at as usize][1] < height));
@@ -17,34 +17,34 @@ fn below(mesh: Mesh, height: f64) -> Mesh {
     repair(scan, Some(Unit::Metre)).unwrap().mesh
 }
 
-fn is_left_out(survey: &Survey) -> bool {
-    survey.notes.iter().any(|note| note.code == "head-left-out")
+fn head_is_left_out(analysis: &ScanAnalysis) -> bool {
+    analysis.notes.iter().any(|note| note.code == "head-left-out")
 }
 
 #[test]
 fn whole_bodies_have_a_head_in_every_pose() {
     for (seed, pose) in (11..).zip(Pose::ALL) {
         let (mesh, _) = body(seed, pose, UPRIGHT);
-        let survey = Survey::new(&mesh, Method::Default).unwrap();
-        assert!(!is_left_out(&survey), "{pose:?}");
-        assert!(survey.joints.estimates.contains_key(&Joint::Head), "{pose:?}");
+        let analysis = ScanAnalysis::new(&mesh, Method::Default).unwrap();
+        assert!(!head_is_left_out(&analysis), "{pose:?}");
+        assert!(analysis.joints.estimates.contains_key(&Joint::Head), "{pose:?}");
     }
 }
 
 #[test]
-fn a_head_that_is_cut_off_above_the_throat_is_left_out_or_the_scan_refused() {
+fn a_cut_off_head_is_left_out_or_the_scan_refused() {
     let mut left_out = Vec::new();
     for (seed, pose) in (21..).zip([Pose::A, Pose::Down, Pose::Walk, Pose::A, Pose::T]) {
         let (mesh, truth) = body(seed, pose, UPRIGHT);
         let stature = truth.estimates[&Joint::Head].position[1];
         for height in [0.865, 0.88, 0.895] {
             let cut = below(mesh.clone(), height * stature);
-            // What is left of a short neck is no end of the body, and then there are four.
-            let Ok(survey) = Survey::new(&cut, Method::Default) else { continue };
-            assert!(is_left_out(&survey), "{pose:?} {height}");
-            let told = &survey.joints.estimates;
-            assert!(!told.contains_key(&Joint::Head) && !told.contains_key(&Joint::Throat));
-            assert!(told.keys().filter(|joint| matches!(joint, Joint::Knee(_))).count() == 2);
+            // A short neck's stump does not protrude, which leaves four extremities.
+            let Ok(analysis) = ScanAnalysis::new(&cut, Method::Default) else { continue };
+            assert!(head_is_left_out(&analysis), "{pose:?} {height}");
+            let joints = &analysis.joints.estimates;
+            assert!(!joints.contains_key(&Joint::Head) && !joints.contains_key(&Joint::Throat));
+            assert!(joints.keys().filter(|joint| matches!(joint, Joint::Knee(_))).count() == 2);
             left_out.push((pose, height));
         }
     }

@@ -3,8 +3,8 @@
 use std::f64::consts::PI;
 
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Mesh, Refusal, Survey};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_body::{Mesh, Refusal, ScanAnalysis};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 /// A sphere of radius 1, in rows of latitude.
 fn sphere(rows: u32) -> Mesh {
@@ -29,17 +29,17 @@ fn sphere(rows: u32) -> Mesh {
     mesh
 }
 
-/// Why nothing comes of a body.
+/// The reason why a body is refused.
 fn refused(mesh: &Mesh) -> Option<Refusal> {
-    Survey::new(mesh, Method::Paper).err()
+    ScanAnalysis::new(mesh, Method::Paper).err()
 }
 
 #[test]
-fn what_is_the_methods_own_fault_is_not_laid_on_the_scan() {
+fn failures_of_the_method_are_not_blamed_on_the_scan() {
     let mut of_method = 0;
     for (seed, pose) in [(1, Pose::T), (2, Pose::A), (3, Pose::Walk), (4, Pose::T), (5, Pose::A)] {
-        let (mesh, _) = body(seed, pose, Options { n_faces: 4000, turned: false });
-        let found = Survey::new(&mesh, Method::Default);
+        let (mesh, _) = body(seed, pose, BodyOptions { n_faces: 4000, turned: false });
+        let found = ScanAnalysis::new(&mesh, Method::Default);
         let Some(refusal) = refused(&mesh) else { continue };
         if found.is_ok_and(|found| !found.in_contact) {
             assert!(refusal.code().starts_with("paper-"), "{seed}: {refusal}");
@@ -47,7 +47,7 @@ fn what_is_the_methods_own_fault_is_not_laid_on_the_scan() {
         }
     }
     assert!(of_method > 0, "all were found: nothing was tried");
-    // A ball is no body to any method.
+    // No method accepts a ball as a body.
     let ball = refused(&sphere(20)).unwrap();
     assert!(!ball.code().starts_with("paper-"), "{ball}");
 }

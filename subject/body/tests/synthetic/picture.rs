@@ -1,9 +1,9 @@
-//! Whatever is drawn is a document that XML readers take, with everything on it that was given.
+//! Every drawing is well-formed XML and shows everything that was given.
 
-use mocapd_body::picture::{Curve, Drawing, Line, Mark, Part, ReebEdge, ReebNode, svg};
+use mocapd_body::picture::{BodyPart, Curve, Drawing, Line, Mark, ReebEdge, ReebNode, svg};
 use mocapd_body::skeleton::{Method, ScanJoints, Skeleton, Source, joint_name};
 use mocapd_body::{Joint, Joints, Mesh, Side, Unit, extremity, geodesic, paper};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 /// Every number of every attribute is finite, every element closed.
 fn sound(text: &str) {
@@ -16,7 +16,7 @@ fn sound(text: &str) {
     }
 }
 
-/// With level sets from the ends that are found.
+/// Traced from the extremities that are found.
 fn traced<'a>(mesh: &'a Mesh, joints: &Joints) -> Drawing<'a> {
     let adjacency = geodesic::Adjacency::new(mesh).unwrap();
     let graph = geodesic::Graph::along_edges(mesh, &adjacency);
@@ -28,8 +28,8 @@ fn traced<'a>(mesh: &'a Mesh, joints: &Joints) -> Drawing<'a> {
 }
 
 #[test]
-fn a_body_is_drawn_with_all_that_is_known_of_it() {
-    let (mesh, mut joints) = body(2, Pose::A, Options::default());
+fn a_body_is_drawn_with_all_its_data() {
+    let (mesh, mut joints) = body(2, Pose::A, BodyOptions::default());
     joints.estimates.values_mut().for_each(|estimate| estimate.sigma = 0.02);
     let drawing = Drawing { title: "a < b & \"c\"\u{7}", ..traced(&mesh, &joints) };
     let text = svg(&drawing);
@@ -39,17 +39,17 @@ fn a_body_is_drawn_with_all_that_is_known_of_it() {
         let name = joint_name(*joint).replace("l_", "left ").replace("r_", "right ");
         assert!(text.contains(&format!(">{name}</text>")), "{name}");
     }
-    // A dot and a circle a joint in each view.
+    // A dot and a circle per joint in each view.
     assert!(text.matches("<circle").count() >= 4 * joints.estimates.len());
     assert!(text.contains(" / mm</text>") && text.contains(" ± "));
-    // Pictures are put into documents.
+    // Pictures can be embedded in documents.
     assert!(text.len() < 400_000, "{}", text.len());
     assert_eq!(text, svg(&drawing));
 }
 
 #[test]
-fn stature_notes_and_unsure_joints_are_told() {
-    let (mesh, mut joints) = body(2, Pose::A, Options::default());
+fn stature_notes_and_uncertain_joints_are_drawn() {
+    let (mesh, mut joints) = body(2, Pose::A, BodyOptions::default());
     joints.estimates.values_mut().for_each(|estimate| estimate.sigma = 0.02);
     let elbow = Joint::Elbow(Side::Left);
     joints.estimates.get_mut(&elbow).unwrap().sigma = 0.14;
@@ -76,11 +76,11 @@ fn stature_notes_and_unsure_joints_are_told() {
     assert!(text.contains(">• arms &lt; trunk: shoulders are left out</text>"));
     assert!(text.contains("height=\"1165\""), "two lines of a note, one of the other");
     assert!(text.contains(">left elbow ± 140</text>") && text.contains("80 mm"));
-    // No circle is wider than that of 80 mm, in the scale that the bar of 200 or 500 mm shows.
+    // No circle is wider than that of 80 mm, at the scale of the bar of 200 or 500 mm.
     let widest = text.split(" r=\"").skip(1).map(|r| r.split('"').next().unwrap());
     let widest = widest.map(|r| r.parse::<f64>().unwrap()).fold(0.0, f64::max);
     assert!(widest < 30.0, "{widest}");
-    // However many notes there are, the picture stays one that can be looked at.
+    // The picture keeps a usable size with any number of notes.
     skeleton.notes = vec!["much ".repeat(100); 64];
     let text = with(&skeleton);
     sound(&text);
@@ -91,8 +91,8 @@ fn stature_notes_and_unsure_joints_are_told() {
 }
 
 #[test]
-fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
-    let (mesh, joints) = body(3, Pose::T, Options::default());
+fn curves_follow_the_limbs_and_joints_are_in_order() {
+    let (mesh, joints) = body(3, Pose::T, BodyOptions::default());
     let drawing = traced(&mesh, &joints);
     assert_eq!(drawing.curves.len(), 5);
     for curve in &drawing.curves {
@@ -105,11 +105,11 @@ fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
         );
         let is_last = |mark: &&Mark| mark.name == "wrist" || mark.name == "ankle";
         let wrist = curve.marks.iter().find(is_last);
-        assert_eq!(wrist.is_some(), curve.part != Part::Trunk);
+        assert_eq!(wrist.is_some(), curve.part != BodyPart::Trunk);
     }
-    // The left arm's line ends where the left wrist is, whichever hand was found first.
+    // The left arm's line ends at the left wrist, whichever hand was found first.
     for (line, side) in drawing.centre_lines.iter().filter_map(|line| match line.part {
-        Part::Arm(side) => Some((line, side)),
+        BodyPart::Arm(side) => Some((line, side)),
         _ => None,
     }) {
         let at = |joint| drawing.joints.estimates[&joint].position;
@@ -124,10 +124,10 @@ fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
 }
 
 #[test]
-fn nothing_and_nonsense_are_drawn_as_far_as_they_go() {
+fn empty_and_invalid_data_are_drawn_as_far_as_possible() {
     sound(&svg(&Drawing::default()));
     let mesh = Mesh { positions: vec![[f64::NAN; 3], [1.0; 3]], triangles: vec![[0, 1, 7]] };
-    let part = Part::Leg(Side::Right);
+    let part = BodyPart::Leg(Side::Right);
     let points = vec![[f64::INFINITY, 0.0, 0.0], [0.0; 3]];
     let drawing = Drawing {
         title: &"x".repeat(10_000),

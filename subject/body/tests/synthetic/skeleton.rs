@@ -1,11 +1,11 @@
-//! Skeletons of generated bodies, and documents of anybody.
+//! Skeletons of generated bodies, and untrusted documents.
 
 use mocapd_body::skeleton::{
     BONES, LEN_MAX, Method, ScanJoints, Skeleton, SkeletonError, Source, joint_from_name,
     joint_name,
 };
 use mocapd_body::{Estimate, Joint, Joints, Mesh, Repaired, Side, Unit};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
@@ -27,7 +27,7 @@ fn source(name: &str) -> Source {
 }
 
 fn joints(seed: u64, pose: Pose) -> Joints {
-    body(seed, pose, Options { n_faces: 500, turned: true }).1
+    body(seed, pose, BodyOptions { n_faces: 500, turned: true }).1
 }
 
 fn scan(pose: Pose, joints: Joints) -> ScanJoints {
@@ -57,7 +57,7 @@ fn one_scan_gives_its_own_lengths() {
     assert!(Skeleton::new(Method::Paper, &[]).is_none());
 }
 
-/// Every joint a step off, another one each time, as far as its uncertainty says.
+/// Every joint is displaced by its uncertainty, in a different direction each time.
 fn shaken(mut joints: Joints, step_m: f64, round: usize) -> Joints {
     for (i, estimate) in joints.estimates.values_mut().enumerate() {
         let turn = (7 * i + 3 * round) as f64;
@@ -68,7 +68,7 @@ fn shaken(mut joints: Joints, step_m: f64, round: usize) -> Joints {
 }
 
 #[test]
-fn several_scans_are_averaged_and_their_spread_told() {
+fn several_scans_are_averaged_and_their_spread_stated() {
     let poses = [Pose::A, Pose::T, Pose::Walk, Pose::Squat, Pose::Sit, Pose::Up];
     let scans: Vec<ScanJoints> = (poses.iter().enumerate())
         .map(|(round, &pose)| scan(pose, shaken(joints(3, pose), 0.01, round)))
@@ -81,12 +81,12 @@ fn several_scans_are_averaged_and_their_spread_told() {
         assert!(bone.spread_mm.is_some_and(|mm| mm > 0.5 && mm < 20.0), "{bone:?}");
     }
     let noted = |text: &str| skeleton.notes.iter().any(|note| note.contains(text));
-    assert!(noted("l_shoulder: the centre that l_elbow turned about"), "{:?}", skeleton.notes);
+    assert!(noted("l_shoulder: centre of rotation of l_elbow"), "{:?}", skeleton.notes);
 }
 
 #[test]
-fn limbs_that_turn_tell_their_centres() {
-    // The shoulders of every scan are wrong by 4 cm, all in the same way, as a method's bias is: outwards and down.
+fn moving_limbs_determine_their_centres_of_rotation() {
+    // The shoulders of every scan have the same bias of 4 cm: outwards and down.
     let poses = [Pose::A, Pose::T, Pose::Walk, Pose::Squat, Pose::Sit, Pose::Up, Pose::Down];
     let biased = |pose: Pose| {
         let mut joints = joints(4, pose);
@@ -107,15 +107,15 @@ fn limbs_that_turn_tell_their_centres() {
     let bone = skeleton.bones.iter().find(|bone| bone.name == "l_upper_arm").unwrap();
     let other = skeleton.bones.iter().find(|bone| bone.name == "r_upper_arm").unwrap();
     assert!((bone.length_mm - other.length_mm).abs() < 8.0, "{bone:?} {other:?}");
-    // Poses that hardly differ say why there is no such centre.
+    // With poses that hardly differ, a note explains why no centre was estimated.
     let skeleton =
         Skeleton::new(Method::Default, &[biased(Pose::A), biased(Pose::A), biased(Pose::A)]);
     let notes = skeleton.unwrap().notes;
-    assert!(notes.iter().any(|note| note.contains("degrees, 40 are needed")), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("at least 40 are needed")), "{notes:?}");
 }
 
 #[test]
-fn scans_of_two_people_are_told_to_be() {
+fn scans_of_two_people_get_a_note() {
     let of = |seed| scan(Pose::A, joints(seed, Pose::A));
     let noted = |scans: &[ScanJoints]| {
         let notes = Skeleton::new(Method::Default, scans).unwrap().notes;
@@ -130,7 +130,7 @@ fn scans_of_two_people_are_told_to_be() {
 }
 
 #[test]
-fn a_stature_is_no_surer_than_bones_in_doubt() {
+fn a_stature_is_no_more_certain_than_the_bones() {
     let mut joints = joints(3, Pose::A);
     let sure = Skeleton::new(Method::Default, &[scan(Pose::A, joints.clone())]).unwrap();
     for side in [Side::Left, Side::Right] {
@@ -143,7 +143,7 @@ fn a_stature_is_no_surer_than_bones_in_doubt() {
 }
 
 #[test]
-fn sides_that_are_not_told_are_levelled() {
+fn undetermined_sides_are_averaged() {
     let mut scans = vec![scan(Pose::A, joints(3, Pose::A)), scan(Pose::T, joints(3, Pose::T))];
     let wrist = scans[1].joints.estimates.get_mut(&Joint::Wrist(Side::Left)).unwrap();
     wrist.position[0] += 0.02;
@@ -156,7 +156,7 @@ fn sides_that_are_not_told_are_levelled() {
 }
 
 #[test]
-fn a_document_is_the_same_when_it_is_written_again() {
+fn rewriting_a_document_keeps_it_identical() {
     let unknown = Skeleton { stature_mm: None, stature_uncertainty_mm: None, ..one() };
     for skeleton in [one(), Skeleton { stature_mm: Some(1712.5), ..one() }, unknown] {
         let text = skeleton.to_json();
@@ -165,7 +165,7 @@ fn a_document_is_the_same_when_it_is_written_again() {
         assert_eq!(again.to_json(), text);
         assert!(text.starts_with("{\n  \"format\": \"mocapd-skeleton\",\n  \"version\": 1,"));
     }
-    // Numbers of others, however long, are written the same way ever after.
+    // Numbers from other programs are rounded once and stay the same afterwards.
     let text = one().to_json().replacen(
         "\"uncertainty_mm\": 0.0",
         "\"uncertainty_mm\": 0.30000000000000004441",
@@ -184,9 +184,9 @@ fn a_document_is_the_same_when_it_is_written_again() {
 }
 
 #[test]
-fn stature_is_told_in_any_pose_and_not_without_a_bone() {
+fn stature_is_computed_in_any_pose_but_not_without_a_bone() {
     for pose in Pose::ALL {
-        let (mesh, joints) = body(3, Pose::Down, Options { n_faces: 5000, turned: false });
+        let (mesh, joints) = body(3, Pose::Down, BodyOptions { n_faces: 5000, turned: false });
         let height = |at: &[f64; 3]| at[1];
         let top = mesh.positions.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
         let sole = mesh.positions.iter().map(height).fold(f64::INFINITY, f64::min);
@@ -197,7 +197,7 @@ fn stature_is_told_in_any_pose_and_not_without_a_bone() {
         assert!((mm - 1000.0 * (top - sole)).abs() < 3.0 * sigma_mm, "{pose:?}: {mm}");
         assert_eq!(of(Method::Paper, joints.clone()).stature_mm, None);
         let mut legless = joints;
-        // One leg tells as much as both; without either there is none.
+        // One leg is as good as both; without either there is no stature.
         legless.estimates.remove(&Joint::Knee(Side::Left));
         assert!(of(Method::Default, legless.clone()).stature_mm.is_some());
         legless.estimates.remove(&Joint::Knee(Side::Right));
@@ -206,7 +206,7 @@ fn stature_is_told_in_any_pose_and_not_without_a_bone() {
 }
 
 #[test]
-fn what_is_written_of_any_joints_can_be_read() {
+fn any_joints_can_be_written_and_read_back() {
     let mut odd = joints(3, Pose::A);
     let mut put = |joint: Joint, position: [f64; 3], sigma: f64| {
         odd.estimates.insert(joint, Estimate { position, sigma });
@@ -220,17 +220,17 @@ fn what_is_written_of_any_joints_can_be_read() {
     let skeleton = Skeleton::new(Method::Default, &[scan(Pose::A, odd)]).unwrap();
     assert_eq!(skeleton.joints.len(), 12);
     assert!(skeleton.bones.iter().all(|bone| bone.name != "r_thigh"));
-    assert!(skeleton.notes.iter().any(|note| note.starts_with("3 joints have no position")));
+    assert!(skeleton.notes.iter().any(|note| note.ends_with("finite position: 3")));
     assert_eq!(Skeleton::from_json(skeleton.to_json().as_bytes()), Ok(skeleton));
 }
 
 #[test]
-fn a_foreign_document_is_refused_with_the_reason() {
+fn an_invalid_document_is_refused_with_the_reason() {
     let text = one().to_json();
     let head = text.find("\"head\"").unwrap();
     for (from, to, expected) in [
         ("mocapd-skeleton", "other", "other"),
-        ("\"version\": 1", "\"version\": 2", "it is version 2 of mocapd-skeleton"),
+        ("\"version\": 1", "\"version\": 2", "version 2 of mocapd-skeleton"),
         (
             "\"version\": 1",
             "\"version\": 0",
@@ -269,7 +269,7 @@ fn a_foreign_document_is_refused_with_the_reason() {
 }
 
 #[test]
-fn a_document_of_others_has_names_and_keys_of_its_own_and_leaves_out_what_nobody_knows() {
+fn foreign_documents_may_have_other_names_and_lack_optional_keys() {
     let text = one().to_json();
     for (from, to) in [
         ("\"version\": 1", "\"version\": 1, \"more\": 2"),
@@ -289,7 +289,7 @@ fn a_document_of_others_has_names_and_keys_of_its_own_and_leaves_out_what_nobody
     }
     let renamed = text.replace("\"throat\"", "\"neck\"");
     assert_eq!(Skeleton::from_json(renamed.as_bytes()).unwrap().joints[1].name, "neck");
-    // As somebody writes it with a tape measure in the other hand.
+    // A document as a person would write it by hand from a tape measure.
     let by_hand = r#"{"format":"mocapd-skeleton","version":1,"joints":[{"name":"l_hip"},{"name":"l_knee"}],
         "bones":[{"name":"l_thigh","parent":"l_hip","child":"l_knee","length_mm":412.123456}]}"#;
     let read = Skeleton::from_json(by_hand.as_bytes()).unwrap();

@@ -1,4 +1,4 @@
-"""Half-edge collapse by quadric error (Garland and Heckbert 1997), which keeps vertices where they were.
+"""Half-edge collapse by quadric error (Garland and Heckbert 1997), which keeps the positions of vertices.
 
 Only vertices of the source remain, so that every morph target of the source is a morph of the result. One half of the
 face is collapsed and mirrored.
@@ -7,12 +7,12 @@ face is collapsed and mirrored.
 import numpy as np
 
 MIDDLE_MM = 0.05
-# An open edge resists being pulled inward this much more than a surface being pushed.
+# Weight of moving an open edge inward, relative to moving a surface.
 BORDER = 20.0
 
 
 def decimate(points, triangles, locked, count):
-    """About `count` vertices: indices into `points` and triangles among them (as positions in that list)."""
+    """Selects about `count` vertices: indices into `points` and triangles among them (as positions in that list)."""
     mirror = mirror_of(points, triangles)
     half = [t for t in triangles if max(points[v, 0] for v in t) <= MIDDLE_MM]
     fixed = {v for v in locked if points[v, 0] <= MIDDLE_MM}
@@ -24,14 +24,14 @@ def decimate(points, triangles, locked, count):
 
 
 def mirror_of(points, triangles):
-    """The vertex on the other side of each vertex of a mesh that mirrors (on the middle: itself)."""
+    """The mirror vertex of each vertex of a symmetric mesh (on the midline: itself)."""
     used = sorted({int(v) for t in triangles for v in t})
     flipped = points[used] * [-1, 1, 1]
     return {v: used[((points[used] - f) ** 2).sum(-1).argmin()] for v, f in zip(used, flipped)}
 
 
 def collapse(points, triangles, fixed, count):
-    """Collapses the cheapest edge until the mirrored whole has `count` vertices."""
+    """Collapses the cheapest edge until the mirrored whole mesh has `count` vertices."""
     triangles = [tuple(t) for t in triangles]
     middle = {v for t in triangles for v in t if abs(points[v, 0]) <= MIDDLE_MM}
     quadric = quadrics(points, triangles)
@@ -65,7 +65,7 @@ def collapse(points, triangles, fixed, count):
 
 
 def cheapest(points, alive, around, quadric, fixed, middle, refused):
-    """The half edge (goes, stays) of least error. Borders go along borders, the middle along the middle."""
+    """The half-edge (removed, kept) of least error. Borders collapse along borders, the midline along the midline."""
     counts = {}
     for t in alive.values():
         for i in range(3):
@@ -80,7 +80,7 @@ def cheapest(points, alive, around, quadric, fixed, middle, refused):
             if gone in middle and stays not in middle:
                 continue
             p = np.append(points[stays], 1.0)
-            # The length keeps flat places evenly filled: without it they empty first.
+            # The length keeps the vertices of flat regions evenly spaced; without it those are removed first.
             length = np.linalg.norm(points[gone] - points[stays])
             error = p @ (quadric[gone] + quadric[stays]) @ p + 0.02 * length**3
             if error < least:
@@ -89,7 +89,7 @@ def cheapest(points, alive, around, quadric, fixed, middle, refused):
 
 
 def allowed(points, alive, around, gone, stays):
-    """No triangle turns over or becomes a needle, and the surface stays a surface."""
+    """Whether no triangle turns over or degenerates, and the surface remains a manifold."""
     near = lambda v: {u for k in around[v] for u in alive[k]} - {v}
     shared = near(gone) & near(stays)
     if len(shared) > sum(1 for k in around[gone] if stays in alive[k]):
@@ -99,7 +99,7 @@ def allowed(points, alive, around, gone, stays):
         if stays in t:
             continue
         before = normal(points, t)
-        # Crumbs (the corners of the mouth) may be swept in any direction.
+        # Tiny triangles (the corners of the mouth) may be moved in any direction.
         if np.linalg.norm(before) < 3.0:
             continue
         moved = tuple(stays if v == gone else v for v in t)
@@ -116,7 +116,7 @@ def normal(points, t):
 
 
 def quadrics(points, triangles):
-    """Squared distance to the planes around each vertex, and to planes through its open edges."""
+    """Quadrics: squared distance to the planes around each vertex, and to planes through its open edges."""
     result, counts = {}, {}
     for t in triangles:
         n = normal(points, t)

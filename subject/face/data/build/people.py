@@ -6,12 +6,12 @@ import numpy as np
 
 ETHNIC = ("african", "asian", "caucasian")
 GENDERS = ("female", "male")
-# Standard deviation of a slider of MakeHuman, whose ends are at -1 and 1: at more than this, random faces are odd.
+# Standard deviation of a slider of MakeHuman, which ranges from -1 to 1: with more, random faces look unnatural.
 SLIDER_SD = 0.22
 
 
 class Head:
-    """The base mesh, and its targets as displacements, in decimetres."""
+    """The base mesh, and its morph targets as displacements, in decimetres."""
 
     def __init__(self, base, targets):
         self.vertices, self.quads = read_base(base)
@@ -20,18 +20,18 @@ class Head:
         self.names = sorted(k[len("targets/"):-len(".index")] for k in self.archive if k.endswith(".index"))
 
     def add(self, between):
-        """Adds vertices that lie between two others, and move with them."""
+        """Adds vertices that lie between two others and move with them."""
         self.between = between
         self.vertices = self._filled(self.vertices)
 
     def target(self, name):
-        """Displacement of every vertex at 1."""
+        """Displacement of every vertex at full strength."""
         moved = np.zeros((self.count, 3))
         moved[self.archive[f"targets/{name}.index"].astype(int)] = self.archive[f"targets/{name}.vector"] * 1e-3
         return self._filled(moved)
 
     def target_of(self, kept, name):
-        """Displacement of the kept vertices at 1; asked for thousands of times."""
+        """Displacement of the kept vertices at full strength; cached, because it is used thousands of times."""
         if name not in self.remembered:
             self.remembered[name] = self.target(name)[kept]
         return self.remembered[name]
@@ -43,7 +43,7 @@ class Head:
         return np.array(rows)
 
     def mean(self):
-        """Six young adults, averaged."""
+        """The average of six young adults."""
         macro = [self.target(f"macrodetails/{e}-{g}-young") for e in ETHNIC for g in GENDERS]
         build = [self.target(f"macrodetails/universal-{g}-young-averagemuscle-averageweight") for g in GENDERS]
         return self.vertices + np.mean(macro, axis=0) + np.mean(build, axis=0)
@@ -78,7 +78,7 @@ def sliders(head, kept):
         group, _, rest = name.partition("/")
         if group in groups and "angle-in" not in rest and "angle-out" not in rest and "-trans-in" not in rest:
             moved[name] = head.target(name)[kept]
-    # Left and right move as one: a face that is lopsided at rest is rare, and its sides pull the fit apart.
+    # Left and right together: a resting face is rarely asymmetric, and asymmetric modes would distort the fit.
     both = {n.replace("/l-", "/"): d + moved[n.replace("/l-", "/r-")] for n, d in moved.items() if "/l-" in n}
     both.update({n: d for n, d in moved.items() if "/l-" not in n and "/r-" not in n})
     opposite = {"decr": "incr", "down": "up", "backward": "forward", "concave": "convex", "in": "out",
@@ -95,7 +95,7 @@ def sliders(head, kept):
 
 
 def random_identity(head, kept, pairs, rng):
-    """One random adult: mixture of descent, sex and age, build, and every slider a little."""
+    """One random adult: a mixture of descent, sex and age, a build, and small random values of all sliders."""
     descent = rng.dirichlet([0.7, 0.7, 0.7])
     male = rng.beta(0.4, 0.4)
     old = rng.beta(0.7, 1.6)

@@ -1,19 +1,19 @@
-"""The part of the head that a camera in front of it sees, and the lines that can become its outline."""
+"""The part of the head that is visible from the front, and the lines that can become its outline."""
 
 import numpy as np
 
 VIEWS_DEG = [(yaw, pitch) for yaw in (-60, -30, 0, 30, 60) for pitch in (-20, 0, 20)]
 PIXELS_PER_MM = 3.0
-# The cut in front of the ears, and at the hairline.
+# Cuts in front of the ears and at the hairline.
 BACK_MM = -64.0
 TOP_MM = 92.0
 EYEBALLS = (14598, 14742)
 
 
 def face_region(points, triangles, body, landmarks, rings):
-    """Triangles of the body that are seen from some view, cut at the jaw, the hairline and in front of the ears.
+    """Triangles of the body that are visible from some view, cut at the jaw, the hairline and in front of the ears.
 
-    The cuts make vertices between two others: they come back as (vertex, vertex, fraction), behind the last of `points`.
+    The cuts create vertices between two others: they are returned as (vertex, vertex, fraction), after `points`.
     """
     inside = (points[triangles][:, :, 1] > -150).all(1)
     skin = (triangles < body).all(1)
@@ -38,7 +38,7 @@ def face_region(points, triangles, body, landmarks, rings):
 
 
 def outside(triangles, rings, start):
-    """Triangles that are reached from vertex `start` without crossing a ring's edges."""
+    """Triangles that can be reached from vertex `start` without crossing the edges of a ring."""
     walls = {frozenset(pair) for ring in rings for pair in zip(ring, ring[1:] + ring[:1])}
     beside = {}
     for k, t in enumerate(triangles):
@@ -60,7 +60,7 @@ def outside(triangles, rings, start):
 
 
 def cut(triangles, points, field):
-    """The part where `field` is positive, with new vertices where edges cross zero."""
+    """Clips the mesh to where `field` is positive, with new vertices where edges cross zero."""
     between, made = [], {}
 
     def crossing(a, b):
@@ -86,7 +86,7 @@ def cut(triangles, points, field):
 
 
 def without_slivers(head, kept, allowed):
-    """Small groups that no view saw (nostrils) come back; the insides of eyes and mouth are large, and stay out."""
+    """Restores small invisible groups (nostrils); the insides of eyes and mouth are large and stay removed."""
     groups = components(head[allowed & ~kept])
     result = [tuple(t) for t in head[kept]]
     for group in groups:
@@ -96,7 +96,7 @@ def without_slivers(head, kept, allowed):
 
 
 def components(triangles):
-    """Triangles grouped by shared vertices."""
+    """Connected groups of triangles, joined by shared vertices."""
     parent = {}
 
     def find(v):
@@ -123,7 +123,7 @@ def turn(yaw_deg, pitch_deg):
 
 
 def seen_share(points, triangles):
-    """How much of each triangle's own pixels is in front (a depth buffer, looking along -z)."""
+    """Visible share of each triangle's own pixels (by a depth buffer, viewed along -z)."""
     flat = points[:, :2] * PIXELS_PER_MM
     low = flat[triangles].min((0, 1)) - 2
     size = np.ceil(flat[triangles].max((0, 1)) - low).astype(int) + 3
@@ -151,7 +151,7 @@ def seen_share(points, triangles):
 
 
 def silhouette_rows(points, faces, heights):
-    """Where each height cuts each side's edges: (vertex, vertex, fraction), from the middle of the face outward."""
+    """Where each height cuts the edges of each side: (vertex, vertex, fraction), from the middle outward."""
     edges = sorted({tuple(sorted((f[i], f[(i + 1) % 3]))) for f in faces for i in range(3)})
     rows = {}
     for name, height in heights.items():
@@ -162,7 +162,7 @@ def silhouette_rows(points, faces, heights):
                 if ya * yb < 0 or (ya == 0) != (yb == 0):
                     t = ya / (ya - yb)
                     at = points[a] + t * (points[b] - points[a])
-                    # Nearer the middle than this nothing is outline before the head is in profile.
+                    # Closer to the middle, nothing becomes outline before the head is in profile.
                     if sign * at[0] > 25.0:
                         row.append((sign * at[0], a, b, t))
             rows[f"{side}_contour_{name}"] = [r[1:] for r in sorted(row)]

@@ -1,24 +1,24 @@
-//! Seeded pictures of drawn faces, and what is found on them: many more people, lights and poses than photographs with
-//! known faces are at hand.
+//! Seeded pictures of drawn faces, and what is detected on them: they cover many more people, lights and poses than the
+//! available photographs with known faces.
 
 use std::path::Path;
 
 use image::{Rgb, RgbImage};
 use mocapd_face::Photo;
-use mocapd_face::find::{self, Found};
+use mocapd_face::find::{self, DetectedFace};
 use mocapd_face::model::FeatureId;
-use mocapd_testkit::photograph::{Extras, Scene, Truth};
+use mocapd_testkit::photograph::{GroundTruth, Occlusions, Scene};
 use serde_json::json;
 
-use super::{Face, judge};
+use super::{Face, score};
 
-/// 0.25 megapixels.
+/// Size of the pictures: 0.25 megapixels.
 const SIZE_PX: (u32, u32) = (480, 520);
 
-/// Numbers that look random, by splitmix64 (Steele, Lea and Flood 2014).
-struct Random(u64);
+/// Seeded pseudo-random numbers by `SplitMix64` (Steele, Lea and Flood 2014).
+struct PictureRng(u64);
 
-impl Random {
+impl PictureRng {
     fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -36,23 +36,23 @@ impl Random {
     }
 }
 
-/// A picture, its one face (none on every fifth), and what it stands for in the table.
+/// A picture, its face (none on every fifth picture), and the rows of the table to which it belongs.
 struct Drawn {
     image: RgbImage,
-    face: Option<(Face, Truth, f64)>,
+    face: Option<(Face, GroundTruth, f64)>,
     kinds: Vec<&'static str>,
 }
 
 fn draw(seed: u64) -> Option<Drawn> {
-    let mut random = Random(seed.wrapping_mul(0x0005_851f_42d4_c957));
-    let io_px = 40.0 * 5.0_f64.powf(random.uniform().powf(1.3));
+    let mut random = PictureRng(seed.wrapping_mul(0x0005_851f_42d4_c957));
+    let eyes_px = 40.0 * 5.0_f64.powf(random.uniform().powf(1.3));
     let yaw_deg = random.between(-35.0, 35.0);
-    let mut scene = Scene::portrait(seed, io_px, yaw_deg);
+    let mut scene = Scene::portrait(seed, eyes_px, yaw_deg);
     (scene.width_px, scene.height_px) = SIZE_PX;
     scene.noise = random.between(1.0, 6.0);
     let sitter = scene.faces.first_mut()?;
     let room =
-        |side: u32, before: f64, after: f64| (before * io_px, f64::from(side) - after * io_px);
+        |side: u32, before: f64, after: f64| (before * eyes_px, f64::from(side) - after * eyes_px);
     let (left, right) = room(SIZE_PX.0, 0.85, 0.85);
     let (top, bottom) = room(SIZE_PX.1, 0.9, 1.4);
     sitter.eyes_px = [random.between(left, right), random.between(top, bottom)];
@@ -62,13 +62,13 @@ fn draw(seed: u64) -> Option<Drawn> {
     let rims_mm = random.between(1.0, 2.5);
     let beard = random.between(0.4, 0.95);
     let fringe_mm = random.between(10.0, 45.0);
-    sitter.extras = Extras {
+    sitter.extras = Occlusions {
         rims_mm: random.sometimes(0.2, rims_mm),
         beard: random.sometimes(0.25, beard),
         fringe_mm: random.sometimes(0.3, fringe_mm),
         light: Some([random.between(-1.4, 1.4), random.between(-0.3, 1.6), 1.0]),
     };
-    let Extras { rims_mm, beard, fringe_mm, light } = sitter.extras;
+    let Occlusions { rims_mm, beard, fringe_mm, light } = sitter.extras;
     let empty = seed % 5 == 4;
     if empty {
         scene.faces.clear();
@@ -94,9 +94,9 @@ fn draw(seed: u64) -> Option<Drawn> {
         } else {
             "yaw < 35"
         });
-        kinds.push(if io_px < 60.0 {
+        kinds.push(if eyes_px < 60.0 {
             "io < 60"
-        } else if io_px < 110.0 {
+        } else if eyes_px < 110.0 {
             "io < 110"
         } else {
             "io < 200"
@@ -118,8 +118,8 @@ fn draw(seed: u64) -> Option<Drawn> {
     Some(Drawn { image: picture.image, face, kinds })
 }
 
-/// Tone curve, and the light's colour: natural, grey or cast.
-fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
+/// Applies a tone curve and a colour of the light: natural, grey or cast.
+fn develop(image: &mut RgbImage, random: &mut PictureRng) -> &'static str {
     let gamma = random.between(0.7, 1.5);
     let (grey, cast) = (random.uniform() < 0.2, random.uniform() < 0.2);
     let warm = random.between(0.6, 0.85);
@@ -144,8 +144,8 @@ fn develop(image: &mut RgbImage, random: &mut Random) -> &'static str {
     }
 }
 
-/// Eyes as the annotations have them: the mean of six points each.
-fn known(truth: &Truth) -> Option<Face> {
+/// Eyes in the convention of the annotations: the mean of six points each.
+fn known(truth: &GroundTruth) -> Option<Face> {
     let mean = |from: usize, count: usize| {
         let points = (from..from + count).map(|i| FeatureId::from_ibug(i).map(|id| truth.at(id)));
         let sum = points.sum_points()?;
@@ -153,8 +153,9 @@ fn known(truth: &Truth) -> Option<Face> {
     };
     let [a, b] = [36, 45].map(|i| FeatureId::from_ibug(i).map(|id| truth.at(id)));
     let (a, b) = (a?, b?);
-    let io_px = (a[0] - b[0]).hypot(a[1] - b[1]);
-    Some(Face { eyes: [mean(36, 6)?, mean(42, 6)?], mouth: mean(48, 12)?, io_px, counts: true })
+    let interocular_px = (a[0] - b[0]).hypot(a[1] - b[1]);
+    let eyes = [mean(36, 6)?, mean(42, 6)?];
+    Some(Face { eyes, mouth: mean(48, 12)?, interocular_px, counts: true })
 }
 
 trait SumPoints {
@@ -167,14 +168,14 @@ impl<I: Iterator<Item = Option<[f64; 2]>>> SumPoints for I {
     }
 }
 
-/// What is found on pictures `seeds`, by kind.
+/// Detection results on the pictures `seeds`, by kind.
 pub(crate) fn table(seeds: std::ops::Range<u64>) {
     let mut rows: Vec<(&str, [usize; 4])> = Vec::new();
     for drawn in seeds.filter_map(draw) {
         let Some(photo) = photo(&drawn.image) else { continue };
-        let found: Vec<Found> = find::faces(&photo, find::SCORE_MIN);
+        let found: Vec<DetectedFace> = find::faces(&photo, find::SCORE_MIN);
         let faces: Vec<Face> = drawn.face.into_iter().map(|(face, ..)| face).collect();
-        let (hits, wrong) = judge(&faces, &found);
+        let (hits, wrong) = score(&faces, &found);
         for kind in drawn.kinds {
             let at = rows.iter().position(|row| row.0 == kind).unwrap_or(rows.len());
             if at == rows.len() {
@@ -202,7 +203,7 @@ fn photo(image: &RgbImage) -> Option<Photo> {
     Photo::from_pixels(image.width() as usize, image.height() as usize, pixels).ok()
 }
 
-/// Writes pictures `seeds` into a folder, each with its face beside it.
+/// Writes the pictures `seeds` into a folder, each with its face in a file beside it.
 pub(crate) fn write(seeds: std::ops::Range<u64>, folder: &Path) {
     for seed in seeds {
         let Some(drawn) = draw(seed) else { continue };
@@ -210,7 +211,10 @@ pub(crate) fn write(seeds: std::ops::Range<u64>, folder: &Path) {
         let faces: Vec<_> = drawn
             .face
             .iter()
-            .map(|(face, _, yaw)| json!({ "points": [face.eyes[0], face.eyes[1], face.mouth], "io": face.io_px, "yaw": yaw }))
+            .map(|(face, _, yaw)| {
+                let points = [face.eyes[0], face.eyes[1], face.mouth];
+                json!({ "points": points, "io": face.interocular_px, "yaw": yaw })
+            })
             .collect();
         let text = json!({ "faces": faces, "kinds": drawn.kinds }).to_string();
         if drawn.image.save(&at).is_err()

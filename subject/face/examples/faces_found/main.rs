@@ -1,17 +1,16 @@
-//! What is found on photographs whose faces are known, in the folder that `MOCAPD_FACES` names.
+//! Detection results on photographs whose faces are known, from the folder that `MOCAPD_FACES` names.
 //!
-//! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
-//! the others; `faces_found looks FILE...` every hypothesis on any photographs, for
-//! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, and `faces_found nearer
-//! FILE...` after the first of two steps, for `find_align.py`; `faces_found again FILE...` what is looked at a second time, for
-//! `find_again.py`.
+//! `faces_found` measures the development photographs, on which weights and thresholds were chosen; `faces_found
+//! reported` the others. For the training scripts, `faces_found looks FILE...` prints every hypothesis on any
+//! photographs (`benches/subject/find_looks.py`), `faces_found rough FILE...` the same before the alignment of the
+//! eyes, `faces_found nearer FILE...` after the first of two steps of it (both `find_align.py`), and `faces_found again
+//! FILE...` the hypotheses of the second stage (`find_again.py`).
 //!
-//! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
-//! TO` writes those.
+//! `faces_found drawn [FROM TO]` measures seeded pictures of drawn faces, and `faces_found draw FOLDER FROM TO` writes
+//! them.
 //!
-//! A face counts if its outer eye corners are 40 pixels apart and it is turned by 35 degrees at most, where that is
-//! known. It is found if both eyes are within 0.25 of that distance; what is found and is no face at all, counting or
-//! not, is false.
+//! A face counts if its outer eye corners are at least 40 pixels apart and its yaw, where known, is at most 35 degrees.
+//! It is found if both eyes are within 0.25 of that distance; a detection that is no face, counting or not, is false.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "an example that prints a table")]
 
 mod drawn;
@@ -20,7 +19,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use mocapd_face::find::{self, Found, Hypothesis};
+use mocapd_face::find::{self, DetectedFace, Hypothesis};
 use mocapd_face::{Photo, paper};
 use serde_json::Value;
 
@@ -40,7 +39,7 @@ const DEVELOPMENT: [&str; 10] = [
 struct Face {
     eyes: [[f64; 2]; 2],
     mouth: [f64; 2],
-    io_px: f64,
+    interocular_px: f64,
     counts: bool,
 }
 
@@ -53,16 +52,16 @@ struct Tally {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let told: Option<fn(&Photo) -> Vec<Hypothesis>> = match args.first().map(String::as_str) {
+    let hypotheses: Option<fn(&Photo) -> Vec<Hypothesis>> = match args.first().map(String::as_str) {
         Some("looks") => Some(find::hypotheses),
-        Some("rough") => Some(|photo| find::hypotheses_after(photo, 0)),
-        Some("nearer") => Some(|photo| find::hypotheses_after(photo, 1)),
-        Some("again") => Some(find::hypotheses_again),
+        Some("rough") => Some(|photo| find::hypotheses_after_steps(photo, 0)),
+        Some("nearer") => Some(|photo| find::hypotheses_after_steps(photo, 1)),
+        Some("again") => Some(find::second_stage_hypotheses),
         _ => None,
     };
-    if let Some(told) = told {
+    if let Some(hypotheses) = hypotheses {
         for path in args.iter().skip(1) {
-            if let Err(error) = looks(Path::new(path), told) {
+            if let Err(error) = print_features(Path::new(path), hypotheses) {
                 eprintln!("{path}: {error}");
             }
         }
@@ -81,7 +80,7 @@ fn main() {
         _ => {}
     }
     let Some(folder) = std::env::var_os("MOCAPD_FACES").map(PathBuf::from) else {
-        eprintln!("MOCAPD_FACES is not set: nothing to look at");
+        eprintln!("MOCAPD_FACES is not set: it names the folder of the photographs");
         return;
     };
     let reported = args.first().is_some_and(|first| first == "reported");
@@ -113,7 +112,7 @@ fn main() {
         images += 1;
         print!("{name:24} {:>5}", truth.iter().filter(|face| face.counts).count());
         for (tally, found) in tallies.iter_mut().zip([default, plain]) {
-            let (hits, wrong) = judge(&truth, &found);
+            let (hits, wrong) = score(&truth, &found);
             tally.faces += truth.iter().filter(|face| face.counts).count();
             tally.found += hits;
             tally.wrong += wrong;
@@ -152,7 +151,7 @@ fn faces(picture: &Path) -> Vec<Face> {
 }
 
 fn face(value: &Value) -> Option<Face> {
-    // Two detectors that do not agree have found no face.
+    // If two detectors disagree, neither is trusted as ground truth.
     if value["agree_pct_io"].as_f64().is_some_and(|agree| agree > 20.0) {
         return None;
     }
@@ -163,20 +162,20 @@ fn face(value: &Value) -> Option<Face> {
         Some([sum(0)? / (to - from) as f64, sum(1)? / (to - from) as f64])
     };
     let eyes = [mean(36, 42)?, mean(42, 48)?];
-    let io_px = (at(45, 0)? - at(36, 0)?).hypot(at(45, 1)? - at(36, 1)?);
+    let interocular_px = (at(45, 0)? - at(36, 0)?).hypot(at(45, 1)? - at(36, 1)?);
     let yaw = value["pose_deg"][1].as_f64().unwrap_or_default();
     let mouth = mean(48, 60)?;
-    Some(Face { eyes, mouth, io_px, counts: io_px >= 40.0 && yaw.abs() <= 35.01 })
+    Some(Face { eyes, mouth, interocular_px, counts: interocular_px >= 40.0 && yaw.abs() <= 35.01 })
 }
 
-/// How many counting faces are found, and how many that are found are none.
-fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
+/// The number of counting faces that are found, and the number of false detections.
+fn score(truth: &[Face], found: &[DetectedFace]) -> (usize, usize) {
     let mut taken = vec![false; truth.len()];
     let mut wrong = 0;
     for found in found {
         let near = |face: &Face| {
             face.eyes.iter().zip(&found.eyes).all(|(true_eye, eye)| {
-                (true_eye[0] - eye[0]).hypot(true_eye[1] - eye[1]) <= 0.25 * face.io_px
+                (true_eye[0] - eye[0]).hypot(true_eye[1] - eye[1]) <= 0.25 * face.interocular_px
             })
         };
         match truth.iter().position(near) {
@@ -188,22 +187,22 @@ fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
     (hits, wrong)
 }
 
-/// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
-/// and the bytes of its look.
-fn looks(path: &Path, told: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
+/// Hypotheses as single-precision floats: their number, then for each eyes, mouth, outer interocular distance, score,
+/// and the bytes of its features.
+fn print_features(path: &Path, hypotheses: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {
         eprintln!("{}: not read", path.display());
         return out.write_all(&0_f32.to_le_bytes());
     };
-    let all = told(&photo);
+    let all = hypotheses(&photo);
     out.write_all(&(all.len() as f32).to_le_bytes())?;
-    for Hypothesis { found, look } in all {
-        let Found { eyes: [left, right], mouth, io_px, score, .. } = found;
-        for number in [left, right, mouth].into_iter().flatten().chain([io_px, score]) {
+    for Hypothesis { found, features } in all {
+        let DetectedFace { eyes: [left, right], mouth, interocular_px, score, .. } = found;
+        for number in [left, right, mouth].into_iter().flatten().chain([interocular_px, score]) {
             out.write_all(&(number as f32).to_le_bytes())?;
         }
-        out.write_all(&look)?;
+        out.write_all(&features)?;
     }
     Ok(())
 }

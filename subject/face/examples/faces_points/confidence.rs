@@ -1,5 +1,5 @@
-//! What `benches/subject/face_confidence.py` learns from: a line for each start of each development face, with the mean error
-//! of its points (per cent of the distance of the outer eye corners) and the evidence.
+//! Training data of `benches/subject/face_confidence.py`: a line for each start of each development face, with the mean
+//! error of its points (per cent of the outer interocular distance) and the evidence.
 
 use std::error::Error;
 use std::io::Write;
@@ -10,14 +10,14 @@ use super::data::{Face, Noise};
 use super::table::Row;
 use super::{detected, disturbed_by};
 
-/// Standard deviations of the starting places (shares of the distance of the outer eye corners): from those of a good
-/// detection to those of one that is half beside the face.
-const DISTURBED_IO: [f64; 6] = [0.02, 0.04, 0.08, 0.12, 0.2, 0.3];
+/// Standard deviations of the starting positions (in outer interocular distances): from that of a good detection to
+/// that of one half beside the face.
+const START_SDS: [f64; 6] = [0.02, 0.04, 0.08, 0.12, 0.2, 0.3];
 
 pub(crate) fn print(out: &mut impl Write, faces: &[&Face]) -> Result<(), Box<dyn Error>> {
     let mut noise = Noise::new(2);
     for face in faces {
-        let disturbed = DISTURBED_IO.map(|sd| Some(disturbed_by(sd, &face.truth, &mut noise)));
+        let disturbed = START_SDS.map(|sd| Some(disturbed_by(sd, &face.truth, &mut noise)));
         for (start, rough) in disturbed.into_iter().chain([detected(face)]).enumerate() {
             let Some(rough) = rough else { continue };
             let found = points::find(&face.photo, &rough)?;

@@ -1,11 +1,11 @@
-//! The photographs, their landmarks, and which of them were looked at while the methods were made.
+//! The photographs with their landmarks, split into development and reported ones.
 
 use std::path::Path;
 
 use mocapd_face::Photo;
 use mocapd_face::points::FacePoints;
 
-/// Looked at, tuned on, learned from. All others are measured only.
+/// Development photographs: inspected, tuned on or learned from. All others are only measured.
 const DEVELOPMENT: [&str; 9] = [
     "aflw2000_image00050",
     "aflw2000_image00475",
@@ -18,13 +18,13 @@ const DEVELOPMENT: [&str; 9] = [
     "obama",
 ];
 
-/// Of the distance of the outer eye corners.
+/// Largest disagreement of two detectors, in per cent of the outer interocular distance.
 const AGREE_MOST_PERCENT: f64 = 20.0;
 
 /// One annotated face.
 pub(crate) struct Face {
     pub(crate) name: String,
-    /// In its photograph.
+    /// Coordinates are those of its photograph.
     pub(crate) number: usize,
     pub(crate) development: bool,
     pub(crate) synthetic: bool,
@@ -32,19 +32,19 @@ pub(crate) struct Face {
     pub(crate) truth: Truth,
 }
 
-/// What is known of it.
+/// The ground truth of a face.
 pub(crate) struct Truth {
     pub(crate) landmarks: Vec<[f64; 2]>,
-    /// Whether a rendered landmark is in front; all of a photograph's count. (The corners of the renders' mouths are vertices
-    /// within the mouth, which no picture shows.)
+    /// Whether a landmark is visible on a rendered face; all landmarks of a photograph are. (The mouth corners of the
+    /// renders are vertices inside the mouth, which no picture shows.)
     pub(crate) visible: Vec<bool>,
-    /// Positive when the face turns to the right of the picture.
+    /// Positive if the face turns to the right of the picture.
     pub(crate) yaw_deg: Option<f64>,
 }
 
 impl Truth {
-    /// Distance of the outer eye corners.
-    pub(crate) fn io_px(&self) -> f64 {
+    /// Outer interocular distance.
+    pub(crate) fn interocular_px(&self) -> f64 {
         distance(self.landmarks[36], self.landmarks[45])
     }
 
@@ -59,7 +59,8 @@ pub(crate) fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Every face with 68 landmarks; those of two detectors (`*.proxy.json`) stand in where there is no annotation.
+/// Every face with 68 landmarks; those of two detectors (`*.proxy.json`) serve as ground truth where there is no
+/// annotation.
 pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error>> {
     let mut faces = Vec::new();
     for part in ["photos", "synthetic"] {
@@ -78,7 +79,7 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
             let value: serde_json::Value = serde_json::from_slice(&std::fs::read(json)?)?;
             let list = value.get("faces").unwrap_or(&value).as_array().cloned().unwrap_or_default();
             for (number, face) in list.iter().enumerate() {
-                // Two detectors that do not agree have found no face.
+                // If two detectors disagree, neither is trusted as ground truth.
                 if face["agree_pct_io"].as_f64().is_some_and(|percent| percent > AGREE_MOST_PERCENT)
                 {
                     continue;
@@ -105,11 +106,13 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
     Ok(faces)
 }
 
-/// The development photographs' faces made smaller, to `io_px` pixels between the outer eye corners: most of the reported
-/// photographs' faces are small. Smaller ones are left out.
-pub(crate) fn reduced(faces: &[Face], io_px: f64) -> Result<Vec<Face>, Box<dyn std::error::Error>> {
-    let of = |face: &&Face| face.development && !face.synthetic && face.truth.io_px() > io_px;
-    faces.iter().filter(of).map(|face| smaller(face, io_px / face.truth.io_px())).collect()
+/// The faces of the development photographs, reduced to `to_px` pixels between the outer eye corners, since most faces
+/// of the reported photographs are small. Smaller ones are left out.
+pub(crate) fn reduced(faces: &[Face], to_px: f64) -> Result<Vec<Face>, Box<dyn std::error::Error>> {
+    let is_photograph = |face: &&Face| face.development && !face.synthetic;
+    let is_larger = |face: &&Face| face.truth.interocular_px() > to_px;
+    let faces = faces.iter().filter(is_photograph).filter(is_larger);
+    faces.map(|face| smaller(face, to_px / face.truth.interocular_px())).collect()
 }
 
 fn smaller(face: &Face, by: f64) -> Result<Face, Box<dyn std::error::Error>> {
@@ -140,13 +143,13 @@ fn smaller(face: &Face, by: f64) -> Result<Face, Box<dyn std::error::Error>> {
     })
 }
 
-/// AFLW2000 counts yaw the other way round.
+/// AFLW2000 has yaw with the opposite sign.
 fn yaw(name: &str, face: &serde_json::Value) -> Option<f64> {
     let yaw = face["pose_deg"].get(1)?.as_f64()?;
     Some(if name.starts_with("aflw2000") { -yaw } else { yaw })
 }
 
-/// Seeded normal noise: the sum of twelve uniform numbers, less six.
+/// Seeded, approximately normal noise: the sum of twelve uniform numbers, minus six.
 pub(crate) struct Noise(u64);
 
 impl Noise {
@@ -167,7 +170,7 @@ impl Noise {
     }
 }
 
-/// A picture of the face with the truth in green, what was found in red, and the outline in blue.
+/// A picture of the face with the ground truth in green, the found points in red, and the outline in blue.
 pub(crate) fn overlay(
     face: &Face,
     found: &FacePoints,
@@ -183,7 +186,7 @@ pub(crate) fn overlay(
         (&found.outline, [0, 0, 255]),
     ];
     let c = face.truth.centre(27..36);
-    let half = 1.5 * face.truth.io_px();
+    let half = 1.5 * face.truth.interocular_px();
     let side = 600_u32;
     let zoom = f64::from(side) / (2.0 * half);
     let (left, top) = ((c[0] - half).max(0.0), (c[1] - half).max(0.0));

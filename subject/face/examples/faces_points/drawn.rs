@@ -1,22 +1,22 @@
-//! Faces that are drawn: as many development faces as one likes, with the truth about them.
+//! Drawn faces: any number of development faces with exact ground truth.
 
 use std::error::Error;
 
 use mocapd_face::Photo;
 use mocapd_face::model::{FeatureId, Model};
-use mocapd_testkit::photograph::{Extras, Scene};
+use mocapd_testkit::photograph::{Occlusions, Scene};
 
 use super::data::{Face, Noise, Truth};
 
-/// How many.
+/// Number of faces.
 const FACES: u64 = 80;
 
-/// Faces of all shades, turned by up to 35 degrees and nodding by up to 15, with 25 to 110 pixels between the eyes.
+/// Faces of all skin tones, with yaw up to 35 degrees and pitch up to 15, and 25 to 110 pixels between the eyes.
 pub(crate) fn faces() -> Result<Vec<Face>, Box<dyn Error>> {
     (0..FACES).map(plain).collect()
 }
 
-/// Small faces of 20 to 60 pixels, in glasses, beards and fringes, in light from the side, grey and noisy ones.
+/// Small faces of 20 to 60 pixels, with glasses, beards and fringes, lit from the side, grey and noisy.
 pub(crate) fn worn_faces() -> Result<Vec<Face>, Box<dyn Error>> {
     (0..FACES).map(worn).collect()
 }
@@ -24,8 +24,8 @@ pub(crate) fn worn_faces() -> Result<Vec<Face>, Box<dyn Error>> {
 fn worn(seed: u64) -> Result<Face, Box<dyn Error>> {
     let mut random = Noise::new(seed + 5001);
     let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
-    let (io_px, yaw) = (20.0 * (1.1 * between(0.0, 1.0)).exp(), between(-35.0, 35.0));
-    let mut scene = Scene::portrait(2000 + seed, io_px, yaw);
+    let (eyes_px, yaw) = (20.0 * (1.1 * between(0.0, 1.0)).exp(), between(-35.0, 35.0));
+    let mut scene = Scene::portrait(2000 + seed, eyes_px, yaw);
     scene.noise = between(1.0, 6.0);
     let mut sometimes = |share: f64, low: f64, high: f64| {
         let amount = between(low, high);
@@ -38,7 +38,7 @@ fn worn(seed: u64) -> Result<Face, Box<dyn Error>> {
         sitter.pitch_deg = between(-15.0, 15.0);
         sitter.roll_deg = between(-10.0, 10.0);
         sitter.variety = 1.0;
-        sitter.extras = Extras { rims_mm, beard, fringe_mm, light };
+        sitter.extras = Occlusions { rims_mm, beard, fringe_mm, light };
     }
     face(&format!("drawn_worn_{seed:03}"), &scene, yaw, grey > 0.0)
 }
@@ -46,8 +46,8 @@ fn worn(seed: u64) -> Result<Face, Box<dyn Error>> {
 fn plain(seed: u64) -> Result<Face, Box<dyn Error>> {
     let mut random = Noise::new(seed + 1);
     let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
-    let (io_px, yaw) = (25.0 * between(0.0, 1.0).mul_add(1.48, 0.0).exp(), between(-35.0, 35.0));
-    let mut scene = Scene::portrait(1000 + seed, io_px, yaw);
+    let (eyes_px, yaw) = (25.0 * between(0.0, 1.0).mul_add(1.48, 0.0).exp(), between(-35.0, 35.0));
+    let mut scene = Scene::portrait(1000 + seed, eyes_px, yaw);
     for sitter in &mut scene.faces {
         sitter.pitch_deg = between(-15.0, 15.0);
         sitter.roll_deg = between(-10.0, 10.0);

@@ -1,5 +1,4 @@
-//! What annotators mean by a point, and what the method means by it: the median difference, both sides of the face taken
-//! together.
+//! Median differences between annotated and found points, both sides of the face together.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,25 +8,25 @@ use mocapd_face::points::FacePoints;
 use super::data::Face;
 use super::ibug;
 
-/// Differences by the point's number in iBUG-68, that of the right half of the face.
+/// Differences by the point's number in iBUG-68, in the right half of the face.
 #[derive(Default)]
 pub(crate) struct Offsets(BTreeMap<usize, Vec<[f64; 2]>>);
 
 impl Offsets {
-    /// Photographs of faces that look at the camera, more or less: an offset of a turned face is another one.
+    /// Nearly frontal photographs only: the offset of a turned face is different.
     pub(crate) fn add(&mut self, face: &Face, found: &FacePoints) {
-        if face.truth.io_px() < 40.0
+        if face.truth.interocular_px() < 40.0
             || face.synthetic
             || face.truth.yaw_deg.is_some_and(|yaw| yaw.abs() > 20.0)
         {
             return;
         }
         let (Some(l), Some(r)) = (ibug(found, 36), ibug(found, 45)) else { return };
-        let io = super::data::distance(l, r);
-        let axis = [(r[0] - l[0]) / io, (r[1] - l[1]) / io];
+        let interocular = super::data::distance(l, r);
+        let axis = [(r[0] - l[0]) / interocular, (r[1] - l[1]) / interocular];
         for point in (17..68).filter(|i| ibug(found, *i).is_some()) {
             let (Some(p), t) = (ibug(found, point), face.truth.landmarks[point]) else { continue };
-            let d = [(t[0] - p[0]) / io, (t[1] - p[1]) / io];
+            let d = [(t[0] - p[0]) / interocular, (t[1] - p[1]) / interocular];
             let across = d[0] * axis[0] + d[1] * axis[1];
             let down = d[1] * axis[0] - d[0] * axis[1];
             let (right, sign) = mirrored(point);
@@ -57,7 +56,7 @@ impl fmt::Display for Offsets {
                 v.sort_by(f64::total_cmp);
                 v[v.len() / 2]
             };
-            // What lies on the middle line has no side.
+            // Points on the midline have no side.
             let x = if [33, 51, 57, 62, 66].contains(point) { 0.0 } else { median(0) };
             writeln!(f, "    ({point}, [{x:.3}, {:.3}]),", median(1))?;
         }

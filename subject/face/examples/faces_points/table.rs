@@ -1,4 +1,4 @@
-//! Errors of one face, and their table.
+//! Errors of one face, and the table of them.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,7 +10,7 @@ use mocapd_face::points::FacePoints;
 use super::data::{Face, distance};
 use super::ibug;
 
-/// Errors in per cent of the distance of the outer eye corners, but for the yaw.
+/// Errors in per cent of the outer interocular distance, except for the yaw.
 pub(crate) struct Row {
     pub(crate) all: f64,
     pub(crate) eyes: f64,
@@ -18,23 +18,23 @@ pub(crate) struct Row {
     pub(crate) nose: f64,
     pub(crate) mouth: f64,
     outline: f64,
-    /// Whether the method takes the face for a good one; a method that cannot tell takes them all.
+    /// Whether the confidence is at least 0.5; true for a method without a confidence.
     sure: bool,
-    /// Found less true.
+    /// Found minus true yaw, in degrees.
     yaw_deg: Option<f64>,
-    /// The same of the generic face fitted to the points.
+    /// The same for the generic face fitted to the points.
     fitted_yaw_deg: Option<f64>,
 }
 
 impl Row {
     pub(crate) fn of(face: &Face, found: &FacePoints) -> Row {
-        let io = face.truth.io_px();
+        let interocular = face.truth.interocular_px();
         let mean = |points: &mut dyn Iterator<Item = usize>| {
             let errors: Vec<f64> = points
                 .filter(|i| face.truth.visible[*i])
                 .filter_map(|i| Some(distance(ibug(found, i)?, face.truth.landmarks[i])))
                 .collect();
-            100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / io
+            100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / interocular
         };
         let mouth = || (48..60).chain([62, 66]);
         Row {
@@ -46,7 +46,7 @@ impl Row {
             outline: 100.0
                 * (0..17).map(|i| to_polygon(face.truth.landmarks[i], &found.outline)).sum::<f64>()
                 / 17.0
-                / io,
+                / interocular,
             fitted_yaw_deg: face.truth.yaw_deg.zip(fitted_yaw(found)).map(|(t, f)| f - t),
             sure: found.confidence().is_none_or(|confidence| confidence >= FittedFace::SURE),
             yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| f - t),
@@ -89,11 +89,11 @@ impl fmt::Display for Row {
     }
 }
 
-/// Rows by the kind of face and the method.
+/// Rows by kind of face and method.
 #[derive(Default)]
 pub(crate) struct Table {
     rows: BTreeMap<(&'static str, &'static str), Vec<Row>>,
-    /// Of each search by the default way.
+    /// Yaw errors of each search by the default method.
     pub(crate) spent_ms: Vec<f64>,
 }
 

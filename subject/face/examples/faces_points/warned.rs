@@ -1,20 +1,20 @@
-//! How often the points of the paper's chain are said to contradict a face, and how often they are off, on drawn faces.
+//! How often the points of the paper's chain get a note, and how often they are wrong, on drawn faces.
 
 use std::error::Error;
 use std::io::Write;
 
 use mocapd_face::model::Model;
-use mocapd_face::plausible::Plausible;
 use mocapd_face::points;
+use mocapd_face::proportions::ProportionModel;
 
 use super::data::{Face, Noise};
 use super::table::Row;
 use super::{STARTS, detected, disturbed};
 
-/// Off by more than this, in per cent of the distance of the outer eye corners, on the mean.
+/// Limit of a mean error, in per cent of the outer interocular distance.
 const OFF: f64 = 10.0;
 
-/// Faces and those that are warned of: off as a whole; off in a part; in none.
+/// Number of faces, and of those with a note: with a large error as a whole; in one feature; in none.
 #[derive(Default)]
 struct Counts([[usize; 2]; 3]);
 
@@ -32,7 +32,7 @@ pub(crate) fn print(
     kinds: &[(&str, &[Face])],
     each: bool,
 ) -> Result<(), Box<dyn Error>> {
-    let plausible = Plausible::of(Model::generic()?);
+    let proportions = ProportionModel::of(Model::generic()?);
     writeln!(
         out,
         "| faces | off by more than 10 %: n | warned of | a part of them is: n | warned of | neither: n | warned of |"
@@ -48,12 +48,12 @@ pub(crate) fn print(
             for (number, rough) in starts.into_iter().enumerate() {
                 let Some(rough) = rough else { continue };
                 let found = points::paper::find(&face.photo, &rough);
-                let said = plausible.contradictions(&found.points.map(|point| point.at));
+                let notes = proportions.contradictions(&found.points.map(|point| point.at));
                 let row = Row::of(face, &found);
                 if each {
-                    writeln!(out, "{:22} {number} {row} | {}", face.name, said.join("; "))?;
+                    writeln!(out, "{:22} {number} {row} | {}", face.name, notes.join("; "))?;
                 }
-                counts.add(&row, !said.is_empty());
+                counts.add(&row, !notes.is_empty());
             }
         }
         write!(out, "| {kind} |")?;

@@ -1,4 +1,4 @@
-//! The wireframe pulled onto the points of a photograph, by radial basis functions (Yang et al. 2004, (6) to (14)).
+//! Adaptation of the wireframe to the points of a photograph by radial basis functions (Yang et al. 2004, (6) to (14)).
 
 mod radial;
 #[cfg(test)]
@@ -7,54 +7,54 @@ mod tests;
 use crate::model::{Camera, Landmark, Model, OUTER_EYES_MM};
 pub use radial::{AdaptError, RadialMap};
 
-/// d of the multiquadric ([`RadialMap`]): how far around a point the vertices follow it.
+/// The d of the multiquadric ([`RadialMap`]): how far around a point the vertices follow it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Width {
     /// In pixels of the photograph.
     Pixels(f64),
-    /// In distances of the outer eye corners, as the camera would see them from in front.
+    /// In outer interocular distances, as the camera would see them from the front.
     OuterEyes(f64),
 }
 
 impl Width {
-    /// As (Yang et al. 2004) prints it, with its 1 read as a pixel: it does not say what it is in.
+    /// As (Yang et al. 2004) print it, with its 1 read as a pixel, since they do not give the unit.
     ///
-    /// Read as the distance of the outer eye corners it is twenty times as wide as features are apart: the points are met,
-    /// and the vertices between them end up a whole eyes' distance from where they belong.
+    /// Read as an outer interocular distance it is twenty times as wide as features are apart: the points are met, but
+    /// vertices between them end up an interocular distance from where they belong.
     pub const PAPER: Self = Self::Pixels(1.0);
 }
 
 impl Default for Width {
-    /// A twentieth of the eyes' distance, about as far as features are apart: the same at every size of the photograph.
+    /// A twentieth of the interocular distance, about as far as features are apart: the same at every resolution.
     fn default() -> Self {
         Self::OuterEyes(0.05)
     }
 }
 
-/// Where the depth of the result comes from. A photograph has none, and (Yang et al. 2004) says nothing of it.
+/// Source of the result's depth. A photograph has none, and (Yang et al. 2004) do not mention it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Depth<'a> {
-    /// The model's own, scaled as its width and height were.
+    /// The model's depth, scaled like its width and height.
     Model,
-    /// A map of its own, in three dimensions, through the depth of each point: pixels before the model's origin, in the
-    /// order of the points. A shape that was fitted has them.
+    /// A separate map in three dimensions through the depth of each point: pixels before the model's origin, in the
+    /// order of the points. A fitted shape provides them.
     Points(&'a [f64]),
 }
 
-/// A face pulled onto the points of a photograph.
+/// An adapted face.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adapted {
-    /// Each vertex in the picture: x, y and how far before the model's origin, in pixels.
+    /// Each vertex in the picture: x, y and depth before the model's origin, in pixels.
     pub vertices_px: Vec<[f64; 3]>,
-    /// Each vertex turned back to look straight ahead, in the model's frame and nominal millimetres.
+    /// Each vertex facing forward, in the model's frame and nominal millimetres.
     pub vertices_mm: Vec<[f64; 3]>,
 }
 
-/// Carries the face `vertices_mm`, turned as `camera` has it, onto `points` (Yang et al. 2004, section 5): the features
-/// come to lie on the points, the other vertices between them.
+/// Adapts the face `vertices_mm`, posed by `camera`, to `points` (Yang et al. 2004, section 5): the features come to
+/// lie on the points, the other vertices between them.
 ///
 /// # Errors
-/// Points that determine no map: too few, twice the same, on one line.
+/// [`AdaptError`] if the points determine no map: too few, duplicates, or on one line.
 pub fn adapt(
     model: &Model,
     vertices_mm: &[[f64; 3]],
@@ -63,38 +63,37 @@ pub fn adapt(
     width: Width,
     depth: Depth<'_>,
 ) -> Result<Adapted, AdaptError> {
-    // Steps 1 and 2: turned, and seen without perspective. In units of the eyes' distance.
+    // Steps 1 and 2: rotation and orthographic projection, in interocular distances.
     let turned = Camera { scale_px_per_mm: 1.0 / OUTER_EYES_MM, origin_px: [0.0; 2], ..*camera };
     let seen = turned.project(vertices_mm);
     let features = turned.project(&model.feature_points(vertices_mm, &camera.rotation()));
-    // Step 3.
+    // Step 3: centres and targets.
     let nodes: Vec<_> = points.iter().map(|point| features[point.id.index()]).collect();
     let flat: Vec<_> = nodes.iter().map(|&[x, y, _]| [x, y]).collect();
-    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
-    let targets: Vec<_> = points.iter().map(|point| point.xy_px.map(|v| v / io_px)).collect();
-    // Steps 4 to 6. Another unit of r is another d, and a factor that the weights take up.
+    let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let unit = |point: &Landmark| point.xy_px.map(|v| v / interocular_px);
+    let targets: Vec<_> = points.iter().map(unit).collect();
+    // Steps 4 to 6. Another unit of r is another d, and a factor that the weights absorb.
     let d = match width {
-        Width::Pixels(d) => d * (1.0 / io_px),
+        Width::Pixels(d) => d * (1.0 / interocular_px),
         Width::OuterEyes(d) => d,
     };
     let map = RadialMap::new(d, &flat, &targets)?;
-    let mut vertices_px: Vec<_> = seen
-        .iter()
-        .map(|&[x, y, z]| {
-            let [u, v] = map.at(&[x, y]);
-            [u * io_px, v * io_px, z]
-        })
-        .collect();
+    let place = |&[x, y, z]: &[f64; 3]| {
+        let [u, v] = map.at(&[x, y]);
+        [u * interocular_px, v * interocular_px, z]
+    };
+    let mut vertices_px: Vec<_> = seen.iter().map(place).collect();
     match depth {
         Depth::Model => {
-            let scale_px = io_px * spread(&targets) / spread(&flat);
+            let scale_px = interocular_px * spread(&targets) / spread(&flat);
             vertices_px.iter_mut().for_each(|v| v[2] *= scale_px);
         }
         Depth::Points(depths) => {
-            let targets: Vec<_> = depths.iter().map(|z| [z / io_px]).collect();
+            let targets: Vec<_> = depths.iter().map(|z| [z / interocular_px]).collect();
             let map = RadialMap::<3, 1>::new(d, &nodes, &targets)?;
             for (vertex, place) in vertices_px.iter_mut().zip(&seen) {
-                vertex[2] = map.at(place)[0] * io_px;
+                vertex[2] = map.at(place)[0] * interocular_px;
             }
         }
     }
@@ -102,7 +101,7 @@ pub fn adapt(
     Ok(Adapted { vertices_px, vertices_mm })
 }
 
-/// Root mean square distance from the middle.
+/// Root mean square distance from the centroid.
 fn spread(points: &[[f64; 2]]) -> f64 {
     let n = points.len() as f64;
     let mean = [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / n);

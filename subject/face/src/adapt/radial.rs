@@ -1,84 +1,85 @@
-//! A map that carries given nodes exactly where they belong, and everything between them smoothly.
+//! Interpolation by radial basis functions: a map that takes given nodes exactly to their targets and is smooth between
+//! them.
 
 use nalgebra::DMatrix;
 use thiserror::Error;
 
-/// The solution takes the cube of this; a face has 53.
+/// Most nodes, since the solution takes cubic time; a face has 53.
 const MAX_NODES: usize = 1000;
-/// Nodes nearer than this share of the nodes' extent are one node: no double tells them apart after the solution.
+/// Nodes closer than this fraction of their extent are duplicates: no double distinguishes them after the solution.
 const DUPLICATE: f64 = 1e-7;
-/// Nodes are on one line (in one plane) when their spread across it is less than this share of that along it.
+/// Nodes are collinear (coplanar) if their spread across is below this fraction of that along.
 const FLAT: f64 = 1e-7;
 
 /// Why there is no map.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum AdaptError {
-    /// Not one target for each node.
-    #[error("{nodes} nodes and {targets} targets: give one target a node")]
+    /// The numbers of nodes and targets differ.
+    #[error("{nodes} nodes and {targets} targets: give one target per node")]
     Count {
-        /// How many nodes.
+        /// Number of nodes.
         nodes: usize,
-        /// How many targets.
+        /// Number of targets.
         targets: usize,
     },
-    /// Too few to hold the linear part, or more than is meant for faces.
-    #[error("{found} nodes: give {least} to {most}")]
+    /// Too few nodes for the linear part, or too many.
+    #[error("{found} nodes, expected {least} to {most}")]
     Nodes {
-        /// As given.
+        /// Number of nodes.
         found: usize,
-        /// Dimensions and one.
+        /// Least number: dimensions plus one.
         least: usize,
-        /// What is allowed.
+        /// Largest number.
         most: usize,
     },
-    /// A coordinate that is infinite or no number.
+    /// A coordinate that is not finite.
     #[error("node {0} or its target is not finite")]
     NotFinite(usize),
-    /// Two nodes in one place cannot have two targets.
+    /// Two nodes coincide.
     #[error("nodes {0} and {1} are in the same place: leave one of them out")]
     Duplicate(usize, usize),
-    /// The linear part is not determined.
-    #[error("the nodes lie on one line, or in one plane: add one beside it")]
+    /// The nodes are collinear or coplanar, so the linear part is undetermined.
+    #[error("the nodes lie on one line or in one plane: add a node off it")]
     Flat,
-    /// A multiquadric that is not.
+    /// The parameter d is out of range.
     #[error("d of the multiquadric is {0}: give 0 or more")]
     Basis(f64),
-    /// The equations have no solution to working precision.
+    /// The equations are singular to working precision.
     #[error("the nodes are too close together for this basis: use a smaller d, or leave some out")]
     Singular,
 }
 
 /// `F(x) = Σ ω_j φ(‖x - x_j‖) + v·(x, 1)` (Yang et al. 2004, (12)), from `D` dimensions to `K`.
 ///
-/// φ(r) is the multiquadric √(d² + r²), of the family (11) that with m = 1 and t = 1/2; r and d are in the unit of the
-/// coordinates, and the smaller d, the sharper its tip.
+/// φ(r) is the multiquadric √(d² + r²), family (11) with m = 1 and t = 1/2. r and d are in the unit of the coordinates;
+/// the smaller d, the sharper its tip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RadialMap<const D: usize, const K: usize> {
     d: f64,
     nodes: Vec<[f64; D]>,
-    /// ω, one a node.
+    /// ω, one per node.
     pub(super) weights: Vec<[f64; K]>,
-    /// v: one a coordinate, and the constant last.
+    /// v: one per coordinate, the constant last.
     linear: Vec<[f64; K]>,
-    /// Coordinates are taken from here: it keeps the equations well scaled, and changes no map.
+    /// Origin of the coordinates: it keeps the equations well scaled and does not change the map.
     middle: [f64; D],
-    /// Takes up what rounding leaves at the nodes.
+    /// Correction of rounding errors at the nodes.
     rest: Option<Box<Self>>,
 }
 
-/// What may be missing at a node, as a share of the largest target: a thousandth of what anybody asks for.
+/// Tolerated error at a node, as a fraction of the largest target: a thousandth of any practical requirement.
 const NEGLIGIBLE: f64 = 1e-12;
-/// |r| is sharp, and so well conditioned that its own rounding does not count.
+/// |r| is sharp and well conditioned, so its own rounding does not matter.
 const SHARP: f64 = 0.0;
 
 impl<const D: usize, const K: usize> RadialMap<D, K> {
     /// The map with F(node) = target for each pair (Yang et al. 2004, (6)): (13) and (14) solved by LU with pivoting.
     ///
-    /// Affine maps are reproduced as they are. A round basis and nodes that are close together give large weights of both
-    /// signs, whose sum no double has exactly: what is missing at the nodes is given to a second map, of sharp functions.
+    /// Affine maps are reproduced exactly. A smooth basis with close nodes has large weights of both signs, whose sum a
+    /// double cannot hold; the remaining error at the nodes goes to a second map with a sharp basis.
     ///
     /// # Errors
-    /// Nodes that determine no map, or parameters out of range.
+    /// [`AdaptError`] if the nodes determine no map or a parameter is out of range.
     pub fn new(d: f64, nodes: &[[f64; D]], targets: &[[f64; K]]) -> Result<Self, AdaptError> {
         check(d, nodes, targets)?;
         let mut map = Self::solve(d, nodes, targets)?;
@@ -123,7 +124,7 @@ impl<const D: usize, const K: usize> RadialMap<D, K> {
         Ok(Self { d, nodes: nodes.to_vec(), weights, linear, middle, rest: None })
     }
 
-    /// Where `x` goes.
+    /// Maps `x`.
     pub fn at(&self, x: &[f64; D]) -> [f64; K] {
         let mut y = [0.0; K];
         for (node, weight) in self.nodes.iter().zip(&self.weights) {
@@ -182,7 +183,7 @@ fn check<const D: usize, const K: usize>(
     let extent2 = nodes.iter().map(|x| squared_distance(x, &mean)).fold(0.0, f64::max);
     for (i, x) in nodes.iter().enumerate() {
         for (j, other) in nodes[..i].iter().enumerate() {
-            // Not `<`: where all are in one place the extent is 0, and so is the distance.
+            // Not `<`: if all nodes coincide, extent and distance are both 0.
             if squared_distance(x, other) <= extent2 * DUPLICATE * DUPLICATE {
                 return Err(AdaptError::Duplicate(j, i));
             }

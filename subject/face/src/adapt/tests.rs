@@ -1,17 +1,17 @@
 use super::*;
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, OUTER_EYES_MM};
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
-/// How round the multiquadric's tip is.
+/// Radius of the multiquadric.
 const WIDTHS: [f64; 4] = [1.0, 0.3, 0.05, 0.0];
 
-fn scattered<const D: usize>(noise: &mut Random, count: usize) -> Vec<[f64; D]> {
+fn scattered<const D: usize>(noise: &mut PictureRng, count: usize) -> Vec<[f64; D]> {
     (0..count).map(|_| std::array::from_fn(|_| 2.0 * noise.uniform() - 1.0)).collect()
 }
 
 #[test]
 fn nodes_go_exactly_to_their_targets_in_every_family() {
-    let mut noise = Random::new(1);
+    let mut noise = PictureRng::new(1);
     for d in WIDTHS {
         let nodes: Vec<[f64; 2]> = scattered(&mut noise, 53);
         let targets: Vec<[f64; 2]> = scattered(&mut noise, 53);
@@ -28,7 +28,7 @@ fn nodes_go_exactly_to_their_targets_in_every_family() {
 
 #[test]
 fn affine_maps_are_reproduced_everywhere() {
-    let mut noise = Random::new(2);
+    let mut noise = PictureRng::new(2);
     let affine = |x: &[f64; 3]| {
         [3.0 * x[0] - 0.5 * x[1] + x[2] + 40.0, 0.2 * x[0] + 2.0 * x[1] - 7.0, x[0] + x[1] + x[2]]
     };
@@ -47,7 +47,7 @@ fn affine_maps_are_reproduced_everywhere() {
 
 #[test]
 fn weights_meet_the_side_conditions() {
-    let mut noise = Random::new(3);
+    let mut noise = PictureRng::new(3);
     for d in WIDTHS {
         let nodes: Vec<[f64; 2]> = scattered(&mut noise, 30);
         let targets: Vec<[f64; 1]> = scattered(&mut noise, 30);
@@ -60,9 +60,9 @@ fn weights_meet_the_side_conditions() {
     }
 }
 
-/// Two nodes on a line, worked out by hand: φ = √(1+r²), F(±1) = ±1, F(0) = 2 has ω = (-c, 2c, -c) by symmetry.
+/// Two nodes on a line, derived by hand: φ = √(1+r²), F(±1) = ±1, F(0) = 2 has ω = (-c, 2c, -c) by symmetry.
 #[test]
-fn three_nodes_are_as_worked_out_by_hand() {
+fn three_nodes_match_the_solution_by_hand() {
     let map = RadialMap::new(1.0, &[[-1.0], [0.0], [1.0]], &[[-1.0], [2.0], [1.0]]).unwrap();
     // The even part is E(x) = c (2φ(x) - φ(x-1) - φ(x+1)) + e with E(±1) = 0 and E(0) = 2.
     let (at_0, at_1) = (2.0 - 2.0 * 2f64.sqrt(), 2.0 * 2f64.sqrt() - 1.0 - 5f64.sqrt());
@@ -77,7 +77,7 @@ fn three_nodes_are_as_worked_out_by_hand() {
 }
 
 #[test]
-fn nodes_that_determine_no_map_are_refused() {
+fn degenerate_nodes_are_refused() {
     let square = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
     let map = |nodes: &[[f64; 2]]| RadialMap::new(1.0, nodes, nodes).unwrap_err();
     assert_eq!(map(&square[..2]), AdaptError::Nodes { found: 2, least: 3, most: 1000 });
@@ -119,18 +119,18 @@ fn features_of_an_adapted_face_lie_on_the_points() {
         .collect();
     for width in [Width::PAPER, Width::default(), Width::OuterEyes(1.0)] {
         let adapted = adapt(model, &model.vertices, &camera, &given, width, Depth::Model).unwrap();
-        let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+        let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
         for Landmark { id, xy_px: at, .. } in &given[FeatureId::CONTOUR..] {
             let vertex = adapted.vertices_px[model.features[id.name()]];
-            let off = (vertex[0] - at[0]).hypot(vertex[1] - at[1]) / io_px;
+            let off = (vertex[0] - at[0]).hypot(vertex[1] - at[1]) / interocular_px;
             assert!(off < 1e-9, "{}: {off} io", id.name());
         }
     }
 }
 
-/// Adaptation is worth its name: every vertex, not just the features, comes nearer to where it is on this person.
+/// Adaptation moves every vertex, not just the features, closer to its true position on this person.
 #[test]
-fn vertices_between_the_features_come_nearer() {
+fn vertices_between_the_features_improve() {
     let (model, camera, person) = turned_face();
     let truth = camera.project(&person);
     let seen = points(model, &camera, &person);
@@ -138,29 +138,29 @@ fn vertices_between_the_features_come_nearer() {
         .zip(&seen)
         .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
         .collect();
-    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let error = |vertices: &[[f64; 3]], axes: std::ops::Range<usize>| {
         let off = |(v, t): (&[f64; 3], &[f64; 3])| {
             axes.clone().map(|axis| (v[axis] - t[axis]).powi(2)).sum::<f64>().sqrt()
         };
-        vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
+        vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / interocular_px
     };
     let before = camera.project(&model.vertices);
     let paper = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Model).unwrap();
     assert!(error(&paper.vertices_px, 0..2) < 0.6 * error(&before, 0..2));
-    // With depths the third dimension comes nearer, too.
+    // With depths the third dimension improves, too.
     let depths: Vec<_> = seen.iter().map(|p| p[2]).collect();
     let deep = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Points(&depths))
         .unwrap();
     assert!(error(&deep.vertices_px, 2..3) < 0.7 * error(&paper.vertices_px, 2..3));
-    // And a shape that was fitted is a better beginning than the average.
+    // A fitted shape is a better starting point than the average.
     let fit = model.fit_shape(&given, &FitOptions::default()).unwrap();
     let fitted =
         adapt(model, &fit.vertices_mm, &fit.camera, &given, Width::PAPER, Depth::Model).unwrap();
     assert!(error(&fitted.vertices_px, 0..2) < error(&paper.vertices_px, 0..2));
 }
 
-/// Why the paper's d = 1 is no distance of eyes (docs/subject-face-model.md has these figures).
+/// Why the paper's d = 1 cannot be in units of the eye distance (docs/subject-face-model.md has these figures).
 #[test]
 fn a_basis_much_wider_than_features_are_apart_overshoots() {
     let (model, camera, person) = turned_face();
@@ -170,10 +170,11 @@ fn a_basis_much_wider_than_features_are_apart_overshoots() {
         .zip(&seen)
         .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
         .collect();
-    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let error = |vertices: &[[f64; 3]]| {
         let off = |(v, t): (&[f64; 3], &[f64; 3])| (v[0] - t[0]).hypot(v[1] - t[1]);
-        100.0 * vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
+        let sum: f64 = vertices.iter().zip(&truth).map(off).sum();
+        100.0 * sum / truth.len() as f64 / interocular_px
     };
     let adapted = |d: f64| {
         let width = Width::OuterEyes(d);
@@ -181,7 +182,7 @@ fn a_basis_much_wider_than_features_are_apart_overshoots() {
     };
     let before = error(&camera.project(&model.vertices));
     println!("not adapted: {before:.2} % io");
-    for d in [1.0, 0.5, 0.2, 0.1, 0.05, 1.0 / io_px, 0.0] {
+    for d in [1.0, 0.5, 0.2, 0.1, 0.05, 1.0 / interocular_px, 0.0] {
         println!("d = {d:.3} io: {:.2} % io", error(&adapted(d).vertices_px));
     }
     assert!(error(&adapted(1.0).vertices_px) > 10.0 * before);

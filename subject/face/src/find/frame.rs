@@ -1,37 +1,37 @@
-//! The frame that two eyes and a mouth give.
+//! The coordinate frame of a face, given by two eyes and a mouth.
 
-/// A map from a face's own coordinates to a picture's: the eyes are at (-1/2, 0) and (1/2, 0), the mouth at
-/// (0, [`Frame::MOUTH`]).
+/// Maps a face's own coordinates to a picture's: the eyes are at (-1/2, 0) and (1/2, 0), the mouth at (0,
+/// [`Frame::MOUTH`]).
 ///
-/// It is affine but for the turn of the head: a face is a cylinder of radius R, and turned by an angle a its places x are
-/// seen at x cos a + sqrt(R^2 - x^2) sin a. To the second order, and with the eyes where they are, that is
-/// x + turn (x^2 - 1/4): one half is wider, and the nose is nearer to the other eye.
+/// The map is affine except for the turn of the head. A face is taken for a cylinder of radius R; rotated by an angle
+/// a, a point at x appears at x cos a + sqrt(R^2 - x^2) sin a. To second order, and with the eyes kept in place, that
+/// is x + turn (x^2 - 1/4): one half is wider, and the nose is nearer to the other eye.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
-    /// The middle of the eyes.
+    /// Midpoint of the eyes.
     pub origin: [f32; 2],
-    /// From the left eye to the right one.
+    /// Vector from the left to the right eye.
     pub across: [f32; 2],
-    /// One unit towards the mouth.
+    /// Vector of one unit towards the mouth.
     pub down: [f32; 2],
     /// About tan a / 2.3; positive where the nose points to the picture's left.
     pub turn: f32,
 }
 
 impl Frame {
-    /// How far the mouth is from the eyes, in distances of the eyes: 63 mm and 70 mm on an adult.
+    /// Distance of the mouth from the eyes, in eye distances: 70 mm to 63 mm on an adult.
     pub const MOUTH: f32 = 1.1;
 
-    /// Through two eyes, the one at the picture's left first, and a mouth.
+    /// The frame through two eyes, the one at the picture's left first, and a mouth.
     pub(super) fn through([left, right]: [[f32; 2]; 2], mouth: [f32; 2], turn: f32) -> Self {
         let origin = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
         let across = [right[0] - left[0], right[1] - left[1]];
-        // Seen turned, the middle of the mouth is beside the middle of the eyes.
+        // In a turned face the middle of the mouth is beside the midpoint of the eyes.
         let down = [0, 1].map(|i| (mouth[i] - origin[i] + turn / 4.0 * across[i]) / Self::MOUTH);
         Self { origin, across, down, turn }
     }
 
-    /// Where a point of the face is in the picture.
+    /// Maps a point of the face to the picture.
     #[must_use]
     pub fn at(&self, x: f32, y: f32) -> [f32; 2] {
         let x = x + self.turn * (x * x - 0.25);
@@ -45,7 +45,7 @@ impl Frame {
     }
 }
 
-/// How long a way is. On a photograph nothing is so long that its square has no end, and this is much faster than `hypot`.
+/// Length of a vector. Squares cannot overflow on a photograph, and this is much faster than `hypot`.
 pub(super) fn length([x, y]: [f32; 2]) -> f32 {
     (x * x + y * y).sqrt()
 }

@@ -1,21 +1,28 @@
-//! Where the faces of a photograph are: two eyes and a mouth each.
+//! Face detection: two eyes and a mouth for each face of a photograph.
 //!
-//! Slopes of brightness, told in the contrast of around, are pooled over small cells (Dalal and Triggs 2005), and a template
-//! of what each cell of a face speaks for it is held against every place, at every size, five rolls, frontal and turned to
-//! both sides. The best places are refined between the steps of that search, and give the frame of a face ([`Frame`]: eyes,
-//! mouth and turn). How it looks in that frame ([`Look`]) tells where eyes and mouth are, by two linear regressions, one
-//! after the other (Xiong and De la Torre 2013); how it looks with those tells whether it may be a face: a few hundred boosted
-//! trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated channel features
-//! (Dollar et al. 2014). What may be one is looked at again, where a glance (`points::regressor`) has its landmarks: other
-//! trees ask how it looks there and around each of them. No colours are asked about: grey photographs are as good as others.
+//! The detector is a cascade on histograms of oriented gradients (Dalal and Triggs 2005), without colour, so grey
+//! photographs work as well as others:
 //!
-//! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
-//! so that neither hair over a cheek nor a wall of skin's colour hides a face.
+//! 1. A linear template over pooled gradients scores every place of an image pyramid, at every size and five rolls,
+//!    frontal and turned to both sides. The best candidates are refined between the steps of that search and give the
+//!    [`Frame`] of a face: eyes, mouth and turn.
+//!
+//! 2. Two linear regressions (Xiong and De la Torre 2013) on the [`FeatureVector`] of that frame align eyes and mouth.
+//!
+//! 3. First-stage classifier: 300 boosted trees of depth 3 on gradients, brightness and contrast of the frame's cells,
+//!    as in aggregated channel features (Dollar et al. 2014), dismiss nearly all candidates.
+//!
+//! 4. Second-stage classifier: for the rest, a landmark regressor ([`points::regressor`](crate::points::regressor))
+//!    gives eyes, mouth and turn, and 500 more trees score the frame there, the patches around each landmark, and the
+//!    first score.
+//!
+//! The template of (Yang et al. 2004, eq. 4) was the starting point. It is evaluated everywhere instead of on blocks of
+//! skin, so that neither hair over a cheek nor a skin-coloured wall hides a face.
 
 mod align;
+mod candidates;
+mod features;
 mod frame;
-mod look;
-mod places;
 mod template;
 #[cfg(test)]
 mod tests;
@@ -23,110 +30,112 @@ mod trees;
 
 use crate::photo::Photo;
 use crate::plane::Pyramid;
-use crate::points::Rough;
+use crate::points::RoughFace;
 use crate::vector::{distance, middle};
 use align::STEPS;
+use candidates::candidates;
+pub use features::{FEATURE_COUNT, FeatureVector, SECOND_STAGE_COUNT};
+use features::{extract, second_stage};
 pub use frame::Frame;
-pub use look::{LOOK, Look, SECOND};
-use look::{look, second};
-use places::places;
 
-/// A face: eyes, mouth and how sure they are. Coordinates are the photograph's, in pixels.
+/// A detected face. Coordinates are the photograph's, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Found {
-    /// The middles of the eyes: first the one at the picture's left, which is the subject's right eye.
+pub struct DetectedFace {
+    /// The centres of the eyes: first the one at the picture's left, the subject's right eye.
     pub eyes: [[f64; 2]; 2],
-    /// The middle of the mouth.
+    /// The centre of the mouth.
     pub mouth: [f64; 2],
-    /// The angle of the line through the eyes from the x axis, clockwise in the picture.
+    /// Angle of the line through the eyes from the x axis, clockwise in the picture.
     pub roll_rad: f64,
-    /// The distance of the outer eye corners, estimated from the eyes'.
-    pub io_px: f64,
-    /// 0 to 1: the share of what looks so that is a face, on what the trees learned from, where faces counted two of five.
+    /// Outer interocular distance, estimated from the eyes.
+    pub interocular_px: f64,
+    /// Score, 0 to 1: the fraction of such feature vectors that are faces in the training set, where faces were
+    /// weighted as two fifths.
     pub score: f64,
 }
 
-/// Distance of the outer eye corners, in those of the eyes' middles: 90 mm and 63 mm.
-const IO_OF_EYES: f64 = 1.43;
-/// The smallest face that is looked for, as the distance of the outer corners, on photographs of up to a megapixel; it
-/// grows with the root of what is beyond that.
-pub const IO_MIN_PX: f32 = 32.0;
+/// Ratio of the outer interocular distance to that of the eye centres: 90 mm to 63 mm.
+const INTEROCULAR_PER_EYES: f64 = 1.43;
+/// Least outer interocular distance on photographs of up to a megapixel; it grows with the square root of the size
+/// beyond that.
+pub const INTEROCULAR_MIN_PX: f32 = 32.0;
 const FULL_SEARCH_PX: f32 = 1e6;
-/// How sure a face must be: the lowest limit, in steps of half a unit of the logarithm of the odds, at which of 3932 pictures
-/// without a face that were held out while the trees were learned (apes are left aside) no more than one in a thousand has one.
+/// Least score of a face: the lowest threshold, in steps of half a unit of log odds, at which at most one in a thousand
+/// of 3932 held-out pictures without a face has a detection (pictures of apes excluded).
 pub const SCORE_MIN: f64 = 0.73;
 
-/// How sure the first look must be of what is looked at again, which takes about 2 ms: low, for the second look is better at it.
-/// There are no more of these than places.
-const FIRST_MIN: f64 = 0.03;
+/// Least first-stage score of a second-stage candidate. It is low, since the second stage is better and takes about 2
+/// ms per candidate; there are never more than the template's candidates.
+const FIRST_STAGE_MIN: f64 = 0.03;
 
-/// What fits less once it is refined is not looked at closer: of the faces learned from a hundredth, of all places two fifths.
+/// Least log odds of a refined candidate: a hundredth of the training faces and two fifths of all candidates have less.
 const REFINED_MIN: f32 = -1.5;
 
-/// Two eyes and a mouth, and what they score.
+/// A candidate face with its score.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hypothesis {
-    /// What would be found.
-    pub found: Found,
-    /// How it looks upright: [`LOOK`] bytes, of a second look [`SECOND`].
-    pub look: Look,
+    /// The face.
+    pub found: DetectedFace,
+    /// Its features: [`FEATURE_COUNT`] bytes in the first stage, [`SECOND_STAGE_COUNT`] in the second.
+    pub features: FeatureVector,
 }
 
-/// Every place that may be a face, with its eyes and its mouth where they look to be; the likeliest of the template first.
+/// All candidates of the template after alignment, with their first-stage scores, the template's best first.
 #[must_use]
 pub fn hypotheses(photo: &Photo) -> Vec<Hypothesis> {
-    hypotheses_after(photo, STEPS.len())
+    hypotheses_after_steps(photo, STEPS.len())
 }
 
-/// The same after fewer steps of the regression that moves eyes and mouth: after none, they are where the template has them.
+/// All candidates after fewer alignment steps; with none, eyes and mouth are where the template has them.
 #[must_use]
-pub fn hypotheses_after(photo: &Photo, steps: usize) -> Vec<Hypothesis> {
-    proposed(photo, &Pyramid::new(photo.grey()), steps)
+pub fn hypotheses_after_steps(photo: &Photo, steps: usize) -> Vec<Hypothesis> {
+    propose(photo, &Pyramid::new(photo.grey()), steps)
 }
 
-/// What the first look does not dismiss, surest first, as a second look has it: its eyes and mouth, its score, and what
-/// lies there.
+/// The candidates that the first stage keeps, with the second stage's eyes, mouth and score, best first-stage score
+/// first.
 #[must_use]
-pub fn hypotheses_again(photo: &Photo) -> Vec<Hypothesis> {
+pub fn second_stage_hypotheses(photo: &Photo) -> Vec<Hypothesis> {
     let pyramid = Pyramid::new(photo.grey());
-    let all = proposed(photo, &pyramid, STEPS.len()).into_iter().map(|first| first.found);
-    apart(all.filter(|found| found.score >= FIRST_MIN).collect())
+    let all = propose(photo, &pyramid, STEPS.len()).into_iter().map(|first| first.found);
+    suppress_overlaps(all.filter(|found| found.score >= FIRST_STAGE_MIN).collect())
         .iter()
         .filter_map(|found| {
-            let (frame, look) = second(&pyramid, photo, found)?;
-            Some(Hypothesis { found: on_photo(&frame, trees::second_score(&look)), look })
+            let (frame, features) = second_stage(&pyramid, photo, found)?;
+            let found = on_photo(&frame, trees::second_stage_score(&features));
+            Some(Hypothesis { found, features })
         })
         .collect()
 }
 
-/// The faces of a photograph, surest first: what a second look is at least `score_min` sure of, and overlaps nothing surer.
+/// Detects faces, best first: second-stage candidates with a score of at least `score_min` that overlap no better one.
 #[must_use]
-pub fn faces(photo: &Photo, score_min: f64) -> Vec<Found> {
-    let all = hypotheses_again(photo).into_iter().map(|hypothesis| hypothesis.found);
-    apart(all.filter(|found| found.score >= score_min).collect())
+pub fn faces(photo: &Photo, score_min: f64) -> Vec<DetectedFace> {
+    let all = second_stage_hypotheses(photo).into_iter().map(|hypothesis| hypothesis.found);
+    suppress_overlaps(all.filter(|found| found.score >= score_min).collect())
 }
 
-fn proposed(photo: &Photo, pyramid: &Pyramid, steps: usize) -> Vec<Hypothesis> {
+fn propose(photo: &Photo, pyramid: &Pyramid, steps: usize) -> Vec<Hypothesis> {
     let pixels = photo.width() * photo.height();
-    let io_min = IO_MIN_PX * (pixels as f32 / FULL_SEARCH_PX).sqrt().max(1.0);
-    places(pyramid, io_min / IO_OF_EYES as f32)
+    let interocular_min = INTEROCULAR_MIN_PX * (pixels as f32 / FULL_SEARCH_PX).sqrt().max(1.0);
+    candidates(pyramid, interocular_min / INTEROCULAR_PER_EYES as f32)
         .iter()
-        .map(|place| place.refined(pyramid))
-        .filter(|place| place.fit.odds > REFINED_MIN)
-        .filter_map(|place| {
-            let mut frame = place.frame()?;
+        .map(|candidate| candidate.refined(pyramid))
+        .filter(|candidate| candidate.fit.odds > REFINED_MIN)
+        .filter_map(|candidate| {
+            let mut frame = candidate.frame()?;
             for step in STEPS.iter().take(steps) {
-                frame = step.aligned(&frame, &look(pyramid, &frame));
+                frame = step.aligned(&frame, &extract(pyramid, &frame));
             }
             Some(hypothesis(pyramid, &frame))
         })
         .collect()
 }
 
-/// The surest first, without those that overlap a surer one.
-fn apart(mut all: Vec<Found>) -> Vec<Found> {
+/// Non-maximum suppression: best first, without faces that overlap a better one.
+fn suppress_overlaps(mut all: Vec<DetectedFace>) -> Vec<DetectedFace> {
     all.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let mut kept: Vec<Found> = Vec::new();
+    let mut kept: Vec<DetectedFace> = Vec::new();
     for found in all {
         if !kept.iter().any(|other| overlap(other, &found)) {
             kept.push(found);
@@ -135,35 +144,37 @@ fn apart(mut all: Vec<Found>) -> Vec<Found> {
     kept
 }
 
-/// Whether two faces are at the same place: the middle of one's eyes and mouth is within the other's.
-fn overlap(a: &Found, b: &Found) -> bool {
-    let of = |found: &Found| middle(middle(found.eyes[0], found.eyes[1]), found.mouth);
-    distance(of(a), of(b)) < 0.9 * a.io_px.max(b.io_px)
+/// Whether two faces overlap: their centres, between eyes and mouth, are close.
+fn overlap(a: &DetectedFace, b: &DetectedFace) -> bool {
+    let of = |found: &DetectedFace| middle(middle(found.eyes[0], found.eyes[1]), found.mouth);
+    distance(of(a), of(b)) < 0.9 * a.interocular_px.max(b.interocular_px)
 }
 
 fn hypothesis(pyramid: &Pyramid, frame: &Frame) -> Hypothesis {
-    let look = look(pyramid, frame);
-    Hypothesis { found: on_photo(frame, trees::score(&look)), look }
+    let features = extract(pyramid, frame);
+    Hypothesis { found: on_photo(frame, trees::score(&features)), features }
 }
 
-fn on_photo(frame: &Frame, score: f64) -> Found {
+fn on_photo(frame: &Frame, score: f64) -> DetectedFace {
     let eyes = frame.eyes().map(|eye| eye.map(f64::from));
     let [left, right] = eyes;
     let (dx, dy) = (right[0] - left[0], right[1] - left[1]);
-    // Turned aside, eyes are nearer than they are on the head; the mouth's distance stays.
+    // Yaw shortens the distance of the eyes; that of the mouth stays.
     let mouth = frame.at(0.0, Frame::MOUTH).map(f64::from);
     let height = distance(mouth, middle(left, right));
-    let apart = dx.hypot(dy).max(0.5 * height / f64::from(Frame::MOUTH));
-    Found { eyes, mouth, roll_rad: dy.atan2(dx), io_px: IO_OF_EYES * apart, score }
+    let eyes_px = dx.hypot(dy).max(0.5 * height / f64::from(Frame::MOUTH));
+    let interocular_px = INTEROCULAR_PER_EYES * eyes_px;
+    DetectedFace { eyes, mouth, roll_rad: dy.atan2(dx), interocular_px, score }
 }
 
-/// A detected mouth may be the base of the nose, which is 0.8 of the eyes' distance below them, often so by the paper's way;
-/// no mouth is nearer than this (in their distance), nor this far aside in a face that is not turned too far.
+/// Least distance of a mouth below the eyes, in eye distances, and largest offset aside, unless the face is turned too
+/// far. A detected mouth may be the base of the nose, 0.8 eye distances below the eyes, often so by the published
+/// method.
 const MOUTH_BELOW_MIN: f64 = 1.05;
 const MOUTH_ASIDE: f64 = 0.3;
 
-impl From<&Found> for Rough {
-    fn from(found: &Found) -> Self {
+impl From<&DetectedFace> for RoughFace {
+    fn from(found: &DetectedFace) -> Self {
         let [left_eye, right_eye] = found.eyes;
         let across = [right_eye[0] - left_eye[0], right_eye[1] - left_eye[1]];
         let squared = (across[0] * across[0] + across[1] * across[1]).max(f64::MIN_POSITIVE);
@@ -176,6 +187,6 @@ impl From<&Found> for Rough {
             middle[0] + aside * across[0] - below * across[1],
             middle[1] + aside * across[1] + below * across[0],
         ];
-        Rough { left_eye, right_eye, mouth }
+        RoughFace { left_eye, right_eye, mouth }
     }
 }

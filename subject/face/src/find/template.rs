@@ -1,51 +1,51 @@
-//! The template that is held against every place: how slopes of brightness in each of its cells speak for a face.
+//! The detection template: a linear classifier over gradients pooled in cells.
 //!
-//! Slopes are pooled over small cells and told in the contrast of around: histograms of oriented gradients (Dalal and
-//! Triggs 2005) with four directions. An eye is dark below and above whatever the light, and skin of any tone has the same
-//! cells, for brightness enters as its root and is divided by the contrast of what is around it.
+//! Gradients are pooled over small cells and normalised by the local contrast: histograms of oriented gradients (Dalal
+//! and Triggs 2005) with four directions. An eye is dark below and above in any light, and all skin tones give the same
+//! cells, because brightness enters as its square root, divided by the local contrast.
 
 use super::frame::Frame;
 use crate::plane::Plane;
 use crate::table::f32s;
 
-/// Pixels along the side of a cell.
+/// Side of a cell in pixels.
 pub(super) const CELL_PX: usize = 2;
-/// What contrast is averaged over, in cells: three quarters of the distance of the eyes.
+/// Standard deviation of the contrast's average, in cells: three quarters of the eye distance.
 const AROUND_CELLS: f32 = 3.0;
-/// Contrast that is noise, in roots of grey levels: added before it is divided by.
+/// Noise floor of the contrast, in square roots of grey levels: added before the division.
 const CONTRAST_FLOOR: f32 = 0.25;
-/// A slope counts at most as this many contrasts: one edge is no face.
+/// Largest gradient in units of the contrast: a single edge is no face.
 const SLOPE_MAX: f32 = 2.0;
 
-/// Pixels between the eyes where the template fits.
+/// Eye distance of the template in pixels.
 pub(super) const EYES_PX: f32 = 8.0;
-/// Cells along each side of the template: two and a half distances of the eyes.
+/// Cells per side of the template: two and a half eye distances.
 pub(super) const SIDE: usize = 10;
-/// Where the template begins, in distances of the eyes from the middle of the eyes.
+/// Left and top of the template, in eye distances from the midpoint of the eyes.
 const LEFT: f32 = -1.25;
 const TOP: f32 = -0.75;
-/// What turning by some 30 degrees, the nose to the picture's right, makes of a face: eyes nearer together, the mouth aside,
+/// Frame of a face turned by about 30 degrees, the nose to the picture's right: eyes nearer together, the mouth aside,
 /// one half wider.
 const TURNED_FRAME: Frame =
     Frame { origin: [0.0; 2], across: [0.93, 0.0], down: [0.08, 1.07], turn: -0.25 };
 
-/// Rows of the template that tell most: brows, lids and eyes. What has none is not looked at further.
+/// The most discriminative rows: brows, lids and eyes. Candidates without them are dropped at once.
 const EYE_ROWS: [usize; 3] = [1, 2, 3];
 const OTHER_ROWS: [usize; 7] = [7, 5, 6, 4, 8, 0, 9];
 
-/// Learned by `benches/subject/find_template.py` as logistic functions: what a face has at least by its eyes alone (a
-/// hundredth of the faces learned from has less), what is added for a frontal and for a turned face; then, cell by cell, four
-/// weights, of the left half of a frontal face and of a whole one whose nose points to the picture's right.
+/// Learned by `benches/subject/find_template.py` as logistic functions: the least score of the eye rows (a hundredth of
+/// the training faces has less), the biases of frontal and turned faces; then four weights per cell, for the left half
+/// of a frontal face and for a whole one whose nose points to the picture's right.
 const TABLE: &[u8] = include_bytes!("../../data/face-template.bin");
 const HEAD: [f32; 3] = f32s(TABLE, 0);
 const EYE_ROWS_MIN: f32 = HEAD[0];
 const FRONTAL_BIAS: f32 = HEAD[1];
 const TURNED_BIAS: f32 = HEAD[2];
-/// Bytes before the weights, and of those of a cell.
+/// Size of the header, and of a cell's weights.
 const HEAD_BYTES: usize = 3 * size_of::<f32>();
 const CELL_BYTES: usize = size_of::<Cell>();
 
-/// How much brighter it gets to the right, to the left, down and up.
+/// Gradients of a cell: brighter to the right, to the left, down, up.
 type Cell = [f32; 4];
 
 /// The cells of a plane, row by row.
@@ -57,7 +57,7 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Of roots of brightness; what does not fill a cell at the right and at the bottom is left out.
+    /// Pools square roots of brightness; incomplete cells at the right and at the bottom are dropped.
     pub(super) fn new(root: &Plane) -> Self {
         let (across, down) = (root.width() / CELL_PX, root.height() / CELL_PX);
         let mut cells = vec![Cell::default(); across * down];
@@ -82,7 +82,7 @@ impl Cells {
         Self { across, down, cells }
     }
 
-    /// `count` cells of a row from a column on; none beyond the border.
+    /// `count` cells of a row from a column on; empty beyond the border.
     fn row(&self, column: usize, row: usize, count: usize) -> &[Cell] {
         let from = row * self.across + column;
         self.cells.get(from..from + count).unwrap_or_default()
@@ -110,7 +110,7 @@ fn pool(row: &[f32], upper: &[f32], lower: &[f32], cells: &mut [Cell], energies:
     }
 }
 
-/// Each cell with its neighbours, by 1, 2, 1 both ways: a feature at a cell's border is in both.
+/// Smooths cells by 1, 2, 1 both ways: a feature on a cell's border belongs to both.
 fn smooth(cells: &mut [Cell], across: usize) {
     let mix = |a: Cell, b: Cell, c: Cell| -> Cell {
         std::array::from_fn(|i| {
@@ -145,24 +145,24 @@ fn smooth(cells: &mut [Cell], across: usize) {
     }
 }
 
-/// Weights of cells, row by row.
+/// Weights of the cells, row by row.
 type Weights = [[Cell; SIDE]; SIDE];
 
-/// A face whose nose points to the picture's right.
+/// Weights of a face whose nose points to the picture's right.
 const TURNED: Weights = weights(HEAD_BYTES + SIDE * SIDE / 2 * CELL_BYTES, SIDE);
 
-/// One pose of the head.
+/// The template of one head pose.
 #[derive(Debug)]
 pub(super) struct Template {
-    /// What each cell speaks for a face.
+    /// Weights of the cells.
     weights: Weights,
-    /// What is added to the sum over cells.
+    /// Bias of the sum over cells.
     bias: f32,
-    /// The face, with the middle of the eyes at 0 and the template's distance of the eyes 1.
+    /// The face, with the midpoint of the eyes at 0 and the template's eye distance 1.
     pub(super) frame: Frame,
 }
 
-/// Frontal, the nose to the picture's right, and to its left.
+/// Frontal; the nose to the picture's right; to its left.
 pub(super) static TEMPLATES: [Template; 3] = [
     Template {
         weights: weights(HEAD_BYTES, SIDE / 2),
@@ -177,7 +177,7 @@ pub(super) static TEMPLATES: [Template; 3] = [
     },
 ];
 
-/// So many columns from a byte of the table on, row by row; the others are their mirror images.
+/// Reads `columns` columns from byte `at` on, row by row; the others are their mirror images.
 const fn weights(at: usize, columns: usize) -> Weights {
     let mut weights = [[[0.0; 4]; SIDE]; SIDE];
     let mut i = 0;
@@ -185,7 +185,7 @@ const fn weights(at: usize, columns: usize) -> Weights {
         let (row, column) = (i / columns, i % columns);
         let cell = f32s(TABLE, at + i * CELL_BYTES);
         if columns < SIDE {
-            weights[row][SIDE - 1 - column] = swapped(cell);
+            weights[row][SIDE - 1 - column] = mirrored_cell(cell);
         }
         weights[row][column] = cell;
         i += 1;
@@ -197,33 +197,33 @@ const fn mirrored(weights: Weights) -> Weights {
     let mut mirrored = weights;
     let mut i = 0;
     while i < SIDE * SIDE {
-        mirrored[i / SIDE][i % SIDE] = swapped(weights[i / SIDE][SIDE - 1 - i % SIDE]);
+        mirrored[i / SIDE][i % SIDE] = mirrored_cell(weights[i / SIDE][SIDE - 1 - i % SIDE]);
         i += 1;
     }
     mirrored
 }
 
-/// What is brighter to the right is, mirrored, brighter to the left.
-const fn swapped([right, left, down, up]: Cell) -> Cell {
+/// Mirroring exchanges left and right gradients.
+const fn mirrored_cell([right, left, down, up]: Cell) -> Cell {
     [left, right, down, up]
 }
 
-/// Pixels of a turned level from a template's corner to the middle of its eyes.
+/// The midpoint of the eyes for a template at a cell, in pixels of a rotated level.
 pub(super) fn eyes_of(column: f32, row: f32) -> [f32; 2] {
     let px = CELL_PX as f32;
     [px * column - LEFT * EYES_PX - 0.5, px * row - TOP * EYES_PX - 0.5]
 }
 
-/// Which template fits, and how well.
+/// The best template at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Fit {
+pub(super) struct TemplateFit {
     pub(super) pose: usize,
-    /// Logarithm of the odds.
+    /// Log odds.
     pub(super) odds: f32,
 }
 
-/// The best of three templates at a cell, and how well it fits; none where the eyes do not.
-pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<Fit> {
+/// The best of the three templates at a cell; none if the eye rows do not fit.
+pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<TemplateFit> {
     let [a, b, c] = &TEMPLATES;
     let add = |sums, rows: &[usize]| {
         rows.iter().fold(sums, |sums, &line| {
@@ -241,11 +241,11 @@ pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<Fit> 
     }
     let sums = whole(&add(sums, &OTHER_ROWS));
     let fits = sums.iter().zip(&TEMPLATES).map(|(sum, template)| sum + template.bias);
-    let fits = fits.enumerate().map(|(pose, odds)| Fit { pose, odds });
+    let fits = fits.enumerate().map(|(pose, odds)| TemplateFit { pose, odds });
     fits.max_by(|a, b| a.odds.total_cmp(&b.odds))
 }
 
-/// Adds a row of cells times that of each template; by direction, so that four are one instruction.
+/// Adds the products of a row of cells with each template, by direction, which vectorises.
 fn products(
     cells: &[Cell; SIDE],
     a: &[Cell; SIDE],

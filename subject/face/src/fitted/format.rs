@@ -1,4 +1,4 @@
-//! `face.json`, and `face.obj`: Wavefront's format, which every program for shapes reads.
+//! `face.json` and `face.obj` (Wavefront OBJ).
 
 use serde::Serialize;
 
@@ -11,13 +11,13 @@ const FACE: Format = Format {
     name: "mocapd-face",
     version: 1,
     made_by: "which `mocapd subject face -o` writes",
-    // Six times what the generic model's file takes, and all that a take holds of a document.
+    // Six times the size of the generic model, and the most that a take holds.
     bytes_max: 1 << 20,
 };
-/// Vertices, and lines: more than anybody draws.
+/// Most vertices, and most lines.
 const PARTS_MAX: usize = 1 << 17;
 const NOTES_MAX: usize = 50;
-/// A picture's coordinates and a head's millimetres are far within it.
+/// Larger than any pixel coordinate or millimetre of a head.
 const COORDINATE_MAX: f64 = 1e6;
 
 #[derive(Serialize)]
@@ -29,10 +29,10 @@ struct Document<'a> {
 }
 
 impl FittedFace {
-    /// `face.json`: one line, with 0.001 mm and 0.01 px.
+    /// Serialises `face.json`: one line, rounded to 0.001 mm and 0.01 px.
     ///
     /// # Errors
-    /// What cannot be written so that it is read again: numbers that are not finite, indices out of range.
+    /// [`DocumentError`] if a reader would reject the result: non-finite numbers, indices out of range.
     pub fn to_json(&self) -> Result<String, DocumentError> {
         let face = &self.clone().rounded();
         face.check()?;
@@ -43,10 +43,10 @@ impl FittedFace {
         Ok(text)
     }
 
-    /// Reads `face.json`. Keys that it does not know are passed over.
+    /// Reads `face.json`. Unknown keys are ignored.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// [`DocumentError`] with the reason.
     pub fn from_json(bytes: &[u8]) -> Result<Self, DocumentError> {
         let face: Self = FACE.read(bytes)?;
         face.check()?;
@@ -91,7 +91,7 @@ impl FittedFace {
         FACE.expect(self.scale_px_per_mm, whole("scale_px_per_mm"), scale, is_scale)?;
         let angles = self.pose_deg.iter().flat_map(|pose| [pose.yaw, pose.pitch, pose.roll]);
         let angle = |i: usize| format!("pose_deg.{}", ["yaw", "pitch", "roll"][i]);
-        FACE.expect(angles, angle, "no more than 180 degrees", |angle| angle.abs() <= 180.0)?;
+        FACE.expect(angles, angle, "at most 180 degrees", |angle| angle.abs() <= 180.0)?;
         let (near, is_near) =
             ("coordinates within 1e6", |at: &&[f64]| at.iter().all(|x| x.abs() < COORDINATE_MAX));
         let origin = self.origin_px.iter().map(|at| &at[..]);
@@ -113,14 +113,14 @@ impl FittedFace {
         FACE.expect(vertices, feature, &there, |&&vertex| vertex < n)
     }
 
-    /// All 53, in their order, or none.
+    /// Checks that there are all 53 points in order, or none.
     fn check_points(&self) -> Result<(), DocumentError> {
         let is_part = |confidence: &f64| (0.0..=1.0).contains(confidence);
-        let part = "a part from 0 to 1";
+        let part = "a number from 0 to 1";
         FACE.expect(self.confidence, |_| "confidence".to_owned(), part, is_part)?;
         let confidences = self.points.iter().map(|point| point.confidence);
         FACE.expect(confidences, |i| format!("points[{i}].confidence"), part, is_part)?;
-        let expected = "none, or the 53 in their order";
+        let expected = "none, or all 53 in order";
         let count = |count: &usize| [0, FeatureId::COUNT].contains(count);
         FACE.expect([self.points.len()], |_| "points.length".to_owned(), expected, count)?;
         let mut all = FeatureId::all();
@@ -129,7 +129,7 @@ impl FittedFace {
         FACE.expect(names, |i| format!("points[{i}].name"), expected, is_next)
     }
 
-    /// The wireframe as an OBJ: nominal millimetres, y up, z to the front. Features stand in comments.
+    /// The wireframe as OBJ: nominal millimetres, y up, z to the front, features in comments.
     pub fn to_obj(&self) -> String {
         let mut text = String::from("# A face fitted to a photograph by mocapd.\n");
         text += "# Millimetres, nominal; x to the face's left, y up, z to the front.\n";

@@ -1,7 +1,7 @@
-//! A face that was fitted to a photograph: what is kept of it, and how it is shown.
+//! A fitted face: its contents, and how it is drawn.
 //!
-//! `face.json` is described in `docs/subject-face-format.md`. Nothing in it is a picture of anybody: positions, names and
-//! the photograph's hash.
+//! `docs/subject-face-format.md` describes `face.json`. It contains no picture of a person: positions, names and the
+//! photograph's hash.
 
 mod format;
 mod overlay;
@@ -16,17 +16,17 @@ use super::model::{Camera, FeatureId, Landmark, Model, OUTER_EYES_MM};
 
 pub use overlay::Overlay;
 
-/// The chain that found the points.
+/// The chain that located the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
-    /// As (Yang et al. 2004) has it.
+    /// The method of (Yang et al. 2004) as printed.
     Paper,
-    /// The improved chain.
+    /// This crate's method.
     Default,
 }
 
 impl Method {
-    /// As documents have it.
+    /// Its name in documents.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -39,65 +39,65 @@ impl Method {
 /// The photograph.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
-    /// Its file's name, without folders.
+    /// File name without folders.
     pub name: String,
-    /// Of its file's bytes: 64 digits, lower case.
+    /// SHA-256 of its bytes: 64 digits, lower case.
     pub sha256: String,
-    /// In pixels, as it is looked at; a document may leave it out.
+    /// Width of the upright image in pixels; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<u32>,
-    /// In pixels, as it is looked at; a document may leave it out.
+    /// Height of the upright image in pixels; may be missing in a document.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
 }
 
-/// How a head is turned: the angles of a [`Camera`], in degrees.
+/// Orientation of a head: the angles of a [`Camera`], in degrees.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// About the vertical axis.
+    /// Rotation about the vertical axis.
     pub yaw: f64,
-    /// About the axis through the ears.
+    /// Rotation about the axis through the ears.
     pub pitch: f64,
-    /// About the camera's own axis.
+    /// Rotation about the camera's axis.
     pub roll: f64,
 }
 
-/// A face that was fitted to a photograph, as `docs/subject-face-format.md` has it: the keys are the fields, in their
-/// order, with `format` and `version` before them. What a document may leave out has a default, or is an `Option`: a
-/// wireframe of others has vertices and lines.
+/// A face fitted to a photograph. Serialised as in `docs/subject-face-format.md`: the fields in order, after `format`
+/// and `version`. What a document may omit has a default or is an `Option`; another program's wireframe needs vertices
+/// and lines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FittedFace {
-    /// Which chain: [`Method::name`], or what others say; empty where nobody said.
+    /// The chain: [`Method::name`], or another program's; empty if unknown.
     #[serde(default)]
     pub method: String,
-    /// Which photograph.
+    /// The photograph.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<Source>,
-    /// How the head is turned in it.
+    /// Orientation of the head in the photograph.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose_deg: Option<Pose>,
-    /// Pixels a millimetre of the face.
+    /// Pixels per millimetre of the face.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale_px_per_mm: Option<f64>,
-    /// Where the face's origin is in the photograph.
+    /// Position of the face's origin in the photograph.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub origin_px: Option<[f64; 2]>,
-    /// The probability, 0 to 1, that the points are off by less than a tenth of the outer eye corners' distance, on the
-    /// mean; none where the chain cannot tell.
+    /// Probability, 0 to 1, that the mean error of the points is below a tenth of the outer interocular distance; none
+    /// if the chain cannot estimate it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub confidence: Option<f64>,
-    /// What contradicts that the points are a face's, as phrases for people: lower case, without a dot at the end.
+    /// Contradictions to the points being a face's, as phrases for people: lower case, no final dot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
-    /// The 53 points, in their order, or none.
+    /// The 53 points in order, or none.
     #[serde(default)]
     pub points: Vec<Landmark>,
-    /// The wireframe, turned to look straight ahead, in the frame and nominal millimetres of [`Model`].
+    /// Vertices of the wireframe, facing forward, in the frame and nominal millimetres of [`Model`].
     #[serde(alias = "vertices")]
     pub vertices_mm: Vec<[f64; 3]>,
-    /// Two vertices an edge: those of the triangles, each once, and what else is drawn.
+    /// Two vertices per edge: the edges of the triangles, each once, and any other lines.
     pub lines: Vec<[usize; 2]>,
-    /// Three vertices a triangle, counter-clockwise from in front; a document may have none.
+    /// Three vertices per triangle, counter-clockwise from the front; may be missing in a document.
     #[serde(default)]
     pub triangles: Vec<[usize; 3]>,
     /// Named vertices.
@@ -106,10 +106,10 @@ pub struct FittedFace {
 }
 
 impl FittedFace {
-    /// Below this confidence somebody should look at the points.
+    /// Confidence below which a person should inspect the points.
     pub const SURE: f64 = 0.5;
 
-    /// A face on the model's wireframe, without a confidence and notes.
+    /// A face on the model's wireframe, without confidence and notes.
     pub fn new(
         model: &Model,
         method: Method,
@@ -136,7 +136,7 @@ impl FittedFace {
         face
     }
 
-    /// How the head stands in the photograph; none where that is not known.
+    /// The camera of the photograph; none if it is unknown.
     pub fn camera(&self) -> Option<Camera> {
         let Pose { yaw, pitch, roll } = self.pose_deg?;
         Some(Camera {
@@ -148,42 +148,40 @@ impl FittedFace {
         })
     }
 
-    /// Says how the head stands in the photograph.
+    /// Sets the camera of the photograph.
     pub fn set_camera(&mut self, camera: Camera) {
-        let Camera { scale_px_per_mm, yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll, origin_px } =
-            camera;
+        let Camera { yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll, .. } = camera;
         self.pose_deg = Some(Pose { yaw, pitch, roll });
-        self.scale_px_per_mm = Some(scale_px_per_mm);
-        self.origin_px = Some(origin_px);
+        self.scale_px_per_mm = Some(camera.scale_px_per_mm);
+        self.origin_px = Some(camera.origin_px);
     }
 
-    /// Whether the points may be off: the confidence is known, and low, or something contradicts them.
+    /// Whether the points may be wrong: the confidence is known and low, or there are notes.
     pub fn is_unsure(&self) -> bool {
         self.confidence.is_some_and(|confidence| confidence < Self::SURE) || !self.notes.is_empty()
     }
 
-    /// Each vertex in the photograph: x, y and how far before the model's origin, in pixels; none where it is not known
-    /// how the head stands in it.
+    /// Each vertex in the photograph: x, y and depth before the model's origin, in pixels; none without a camera.
     pub fn vertices_px(&self) -> Option<Vec<[f64; 3]>> {
         Some(self.camera()?.project(&self.vertices_mm))
     }
 
-    /// Pixels between the outer corners of the eyes; 0 where it is not known how the head stands in the photograph.
+    /// Outer interocular distance in pixels; 0 if the scale is unknown.
     pub fn outer_eyes_px(&self) -> f64 {
         self.scale_px_per_mm.unwrap_or_default() * OUTER_EYES_MM
     }
 
-    /// The triangles that face the camera, for vertices that are seen at these places.
+    /// The triangles that face the camera, for projected vertices.
     fn facing(&self, seen: &[[f64; 3]]) -> impl Iterator<Item = [usize; 3]> {
         self.triangles.iter().copied().filter(|triangle| {
             let [a, b, c] = triangle.map(|v| seen[v]);
-            // Counter-clockwise from in front, with y down.
+            // Counter-clockwise from the front, with y down.
             (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0
         })
     }
 }
 
-/// The edges of triangles, each once, as pairs of vertices in rising order.
+/// The edges of triangles, each once, as ascending pairs of vertices.
 fn edges(triangles: impl Iterator<Item = [usize; 3]>) -> Vec<[usize; 2]> {
     let mut edges: Vec<_> = triangles
         .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]])
@@ -194,16 +192,16 @@ fn edges(triangles: impl Iterator<Item = [usize; 3]>) -> Vec<[usize; 2]> {
     edges
 }
 
-/// A part of the face that is drawn in a colour of its own.
+/// A facial feature with its own colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// Around the face.
+    /// Outline of the face.
     Contour,
-    /// Both of them.
+    /// Brows.
     Brow,
-    /// Lids.
+    /// Eyelids.
     Eye,
-    /// Wings and base.
+    /// Wings and base of the nose.
     Nose,
     /// Lips.
     Mouth,
@@ -212,16 +210,16 @@ pub enum Part {
 /// A line through points.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Curve {
-    /// Of what.
+    /// The feature.
     pub part: Part,
-    /// In their order.
+    /// The points in order.
     pub points: Vec<FeatureId>,
-    /// Whether the last is joined to the first.
+    /// Whether the last point connects to the first.
     pub closed: bool,
 }
 
 impl Part {
-    /// Red, green and blue: apart for all kinds of colour vision (Okabe and Ito 2008), on skin and on paper.
+    /// Red, green and blue, distinct for all kinds of colour vision (Okabe and Ito 2008), on skin and on paper.
     pub fn colour(self) -> [u8; 3] {
         match self {
             Self::Contour => [0x00, 0x72, 0xb2],
@@ -232,7 +230,7 @@ impl Part {
         }
     }
 
-    /// The part that a point belongs to.
+    /// The feature of a point.
     pub fn of(id: FeatureId) -> Self {
         match id.index() {
             0..12 => Self::Contour,

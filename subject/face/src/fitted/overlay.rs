@@ -1,5 +1,5 @@
-//! Fitted faces on their photograph, drawn with smooth edges; numbers beside them are drawn with a pen, for ten digits need
-//! no font.
+//! Overlay of fitted faces on their photograph, with antialiased strokes. Face numbers are drawn as strokes too, since
+//! ten digits need no font.
 
 use std::io::Cursor;
 use std::ops::Range;
@@ -12,19 +12,19 @@ use crate::model::FeatureId;
 use crate::photo::Photo;
 use crate::vector::{Point, distance, extent};
 
-/// Below this the lines would cover the face: small pictures are enlarged first.
-const LEAST_IO_PX: f64 = 160.0;
+/// Least interocular distance: smaller pictures are enlarged first, or the lines would cover the face.
+const EYES_MIN_PX: f64 = 160.0;
 const MAX_SIDE_PX: u32 = 3000;
 const DARK: [u8; 3] = [0x10, 0x18, 0x28];
 const LIGHT: [u8; 3] = [0xff, 0xff, 0xff];
-/// The wireframe of a face whose points may be off.
+/// Colour of an uncertain face's wireframe.
 const UNSURE: [u8; 3] = [0xff, 0xa0, 0x20];
-/// Points that are less sure than this are drawn hollow.
+/// Confidence below which points are drawn hollow.
 const SURE: f64 = 0.5;
-/// Digits that are lower cannot be read.
-const LEAST_DIGIT_PX: f64 = 12.0;
+/// Least legible height of digits.
+const DIGIT_MIN_PX: f64 = 12.0;
 
-/// A photograph that faces are drawn on.
+/// A photograph with faces drawn on it.
 #[derive(Debug, Clone)]
 pub struct Overlay {
     picture: RgbImage,
@@ -32,13 +32,13 @@ pub struct Overlay {
 }
 
 impl Overlay {
-    /// The photograph, enlarged by a whole number where the smallest of the faces would be too small to be drawn on. Several
-    /// faces have their numbers beside them, from 1, in the order of `faces`.
+    /// Draws `faces` on the photograph, enlarged by a whole number if the smallest face is too small. Several faces get
+    /// numbers, from 1, in the order of `faces`.
     pub fn new(photograph: &RgbImage, faces: &[FittedFace]) -> Self {
         let drawn = faces.iter().filter(|face| face.camera().is_some());
-        let least = drawn.map(FittedFace::outer_eyes_px).fold(LEAST_IO_PX, f64::min).max(1.0);
+        let least = drawn.map(FittedFace::outer_eyes_px).fold(EYES_MIN_PX, f64::min).max(1.0);
         let side = photograph.width().max(photograph.height()).max(1);
-        let factor = ((LEAST_IO_PX / least).ceil() as u32).min(MAX_SIDE_PX / side).max(1);
+        let factor = ((EYES_MIN_PX / least).ceil() as u32).min(MAX_SIDE_PX / side).max(1);
         let picture = if factor == 1 {
             photograph.clone()
         } else {
@@ -53,10 +53,10 @@ impl Overlay {
         overlay
     }
 
-    /// Faces on the photograph that they were found in, as a PNG.
+    /// Draws faces on the photograph that they were found in, as PNG.
     ///
     /// # Errors
-    /// What the encoder says.
+    /// [`ImageError`] of the encoder.
     pub fn png(photo: &Photo, faces: &[FittedFace]) -> Result<Vec<u8>, ImageError> {
         let (width, height) = (photo.width() as u32, photo.height() as u32);
         let pixel = |x: u32, y: u32| Rgb(photo.rgb(x as isize, y as isize));
@@ -71,7 +71,7 @@ impl Overlay {
         self.picture
     }
 
-    /// From the photograph's pixels to the picture's.
+    /// Maps the photograph's pixels to the picture's.
     fn place(&self, at: [f64; 2]) -> [f64; 2] {
         at.map(|v| (v + 0.5) * self.enlarged - 0.5)
     }
@@ -109,20 +109,20 @@ impl Overlay {
         }
     }
 
-    /// How wide a line of a face is: a part of the face, and in a large picture, which is seen smaller than it is, of the
-    /// picture, as far as there is room between the lines of the net.
+    /// Line width of a face: proportional to the face, and in a large picture, which is displayed reduced, to the
+    /// picture, as far as the mesh of the wireframe allows.
     fn line_px(&self, face: &FittedFace) -> f64 {
-        let io_px = self.io_px(face);
+        let interocular_px = self.interocular_px(face);
         let side = f64::from(self.picture.width().max(self.picture.height()));
-        (io_px / 110.0).max((side / 1000.0).min(io_px / 70.0)).clamp(1.0, 6.0)
+        (interocular_px / 110.0).max((side / 1000.0).min(interocular_px / 70.0)).clamp(1.0, 6.0)
     }
 
-    fn io_px(&self, face: &FittedFace) -> f64 {
+    fn interocular_px(&self, face: &FittedFace) -> f64 {
         face.outer_eyes_px() * self.enlarged
     }
 
-    /// The box around a face as it is drawn: left top, right bottom.
-    fn bounds(&self, face: &FittedFace) -> Bounds {
+    /// Bounding box of a face as drawn.
+    fn bounds(&self, face: &FittedFace) -> PixelBox {
         let vertices = face.vertices_px().into_iter().flatten().map(|[x, y, _]| [x, y]);
         let places = vertices.chain(face.points.iter().map(|point| point.xy_px));
         let none = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
@@ -131,13 +131,14 @@ impl Overlay {
         })
     }
 
-    /// Each face's number, as tables and files have it, beside the face.
+    /// Draws each face's number beside it, as in tables and file names.
     fn number(&mut self, faces: &[FittedFace]) {
         let bounds: Vec<_> = faces.iter().map(|face| self.bounds(face)).collect();
         let side = f64::from(self.picture.width().max(self.picture.height()));
         for (i, face) in faces.iter().enumerate() {
-            let io_px = self.io_px(face);
-            let height_px = (0.22 * io_px).max(side / 50.0).min(0.7 * io_px).max(LEAST_DIGIT_PX);
+            let interocular_px = self.interocular_px(face);
+            let height_px = (0.22 * interocular_px).max(side / 50.0).min(0.7 * interocular_px);
+            let height_px = height_px.max(DIGIT_MIN_PX);
             let colour = if face.is_unsure() { UNSURE } else { LIGHT };
             let number = Number::new(i + 1, height_px);
             number.draw(&mut self.picture, &bounds, i, [DARK, colour]);
@@ -145,10 +146,10 @@ impl Overlay {
     }
 }
 
-/// Left top and right bottom.
-type Bounds = [[f64; 2]; 2];
+/// A box: top left and bottom right corner.
+type PixelBox = [[f64; 2]; 2];
 
-/// A digit's strokes through points of a grid of 4 by 6, y down.
+/// Strokes of a digit through points of a 4 by 6 grid, y down.
 type Strokes = &'static [&'static [[u8; 2]]];
 
 const DIGITS: [Strokes; 10] = [
@@ -166,7 +167,7 @@ const DIGITS: [Strokes; 10] = [
     ],
     &[&[[4, 3], [1, 3], [0, 2], [0, 1], [1, 0], [3, 0], [4, 1], [4, 5], [3, 6], [1, 6], [0, 5]]],
 ];
-/// From one digit to the next, in the grid.
+/// Advance per digit, in grid units.
 const ADVANCE: f64 = 6.0;
 
 /// A number of a given height.
@@ -181,34 +182,34 @@ impl Number {
         Self { digits: number.to_string().chars().filter_map(digit).collect(), height_px }
     }
 
-    /// Pixels of a step of the grid.
+    /// Pixels per grid unit.
     fn step(&self) -> f64 {
         self.height_px / 6.0
     }
 
-    /// Width and height with the plate that it stands on.
+    /// Width and height including the plate.
     fn size(&self) -> [f64; 2] {
         let width = (ADVANCE * self.digits.len() as f64 - 2.0) * self.step();
         [width + 0.9 * self.height_px, 1.8 * self.height_px]
     }
 
-    /// Draws it beside the box `of`, where it covers no other box and is within the picture, if there is such a place.
+    /// Draws the number beside the box `of`, where it covers no other box and stays within the picture if possible.
     /// `colours` are the plate's and the digits'.
-    fn draw(&self, picture: &mut RgbImage, boxes: &[Bounds], of: usize, colours: [[u8; 3]; 2]) {
+    fn draw(&self, picture: &mut RgbImage, boxes: &[PixelBox], of: usize, colours: [[u8; 3]; 2]) {
         let Some(&own) = boxes.get(of) else { return };
         let size = self.size();
         let sides = [f64::from(picture.width()), f64::from(picture.height())];
         let within = |at: [f64; 2]| (0..2).all(|k| at[k] >= 0.0 && at[k] + size[k] <= sides[k]);
         let free = |at: [f64; 2]| {
             let apart =
-                |k: usize, other: &Bounds| at[k] + size[k] <= other[0][k] || at[k] >= other[1][k];
+                |k: usize, other: &PixelBox| at[k] + size[k] <= other[0][k] || at[k] >= other[1][k];
             boxes.iter().all(|other| apart(0, other) || apart(1, other))
         };
         let places = beside(own, size);
         let best = places.iter().copied().find(|at| within(*at) && free(*at));
         let at = best.or_else(|| places.iter().copied().find(|at| within(*at)));
         let at = at.unwrap_or(places[0]);
-        // A face that fills the picture has its number upon it.
+        // A face that fills the picture has its number on it.
         let at = [0, 1].map(|k| at[k].min(sides[k] - size[k]).max(0.0));
         self.draw_at(picture, at, colours);
     }
@@ -227,7 +228,7 @@ impl Number {
         lines(picture, &self.strokes(from), ink);
     }
 
-    /// The strokes of all digits, the first from `left_top` on.
+    /// The strokes of all digits, starting at `left_top`.
     fn strokes(&self, left_top: [f64; 2]) -> Vec<[[f64; 2]; 2]> {
         let step = self.step();
         let mut lines = Vec::new();
@@ -242,8 +243,8 @@ impl Number {
     }
 }
 
-/// Left tops of places beside a box: at its top left, top right, above and below its middle.
-fn beside([low, high]: Bounds, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
+/// Positions beside a box: top left, top right, above and below its middle.
+fn beside([low, high]: PixelBox, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
     let gap = 0.15 * height;
     let middle = (low[0] + high[0] - width) / 2.0;
     [
@@ -254,16 +255,16 @@ fn beside([low, high]: Bounds, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
     ]
 }
 
-/// What a stroke is painted with.
+/// Colour, opacity and width of a stroke.
 #[derive(Debug, Clone, Copy)]
 struct Ink {
     colour: [u8; 3],
-    /// From 0 to 1.
+    /// 0 to 1.
     opacity: f64,
     width_px: f64,
 }
 
-/// Many straight lines with round ends as one stroke: where they meet, ink that is half transparent lies no thicker.
+/// Draws line segments with round ends as one stroke, so translucent ink does not accumulate where they meet.
 fn lines(picture: &mut RgbImage, lines: &[[[f64; 2]; 2]], ink: Ink) {
     let lines = || lines.iter().filter(|line| line.iter().flatten().all(|v| v.is_finite()));
     let [x, y] = [0, 1].map(|axis| extent(lines().flatten().map(|end| end[axis])));
@@ -286,7 +287,7 @@ fn lines(picture: &mut RgbImage, lines: &[[[f64; 2]; 2]], ink: Ink) {
     }
 }
 
-/// A disc of `ink.width_px` across.
+/// A disc of diameter `ink.width_px`.
 fn disc(picture: &mut RgbImage, at: [f64; 2], ink: Ink) {
     stroke(picture, [at, at], ink, |p| distance(p, at));
 }
@@ -297,7 +298,7 @@ fn circle(picture: &mut RgbImage, at: [f64; 2], radius_px: f64, ink: Ink) {
     stroke(picture, corners, ink, |p| (distance(p, at) - radius_px).abs());
 }
 
-/// Inks every pixel by its distance to what is drawn, within the box around two corners.
+/// Inks pixels by their distance to a shape, within the box around two corners.
 fn stroke(picture: &mut RgbImage, corners: [[f64; 2]; 2], ink: Ink, off: impl Fn(Point) -> f64) {
     let Some(patch) = Patch::around(picture, corners, ink) else { return };
     for pixel in patch.pixels() {
@@ -308,25 +309,25 @@ fn stroke(picture: &mut RgbImage, corners: [[f64; 2]; 2], ink: Ink, off: impl Fn
     }
 }
 
-/// The pixels that ink can come to.
+/// A range of pixels.
 struct Patch {
     x: Range<u32>,
     y: Range<u32>,
 }
 
 impl Patch {
-    /// Row by row.
+    /// The pixels row by row.
     fn pixels(&self) -> impl Iterator<Item = [u32; 2]> {
         self.y.clone().flat_map(|y| self.x.clone().map(move |x| [x, y]))
     }
 
-    /// Around two corners; none where they are no numbers.
+    /// The pixels that ink can reach around two corners; none if these are not finite.
     fn around(picture: &RgbImage, corners: [[f64; 2]; 2], ink: Ink) -> Option<Self> {
         let reach = ink.width_px / 2.0 + 1.0;
         let range = |axis: usize, side: u32| {
             let low = corners[0][axis].min(corners[1][axis]) - reach;
             let high = corners[0][axis].max(corners[1][axis]) + reach;
-            // `as` holds at 0 and at the largest what lies beyond.
+            // `as` saturates at 0 and at the largest value.
             let end = (high.ceil().max(0.0) as u32).saturating_add(1).min(side);
             (low.floor().max(0.0) as u32).min(end)..end
         };
@@ -336,7 +337,7 @@ impl Patch {
 }
 
 impl Ink {
-    /// How much of a pixel so far from the middle of the stroke is covered, 0 to 1.
+    /// Coverage, 0 to 1, of a pixel at distance `off` from the middle of the stroke.
     fn share(&self, off: f64) -> f64 {
         (self.width_px / 2.0 + 0.5 - off).clamp(0.0, self.width_px.clamp(0.0, 1.0))
     }

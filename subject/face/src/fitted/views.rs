@@ -1,4 +1,4 @@
-//! The wireframe from three sides, as an SVG.
+//! Three views of the wireframe, as SVG.
 
 use super::{Curve, FittedFace, Pose};
 use crate::model::{Camera, FeatureId};
@@ -9,13 +9,13 @@ const PANEL_PX: f64 = 320.0;
 const HEAD_PX: f64 = 56.0;
 const FOOT_PX: f64 = 52.0;
 const SCALE_BAR_MM: f64 = 50.0;
-/// Of the panel, that the face takes at most.
+/// Largest fraction of a panel that the face fills.
 const SHARE: f64 = 0.88;
 
 impl FittedFace {
-    /// The fitted wireframe from in front, from three quarters and from the side, with a scale, as an SVG.
+    /// Front, three-quarter and side view of the fitted wireframe with a scale bar, as SVG.
     ///
-    /// Triangles are painted from the furthest to the nearest: what is hidden is not drawn.
+    /// Triangles are painted back to front (painter's algorithm).
     pub fn to_svg(&self) -> String {
         let width = PANEL_PX * VIEWS.len() as f64;
         let height = HEAD_PX + PANEL_PX + FOOT_PX;
@@ -47,7 +47,7 @@ impl FittedFace {
         svg
     }
 
-    /// Pixels a millimetre, the same for all views.
+    /// Pixels per millimetre, common to all views.
     fn panel_scale(&self) -> f64 {
         let side = |axis: usize| {
             let (low, high) = extent(self.vertices_mm.iter().map(|v| v[axis]));
@@ -86,7 +86,7 @@ impl FittedFace {
             if n[2] <= 0.0 {
                 continue;
             }
-            // Light from above and from the left.
+            // Light from above and the left.
             let facing = ((-0.35 * n[0] + 0.45 * n[1] + 0.82 * n[2]) / length).clamp(0.0, 1.0);
             let shade = |low: f64, high: f64| (low + (high - low) * facing).round() as u8;
             let (r, g, b_) = (shade(176.0, 245.0), shade(190.0, 248.0), shade(212.0, 252.0));
@@ -117,7 +117,7 @@ impl FittedFace {
         }
     }
 
-    /// Whether any triangle around a vertex faces the camera.
+    /// For each vertex, whether any of its triangles faces the camera.
     fn facing_vertices(&self, seen: &[[f64; 3]]) -> Vec<bool> {
         let mut facing = vec![false; seen.len()];
         self.facing(seen).flatten().for_each(|v| facing[v] = true);
@@ -125,7 +125,7 @@ impl FittedFace {
     }
 }
 
-/// For text in XML. Control characters, which it may not have, are left out.
+/// Escapes text for XML and drops control characters, which XML forbids.
 fn escaped(text: &str) -> String {
     let mut safe = String::new();
     for c in text.chars().filter(|c| !c.is_control()) {
@@ -140,7 +140,7 @@ fn escaped(text: &str) -> String {
     safe
 }
 
-/// Without a sign before nothing.
+/// Rounds to whole degrees, without a negative zero.
 fn whole(degrees: f64) -> f64 {
     degrees.round() + 0.0
 }

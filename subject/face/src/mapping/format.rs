@@ -1,4 +1,4 @@
-//! The mapping's file.
+//! The mapping file.
 
 use std::collections::HashSet;
 
@@ -13,14 +13,14 @@ const MAPPING: Format = Format {
     made_by: "such as subject/face/data/singing-face-mapping.json",
     bytes_max: 256 * 1024,
 };
-/// More than any face was ever captured with.
+/// More markers than any face was captured with.
 const MARKERS_MAX: usize = 1000;
 const NAME_MAX: usize = 255;
 const WEIGHT_MAX: f64 = 1000.0;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct MappingFile {
     format: String,
     version: u64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -29,12 +29,12 @@ struct File {
 }
 
 impl Mapping {
-    /// Reads a mapping; unknown keys are refused.
+    /// Reads a mapping. Unknown keys are rejected.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// [`DocumentError`] with the reason.
     pub fn from_json(bytes: &[u8]) -> Result<Self, DocumentError> {
-        let File { markers, .. } = MAPPING.read(bytes)?;
+        let MappingFile { markers, .. } = MAPPING.read(bytes)?;
         let (count, expected) = ([markers.len()], format!("0 to {MARKERS_MAX}"));
         let place = |_| "markers.length".to_owned();
         MAPPING.expect(count, place, &expected, |count| *count <= MARKERS_MAX)?;
@@ -60,14 +60,14 @@ impl Mapping {
         Ok(Self { markers })
     }
 
-    /// Writes a mapping.
+    /// Serialises a mapping.
     ///
     /// # Errors
-    /// None that a mapping which was read can have.
+    /// None for a mapping that was read.
     pub fn to_json(&self) -> Result<String, DocumentError> {
         let (format, version, markers) =
             (MAPPING.name.to_owned(), MAPPING.version, self.markers.clone());
-        let file = File { format, version, about: None, markers };
+        let file = MappingFile { format, version, about: None, markers };
         serde_json::to_string_pretty(&file).map_err(|error| DocumentError::Shape(error.to_string()))
     }
 }

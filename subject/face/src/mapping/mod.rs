@@ -1,6 +1,6 @@
-//! Which marker of a take sits where on the wireframe, so that a fitted face can be drawn under its markers.
+//! Mapping of a take's markers to places on the wireframe, so that a fitted face can be drawn under its markers.
 //!
-//! The format is described in `docs/subject-face-format.md`.
+//! `docs/subject-face-format.md` describes the format.
 
 mod format;
 #[cfg(test)]
@@ -14,30 +14,31 @@ use thiserror::Error;
 
 use crate::DocumentError;
 
-/// Markers that hold a face, at least: three hold a body, a fourth tells whether they do.
+/// Fewest markers for an alignment: three fix a rigid body, a fourth shows whether they fit.
 pub const MARKERS_MIN: usize = 4;
-/// Markers nearer to one line than this share of their spread along it do not hold the turn around it.
+/// Markers are collinear if their spread across is below this fraction of that along; the rotation about the line is
+/// then undetermined.
 const FLAT: f64 = 1e-3;
-/// A thousand kilometres: products of four coordinates stay far within what a double holds.
+/// A thousand kilometres: products of four coordinates stay far within the range of a double.
 const MAX_COORDINATE_MM: f64 = 1e9;
 
-/// Where markers sit on a face.
+/// Places of markers on a face.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Mapping {
-    /// One for each marker that has a place.
+    /// One entry per placed marker.
     pub markers: Vec<Marker>,
 }
 
-/// One marker's place.
+/// A marker and its place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Marker {
-    /// As the take has it.
+    /// Label in the take.
     pub label: String,
-    /// Where on the wireframe.
+    /// Place on the wireframe.
     #[serde(rename = "at")]
     pub place: Place,
-    /// How much it counts when the face is laid under the markers: 0 for one that moves much, such as on the lips.
+    /// Weight in the alignment: 0 for a marker that moves much, such as on the lips.
     #[serde(default = "one")]
     pub weight: f64,
 }
@@ -46,9 +47,9 @@ pub struct Marker {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Place {
-    /// A vertex by its name.
+    /// A vertex by its feature name.
     Feature(String),
-    /// A vertex by its number, from 0.
+    /// A vertex by its index, from 0.
     Vertex(usize),
 }
 
@@ -57,7 +58,7 @@ fn one() -> f64 {
 }
 
 impl Place {
-    /// The vertex, where the wireframe has it.
+    /// The vertex, if the wireframe has it.
     pub fn vertex(&self, features: &BTreeMap<String, usize>, vertices: usize) -> Option<usize> {
         let index = match self {
             Self::Feature(name) => *features.get(name)?,
@@ -67,63 +68,63 @@ impl Place {
     }
 }
 
-/// Whether the face may change its size.
+/// Whether the alignment may scale the face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scaling {
-    /// A photograph has no scale: the markers give it.
+    /// Free: a photograph has no scale, so the markers give it.
     Free,
-    /// The size is known, from an earlier frame.
+    /// Fixed: the size is known from an earlier frame.
     Fixed,
 }
 
-/// Why a face cannot be laid under markers.
+/// Why a face cannot be aligned.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum AlignError {
-    /// Too many of the mapping's markers are missing from the frame, or their places from the wireframe.
+    /// Too few markers of the mapping are in the frame and on the wireframe.
     #[error(
-        "{0} markers of the mapping are in this frame and on this face, where {MARKERS_MIN} are needed"
+        "{0} markers of the mapping are in this frame and on this face, at least {MARKERS_MIN} are needed"
     )]
     TooFew(usize),
-    /// The markers that are there do not tell how the face is turned.
-    #[error("the markers of this frame that the mapping has lie on one line")]
+    /// The markers do not determine the rotation.
+    #[error("the mapped markers of this frame lie on one line")]
     Flat,
-    /// A coordinate that is no number, or beyond a thousand kilometres.
-    #[error("marker {0:?} is at no place, or further away than 1e9 mm: check the unit")]
+    /// A coordinate that is not finite, or beyond a thousand kilometres.
+    #[error("marker {0:?} has no finite position, or is beyond 1e9 mm: check the unit")]
     NotFinite(String),
 }
 
-/// Where a face is among markers: x ↦ scale · rotation · x + translation.
+/// Position of a face among markers: x ↦ scale · rotation · x + translation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Alignment {
-    /// The take's millimetres for each of the face's.
+    /// The take's millimetres per millimetre of the face.
     pub scale: f64,
-    /// From the face's frame to the take's, by rows.
+    /// Rotation from the face's frame to the take's, by rows.
     pub rotation: [[f64; 3]; 3],
-    /// In the take's millimetres.
+    /// Translation in the take's millimetres.
     pub translation_mm: [f64; 3],
-    /// Root mean square distance of the markers to their places, weighted, in the take's millimetres.
+    /// Weighted root mean square distance of the markers from their places, in the take's millimetres.
     pub rms_mm: f64,
-    /// How many markers it is from.
+    /// Number of markers used.
     pub markers: usize,
 }
 
 impl Mapping {
-    /// That of the public recording of a singing face with 37 markers (c3d.org, sample 19), whose labels run from
-    /// `root-1` to `section14-3`.
+    /// The mapping of the public recording of a singing face with 37 markers (c3d.org, sample 19), whose labels run
+    /// from `root-1` to `section14-3`.
     ///
     /// # Errors
-    /// None, unless the program was built with a damaged file.
+    /// None, unless the built-in file is damaged.
     pub fn singing_face() -> Result<Self, DocumentError> {
         Self::from_json(include_bytes!("../../data/singing-face-mapping.json"))
     }
 
-    /// Lays a face under the markers of one frame, by weighted least squares (Umeyama 1991).
+    /// Aligns a face with the markers of one frame by weighted least squares (Umeyama 1991).
     ///
-    /// `marker` gives where the marker with a label is, in the take's millimetres, if it is there. Markers of weight 0
-    /// do not count.
+    /// `marker` returns the position of the marker with a label, in the take's millimetres, if present. Markers of
+    /// weight 0 are ignored.
     ///
     /// # Errors
-    /// Too few markers, on one line, or not finite.
+    /// [`AlignError`]: too few markers, all on one line, or not finite.
     pub fn align(
         &self,
         vertices_mm: &[[f64; 3]],
@@ -138,11 +139,8 @@ impl Mapping {
                 if !at.iter().chain(&vertices_mm[vertex]).all(|v| v.abs() < MAX_COORDINATE_MM) {
                     return Err(AlignError::NotFinite(entry.label.clone()));
                 }
-                pairs.push(Pair {
-                    weight: entry.weight,
-                    from: vertices_mm[vertex].into(),
-                    to: at.into(),
-                });
+                let (from, to) = (vertices_mm[vertex].into(), at.into());
+                pairs.push(Pair { weight: entry.weight, from, to });
             }
         }
         if pairs.len() < MARKERS_MIN {
@@ -152,7 +150,7 @@ impl Mapping {
     }
 }
 
-/// A place on the face, and where its marker is.
+/// A place on the face and the position of its marker.
 struct Pair {
     weight: f64,
     from: Vector3<f64>,
@@ -170,15 +168,13 @@ fn solve(pairs: &[Pair], scaling: Scaling) -> Result<Alignment, AlignError> {
         spread += pair.weight * (pair.from - from).norm_squared();
     }
     let svd = covariance.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Err(AlignError::Flat);
-    };
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(AlignError::Flat) };
     let mut widths = svd.singular_values;
     let [largest, middle] = [0, 1].map(|i| widths[i]);
     if !(middle > FLAT * largest && spread > 0.0) {
         return Err(AlignError::Flat);
     }
-    // A reflection would fit better: the least certain direction is turned over.
+    // A reflection would fit better: invert the least certain direction.
     let mut mirror = Matrix3::identity();
     if u.determinant() * v_t.determinant() < 0.0 {
         mirror[(2, 2)] = -1.0;
@@ -204,7 +200,7 @@ fn solve(pairs: &[Pair], scaling: Scaling) -> Result<Alignment, AlignError> {
 }
 
 impl Alignment {
-    /// The face among the markers.
+    /// Transforms the face to the markers.
     pub fn apply(&self, vertices_mm: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let turn = |v: &[f64; 3]| {
             std::array::from_fn(|i| {

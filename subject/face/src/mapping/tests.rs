@@ -1,9 +1,9 @@
 use super::*;
 use crate::model::{Camera, Model};
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
 fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    // A similarity of its own: turned, 1.07 times as large, elsewhere. Project flips y; twice is none.
+    // An arbitrary similarity: rotated, scaled by 1.07, translated. Project flips y; twice is the identity.
     let camera = Camera {
         scale_px_per_mm: 1.07,
         yaw_deg: 70.0,
@@ -15,7 +15,7 @@ fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
 }
 
 #[test]
-fn a_similarity_is_found_as_it_was() {
+fn a_similarity_is_recovered() {
     let model = Model::generic().unwrap();
     let mapping = Mapping::singing_face().unwrap();
     let there = moved(&model.vertices);
@@ -28,18 +28,18 @@ fn a_similarity_is_found_as_it_was() {
     for (a, b) in found.apply(&model.vertices).iter().flatten().zip(there.iter().flatten()) {
         assert!((a - b).abs() < 1e-8, "{a} {b}");
     }
-    // With the size fixed to another, the rest is as near as it can be.
+    // With another size prescribed, the remaining parameters are optimal for it.
     let fixed = mapping.align(&model.vertices, &model.features, place, Scaling::Fixed).unwrap();
     assert_eq!(fixed.scale, 1.0);
     assert!(fixed.rms_mm > 1.0 && fixed.rms_mm < 10.0, "{fixed:?}");
 }
 
 #[test]
-fn noise_and_missing_markers_move_it_little() {
+fn noise_and_missing_markers_change_the_alignment_little() {
     let model = Model::generic().unwrap();
     let mapping = Mapping::singing_face().unwrap();
     let there = moved(&model.vertices);
-    let mut random = Random::new(11);
+    let mut random = PictureRng::new(11);
     let noisy: BTreeMap<String, [f64; 3]> = mapping
         .markers
         .iter()
@@ -58,7 +58,7 @@ fn noise_and_missing_markers_move_it_little() {
 }
 
 #[test]
-fn markers_that_hold_nothing_are_refused() {
+fn degenerate_markers_are_refused() {
     let model = Model::generic().unwrap();
     let mapping = Mapping::singing_face().unwrap();
     let align = |marker: &dyn Fn(&str) -> Option<[f64; 3]>| {
@@ -91,7 +91,7 @@ fn the_mapping_of_the_singing_face_fits_the_generic_face() {
     for marker in &mapping.markers {
         vertex(&marker.label);
     }
-    // The nose's tip is in front; what is left of the face is left of the face.
+    // The nose's tip is in front; the left of the face is on the left.
     assert!(vertex("section7-2")[2] > vertex("section7-1")[2]);
     for (left, right) in
         [("section1-2", "section2-2"), ("section8-1", "section9-1"), ("section11-1", "section12-1")]
@@ -117,12 +117,12 @@ fn mappings_are_written_and_read_and_refused() {
         assert!(Mapping::from_json(text.replacen(from, to, 1).as_bytes()).is_err(), "{from} {to}");
     }
     assert!(Mapping::from_json(&[b' '; 1 << 20]).is_err());
-    // Those who write one by hand see what they wrote.
+    // Authors of mappings by hand see the file's own names in messages.
     for (head, why) in [
         ("", "no version: write \"version\": 1"),
         (r#""version": 0,"#, "no version 0 of mocapd-face-mapping: write \"version\": 1"),
         (r#""version": 2,"#, "use a newer mocapd"),
-        (r#""version": 1,"#, "`markers[1].at` is \"\": expected"),
+        (r#""version": 1,"#, "`markers[1].at` is \"\", expected"),
     ] {
         let markers = r#""markers": [{"label": "a", "at": 0}, {"label": "b", "at": ""}]"#;
         let text = format!(r#"{{"format": "mocapd-face-mapping", {head} {markers}}}"#);
@@ -132,7 +132,7 @@ fn mappings_are_written_and_read_and_refused() {
 }
 
 #[test]
-fn a_reason_is_a_short_line_whatever_the_mapping_says() {
+fn an_error_is_a_short_line_for_any_mapping() {
     let long = "y\\t".repeat(2000);
     let kind = r#"{"format": "mocapd-face-mapping", "version": 1, "#;
     for text in [
@@ -149,9 +149,9 @@ fn a_reason_is_a_short_line_whatever_the_mapping_says() {
 }
 
 #[test]
-fn changed_bytes_give_a_reason_or_a_mapping_that_holds() {
+fn changed_bytes_give_an_error_or_a_valid_mapping() {
     let good = Mapping::singing_face().unwrap().to_json().unwrap().into_bytes();
-    let mut random = Random::new(5);
+    let mut random = PictureRng::new(5);
     let mut read = 0;
     for _ in 0..400 {
         let mut bytes = good.clone();

@@ -1,9 +1,9 @@
-//! The 53 points of (Yang et al. 2004), by name.
+//! Names of the 53 points of (Yang et al. 2004).
 
 use serde::{Deserialize, Serialize};
 
-/// One of the 53 points that are taken from a photograph (Yang et al. 2004): 12 of the outline, 10 of the brows, 5 of the
-/// nose, 12 of the lids, 14 of the lips.
+/// One of the 53 points that are located on a photograph (Yang et al. 2004): 12 of the outline, 10 of the brows, 5 of
+/// the nose, 12 of the eyelids, 14 of the lips.
 ///
 /// All but the outline are points of the iBUG-68 scheme, in its order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -24,7 +24,7 @@ impl TryFrom<String> for FeatureId {
     }
 }
 
-/// Name, and the point's number in iBUG-68.
+/// Name and iBUG-68 number of each point.
 const TABLE: [(&str, Option<u8>); FeatureId::COUNT] = [
     ("right_contour_top", None),
     ("right_contour_brow", None),
@@ -82,63 +82,64 @@ const TABLE: [(&str, Option<u8>); FeatureId::COUNT] = [
 ];
 
 impl FeatureId {
-    /// How many there are.
+    /// Number of points.
     pub const COUNT: usize = 53;
-    /// How many of them, the first, lie on the outline.
+    /// Number of outline points, which come first.
     pub const CONTOUR: usize = 12;
     /// The outer corner of the right eye (iBUG 36).
     pub const RIGHT_EYE_OUTER: Self = Self(27);
     /// The outer corner of the left eye (iBUG 45).
     pub const LEFT_EYE_OUTER: Self = Self(36);
 
-    /// All of them, in the order of [`index`](Self::index): the outline from the hairline down, right then left; then as
-    /// iBUG-68 counts.
+    /// All points in the order of [`index`](Self::index): the outline from the hairline down, right then left; then in
+    /// the order of iBUG-68.
     pub fn all() -> impl ExactSizeIterator<Item = Self> + Clone {
         (0..Self::COUNT as u8).map(Self)
     }
 
-    /// The one at `index`, if there is one.
+    /// The point at `index`, if there is one.
     pub fn from_index(index: usize) -> Option<Self> {
         (index < Self::COUNT).then_some(Self(index as u8))
     }
 
-    /// The one with this name.
+    /// The point with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::all().find(|id| id.name() == name)
     }
 
-    /// The one with this number, from 0, in iBUG-68.
+    /// The point with this iBUG-68 number, from 0.
     pub fn from_ibug(point: usize) -> Option<Self> {
         Self::all().find(|id| id.ibug() == Some(point))
     }
 
-    /// From 0 to 52.
+    /// Index from 0 to 52.
     pub fn index(self) -> usize {
         self.0.into()
     }
 
-    /// As it stands in files: `right_eye_outer`. Right and left are the subject's own. Brows count from the temple inward.
+    /// Its name in files, such as `right_eye_outer`. Right and left are the subject's own. Brows count from the temple
+    /// inward.
     pub fn name(self) -> &'static str {
         TABLE[self.index()].0
     }
 
-    /// Its number, from 0, in iBUG-68; none for points of the outline, which that scheme has elsewhere.
+    /// Its iBUG-68 number, from 0; none for outline points, which that scheme places elsewhere.
     pub fn ibug(self) -> Option<usize> {
         TABLE[self.index()].1.map(Into::into)
     }
 
-    /// Whether it is one of the outline's two at the hairline.
+    /// Whether it is one of the two outline points at the hairline.
     #[must_use]
     pub fn is_hairline(self) -> bool {
         TABLE.get(self.index()).is_some_and(|(name, _)| name.ends_with("_contour_top"))
     }
 
-    /// Whether it is of the subject's own right side: left in the picture, of a face that looks at the camera.
+    /// Whether it is on the subject's right, which is left in the picture of a face that looks at the camera.
     pub(super) fn is_right(self) -> bool {
         self.name().starts_with("right_")
     }
 
-    /// Whether it lies on the outline, and is therefore no fixed place on the skin.
+    /// Whether it lies on the outline, and so has no fixed place on the skin.
     pub fn is_contour(self) -> bool {
         self.index() < Self::CONTOUR
     }

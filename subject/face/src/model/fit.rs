@@ -1,33 +1,34 @@
-//! The model fitted to points of a picture: damped Gauss-Newton steps on pose and shape.
+//! Fit of pose and shape to points of a picture, by damped Gauss-Newton steps.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector2, Vector3};
 use thiserror::Error;
 
 use super::{Anchor, Camera, FeatureId, Landmark, Model, OUTER_EYES_MM};
 
-/// How far the points are trusted, against the model.
+/// How far the points are trusted relative to the model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FitOptions {
-    /// Standard deviation of a point of weight 1, as a share of the outer eye corners' distance. Two careful annotators
-    /// differ by 0.03 to 0.04.
-    pub noise_io: f64,
-    /// The same of a point of the outline, whose place depends on hair and chin.
-    pub contour_noise_io: f64,
-    /// From how many standard deviations on a point pulls no harder (Huber 1964).
+    /// Standard deviation of a point of weight 1, as a fraction of the outer interocular distance. Two careful
+    /// annotators differ by 0.03 to 0.04.
+    pub noise_interocular: f64,
+    /// Standard deviation of an outline point, as a fraction of the outer interocular distance; hair and chin make it
+    /// less certain.
+    pub contour_noise_interocular: f64,
+    /// Residual, in standard deviations, beyond which a point's pull stays constant (Huber 1964).
     pub huber: f64,
-    /// Standard deviation of pitch. Without it a long face and one that looks down are hard to tell apart.
+    /// Prior standard deviation of pitch. Without it, a long face and one that looks down are hard to distinguish.
     pub pitch_sd_deg: f64,
-    /// How many of the modes are used, first to last; the others stay 0. 0 fits the pose alone.
+    /// Number of modes that are fitted, in order; the others stay 0. 0 fits the pose alone.
     pub modes: usize,
-    /// At most so many steps from each start.
+    /// Most iterations from each start.
     pub steps: usize,
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
         Self {
-            noise_io: 0.03,
-            contour_noise_io: 0.08,
+            noise_interocular: 0.03,
+            contour_noise_interocular: 0.08,
             huber: 1.5,
             pitch_sd_deg: 15.0,
             modes: usize::MAX,
@@ -36,52 +37,59 @@ impl Default for FitOptions {
     }
 }
 
+impl FitOptions {
+    /// Standard deviation of a point of weight 1, as a fraction of the outer interocular distance.
+    pub(crate) fn noise_of(&self, id: FeatureId) -> f64 {
+        if id.is_contour() { self.contour_noise_interocular } else { self.noise_interocular }
+    }
+}
+
 /// Why a model was not fitted.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum FitError {
-    /// Pose and scale alone are six numbers.
-    #[error("{0} points with a weight, where a face needs at least 6 of them")]
+    /// Too few points: pose and scale alone are six numbers.
+    #[error("{0} points have a weight, a face needs at least 6")]
     TooFew(usize),
-    /// A coordinate or weight that is no number, or a negative weight.
-    #[error("{name} at ({x}, {y}) with weight {weight}: give finite numbers, and weights from 0")]
+    /// A coordinate or weight that is not finite, or a negative weight.
+    #[error("{name} at ({x}, {y}) with weight {weight}: expected finite numbers, weights from 0")]
     NotFinite {
-        /// Of the point.
+        /// Name of the point.
         name: &'static str,
-        /// As given.
+        /// Its x.
         x: f64,
-        /// As given.
+        /// Its y.
         y: f64,
-        /// As given.
+        /// Its weight.
         weight: f64,
     },
-    /// All in one place, or on one line.
-    #[error("the points lie on one line, or in one place: no face looks like that")]
+    /// The points coincide, or lie on one line.
+    #[error("the points coincide or lie on one line, which no face does")]
     Degenerate,
 }
 
 /// A model fitted to points of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShapeFit {
-    /// How the head stands in the picture.
+    /// Pose of the head in the picture.
     pub camera: Camera,
-    /// Standard deviations of each of the model's modes.
+    /// Coefficient of each mode, in standard deviations.
     pub coefficients: Vec<f64>,
-    /// The fitted face in the model's own frame, unturned, in the model's millimetres.
+    /// The fitted face in the model's frame, facing forward, in the model's millimetres.
     pub vertices_mm: Vec<[f64; 3]>,
-    /// Where the fit has each of the 53 points, by [`FeatureId::index`]: x, y and depth, in pixels.
+    /// Fitted positions of the 53 points by [`FeatureId::index`]: x, y and depth, in pixels.
     pub points_px: Vec<[f64; 3]>,
 }
 
 impl Model {
-    /// Fits pose and shape to points of a picture, each weighed by its confidence (1 as trusted as the options say, 0 not at
-    /// all; 4 would halve the standard deviation). Points may be missing, and a few may be wrong.
+    /// Fits pose and shape to points of a picture, weighted by confidence: 1 uses the standard deviation of the
+    /// options, 4 would halve it, 0 ignores the point. Points may be missing, and a few may be wrong.
     ///
-    /// Least squares by damped Gauss-Newton steps, with Huber's weights, and a normal prior on each mode: pose and shape
-    /// together, since each alone trades with the other. Begun from three yaws, because a wrong one can be a trap.
-    /// A given point counts once: the last of those with the same name.
+    /// Damped Gauss-Newton least squares with Huber weights and a normal prior on each mode. Pose and shape are fitted
+    /// together, since each can imitate the other; three initial yaws avoid local minima. Of several points with one
+    /// name the last counts.
     ///
     /// # Errors
-    /// Points that are no face: too few, not finite, or on one line.
+    /// [`FitError`] if there are too few points, non-finite values, or all points lie on one line.
     pub fn fit_shape(
         &self,
         points: &[Landmark],
@@ -104,33 +112,33 @@ fn observed(points: &[Landmark], options: &FitOptions) -> Result<Vec<Observed>, 
         if !(at[0].is_finite() && at[1].is_finite() && weight.is_finite() && weight >= 0.0) {
             return Err(FitError::NotFinite { name: id.name(), x: at[0], y: at[1], weight });
         }
-        let noise_io = if id.is_contour() { options.contour_noise_io } else { options.noise_io };
-        by_id[id.index()] = (weight > 0.0).then_some(Observed { id, at, weight, noise_io });
+        let noise = options.noise_of(id);
+        by_id[id.index()] = (weight > 0.0).then_some(Observed { id, at, weight, noise });
     }
     let observed: Vec<_> = by_id.into_iter().flatten().collect();
     if observed.len() < 6 { Err(FitError::TooFew(observed.len())) } else { Ok(observed) }
 }
 
-/// A point of a picture.
+/// An observed point.
 #[derive(Debug, Clone, Copy)]
 struct Observed {
     id: FeatureId,
     at: [f64; 2],
     weight: f64,
-    /// Standard deviation as a share of the outer eye corners' distance.
-    noise_io: f64,
+    /// Standard deviation as a fraction of the outer interocular distance.
+    noise: f64,
 }
 
-/// Rotation (3), logarithm of the scale, translation (2).
+/// Pose parameters: rotation (3), logarithm of the scale, translation (2).
 const POSE: usize = 6;
-/// Yaws that a fit begins from, in degrees. A head turned by less than 50 is within the reach of one of them.
+/// Initial yaws, in degrees. A head turned by less than 50 is within reach of one of them.
 const STARTS_DEG: [f64; 3] = [0.0, -30.0, 30.0];
-/// Steps on the pose alone, from each start.
+/// Iterations on the pose alone, from each start.
 const POSE_STEPS: usize = 6;
-/// Enough for the last digit that matters: a hundredth of a standard deviation, or of a degree.
+/// Convergence threshold: a hundredth of a standard deviation, or of a degree.
 const SMALL_STEP: f64 = 1e-4;
 
-/// A pose and a shape.
+/// Pose and shape.
 #[derive(Debug, Clone)]
 struct State {
     rotation: Matrix3<f64>,
@@ -147,7 +155,7 @@ impl State {
     }
 }
 
-/// One observed point's equations: what its two coordinates are off by, in standard deviations, and Huber's weight.
+/// Residuals of one point, in standard deviations, with its Huber weight.
 struct Row {
     off: [f64; 2],
     pull: f64,
@@ -161,28 +169,26 @@ struct Solver<'a> {
     observed: &'a [Observed],
     options: &'a FitOptions,
     modes: usize,
-    /// What a pixel is in standard deviations of a point with a noise of 1 io: fixed by the points themselves, so that no
-    /// fit grows better by shrinking.
-    io_px: f64,
+    /// Interocular distance in pixels, the unit of the noise. It is fixed by the points, so no fit improves by
+    /// shrinking.
+    interocular_px: f64,
 }
 
 impl<'a> Solver<'a> {
     fn new(model: &'a Model, observed: &'a [Observed], options: &'a FitOptions) -> Self {
         let modes = options.modes.min(model.modes.len());
-        Self { model, observed, options, modes, io_px: 1.0 }
+        Self { model, observed, options, modes, interocular_px: 1.0 }
     }
 
-    /// The best fit, or none where the points are degenerate.
+    /// The best fit; none if the points are degenerate.
     fn solve(mut self) -> Option<State> {
         let first = similarity(self.model, self.observed, 0.0)?;
-        self.io_px = first.scale * OUTER_EYES_MM;
+        self.interocular_px = first.scale * OUTER_EYES_MM;
         let mut best: Option<(f64, State)> = None;
         for yaw_deg in STARTS_DEG {
-            let Some((cost, state)) = similarity(self.model, self.observed, yaw_deg)
-                .and_then(|s| self.descend(s, 0, POSE_STEPS))
-            else {
-                continue;
-            };
+            let start = similarity(self.model, self.observed, yaw_deg);
+            let found = start.and_then(|start| self.descend(start, 0, POSE_STEPS));
+            let Some((cost, state)) = found else { continue };
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 best = Some((cost, state));
             }
@@ -192,7 +198,7 @@ impl<'a> Solver<'a> {
         state.scale.is_finite().then_some(state)
     }
 
-    /// Steps downhill on the pose and the first `modes` modes. Gives the cost, too.
+    /// Minimises over the pose and the first `modes` modes. Returns cost and state.
     fn descend(&self, mut state: State, modes: usize, steps: usize) -> Option<(f64, State)> {
         let mut damping = 1e-3;
         let (mut cost, mut rows) = self.rows(&state);
@@ -218,9 +224,9 @@ impl<'a> Solver<'a> {
         cost.is_finite().then_some((cost, state))
     }
 
-    /// Twice the negative logarithm of the posterior, but for constants, and what it is made of.
+    /// Twice the negative log posterior up to constants, and its rows.
     fn rows(&self, state: &State) -> (f64, Vec<Row>) {
-        // Places on the shape, without all of its vertices being worked out.
+        // Places on the shape, without computing all of its vertices.
         let place = |anchor: &Anchor| {
             let mut at = Vector3::from(anchor.on(&self.model.vertices));
             for (mode, &amount) in self.model.modes.iter().zip(&state.coefficients) {
@@ -235,10 +241,10 @@ impl<'a> Solver<'a> {
         let pitch = Camera::angles_deg(&state.rotation)[1];
         cost += (pitch / self.options.pitch_sd_deg).powi(2);
         let rows = self.observed.iter().map(|o| {
-            // Which place is outline hardly depends on the shape; the average is at hand.
+            // Which place forms the outline hardly depends on the shape, so the average serves.
             let anchor = self.model.anchor(o.id, average, &state.rotation);
             let turned = state.rotation * place(&anchor) * state.scale;
-            let per_px = o.weight.sqrt() / (o.noise_io * self.io_px);
+            let per_px = o.weight.sqrt() / (o.noise * self.interocular_px);
             let off = [
                 (o.at[0] - state.origin[0] - turned.x) * per_px,
                 (o.at[1] - state.origin[1] + turned.y) * per_px,
@@ -277,7 +283,7 @@ impl<'a> Solver<'a> {
             for column in 0..n {
                 let (wx, wy) = (row.pull * x[column], row.pull * y[column]);
                 gradient[column] += wx * row.off[0] + wy * row.off[1];
-                // The lower half, which is all that Cholesky reads.
+                // Only the lower half, which Cholesky reads.
                 for (line, cell) in normal.column_mut(column).iter_mut().enumerate().skip(column) {
                     *cell += wx * x[line] + wy * y[line];
                 }
@@ -287,7 +293,7 @@ impl<'a> Solver<'a> {
             normal[(POSE + i, POSE + i)] += 1.0;
             gradient[POSE + i] -= state.coefficients[i];
         }
-        // A small rotation about the camera's x axis is pitch, as nearly as a prior needs it.
+        // A small rotation about the camera's x axis is pitch, closely enough for a prior.
         let roll = Camera::angles_deg(&state.rotation)[2].to_radians();
         let axis = [roll.cos(), roll.sin()];
         let strength = self.options.pitch_sd_deg.to_radians().powi(-2);
@@ -316,21 +322,19 @@ fn stepped(state: &State, step: &DVector<f64>) -> State {
     }
 }
 
-/// Points on one line have a scatter of rank 1; a determinant of less than this share of its trace's square is that.
+/// Points on one line have a scatter matrix of rank 1: its determinant is below this fraction of the squared trace.
 const FLAT: f64 = 1e-6;
 
-/// The similarity that carries the average face, turned by `yaw_deg`, onto the points (weighted least squares).
+/// The similarity that maps the average face, rotated by `yaw_deg`, onto the points (weighted least squares).
 fn similarity(model: &Model, observed: &[Observed], yaw_deg: f64) -> Option<State> {
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), yaw_deg.to_radians()).into_inner();
     let places = model.feature_points(&model.vertices, &turn);
-    let pairs: Vec<_> = observed
-        .iter()
-        .map(|o| {
-            let seen = turn * Vector3::from(places[o.id.index()]);
-            let weight = o.weight / (o.noise_io * o.noise_io);
-            (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
-        })
-        .collect();
+    let pair = |o: &Observed| {
+        let seen = turn * Vector3::from(places[o.id.index()]);
+        let weight = o.weight / (o.noise * o.noise);
+        (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
+    };
+    let pairs: Vec<_> = observed.iter().map(pair).collect();
     let total: f64 = pairs.iter().map(|(weight, ..)| weight).sum();
     let from = pairs.iter().map(|(weight, a, _)| a * *weight).sum::<Vector2<f64>>() / total;
     let to = pairs.iter().map(|(weight, _, b)| b * *weight).sum::<Vector2<f64>>() / total;

@@ -1,4 +1,4 @@
-//! The file of a model (`docs/subject-face-model.md`).
+//! The model file format (`docs/subject-face-model.md`).
 
 use serde::Deserialize;
 use thiserror::Error;
@@ -8,20 +8,20 @@ use crate::shortened;
 
 const FORMAT: &str = "mocapd-face-model";
 const VERSION: u32 = 2;
-/// Far above any wireframe that is worth drawing; what the arithmetic of a fit costs grows with it.
+/// More than any wireframe needs; the cost of a fit grows with it.
 const MAX_VERTICES: usize = 20_000;
 const MAX_MODES: usize = 200;
-/// Beyond any head, and within what a fit can compute with.
+/// Beyond any head, and within what a fit can handle.
 const MAX_COORDINATE_MM: f64 = 1e7;
 
-/// Why a text is no model.
+/// Why a text is not a model.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("not a face model: {0}")]
 pub struct ModelError(String);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct ModelFile {
     format: String,
     version: u32,
     #[serde(rename = "about")]
@@ -29,13 +29,13 @@ struct File {
     model: Model,
 }
 
-/// Reads what `subject/face/data/build/face_model.py` writes.
+/// Reads the output of `subject/face/data/build/face_model.py`.
 pub(super) fn model(text: &str) -> Result<Model, ModelError> {
     let wrong = |what: String| ModelError(shortened(&what));
-    let file: File = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
+    let file: ModelFile = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
     if file.format != FORMAT || file.version != VERSION {
         let found = format!("{:?}, version {}", file.format, file.version);
-        return Err(wrong(format!("{found}, where {FORMAT:?}, version {VERSION} is expected")));
+        return Err(wrong(format!("expected {FORMAT:?}, version {VERSION}; found {found}")));
     }
     let mut model = file.model;
     check(&model).map_err(wrong)?;
@@ -46,38 +46,38 @@ pub(super) fn model(text: &str) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// What is wrong with the numbers of a model.
+/// Checks counts, indices and coordinates.
 fn check(model: &Model) -> Result<(), String> {
     let count = model.vertices.len();
     if count > MAX_VERTICES || model.triangles.len() > 2 * MAX_VERTICES {
         let triangles = model.triangles.len();
         return Err(format!(
-            "{count} vertices, {triangles} triangles; {MAX_VERTICES} and twice that are the most"
+            "{count} vertices, {triangles} triangles; the limits are {MAX_VERTICES} and twice that"
         ));
     }
     if model.modes.len() > MAX_MODES {
-        return Err(format!("{} modes, where {MAX_MODES} is the most", model.modes.len()));
+        return Err(format!("{} modes, the limit is {MAX_MODES}", model.modes.len()));
     }
     if let Some(mode) = model.modes.iter().find(|mode| mode.displacements.len() != count) {
-        return Err(format!("{} displacements of {count} vertices", mode.displacements.len()));
+        return Err(format!("{} displacements for {count} vertices", mode.displacements.len()));
     }
     if model.contours.len() != FeatureId::CONTOUR || model.contours.iter().any(Vec::is_empty) {
-        return Err(format!("no {} rows of places for the outline", FeatureId::CONTOUR));
+        return Err(format!("expected {} non-empty outline rows", FeatureId::CONTOUR));
     }
     let places = || model.contours.iter().flatten();
     if let Some(place) = places().find(|place| !(0.0..=1.0).contains(&place.fraction)) {
-        return Err(format!("a fraction of {}", place.fraction));
+        return Err(format!("fraction {}, expected 0 to 1", place.fraction));
     }
     let corners = model.triangles.iter().flatten().copied();
     let ends = places().flat_map(|place| [place.from, place.to]);
     let mut indices = corners.chain(model.features.values().copied()).chain(ends);
     if let Some(index) = indices.find(|&index| index >= count) {
-        return Err(format!("vertex {index}, where there are {count}"));
+        return Err(format!("vertex {index} of {count}"));
     }
     let modes = model.modes.iter().flat_map(|mode| &mode.displacements);
     let mut lengths = model.vertices.iter().chain(modes).flatten();
     match lengths.find(|length| length.abs() > MAX_COORDINATE_MM) {
-        Some(length) => Err(format!("{length} mm, where {MAX_COORDINATE_MM} is the most")),
+        Some(length) => Err(format!("{length} mm, the limit is {MAX_COORDINATE_MM}")),
         None => Ok(()),
     }
 }

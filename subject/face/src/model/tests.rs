@@ -3,13 +3,13 @@ mod recorded;
 use std::collections::HashSet;
 
 use super::*;
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
 fn camera(yaw_deg: f64, pitch_deg: f64, roll_deg: f64) -> Camera {
     Camera { scale_px_per_mm: 1.3, yaw_deg, pitch_deg, roll_deg, origin_px: [210.0, 180.0] }
 }
 
-/// Points of a face that the model can tell, as a camera sees them.
+/// Points of a face that the model can represent, as a camera sees them.
 fn seen(model: &Model, camera: &Camera, coefficients: &[f64]) -> Vec<[f64; 3]> {
     let vertices = model.shape(coefficients);
     camera.project(&model.feature_points(&vertices, &camera.rotation()))
@@ -23,14 +23,14 @@ fn given(points: &[[f64; 3]]) -> Vec<Landmark> {
 }
 
 #[test]
-fn the_generic_face_is_whole_and_named() {
+fn the_generic_face_is_complete_and_named() {
     let model = Model::generic().unwrap();
     assert!((110..=500).contains(&model.vertices.len()), "{}", model.vertices.len());
     assert!(model.modes.iter().all(|m| m.displacements.len() == model.vertices.len()));
     let eyes =
         ["right_eye_outer", "left_eye_outer"].map(|name| model.vertices[model.features[name]]);
     assert!((eyes[1][0] - eyes[0][0] - OUTER_EYES_MM).abs() < 0.02, "{eyes:?}");
-    // The features are where a face has them.
+    // The features are at anatomically correct positions.
     let y = |name: &str| model.vertices[model.features[name]][1];
     let downward = [
         "right_brow_3",
@@ -47,7 +47,7 @@ fn the_generic_face_is_whole_and_named() {
     for pair in downward.windows(2) {
         assert!(y(pair[0]) > y(pair[1]), "{pair:?}");
     }
-    // Each edge belongs to at most two triangles, which run along it in opposite directions.
+    // Each edge belongs to at most two triangles, which traverse it in opposite directions.
     let mut directed = std::collections::BTreeSet::new();
     for &[a, b, c] in &model.triangles {
         for edge in [(a, b), (b, c), (c, a)] {
@@ -104,7 +104,7 @@ fn names_and_numbers_agree() {
 }
 
 #[test]
-fn projecting_and_back_is_nothing() {
+fn projecting_and_back_is_the_identity() {
     let model = Model::generic().unwrap();
     let camera = camera(25.0, -11.0, 38.0);
     let back = camera.unproject(&camera.project(&model.vertices));
@@ -132,9 +132,9 @@ fn yaw_turns_the_nose_to_the_right_of_the_picture() {
 }
 
 #[test]
-fn the_pose_and_points_of_random_faces_are_found() {
+fn the_pose_and_points_of_random_faces_are_recovered() {
     let model = Model::generic().unwrap();
-    let mut noise = Random::new(7);
+    let mut noise = PictureRng::new(7);
     let (mut worst_yaw, mut sum) = (0.0f64, 0.0);
     let rounds = 60;
     for _ in 0..rounds {
@@ -155,14 +155,14 @@ fn the_pose_and_points_of_random_faces_are_found() {
         let off = |p: &[f64; 3], q: &[f64; 3]| (p[0] - q[0]).hypot(p[1] - q[1]);
         sum += fit.points_px.iter().zip(&truth).map(|(p, q)| off(p, q)).sum::<f64>() / 53.0;
     }
-    // The noise moved each point by 2.5 px on average: the model takes a good part of it out again.
+    // The noise moved each point by 2.5 px on average: the model removes a good part of it.
     let mean = sum / f64::from(rounds);
     assert!(mean < 1.9, "{mean} px");
     assert!(worst_yaw < 8.0, "{worst_yaw} degrees");
 }
 
 #[test]
-fn a_few_wrong_points_are_repaired() {
+fn a_few_wrong_points_are_corrected() {
     let model = Model::generic().unwrap();
     let camera = camera(12.0, 3.0, -9.0);
     let truth = seen(model, &camera, &[0.8, -0.5, 0.3]);
@@ -177,18 +177,18 @@ fn a_few_wrong_points_are_repaired() {
     let fit = model.fit_shape(&points, &FitOptions::default()).unwrap();
     for (id, (p, q)) in FeatureId::all().zip(fit.points_px.iter().zip(&truth)) {
         let off = (p[0] - q[0]).hypot(p[1] - q[1]);
-        // A share of the outer eye corners' 117 px; they were off by 54 px.
+        // In parts of the outer interocular distance of 117 px; the points were off by 54 px.
         let share = if id.is_contour() { 0.08 } else { 0.05 };
         assert!(off < share * 117.0, "{}: {off}", id.name());
     }
     let mouth = FeatureId::from_name("mouth_left").unwrap().index();
     let ([x, y, _], at) = (fit.points_px[mouth], points[mouth].xy_px);
-    let off_sd = (x - at[0]).hypot(y - at[1]) / (117.0 * FitOptions::default().noise_io);
+    let off_sd = (x - at[0]).hypot(y - at[1]) / (117.0 * FitOptions::default().noise_interocular);
     assert!(off_sd > 5.0, "{off_sd}");
 }
 
 #[test]
-fn what_is_no_face_is_refused() {
+fn points_that_are_no_face_are_refused() {
     let model = Model::generic().unwrap();
     let options = FitOptions::default();
     let points = given(&seen(model, &camera(0.0, 0.0, 0.0), &[]));
@@ -224,7 +224,7 @@ fn damaged_models_are_refused() {
         let damaged = text.replacen(from, to, 1);
         assert_ne!(damaged, text, "{from}");
         let reason = Model::parse(&damaged).unwrap_err().to_string();
-        assert!(reasons.insert(reason.clone()), "{from}: said before: {reason}");
+        assert!(reasons.insert(reason.clone()), "{from}: duplicate message: {reason}");
     }
     for end in (0..text.len()).step_by(997) {
         assert!(Model::parse(&text[..end]).is_err());
@@ -232,7 +232,7 @@ fn damaged_models_are_refused() {
 }
 
 #[test]
-fn a_reason_is_a_short_line_whatever_the_model_says() {
+fn an_error_is_a_short_line_for_any_model() {
     let word = "z\u{7}".repeat(3000);
     let model = |vertices: &str, triangles: &str| {
         format!(

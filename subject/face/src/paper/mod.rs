@@ -1,57 +1,64 @@
-//! Faces as (Yang et al. 2004) find them: blocks of skin, holes in them, and a template. Kept beside
-//! [`find`](super::find) so that both can be measured on the same photographs.
+//! Face detection of (Yang et al. 2004, sections 1 and 2) as printed: skin segmentation, a check of the holes in each
+//! block of skin, and a template. It is kept beside [`find`](super::find) for comparison on the same photographs.
 //!
-//! What the paper leaves open is chosen here: the thresholds, the structuring element, T0, the template's drawing and
-//! `T_E`. Two things it does not have are added: a block is cut where the neck begins (at 1.45 of its width), and axes are
-//! averaged as axes.
+//! 1. Skin is a Gaussian of r and g chromaticity (equations 1 and 2), thresholded and opened; connected blocks are
+//!    candidates.
+//!
+//! 2. A block needs three holes at least: eyes, brows, nostrils, mouth. The mean axis of the holes (3) gives the roll.
+//!
+//! 3. In the rotated rectangle of the block, the energy of the template (4) sums edges in its black zones and
+//!    brightness in its grey zone.
+//!
+//! The paper gives no thresholds, structuring element, T0, template or `T_E`; they are chosen here. Two things are
+//! added: a block is cut where the neck begins (at 1.45 of its width), and axes are averaged as axial data.
 
 #[cfg(test)]
 mod tests;
 
-use super::find::Found;
+use super::find::DetectedFace;
 use super::photo::Photo;
 use super::plane::{Blob, Labels, Mask, Plane};
 
-/// Skin is what is likelier than this, in shares of the likeliest colour: the Gaussian's ellipse of 1.55 deviations. At
-/// 0.1 faces run into walls on the development photographs, and at 0.5 they fall apart.
+/// Skin threshold as a fraction of the likeliest colour: the Gaussian's ellipse of 1.55 deviations. At 0.1 faces merge
+/// with walls on the development photographs, at 0.5 they fall apart.
 const SKIN_MIN: f32 = 0.3;
-/// The longer side that the search works on, in pixels.
+/// Longer side of the working image, in pixels.
 const SIDE_PX: f32 = 320.0;
-/// Half the side of the square of erosion and dilation, less a half, on it.
+/// Radius of the opening's square, in pixels of the working image.
 const OPENING_PX: usize = 1;
-/// A face's rectangle is at most this much higher than it is wide; what is lower is neck.
+/// Largest ratio of height to width of a face's rectangle; what is lower is neck.
 const HEIGHT_MAX: f32 = 1.45;
-/// And at least this much: what is wider is no face.
+/// Least ratio of height to width.
 const HEIGHT_MIN: f32 = 0.9;
-/// The paper's `T_E`: those faces of the development photographs that are blocks at all have more.
+/// The paper's `T_E`: faces of the development photographs that form blocks have more.
 const ENERGY_MIN: f32 = -0.1;
-/// What the energy's distance to the threshold is measured in, for a score of 0 to 1.
+/// Scale of the logistic score around the threshold.
 const ENERGY_SOFT: f32 = 0.2;
-/// Distances of the outer eye corners, and of the irises' middles, in widths of the rectangle.
-const IO_OF_WIDTH: f64 = 0.64;
+/// Outer interocular distance as a fraction of the rectangle's width.
+const INTEROCULAR_PER_WIDTH: f64 = 0.64;
 
-/// Holes below this share of the block's area are dropped: the paper's T0, whose value it does not give. An eye has about
-/// a hundredth.
+/// The paper's T0, whose value it does not give: least area of a hole as a fraction of the block. An eye has about a
+/// hundredth.
 const HOLE_SHARE_MIN: f64 = 0.001;
-/// The paper's bounds on the number of holes.
+/// The paper's limits on the number of holes.
 const HOLES_MIN: usize = 3;
 const HOLES_MAX: usize = 10;
-/// Blocks below this share of the photograph are not looked at: with 3 holes and a template there is nothing to see.
+/// Least area of a block as a fraction of the photograph: smaller ones show no features.
 const BLOCK_SHARE_MIN: f64 = 0.004;
-/// Points across and down: the paper's M x N.
+/// Samples across and down: the paper's M x N.
 const ACROSS: usize = 24;
 const DOWN: usize = 30;
-/// What edges and brightness count: the paper's alpha and beta. Lips are darker than skin, so beta is negative.
+/// The paper's alpha and beta, the weights of edges and brightness. Lips are darker than skin, so beta is negative.
 const ALPHA: f32 = 1.0;
 const BETA: f32 = -1.0;
-/// Mean of r and g, and their covariance (rr, rg, gg), from the development photographs (`benches/subject/skin.py`): the
+/// Mean of r and g and their covariance (rr, rg, gg), from the development photographs (`benches/subject/skin.py`); the
 /// paper does not give its own.
 const MEAN: [f32; 2] = [0.4269, 0.3131];
 const COVARIANCE: [f32; 3] = [0.001_304, -0.000_211, 0.000_140];
-/// R + G + B below which a pixel has no hue, and is no skin.
+/// Least R + G + B: a darker pixel has no hue and is not skin.
 const DARK: f32 = 30.0;
 
-/// A zone of the template, in shares of the face's rectangle.
+/// A zone of the template, in fractions of the face's rectangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Zone {
     left: f32,
@@ -64,12 +71,13 @@ const fn zone([left, top, right, bottom]: [f32; 4]) -> Zone {
     Zone { left, top, right, bottom }
 }
 
-/// Where eye and brow, and the mouth are: first the ones at the picture's left.
+/// Zones of eyes with brows, the one at the picture's left first, and of the mouth.
 const EYE_LEFT: Zone = zone([0.10, 0.18, 0.47, 0.48]);
 const EYE_RIGHT: Zone = zone([0.53, 0.18, 0.90, 0.48]);
 const MOUTH: Zone = zone([0.22, 0.66, 0.78, 0.90]);
 
-/// Black: brows, eyes, the nose's base and the mouth's outline have edges. Our drawing, for the paper's is a small figure.
+/// Black zones: brows, eyes, base of the nose and outline of the mouth have edges. The drawing is ours, since the
+/// paper's is a small figure.
 const BLACK: [Zone; 7] = [
     zone([0.15, 0.22, 0.43, 0.29]),
     zone([0.57, 0.22, 0.85, 0.29]),
@@ -79,12 +87,12 @@ const BLACK: [Zone; 7] = [
     zone([0.29, 0.71, 0.71, 0.76]),
     zone([0.31, 0.81, 0.69, 0.85]),
 ];
-/// Grey: the lips.
+/// Grey zone: the lips.
 const GREY: Zone = zone([0.31, 0.74, 0.69, 0.82]);
 
-/// The faces of a photograph, surest first; none where it has no colours.
+/// Detects the faces of a photograph, best first; none if it has no colours.
 #[must_use]
-pub fn faces(photo: &Photo) -> Vec<Found> {
+pub fn faces(photo: &Photo) -> Vec<DetectedFace> {
     let shrink = (photo.width().max(photo.height()) as f32 / SIDE_PX).max(1.0);
     let side = |px: usize| ((px as f32 / shrink).round() as usize).max(1);
     let (width, height) = (side(photo.width()), side(photo.height()));
@@ -92,50 +100,50 @@ pub fn faces(photo: &Photo) -> Vec<Found> {
     let grey = photo.grey().resized(width, height);
     let edges = grey.gradient().magnitude;
     let scale = [photo.width() as f64 / width as f64, photo.height() as f64 / height as f64];
-    let mut faces: Vec<Found> = blocks(&mask.opened(OPENING_PX))
+    let mut faces: Vec<DetectedFace> = blocks(&mask.opened(OPENING_PX))
         .iter()
         .filter_map(|Block { skin, holes }| {
             let roll_rad = direction_rad(holes);
-            let turned = Turned::around(skin, roll_rad as f32)?;
+            let turned = RotatedBox::around(skin, roll_rad as f32)?;
             let energy = energy(&grey, &edges, &turned);
-            (energy > ENERGY_MIN).then(|| found(&turned, roll_rad, energy, scale))
+            (energy > ENERGY_MIN).then(|| detection(&turned, roll_rad, energy, scale))
         })
         .collect();
     faces.sort_by(|a, b| b.score.total_cmp(&a.score));
     faces
 }
 
-/// Where the template has eyes and mouth, the roll of the holes' axes, and a score from the template's energy.
-fn found(turned: &Turned, roll_rad: f64, energy: f32, scale: [f64; 2]) -> Found {
+/// Converts the template's eyes and mouth, the roll and the energy into a detection.
+fn detection(turned: &RotatedBox, roll_rad: f64, energy: f32, scale: [f64; 2]) -> DetectedFace {
     let at = |x: f32, y: f32| {
         let [x, y] = turned.at(x, y).map(f64::from);
         [(x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5]
     };
-    // Irises are looked for in the lower half of their boxes.
+    // Irises lie in the lower half of their boxes.
     let eye = |eye: Zone| at((eye.left + eye.right) / 2.0, eye.top + 0.68 * (eye.bottom - eye.top));
     let (left, right) = (at(0.0, 0.0), at(1.0, 0.0));
-    Found {
+    DetectedFace {
         eyes: [eye(EYE_LEFT), eye(EYE_RIGHT)],
         mouth: at((MOUTH.left + MOUTH.right) / 2.0, (MOUTH.top + MOUTH.bottom) / 2.0),
         roll_rad,
-        io_px: IO_OF_WIDTH * (right[0] - left[0]).hypot(right[1] - left[1]),
+        interocular_px: INTEROCULAR_PER_WIDTH * (right[0] - left[0]).hypot(right[1] - left[1]),
         score: 1.0 / (1.0 + f64::from((ENERGY_MIN - energy) / ENERGY_SOFT).exp()),
     }
 }
 
-/// The bounding rectangle of a block, turned by its direction.
+/// The bounding rectangle of a block, rotated by its direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Turned {
-    /// Its top left corner.
+struct RotatedBox {
+    /// Top left corner.
     corner: [f32; 2],
-    /// From it to the top right one.
+    /// Vector to the top right corner.
     across: [f32; 2],
-    /// From it to the bottom left one.
+    /// Vector to the bottom left corner.
     down: [f32; 2],
 }
 
-impl Turned {
-    /// Around the skin of a block. None if the shape is no face's.
+impl RotatedBox {
+    /// The rectangle around a block's skin; none if its shape is not a face's.
     fn around(skin: &Mask, roll_rad: f32) -> Option<Self> {
         let (sin, cos) = roll_rad.sin_cos();
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
@@ -156,7 +164,7 @@ impl Turned {
         })
     }
 
-    /// A place of it, in shares of its width and height.
+    /// A point of the rectangle, in fractions of its width and height.
     fn at(&self, x: f32, y: f32) -> [f32; 2] {
         [
             self.corner[0] + x * self.across[0] + y * self.down[0],
@@ -165,9 +173,9 @@ impl Turned {
     }
 }
 
-/// E = alpha sum of edges in the black zones + beta sum of brightness in the grey one (eq. 4). Both are means, in shares
-/// of the mean over the whole rectangle, so that neither the size nor the light of a photograph changes E.
-fn energy(grey: &Plane, edges: &Plane, face: &Turned) -> f32 {
+/// E = alpha sum of edges in the black zones + beta sum of brightness in the grey one (eq. 4). Both sums are means
+/// relative to the mean over the rectangle, so that E depends neither on size nor on lighting.
+fn energy(grey: &Plane, edges: &Plane, face: &RotatedBox) -> f32 {
     let (mut all_edges, mut all_grey, mut black, mut lips) = (0.0, 0.0, [0.0; 2], [0.0; 2]);
     for i in 0..ACROSS * DOWN {
         let x = ((i % ACROSS) as f32 + 0.5) / ACROSS as f32;
@@ -195,16 +203,16 @@ impl Zone {
     }
 }
 
-/// A block of skin with three holes at least.
+/// A block of skin with at least three holes.
 #[derive(Debug, Clone)]
 struct Block {
-    /// The skin, without its holes filled.
+    /// The skin without its holes.
     skin: Mask,
     /// Its holes, largest first.
     holes: Vec<Blob>,
 }
 
-/// The blocks of a mask of skin that have holes enough.
+/// The blocks of a skin mask with enough holes.
 fn blocks(skin: &Mask) -> Vec<Block> {
     let labels = Labels::of(skin, false);
     let least = BLOCK_SHARE_MIN * (skin.width() * skin.height()) as f64;
@@ -218,7 +226,7 @@ fn blocks(skin: &Mask) -> Vec<Block> {
         .collect()
 }
 
-/// What a block encloses: the parts of the rest that do not reach around it.
+/// The holes of a block: enclosed components of its complement.
 fn holes(skin: &Mask, blob: &Blob) -> Vec<Blob> {
     let rest = Labels::of(&skin.map(|inside| !inside), true);
     let within = |hole: &&Blob| {
@@ -234,9 +242,9 @@ fn holes(skin: &Mask, blob: &Blob) -> Vec<Blob> {
     holes
 }
 
-/// The direction of a face (eq. 3), as the roll of the line of its eyes in radians, -pi/2 to pi/2: the mean of its holes'
-/// axes. The paper takes the plain mean, which fails where angles wrap; axes are averaged at twice their angle, weighed
-/// by area and eccentricity, for a round hole has no direction.
+/// Direction of a face (eq. 3) as the roll of the line of its eyes, in radians from -pi/2 to pi/2: the mean axis of its
+/// holes. The paper's plain mean fails where angles wrap; here doubled angles are averaged, weighted by area and
+/// eccentricity, since a round hole has no direction.
 fn direction_rad(holes: &[Blob]) -> f64 {
     let (mut sin, mut cos) = (0.0, 0.0);
     for hole in holes {
@@ -255,7 +263,7 @@ fn skin(photo: &Photo, width: usize, height: usize) -> Plane {
     };
     let (red, green, blue) = (channel(0), channel(1), channel(2));
     let sum = red.zip(&green, |a, b| a + b).zip(&blue, |a, b| a + b);
-    // Two planes are joined at a time: first the chromaticities, with none for what is black.
+    // Two planes at a time: first the chromaticities, NaN for black pixels.
     let ratio = |value: f32, sum: f32| if sum < DARK { f32::NAN } else { value / sum };
     red.zip(&sum, ratio).zip(&green.zip(&sum, ratio), likelihood)
 }

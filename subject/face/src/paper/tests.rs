@@ -1,8 +1,8 @@
-use super::{Turned, blocks, direction_rad, faces};
+use super::{RotatedBox, blocks, direction_rad, faces};
 use crate::Photo;
 use crate::plane::{Labels, Mask};
 
-/// A face of ellipses, `half` pixels half as wide, turned by `roll_rad` before a blue wall.
+/// A face of ellipses, `half` pixels half as wide, rotated by `roll_rad`, in front of a blue wall.
 fn drawn(half: f32, roll_rad: f32) -> Photo {
     let (sin, cos) = roll_rad.sin_cos();
     let pixels = (0..200 * 200)
@@ -44,7 +44,7 @@ fn a_drawn_face_is_found_with_its_roll() {
         };
         for (eye, side) in found.eyes.iter().zip([-0.42, 0.42]) {
             let at = place(side, -0.32);
-            let off = (eye[0] - at[0]).hypot(eye[1] - at[1]) / found.io_px;
+            let off = (eye[0] - at[0]).hypot(eye[1] - at[1]) / found.interocular_px;
             assert!(off < 0.15, "{roll_rad}: {off}");
         }
         // The left eye is at the picture's left.
@@ -67,7 +67,8 @@ fn skin_without_holes_is_no_face() {
 
 #[test]
 fn axes_are_averaged_as_axes() {
-    // Two bars, a little to either side of upright: their mean is upright, and the plain mean of angles is not.
+    // Two bars, slightly to either side of upright: their axial mean is upright, unlike the arithmetic mean of the
+    // angles.
     let bars = Mask::from_values(
         40,
         40,
@@ -94,6 +95,6 @@ fn a_block_keeps_its_ten_largest_holes() {
     let blocks = blocks(&mask);
     assert_eq!(blocks.len(), 1);
     assert_eq!(blocks[0].holes.len(), 10);
-    // Square, and as high as a face may be at the least.
-    assert!(Turned::around(&blocks[0].skin, 0.0).is_some());
+    // A square with the minimum height of a face.
+    assert!(RotatedBox::around(&blocks[0].skin, 0.0).is_some());
 }

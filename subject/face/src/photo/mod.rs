@@ -1,4 +1,4 @@
-//! A photograph: foreign bytes into colours, bounded, and with what a finder of faces must know about them.
+//! A photograph: decoded within limits, with what a face detector needs to know about its colours.
 
 mod read;
 #[cfg(test)]
@@ -10,62 +10,62 @@ pub use read::{BYTES_MAX, PIXELS_MAX, SIDE_MIN_PX};
 
 use crate::plane::Plane;
 
-/// Standard deviation of chroma, once what follows from luma is taken off, below which there is no colour. Chroma
+/// Standard deviation of chroma, after removing its regression on luma, below which there is no colour. Chroma
 /// subsampling of a grey JPEG leaves about 0.5; sepia follows luma; the dullest photograph of a face has above 4.
 const CHROMA_DEVIATION_MIN: f64 = 1.5;
-/// Distance of the light's r, g chromaticities from white's, (1/3, 1/3), that is a cast: a lamp of 2856 K, taken with
-/// daylight's white balance, is about 0.1 away; skin that fills the picture 0.05.
+/// Distance of the illuminant's r, g chromaticities from white (1/3, 1/3) that counts as a colour cast: a lamp of 2856
+/// K at daylight white balance has about 0.1, skin that fills the picture 0.05.
 const CAST_MIN: f64 = 0.08;
-/// Norm of the illuminant's estimate (Finlayson and Trezzi 2004, shades of grey).
+/// Norm of the illuminant's estimate (shades of grey, Finlayson and Trezzi 2004).
 const NORM: i32 = 6;
-/// Pixels that are looked at; evenly taken.
+/// Most pixels that are sampled, evenly.
 const SAMPLES_MAX: usize = 1 << 16;
 
-/// A photograph, upright, 8 bits a channel. Coordinates are 0-based, x to the right, y down, and whole numbers are the
-/// centres of pixels.
+/// A photograph, upright, 8 bits per channel. Coordinates start at 0, x to the right, y down; integers are the centres
+/// of pixels.
 #[derive(Clone, PartialEq)]
 pub struct Photo {
     width: usize,
     height: usize,
     /// Row by row; `width * height` of them.
     pixels: Vec<[u8; 3]>,
-    /// SHA-256 of the bytes that it was read from; zeros where it was made of pixels.
+    /// SHA-256 of the file; zeros for a photograph made from pixels.
     pub sha256: [u8; 32],
-    /// What its colours are good for.
+    /// Usefulness of its colours.
     pub colour: Colour,
-    /// What was done to it, and what is odd about it.
+    /// What was done to it, and what is unusual about it.
     pub notes: Vec<Note>,
 }
 
-/// Something that whoever took the photograph may want to know.
+/// A remark for the photographer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Note {
-    /// It was turned or mirrored as its EXIF orientation says.
+    /// Rotated or mirrored by its EXIF orientation.
     Turned,
-    /// It had 16 bits or more a channel, and is used with 8.
+    /// Reduced from 16 bits or more per channel to 8.
     Reduced,
-    /// It was transparent in places, which are grey now.
+    /// Transparent in places, which are grey now.
     Transparent,
-    /// It was CMYK, and was converted without its colour profile.
+    /// CMYK, converted without its colour profile.
     Cmyk,
-    /// It was animated, and its first picture is used.
+    /// Animated; its first picture is used.
     Animated,
-    /// It has no colours ([`Colour::Grey`]).
+    /// Without colours ([`Colour::Grey`]).
     Grey,
-    /// Its light is coloured ([`Colour::Cast`]).
+    /// Lit with a colour cast ([`Colour::Cast`]).
     Cast,
 }
 
 impl fmt::Display for Note {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Turned => "turned as its EXIF orientation says",
-            Self::Reduced => "reduced from more than 8 bits a channel to 8",
-            Self::Transparent => "transparent in places, which are taken as grey",
+            Self::Turned => "rotated by its EXIF orientation",
+            Self::Reduced => "reduced from more than 8 bits per channel to 8",
+            Self::Transparent => "transparent in places, which are treated as grey",
             Self::Cmyk => "CMYK, converted without its profile: colours are rough, RGB is better",
             Self::Animated => "animated: only its first picture is used",
-            Self::Grey => "without colours: faces are found by shape alone, and lips are less sure",
-            Self::Cast => "lit in one colour: white balance is worth setting, skin is less sure",
+            Self::Grey => "without colours: faces are found by shape alone, lips are less certain",
+            Self::Cast => "colour cast: set the white balance, or skin is less certain",
         })
     }
 }
@@ -85,8 +85,8 @@ impl Photo {
     /// A photograph of `width` by `height` pixels, row by row from the top left.
     ///
     /// # Errors
-    /// [`PhotoError::Pixels`] if `pixels` are not `width * height`, [`PhotoError::Small`] and [`PhotoError::Large`] as for
-    /// one that is read.
+    /// [`PhotoError::Pixels`] unless there are `width * height` pixels; [`PhotoError::Small`] and [`PhotoError::Large`]
+    /// as for a file.
     pub fn from_pixels(
         width: usize,
         height: usize,
@@ -124,7 +124,7 @@ impl Photo {
         &self.pixels
     }
 
-    /// The colour nearest to `x`, `y`; at the border where that is outside.
+    /// The colour at `x`, `y`; the border repeats outside.
     #[must_use]
     pub fn rgb(&self, x: isize, y: isize) -> [u8; 3] {
         let x = x.clamp(0, self.width as isize - 1) as usize;
@@ -132,7 +132,7 @@ impl Photo {
         self.pixels.get(y * self.width + x).copied().unwrap_or_default()
     }
 
-    /// What `value` makes of each colour.
+    /// A plane computed from each pixel's colour.
     #[must_use]
     pub fn plane(&self, value: impl Fn([u8; 3]) -> f32) -> Plane {
         let values = self.pixels.iter().map(|&rgb| value(rgb)).collect();
@@ -152,19 +152,19 @@ pub fn luma([red, green, blue]: [u8; 3]) -> f32 {
     0.299 * f32::from(red) + 0.587 * f32::from(green) + 0.114 * f32::from(blue)
 }
 
-/// What the colours of a photograph are good for.
+/// Usefulness of a photograph's colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colour {
-    /// Colours, in light that is near enough to white.
+    /// Colours in nearly white light.
     Natural,
-    /// Colours, in light that is not: skin may have any hue.
+    /// Colours under a colour cast: skin may have any hue.
     Cast,
     /// No colours, or shades of a single one (sepia).
     Grey,
 }
 
 impl Colour {
-    /// Of a picture's pixels.
+    /// Classifies a picture's pixels.
     fn of(pixels: &[[u8; 3]]) -> Self {
         let step = pixels.len().div_ceil(SAMPLES_MAX).max(1);
         let samples = || pixels.iter().step_by(step).map(|pixel| pixel.map(f64::from));
@@ -178,7 +178,7 @@ impl Colour {
     }
 }
 
-/// The light's colour, each channel 0 to 255: the 6-norm of what is neither black nor burnt out.
+/// Colour of the illuminant, each channel 0 to 255: the 6-norm of the pixels that are neither black nor saturated.
 fn illuminant(samples: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     let mut sums = [0.0; 3];
     let mut count = 0.0;
@@ -194,7 +194,7 @@ fn illuminant(samples: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     sums.map(|sum| 255.0 * (sum / count).powf(1.0 / f64::from(NORM)))
 }
 
-/// Root of the mean square of Cb and Cr once their regressions on luma are taken off.
+/// Root mean square of Cb and Cr after removing their regressions on luma.
 fn chroma_deviation(samples: impl Iterator<Item = [f64; 3]>) -> f64 {
     // Sums of 1, y, y^2, and for each chroma c: c, c y, c^2.
     let (mut n, mut y1, mut y2) = (0.0, 0.0, 0.0);
@@ -222,40 +222,40 @@ fn chroma_deviation(samples: impl Iterator<Item = [f64; 3]>) -> f64 {
     residual.sum::<f64>().sqrt()
 }
 
-/// A photograph that cannot be used.
+/// Why a photograph cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PhotoError {
-    /// Nothing in it.
+    /// The file is empty.
     #[error("the photograph is empty: expected the bytes of a PNG, JPEG or PNM file")]
     Empty,
-    /// More bytes than are read.
-    #[error("the photograph has {bytes} bytes, and at most {BYTES_MAX} are read: save it as JPEG")]
+    /// The file is too large.
+    #[error("the photograph has {bytes} bytes, the limit is {BYTES_MAX}: save it as JPEG")]
     Bytes {
-        /// How many it has.
+        /// Its size in bytes.
         bytes: usize,
     },
-    /// Another format, or none.
+    /// Not a supported format.
     #[error("not a PNG, JPEG or PNM picture ({found}): save it as PNG or JPEG")]
     Format {
-        /// What its first bytes say.
+        /// What its first bytes suggest.
         found: String,
     },
-    /// Cut off.
-    #[error("the photograph ends too early ({what}): copy it again, it was cut off")]
+    /// The file is cut off.
+    #[error("the photograph is cut off ({what}): copy it again")]
     Truncated {
         /// What is missing.
         what: String,
     },
-    /// Right format, wrong content.
+    /// The content does not decode.
     #[error("the photograph cannot be decoded ({reason}): open it in a viewer and save it again")]
     Damaged {
-        /// The decoder's words.
+        /// The decoder's message.
         reason: String,
     },
-    /// Too few pixels for a face.
+    /// Too small for a face.
     #[error(
-        "the photograph is {width} x {height} pixels, and a face needs a side of {SIDE_MIN_PX} at least: use a larger one"
+        "the photograph is {width} x {height} pixels, a face needs at least {SIDE_MIN_PX} each way: use a larger one"
     )]
     Small {
         /// Pixels.
@@ -263,9 +263,9 @@ pub enum PhotoError {
         /// Pixels.
         height: u64,
     },
-    /// More pixels than are decoded.
+    /// Too large to decode.
     #[error(
-        "the photograph is {width} x {height} pixels, and at most {PIXELS_MAX} pixels are decoded: scale it down, 1000 across a face are plenty"
+        "the photograph is {width} x {height} pixels, the limit is {PIXELS_MAX}: scale it down, 1000 pixels across a face are plenty"
     )]
     Large {
         /// Pixels.
@@ -273,16 +273,14 @@ pub enum PhotoError {
         /// Pixels.
         height: u64,
     },
-    /// Pixels that do not make the picture.
-    #[error(
-        "{width} x {height} pixels were promised, and {found} given: give row after row, whole"
-    )]
+    /// The number of pixels does not match the size.
+    #[error("expected {width} x {height} pixels, found {found}: pass complete rows")]
     Pixels {
         /// Pixels.
         width: usize,
         /// Pixels.
         height: usize,
-        /// How many there were.
+        /// Number of pixels given.
         found: usize,
     },
 }

@@ -1,4 +1,4 @@
-//! Bytes into a photograph, within bounds.
+//! Decoding of image files within limits.
 
 use std::io::Cursor;
 
@@ -9,29 +9,30 @@ use sha2::{Digest, Sha256};
 
 use super::{Note, Photo, PhotoError};
 
-/// Bytes of a file that are looked at: a JPEG of 40 megapixels at its best quality has about half of it.
+/// Largest file: a JPEG of 40 megapixels at its best quality has about half of that.
 pub const BYTES_MAX: usize = 64 << 20;
-/// Pixels that are decoded: 120 MB as 8-bit RGB, 320 MB as what takes most, 16-bit RGBA.
+/// Most pixels: 120 MB as 8-bit RGB, 320 MB as 16-bit RGBA, which takes most.
 pub const PIXELS_MAX: u64 = 40_000_000;
-/// The shorter side that a face has room on.
+/// Least length of the shorter side.
 pub const SIDE_MIN_PX: u64 = 32;
-/// The decoder's own memory: the picture at its largest, and as much again for coefficients of progressive JPEG.
+/// Memory limit of the decoder: the largest picture, and as much again for coefficients of progressive JPEG.
 const DECODER_BYTES_MAX: u64 = 8 * PIXELS_MAX * 2;
-/// How far a file can grow in decoding. PNG at one bit a pixel and deflate's 1032:1 is 8256:1; a progressive JPEG has
-/// one bit at least for 64 pixels of three channels, 1536:1.
+/// Largest expansion in decoding. PNG at one bit per pixel and deflate's 1032:1 gives 8256:1; progressive JPEG has at
+/// least one bit for 64 pixels of three channels, 1536:1.
 const GROWTH_MAX: u64 = 8256;
-/// The same for PNM, whose tightest form has one bit a pixel that becomes a byte.
+/// Largest expansion of PNM, whose tightest form turns one bit per pixel into a byte.
 const PNM_GROWTH_MAX: u64 = 8;
 
 impl Photo {
     /// Reads a PNG, JPEG or PNM file.
     ///
-    /// It is turned upright as its EXIF orientation says. 16 bits become 8, transparency becomes grey, grey becomes three
-    /// equal channels, CMYK becomes RGB without a profile, of an animation the first picture stays: [`Photo::notes`] tells.
+    /// The result is upright by the EXIF orientation. 16 bits become 8, transparency becomes grey, grey becomes three
+    /// equal channels, CMYK becomes RGB without a profile, and of an animation the first picture is used;
+    /// [`Photo::notes`] lists what was done.
     ///
     /// # Errors
-    /// [`PhotoError`] where the bytes are not such a picture, are cut off, or are outside of [`BYTES_MAX`],
-    /// [`PIXELS_MAX`] and [`SIDE_MIN_PX`].
+    /// [`PhotoError`] if the bytes are not such a picture, are cut off, or exceed [`BYTES_MAX`], [`PIXELS_MAX`] or
+    /// [`SIDE_MIN_PX`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PhotoError> {
         if bytes.is_empty() {
             return Err(PhotoError::Empty);
@@ -83,7 +84,8 @@ fn decode(bytes: &[u8], notes: &mut Vec<Note>) -> Result<DynamicImage, PhotoErro
         other => return Err(PhotoError::Format { found: format!("{other:?}") }),
     };
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    // The size is checked below, with words that say what to do; these hold what a decoder allocates before and after.
+    // The size is checked below with a message that says what to do; these limits bound what a decoder allocates before
+    // and after.
     let mut limits = Limits::default();
     limits.max_alloc = Some(DECODER_BYTES_MAX);
     reader.limits(limits);
@@ -94,13 +96,11 @@ fn decode(bytes: &[u8], notes: &mut Vec<Note>) -> Result<DynamicImage, PhotoErro
         let what = format!("{} bytes cannot hold {width} x {height} pixels", bytes.len());
         return Err(PhotoError::Truncated { what });
     }
-    // Damaged EXIF is no reason to refuse a picture.
+    // Damaged EXIF is no reason to reject a picture.
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let mut picture = DynamicImage::from_decoder(decoder).map_err(|error| refused(&error))?;
-    if !matches!(
-        picture.color(),
-        ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8
-    ) {
+    let colour = picture.color();
+    if !matches!(colour, ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8) {
         notes.push(Note::Reduced);
     }
     if orientation != Orientation::NoTransforms {
@@ -110,7 +110,7 @@ fn decode(bytes: &[u8], notes: &mut Vec<Note>) -> Result<DynamicImage, PhotoErro
     Ok(picture)
 }
 
-/// Refuses what is too small or too large, before anything is allocated for it.
+/// Rejects sizes out of range before anything is allocated.
 pub(super) fn check_size(width: u64, height: u64) -> Result<(), PhotoError> {
     if width.min(height) < SIDE_MIN_PX {
         return Err(PhotoError::Small { width, height });
@@ -121,7 +121,7 @@ pub(super) fn check_size(width: u64, height: u64) -> Result<(), PhotoError> {
     Ok(())
 }
 
-/// In front of mid-grey: neither skin nor as dark as an iris.
+/// Blends over mid-grey, which is neither skin nor as dark as an iris.
 fn over_grey([red, green, blue, alpha]: [u8; 4]) -> [u8; 3] {
     let alpha = u16::from(alpha);
     [red, green, blue]
@@ -150,15 +150,15 @@ fn refused(error: &ImageError) -> PhotoError {
 /// What the markers of a JPEG file say.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Jpeg {
-    /// Of its frame: 1 is grey, 3 colour, 4 CMYK or YCCK.
+    /// Components of its frame: 1 is grey, 3 colour, 4 CMYK or YCCK.
     pub(super) components: u8,
-    /// Its end-of-image marker is there. Decoders fill what is missing with grey, and a face may be half in it.
+    /// Whether there is an end-of-image marker. Decoders fill missing rows with grey, and a face may be half in them.
     pub(super) whole: bool,
 }
 
 impl Jpeg {
-    /// Walks the markers (ITU-T T.81, B.1.1): segments by their length, entropy-coded data to the next marker that is
-    /// neither stuffing nor a restart.
+    /// Walks the markers (ITU-T T.81, B.1.1): segments by their length, entropy-coded data up to the next marker that
+    /// is neither stuffing nor a restart.
     pub(super) fn of(bytes: &[u8]) -> Self {
         let mut jpeg = Self::default();
         let mut at = 2;
@@ -167,7 +167,7 @@ impl Jpeg {
             at += 1;
             let (0xff, Some(marker)) = (byte, marker) else { continue };
             match marker {
-                // Stuffing, fill bytes, TEM, restarts and a start: no length behind them.
+                // Stuffing, fill bytes, TEM, restarts and SOI have no length.
                 0x00 | 0xff | 0x01 | 0xd0..=0xd8 => {}
                 0xd9 => {
                     jpeg.whole = true;

@@ -4,7 +4,7 @@ use image::{DynamicImage, ImageFormat, RgbImage};
 
 use super::{Colour, Note, Photo, PhotoError, read::Jpeg};
 
-/// Colours without a rule between luma and hue.
+/// Pixels without a simple relation between luma and hue.
 fn colourful(width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| {
         image::Rgb([(x * 5 % 200) as u8 + 20, (y * 7 % 200) as u8 + 20, ((x + y) * 3 % 200) as u8])
@@ -31,12 +31,12 @@ fn lossless_formats_give_their_pixels() {
 }
 
 #[test]
-fn every_cut_is_an_error() {
+fn every_truncation_is_an_error() {
     let picture: DynamicImage = colourful(40, 36).into();
     for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Pnm] {
         let bytes = encoded(&picture, format);
         Photo::from_bytes(&bytes).unwrap();
-        // PNG's end chunk carries nothing: 12 bytes that no decoder needs.
+        // PNG's end chunk carries no data: decoders do not need its 12 bytes.
         let end = bytes.len() - if format == ImageFormat::Png { 12 } else { 0 };
         for cut in 0..end {
             assert!(Photo::from_bytes(&bytes[..cut]).is_err(), "{format:?} cut at {cut}");
@@ -80,7 +80,7 @@ fn exif_orientation_turns_the_picture() {
 }
 
 #[test]
-fn sixteen_bits_and_transparency_are_told() {
+fn sixteen_bits_and_transparency_get_a_note() {
     let mut rgba = DynamicImage::from(colourful(40, 40)).into_rgba16();
     rgba.get_pixel_mut(3, 4).0[3] = 0;
     let photo = Photo::from_bytes(&encoded(&rgba.into(), ImageFormat::Png)).unwrap();
@@ -89,7 +89,7 @@ fn sixteen_bits_and_transparency_are_told() {
 }
 
 #[test]
-fn grey_and_sepia_have_no_colours_and_a_cast_is_one() {
+fn grey_and_sepia_have_no_colours_but_a_cast_does() {
     let grey = DynamicImage::from(colourful(64, 64)).into_luma8();
     let photo = Photo::from_bytes(&encoded(&grey.clone().into(), ImageFormat::Jpeg)).unwrap();
     assert_eq!((photo.colour, photo.notes.as_slice()), (Colour::Grey, [Note::Grey].as_slice()));
@@ -116,9 +116,10 @@ fn sizes_are_bounded_before_anything_is_allocated() {
 }
 
 #[test]
-fn an_animation_is_told() {
+fn an_animation_gets_a_note() {
     let bytes = encoded(&colourful(40, 40).into(), ImageFormat::Png);
-    // One frame, played once, behind the header: its data are the default picture, and no fcTL makes it a frame.
+    // One frame, played once, after the header: its data are the default picture, which is not a frame without an fcTL
+    // chunk.
     let mut chunk = b"acTL\0\0\0\x01\0\0\0\x01".to_vec();
     chunk.extend(crc32(&chunk).to_be_bytes());
     let mut animated = bytes[..33].to_vec();
@@ -137,7 +138,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 #[test]
-fn print_colours_are_seen_in_the_frame() {
+fn print_colours_are_detected_in_the_frame_header() {
     // A frame of four components, and an end behind stuffing and a restart.
     let frame = [0xff, 0xd8, 0xff, 0xc0, 0, 20, 8, 0, 64, 0, 64, 4];
     let mut bytes = frame.to_vec();
@@ -148,7 +149,7 @@ fn print_colours_are_seen_in_the_frame() {
     assert_eq!(Jpeg::of(&bytes), Jpeg { components: 4, whole: true });
 }
 
-/// What a header promises is refused before room is made for it: the files below have a few hundred bytes.
+/// A size in a header is refused before memory is allocated for it: the files below have a few hundred bytes.
 #[test]
 fn huge_and_tiny_pictures_are_refused_in_every_format() {
     let bytes = encoded(&colourful(40, 40).into(), ImageFormat::Png);
@@ -170,7 +171,7 @@ fn huge_and_tiny_pictures_are_refused_in_every_format() {
     Photo::from_bytes(&png(40, 40)).unwrap();
     for bytes in [png(60_000, 60_000), png(u32::MAX >> 1, 1000), jpeg(65_000, 65_000)] {
         let found = Photo::from_bytes(&bytes);
-        // Some decoders say for themselves what they will not make room for.
+        // Some decoders have their own limit of allocation.
         let refused = matches!(found, Err(PhotoError::Large { .. } | PhotoError::Damaged { .. }));
         assert!(refused, "{found:?}");
     }

@@ -1,36 +1,36 @@
-//! Yes or no for each pixel, its morphology, and what the moments of connected pixels say of them.
+//! Boolean masks, their morphology, and connected components with moments.
 
 use super::Raster;
 
-/// Yes or no a pixel.
+/// One boolean per pixel.
 pub type Mask = Raster<bool>;
 
 impl Mask {
-    /// Grown by a square of `2 * radius + 1` pixels.
+    /// Dilation by a square of `2 * radius + 1` pixels.
     #[must_use]
     pub fn dilated(&self, radius: usize) -> Self {
         self.turned(radius, true)
     }
 
-    /// Shrunk by the same square. The border does not shrink it: what lies outside counts as in it.
+    /// Erosion by the same square. The border does not erode: the outside counts as set.
     #[must_use]
     pub fn eroded(&self, radius: usize) -> Self {
         self.turned(radius, false)
     }
 
-    /// Shrunk, then grown: what is thinner than the square goes.
+    /// Opening, erosion then dilation: removes what is thinner than the square.
     #[must_use]
     pub fn opened(&self, radius: usize) -> Self {
         self.eroded(radius).dilated(radius)
     }
 
-    /// Grown, then shrunk: gaps that are thinner than the square close.
+    /// Closing, dilation then erosion: fills gaps thinner than the square.
     #[must_use]
     pub fn closed(&self, radius: usize) -> Self {
         self.dilated(radius).eroded(radius)
     }
 
-    /// Every pixel within `radius` of one that is `to` becomes `to`: along the rows, then along the columns.
+    /// Sets every pixel within `radius` of one that is `to`: along the rows, then along the columns.
     fn turned(&self, radius: usize, to: bool) -> Self {
         let rows = self.values.chunks_exact(self.width);
         let across: Vec<bool> =
@@ -45,7 +45,7 @@ impl Mask {
     }
 }
 
-/// The same of one line, by how many there are up to each pixel.
+/// Spreads `to` along one line, by prefix counts.
 fn spread(line: impl Iterator<Item = bool>, radius: usize, to: bool) -> Vec<bool> {
     let mut counts = vec![0_usize];
     counts.extend(line.scan(0, |count, value| {
@@ -58,55 +58,55 @@ fn spread(line: impl Iterator<Item = bool>, radius: usize, to: bool) -> Vec<bool
     (0..length).map(|at| is_near(at) == to).collect()
 }
 
-/// A number for each pixel: 0 outside of the mask, else 1 + the place of its blob.
+/// Connected components: a label per pixel, 0 outside of the mask, else 1 + the index of its blob.
 #[derive(Debug, Clone)]
 pub struct Labels {
     width: usize,
-    /// Row by row.
+    /// Labels, row by row.
     pub labels: Vec<u32>,
-    /// In the order of their first pixels.
+    /// Components in the order of their first pixels.
     pub blobs: Vec<Blob>,
 }
 
-/// Connected pixels.
+/// A connected component.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blob {
-    /// Pixels.
+    /// Number of pixels.
     pub area: usize,
     /// First column.
     pub left: usize,
     /// First row.
     pub top: usize,
-    /// Behind the last column.
+    /// One past the last column.
     pub right: usize,
-    /// Behind the last row.
+    /// One past the last row.
     pub bottom: usize,
-    /// Central moments of second order a pixel: xx, xy, yy.
+    /// Central second moments per pixel: xx, xy, yy.
     pub moments: [f64; 3],
 }
 
 impl Blob {
-    /// The longer axis' angle from x, clockwise in the picture, -pi/2 to pi/2 (Yang et al. 2004, eq. 3, with the quadrant
-    /// kept and the angle taken from x).
+    /// Angle of the major axis from x, clockwise in the picture, -pi/2 to pi/2 (Yang et al. 2004, eq. 3, with the
+    /// quadrant kept and the angle taken from x).
     #[must_use]
     pub fn axis_rad(&self) -> f64 {
         let [xx, xy, yy] = self.moments;
         0.5 * (2.0 * xy).atan2(xx - yy)
     }
 
-    /// 0 for a disc, 1 for a line: 1 - (shorter / longer)^2.
+    /// Eccentricity: 0 for a disc, 1 for a line, 1 - (minor / major)^2.
     #[must_use]
     pub fn eccentricity(&self) -> f64 {
         let [xx, xy, yy] = self.moments;
         let (mean, half) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
-        // Standard deviations along the longer and the shorter axis.
+        // Standard deviations along the major and the minor axis.
         let [long, short] = [mean + half, mean - half].map(|square| square.max(0.0).sqrt());
         if long > 0.0 { 1.0 - (short / long).powi(2) } else { 0.0 }
     }
 }
 
 impl Labels {
-    /// The blobs of a mask. `diagonal`: corners connect too.
+    /// Finds the components of a mask; with `diagonal`, corners connect too.
     #[must_use]
     pub fn of(mask: &Mask, diagonal: bool) -> Self {
         let width = mask.width();
@@ -165,7 +165,7 @@ fn set(labels: &mut [u32], at: usize, label: u32) {
     }
 }
 
-/// Sums over a blob's pixels; exact, for they are whole.
+/// Integer sums over a component's pixels, exact.
 #[derive(Default)]
 struct Sums {
     area: usize,

@@ -1,7 +1,7 @@
-//! Planes of numbers and of yes and no: what every step on a photograph is made of.
+//! Rasters of numbers and of booleans, the basis of all image processing here.
 //!
-//! Coordinates are those of [`Photo`](super::Photo): whole numbers are the centres of pixels, x right, y down. What lies
-//! outside is what lies at the border.
+//! Coordinates are those of [`Photo`](super::Photo): integers are the centres of pixels, x right, y down. Beyond the
+//! border the border repeats.
 
 mod mask;
 #[cfg(test)]
@@ -9,10 +9,10 @@ mod tests;
 
 pub use mask::{Blob, Labels, Mask};
 
-/// Widths of a Gaussian beyond this are cut to it: a kernel is never longer than 2 x 3 x 64 + 1.
+/// Largest standard deviation of a Gaussian: a kernel is never longer than 2 x 3 x 64 + 1.
 const SIGMA_MAX_PX: f32 = 64.0;
 
-/// One value a pixel, row by row from the top left.
+/// One value per pixel, row by row from the top left.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Raster<T> {
     width: usize,
@@ -20,29 +20,29 @@ pub struct Raster<T> {
     values: Vec<T>,
 }
 
-/// One number a pixel.
+/// One number per pixel.
 pub type Plane = Raster<f32>;
 
-/// The slope in x and y, a pixel, and how steep it is.
+/// The gradient per pixel, and its magnitude.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gradient {
-    /// To the right.
+    /// Derivative in x.
     pub x: Plane,
-    /// Downwards.
+    /// Derivative in y.
     pub y: Plane,
-    /// Length of both.
+    /// Magnitude.
     pub magnitude: Plane,
 }
 
 impl<T: Copy + Default> Raster<T> {
-    /// `value` everywhere. A raster has one pixel at least.
+    /// A raster filled with `value`. It has at least one pixel.
     #[must_use]
     pub fn filled(width: usize, height: usize, value: T) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         Self { width, height, values: vec![value; width * height] }
     }
 
-    /// Row after row of `values`; what is missing is 0, or no, and what is over is left out.
+    /// A raster from rows of `values`; missing ones are the default, surplus ones are dropped.
     #[must_use]
     pub fn from_values(width: usize, height: usize, mut values: Vec<T>) -> Self {
         let (width, height) = (width.max(1), height.max(1));
@@ -50,7 +50,7 @@ impl<T: Copy + Default> Raster<T> {
         Self { width, height, values }
     }
 
-    /// What `value` makes of each x and y.
+    /// A raster computed from x and y.
     #[must_use]
     pub fn from_fn(width: usize, height: usize, value: impl Fn(usize, usize) -> T) -> Self {
         let (width, height) = (width.max(1), height.max(1));
@@ -70,24 +70,24 @@ impl<T: Copy + Default> Raster<T> {
         self.height
     }
 
-    /// All of them, row by row.
+    /// All values, row by row.
     #[must_use]
     pub fn values(&self) -> &[T] {
         &self.values
     }
 
-    /// All of them, to be changed.
+    /// All values, mutable.
     pub fn values_mut(&mut self) -> &mut [T] {
         &mut self.values
     }
 
-    /// Row `y` from the left; empty outside.
+    /// Row `y`; empty outside.
     #[must_use]
     pub fn row(&self, y: usize) -> &[T] {
         self.values.get(y * self.width..(y + 1) * self.width).unwrap_or_default()
     }
 
-    /// The value of a pixel; the border's outside.
+    /// Value of a pixel; the border repeats outside.
     #[must_use]
     pub fn get(&self, x: isize, y: isize) -> T {
         let x = x.clamp(0, self.width as isize - 1) as usize;
@@ -104,10 +104,10 @@ impl<T: Copy + Default> Raster<T> {
 }
 
 impl Plane {
-    /// The value between pixels, bilinear; 0 where `x` or `y` is not a number.
+    /// Bilinear interpolation; 0 if `x` or `y` is NaN.
     #[must_use]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
-        // NaN fails both comparisons of clamp's, and would come out of it.
+        // NaN fails both comparisons of `clamp` and would pass through.
         if x.is_nan() || y.is_nan() {
             return 0.0;
         }
@@ -126,7 +126,7 @@ impl Plane {
         above + (below - above) * fy
     }
 
-    /// Each value with the one at the same place of `other`; what `other` does not have is left out of the change.
+    /// Combines values at the same places; those without a partner in `other` stay.
     #[must_use]
     pub fn zip(&self, other: &Self, join: impl Fn(f32, f32) -> f32) -> Self {
         let mut out = self.clone();
@@ -136,7 +136,7 @@ impl Plane {
         out
     }
 
-    /// Smoothed by a Gaussian of standard deviation `sigma_px`, cut at three of them.
+    /// Gaussian blur of standard deviation `sigma_px`, truncated at three.
     #[must_use]
     pub fn blurred(&self, sigma_px: f32) -> Self {
         if sigma_px.is_nan() || sigma_px <= 0.05 {
@@ -149,7 +149,7 @@ impl Plane {
         let sum: f32 = weights.iter().sum();
         let weights: Vec<f32> = weights.iter().map(|weight| weight / sum).collect();
         let mut out = Self::filled(self.width, self.height, 0.0);
-        // A row with its borders drawn out, so that the inner loop asks nothing.
+        // A row padded with its border values, so that the inner loop needs no checks.
         let mut padded = Vec::with_capacity(self.width + 2 * radius);
         for (from, to) in
             self.values.chunks_exact(self.width).zip(out.values.chunks_exact_mut(self.width))
@@ -178,7 +178,7 @@ impl Plane {
         out
     }
 
-    /// Sobel's slopes, in values a pixel (weights 1 2 1 across, divided by 8).
+    /// Sobel gradient, in values per pixel (weights 1 2 1 across, divided by 8).
     #[must_use]
     pub fn gradient(&self) -> Gradient {
         let mut x = Self::filled(self.width, self.height, 0.0);
@@ -202,7 +202,7 @@ impl Plane {
         Gradient { x, y, magnitude }
     }
 
-    /// Half as wide and half as high, each pixel the mean of four; an odd last row or column is left out.
+    /// Half the size, each pixel the mean of four; an odd last row or column is dropped.
     #[must_use]
     pub fn halved(&self) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
@@ -218,8 +218,9 @@ impl Plane {
         out
     }
 
-    /// `width` by `height` pixels (1 at least). Smaller is the mean of what is covered, without aliasing; larger repeats
-    /// with mixed borders. A point `x` of this plane lies at `(x + 0.5) * width / self.width() - 0.5` of the new one.
+    /// Resizes to `width` by `height` pixels (at least 1). Reduction averages the covered area, without aliasing;
+    /// enlargement repeats pixels with mixed borders. A point `x` of this plane lies at `(x + 0.5) * width /
+    /// self.width() - 0.5` of the new one.
     #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let (width, height) = (width.max(1), height.max(1));
@@ -243,7 +244,7 @@ impl Plane {
     }
 }
 
-/// For each new pixel the first old one that it covers, and the shares of it and of those behind it; shares sum to 1.
+/// For each new pixel, the first old one that it covers and the shares of it and its successors; shares sum to 1.
 fn shares(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
     let step = from as f64 / to as f64;
     let cover = |i: usize| {
@@ -262,12 +263,12 @@ fn gauss(t: f32) -> f32 {
     (-0.5 * t * t).exp()
 }
 
-/// A plane at its size, at half of it, at a quarter, and so on: whatever is looked at small begins from there.
+/// Image pyramid: a plane at full size, half, a quarter, and so on.
 #[derive(Debug)]
 pub(crate) struct Pyramid(Vec<Plane>);
 
 impl Pyramid {
-    /// Down to a few pixels.
+    /// Builds levels down to a few pixels.
     pub(crate) fn new(plane: Plane) -> Self {
         let mut planes = vec![plane];
         while let Some(last) = planes.last().filter(|last| last.width().min(last.height()) >= 32) {
@@ -276,13 +277,13 @@ impl Pyramid {
         Self(planes)
     }
 
-    /// Width and height of the largest, in pixels.
+    /// Width and height of the largest level, in pixels.
     pub(crate) fn size(&self) -> [usize; 2] {
         self.0.first().map_or([1; 2], |plane| [plane.width, plane.height])
     }
 
-    /// The largest plane that need not be shrunk by two and more for a pixel to be `shrink` of the photograph's, and the
-    /// plane's own shrinking.
+    /// The largest level that needs less than a factor of two of further reduction to reach `shrink` photograph pixels
+    /// per pixel, and its own reduction.
     pub(crate) fn at(&self, shrink: f32) -> Option<(&Plane, f32)> {
         let wanted = shrink.max(1.0).log2() as usize;
         let which = wanted.min(self.0.len().saturating_sub(1));

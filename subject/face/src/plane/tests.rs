@@ -2,7 +2,7 @@ use mocapd_testkit::random::Random;
 
 use super::{Labels, Mask, Plane};
 
-/// Values from 0 to 256 without a pattern.
+/// Pseudo-random values from 0 to 256.
 fn noise(width: usize, height: usize) -> Plane {
     let mut random = Random::new(1);
     let values = (0..width * height).map(|_| random.between(0.0, 256.0) as f32);
@@ -10,7 +10,7 @@ fn noise(width: usize, height: usize) -> Plane {
 }
 
 #[test]
-fn a_blur_keeps_the_mean_and_has_the_width_it_is_given() {
+fn a_blur_keeps_the_mean_and_has_the_requested_width() {
     let mut dot = Plane::filled(41, 41, 0.0);
     dot.values_mut()[20 * 41 + 20] = 1.0;
     let blurred = dot.blurred(2.5);
@@ -23,7 +23,7 @@ fn a_blur_keeps_the_mean_and_has_the_width_it_is_given() {
         }
     }
     assert!((sum - 1.0).abs() < 1e-5, "{sum}");
-    // Cut at three deviations or a little more, a Gaussian has above 0.986 of its own.
+    // Truncated at three deviations or a little more, a Gaussian keeps more than 0.986 of its width.
     let share = second.sqrt() / 2.5;
     assert!((0.986..1.001).contains(&share), "{share}");
     let flat = Plane::filled(5, 7, 3.0).blurred(40.0);
@@ -31,7 +31,7 @@ fn a_blur_keeps_the_mean_and_has_the_width_it_is_given() {
 }
 
 #[test]
-fn slopes_of_a_ramp_are_its_own() {
+fn slopes_of_a_ramp_are_constant() {
     let ramp = Plane::from_fn(12, 10, |x, y| 3.0 * x as f32 - 2.0 * y as f32);
     let gradient = ramp.gradient();
     assert_eq!(gradient.x.get(5, 5), 3.0);
@@ -40,7 +40,7 @@ fn slopes_of_a_ramp_are_its_own() {
 }
 
 #[test]
-fn between_pixels_a_plane_is_bilinear() {
+fn interpolation_between_pixels_is_bilinear() {
     let ramp = Plane::from_fn(6, 6, |x, y| (x + 10 * y) as f32);
     assert!((ramp.sample(2.25, 3.5) - 37.25).abs() < 1e-5);
     assert_eq!(ramp.sample(-7.0, 99.0), 50.0);
@@ -62,7 +62,7 @@ fn a_new_size_keeps_the_mean() {
 }
 
 #[test]
-fn growing_and_shrinking_are_those_of_a_square() {
+fn dilation_and_erosion_use_a_square() {
     let mask = noise(31, 17).map(|value| value > 235.0);
     for radius in [0, 1, 3] {
         let near = |x: usize, y: usize| {
@@ -83,7 +83,7 @@ fn growing_and_shrinking_are_those_of_a_square() {
 }
 
 #[test]
-fn blobs_have_their_own_moments() {
+fn blobs_have_the_expected_moments() {
     // A bar along the diagonal, and a square that touches it by a corner alone.
     let picture = ["#.......", ".#......", "..#.....", "...##...", "...##...", "......##"];
     let values = picture.iter().flat_map(|row| row.bytes().map(|byte| byte == b'#')).collect();

@@ -1,39 +1,41 @@
-//! The default way to the points: a glance says where they lie, more or less. From there the generic face says where every
-//! feature should lie, the picture says where it lies near there, and the two take turns.
+//! The default chain. A landmark regressor gives initial positions; then locating features in the picture and fitting
+//! the generic face to them alternate.
 
 use super::crop::{self, Maps};
-use super::evidence::{self, Evidence, FAINT, Seen, clearness};
+use super::evidence::{self, Evidence, FAINT, LocatedFeatures, clearness};
 use super::outline::{self, Heights, Ray};
-use super::regressor::{Glance, TOLD, Told, mean};
-use super::shape::{Landmarks, Pose, Target};
-use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, Rough};
+use super::regressor::{LandmarkPoints, LandmarkRegressor, REGRESSED, mean};
+use super::shape::{Landmarks, PosedModel, Target};
+use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, RoughFace};
 use crate::model::{Model, ModelError};
 use crate::photo::Photo;
 use crate::vector::{Point, middle};
 
-/// How far a feature is looked for (pixels of the crop), how far the outline, and how many turns they take: chosen, as what
-/// follows, on the development photographs and on random heads that nothing was learned from.
+/// Search range of a feature and of the outline (pixels of the crop), and number of rounds. These and the following
+/// constants were chosen on the development photographs and on random heads that nothing was learned from.
 const REACH: f64 = 2.5;
 const OUTLINE_REACH: f64 = 7.0;
-const TURNS: usize = 2;
-/// Standard deviation of what a glance says, before and while it is compared with what is seen (pixels of the crop).
-const GLANCE_FIRST_SD: f64 = 3.0;
-const GLANCE_SD: f64 = 4.0;
-/// A face of this confidence is taken; a less sure one is begun from elsewhere too, and the surest counts.
-const SURE: f64 = 0.5;
-/// Where the mouth may be instead, in distances of the eyes: lower, as where a nose was taken for it, or higher.
+const ROUNDS: usize = 2;
+/// Standard deviation of the regressor's landmarks, before and during the comparison with the picture (pixels of the
+/// crop).
+const REGRESSOR_FIRST_SD: f64 = 3.0;
+const REGRESSOR_SD: f64 = 4.0;
+/// Confidence at which a face is accepted; below it other starting positions are tried, and the most confident result
+/// counts.
+const CONFIDENT: f64 = 0.5;
+/// Alternative mouth positions, in eye distances: lower, as where a nose was taken for it, or higher.
 const LOWER: [f64; 2] = [0.17, -0.13];
 
-/// The 53 points of the face that `rough` points at.
+/// Locates the 53 points of the face at `rough`.
 ///
 /// # Errors
-/// None, unless the program was built with a damaged model ([`Model::generic`]).
-pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
+/// None, unless the built-in model is damaged ([`Model::generic`]).
+pub fn find(photo: &Photo, rough: &RoughFace) -> Result<FacePoints, ModelError> {
     let landmarks = Landmarks::of(Model::generic()?);
-    let frontal = Pose::frontal(&landmarks, crop::IO, crop::EYES);
+    let frontal = PosedModel::frontal(&landmarks, crop::INTEROCULAR, crop::EYES);
     let mut best = Attempt::from(photo, rough, &frontal);
-    for rough in others(rough, &best.glance, &best.told) {
-        if best.evidence.confidence() >= SURE {
+    for rough in alternative_starts(rough, &best.regressor, &best.predicted) {
+        if best.evidence.confidence() >= CONFIDENT {
             break;
         }
         let other = Attempt::from(photo, &rough, &frontal);
@@ -44,57 +46,51 @@ pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
     Ok(collect(best))
 }
 
-/// Where one beginning leads.
+/// The result from one starting position.
 struct Attempt<'a> {
-    glance: Glance,
-    told: Told,
-    pose: Pose<'a>,
-    seen: Seen,
+    regressor: LandmarkRegressor,
+    predicted: LandmarkPoints,
+    pose: PosedModel<'a>,
+    seen: LocatedFeatures,
     line: Vec<Ray>,
     evidence: Evidence,
 }
 
 impl<'a> Attempt<'a> {
-    fn from(photo: &Photo, rough: &Rough, frontal: &Pose<'a>) -> Self {
-        let glance = Glance::at(photo, rough);
-        let told = glance.told();
+    fn from(photo: &Photo, rough: &RoughFace, frontal: &PosedModel<'a>) -> Self {
+        let regressor = LandmarkRegressor::new(photo, rough);
+        let predicted = regressor.predict();
         let targets = |sd: f64| {
-            TOLD.iter().zip(&told).map(move |(landmark, at)| Target {
-                landmark: *landmark,
-                at: *at,
-                sd,
-            })
+            let places = REGRESSED.iter().zip(&predicted);
+            places.map(move |(&landmark, &at)| Target { landmark, at, sd })
         };
         let mut pose = frontal.clone();
-        pose.fit(&targets(GLANCE_FIRST_SD).collect::<Vec<_>>(), 8);
-        let maps = Maps::of(glance.crop());
-        let (mut seen, mut line) = (Seen::default(), Vec::new());
-        for _ in 0..TURNS {
+        pose.fit(&targets(REGRESSOR_FIRST_SD).collect::<Vec<_>>(), 8);
+        let maps = Maps::of(regressor.crop());
+        let (mut seen, mut line) = (LocatedFeatures::default(), Vec::new());
+        for _ in 0..ROUNDS {
             let unlike = evidence::unlike(&maps, &pose);
-            let (around, outlined) = evidence::around(&maps, &unlike, &pose, OUTLINE_REACH);
-            seen = evidence::look(&maps, &pose, REACH);
+            let (around, outlined) = evidence::locate_outline(&maps, &unlike, &pose, OUTLINE_REACH);
+            seen = evidence::locate_features(&maps, &pose, REACH);
             let seen = seen.targets.iter().chain(&around).copied();
-            pose.fit(&seen.chain(targets(GLANCE_SD)).collect::<Vec<_>>(), 4);
+            pose.fit(&seen.chain(targets(REGRESSOR_SD)).collect::<Vec<_>>(), 4);
             line = outlined;
         }
-        let evidence = Evidence::of(&pose, &seen, &line, &told);
-        Self { glance, told, pose, seen, line, evidence }
+        let evidence = Evidence::of(&pose, &seen, &line, &predicted);
+        Self { regressor, predicted, pose, seen, line, evidence }
     }
 }
 
-/// The points of the fitted pose, in the photograph.
+/// Collects the points of the fitted pose, in the photograph.
 fn collect(attempt: Attempt<'_>) -> FacePoints {
-    let Attempt { glance, pose, seen, line, evidence, .. } = attempt;
-    let crop = glance.crop();
+    let Attempt { regressor, pose, seen, line, evidence, .. } = attempt;
+    let crop = regressor.crop();
     let p = pose.project();
-    let mut points = FacePoints {
-        yaw_deg: Some(pose.yaw_deg()),
-        evidence: Some(evidence),
-        ..FacePoints::default()
-    };
+    let (yaw_deg, evidence) = (Some(pose.yaw_deg()), Some(evidence));
+    let mut points = FacePoints { yaw_deg, evidence, ..FacePoints::default() };
     let features: [&[usize]; 6] = [&EYES[0], &EYES[1], &BROWS[0], &BROWS[1], &NOSE, &MOUTH];
     let at_annotators = |i: usize| {
-        let [x, y] = offset_io(i);
+        let [x, y] = offset_interocular(i);
         let size = pose.scale;
         let narrow = pose.yaw_deg().to_radians().cos();
         p.get(i).map(|p| [p[0] + size * narrow * x, p[1] + size * y])
@@ -116,24 +112,28 @@ fn collect(attempt: Attempt<'_>) -> FacePoints {
     points
 }
 
-/// Where else to begin: where the first glance has eyes and mouth, so that a second one is straight at them; and with the
-/// mouth elsewhere.
-fn others(rough: &Rough, glance: &Glance, told: &Told) -> [Rough; 3] {
-    let at = |range| glance.to_photo(mean(told, range));
-    let again = Rough { left_eye: at(36..42), right_eye: at(42..48), mouth: at(48..60) };
+/// Alternative starting positions: eyes and mouth of the first regression, so that a second one has them centred, and
+/// other positions of the mouth.
+fn alternative_starts(
+    rough: &RoughFace,
+    regressor: &LandmarkRegressor,
+    predicted: &LandmarkPoints,
+) -> [RoughFace; 3] {
+    let at = |range| regressor.to_photo(mean(predicted, range));
+    let again = RoughFace { left_eye: at(36..42), right_eye: at(42..48), mouth: at(48..60) };
     let ([ax, ay], [bx, by]) = (rough.left_eye, rough.right_eye);
     let [lower, higher] = LOWER.map(|by_eyes| {
         let [x, y] = rough.mouth;
         let mouth = [x - by_eyes * (by - ay), y + by_eyes * (bx - ax)];
-        Rough { mouth, ..*rough }
+        RoughFace { mouth, ..*rough }
     });
     [again, lower, higher]
 }
 
-/// Where annotators of iBUG-68 have a point, from where this chain has it: in outer eye corners' distances, x to the right
-/// of the picture, y down. By the point's number on the subject's right; learned on the development photographs by
-/// `--example faces_points offsets`.
-const OFFSETS_IO: [(usize, [f64; 2]); 23] = [
+/// Offsets from this chain's points to those of iBUG-68 annotators, as fractions of the outer interocular distance, x
+/// to the right of the picture, y down. Keyed by the number of the point on the subject's right; learned on the
+/// development photographs by `--example faces_points offsets`.
+const OFFSETS_INTEROCULAR: [(usize, [f64; 2]); 23] = [
     (17, [0.044, 0.033]),
     (18, [0.027, 0.031]),
     (19, [-0.034, 0.007]),
@@ -159,8 +159,8 @@ const OFFSETS_IO: [(usize, [f64; 2]); 23] = [
     (66, [0.000, -0.004]),
 ];
 
-/// [`OFFSETS_IO`] of either half of the face, x to the right of the picture.
-fn offset_io(landmark: usize) -> Point {
+/// [`OFFSETS_INTEROCULAR`] for either half of the face, x to the right of the picture.
+fn offset_interocular(landmark: usize) -> Point {
     let (right, sign) = match landmark {
         22..=26 => (43 - landmark, -1.0),
         34 | 35 => (66 - landmark, -1.0),
@@ -170,6 +170,6 @@ fn offset_io(landmark: usize) -> Point {
         55 | 56 => (114 - landmark, -1.0),
         _ => (landmark, 1.0),
     };
-    let found = OFFSETS_IO.iter().find(|(i, _)| *i == right);
+    let found = OFFSETS_INTEROCULAR.iter().find(|(i, _)| *i == right);
     found.map_or([0.0; 2], |(_, [x, y])| [sign * x, *y])
 }

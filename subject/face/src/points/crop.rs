@@ -1,32 +1,32 @@
-//! The face cut out of the photograph: upright, and always of the same size, so that every length in this module's
-//! neighbours is in the crop's own pixels whatever the photograph's were; and the channels that features are looked for in.
+//! An upright crop of a face at fixed size, so that lengths in this module's neighbours are pixels of the crop, and the
+//! channels in which features are searched.
 
-use super::Rough;
+use super::RoughFace;
 use crate::photo::Photo;
 use crate::plane::Plane;
 use crate::vector::{Point, distance, extent, middle};
 
-/// Width of the crop (pixels): 1.3 distances of the outer eye corners to either side.
+/// Width of the crop (pixels): 1.3 outer interocular distances to either side.
 pub(crate) const WIDTH: usize = 224;
 /// Height of the crop (pixels): from above the brows to below the chin of a long face.
 pub(crate) const HEIGHT: usize = 256;
-/// The middle of the eyes in the crop (pixels).
+/// Midpoint of the eyes in the crop (pixels).
 pub(crate) const EYES: [f64; 2] = [112.0, 92.0];
-/// Distance of the eye centres of a frontal face in the crop (pixels).
+/// Distance between the eye centres of a frontal face in the crop (pixels).
 pub(crate) const EYE_DISTANCE: f64 = 60.0;
-/// Distance of the outer eye corners of a frontal face in the crop (pixels): `io` is 1.366 eye distances.
-pub(crate) const IO: f64 = EYE_DISTANCE * 1.366;
-/// Pixels a side that a [`Reduced`] block is the mean of, at most: larger blocks are sampled more sparsely, which the
-/// smoothing that follows forgives.
+/// Outer interocular distance of a frontal face in the crop (pixels): 1.366 eye distances.
+pub(crate) const INTEROCULAR: f64 = EYE_DISTANCE * 1.366;
+/// Most samples per side of a [`BlockMeans`] block: larger blocks are sampled sparsely, which the smoothing that
+/// follows tolerates.
 const SAMPLES_MAX: usize = 4;
-/// Added to every channel before its logarithm is taken (of 255): noise in the dark is no contrast.
+/// Added to every channel before the logarithm (of 255): noise in the dark is no contrast.
 const FLOOR: f32 = 12.0;
-/// Least standard deviations of brightness, ln(R/G) and ln(B/G): light varies over a face more than its colour does.
+/// Least standard deviations of brightness, ln(R/G) and ln(B/G): light varies more over a face than its colour does.
 const SKIN_FLOORS: [f32; 3] = [0.20, 0.05, 0.06];
-/// From the middle of the eyes to the middle of the mouth, in distances of the eye centres of a frontal face.
+/// Distance from the eyes' midpoint to the mouth, in distances of the eye centres of a frontal face.
 const EYES_TO_MOUTH: f64 = 1.13;
 
-/// An upright face of known size, and how to get back to the photograph.
+/// An upright face of known size, with its transform to the photograph.
 #[derive(Debug, Clone)]
 pub(crate) struct Crop {
     /// Photograph pixels per crop pixel.
@@ -38,13 +38,13 @@ pub(crate) struct Crop {
 }
 
 impl Crop {
-    /// Cuts out the face that `rough` points at. Pixels beyond the photograph repeat its border.
-    pub(crate) fn cut(photo: &Photo, rough: &Rough) -> Crop {
+    /// Cuts out the face at `rough`. Beyond the photograph its border repeats.
+    pub(crate) fn cut(photo: &Photo, rough: &RoughFace) -> Crop {
         let (l, r, m) = (rough.left_eye, rough.right_eye, rough.mouth);
         let mid = middle(l, r);
         let (eyes, down) = (distance(r, l), distance(m, mid));
-        // A turned head narrows the eyes' distance, a nodding one that of eyes and mouth: the larger one is nearer
-        // to the truth.
+        // Yaw shortens the eye distance, pitch the distance from eyes to mouth: the larger scale is closer to the
+        // truth.
         let scale = (eyes / EYE_DISTANCE).max(down / (EYE_DISTANCE * EYES_TO_MOUTH)).max(1e-3);
         let axis =
             if eyes > 1e-9 { [(r[0] - l[0]) / eyes, (r[1] - l[1]) / eyes] } else { [1.0, 0.0] };
@@ -52,7 +52,7 @@ impl Crop {
         let mut crop = Crop { scale, origin: mid, axis, rgb: [blank(), blank(), blank()] };
         let corner = |x: usize, y: usize| crop.to_photo([x as f64, y as f64]);
         let corners = [corner(0, 0), corner(WIDTH, 0), corner(0, HEIGHT), corner(WIDTH, HEIGHT)];
-        let source = Reduced::of(photo, corners, scale);
+        let source = BlockMeans::of(photo, corners, scale);
         let mut channels: [Vec<f32>; 3] =
             std::array::from_fn(|_| Vec::with_capacity(WIDTH * HEIGHT));
         for (y, x) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (y, x))) {
@@ -65,37 +65,33 @@ impl Crop {
         crop
     }
 
-    /// A point of the crop in the photograph (pixels).
+    /// Maps a point of the crop to the photograph (pixels).
     pub(crate) fn to_photo(&self, p: [f64; 2]) -> [f64; 2] {
         let (u, v) = ((p[0] - EYES[0]) * self.scale, (p[1] - EYES[1]) * self.scale);
         let [c, s] = self.axis;
         [self.origin[0] + c * u - s * v, self.origin[1] + s * u + c * v]
     }
 
-    /// A point of the photograph in the crop (pixels).
+    /// Maps a point of the photograph to the crop (pixels).
     pub(crate) fn in_crop(&self, p: [f64; 2]) -> [f64; 2] {
         let (x, y) = ((p[0] - self.origin[0]) / self.scale, (p[1] - self.origin[1]) / self.scale);
         let [c, s] = self.axis;
         [EYES[0] + c * x + s * y, EYES[1] - s * x + c * y]
     }
 
-    /// A channel made of the three, a pixel at a time.
+    /// Computes a channel from red, green and blue, pixel by pixel.
     pub(crate) fn plane(&self, value: impl Fn([f32; 3]) -> f32) -> Plane {
         let [r, g, b] = &self.rgb;
-        let values = r
-            .values()
-            .iter()
-            .zip(g.values())
-            .zip(b.values())
-            .map(|((r, g), b)| value([*r, *g, *b]));
+        let pixels = r.values().iter().zip(g.values()).zip(b.values());
+        let values = pixels.map(|((r, g), b)| value([*r, *g, *b]));
         Plane::from_values(WIDTH, HEIGHT, values.collect())
     }
 }
 
-/// The part of a photograph that the crop is cut from, in means of blocks of as many pixels as one of the crop's is large: so
-/// that a large photograph costs little more than a small one, and no pixel of it falls between two samples.
-struct Reduced {
-    /// Pixels of the photograph a block, each way.
+/// A region of a photograph averaged over blocks about as large as one crop pixel: a large photograph costs little more
+/// than a small one, and no pixel falls between two samples.
+struct BlockMeans {
+    /// Pixels of the photograph per block, each way.
     block: usize,
     left: usize,
     top: usize,
@@ -104,11 +100,11 @@ struct Reduced {
     means: Vec<[f32; 3]>,
 }
 
-impl Reduced {
-    /// What lies between the four corners (pixels of the photograph), with blocks of `scale` pixels.
+impl BlockMeans {
+    /// Averages the region of the four corners (pixels of the photograph) in blocks of `scale` pixels.
     fn of(photo: &Photo, corners: [[f64; 2]; 4], scale: f64) -> Self {
         let (w, h) = (photo.width(), photo.height());
-        // A block is never larger than the photograph; `as` holds what is not finite.
+        // A block is never larger than the photograph; `as` saturates non-finite values.
         let block = (scale.round() as usize).clamp(1, w.min(h).max(1));
         let span = |axis: usize, size: usize| {
             let (low, high) = extent(corners.map(|c| c[axis]));
@@ -139,10 +135,10 @@ impl Reduced {
         Self { block, left, top, width, height, means }
     }
 
-    /// The colour at a place of the photograph, bilinear between blocks; beyond their border that of the border.
+    /// Colour at a point of the photograph, bilinear between blocks; the border repeats.
     fn at(&self, p: [f64; 2]) -> [f32; 3] {
         let size = self.block as f64;
-        // The middle of the first block is half a block less half a pixel from the first pixel's.
+        // The first block's centre is half a block less half a pixel from the first pixel's.
         let local = |v: f64, from: usize, count: usize| {
             let v = (v - from as f64 + 0.5) / size - 0.5;
             let v = v.max(0.0).min((count - 1) as f64);
@@ -164,16 +160,16 @@ impl Reduced {
     }
 }
 
-/// Logarithms, so that a difference of two pixels is a contrast whatever the light.
+/// Logarithmic channels: the difference of two pixels is a contrast, whatever the light.
 #[derive(Debug)]
 pub(crate) struct Maps {
     /// Brightness, smoothed by 1.2 px.
     pub(crate) fine: Plane,
     /// Brightness, smoothed by 2.5 px.
     pub(crate) coarse: Plane,
-    /// Redness ln(R/G), the logarithm of the pseudo-hue's odds, smoothed by 1.8 px.
+    /// Redness ln(R/G), the log odds of the pseudo-hue, smoothed by 1.8 px.
     pub(crate) red: Plane,
-    /// Brightness, ln(R/G) and ln(B/G) of every other pixel, as they are.
+    /// Brightness, ln(R/G) and ln(B/G) of every other pixel, unsmoothed.
     pub(crate) raw: [Plane; 3],
 }
 
@@ -194,7 +190,8 @@ impl Maps {
         }
     }
 
-    /// How unlike the skin at some places of this face, such as its cheeks, a pixel is (0 like it, 1 unlike), for every other pixel of the crop.
+    /// Dissimilarity of each pixel to the skin at some places of this face, such as its cheeks (0 alike, 1 unlike), for
+    /// every other pixel of the crop.
     pub(crate) fn unlike_skin(&self, places: &[Point]) -> Plane {
         let stats: [(f32, f32); 3] = std::array::from_fn(|c| {
             let mut v: Vec<f32> = Vec::new();
@@ -219,11 +216,11 @@ impl Maps {
     }
 }
 
-/// The value at a point of a plane of the crop's size, bilinear; beyond its border that of the border.
+/// Value at a point of a plane of the crop's size, bilinear; the border repeats.
 #[inline]
 pub(crate) fn at(plane: &Plane, p: Point) -> f64 {
-    // As the plane's own sampling, with a size that is known here: this is where most of the time goes.
-    // In this order what is not a number becomes 0.
+    // Like [`Plane::sample`], with sizes known at compile time: most of the time is spent here. In this order of `max`
+    // and `min`, NaN becomes 0.
     let held = |v: f64, size: usize| (v as f32).max(0.0).min((size - 2) as f32);
     let (x, y) = (held(p[0], WIDTH), held(p[1], HEIGHT));
     let (left, top) = (x as usize, y as usize);

@@ -1,58 +1,58 @@
-//! What is seen of the features and of the outline from a pose, and how sure that makes the points of the whole face: a
-//! logistic function of how clearly the features were seen where the generic face, in one pose and one shape, has them.
+//! Location of features and outline from a pose, and the confidence of the whole face: a logistic function of how
+//! clearly features are visible where the generic face, in one pose and shape, has them.
 
 use super::crop::Maps;
 use super::outline::{self, Ray};
-use super::regressor::{TOLD, Told};
-use super::search::Found;
-use super::shape::{LANDMARKS, Pose, Target};
+use super::regressor::{LandmarkPoints, REGRESSED};
+use super::search::SearchResult;
+use super::shape::{LANDMARKS, PosedModel, Target};
 use super::{BROWS, EYES, MOUTH, NOSE, features};
 use crate::plane::Plane;
 use crate::pose::{EyeLine, YawRule};
 use crate::table::f64s;
 use crate::vector::{Point, distance, middle};
 
-/// Standard deviations of a clearly seen point of a feature (pixels): lids and lips are edges, a brow has none.
+/// Standard deviations of a clearly visible point (pixels): eyelids and lips are edges, a brow is not.
 const EYE_SD: f64 = 1.8;
 const BROW_SD: f64 = 3.0;
 const NOSE_SD: f64 = 2.5;
 const MOUTH_SD: f64 = 2.5;
 const OUTLINE_SD: f64 = 9.0;
-/// The contrast (natural logarithm) from which a feature counts as clearly seen.
+/// Contrast (natural logarithm) at which a feature counts as clearly visible.
 const CLEAR: f64 = 0.2;
-/// The contrast from which a piece of the outline does: it adds colour to brightness.
+/// Contrast at which a piece of the outline does, colour included.
 const CLEAR_OUTLINE: f64 = 0.5;
-/// The least share of that: what is not seen at all is still no farther away than it is looked for.
+/// Least confidence: even an invisible point lies within the search range.
 pub const FAINT: f64 = 0.2;
 
-/// How much further a head is turned than the edge of what is seen says, which bulges on the far side: measured on the
-/// drawn faces of `--example faces_points drawn`.
-const OUTLINE_TURN: f64 = 1.2;
+/// Ratio of the head's yaw to that of the visible edge, which bulges on the far side: measured on the rendered faces of
+/// `--example faces_points drawn`.
+const OUTLINE_YAW_FACTOR: f64 = 1.2;
 
-/// What was seen of all features from one pose.
+/// The features located from one pose.
 #[derive(Default)]
-pub(super) struct Seen {
+pub(super) struct LocatedFeatures {
     pub(super) targets: Vec<Target>,
-    /// Of eyes, brows, nose and mouth: how clearly (0 to 1), and the score less the cost of the deviation.
+    /// For each eye, brow, nose and mouth: clearness (0 to 1), and the score less the cost of the deviation.
     pub(super) clear: Vec<f64>,
-    pub(super) held: Vec<f64>,
+    pub(super) penalised: Vec<f64>,
 }
 
-impl Seen {
-    fn add<const N: usize>(&mut self, which: &[usize; N], found: &Found<N>, sd: f64) {
+impl LocatedFeatures {
+    fn add<const N: usize>(&mut self, which: &[usize; N], found: &SearchResult<N>, sd: f64) {
         let clear = (found.score / CLEAR).clamp(FAINT, 1.0);
         self.clear.push(clear);
-        self.held.push(found.held);
+        self.penalised.push(found.penalised);
         for (landmark, at) in which.iter().zip(&found.points) {
             self.targets.push(Target { landmark: *landmark, at: *at, sd: sd / clear });
         }
     }
 }
 
-/// Looks for every feature near where the pose has it.
-pub(super) fn look(maps: &Maps, pose: &Pose<'_>, reach: f64) -> Seen {
+/// Searches every feature near its place in the pose.
+pub(super) fn locate_features(maps: &Maps, pose: &PosedModel<'_>, reach: f64) -> LocatedFeatures {
     let p = pose.project();
-    let mut seen = Seen::default();
+    let mut seen = LocatedFeatures::default();
     let mut lids = Vec::new();
     for which in EYES {
         let found = features::eye(maps, &pick(&p, which), reach);
@@ -64,13 +64,13 @@ pub(super) fn look(maps: &Maps, pose: &Pose<'_>, reach: f64) -> Seen {
         seen.add(&which, &features::brow(maps, &pick(&p, which), lid, reach), BROW_SD);
     }
     seen.add(&NOSE, &features::nose(maps, &pick(&p, NOSE), reach), NOSE_SD);
-    // A mouth moves more than the rest.
+    // A mouth moves more than other features.
     seen.add(&MOUTH, &features::mouth(maps, &pick(&p, MOUTH), 1.2 * reach), MOUTH_SD);
     seen
 }
 
-/// Mean squared distance of the targets from the pose, in units of 6 px, no target counting more than 4.
-fn misfit(pose: &Pose<'_>, targets: &[Target]) -> f64 {
+/// Mean squared distance of the targets from the pose, in units of 6 px, each target limited to 4.
+fn misfit(pose: &PosedModel<'_>, targets: &[Target]) -> f64 {
     let p = pose.project();
     let sum: f64 = targets
         .iter()
@@ -80,17 +80,18 @@ fn misfit(pose: &Pose<'_>, targets: &[Target]) -> f64 {
     sum / targets.len().max(1) as f64
 }
 
-/// How unlike the skin of cheeks and nose everything is.
-pub(super) fn unlike(maps: &Maps, pose: &Pose<'_>) -> Plane {
+/// Dissimilarity to the skin of cheeks and nose.
+pub(super) fn unlike(maps: &Maps, pose: &PosedModel<'_>) -> Plane {
     let p = pose.project();
     maps.unlike_skin(&[middle(p[41], p[48]), middle(p[46], p[54]), middle(p[27], p[33])])
 }
 
-/// The outline near where the pose has it.
+/// Traces the outline near its place in the pose.
 fn trace(maps: &Maps, unlike: &Plane, p: &[Point; LANDMARKS], sd: f64) -> Vec<Ray> {
     let brow = (p[19][1] + p[24][1]) / 2.0;
     let across = |share: f64, y: f64| [p[0][0] + share * (p[16][0] - p[0][0]), y];
-    // The forehead is not among the landmarks: three quarters as high over the brows as they are over the nose's base.
+    // The forehead has no landmarks: it is three quarters as high above the brows as they are above the base of the
+    // nose.
     let top = brow - 0.75 * (p[33][1] - brow);
     let temple = (brow + top) / 2.0;
     let mut hull: Vec<Point> = p.iter().take(17).copied().collect();
@@ -100,34 +101,33 @@ fn trace(maps: &Maps, unlike: &Plane, p: &[Point; LANDMARKS], sd: f64) -> Vec<Ra
     outline::trace(maps, unlike, centre, &outline::hull_radii(&hull, centre), sd)
 }
 
-/// The outline, and where it has the landmarks of the jaw.
-pub(super) fn around(
+/// Traces the outline and gives targets for the landmarks of the jaw.
+pub(super) fn locate_outline(
     maps: &Maps,
     unlike: &Plane,
-    pose: &Pose<'_>,
+    pose: &PosedModel<'_>,
     sd: f64,
 ) -> (Vec<Target>, Vec<Ray>) {
     let p = pose.project();
     let line = trace(maps, unlike, &p, sd);
     let centre = middle(p[27], p[33]);
-    let targets = (0..17)
-        .filter_map(|landmark| {
-            let at = p.get(landmark)?;
-            let (ray, place) = outline::towards(&line, centre, *at)?;
-            Some(Target { landmark, at: place, sd: OUTLINE_SD / clearness(&ray) })
-        })
-        .collect();
+    let target = |landmark: usize| {
+        let at = p.get(landmark)?;
+        let (ray, place) = outline::towards(&line, centre, *at)?;
+        Some(Target { landmark, at: place, sd: OUTLINE_SD / clearness(&ray) })
+    };
+    let targets = (0..17).filter_map(target).collect();
     (targets, line)
 }
 
-/// Where the head turns by its outline (degrees); none where the eyes are not within.
-fn turn_deg(line: &[Ray], p: &[Point; LANDMARKS]) -> Option<f64> {
+/// Yaw from the outline (degrees); none if the eyes are outside of it.
+fn outline_yaw_deg(line: &[Ray], p: &[Point; LANDMARKS]) -> Option<f64> {
     let outline: Vec<_> = line.iter().map(|ray| ray.at).collect();
     let eyes = EyeLine::new(p[36], p[45], &outline).ok()?;
-    Some(OUTLINE_TURN * eyes.yaw_deg(YawRule::Arcsine))
+    Some(OUTLINE_YAW_FACTOR * eyes.yaw_deg(YawRule::Arcsine))
 }
 
-/// How clear a piece of the outline is, as a point's confidence.
+/// Clearness of a piece of the outline, used as a point's confidence.
 pub(super) fn clearness(ray: &Ray) -> f64 {
     (ray.contrast / CLEAR_OUTLINE).clamp(FAINT, 1.0)
 }
@@ -136,34 +136,34 @@ fn pick<const N: usize>(p: &[Point], which: [usize; N]) -> [Point; N] {
     which.map(|i| p.get(i).copied().unwrap_or([0.0; 2]))
 }
 
-/// What the points of a face are judged by. Scores are contrasts (natural logarithms) less what the deviation costs.
+/// Evidence for the confidence of a face. Scores are contrasts (natural logarithms) less the cost of the deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Evidence {
-    /// Mean of the features' confidences, by their points.
+    /// Mean confidence of the features, weighted by their number of points.
     pub clear: f64,
-    /// Score of the eye that was seen worse.
+    /// Score of the less visible eye.
     pub eyes: f64,
-    /// Score of the brow that was seen worse.
+    /// Score of the less visible brow.
     pub brows: f64,
     /// Score of the nose.
     pub nose: f64,
     /// Score of the mouth.
     pub mouth: f64,
-    /// How clear the outline is, on the average: as a point's confidence.
+    /// Mean clearness of the outline.
     pub outline: f64,
-    /// Mean squared distance of what was seen from the fitted face (units of 6 px of the crop).
+    /// Mean squared distance of the located points from the fitted face (units of 6 px of the crop).
     pub misfit: f64,
-    /// Sum of the squared coefficients of the fitted shape.
+    /// Sum of the squared shape coefficients.
     pub strain: f64,
-    /// How far the head nods either way (degrees).
-    pub nod_deg: f64,
-    /// How far the head's turn is from what the edge of what is seen says (degrees).
-    pub turn_off_deg: f64,
-    /// Mean distance of the fitted face from what the first glance said (pixels of the crop).
-    pub glance_off: f64,
+    /// Absolute pitch of the head (degrees).
+    pub pitch_deg: f64,
+    /// Difference between the head's yaw and that of the visible edge (degrees).
+    pub yaw_mismatch_deg: f64,
+    /// Mean distance of the fitted face from the regressor's landmarks (pixels of the crop).
+    pub regressor_offset: f64,
 }
 
-/// A term of the evidence: its weight, and the range that it is held to.
+/// A term of the logistic function: its weight, and the range to which it is clamped.
 #[derive(Clone, Copy)]
 struct Term {
     weight: f64,
@@ -171,7 +171,7 @@ struct Term {
     high: f64,
 }
 
-/// Learned by `benches/subject/face_confidence.py`: the constant, then of each term weight, least and largest value.
+/// Learned by `benches/subject/face_confidence.py`: the constant, then weight, minimum and maximum of each term.
 const TABLE: &[u8; (1 + 3 * Evidence::COUNT) * size_of::<f64>()] =
     include_bytes!("../../data/face-confidence.bin");
 const CONSTANT: f64 = f64s::<1>(TABLE, 0)[0];
@@ -187,11 +187,16 @@ const TERMS: [Term; Evidence::COUNT] = {
 };
 
 impl Evidence {
-    /// How many terms there are.
+    /// Number of terms.
     pub const COUNT: usize = 11;
 
-    pub(super) fn of(pose: &Pose<'_>, seen: &Seen, line: &[Ray], told: &Told) -> Self {
-        let held = |i: usize| seen.held.get(i).copied().unwrap_or_default();
+    pub(super) fn of(
+        pose: &PosedModel<'_>,
+        seen: &LocatedFeatures,
+        line: &[Ray],
+        predicted: &LandmarkPoints,
+    ) -> Self {
+        let held = |i: usize| seen.penalised.get(i).copied().unwrap_or_default();
         let counts = [6.0, 6.0, 5.0, 5.0, 5.0, 14.0];
         let points: f64 = counts.iter().sum();
         Self {
@@ -203,14 +208,14 @@ impl Evidence {
             outline: line.iter().map(clearness).sum::<f64>() / line.len().max(1) as f64,
             misfit: misfit(pose, &seen.targets),
             strain: pose.strain(),
-            nod_deg: pose.nod_deg().abs(),
-            turn_off_deg: turn_deg(line, &pose.project())
+            pitch_deg: pose.pitch_deg().abs(),
+            yaw_mismatch_deg: outline_yaw_deg(line, &pose.project())
                 .map_or(0.0, |t| (t - pose.yaw_deg()).abs()),
-            glance_off: off(pose, told),
+            regressor_offset: regressor_offset(pose, predicted),
         }
     }
 
-    /// In the order of the fields.
+    /// The terms in the order of the fields.
     #[must_use]
     pub fn terms(&self) -> [f64; Self::COUNT] {
         [
@@ -222,14 +227,14 @@ impl Evidence {
             self.outline,
             self.misfit,
             self.strain,
-            self.nod_deg,
-            self.turn_off_deg,
-            self.glance_off,
+            self.pitch_deg,
+            self.yaw_mismatch_deg,
+            self.regressor_offset,
         ]
     }
 
-    /// The probability that the points are less than a tenth of the outer eye corners' distance off, on the mean, 0 to 1, on
-    /// what it was learned from: a logistic function.
+    /// Probability, 0 to 1, that the mean error of the points is below a tenth of the outer interocular distance, by a
+    /// logistic function of the terms.
     #[must_use]
     pub fn confidence(&self) -> f64 {
         let held = |(term, value): (&Term, f64)| term.weight * value.clamp(term.low, term.high);
@@ -238,9 +243,10 @@ impl Evidence {
     }
 }
 
-/// Mean distance of the pose's landmarks from those told.
-fn off(pose: &Pose<'_>, told: &Told) -> f64 {
+/// Mean distance of the pose's landmarks from the regressor's.
+fn regressor_offset(pose: &PosedModel<'_>, landmarks: &LandmarkPoints) -> f64 {
     let p = pose.project();
-    let far = TOLD.iter().zip(told).filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
-    far.sum::<f64>() / TOLD.len() as f64
+    let pairs = REGRESSED.iter().zip(landmarks);
+    let far = pairs.filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
+    far.sum::<f64>() / REGRESSED.len() as f64
 }

@@ -1,15 +1,16 @@
-//! Eyes, brows, nose and mouth: outlines that are moved and bent until brightness and redness agree with them.
+//! Location of eyes, brows, nose and mouth: outlines that are moved and bent until brightness and redness agree with
+//! them.
 
 use super::crop::{Maps, at};
-use super::search::{Found, Motion, only, search, shift, stretch, turn};
+use super::search::{Motion, SearchResult, only, search, shift, stretch, turn};
 use crate::vector::{Point, along, cubic, direction, distance, middle, up};
 
-/// Places on a lid or a lip that are looked at.
+/// Sampled places on an eyelid or a lip.
 const STEPS: [f64; 7] = [0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88];
 
-/// The eye nearest to `start`, two lids as curves between two corners: left corner of the picture, upper lid (2), right
-/// corner, lower lid (2, from the right); `reach` (pixels) is how far it may lie.
-pub(crate) fn eye(maps: &Maps, start: &[Point; 6], reach: f64) -> Found<6> {
+/// Locates the eye nearest to `start`, two eyelids as curves between two corners: left corner in the picture, upper lid
+/// (2), right corner, lower lid (2, from the right). `reach` is the search range (pixels).
+pub(crate) fn eye(maps: &Maps, start: &[Point; 6], reach: f64) -> SearchResult<6> {
     let middle = start.iter().fold([0.0; 2], |s, p| [s[0] + p[0] / 6.0, s[1] + p[1] / 6.0]);
     let right = direction(start[0], start[3]);
     let upwards = up(right);
@@ -24,7 +25,7 @@ pub(crate) fn eye(maps: &Maps, start: &[Point; 6], reach: f64) -> Found<6> {
     search(start, &motions, |p| eye_score(maps, p))
 }
 
-/// Contrast of the lids, the corners and the inside (natural logarithm).
+/// Contrast of lids, corners and iris (natural logarithm).
 fn eye_score(maps: &Maps, &[a, b, c, d, e, f]: &[Point; 6]) -> f64 {
     let right = direction(a, d);
     let n = up(right);
@@ -34,14 +35,14 @@ fn eye_score(maps: &Maps, &[a, b, c, d, e, f]: &[Point; 6]) -> f64 {
     for t in STEPS {
         let upper = cubic([a, b, c, d], t);
         let lower = cubic([a, f, e, d], t);
-        // The lashes are dark right below the upper lid's edge; below the lower lid is skin.
+        // The lashes are dark just below the upper lid's edge; below the lower lid is skin.
         lids += cap(g(along(upper, n, 3.5)) - g(along(upper, n, -0.7)));
         lids += 0.6 * cap(g(along(lower, n, -3.5)) - g(along(lower, n, 0.7)));
     }
     lids /= 1.6 * STEPS.len() as f64;
     let corners = cap(g(along(a, right, -3.5)) - g(along(a, right, 2.5)))
         + cap(g(along(d, right, 3.5)) - g(along(d, right, -2.5)));
-    // The iris is darker than the white, or the skin, to its left and right: that tells an eye from a brow.
+    // The iris is darker than the white or the skin to its left and right, unlike a brow.
     let width = ((d[0] - a[0]).powi(2) + (d[1] - a[1]).powi(2)).sqrt();
     let middle = |s: f64| {
         let (u, l) = (cubic([a, b, c, d], 0.5 + s), cubic([a, f, e, d], 0.5 + s));
@@ -59,8 +60,14 @@ fn eye_score(maps: &Maps, &[a, b, c, d, e, f]: &[Point; 6]) -> f64 {
     lids + 0.25 * corners + 0.5 * iris
 }
 
-/// The brow nearest to `start`, a dark band over the eye: five points from the left of the picture, and above the upper lid `lid`.
-pub(crate) fn brow(maps: &Maps, start: &[Point; 5], lid: [Point; 2], reach: f64) -> Found<5> {
+/// Locates the brow nearest to `start`, a dark band above the eye: five points from the left of the picture, above the
+/// upper lid `lid`.
+pub(crate) fn brow(
+    maps: &Maps,
+    start: &[Point; 5],
+    lid: [Point; 2],
+    reach: f64,
+) -> SearchResult<5> {
     let middle = start[2];
     let right = direction(start[0], start[4]);
     let n = up(right);
@@ -78,7 +85,7 @@ pub(crate) fn brow(maps: &Maps, start: &[Point; 5], lid: [Point; 2], reach: f64)
     search(start, &motions, |p| brow_score(maps, p) - 0.06 * crowding(p, lid))
 }
 
-/// How much darker the band is than what lies above and below it.
+/// Contrast of the band to what lies above and below it.
 fn brow_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
     let g = |p| at(&maps.coarse, p);
     let cap = |v: f64| v.clamp(-0.4, 0.8);
@@ -99,18 +106,18 @@ fn brow_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
     sum / count + 0.08 * ends
 }
 
-/// A brow lies this far above the upper lid at least (pixels).
+/// Least distance of a brow above the upper lid (pixels).
 const CLEARANCE: f64 = 8.0;
 
-/// How much nearer to the lid than that (pixels): a lid, or the rim of glasses, is a dark band too.
+/// Shortfall of that distance (pixels): an eyelid or the rim of glasses is a dark band too.
 fn crowding(p: &[Point; 5], lid: [Point; 2]) -> f64 {
     let height = (lid[0][1] + lid[1][1]) / 2.0;
     let lowest = p.iter().skip(1).take(3).map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
     (lowest - (height - CLEARANCE)).max(0.0)
 }
 
-/// The base of the nose nearest to `start`: left wing, left nostril, middle, right nostril, right wing.
-pub(crate) fn nose(maps: &Maps, start: &[Point; 5], reach: f64) -> Found<5> {
+/// Locates the base of the nose nearest to `start`: left wing, left nostril, middle, right nostril, right wing.
+pub(crate) fn nose(maps: &Maps, start: &[Point; 5], reach: f64) -> SearchResult<5> {
     let right = direction(start[0], start[4]);
     let n = up(right);
     let motions = [
@@ -126,26 +133,26 @@ fn nose_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
     let n = up(right);
     let g = |p| at(&maps.fine, p);
     let cap = |v: f64| v.clamp(-0.3, 0.6);
-    // The nostrils are dark, the lip's skin below them is bright, and so is the tip above.
+    // The nostrils are dark; the skin of the lip below and the tip above are bright.
     let mut nostrils = 0.0;
     for p in [b, d] {
         let dark = g(along(p, n, 2.0));
         nostrils += cap(g(along(p, n, -3.5)) - dark) + 0.7 * cap(g(along(p, n, 8.0)) - dark);
     }
     let base = cap(g(along(c, n, 6.0)) - g(along(c, n, 0.5)));
-    // The wings' shadow: outside is cheek.
+    // The shadow of the wings: outside is cheek.
     let wings = cap(g(along(a, right, -4.0)) - g(along(a, [right[0] * 0.7, right[1] * 0.7], 1.0)))
         + cap(g(along(e, right, 4.0)) - g(along(e, right, -0.7)));
     nostrils / 3.4 + 0.3 * base + 0.3 * wings
 }
 
-/// The mouth nearest to `start`, the outlines of both lips and the line or the gap between them: outer outline clockwise
-/// from the left corner (12), middle of the upper lip's inner edge, middle of the lower lip's.
-pub(crate) fn mouth(maps: &Maps, start: &[Point; 14], reach: f64) -> Found<14> {
+/// Locates the mouth nearest to `start`, the outlines of both lips and the line or gap between them: outer outline
+/// clockwise from the left corner (12), middle of the upper lip's inner edge, middle of the lower lip's.
+pub(crate) fn mouth(maps: &Maps, start: &[Point; 14], reach: f64) -> SearchResult<14> {
     let right = direction(start[0], start[6]);
     let n = up(right);
     let middle = middle(start[0], start[6]);
-    // The corners up and the middle where it is.
+    // Raises the corners and keeps the middle.
     let half = (distance(start[0], start[6]) / 2.0).max(1.0);
     let smile = start.map(|p| {
         let t = ((p[0] - middle[0]) * right[0] + (p[1] - middle[1]) * right[1]) / half;
@@ -155,7 +162,7 @@ pub(crate) fn mouth(maps: &Maps, start: &[Point; 14], reach: f64) -> Found<14> {
         Motion::new(shift(right), reach / 1.5, 0.6 * reach, 3.0),
         Motion::new(shift(n), reach / 1.5, reach, 3.0),
         Motion::new(stretch(start, middle, [1.0, 0.0]), 0.15, 0.2, 0.1),
-        // The jaw: what opens the mouth.
+        // The jaw opens the mouth.
         Motion::new(only(&[7, 8, 9, 10, 11, 13], n), 5.0, 9.0, 4.5),
         Motion::new(only(&[1, 2, 3, 4, 5], n), 2.0, 0.0, 0.0),
         Motion::new(only(&[7, 8, 9, 10, 11], n), 2.5, 0.0, 0.0),
@@ -188,14 +195,14 @@ fn mouth_score(maps: &Maps, width: f64, p: &[Point; 14]) -> f64 {
         outer += cap(luma(along(upper, n, 3.0)) - luma(along(upper, n, -2.0)));
         outer += 2.0 * cap(red(along(lower, n, 2.5)) - red(along(lower, n, -3.0)));
         outer += 0.3 * cap(luma(along(lower, n, -3.0)) - luma(along(lower, n, 1.0)));
-        // Both inner edges: parabolas from corner to corner. The line between the lips is dark.
+        // Both inner edges are parabolas from corner to corner. The line between the lips is dark.
         let bow = 4.0 * t * (1.0 - t);
         let chord = [a[0] + t * (g[0] - a[0]), a[1] + t * (g[1] - a[1])];
         let middle = middle(a, g);
         let edge =
             |m: Point| [chord[0] + bow * (m[0] - middle[0]), chord[1] + bow * (m[1] - middle[1])];
         let (u, v) = (edge(top), edge(bottom));
-        // Lips part over teeth as over the dark: those are no lips' colour either.
+        // Open lips may part over teeth as well as over darkness; neither has the colour of lips.
         let line = cap(luma(along(u, n, 3.5)) - luma(along(u, n, -0.5)))
             + 0.6 * cap(luma(along(v, n, -3.5)) - luma(along(v, n, 0.5)));
         let parted = 1.6
@@ -204,7 +211,7 @@ fn mouth_score(maps: &Maps, width: f64, p: &[Point; 14]) -> f64 {
         let open = ((v[1] - u[1]) / 5.0).clamp(0.0, 1.0);
         inner += line.max(open * parted);
     }
-    // A short line is easily dark all along: what counts is how much of it there is.
+    // A short line is easily dark all along, so its length counts.
     inner *= (((g[0] - a[0]).powi(2) + (g[1] - a[1]).powi(2)).sqrt() / width).clamp(0.5, 1.5);
     let gap = ((bottom[0] - top[0]) * -n[0] + (bottom[1] - top[1]) * -n[1]).min(0.0);
     let corners = cap(luma(along(a, right, -4.0)) - luma(along(a, right, 2.0)))

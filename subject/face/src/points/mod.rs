@@ -1,10 +1,10 @@
-//! The 53 points of a face (Yang et al. 2004, section 3): outline 12, brows 2 x 5, nose 5, eyes 2 x 6, mouth 14, each with
-//! a confidence. They are numbered as [`FeatureId`] numbers them.
+//! The 53 points of a face (Yang et al. 2004, section 3): outline 12, brows 2 x 5, nose 5, eyes 2 x 6, mouth 14, each
+//! with a confidence, numbered as in [`FeatureId`].
 //!
-//! [`find`] is the default: every feature is an outline that is moved and bent until brightness and redness agree with it,
-//! all of them are held together by the generic face in its pose, and the two take turns. [`paper::find`] is the paper's
-//! way, feature by feature. Both begin from a [`Rough`] face, and work in an upright crop of fixed size, so that no length
-//! depends on the photograph's.
+//! [`find`] is the default. A landmark regressor gives initial positions; each feature is then an active shape, moved
+//! and bent until brightness and redness agree with it; the generic face in its pose ties the features together, and
+//! both steps alternate. [`paper::find`] is the published method, feature by feature. Both start from a [`RoughFace`]
+//! and work in an upright crop of fixed size, so that no length depends on the photograph's resolution.
 
 mod chain;
 mod crop;
@@ -24,10 +24,10 @@ pub use chain::find;
 use crop::Crop;
 pub use evidence::{Evidence, FAINT};
 
-/// Where a face lies, roughly (pixels of the photograph): an error of a tenth of the eyes' distance is no harm.
+/// Approximate position of a face (pixels of the photograph); an error of a tenth of the eye distance is harmless.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rough {
-    /// Centre of the eye at the picture's left, which is the subject's right eye.
+pub struct RoughFace {
+    /// Centre of the eye at the picture's left, the subject's right eye.
     pub left_eye: [f64; 2],
     /// Centre of the eye at the picture's right.
     pub right_eye: [f64; 2],
@@ -38,9 +38,9 @@ pub struct Rough {
 /// One of the 53 points.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FacePoint {
-    /// Pixels of the photograph.
+    /// Position in pixels of the photograph.
     pub at: [f64; 2],
-    /// 0 (a place that the rest of the face suggests) to 1 (seen clearly).
+    /// 0 (inferred from the rest of the face) to 1 (clearly visible).
     pub confidence: f64,
 }
 
@@ -49,11 +49,11 @@ pub struct FacePoint {
 pub struct FacePoints {
     /// By [`FeatureId::index`].
     pub points: [FacePoint; FeatureId::COUNT],
-    /// The whole outline of the face, a closed polygon (pixels of the photograph).
+    /// The outline of the face, a closed polygon (pixels of the photograph).
     pub outline: Vec<[f64; 2]>,
-    /// Yaw, positive when the face turns to the right of the picture; none where the method finds no pose.
+    /// Yaw, positive when the face turns to the right of the picture; none if the method finds no pose.
     pub yaw_deg: Option<f64>,
-    /// What the face as a whole is judged by; none from [`paper::find`].
+    /// Evidence for the confidence; none from [`paper::find`].
     pub evidence: Option<Evidence>,
 }
 
@@ -69,14 +69,14 @@ impl Default for FacePoints {
 }
 
 impl FacePoints {
-    /// How sure the face as a whole is, 0 to 1: the probability that its points are off by less than a tenth of the outer
-    /// eye corners' distance, on the mean. None from [`paper::find`], which has nothing to tell it by.
+    /// Confidence of the face, 0 to 1: the probability that the mean error of its points is below a tenth of the outer
+    /// interocular distance. None from [`paper::find`], which has no evidence for it.
     #[must_use]
     pub fn confidence(&self) -> Option<f64> {
         self.evidence.map(|evidence| evidence.confidence())
     }
 
-    /// The points that were found at all, as [`Model::fit_shape`](model::Model::fit_shape) takes them.
+    /// The points that were located, as [`Model::fit_shape`](model::Model::fit_shape) takes them.
     #[must_use]
     pub fn found(&self) -> Vec<model::Landmark> {
         FeatureId::all()
@@ -92,7 +92,7 @@ impl FacePoints {
         }
     }
 
-    /// Points of the crop by their numbers in iBUG-68.
+    /// Sets points given in the crop, by iBUG-68 numbers.
     fn put(&mut self, which: &[usize], at: &[Point], confidence: f64, crop: &Crop) {
         for (i, p) in which.iter().zip(at) {
             if let Some(id) = FeatureId::from_ibug(*i) {
@@ -102,7 +102,7 @@ impl FacePoints {
     }
 }
 
-// The features' points by their numbers in iBUG-68, from the left of the picture.
+// iBUG-68 numbers of the features' points, from the left of the picture.
 const BROWS: [[usize; 5]; 2] = [[17, 18, 19, 20, 21], [22, 23, 24, 25, 26]];
 const NOSE: [usize; 5] = [31, 32, 33, 34, 35];
 const EYES: [[usize; 6]; 2] = [[36, 37, 38, 39, 40, 41], [42, 43, 44, 45, 46, 47]];

@@ -1,36 +1,36 @@
-//! The outline of the face: the best closed curve around it in polar coordinates, found by dynamic programming, which
-//! no starting curve can mislead; and twelve points of it, left and right at six heights (Yang et al. 2004, section 3).
+//! The outline of the face: the best closed path in polar coordinates, found by dynamic programming, which no starting
+//! curve can mislead; and twelve points of it, left and right at six heights (Yang et al. 2004, section 3).
 
 use super::crop::{Maps, at};
 use crate::plane::Plane;
 use crate::vector::{Point, along, distance, extent};
 
-/// A point of the outline, and the contrast that it was found by.
+/// A point of the outline, with its contrast.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Ray {
     pub(crate) at: Point,
     pub(crate) contrast: f64,
 }
 
-/// Rays around the face.
+/// Number of rays around the face.
 const RAYS: usize = 72;
-/// Cost of a radius one standard deviation off.
-const HOLD: f64 = 0.15;
-/// Where nothing is expected (pixels).
+/// Cost of a radius one standard deviation from its expectation.
+const DEVIATION_COST: f64 = 0.15;
+/// Default expectation (pixels).
 const RADIUS_USUAL: f64 = 80.0;
 /// The longest radius (pixels).
 const RADIUS_MAX: usize = 140;
 /// The shortest radius (pixels).
 const RADIUS_MIN: usize = 30;
-/// Cost of a step of one pixel between neighbouring rays, times its square.
+/// Cost of one pixel of radius between neighbouring rays, times its square.
 const SLOPE_COST: f64 = 0.015;
-/// Radii between neighbouring rays differ by no more than this (pixels).
+/// Largest difference of radii between neighbouring rays (pixels).
 const SLOPE_MAX: usize = 4;
-/// Radii that a ray may have.
+/// Number of radii per ray.
 const LENGTH: usize = RADIUS_MAX - RADIUS_MIN;
 
-/// The closed outline around `centre`, one point a ray from the right of the picture clockwise, with the contrast that
-/// each was found by. `expected` are the radii where it is looked for, `sd` (pixels) how far from there.
+/// Traces the closed outline around `centre`, one point per ray clockwise from the right of the picture, with its
+/// contrast. `expected` are the expected radii, `sd` their standard deviation (pixels).
 pub(crate) fn trace(
     maps: &Maps,
     unlike: &Plane,
@@ -42,12 +42,12 @@ pub(crate) fn trace(
     let place = |k: usize, i: usize| {
         along(centre, rays.get(k).copied().unwrap_or_default(), (RADIUS_MIN + i) as f64)
     };
-    let held = |k: usize, i: usize| {
+    let penalty = |k: usize, i: usize| {
         let expected = expected.get(k).copied().unwrap_or(RADIUS_USUAL);
         let off = ((RADIUS_MIN + i) as f64 - expected) / sd;
-        HOLD * off * off
+        DEVIATION_COST * off * off
     };
-    // Gains of every ray and radius, from what lies three pixels within and three beyond.
+    // Gain of every ray and radius, from the pixels three within and three beyond.
     let mut gain = vec![0.0_f64; RAYS * LENGTH];
     let mut seen = [[0.0_f64; 2]; LENGTH + 6];
     for (k, (row, d)) in gain.chunks_mut(LENGTH).zip(&rays).enumerate() {
@@ -59,17 +59,17 @@ pub(crate) fn trace(
         for (i, ((g, within), beyond)) in row.iter_mut().zip(&seen).zip(&seen[6..]).enumerate() {
             let colour = beyond[0] - within[0];
             let light = (within[1] - beyond[1]).clamp(-0.3, 0.5);
-            // Hair and shadow are darker than the face, a bright background is not.
-            *g = colour + 0.5 * light.max(-0.3 * light) - held(k, i);
+            // Hair and shadow are darker than the face; a bright background is not.
+            *g = colour + 0.5 * light.max(-0.3 * light) - penalty(k, i);
         }
     }
     best_path(&gain)
         .into_iter()
-        .map(|(k, i)| Ray { at: place(k, i), contrast: gain_at(&gain, k, i) + held(k, i) })
+        .map(|(k, i)| Ray { at: place(k, i), contrast: gain_at(&gain, k, i) + penalty(k, i) })
         .collect()
 }
 
-/// From the right of the picture clockwise.
+/// Unit vectors clockwise from the right of the picture.
 fn directions() -> [Point; RAYS] {
     std::array::from_fn(|k| {
         let (sin, cos) = (k as f64 / RAYS as f64 * std::f64::consts::TAU).sin_cos();
@@ -81,9 +81,9 @@ fn gain_at(gain: &[f64], ray: usize, radius: usize) -> f64 {
     gain.get(ray * LENGTH + radius).copied().unwrap_or(0.0)
 }
 
-/// The path of the largest sum of gains around the face, by dynamic programming: each ray, and the index of its radius.
+/// The closed path of the largest total gain, by dynamic programming: each ray with the index of its radius.
 ///
-/// It goes once around and half again, so that the seam lies where the path has settled.
+/// It runs one and a half times around, so that the seam lies where the path has settled.
 fn best_path(gain: &[f64]) -> Vec<(usize, usize)> {
     let turns = RAYS + RAYS / 2;
     let mut best = vec![0.0_f64; LENGTH];
@@ -109,7 +109,7 @@ fn best_path(gain: &[f64]) -> Vec<(usize, usize)> {
     let mut i = last.map_or(0, |(i, _)| i);
     let mut path: Vec<(usize, usize)> = (0..RAYS).map(|k| (k, 0)).collect();
     for k in (0..turns).rev() {
-        // A quarter turn of either end is left out.
+        // Skip a quarter turn at either end.
         if (RAYS / 4..turns - RAYS / 4).contains(&k)
             && let Some(ray) = path.get_mut(k % RAYS)
         {
@@ -120,32 +120,30 @@ fn best_path(gain: &[f64]) -> Vec<(usize, usize)> {
     path
 }
 
-/// Radius at which each ray leaves the convex hull of `points`, in rays as of [`trace`].
+/// Radius at which each ray leaves the convex hull of `points`, with the rays of [`trace`].
 pub(crate) fn hull_radii(points: &[Point], centre: Point) -> Vec<f64> {
     let hull = hull(points);
-    directions()
-        .into_iter()
-        .map(|d| {
-            let mut far = 0.0_f64;
-            for (p, q) in hull.iter().zip(hull.iter().cycle().skip(1)) {
-                let (px, py) = (p[0] - centre[0], p[1] - centre[1]);
-                let (ex, ey) = (q[0] - p[0], q[1] - p[1]);
-                let det = d[0] * -ey + d[1] * ex;
-                if det.abs() < 1e-9 {
-                    continue;
-                }
-                let t = (px * -ey + py * ex) / det;
-                let s = (d[0] * py - d[1] * px) / det;
-                if (0.0..=1.0).contains(&s) {
-                    far = far.max(t);
-                }
+    let radius = |d: Point| {
+        let mut far = 0.0_f64;
+        for (p, q) in hull.iter().zip(hull.iter().cycle().skip(1)) {
+            let (px, py) = (p[0] - centre[0], p[1] - centre[1]);
+            let (ex, ey) = (q[0] - p[0], q[1] - p[1]);
+            let det = d[0] * -ey + d[1] * ex;
+            if det.abs() < 1e-9 {
+                continue;
             }
-            far
-        })
-        .collect()
+            let t = (px * -ey + py * ex) / det;
+            let s = (d[0] * py - d[1] * px) / det;
+            if (0.0..=1.0).contains(&s) {
+                far = far.max(t);
+            }
+        }
+        far
+    };
+    directions().into_iter().map(radius).collect()
 }
 
-/// The corners of the convex hull in their order (Andrew 1979).
+/// The vertices of the convex hull in order (Andrew 1979).
 fn hull(points: &[Point]) -> Vec<Point> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
@@ -167,7 +165,7 @@ fn hull(points: &[Point]) -> Vec<Point> {
     hull
 }
 
-/// The ray of the outline in the direction of `p`, and the place on it; none where `p` is the centre.
+/// The outline's ray in the direction of `p`, and its point; none if `p` is the centre.
 pub(crate) fn towards(outline: &[Ray], centre: Point, p: Point) -> Option<(Ray, Point)> {
     let (x, y) = (p[0] - centre[0], p[1] - centre[1]);
     let length = x.hypot(y);
@@ -185,27 +183,28 @@ pub(crate) fn towards(outline: &[Ray], centre: Point, p: Point) -> Option<(Ray, 
 pub(crate) struct Heights {
     pub(crate) brows: f64,
     pub(crate) eyes: f64,
-    /// The nose's base.
+    /// Base of the nose.
     pub(crate) nose: f64,
     pub(crate) mouth: f64,
 }
 
-/// Index of each of the twelve among the 53 points, and its place: where the height's row crosses the outline outermost.
+/// The twelve outline points, each with its index among the 53: the outermost crossings of six heights with the
+/// outline.
 ///
-/// The heights of head top and chin are those of the generic face: the hairline nine tenths of the way from the nose's base
-/// to the brows above these, and the middle between the mouth and the outline's lowest point. A row that misses the
-/// outline takes the nearest that meets it.
+/// Head top and chin follow the generic face: the hairline is as far above the brows as nine tenths of the distance
+/// from the nose's base to the brows; the chin's height is midway between the lower lip and the outline's lowest point.
+/// A height that misses the outline is moved to the nearest that meets it.
 pub(crate) fn twelve(line: &[Point], middle_x: f64, heights: &Heights) -> Vec<(usize, Point)> {
     let (top, bottom) = extent(line.iter().map(|p| p[1]));
     if !(top.is_finite() && bottom > top) {
         return Vec::new();
     }
     let hairline = heights.brows - 0.9 * (heights.nose - heights.brows);
-    // Below the lower lip as it is: a fifth of the way to the chin.
+    // Below the lower lip: a fifth of the way to the chin.
     let lip = heights.mouth + 0.2 * (bottom - heights.mouth);
     let rows =
         [hairline, heights.brows, heights.eyes, heights.nose, heights.mouth, (lip + bottom) / 2.0];
-    // Just inside the ends, where an outline still has two sides.
+    // Just inside the ends, where the outline still has two sides.
     let margin = 0.03 * (bottom - top);
     let mut points = Vec::with_capacity(12);
     for (i, row) in rows.into_iter().enumerate() {

@@ -1,15 +1,15 @@
-//! A feature's outline moved and bent until the picture agrees with it best.
+//! Search of a feature's outline: moved and bent for the best score.
 
 use crate::vector::Point;
 
-/// A way in which an outline may move.
+/// A degree of freedom of an outline.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motion<const N: usize> {
-    /// Displacement of each point for an amount of 1.
+    /// Displacement of each point per unit.
     pub(crate) field: [Point; N],
-    /// Standard deviation of the amount: what deviates costs `HOLD * (amount / sd)^2`.
+    /// Standard deviation of the amount; a deviation costs `DEVIATION_COST * (amount / sd)^2`.
     pub(crate) sd: f64,
-    /// The largest amount that the coarse search tries, and its step; none where the step is 0.
+    /// Range and step of the coarse search; a step of 0 disables it.
     pub(crate) reach: f64,
     pub(crate) step: f64,
 }
@@ -20,29 +20,29 @@ impl<const N: usize> Motion<N> {
     }
 }
 
-/// Cost of a deviation by one standard deviation, in the energies' unit: the logarithm of a contrast.
-const HOLD: f64 = 0.012;
-/// Halvings of the step in the refinement.
+/// Cost of one standard deviation, in the unit of scores: the logarithm of a contrast.
+const DEVIATION_COST: f64 = 0.012;
+/// Number of step halvings in the refinement.
 const HALVINGS: u32 = 4;
-/// Steps of the coarse search to either side, at most.
+/// Most steps of the coarse search to either side.
 const STEPS_MAX: f64 = 16.0;
 
-/// The best outline, what it scored, and how much better it is than the one it started from.
+/// The best outline and its score.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Found<const N: usize> {
+pub(crate) struct SearchResult<const N: usize> {
     pub(crate) points: [Point; N],
     pub(crate) score: f64,
     /// `score` less the cost of the deviation.
-    pub(crate) held: f64,
+    pub(crate) penalised: f64,
 }
 
-/// Moves `start` where `score` is highest: a grid over the motions that have a step, then one motion at a time with
-/// halving steps.
+/// Moves `start` to the highest `score`: a grid over the motions that have a step, then coordinate descent with halving
+/// steps.
 pub(crate) fn search<const N: usize, const M: usize>(
     start: &[Point; N],
     motions: &[Motion<N>; M],
     score: impl Fn(&[Point; N]) -> f64,
-) -> Found<N> {
+) -> SearchResult<N> {
     let place = |amounts: &[f64; M]| {
         let mut points = *start;
         for (amount, motion) in amounts.iter().zip(motions) {
@@ -56,8 +56,8 @@ pub(crate) fn search<const N: usize, const M: usize>(
         points
     };
     let total = |amounts: &[f64; M]| {
-        let hold: f64 = amounts.iter().zip(motions).map(|(a, m)| (a / m.sd) * (a / m.sd)).sum();
-        score(&place(amounts)) - HOLD * hold
+        let excess: f64 = amounts.iter().zip(motions).map(|(a, m)| (a / m.sd) * (a / m.sd)).sum();
+        score(&place(amounts)) - DEVIATION_COST * excess
     };
     let sides = motions
         .map(|m| if m.step > 0.0 { (m.reach / m.step).floor().min(STEPS_MAX) as u32 } else { 0 });
@@ -90,10 +90,10 @@ pub(crate) fn search<const N: usize, const M: usize>(
         share /= 2.0;
     }
     let points = place(&best);
-    Found { score: score(&points), held: best_score, points }
+    SearchResult { score: score(&points), penalised: best_score, points }
 }
 
-/// The amounts at one place of the coarse search, counted through with the first motion fastest.
+/// The amounts at one grid place, the first motion fastest.
 fn grid<const N: usize, const M: usize>(
     place: u32,
     sides: &[u32; M],
@@ -109,12 +109,12 @@ fn grid<const N: usize, const M: usize>(
     amounts
 }
 
-/// All points alike.
+/// Translation of all points.
 pub(crate) fn shift<const N: usize>(by: Point) -> [Point; N] {
     [by; N]
 }
 
-/// Away from `about`, by the amount as a share of the distance, in x and in y times `share`.
+/// Scaling about `about`, weighted by `share` in x and y.
 pub(crate) fn stretch<const N: usize>(
     points: &[Point; N],
     about: Point,
@@ -123,12 +123,12 @@ pub(crate) fn stretch<const N: usize>(
     points.map(|p| [share[0] * (p[0] - about[0]), share[1] * (p[1] - about[1])])
 }
 
-/// Turned about `about` (radians).
+/// Rotation about `about` (radians).
 pub(crate) fn turn<const N: usize>(points: &[Point; N], about: Point) -> [Point; N] {
     points.map(|p| [-(p[1] - about[1]), p[0] - about[0]])
 }
 
-/// Only the points named, by `by`.
+/// Translation of the named points alone.
 pub(crate) fn only<const N: usize>(which: &[usize], by: Point) -> [Point; N] {
     std::array::from_fn(|i| if which.contains(&i) { by } else { [0.0; 2] })
 }

@@ -5,12 +5,11 @@ use nalgebra::{DMatrix, DVector, Matrix2x3, Vector3};
 use crate::model::{FeatureId, Model, OUTER_EYES_MM};
 use crate::vector::{Point, mean};
 
-/// Landmarks in the order of iBUG-68. Those that the model has not (the nose's ridge, the lips' inner edges but for their
-/// middles) lie at the nasion, and are never looked for.
+/// Number of landmarks, in the order of iBUG-68. Those that the model lacks (the ridge of the nose, the inner lips
+/// except their middles) lie at the nasion and are never searched.
 pub(crate) const LANDMARKS: usize = 68;
 
-/// What the search needs of the generic face: its landmarks, and how they move with its modes. In outer eye corners'
-/// distances, x right, y down, z to the camera.
+/// Landmarks of the generic face and their modes, in outer interocular distances: x right, y down, z to the camera.
 #[derive(Debug)]
 pub(crate) struct Landmarks {
     mean: Vec<Vector3<f64>>,
@@ -48,13 +47,13 @@ impl Landmarks {
     }
 }
 
-/// Unknowns of the pose: rotation, scale, shift.
+/// Pose parameters: rotation, scale, shift.
 const POSE: usize = 6;
-/// Standard deviations of yaw and pitch over photographs (radians).
-const TURN_SD_RAD: f64 = 0.6;
-const NOD_SD_RAD: f64 = 0.25;
+/// Prior standard deviations of yaw and pitch over photographs (radians).
+const YAW_SD_RAD: f64 = 0.6;
+const PITCH_SD_RAD: f64 = 0.25;
 
-/// Where a landmark was seen.
+/// A located landmark.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Target {
     pub(crate) landmark: usize,
@@ -63,22 +62,23 @@ pub(crate) struct Target {
     pub(crate) sd: f64,
 }
 
-/// The model in a pose.
+/// The shape model in a pose.
 #[derive(Debug, Clone)]
-pub(crate) struct Pose<'a> {
+pub(crate) struct PosedModel<'a> {
     landmarks: &'a Landmarks,
     /// Rows: the image's x and y axes in the model's frame.
     pub(crate) rotation: Matrix2x3<f64>,
-    /// Pixels per io.
+    /// Pixels per outer interocular distance.
     pub(crate) scale: f64,
     pub(crate) shift: Point,
     pub(crate) coefficients: Vec<f64>,
 }
 
-impl<'a> Pose<'a> {
-    /// A frontal mean face: io of `scale` pixels, the middle of the eyes at `eyes`.
+impl<'a> PosedModel<'a> {
+    /// The frontal mean face with an outer interocular distance of `scale` pixels and the midpoint of its eyes at
+    /// `eyes`.
     pub(crate) fn frontal(landmarks: &'a Landmarks, scale: f64, eyes: Point) -> Self {
-        let mut pose = Pose {
+        let mut pose = PosedModel {
             landmarks,
             rotation: Matrix2x3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
             scale,
@@ -91,7 +91,7 @@ impl<'a> Pose<'a> {
         pose
     }
 
-    /// The landmarks' shape in the model's frame (io).
+    /// The shape of the landmarks in the model's frame (outer interocular distances).
     pub(crate) fn shape(&self) -> Vec<Vector3<f64>> {
         let mut shape = self.landmarks.mean.clone();
         for (c, mode) in self.coefficients.iter().zip(&self.landmarks.modes) {
@@ -115,8 +115,8 @@ impl<'a> Pose<'a> {
         self.rotation[(0, 2)].clamp(-1.0, 1.0).asin().to_degrees()
     }
 
-    /// How far the head nods (degrees).
-    pub(crate) fn nod_deg(&self) -> f64 {
+    /// Pitch (degrees).
+    pub(crate) fn pitch_deg(&self) -> f64 {
         self.rotation[(1, 2)].clamp(-1.0, 1.0).asin().to_degrees()
     }
 
@@ -125,8 +125,8 @@ impl<'a> Pose<'a> {
         self.coefficients.iter().map(|c| c * c).sum()
     }
 
-    /// Fits pose and shape together to the targets, from this pose: Gauss-Newton steps on rotation, scale, shift and
-    /// the modes' coefficients, which are of a standard normal distribution.
+    /// Fits pose and shape to the targets from the present pose: Gauss-Newton steps on rotation, scale, shift and the
+    /// modes' coefficients, which have a standard normal prior.
     pub(crate) fn fit(&mut self, targets: &[Target], rounds: usize) {
         for _ in 0..rounds {
             if self.step(targets).is_none() {
@@ -135,7 +135,7 @@ impl<'a> Pose<'a> {
         }
     }
 
-    /// One step.
+    /// One Gauss-Newton step; none if the equations are singular.
     fn step(&mut self, targets: &[Target]) -> Option<()> {
         let modes = &self.landmarks.modes;
         let n = POSE + modes.len();
@@ -150,7 +150,7 @@ impl<'a> Pose<'a> {
             let Some(v) = shape.get(t.landmark) else { continue };
             let q = self.rotation * v;
             let (qx, qy, qz) = (q.x, q.y, third.dot(v));
-            // Small rotations about x, y and z, the scale's logarithm, the shift.
+            // Small rotations about x, y and z, logarithm of the scale, shift.
             let by = modes.iter().filter_map(|mode| mode.get(t.landmark)).map(|d| turned * d);
             let pose = [
                 [0.0, -s * qz],
@@ -164,11 +164,11 @@ impl<'a> Pose<'a> {
             for ((x, y), column) in jx.iter_mut().zip(&mut jy).zip(columns) {
                 [*x, *y] = column;
             }
-            // Beyond three deviations a target pulls no harder: it is likely to be something else.
+            // Beyond three standard deviations the pull stays constant: the target is likely something else.
             let (rx, ry) = (t.at[0] - s * qx - self.shift[0], t.at[1] - s * qy - self.shift[1]);
             let far = (rx * rx + ry * ry).sqrt() / t.sd;
             let w = 3.0 / far.max(3.0) / (t.sd * t.sd);
-            // The lower half, which is all that Cholesky reads.
+            // Only the lower half, which Cholesky reads.
             for (j, (x, y)) in jx.iter().zip(&jy).enumerate() {
                 let (wx, wy) = (w * x, w * y);
                 b[j] += wx * rx + wy * ry;
@@ -182,13 +182,13 @@ impl<'a> Pose<'a> {
             a[(POSE + j, POSE + j)] += 1.0;
             b[POSE + j] -= c;
         }
-        // A head is upright and looks at the camera, more or less.
+        // Prior: a head is roughly upright and faces the camera.
         let yaw = self.rotation[(0, 2)].clamp(-1.0, 1.0).asin();
         let pitch = self.rotation[(1, 2)].clamp(-1.0, 1.0).asin();
-        a[(1, 1)] += TURN_SD_RAD.powi(-2);
-        b[1] -= yaw * TURN_SD_RAD.powi(-2);
-        a[(0, 0)] += NOD_SD_RAD.powi(-2);
-        b[0] += pitch * NOD_SD_RAD.powi(-2);
+        a[(1, 1)] += YAW_SD_RAD.powi(-2);
+        b[1] -= yaw * YAW_SD_RAD.powi(-2);
+        a[(0, 0)] += PITCH_SD_RAD.powi(-2);
+        b[0] += pitch * PITCH_SD_RAD.powi(-2);
         for j in 0..POSE {
             a[(j, j)] += 1e-6;
         }

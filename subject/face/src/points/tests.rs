@@ -1,29 +1,29 @@
-//! Faces that are drawn here: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
+//! Drawn faces: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
 
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
-use super::shape::{Landmarks, Pose};
-use super::{Evidence, FacePoints, Point, Rough, find, outline, paper};
+use super::shape::{Landmarks, PosedModel};
+use super::{Evidence, FacePoints, Point, RoughFace, find, outline, paper};
 use crate::model::{FeatureId, Model};
 use crate::photo::Photo;
 use crate::vector::mean;
 
 const SIDE: usize = 320;
 /// Distance of the outer eye corners in the picture.
-const IO_PX: f64 = 90.0;
+const EYES_PX: f64 = 90.0;
 
 struct Drawn {
     photo: Photo,
     landmarks: [Point; 68],
-    rough: Rough,
+    rough: RoughFace,
 }
 
-/// A drawn face turned by `yaw_deg`, with noise from `seed`, and its rough place, off by 3 % io.
+/// A drawn face turned by `yaw_deg`, with noise from `seed`, and its approximate position, off by 3 % io.
 fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     let landmarks = Landmarks::of(Model::generic().unwrap());
     let eyes = [SIDE as f64 / 2.0, 120.0];
-    let mut pose = Pose::frontal(&landmarks, IO_PX, eyes);
+    let mut pose = PosedModel::frontal(&landmarks, EYES_PX, eyes);
     let (s, c) = yaw_deg.to_radians().sin_cos();
     pose.rotation = nalgebra::Matrix2x3::new(c, 0.0, s, 0.0, 1.0, 0.0);
     let middle = mean(pose.project()[36..48].iter().copied());
@@ -45,7 +45,7 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     let (a, b) = (p[0], p[16]);
     for k in 1..12 {
         let t = f64::from(k) / 12.0;
-        let height = 0.75 * IO_PX * (std::f64::consts::PI * t).sin();
+        let height = 0.75 * EYES_PX * (std::f64::consts::PI * t).sin();
         head.push([b[0] + t * (a[0] - b[0]), b[1] + t * (a[1] - b[1]) - height]);
     }
     fill(&head, [205.0, 160.0, 135.0]);
@@ -61,7 +61,7 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
         let c = mean(p[eye[0]..=eye[5]].iter().copied());
         let iris: Vec<Point> = (0..16)
             .map(|k| f64::from(k) / 16.0 * std::f64::consts::TAU)
-            .map(|t| [c[0] + 0.055 * IO_PX * t.cos(), c[1] + 0.055 * IO_PX * t.sin()])
+            .map(|t| [c[0] + 0.055 * EYES_PX * t.cos(), c[1] + 0.055 * EYES_PX * t.sin()])
             .collect();
         fill(&iris, [50.0, 35.0, 25.0]);
     }
@@ -76,8 +76,8 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
         &[p[48], [p[62][0], p[62][1] - 0.7], p[54], [p[66][0], p[66][1] + 0.7]],
         [90.0, 35.0, 35.0],
     );
-    let mut off = |p: Point| [p[0] + 0.06 * IO_PX * noise(), p[1] + 0.06 * IO_PX * noise()];
-    let rough = Rough {
+    let mut off = |p: Point| [p[0] + 0.06 * EYES_PX * noise(), p[1] + 0.06 * EYES_PX * noise()];
+    let rough = RoughFace {
         left_eye: off(mean(p[36..42].iter().copied())),
         right_eye: off(mean(p[42..48].iter().copied())),
         mouth: off(mean(p[48..60].iter().copied())),
@@ -85,7 +85,7 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     Drawn { photo: Photo::from_pixels(SIDE, SIDE, pixels).unwrap(), landmarks: p, rough }
 }
 
-/// A polygon drawn out from its centre.
+/// A polygon enlarged about its centre.
 fn grown(polygon: &[Point], by: f64) -> Vec<Point> {
     let c = mean(polygon.iter().copied());
     polygon.iter().map(|p| [c[0] + by * (p[0] - c[0]), c[1] + by * (p[1] - c[1])]).collect()
@@ -103,7 +103,7 @@ fn inside(polygon: &[Point], p: Point) -> bool {
     odd
 }
 
-/// Mean error of the 41 points that iBUG has too, in per cent of io.
+/// Mean error of the 41 points that iBUG-68 has, too, in per cent of io.
 fn error(found: &FacePoints, landmarks: &[Point; 68], which: std::ops::Range<usize>) -> f64 {
     let errors: Vec<f64> = which
         .filter_map(|i| {
@@ -111,11 +111,11 @@ fn error(found: &FacePoints, landmarks: &[Point; 68], which: std::ops::Range<usi
             Some((p[0] - landmarks[i][0]).hypot(p[1] - landmarks[i][1]))
         })
         .collect();
-    100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / IO_PX
+    100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / EYES_PX
 }
 
 #[test]
-fn a_drawn_face_is_found_from_a_rough_place() {
+fn a_drawn_face_is_found_from_an_approximate_start() {
     for seed in 1..4 {
         let face = drawn(0.0, seed);
         let found = find(&face.photo, &face.rough).unwrap();
@@ -127,7 +127,7 @@ fn a_drawn_face_is_found_from_a_rough_place() {
 }
 
 #[test]
-fn a_turned_face_is_found_to_be_turned_that_way() {
+fn the_yaw_of_a_turned_face_has_the_right_sign() {
     for yaw in [-25.0, 25.0] {
         let face = drawn(yaw, 7);
         let found = find(&face.photo, &face.rough).unwrap();
@@ -136,10 +136,10 @@ fn a_turned_face_is_found_to_be_turned_that_way() {
     }
 }
 
-/// A rendered face, what it is begun from, and how sure it is: as it is, or with the mouth and the eye at the picture's left
-/// under flat patches.
+/// A rendered face, its starting position and its confidence: unmodified, or with the mouth and the eye at the
+/// picture's left covered by flat patches.
 fn sureness(seed: u64, covered: bool) -> f64 {
-    let mut picture = Scene::portrait(seed, IO_PX, 5.0).render().unwrap();
+    let mut picture = Scene::portrait(seed, EYES_PX, 5.0).render().unwrap();
     let at = |i: usize| {
         let [x, y, _] = picture.faces[0].points_px[FeatureId::from_ibug(i).unwrap().index()];
         [x, y]
@@ -150,8 +150,8 @@ fn sureness(seed: u64, covered: bool) -> f64 {
     let (width, height) = picture.image.dimensions();
     for (middle, half) in [(left_eye, [0.3, 0.3]), (mouth, [0.5, 0.3])] {
         if covered {
-            let [x, y] = [0, 1].map(|axis| (middle[axis] - half[axis] * IO_PX) as u32);
-            let [w, h] = half.map(|half| (2.0 * half * IO_PX) as u32);
+            let [x, y] = [0, 1].map(|axis| (middle[axis] - half[axis] * EYES_PX) as u32);
+            let [w, h] = half.map(|half| (2.0 * half * EYES_PX) as u32);
             for (x, y) in (y..y + h).flat_map(|y| (x..x + w).map(move |x| (x, y))) {
                 picture.image.put_pixel(x, y, image::Rgb([150, 110, 90]));
             }
@@ -159,11 +159,11 @@ fn sureness(seed: u64, covered: bool) -> f64 {
     }
     let pixels = picture.image.pixels().map(|p| p.0).collect();
     let photo = Photo::from_pixels(width as usize, height as usize, pixels).unwrap();
-    find(&photo, &Rough { left_eye, right_eye, mouth }).unwrap().confidence().unwrap()
+    find(&photo, &RoughFace { left_eye, right_eye, mouth }).unwrap().confidence().unwrap()
 }
 
 #[test]
-fn a_face_is_sure_and_one_with_its_mouth_and_an_eye_covered_is_not() {
+fn covering_mouth_and_eye_lowers_the_confidence() {
     for seed in [4, 5, 6] {
         let (open, covered) = (sureness(seed, false), sureness(seed, true));
         assert!(open > 0.8, "seed {seed}: {open}");
@@ -172,7 +172,7 @@ fn a_face_is_sure_and_one_with_its_mouth_and_an_eye_covered_is_not() {
 }
 
 #[test]
-fn confidence_is_a_share_whatever_the_evidence() {
+fn confidence_is_a_probability_for_any_evidence() {
     let evidence = |v: f64| Evidence {
         clear: v,
         eyes: v,
@@ -182,16 +182,16 @@ fn confidence_is_a_share_whatever_the_evidence() {
         outline: v,
         misfit: -v,
         strain: -v,
-        nod_deg: -v,
-        turn_off_deg: -v,
-        glance_off: -v,
+        pitch_deg: -v,
+        yaw_mismatch_deg: -v,
+        regressor_offset: -v,
     };
     let [worst, even, best] = [-1e9, 0.3, 1e9].map(|v| evidence(v).confidence());
     assert!(0.0 < worst && worst < even && even < best && best < 1.0, "{worst} {even} {best}");
 }
 
 #[test]
-fn the_papers_way_finds_a_drawn_face_too() {
+fn the_papers_method_finds_a_drawn_face() {
     let face = drawn(0.0, 2);
     let found = paper::find(&face.photo, &face.rough);
     assert!(error(&found, &face.landmarks, 36..48) < 7.0, "eyes");
@@ -208,13 +208,13 @@ fn the_same_photograph_gives_the_same_points() {
 }
 
 #[test]
-fn what_is_no_face_gives_finite_points() {
+fn pictures_without_a_face_give_finite_points() {
     let photo = Photo::from_pixels(40, 32, vec![[0, 0, 0]; 40 * 32]).unwrap();
     let at = [20.0, 16.0];
     for rough in [
-        Rough { left_eye: at, right_eye: at, mouth: at },
-        Rough { left_eye: [-1e6, 0.0], right_eye: [1e6, 5.0], mouth: [0.0, 1e6] },
-        Rough { left_eye: [30.0, 10.0], right_eye: [10.0, 10.0], mouth: [20.0, 2.0] },
+        RoughFace { left_eye: at, right_eye: at, mouth: at },
+        RoughFace { left_eye: [-1e6, 0.0], right_eye: [1e6, 5.0], mouth: [0.0, 1e6] },
+        RoughFace { left_eye: [30.0, 10.0], right_eye: [10.0, 10.0], mouth: [20.0, 2.0] },
     ] {
         for found in [find(&photo, &rough).unwrap(), paper::find(&photo, &rough)] {
             assert!(found.points.iter().all(|p| p.at[0].is_finite() && p.at[1].is_finite()));

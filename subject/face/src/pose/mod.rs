@@ -1,4 +1,4 @@
-//! Which way a head looks, from its eyes and its outline alone (Yang et al. 2004, section 4).
+//! Head pose from eyes and outline alone (Yang et al. 2004, section 4).
 
 #[cfg(test)]
 mod tests;
@@ -7,17 +7,16 @@ use thiserror::Error;
 
 use crate::vector::{Point, along, direction, distance};
 
-/// How yaw follows from where the eyes sit in the face.
+/// The rule that gives yaw from the position of the eyes between the edges of the face.
 ///
-/// On random heads of the [model](super::model) turned by up to 35 degrees, the mean error of the arcsine is 3.3 degrees and
-/// that of the printed rule 5.0, where the outline is places on the jaw as annotators mark them; where it is the edge of
-/// what is seen, which bulges on the far side, it is 4.8 and 2.8. A [fit](super::model::Model::fit_shape)
-/// of all points needs no outline.
+/// On random heads of the [model](super::model) turned by up to 35 degrees, with an outline of annotated places on the
+/// jaw, the mean error of the arcsine is 3.3 degrees and that of the printed rule 5.0. With the visible edge, which
+/// bulges on the far side, it is 4.8 and 2.8. A [fit](super::model::Model::fit_shape) of all points needs no outline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum YawRule {
-    /// π · MC/PQ, as (Yang et al. 2004) has it. Near 0 it is 57 % too steep: on a cylinder MC/PQ is half the sine.
+    /// π · MC/PQ, as (Yang et al. 2004) print it. Near 0 it is 57 % too steep: on a cylinder MC/PQ is half the sine.
     Printed,
-    /// The angle whose sine is 2 · MC/PQ: exact on a cylinder whose front half is seen.
+    /// arcsin(2 · MC/PQ): exact on a cylinder whose front half is visible.
     #[default]
     Arcsine,
 }
@@ -25,8 +24,8 @@ pub enum YawRule {
 /// Why there is no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum PoseError {
-    /// The outer eye corners are in one place, or not finite.
-    #[error("the outer eye corners are not two places")]
+    /// The outer eye corners coincide or are not finite.
+    #[error("the outer eye corners coincide")]
     Eyes,
     /// The line does not cross the outline on both sides of the face.
     #[error("the line through the eyes does not cross the face's outline on both sides")]
@@ -36,24 +35,24 @@ pub enum PoseError {
 /// The line through the outer eye corners, cut by the outline of the face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EyeLine {
-    /// P: where the line leaves the face on the left of the picture.
+    /// P: where the line leaves the face at the left of the picture.
     pub left_px: [f64; 2],
-    /// Q: where it leaves the face on the right of the picture.
+    /// Q: where it leaves the face at the right of the picture.
     pub right_px: [f64; 2],
-    /// Angle of the line: positive where the head is turned counter-clockwise in the picture. Degrees.
+    /// Angle of the line in degrees, positive if the head is rotated counter-clockwise in the picture.
     pub roll_deg: f64,
-    /// MC/PQ, where C is the middle of PQ: positive where the eyes sit to the right in the face.
+    /// MC/PQ, where M is the middle of the eyes and C that of PQ: positive if the eyes sit to the right in the face.
     pub offset: f64,
 }
 
 impl EyeLine {
-    /// Cuts a closed outline (pixels, y down, any sense) with the line through the outer eye corners: of the one that is
-    /// left in the picture, and of the one that is right.
+    /// Cuts a closed outline (pixels, y down, either orientation) with the line through the outer eye corners, the
+    /// picture's left one first.
     ///
-    /// Where the outline is crossed more than twice, the crossings nearest to the eyes count.
+    /// If there are more than two crossings, those nearest to the eyes count.
     ///
     /// # Errors
-    /// Eyes in one place, or an outline that does not enclose them.
+    /// [`PoseError`] if the eyes coincide or the outline does not enclose them.
     pub fn new(
         left_eye_px: [f64; 2],
         right_eye_px: [f64; 2],
@@ -64,7 +63,7 @@ impl EyeLine {
             return Err(PoseError::Eyes);
         }
         let line = direction(left_eye_px, right_eye_px);
-        // From the left eye, along the line and across it.
+        // Coordinates from the left eye, along the line and across it.
         let local = |p: Point| {
             let d = [p[0] - left_eye_px[0], p[1] - left_eye_px[1]];
             [d[0] * line[0] + d[1] * line[1], d[1] * line[0] - d[0] * line[1]]
@@ -94,9 +93,9 @@ impl EyeLine {
         })
     }
 
-    /// Yaw in degrees: positive where the nose points to the right of the picture.
+    /// Yaw in degrees: positive if the nose points to the right of the picture.
     ///
-    /// Beyond what the arcsine knows (eyes at the very edge of the face) it is 90.
+    /// 90 beyond the domain of the arcsine (eyes at the very edge of the face).
     pub fn yaw_deg(&self, rule: YawRule) -> f64 {
         match rule {
             YawRule::Printed => 180.0 * self.offset,

@@ -1,9 +1,9 @@
 use super::*;
 use crate::model::{Camera, Model};
-use mocapd_testkit::photograph::Random;
+use mocapd_testkit::photograph::PictureRng;
 
-/// The outline of an upright cylinder of radius 100 around the origin, turned in the picture by `roll`, and its eyes
-/// painted at `side` radians left and right of a middle that is turned by `yaw`.
+/// The outline of an upright cylinder of radius 100 around the origin, rotated in the picture by `roll`, and eyes
+/// painted `side` radians left and right of a midline that is turned by `yaw`.
 fn cylinder(yaw_deg: f64, roll_deg: f64) -> ([f64; 2], [f64; 2], Vec<[f64; 2]>) {
     let (sin, cos) = roll_deg.to_radians().sin_cos();
     // Counter-clockwise in a picture whose y points down.
@@ -20,7 +20,7 @@ fn on_a_cylinder_the_arcsine_is_right() {
             let (left, right, outline) = cylinder(yaw, roll);
             let line = EyeLine::new(left, right, &outline).unwrap();
             assert!((line.roll_deg - roll).abs() < 1e-9, "{line:?}");
-            // The middle of a chord is nearer to the axis than its arc's middle, by the cosine of half its width.
+            // The midpoint of a chord is nearer to the axis than that of its arc, by the cosine of half its width.
             let expected = (yaw.to_radians().sin() * 0.3f64.cos()).asin().to_degrees();
             assert!((line.yaw_deg(YawRule::Arcsine) - expected).abs() < 1e-9, "{yaw}: {line:?}");
         }
@@ -28,7 +28,7 @@ fn on_a_cylinder_the_arcsine_is_right() {
 }
 
 #[test]
-fn the_printed_rule_is_as_printed() {
+fn the_printed_rule_gives_the_printed_angles() {
     let line = EyeLine::new(
         [90.0, 0.0],
         [130.0, 0.0],
@@ -42,8 +42,8 @@ fn the_printed_rule_is_as_printed() {
 }
 
 #[test]
-fn the_crossings_nearest_to_the_eyes_count() {
-    // A face with an ear that the outline runs around.
+fn the_crossings_nearest_to_the_eyes_are_used() {
+    // A face with an ear that the outline follows.
     let outline = [
         [0.0, -50.0],
         [200.0, -50.0],
@@ -68,10 +68,10 @@ fn eyes_outside_of_the_face_are_refused() {
     assert_eq!(EyeLine::new([50.0, 0.0], [90.0, 0.0], &[]), Err(PoseError::Outline));
 }
 
-/// Mean errors of both rules on random heads turned by up to 35 degrees, with an outline of the caller's.
+/// Mean errors of both rules on random heads turned by up to 35 degrees, for outlines given by the caller.
 fn errors_deg(outline: impl Fn(&Model, &Camera, &[[f64; 3]]) -> Vec<[f64; 2]>) -> [f64; 2] {
     let model = Model::generic().unwrap();
-    let mut random = Random::new(21);
+    let mut random = PictureRng::new(21);
     let mut errors = [0.0; 2];
     let rounds = 100;
     for _ in 0..rounds {
@@ -98,16 +98,16 @@ fn errors_deg(outline: impl Fn(&Model, &Camera, &[[f64; 3]]) -> Vec<[f64; 2]>) -
     errors
 }
 
-/// Which rule is nearer depends on what the outline is: places on the jaw, as annotators mark them, or the edge of what is
-/// seen, which bulges on the far side.
+/// Which rule is more accurate depends on the outline: points on the jaw, as annotators mark them, or the visible edge,
+/// which bulges on the far side.
 #[test]
-fn each_rule_has_its_outline() {
+fn each_rule_is_better_for_one_kind_of_outline() {
     let annotated = errors_deg(|model, camera, vertices| {
         let side = |side: &str| (1..=8).map(|i| format!("{side}_jaw_{i}")).collect::<Vec<_>>();
         let names =
             side("right").into_iter().chain(["chin".into()]).chain(side("left").into_iter().rev());
         let mut jaw: Vec<[f64; 3]> = names.map(|name| vertices[model.features[&name]]).collect();
-        // The jaw's points end at the height of the eyes: on, straight up.
+        // Above the last jaw points, at eye height, the outline continues straight up.
         let up = |[x, y, z]: [f64; 3]| [x, y + 60.0, z];
         let ends = [up(jaw[jaw.len() - 1]), up(jaw[0])];
         jaw.extend(ends);

@@ -1,28 +1,28 @@
-//! Samples column by column, so that a general compressor finds what repeats.
+//! The column encoding of samples in foreign parts (`docs/foreign.md`), which a general compressor compresses well.
 //!
-//! A column is one signal from its first sample to its last. A sample is a word of 2 or 4 bytes. Floats are first
-//! mapped to integers that keep their order. Each sample is then replaced by its difference to the one before
-//! (the first to 0, modulo 2^16 or 2^32), zigzagged, and the bytes of the differences are stored plane by plane:
-//! the highest bytes of all samples, then the next lower ones.
+//! A column is one signal from its first sample to its last; a sample is a word of 2 or 4 bytes. Floats are first
+//! mapped to integers of the same order. Each sample is then replaced by its difference from the previous one (the
+//! first one's difference from 0, modulo 2^16 or 2^32) in zigzag code, and the bytes of the differences are stored
+//! plane by plane: the highest bytes of all samples first, then the next lower ones.
 
 use std::{io, ops::Range};
 
 use crate::foreign::content::{Content, ContentSlice};
 
-/// Most columns: four words each of as many points as 16 bits count, the most of a C3D frame. Analog channels are fewer.
+/// Most columns: four words for each of 65535 points, the most of a C3D frame. Analog channels are fewer.
 const COLUMNS_MAX: usize = 4 * u16::MAX as usize;
 
-/// The bits of a float as an integer of the same order: smooth signals have small differences.
+/// Maps the bits of a float to an integer of the same order, so that smooth signals have small differences.
 pub(super) fn ordered(bits: u32) -> u32 {
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
 }
 
-/// The reverse of [`ordered`].
+/// The inverse of [`ordered`].
 fn unordered(value: u32) -> u32 {
     if value >> 31 == 1 { value & !(1 << 31) } else { !value }
 }
 
-/// The number that a sample of `width` bytes stands for: a float's bits in order, or an integer.
+/// The value of a sample of `width` bytes: a float mapped by [`ordered`] (4 bytes), or an integer (2 bytes).
 pub(super) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
     match width {
         4 => f32::from_bits(unordered(sample)),
@@ -36,11 +36,11 @@ pub(super) fn push(out: &mut Vec<u8>, width: usize, samples: impl ExactSizeItera
     let n_samples = samples.len();
     let start = out.len();
     out.resize(start + width * n_samples, 0);
-    let mut before = 0u32;
+    let mut previous = 0u32;
     let (_, planes) = out.split_at_mut(start);
     for (index, sample) in samples.enumerate() {
-        let zigzag = zigzag(before, sample, width);
-        before = sample;
+        let zigzag = zigzag(previous, sample, width);
+        previous = sample;
         let bytes = zigzag.to_be_bytes().into_iter().skip(size_of::<u32>() - width);
         for (plane, byte) in bytes.enumerate() {
             if let Some(place) = planes.get_mut(plane * n_samples + index) {
@@ -50,43 +50,38 @@ pub(super) fn push(out: &mut Vec<u8>, width: usize, samples: impl ExactSizeItera
     }
 }
 
-/// A column of 32-bit samples that is written over another of the same length, some samples at a time.
+/// Overwrites a column of 32-bit samples with another one of the same length, in batches of samples.
 #[derive(Debug)]
-pub(super) struct WideColumn {
+pub(super) struct ColumnRewriter {
     zigzags: Vec<u32>,
-    before: u32,
+    previous: u32,
     written: usize,
 }
 
-impl WideColumn {
-    /// Samples that are written at once.
+impl ColumnRewriter {
+    /// Samples in a batch.
     const SAMPLES: usize = 1 << 12;
 
     pub(super) const fn new() -> Self {
-        Self { zigzags: Vec::new(), before: 0, written: 0 }
+        Self { zigzags: Vec::new(), previous: 0, written: 0 }
     }
 
     /// Adds a sample.
     pub(super) fn push(&mut self, sample: u32) {
-        self.zigzags.push(zigzag(self.before, sample, size_of::<u32>()));
-        self.before = sample;
+        self.zigzags.push(zigzag(self.previous, sample, size_of::<u32>()));
+        self.previous = sample;
     }
 
-    /// Whether it is time to write.
+    /// Whether the batch is full and must be written.
     pub(super) fn is_full(&self) -> bool {
         self.zigzags.len() >= Self::SAMPLES
     }
 
-    /// Writes what was added to its place in a column of `n_samples` that begins at byte `from`.
-    pub(super) fn write(
-        &mut self,
-        data: &mut Content,
-        from: u64,
-        n_samples: usize,
-    ) -> io::Result<()> {
+    /// Writes the batch to its place in a column of `length` samples that begins at byte `from`.
+    pub(super) fn write(&mut self, data: &mut Content, from: u64, length: usize) -> io::Result<()> {
         for plane in 0..size_of::<u32>() {
             let bytes = self.zigzags.iter().map(|zigzag| zigzag.to_be_bytes()[plane]);
-            let at = from + (plane * n_samples + self.written) as u64;
+            let at = from + (plane * length + self.written) as u64;
             data.write_at(at, &bytes.collect::<Vec<u8>>())?;
         }
         self.written += self.zigzags.len();
@@ -95,56 +90,57 @@ impl WideColumn {
     }
 }
 
-/// What is stored of a sample of `width` bytes that follows `before`.
-fn zigzag(before: u32, sample: u32, width: usize) -> u32 {
+/// The zigzag code of a sample of `width` bytes after `previous`.
+fn zigzag(previous: u32, sample: u32, width: usize) -> u32 {
     let unused_bits = u32::BITS - 8 * width as u32;
-    let difference = (sample.wrapping_sub(before) << unused_bits) as i32 >> unused_bits;
+    let difference = (sample.wrapping_sub(previous) << unused_bits) as i32 >> unused_bits;
     (difference << 1 ^ difference >> 31) as u32
 }
 
-/// Columns of equal length, read one sample of each at a time.
+/// Reads columns of equal length, one sample of each at a time.
 #[derive(Debug)]
-pub(super) struct Columns<'a> {
+pub(super) struct ColumnReader<'a> {
     data: ContentSlice<'a>,
     width: usize,
     n_samples: usize,
     next: usize,
-    before: Vec<u32>,
+    previous: Vec<u32>,
     block: Block,
 }
 
-/// The bytes of some samples: of each plane of each column as many.
+/// Buffered samples: the same range of every plane of every column.
 #[derive(Debug)]
 struct Block {
     bytes: Vec<u8>,
-    /// Samples that fit.
+    /// Capacity in samples.
     samples: usize,
-    /// Those that it holds.
-    held: Range<usize>,
+    /// The buffered range of samples.
+    buffered: Range<usize>,
 }
 
-impl<'a> Columns<'a> {
-    /// `n_columns` columns of `n_samples` samples of `width` bytes (2 or 4), of which at most `room` bytes are held, and at
-    /// least one sample; `None` when the data is not that long, or is of more columns than a C3D file has words in a frame.
+impl<'a> ColumnReader<'a> {
+    /// Reads `n_columns` columns of `n_samples` samples of `width` bytes (2 or 4), and buffers at most `buffer_bytes`
+    /// bytes, but at least one sample. `None` if the data has another length, or more columns than a C3D frame has
+    /// words.
     pub(super) fn new(
         data: ContentSlice<'a>,
         width: usize,
         n_columns: usize,
         n_samples: usize,
-        room: usize,
+        buffer_bytes: usize,
     ) -> Option<Self> {
         let expected = n_columns.checked_mul(n_samples)?.checked_mul(width)?;
-        // Columns without samples would earn memory for `before` from nothing.
+        // A damaged part may claim any number of empty columns: they must not cost memory.
         let n_columns = if n_samples == 0 { 0 } else { n_columns };
         let n_planes = n_columns.checked_mul(width)?;
-        let samples = (room / n_planes.max(1)).clamp(1, n_samples.max(1));
+        let samples = (buffer_bytes / n_planes.max(1)).clamp(1, n_samples.max(1));
         (data.len() == expected as u64 && n_columns <= COLUMNS_MAX).then(|| Self {
             data,
             width,
             n_samples,
             next: 0,
-            before: vec![0; n_columns],
-            block: Block { bytes: Vec::new(), samples, held: 0..0 },
+            previous: vec![0; n_columns],
+            block: Block { bytes: Vec::new(), samples, buffered: 0..0 },
         })
     }
 
@@ -153,36 +149,36 @@ impl<'a> Columns<'a> {
         if self.next >= self.n_samples {
             return Ok(None);
         }
-        if !self.block.held.contains(&self.next) {
+        if !self.block.buffered.contains(&self.next) {
             self.read_block()?;
         }
-        let n_held = self.block.held.len();
-        let place = self.next - self.block.held.start;
+        let n_buffered = self.block.buffered.len();
+        let place = self.next - self.block.buffered.start;
         let mask = if self.width == 2 { 0xFFFF } else { u32::MAX };
-        let columns = self.block.bytes.chunks_exact(self.width * n_held);
-        for (before, planes) in self.before.iter_mut().zip(columns) {
-            let bytes = planes.iter().skip(place).step_by(n_held);
+        let columns = self.block.bytes.chunks_exact(self.width * n_buffered);
+        for (previous, planes) in self.previous.iter_mut().zip(columns) {
+            let bytes = planes.iter().skip(place).step_by(n_buffered);
             let zigzag = bytes.fold(0u32, |word, &byte| word << 8 | u32::from(byte));
             let difference = zigzag >> 1 ^ (zigzag & 1).wrapping_neg();
-            *before = before.wrapping_add(difference) & mask;
+            *previous = previous.wrapping_add(difference) & mask;
         }
         self.next += 1;
-        Ok(Some(&self.before))
+        Ok(Some(&self.previous))
     }
 
-    /// Reads the samples from the next on.
+    /// Fills the buffer from the next sample on.
     fn read_block(&mut self) -> io::Result<()> {
-        let n_held = self.block.samples.min(self.n_samples - self.next);
-        let n_planes = self.before.len() * self.width;
-        self.block.bytes.resize(n_planes * n_held, 0);
-        for (plane, bytes) in self.block.bytes.chunks_exact_mut(n_held).enumerate() {
+        let n_buffered = self.block.samples.min(self.n_samples - self.next);
+        let n_planes = self.previous.len() * self.width;
+        self.block.bytes.resize(n_planes * n_buffered, 0);
+        for (plane, bytes) in self.block.bytes.chunks_exact_mut(n_buffered).enumerate() {
             self.data.read_at((plane * self.n_samples + self.next) as u64, bytes)?;
         }
-        self.block.held = self.next..self.next + n_held;
+        self.block.buffered = self.next..self.next + n_buffered;
         Ok(())
     }
 
-    /// Passes over samples.
+    /// Skips samples.
     pub(super) fn skip(&mut self, n_samples: usize) -> io::Result<()> {
         for _ in 0..n_samples {
             if self.next()?.is_none() {
@@ -200,13 +196,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn wide_columns_come_back(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40), room in 0usize..100) {
+        fn wide_columns_round_trip(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40), buffer_bytes in 0usize..100) {
             let mut data = Vec::new();
             for column in 0..3 {
                 push(&mut data, 4, rows.iter().map(|row| ordered(row[column])));
             }
             let data = Content::from(data);
-            let mut columns = Columns::new(data.as_slice(), 4, 3, rows.len(), room).expect("as long as announced");
+            let mut columns = ColumnReader::new(data.as_slice(), 4, 3, rows.len(), buffer_bytes).expect("as long as announced");
             for row in &rows {
                 let found: Vec<u32> = columns.next().unwrap().expect("a row").iter().map(|&v| unordered(v)).collect();
                 prop_assert_eq!(&found[..], &row[..]);
@@ -215,13 +211,13 @@ mod tests {
         }
 
         #[test]
-        fn narrow_columns_come_back(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), skip in 0usize..3, room in 0usize..100) {
+        fn narrow_columns_round_trip(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), skip in 0usize..3, buffer_bytes in 0usize..100) {
             let mut data = Vec::new();
             for column in 0..2 {
                 push(&mut data, 2, rows.iter().map(|row| u32::from(row[column])));
             }
             let data = Content::from(data);
-            let mut columns = Columns::new(data.as_slice(), 2, 2, rows.len(), room).expect("as long as announced");
+            let mut columns = ColumnReader::new(data.as_slice(), 2, 2, rows.len(), buffer_bytes).expect("as long as announced");
             columns.skip(skip).unwrap();
             for row in rows.iter().skip(skip) {
                 let found: Vec<u16> = columns.next().unwrap().expect("a row").iter().map(|&v| v as u16).collect();
@@ -239,7 +235,7 @@ mod tests {
     #[test]
     fn a_wrong_length_is_refused() {
         let data = Content::from(vec![0; 7]);
-        assert!(Columns::new(data.as_slice(), 4, 1, 2, 8).is_none());
-        assert!(Columns::new(Content::default().as_slice(), 4, usize::MAX, 2, 8).is_none());
+        assert!(ColumnReader::new(data.as_slice(), 4, 1, 2, 8).is_none());
+        assert!(ColumnReader::new(Content::default().as_slice(), 4, usize::MAX, 2, 8).is_none());
     }
 }

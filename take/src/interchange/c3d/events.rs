@@ -1,37 +1,37 @@
-//! The EVENT group: what happened, and when.
+//! The EVENT group, which holds the events of a trial.
 //!
-//! CONTEXTS, LABELS, DESCRIPTIONS and SUBJECTS are texts, TIMES pairs of minutes and seconds, `ICON_IDS` words and
-//! `GENERIC_FLAGS` bytes, an entry an event. Times count from frame number 1, not from the first frame of the file
-//! (as Vicon's software and BTK count them).
+//! Its parameters have one element for each event: texts in CONTEXTS, LABELS, DESCRIPTIONS and SUBJECTS, minutes and
+//! seconds in TIMES, integers in `ICON_IDS` and bytes in `GENERIC_FLAGS`. Times count from frame number 1, not from the
+//! first frame of the file, as in Vicon's software and BTK.
 
-use super::parameters::{MAX_STRINGS, Parameter, Parameters};
+use super::parameters::{DIMENSION_MAX, Parameter, Parameters};
 use crate::motion::{MotionEvent, MotionInfo};
 use crate::record::EventKind;
 
 /// Name of the group.
 const EVENT: &str = "EVENT";
-/// What says nothing about an event.
+/// The context that carries no information.
 const GENERAL: &str = "General";
-/// Most events that are written: dimensions count to 255.
+/// Most events that an export writes: a dimension is at most 255.
 pub(in crate::interchange) const EVENTS_MAX: usize = 255;
-/// Most bytes of all labels: as much as a parameter holds.
+/// Most bytes of all labels together: what one parameter holds.
 const LABEL_BYTES_MAX: usize = 32_000;
 
-/// An event as the group has it.
+/// An event as the group stores it.
 #[derive(Debug, Clone, PartialEq)]
-struct Entry {
+struct EventEntry {
     context: String,
     label: String,
     description: String,
     subject: String,
-    /// Minutes, seconds.
+    /// Minutes and seconds.
     time: [f32; 2],
     icon: u16,
     flag: u8,
 }
 
-impl Entry {
-    /// What it says: a context of its own, and the label.
+impl EventEntry {
+    /// The context, unless it is `General`, and the label.
     fn text(&self) -> String {
         let context = self.context.trim();
         let context = if context.eq_ignore_ascii_case(GENERAL) { "" } else { context };
@@ -43,7 +43,7 @@ impl Entry {
         text
     }
 
-    /// As an event of a file whose first frame has the number `first_frame`; `None` when it lies outside.
+    /// The event in a file whose first frame has the number `first_frame`; `None` if it lies outside of the file.
     fn event(&self, rate_hz: f64, first_frame: u64, n_frames: u64) -> Option<MotionEvent> {
         let [minutes, seconds] = self.time.map(f64::from);
         let from_one = ((minutes * 60.0 + seconds) * rate_hz).round();
@@ -51,23 +51,22 @@ impl Entry {
         if !(0.0..n_frames as f64).contains(&frame) {
             return None;
         }
-        let kind = EventKind::from_word(&self.description).unwrap_or(EventKind::Mark);
+        let kind = EventKind::from_name(&self.description).unwrap_or(EventKind::Mark);
         Some(MotionEvent { frame: frame as u64, kind, text: self.text() })
     }
 }
 
-/// The entries of the group, in order.
-fn entries(parameters: &Parameters) -> Vec<Entry> {
-    let words =
-        |name: &str| parameters.get(EVENT, name).map(Parameter::numbers).unwrap_or_default();
+/// The entries of the group in file order.
+fn entries(parameters: &Parameters) -> Vec<EventEntry> {
+    let numbers = |name| parameters.get(EVENT, name).map(Parameter::numbers).unwrap_or_default();
     let times: Vec<f32> = parameters.get(EVENT, "TIMES").map(Parameter::floats).unwrap_or_default();
     let texts = |name: &str| parameters.texts(EVENT, name);
     let (contexts, labels) = (texts("CONTEXTS"), texts("LABELS"));
     let (descriptions, subjects) = (texts("DESCRIPTIONS"), texts("SUBJECTS"));
-    let (icons, flags) = (words("ICON_IDS"), words("GENERIC_FLAGS"));
+    let (icons, flags) = (numbers("ICON_IDS"), numbers("GENERIC_FLAGS"));
     let used = parameters.number(EVENT, "USED").map_or(usize::MAX, |used| used as usize);
     let at = |list: &[String], index: usize| list.get(index).cloned().unwrap_or_default();
-    let entry = |(index, &time): (usize, &[f32; 2])| Entry {
+    let entry = |(index, &time): (usize, &[f32; 2])| EventEntry {
         context: at(&contexts, index),
         label: at(&labels, index),
         description: at(&descriptions, index),
@@ -79,7 +78,7 @@ fn entries(parameters: &Parameters) -> Vec<Entry> {
     times.as_chunks::<2>().0.iter().take(used).enumerate().map(entry).collect()
 }
 
-/// The events among the frames of a file; others stay in the group that is kept.
+/// The events within the frames of a file. Others remain in the kept group only.
 pub(super) fn read(
     parameters: &Parameters,
     rate_hz: f64,
@@ -93,8 +92,8 @@ pub(super) fn read(
     events
 }
 
-/// Makes the group say what happened. A group that says it already stays as it came, and so do those of its entries
-/// that are still true.
+/// Updates the group to the events of `info`. A group with the same events stays unchanged; otherwise entries of events
+/// that still exist keep their contexts, exact times and flags.
 pub(super) fn fill(parameters: &mut Parameters, info: &MotionInfo, whole: bool) {
     let first_frame = info.source.first_frame.max(1);
     let kept = entries(parameters);
@@ -104,41 +103,39 @@ pub(super) fn fill(parameters: &mut Parameters, info: &MotionInfo, whole: bool) 
         return;
     }
     let subject = parameters.text("SUBJECTS", "NAMES").unwrap_or_default();
-    let events = written(&info.events);
+    let events = select_events(&info.events);
     let label_bytes = LABEL_BYTES_MAX / events.len().max(1);
-    let mut left: Vec<Option<Entry>> = kept.into_iter().map(Some).collect();
-    let entries: Vec<Entry> = events
-        .into_iter()
-        .map(|event| {
-            let same = |entry: &&mut Option<Entry>| {
-                let found = entry.as_ref();
-                let found = found.and_then(|e| e.event(info.rate_hz, first_frame, info.n_frames));
-                found.as_ref() == Some(event)
-            };
-            let kept = left.iter_mut().find(same).and_then(Option::take);
-            kept.unwrap_or_else(|| Entry {
-                context: GENERAL.to_owned(),
-                label: cut(event.label(), label_bytes.min(255)).to_owned(),
-                description: event.kind.word().to_owned(),
-                subject: subject.clone(),
-                time: time(first_frame - 1 + event.frame, info.rate_hz),
-                icon: 0,
-                flag: 0,
-            })
+    let mut left: Vec<Option<EventEntry>> = kept.into_iter().map(Some).collect();
+    let entry = |event: &MotionEvent| {
+        let same = |entry: &&mut Option<EventEntry>| {
+            let found = entry.as_ref();
+            let found = found.and_then(|e| e.event(info.rate_hz, first_frame, info.n_frames));
+            found.as_ref() == Some(event)
+        };
+        let kept = left.iter_mut().find(same).and_then(Option::take);
+        kept.unwrap_or_else(|| EventEntry {
+            context: GENERAL.to_owned(),
+            label: cut(event.label(), label_bytes.min(255)).to_owned(),
+            description: event.kind.name().to_owned(),
+            subject: subject.clone(),
+            time: time(first_frame - 1 + event.frame, info.rate_hz),
+            icon: 0,
+            flag: 0,
         })
-        .collect();
+    };
+    let entries: Vec<EventEntry> = events.into_iter().map(entry).collect();
     set(parameters, &entries);
 }
 
-/// Sets the EVENT group: at most 255 events, whose texts together stay within what a parameter holds.
-fn set(parameters: &mut Parameters, entries: &[Entry]) {
-    let n = entries.len().min(MAX_STRINGS) as u8;
-    // What the group had of its own would stand beside other events.
+/// Writes the EVENT group: at most 255 events, whose texts fit in one parameter each.
+fn set(parameters: &mut Parameters, entries: &[EventEntry]) {
+    let n = entries.len().min(DIMENSION_MAX) as u8;
+    // Unknown parameters of the old group would belong to other events.
     if let Some(id) = parameters.group_id(EVENT) {
         parameters.parameters.retain(|parameter| parameter.group != id);
     }
-    parameters.set_word(EVENT, "USED", u16::from(n));
-    let texts = |text: fn(&Entry) -> &String| entries.iter().map(text).cloned().collect();
+    parameters.set_integer(EVENT, "USED", u16::from(n));
+    let texts = |text: fn(&EventEntry) -> &String| entries.iter().map(text).cloned().collect();
     let lists: [(&str, Vec<String>); 4] = [
         ("CONTEXTS", texts(|entry| &entry.context)),
         ("LABELS", texts(|entry| &entry.label)),
@@ -146,36 +143,36 @@ fn set(parameters: &mut Parameters, entries: &[Entry]) {
         ("SUBJECTS", texts(|entry| &entry.subject)),
     ];
     for (name, texts) in &lists {
-        // None is longer than what was read or cut.
+        // Fails, and leaves the list out, only for a text of Latin-1 that exceeds 255 bytes as UTF-8.
         parameters.set_texts(EVENT, name, texts).unwrap_or_default();
     }
     let times = entries.iter().flat_map(|entry| entry.time).flat_map(f32::to_le_bytes);
     parameters.set(EVENT, "TIMES", 4, vec![2, n], times.collect());
     let icons: Vec<u16> = entries.iter().map(|entry| entry.icon).collect();
-    parameters.set_word_list(EVENT, "ICON_IDS", &icons);
+    parameters.set_integer_list(EVENT, "ICON_IDS", &icons);
     let flags = entries.iter().map(|entry| entry.flag).collect();
     parameters.set(EVENT, "GENERIC_FLAGS", 1, vec![n], flags);
 }
 
-/// As many events as the group holds, in order: what people and triggers marked before what machines noticed.
-fn written(events: &[MotionEvent]) -> Vec<&MotionEvent> {
-    let is_meant =
-        |event: &&MotionEvent| !matches!(event.kind, EventKind::Device | EventKind::Host);
-    let mut some: Vec<&MotionEvent> = events.iter().filter(is_meant).take(EVENTS_MAX).collect();
-    let room = EVENTS_MAX - some.len();
-    some.extend(events.iter().filter(|event| !is_meant(event)).take(room));
-    some.sort_by_key(|event| event.frame);
-    some
+/// At most [`EVENTS_MAX`] events in order of time; marks, triggers and sync pulses take precedence over the events of
+/// device and host.
+fn select_events(events: &[MotionEvent]) -> Vec<&MotionEvent> {
+    let is_preferred = |e: &&MotionEvent| !matches!(e.kind, EventKind::Device | EventKind::Host);
+    let mut chosen: Vec<_> = events.iter().filter(is_preferred).take(EVENTS_MAX).collect();
+    let n_free = EVENTS_MAX - chosen.len();
+    chosen.extend(events.iter().filter(|event| !is_preferred(event)).take(n_free));
+    chosen.sort_by_key(|event| event.frame);
+    chosen
 }
 
-/// Minutes and seconds of a frame counted from 0: a float of all seconds would be off by frames after hours.
+/// Minutes and seconds of a frame counted from 0. An f32 of seconds alone would be off by frames after some hours.
 fn time(frame: u64, rate_hz: f64) -> [f32; 2] {
     let time_s = frame as f64 / rate_hz;
     let minutes = (time_s / 60.0).floor();
     [minutes as f32, (time_s - 60.0 * minutes) as f32]
 }
 
-/// The beginning of a text, whole characters.
+/// The first characters of a text that fit in `bytes` bytes.
 fn cut(text: &str, bytes: usize) -> &str {
     let end = (0..=bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end));
     text.get(..end.unwrap_or(0)).unwrap_or(text)

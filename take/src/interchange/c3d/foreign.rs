@@ -1,10 +1,11 @@
-//! What a C3D file holds beside marker trajectories, kept for the way back (`docs/foreign.md`).
+//! The foreign parts of a C3D file: all content besides marker trajectories, kept for a later export to C3D
+//! (`docs/foreign.md`).
 //!
-//! | kind | what |
+//! | kind | content |
 //! |---|---|
 //! | `c3d/parameters` | header fields and events, all groups and parameters |
 //! | `c3d/analog` | analog samples |
-//! | `c3d/residuals` | the fourth word of the markers' samples, when one of them is not zero |
+//! | `c3d/residuals` | the fourth words of the markers' samples, if one of them is not zero |
 //! | `c3d/model-outputs` | points that are not positions |
 //! | `c3d/gap-coordinates` | coordinates of samples that are marked as missing |
 
@@ -12,59 +13,51 @@ use std::io;
 
 use super::{
     VERSION,
-    columns::{self, Columns, ordered},
+    columns::{self, ColumnReader, ordered},
     frames::{Frames, Points},
     gap_coordinates,
-    header::{ByteOrder, Header, HeaderEvent, MAX_EVENTS},
+    header::{ByteOrder, C3dHeader, HeaderEvent, MAX_EVENTS},
     parameters::{Parameters, encode_records},
 };
 use crate::{
     foreign::content::ContentSlice,
-    interchange::turn::Turn,
+    interchange::rotation::Rotation,
     motion::{Foreign, Position, is_gap},
 };
 
-/// Bytes of samples that are held of a part: of 64 channels of floats 4096 samples each, read 4 kB at a time.
+/// Size of the buffer for reading a part: for 64 channels of floats 4096 samples each, read in pieces of 4 kB.
 const BLOCK_BYTES: usize = 1 << 20;
-/// Most bytes of the parameters: 255 blocks of 512 bytes in a C3D file; what a turn or a version to come adds is far less.
+/// Most bytes of the parameters. A C3D file has at most 255 blocks of 512 bytes; a rotation adds little.
 const PARAMETERS_BYTES_MAX: u64 = 1 << 20;
 
-/// Kind of the parameters.
 const PARAMETERS: &str = "c3d/parameters";
-/// Kind of the analog samples.
 const ANALOG: &str = "c3d/analog";
-/// Kind of the fourth words.
 const RESIDUALS: &str = "c3d/residuals";
-/// Kind of the model outputs.
 pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
 
-/// Everything to keep.
+/// The foreign parts of a file, except for coordinates under gaps.
 pub(super) fn keep(
-    header: &Header,
+    header: &C3dHeader,
     parameters: &Parameters,
     frames: &Frames<'_>,
     points: &Points,
     positions: &[Position],
 ) -> Vec<Foreign> {
-    let mut kept = Vec::new();
-    let mut push =
-        |kind: &str, data: Vec<u8>| kept.push(Foreign { kind: kind.to_owned(), data: data.into() });
-    push(PARAMETERS, parameters_data(header, parameters));
-    if frames.layout.stride.analog_per_frame > 0 {
-        push(ANALOG, analog_data(frames));
-    }
-    if let Some(data) = residual_data(frames, points, positions) {
-        push(RESIDUALS, data);
-    }
-    if !points.outputs.is_empty() {
-        push(MODEL_OUTPUTS, output_data(frames, points));
-    }
-    kept
+    let parts = [
+        (PARAMETERS, Some(parameters_data(header, parameters))),
+        (ANALOG, (frames.layout.stride.analog_per_frame > 0).then(|| analog_data(frames))),
+        (RESIDUALS, residual_data(frames, points, positions)),
+        (MODEL_OUTPUTS, (!points.outputs.is_empty()).then(|| output_data(frames, points))),
+    ];
+    let kept = parts
+        .into_iter()
+        .filter_map(|(kind, data)| Some(Foreign { kind: kind.to_owned(), data: data?.into() }));
+    kept.collect()
 }
 
-/// The head of a block of samples of all frames of a file: version, width, number of columns or of what they make up,
-/// samples a frame and column, number of the first frame, number of frames.
-fn sample_head(frames: &Frames<'_>, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
+/// The header of a block of columns over all frames of a file: version, width, number of signals, samples of a column
+/// in a frame, number of the first frame, number of frames.
+fn sample_header(frames: &Frames<'_>, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
     let mut data = vec![VERSION, width as u8];
     data.extend((n_signals as u32).to_le_bytes());
     data.extend((ratio as u32).to_le_bytes());
@@ -73,28 +66,30 @@ fn sample_head(frames: &Frames<'_>, width: usize, n_signals: usize, ratio: usize
     data
 }
 
-/// Turns what was kept of a file in space: the corners of force plates, and coordinates under gaps.
-pub(in crate::interchange) fn turn(
+/// Rotates the parts that are positions in space: force plate corners and coordinates under gaps.
+///
+/// # Errors
+/// Those of reading and rewriting the parts.
+pub(in crate::interchange) fn rotate(
     foreign: &mut [Foreign],
     n_markers: usize,
-    turn: Turn,
+    rotation: Rotation,
 ) -> io::Result<()> {
     let parameters = kept_parameters(foreign)?.map(|(header, mut parameters)| {
-        parameters.turn(turn);
+        parameters.rotate(rotation);
         let data = parameters_data(&header, &parameters).into();
         Foreign { kind: PARAMETERS.to_owned(), data }
     });
-    let under_gaps = gap_coordinates::turned(foreign, n_markers, turn)?;
-    for new in parameters.into_iter().chain(under_gaps) {
-        foreign
-            .iter_mut()
-            .filter(|part| part.kind == new.kind)
-            .for_each(|part| *part = new.clone());
+    let gap_coordinates = gap_coordinates::rotated(foreign, n_markers, rotation)?;
+    for new in parameters.into_iter().chain(gap_coordinates) {
+        for part in foreign.iter_mut().filter(|part| part.kind == new.kind) {
+            *part = new.clone();
+        }
     }
     Ok(())
 }
 
-fn parameters_data(header: &Header, parameters: &Parameters) -> Vec<u8> {
+fn parameters_data(header: &C3dHeader, parameters: &Parameters) -> Vec<u8> {
     let mut data = vec![VERSION];
     data.extend(header.max_gap.to_le_bytes());
     data.push(header.events.len().min(MAX_EVENTS) as u8);
@@ -111,7 +106,7 @@ fn analog_data(frames: &Frames<'_>) -> Vec<u8> {
     let layout = frames.layout;
     let (n_channels, ratio) = (layout.n_channels(), layout.analog_ratio);
     let width = layout.stride.word_bytes();
-    let mut data = sample_head(frames, width, n_channels, ratio);
+    let mut data = sample_header(frames, width, n_channels, ratio);
     for channel in 0..n_channels {
         let samples = (0..layout.n_frames * ratio).map(|sample| {
             let word = 4 * layout.stride.n_points + sample % ratio * n_channels + channel;
@@ -122,29 +117,29 @@ fn analog_data(frames: &Frames<'_>) -> Vec<u8> {
     data
 }
 
-/// Where a sample is missing the word before it is repeated: what an exporter writes there is not taken from here.
+/// The part of the fourth words; `None` if all are 0. A missing sample repeats the previous word, because that
+/// compresses best and no export reads it.
 fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -> Option<Vec<u8>> {
     let layout = frames.layout;
     let n_markers = points.markers.len();
     let present = |frame: usize, marker: usize| {
         positions.get(frame * n_markers + marker).is_some_and(|&p| !is_gap(p))
     };
+    let fourth = |frame: usize, point: usize| frames.column_word(frame, 4 * point + 3);
     let zero = if layout.stride.float { ordered(0) } else { 0 };
     let is_zero = points.markers.iter().enumerate().all(|(marker, &(point, _))| {
-        (0..layout.n_frames).all(|frame| {
-            !present(frame, marker) || frames.column_word(frame, 4 * point + 3) == zero
-        })
+        (0..layout.n_frames).all(|frame| !present(frame, marker) || fourth(frame, point) == zero)
     });
     if is_zero {
         return None;
     }
     let width = layout.stride.word_bytes();
-    let mut data = sample_head(frames, width, n_markers, 1);
+    let mut data = sample_header(frames, width, n_markers, 1);
     for (marker, &(point, _)) in points.markers.iter().enumerate() {
         let mut before = zero;
         let words = (0..layout.n_frames).map(|frame| {
             if present(frame, marker) {
-                before = frames.column_word(frame, 4 * point + 3);
+                before = fourth(frame, point);
             }
             before
         });
@@ -154,14 +149,15 @@ fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -
 }
 
 fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
-    let mut data = sample_head(frames, size_of::<f32>(), points.outputs.len(), 1);
+    let mut data = sample_header(frames, size_of::<f32>(), points.outputs.len(), 1);
     for &point in &points.outputs {
         data.extend((point as u32).to_le_bytes());
     }
     let scale = frames.scale();
     for &point in &points.outputs {
         for word in 4 * point..4 * point + 4 {
-            // The fourth word is not a coordinate: an integer there becomes the float of the same value.
+            // The fourth word is not a coordinate: an integer becomes a float of the same value, without the scale
+            // factor.
             let scale = if word % 4 == 3 { 1.0 } else { scale };
             let samples = (0..frames.layout.n_frames).map(|frame| {
                 let stored = frames.word(frame, word);
@@ -174,26 +170,26 @@ fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
     data
 }
 
-/// What stands in front of a block of samples.
+/// The header of a block of columns.
 #[derive(Debug)]
-pub(super) struct SampleHead {
+pub(super) struct SampleHeader {
     /// Bytes of a sample: 2 or 4.
     pub(super) width: usize,
-    /// Channels, markers or points.
+    /// Number of channels, markers or points.
     pub(super) n_signals: usize,
-    /// Samples a frame and signal.
+    /// Samples of a signal in a frame.
     pub(super) ratio: usize,
     first_frame: u64,
     n_frames: usize,
 }
 
-impl SampleHead {
-    /// `None` for a version or width that is not known, and for more signals than a C3D file has.
-    fn parse(head: &[u8; 26]) -> Option<Self> {
-        let &[VERSION, width @ (2 | 4), ..] = head else { return None };
+impl SampleHeader {
+    /// `None` for an unknown version or width, and for more signals than a C3D file has.
+    fn parse(header: &[u8; 26]) -> Option<Self> {
+        let &[VERSION, width @ (2 | 4), ..] = header else { return None };
         let dword =
-            |at: usize| Some(u32::from_le_bytes(head.get(at..at + 4)?.try_into().ok()?) as usize);
-        let qword = |at: usize| Some(u64::from_le_bytes(head.get(at..at + 8)?.try_into().ok()?));
+            |at: usize| Some(u32::from_le_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
+        let qword = |at: usize| Some(u64::from_le_bytes(header.get(at..at + 8)?.try_into().ok()?));
         Some(Self {
             width: usize::from(width),
             n_signals: dword(2).filter(|&n| n <= usize::from(u16::MAX))?,
@@ -203,28 +199,28 @@ impl SampleHead {
         })
     }
 
-    /// The columns, of which each signal has `n`; `None` where they have another length.
-    fn columns<'a>(&self, data: ContentSlice<'a>, n: usize) -> Option<Columns<'a>> {
+    /// The columns, `n` for each signal; `None` if the data has another length.
+    fn columns<'a>(&self, data: ContentSlice<'a>, n: usize) -> Option<ColumnReader<'a>> {
         let n_columns = self.n_signals.checked_mul(n)?;
         let n_samples = self.n_frames.checked_mul(self.ratio)?;
-        Columns::new(data, self.width, n_columns, n_samples, BLOCK_BYTES)
+        ColumnReader::new(data, self.width, n_columns, n_samples, BLOCK_BYTES)
     }
 }
 
-/// Samples that were kept, read frame after frame.
+/// A kept block of columns, read frame by frame.
 #[derive(Debug)]
 pub(super) struct KeptSamples<'a> {
-    pub(super) head: SampleHead,
-    /// Indices of the points, for model outputs.
+    pub(super) header: SampleHeader,
+    /// Indices of the points; empty except for model outputs.
     pub(super) points: Vec<usize>,
-    columns: Columns<'a>,
-    /// Frames to come before the kept ones begin.
-    wait: u64,
+    columns: ColumnReader<'a>,
+    /// Number of frames before the first kept one.
+    frames_ahead: u64,
 }
 
 impl<'a> KeptSamples<'a> {
-    /// The block of a kind, with its columns for each signal and indices in front of them or not; positioned at
-    /// frame number `first_frame`.
+    /// The part of a kind, positioned at frame number `first_frame`. Each signal has `columns` columns; if `indexed`,
+    /// point indices precede the columns. `None` if there is no such part or it is damaged.
     fn parse(
         foreign: &'a [Foreign],
         kind: &str,
@@ -233,77 +229,73 @@ impl<'a> KeptSamples<'a> {
         first_frame: u64,
     ) -> io::Result<Option<Self>> {
         let Some(part) = foreign.iter().find(|part| part.kind == kind) else { return Ok(None) };
-        let Some((head, rest)) = part.data.as_slice().split_array()? else { return Ok(None) };
-        let Some(head) = SampleHead::parse(&head) else { return Ok(None) };
-        let n_indices = if indexed { head.n_signals } else { 0 };
+        let Some((header, rest)) = part.data.as_slice().split_array()? else { return Ok(None) };
+        let Some(header) = SampleHeader::parse(&header) else { return Ok(None) };
+        let n_indices = if indexed { header.n_signals } else { 0 };
         let Some((indices, rest)) = rest.split_at(4 * n_indices as u64) else { return Ok(None) };
-        let Some(mut columns) = head.columns(rest, columns) else { return Ok(None) };
+        let Some(mut columns) = header.columns(rest, columns) else { return Ok(None) };
         let mut points = vec![0; n_indices * 4];
         indices.read_at(0, &mut points)?;
         let points = points.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b) as usize).collect();
-        let skip = first_frame.saturating_sub(head.first_frame).min(head.n_frames as u64) as usize;
-        columns.skip(skip.saturating_mul(head.ratio))?;
-        let wait = head.first_frame.saturating_sub(first_frame);
-        Ok(Some(Self { head, points, columns, wait }))
+        let skip = first_frame.saturating_sub(header.first_frame).min(header.n_frames as u64);
+        columns.skip((skip as usize).saturating_mul(header.ratio))?;
+        let frames_ahead = header.first_frame.saturating_sub(first_frame);
+        Ok(Some(Self { header, points, columns, frames_ahead }))
     }
 
     /// The analog samples from a frame on.
     pub(super) fn analog(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, ANALOG, 1, false, first_frame)?;
-        Ok(kept.filter(|kept| kept.head.ratio > 0))
+        Ok(kept.filter(|kept| kept.header.ratio > 0))
     }
 
     /// The fourth words from a frame on.
     pub(super) fn residuals(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, RESIDUALS, 1, false, first_frame)?;
-        Ok(kept.filter(|kept| kept.head.ratio == 1))
+        Ok(kept.filter(|kept| kept.header.ratio == 1))
     }
 
     /// The model outputs from a frame on.
-    pub(super) fn model_outputs(
-        foreign: &'a [Foreign],
-        first_frame: u64,
-    ) -> io::Result<Option<Self>> {
+    pub(super) fn outputs(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, MODEL_OUTPUTS, 4, true, first_frame)?;
-        Ok(kept.filter(|kept| kept.head.ratio == 1 && kept.head.width == 4))
+        Ok(kept.filter(|kept| kept.header.ratio == 1 && kept.header.width == 4))
     }
 
-    /// Goes on to the next frame; whether one is kept for it.
+    /// Advances to the next frame. Returns whether the part may have samples of it.
     pub(super) fn begin_frame(&mut self) -> bool {
-        if self.wait > 0 {
-            self.wait -= 1;
+        if self.frames_ahead > 0 {
+            self.frames_ahead -= 1;
             return false;
         }
         true
     }
 
-    /// Goes on to the next frame, of one sample of every column, if one is kept for it.
+    /// Advances to the next frame and returns its sample of every column, if the part has them.
     pub(super) fn next_frame(&mut self) -> io::Result<Option<&[u32]>> {
         if self.begin_frame() { self.next() } else { Ok(None) }
     }
 
-    /// The next sample of every column, as stored in columns.
+    /// The next sample of every column, in the integers of the column encoding.
     pub(super) fn next(&mut self) -> io::Result<Option<&[u32]>> {
         self.columns.next()
     }
 }
 
-/// The header fields and parameters that were kept.
-pub(super) fn kept_parameters(foreign: &[Foreign]) -> io::Result<Option<(Header, Parameters)>> {
+/// The kept header fields and parameters.
+pub(super) fn kept_parameters(foreign: &[Foreign]) -> io::Result<Option<(C3dHeader, Parameters)>> {
     let part = foreign.iter().find(|part| part.kind == PARAMETERS);
     let data = part.map(|part| part.data.to_vec(PARAMETERS_BYTES_MAX)).transpose()?.flatten();
     Ok(data.and_then(|data| parse_parameters(&data)))
 }
 
-fn parse_parameters(data: &[u8]) -> Option<(Header, Parameters)> {
+fn parse_parameters(data: &[u8]) -> Option<(C3dHeader, Parameters)> {
     let (&[VERSION, gap_low, gap_high, n_events], mut rest) = data.split_first_chunk::<4>()? else {
         return None;
     };
     let mut header =
-        Header { max_gap: u16::from_le_bytes([gap_low, gap_high]), ..Header::default() };
+        C3dHeader { max_gap: u16::from_le_bytes([gap_low, gap_high]), ..C3dHeader::default() };
     for _ in 0..n_events {
-        let (event, after) = rest.split_first_chunk::<9>()?;
-        let &[t0, t1, t2, t3, flag, l0, l1, l2, l3] = event;
+        let (&[t0, t1, t2, t3, flag, l0, l1, l2, l3], after) = rest.split_first_chunk::<9>()?;
         let time_s = f32::from_le_bytes([t0, t1, t2, t3]);
         header.events.push(HeaderEvent { time_s, flag, label: [l0, l1, l2, l3] });
         rest = after;

@@ -1,22 +1,23 @@
-//! The frames of a file as they are stored; which of their points are markers, and what those are called.
+//! Access to the frames of a file as stored, and the sorting of their points into markers and model outputs.
 
 use std::collections::HashSet;
 
 use super::{columns::ordered, layout::Layout, parameters::Parameters};
 use crate::{motion::Marker, record::Channel};
 
-/// Parameters of POINT that list model outputs: results that share the layout of a point without being one.
+/// Parameters of POINT that list model outputs: results that are stored as points without being positions.
 const MODEL_OUTPUTS: [&str; 6] = ["ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"];
 
-/// Most parameters that are looked at as lists of model outputs: texts of length 0 take time, but no bytes.
+/// Most parameters read as lists of model outputs. Texts of length 0 take no bytes, so a damaged file could claim any
+/// number of them.
 const MAX_LISTS: usize = 64;
 
-/// What a point of the file is.
+/// The points of a file, sorted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Points {
-    /// The markers in order, and the index of each among the points.
+    /// The markers in file order, each with its index among the points.
     pub(super) markers: Vec<(usize, Marker)>,
-    /// The indices of the model outputs.
+    /// Indices of the model outputs.
     pub(super) outputs: Vec<usize>,
 }
 
@@ -29,7 +30,7 @@ pub(super) fn sort_points(
     let labels = parameters.texts("POINT", "LABELS");
     if labels.len() < n_points {
         warnings.push(format!(
-            "POINT:LABELS has {} labels for {n_points} points; the rest was read as unlabelled.",
+            "POINT:LABELS has {} labels for {n_points} points; the other points are unlabelled.",
             labels.len()
         ));
     } else if labels.iter().skip(n_points).any(|label| !label.is_empty()) {
@@ -48,7 +49,7 @@ pub(super) fn sort_points(
     points
 }
 
-/// The marker of a label as found. Vicon's names for unlabelled trajectories begin with `*`.
+/// The marker of a label. Vicon's labels of unlabelled trajectories begin with `*`.
 fn point_marker(label: &str, column: usize) -> Marker {
     if label.is_empty() {
         return Marker { label: Channel::unlabelled_name(column), labelled: false };
@@ -56,13 +57,13 @@ fn point_marker(label: &str, column: usize) -> Marker {
     Marker { label: label.to_owned(), labelled: !label.starts_with('*') }
 }
 
-/// The labels of all model outputs, by the parameters named in `MODEL_OUTPUTS` and in `POINT:TYPE_GROUPS`, whose
-/// texts come in pairs: the name of such a parameter, and what one of its points is.
+/// The labels of all model outputs: those in the parameters named by `MODEL_OUTPUTS` and by `POINT:TYPE_GROUPS`, whose
+/// texts are pairs of such a name and the name of one of its points.
 fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
     let type_groups = parameters.texts("POINT", "TYPE_GROUPS");
     let named = type_groups.iter().step_by(2).map(String::as_str);
     let mut names: Vec<&str> = MODEL_OUTPUTS.into_iter().chain(named).collect();
-    // MODELED_MARKERS are positions. What POINT itself needs is never a list of model outputs.
+    // MODELED_MARKERS are positions, and the labels of all points are no list of model outputs.
     names.retain(|name| {
         let name = name.to_ascii_uppercase();
         !name.is_empty() && !name.contains("MARKER") && !name.starts_with("LABELS")
@@ -80,7 +81,6 @@ fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
 /// The frames of a file as stored.
 pub(super) struct Frames<'a> {
     bytes: &'a [u8],
-    /// How they are laid out.
     pub(super) layout: &'a Layout,
 }
 
@@ -89,13 +89,13 @@ impl<'a> Frames<'a> {
         Self { bytes: file.get(layout.stride.data_start..).unwrap_or(&[]), layout }
     }
 
-    /// One frame's words: four for each point, then the analog samples.
+    /// The words of a frame: four for each point, then the analog samples.
     fn frame(&self, index: usize) -> &'a [u8] {
         let n_bytes = self.layout.stride.frame_bytes();
         self.bytes.get(index * n_bytes..(index + 1) * n_bytes).unwrap_or(&[])
     }
 
-    /// One word of a frame, or of a part of one, as a float; integers as such.
+    /// A word of `bytes` as a float; integers keep their value.
     fn word_of(&self, bytes: &[u8], word: usize) -> f32 {
         let order = self.layout.order;
         if self.layout.stride.float {
@@ -105,12 +105,12 @@ impl<'a> Frames<'a> {
         }
     }
 
-    /// One word of a frame as a float; integers as such.
+    /// A word of a frame as a float; integers keep their value.
     pub(super) fn word(&self, frame: usize, word: usize) -> f32 {
         self.word_of(self.frame(frame), word)
     }
 
-    /// One word of a frame as columns keep it: a float's bits in order, or an integer.
+    /// A word of a frame as columns store it: a float mapped by [`ordered`], or an integer.
     pub(super) fn column_word(&self, frame: usize, word: usize) -> u32 {
         if self.layout.stride.float {
             ordered(self.word(frame, word).to_bits())
@@ -119,7 +119,7 @@ impl<'a> Frames<'a> {
         }
     }
 
-    /// The coordinates as stored and the fourth word of a point.
+    /// The stored coordinates and the fourth word of a point.
     pub(super) fn point(&self, frame: usize, point: usize) -> ([f64; 3], f32) {
         let n_bytes = 4 * self.layout.stride.word_bytes();
         let sample = self.frame(frame).get(n_bytes * point..n_bytes * (point + 1));
@@ -128,15 +128,15 @@ impl<'a> Frames<'a> {
         ([x, y, z].map(f64::from), fourth)
     }
 
-    /// What a coordinate is multiplied by before its unit counts.
+    /// The factor from stored coordinates to the file's unit.
     pub(super) fn scale(&self) -> f64 {
         if self.layout.stride.float { 1.0 } else { f64::from(self.layout.scale) }
     }
 }
 
-/// Whether a sample's fourth word says that it is missing: it is a 16-bit integer, and negative. In float files some
-/// software writes the -1 unsigned, as 65535.0: no residual and camera mask reach 32768, so these are missing, too.
-/// What stands at the origin with another fourth word is a position, as for the field's other readers.
+/// Whether the fourth word of a point marks it as missing: it is a 16-bit integer, negative for a missing point. Some
+/// software writes -1 in float files as the unsigned 65535.0. Residual and camera mask never reach 32768, so that range
+/// is missing, too. A point at the origin with another fourth word is a position, as in the field's other readers.
 pub(super) fn is_missing(fourth: f32) -> bool {
     fourth < 0.0 || (32_768.0..65_536.0).contains(&fourth)
 }

@@ -1,51 +1,53 @@
-//! The coordinates of samples that are marked as missing: gaps to us, and given back to C3D as they were.
+//! Coordinates of samples that are marked as missing. Such samples are gaps in a take; an export to C3D restores their
+//! coordinates.
 //!
-//! They are kept in runs (`docs/foreign.md`): a file in which each marker is missing for a moment has few of them,
-//! however long it is.
+//! They are stored in runs of successive frames (`docs/foreign.md`), so the size of the part depends on the gaps and
+//! not on the length of the file.
 
 use std::io::{self, Read};
 
 use super::{
     VERSION,
-    columns::{self, Columns, WideColumn, ordered},
+    columns::{self, ColumnReader, ColumnRewriter, ordered},
 };
 use crate::{
     ambiguity::{Ambiguity, Notes},
     foreign::DATA_BYTES_MAX,
     foreign::content::ContentSlice,
-    interchange::turn::Turn,
+    interchange::rotation::Rotation,
     motion::{Foreign, Position},
 };
 
-/// Kind of the part that keeps them.
-const GAP_COORDINATES: &str = "c3d/gap-coordinates";
-/// Bytes in front of the markers: version, number of the first frame, number of markers.
-const HEAD_BYTES: usize = 13;
-/// Bytes in front of a marker's runs: its index, and how many there are.
+/// Kind of the part.
+const KIND: &str = "c3d/gap-coordinates";
+/// Bytes of the part's header: version, number of the first frame, number of markers.
+const HEADER_BYTES: usize = 13;
+/// Bytes before a marker's runs: its index and the number of runs.
 const MARKER_BYTES: usize = 12;
-/// Bytes of a run: its first frame, counted from the first of all, and its frames.
+/// Bytes of a run: its first frame, counted from the first of the file, and its number of frames.
 const RUN_BYTES: usize = 16;
-/// Bytes of words that are held of all markers: of 64 markers 1024 samples each.
+/// Size of the buffers of all markers together: for 64 markers 1024 samples each.
 const BLOCK_BYTES: usize = 1 << 20;
-/// Words of a sample: coordinates in millimetres, and the fourth word.
+/// Words of a point.
 const WORDS: usize = 4;
 
-type Words = [f32; WORDS];
+/// The words of a point: three coordinates in millimetres, and the fourth word as stored.
+type PointWords = [f32; WORDS];
 
-/// A sample: frame, counted from the first, marker and words.
-type Sample = (usize, usize, Words);
+/// A sample: frame counted from the first of the file, index of the marker, and words.
+type Sample = (usize, usize, PointWords);
 
 /// Coordinates under gaps, in any order.
 #[derive(Debug, Default)]
 pub(super) struct GapCoordinates(Vec<Sample>);
 
 impl GapCoordinates {
-    /// Adds those of a frame and marker.
+    /// Adds the coordinates and the fourth word of a missing sample.
     pub(super) fn push(&mut self, frame: usize, marker: usize, [x, y, z]: Position, fourth: f32) {
         self.0.push((frame, marker, [x, y, z, fourth]));
     }
 
-    /// Notes how many there are.
+    /// Notes the number of samples as an ambiguity.
     pub(super) fn note(&self, notes: &mut Notes) {
         if !self.0.is_empty() {
             let samples = self.0.len() as u64;
@@ -53,7 +55,7 @@ impl GapCoordinates {
         }
     }
 
-    /// The part that keeps them, where there are any; left out with a warning where it would be too long for a take.
+    /// The foreign part; `None` without samples, or, with a warning, if it would be too long for a take.
     pub(super) fn into_foreign(
         mut self,
         first_frame: u64,
@@ -66,22 +68,21 @@ impl GapCoordinates {
         let n_bytes = self.n_bytes();
         if n_bytes as u64 > DATA_BYTES_MAX {
             warnings.push(format!(
-                "The coordinates under gaps were left out: they would be {n_bytes} bytes, and a part of a take holds \
-                 {DATA_BYTES_MAX}."
+                "Coordinates under gaps left out: they need {n_bytes} bytes, and a foreign part holds {DATA_BYTES_MAX}."
             ));
             return None;
         }
-        Some(Foreign { kind: GAP_COORDINATES.to_owned(), data: self.encode(first_frame).into() })
+        Some(Foreign { kind: KIND.to_owned(), data: self.encode(first_frame).into() })
     }
 
-    /// Bytes of the part, of samples in order.
+    /// Size of the part in bytes. The samples must be sorted.
     fn n_bytes(&self) -> usize {
         let marker = |markers: &[Sample]| MARKER_BYTES + RUN_BYTES * runs(markers).count();
-        let heads: usize = self.0.chunk_by(is_same_marker).map(marker).sum();
-        HEAD_BYTES + heads + size_of::<Words>() * self.0.len()
+        let markers: usize = self.0.chunk_by(is_same_marker).map(marker).sum();
+        HEADER_BYTES + markers + size_of::<PointWords>() * self.0.len()
     }
 
-    /// The part, of samples in order.
+    /// Encodes the part. The samples must be sorted.
     fn encode(&self, first_frame: u64) -> Vec<u8> {
         let mut data = Vec::with_capacity(self.n_bytes());
         data.push(VERSION);
@@ -109,46 +110,45 @@ fn is_same_marker(a: &Sample, b: &Sample) -> bool {
     a.1 == b.1
 }
 
-/// The samples of a marker that follow each other frame by frame.
+/// The runs of successive frames in the samples of a marker.
 fn runs(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
     samples.chunk_by(|a, b| a.0.checked_add(1) == Some(b.0))
 }
 
-/// Coordinates under gaps that were kept, read frame after frame.
+/// A kept part of coordinates under gaps, read frame by frame.
 #[derive(Debug)]
 pub(super) struct KeptCoordinates<'a> {
-    /// Number of the first frame of all.
+    /// Number of the first frame of the source.
     first_frame: u64,
-    /// Number of the frame to come.
+    /// Number of the next frame.
     next: u64,
     markers: Vec<KeptMarker<'a>>,
-    /// Those of the frame that came last.
-    found: Vec<(usize, Words)>,
+    /// The index and words of each marker with coordinates in the current frame.
+    current: Vec<(usize, PointWords)>,
 }
 
-/// Those of a marker.
+/// The coordinates of one marker.
 #[derive(Debug)]
 struct KeptMarker<'a> {
     index: usize,
-    runs: Runs<'a>,
-    /// The run under way.
-    run: Option<Run>,
-    columns: Columns<'a>,
-    /// Where in the part its words begin, and how many samples it has.
-    words_from: u64,
+    runs: GapRuns<'a>,
+    /// The current run.
+    run: Option<GapRun>,
+    columns: ColumnReader<'a>,
+    /// Offset of the marker's words in the part.
+    words_offset: u64,
     n_samples: usize,
 }
 
 impl<'a> KeptCoordinates<'a> {
-    /// Those of a take of `n_markers`, from frame number `from` on. `None` where there are none, or none that can be read.
+    /// The part of a take with `n_markers` markers, positioned at frame number `from`. `None` if there is no such part
+    /// or it is damaged.
     pub(super) fn parse(
         foreign: &'a [Foreign],
         n_markers: usize,
         from: u64,
     ) -> io::Result<Option<Self>> {
-        let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
-            return Ok(None);
-        };
+        let Some(part) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
         let data = part.data.as_slice();
         let Some(([VERSION], rest)) = data.split_array()? else { return Ok(None) };
         let Some((first_frame, rest)) = rest.split_array()? else { return Ok(None) };
@@ -158,12 +158,12 @@ impl<'a> KeptCoordinates<'a> {
         if n_kept > n_markers {
             return Ok(None);
         }
-        let room = BLOCK_BYTES / n_kept.max(1);
-        let mut markers = Vec::new();
+        let buffer_bytes = BLOCK_BYTES / n_kept.max(1);
+        let mut markers: Vec<KeptMarker<'_>> = Vec::new();
         for _ in 0..n_kept {
-            let Some((marker, after)) = KeptMarker::parse(rest, room)? else { return Ok(None) };
-            let is_next =
-                markers.last().is_none_or(|last: &KeptMarker<'_>| last.index < marker.index);
+            let parsed = KeptMarker::parse(rest, buffer_bytes)?;
+            let Some((marker, after)) = parsed else { return Ok(None) };
+            let is_next = markers.last().is_none_or(|last| last.index < marker.index);
             if !is_next || marker.index >= n_markers {
                 return Ok(None);
             }
@@ -174,63 +174,63 @@ impl<'a> KeptCoordinates<'a> {
             return Ok(None);
         }
         let before = from.saturating_sub(first_frame);
-        markers.iter_mut().try_for_each(|marker| marker.pass(before))?;
-        Ok(Some(Self { first_frame, next: from, markers, found: Vec::new() }))
+        markers.iter_mut().try_for_each(|marker| marker.skip_before(before))?;
+        Ok(Some(Self { first_frame, next: from, markers, current: Vec::new() }))
     }
 
-    /// Goes on to the next frame: for each marker that has any, its index and words.
-    pub(super) fn next_frame(&mut self) -> io::Result<&[(usize, Words)]> {
-        self.found.clear();
+    /// Advances to the next frame. Returns the index and words of each marker with coordinates in it.
+    pub(super) fn next_frame(&mut self) -> io::Result<&[(usize, PointWords)]> {
+        self.current.clear();
         let frame = self.next.checked_sub(self.first_frame);
         self.next = self.next.saturating_add(1);
         if let Some(frame) = frame {
             for marker in &mut self.markers {
                 if let Some(words) = marker.at(frame)? {
-                    self.found.push((marker.index, words));
+                    self.current.push((marker.index, words));
                 }
             }
         }
-        Ok(&self.found)
+        Ok(&self.current)
     }
 }
 
 impl<'a> KeptMarker<'a> {
-    /// A marker, of whose words at most `room` bytes are held, and what follows it.
-    fn parse(data: ContentSlice<'a>, room: usize) -> io::Result<Option<(Self, ContentSlice<'a>)>> {
+    /// Parses a marker, with a buffer of `buffer_bytes` bytes for its words. Returns it and the data after it.
+    fn parse(
+        data: ContentSlice<'a>,
+        buffer_bytes: usize,
+    ) -> io::Result<Option<(Self, ContentSlice<'a>)>> {
         let Some((index, rest)) = data.split_array()? else { return Ok(None) };
         let Some((n_runs, rest)) = rest.split_array()? else { return Ok(None) };
         let n_bytes = u64::from_le_bytes(n_runs).checked_mul(RUN_BYTES as u64);
         let Some((runs, rest)) = n_bytes.and_then(|n| rest.split_at(n)) else { return Ok(None) };
-        let runs = Runs { stored: runs };
+        let runs = GapRuns { stored: runs };
         let Some(n_samples) = runs.n_samples()? else { return Ok(None) };
-        let n_bytes = n_samples.checked_mul(size_of::<Words>());
+        let n_bytes = n_samples.checked_mul(size_of::<PointWords>());
         let Some((words, rest)) = n_bytes.and_then(|n| rest.split_at(n as u64)) else {
             return Ok(None);
         };
-        let columns = Columns::new(words, size_of::<f32>(), WORDS, n_samples, room);
+        let columns = ColumnReader::new(words, size_of::<f32>(), WORDS, n_samples, buffer_bytes);
         let Some(columns) = columns else { return Ok(None) };
         let index = u32::from_le_bytes(index) as usize;
-        let words_from = words.from();
-        Ok(Some((Self { index, runs, run: None, columns, words_from, n_samples }, rest)))
+        let words_offset = words.from();
+        Ok(Some((Self { index, runs, run: None, columns, words_offset, n_samples }, rest)))
     }
 
-    /// Leaves out what is before a frame, counted from the first.
-    fn pass(&mut self, frame: u64) -> io::Result<()> {
+    /// Skips all samples before a frame, counted from the first of the source.
+    fn skip_before(&mut self, frame: u64) -> io::Result<()> {
         let mut n_before = 0;
-        self.runs.each(|run| n_before += frame.saturating_sub(run.first).min(run.n_frames))?;
+        self.runs.for_each(|run| n_before += frame.saturating_sub(run.first).min(run.n_frames))?;
         self.columns.skip(usize::try_from(n_before).unwrap_or(usize::MAX))
     }
 
-    /// The words of a frame, counted from the first. Frames come in order.
-    fn at(&mut self, frame: u64) -> io::Result<Option<Words>> {
+    /// The words of a frame, counted from the first of the source. Calls must be in order of frames.
+    fn at(&mut self, frame: u64) -> io::Result<Option<PointWords>> {
         loop {
-            let run = match self.run {
-                Some(run) => run,
-                None => match self.runs.next()? {
-                    Some(run) => *self.run.insert(run),
-                    None => return Ok(None),
-                },
-            };
+            if self.run.is_none() {
+                self.run = self.runs.next()?;
+            }
+            let Some(run) = self.run else { return Ok(None) };
             if frame < run.first {
                 return Ok(None);
             }
@@ -242,21 +242,21 @@ impl<'a> KeptMarker<'a> {
     }
 
     /// The words of the next sample.
-    fn next(&mut self) -> io::Result<Option<Words>> {
+    fn next(&mut self) -> io::Result<Option<PointWords>> {
         let words = self.columns.next()?.and_then(|words| words.first_chunk::<WORDS>());
         Ok(words.map(|words| words.map(|word| columns::value(size_of::<f32>(), word, false))))
     }
 }
 
-/// Frames of a marker that follow each other.
+/// A run of successive frames of a marker.
 #[derive(Debug, Clone, Copy)]
-struct Run {
-    /// Counted from the first of all.
+struct GapRun {
+    /// First frame, counted from the first of the source.
     first: u64,
     n_frames: u64,
 }
 
-impl Run {
+impl GapRun {
     fn parse(stored: &[u8; RUN_BYTES]) -> Self {
         let word = |at: usize| stored.get(at..).and_then(<[u8]>::first_chunk).copied();
         let word = |at: usize| u64::from_le_bytes(word(at).unwrap_or_default());
@@ -264,35 +264,35 @@ impl Run {
     }
 }
 
-/// The runs of a marker, as they are stored.
+/// The stored runs of a marker.
 #[derive(Debug, Clone, Copy)]
-struct Runs<'a> {
+struct GapRuns<'a> {
     stored: ContentSlice<'a>,
 }
 
-impl Runs<'_> {
-    /// The next, if there is one.
-    fn next(&mut self) -> io::Result<Option<Run>> {
+impl GapRuns<'_> {
+    /// The next run.
+    fn next(&mut self) -> io::Result<Option<GapRun>> {
         let Some((run, rest)) = self.stored.split_array()? else { return Ok(None) };
         self.stored = rest;
-        Ok(Some(Run::parse(&run)))
+        Ok(Some(GapRun::parse(&run)))
     }
 
-    /// All to come, in order.
-    fn each(&self, mut each: impl FnMut(Run)) -> io::Result<()> {
+    /// Calls `visit` for every remaining run.
+    fn for_each(&self, mut visit: impl FnMut(GapRun)) -> io::Result<()> {
         let mut stored = self.stored.reader();
         let mut run = [0; RUN_BYTES];
         for _ in 0..self.stored.len() / RUN_BYTES as u64 {
             stored.read_exact(&mut run)?;
-            each(Run::parse(&run));
+            visit(GapRun::parse(&run));
         }
         Ok(())
     }
 
-    /// Frames of all; `None` where they are not in order.
+    /// The number of frames in all runs; `None` if the runs are not in ascending order or overlap.
     fn n_samples(&self) -> io::Result<Option<usize>> {
         let mut counted = Some((0usize, 0u64));
-        self.each(|Run { first, n_frames }| {
+        self.for_each(|GapRun { first, n_frames }| {
             counted = counted.filter(|&(_, end)| first >= end).and_then(|(n_samples, _)| {
                 let n_samples = n_samples.checked_add(usize::try_from(n_frames).ok()?)?;
                 Some((n_samples, first.checked_add(n_frames)?))
@@ -302,35 +302,36 @@ impl Runs<'_> {
     }
 }
 
-/// Turns what a part keeps; `None` for a part that cannot be read. What is where in it stays.
-pub(super) fn turned(
+/// The part with rotated coordinates, in the same layout; `None` if there is no such part or it is damaged.
+///
+/// # Errors
+/// Those of reading and rewriting the part.
+pub(super) fn rotated(
     foreign: &[Foreign],
     n_markers: usize,
-    turn: Turn,
+    rotation: Rotation,
 ) -> io::Result<Option<Foreign>> {
     let Some(kept) = KeptCoordinates::parse(foreign, n_markers, 0)? else { return Ok(None) };
-    let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
-        return Ok(None);
-    };
+    let Some(part) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
     let mut data = part.data.copy()?;
     for mut marker in kept.markers {
-        let mut columns = [const { WideColumn::new() }; WORDS];
+        let mut columns = [const { ColumnRewriter::new() }; WORDS];
         let n_samples = marker.n_samples;
         for sample in 0..n_samples {
             let Some([x, y, z, fourth]) = marker.next()? else { return Ok(None) };
-            let [x, y, z] = turn.of([x, y, z]);
+            let [x, y, z] = rotation.apply([x, y, z]);
             for (column, word) in columns.iter_mut().zip([x, y, z, fourth]) {
                 column.push(ordered(word.to_bits()));
             }
             if columns[0].is_full() || sample + 1 == n_samples {
                 for (index, column) in columns.iter_mut().enumerate() {
-                    let from = marker.words_from + (index * size_of::<f32>() * n_samples) as u64;
+                    let from = marker.words_offset + (index * size_of::<f32>() * n_samples) as u64;
                     column.write(&mut data, from, n_samples)?;
                 }
             }
         }
     }
-    Ok(Some(Foreign { kind: GAP_COORDINATES.to_owned(), data }))
+    Ok(Some(Foreign { kind: KIND.to_owned(), data }))
 }
 
 #[cfg(test)]
@@ -348,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_come_back_from_any_frame_on() {
+    fn runs_are_restored_from_any_frame_on() {
         let samples = [(0, 4), (1, 4), (2, 4), (2, 7), (5, 4), (6, 7), (7, 7), (9, 4)];
         let samples = samples.map(|(frame, marker)| sample(frame, marker));
         let foreign = [part(&samples)];
@@ -364,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_that_is_damaged_is_not_read() {
+    fn a_damaged_part_is_not_read() {
         let whole = part(&[sample(0, 1), sample(1, 1), sample(5, 2)]);
         let bytes = whole.data.to_vec(u64::MAX).unwrap().expect("few");
         for n_bytes in 0..bytes.len() {
@@ -379,7 +380,7 @@ mod tests {
                 if let Some(mut kept) = KeptCoordinates::parse(&foreign, 8, 100).unwrap() {
                     (0..9).for_each(|_| assert!(kept.next_frame().unwrap().len() <= 2));
                 }
-                turned(&foreign, 8, Turn::NONE).unwrap();
+                rotated(&foreign, 8, Rotation::IDENTITY).unwrap();
             }
         }
     }
@@ -393,23 +394,23 @@ mod tests {
     }
 
     #[test]
-    fn is_turned_in_its_place() {
+    fn a_rotated_part_has_the_same_layout() {
         let samples: Vec<_> = (0..3000).map(|i| sample(i + i / 7, i % 2)).collect();
-        let quarter = Turn::between(UpAxis::Y, UpAxis::Z).expect("two axes");
-        let turned_samples: Vec<_> = samples
+        let quarter = Rotation::between(UpAxis::Y, UpAxis::Z).expect("two axes");
+        let rotated_samples: Vec<_> = samples
             .iter()
             .map(|&(frame, marker, [x, y, z, fourth])| {
-                let [x, y, z] = quarter.of([x, y, z]);
+                let [x, y, z] = quarter.apply([x, y, z]);
                 (frame, marker, [x, y, z, fourth])
             })
             .collect();
-        assert_ne!(part(&samples), part(&turned_samples));
-        let turned = turned(&[part(&samples)], 2, quarter).unwrap().expect("a part");
-        assert_eq!(turned, part(&turned_samples));
+        assert_ne!(part(&samples), part(&rotated_samples));
+        let found = rotated(&[part(&samples)], 2, quarter).unwrap().expect("a part");
+        assert_eq!(found, part(&rotated_samples));
     }
 
     #[test]
-    fn the_length_of_a_part_is_known_before_it_is_made() {
+    fn the_length_of_a_part_is_known_before_it_is_encoded() {
         let kept = GapCoordinates(vec![sample(0, 1), sample(1, 1), sample(5, 1), sample(5, 2)]);
         assert_eq!(kept.encode(1).len(), kept.n_bytes());
     }

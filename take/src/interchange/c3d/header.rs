@@ -1,8 +1,8 @@
-//! The 512-byte header, and the three ways in which a C3D file stores its numbers.
+//! The 512-byte header of a C3D file, and the number formats of the three processor types.
 
-/// Bytes of a block: the unit that C3D counts in.
+/// Bytes of a block, in which C3D counts offsets.
 pub(super) const BLOCK: usize = 512;
-/// Word that says the labels of header events have four characters.
+/// The value of header word 150 if event labels have four characters.
 const FOUR_CHARACTER_LABELS: u16 = 12345;
 /// Most events a header holds.
 pub(super) const MAX_EVENTS: usize = 18;
@@ -18,35 +18,35 @@ pub(super) struct HeaderEvent {
     pub(super) label: [u8; 4],
 }
 
-/// What the header says.
+/// The header.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct Header {
+pub(super) struct C3dHeader {
     /// First block of the parameter section, counted from 1.
     pub(super) parameter_block: u8,
-    /// Points a frame.
+    /// Points in a frame.
     pub(super) n_points: u16,
-    /// Analog samples a frame, all channels together.
+    /// Analog samples in a frame, of all channels together.
     pub(super) analog_per_frame: u16,
     /// Number of the first frame.
     pub(super) first_frame: u16,
     /// Number of the last frame.
     pub(super) last_frame: u16,
-    /// Longest gap that was interpolated, frames.
+    /// Longest interpolated gap in frames.
     pub(super) max_gap: u16,
-    /// Factor of integer coordinates; negative when coordinates are floats.
+    /// Scale factor of integer coordinates; negative if the file has floats.
     pub(super) scale: f32,
     /// First block of the data, counted from 1.
     pub(super) data_block: u16,
-    /// Analog samples a frame and channel.
+    /// Analog samples of one channel in a frame.
     pub(super) analog_ratio: u16,
     /// Frames a second.
     pub(super) rate_hz: f32,
-    /// Events.
+    /// Header events; at most [`MAX_EVENTS`] are written.
     pub(super) events: Vec<HeaderEvent>,
 }
 
-impl Header {
-    /// Reads a header; `None` when the bytes are fewer than a block.
+impl C3dHeader {
+    /// Parses a header; `None` if there are fewer bytes than a block.
     pub(super) fn parse(bytes: &[u8], order: ByteOrder) -> Option<Self> {
         let bytes = bytes.get(..BLOCK)?;
         Some(Self {
@@ -64,7 +64,7 @@ impl Header {
         })
     }
 
-    /// The header as written: Intel order, 512 bytes.
+    /// Encodes the header in Intel order.
     pub(super) fn to_bytes(&self) -> [u8; BLOCK] {
         let mut bytes = [0; BLOCK];
         let mut put = |offset: usize, field: &[u8]| {
@@ -93,36 +93,35 @@ impl Header {
     }
 }
 
-/// The events of a header with four-character labels.
+/// The events of a header with four-character labels; `None` for a header of the older form.
 fn events(bytes: &[u8], order: ByteOrder) -> Option<Vec<HeaderEvent>> {
     if order.word_at(bytes, 298)? != FOUR_CHARACTER_LABELS {
         return None;
     }
     let n_events = usize::from(order.word_at(bytes, 300)?).min(MAX_EVENTS);
-    (0..n_events)
-        .map(|index| {
-            Some(HeaderEvent {
-                time_s: order.float_at(bytes, 304 + 4 * index)?,
-                flag: *bytes.get(376 + index)?,
-                label: bytes.get(396 + 4 * index..400 + 4 * index)?.try_into().ok()?,
-            })
+    let event = |index: usize| {
+        Some(HeaderEvent {
+            time_s: order.float_at(bytes, 304 + 4 * index)?,
+            flag: *bytes.get(376 + index)?,
+            label: bytes.get(396 + 4 * index..400 + 4 * index)?.try_into().ok()?,
         })
-        .collect()
+    };
+    (0..n_events).map(event).collect()
 }
 
-/// The processor that wrote the file.
+/// The processor type of a file, which defines its byte order and float format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ByteOrder {
     /// Little endian, IEEE 754 floats.
     Intel,
-    /// Little endian words, VAX F floats.
+    /// Little endian integers, VAX F floats.
     Dec,
     /// Big endian, IEEE 754 floats.
     Mips,
 }
 
 impl ByteOrder {
-    /// By the processor code of the parameter section: 84, 85, 86.
+    /// The byte order of a processor code in the parameter section: 84, 85 or 86.
     pub(super) fn from_code(code: u8) -> Option<Self> {
         match code {
             84 => Some(Self::Intel),
@@ -149,13 +148,13 @@ impl ByteOrder {
         }
     }
 
-    /// The word at `offset`, if there is one.
+    /// The 16-bit word at `offset`; `None` past the end.
     pub(super) fn word_at(self, bytes: &[u8], offset: usize) -> Option<u16> {
         let found = bytes.get(offset..offset.checked_add(2)?)?;
         Some(self.word(found.try_into().ok()?))
     }
 
-    /// The float at `offset`, if there is one.
+    /// The 32-bit float at `offset`; `None` past the end.
     pub(super) fn float_at(self, bytes: &[u8], offset: usize) -> Option<f32> {
         let found = bytes.get(offset..offset.checked_add(4)?)?;
         Some(self.float(found.try_into().ok()?))
@@ -182,8 +181,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn vax_floats_known_by_their_bytes() {
-        // 1.0 is 0x4080 as a word, 0.5 is 0x4000, -1.5 is 0xC0C0.
+    fn vax_floats_decode() {
+        // The upper word of 1.0 is 0x4080, of 0.5 0x4000, of -1.5 0xC0C0.
         for (bytes, value) in [
             ([0x80, 0x40, 0, 0], 1.0),
             ([0x00, 0x40, 0, 0], 0.5),
@@ -192,7 +191,7 @@ mod tests {
             ([0, 0, 0, 0], 0.0),
         ] {
             let found = ByteOrder::Dec.float(bytes);
-            assert!((found - value).abs() <= value.abs() * 1e-5, "{found} is not {value}");
+            assert!((found - value).abs() <= value.abs() * 1e-5, "{found} for {value}");
         }
         assert!(ByteOrder::Dec.float([0x00, 0x80, 0, 0]).is_nan());
         assert_eq!(ByteOrder::Dec.float([0x80, 0x40, 0, 0]).to_bits(), 1.0f32.to_bits());
@@ -206,7 +205,7 @@ mod tests {
 
     #[test]
     fn a_written_header_reads_back() {
-        let header = Header {
+        let header = C3dHeader {
             parameter_block: 2,
             n_points: 300,
             analog_per_frame: 40,
@@ -219,6 +218,6 @@ mod tests {
             rate_hz: 119.88,
             events: vec![HeaderEvent { time_s: 0.25, flag: 1, label: *b"RHS " }],
         };
-        assert_eq!(Header::parse(&header.to_bytes(), ByteOrder::Intel), Some(header));
+        assert_eq!(C3dHeader::parse(&header.to_bytes(), ByteOrder::Intel), Some(header));
     }
 }

@@ -1,35 +1,36 @@
-//! Where the samples of a file are, and how many: settled between header, parameters and the bytes present.
+//! The layout of the data section: where frames begin, what a frame holds, how many there are, and their rate. Header
+//! and parameters state most of this twice; where they disagree, the data decides.
 
 use std::collections::BTreeSet;
 
 use super::{
-    header::{BLOCK, ByteOrder, Header},
+    header::{BLOCK, ByteOrder, C3dHeader},
     malformed,
     parameters::Parameters,
-    stride::{CANDIDATES_MAX, Candidate, FileBytes, Fit, Stride, by_size, choose, combine},
+    stride::{self, CANDIDATES_MAX, FileBytes, SizeFit, Stride, StrideCandidate},
 };
 use crate::{
     ambiguity::{Ambiguity, FrameLayout, Notes},
-    interchange::Result,
+    interchange::{Result, counted},
 };
 
-/// Most analog samples a frame: 255 channels at 4000 samples a frame, a microphone's rate beside one frame a second.
+/// Most analog samples in a frame: 255 channels with 4000 samples each, as of a microphone at one frame a second.
 const ANALOG_MAX: u64 = 255 * 4000;
 
-/// What the data section holds.
+/// The layout of the data section.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
     /// Byte order of the samples.
     pub(super) order: ByteOrder,
-    /// How they are cut into frames, whose points include model outputs.
+    /// The content of a frame. Points include model outputs.
     pub(super) stride: Stride,
-    /// Analog samples a frame and channel.
+    /// Analog samples of one channel in a frame.
     pub(super) analog_ratio: usize,
-    /// Factor of integer coordinates and of residuals, positive.
+    /// Scale factor of integer coordinates and of residuals, positive.
     pub(super) scale: f32,
-    /// Frames present in whole.
+    /// Number of complete frames.
     pub(super) n_frames: usize,
-    /// Announced, and not in the file.
+    /// Number of announced frames that are not in the file.
     pub(super) frames_missing: u64,
     /// Number of the first frame.
     pub(super) first_frame: u64,
@@ -38,17 +39,17 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Analog channels.
+    /// Number of analog channels.
     pub(super) fn n_channels(&self) -> usize {
         self.stride.analog_per_frame.checked_div(self.analog_ratio).unwrap_or(0)
     }
 
-    /// Settles what header and parameters say of a file, and where they disagree, what its bytes say.
+    /// Determines the layout from header and parameters, and from the data where they disagree.
     ///
     /// # Errors
-    /// `Malformed` when the data begin nowhere, or when places disagree and no reading accounts for the bytes.
-    pub(super) fn settle(
-        header: &Header,
+    /// `Malformed` if the data section is outside of the file, or if no combination of the stated values fits the data.
+    pub(super) fn resolve(
+        header: &C3dHeader,
         parameters: &Parameters,
         order: ByteOrder,
         bytes: &[u8],
@@ -57,10 +58,10 @@ impl Layout {
         let file = &FileBytes::new(bytes, order);
         let starts = data_starts(header, parameters, bytes.len())?;
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
-        let stated = Stated::of(header, parameters, rate_hz);
+        let stated = StatedLayout::of(header, parameters, rate_hz);
         let counts = FrameCounts::of(header, parameters);
         let (stride, n_candidates) = stated.choose(file, &starts, &counts)?;
-        let count = counts.of_stride(file, &stride);
+        let count = counts.for_stride(file, &stride);
         let mut layout = Self {
             order,
             stride,
@@ -78,48 +79,43 @@ impl Layout {
                 data_offset: stride.data_start as u64,
                 integers: !stride.float,
             };
-            notes.ambiguous(Ambiguity::FrameLayout { stated: stated.figures(&starts), taken });
+            notes.ambiguous(Ambiguity::FrameLayout { stated: stated.describe(&starts), taken });
         }
         counts.report(&count, &mut notes.warnings);
-        layout.take_frames(file, &count, &mut notes.warnings);
+        layout.set_frames(file, &count, &mut notes.warnings);
         Ok(layout)
     }
 
-    /// As many frames as are announced and present.
-    fn take_frames(
-        &mut self,
-        file: &FileBytes<'_>,
-        count: &FrameCount,
-        warnings: &mut Vec<String>,
-    ) {
+    /// Sets the number of frames to those that are announced and present. Warns of missing frames and of surplus data.
+    fn set_frames(&mut self, file: &FileBytes<'_>, count: &FrameCount, warnings: &mut Vec<String>) {
         let announced = usize::try_from(count.n_frames).unwrap_or(usize::MAX);
         self.n_frames = file.present(&self.stride).min(announced);
         if (self.n_frames as u64) < count.n_frames {
             self.frames_missing = count.n_frames - self.n_frames as u64;
-            warnings
-                .push(format!("{} frames announced, {} present.", count.n_frames, self.n_frames));
+            let (announced, n) = (counted(count.n_frames, "frame"), self.n_frames);
+            warnings.push(format!("The header announces {announced}, the file has {n}."));
             return;
         }
         let end = self.stride.data_start + self.n_frames * self.stride.frame_bytes();
         let left = file.bytes.get(end..).unwrap_or(&[]);
         if self.n_frames > 0 && left.len() >= BLOCK && left.iter().any(|&byte| byte != 0) {
-            warnings.push(format!("{} bytes behind the last frame were not read.", left.len()));
+            warnings.push(format!("{} bytes after the last frame were ignored.", left.len()));
         }
     }
 }
 
-/// What header and parameters state of a frame.
-struct Stated<'a> {
-    header: &'a Header,
+/// The content of a frame as header and parameters state it.
+struct StatedLayout<'a> {
+    header: &'a C3dHeader,
     points_used: Option<u64>,
     channels_used: Option<u64>,
-    /// ANALOG:RATE over POINT:RATE, where that is a whole number.
+    /// ANALOG:RATE divided by POINT:RATE, if that is a whole number.
     rate_ratio: Option<u64>,
     scale: f32,
 }
 
-impl<'a> Stated<'a> {
-    fn of(header: &'a Header, parameters: &Parameters, rate_hz: f64) -> Self {
+impl<'a> StatedLayout<'a> {
+    fn of(header: &'a C3dHeader, parameters: &Parameters, rate_hz: f64) -> Self {
         let number = |group: &str, name: &str| parameters.number(group, name);
         let ratio = number("ANALOG", "RATE").map(|analog_hz| analog_hz / rate_hz);
         let scale = parameters.float("POINT", "SCALE");
@@ -137,14 +133,13 @@ impl<'a> Stated<'a> {
         self.scale.is_finite() && self.scale != 0.0
     }
 
-    /// Analog samples a frame by every place that tells, the header first.
+    /// The analog samples in a frame by every source in the file, the header first.
     fn analog(&self) -> Vec<u64> {
         let mut all = vec![u64::from(self.header.analog_per_frame)];
         if let Some(used) = self.channels_used {
             let ratios = [Some(u64::from(self.header.analog_ratio)), self.rate_ratio];
-            let ratios = ratios.into_iter().flatten();
-            let ratios: Vec<u64> = ratios.filter(|&ratio| ratio > 0).collect();
-            // Also where the header says another number: some software writes that of the channels there.
+            let ratios: Vec<u64> = ratios.into_iter().flatten().filter(|&n| n > 0).collect();
+            // These also count if the header has another number: some software writes the number of channels there.
             all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
             if ratios.is_empty() {
                 all.push(used);
@@ -154,7 +149,7 @@ impl<'a> Stated<'a> {
         all
     }
 
-    /// Whether samples are floats: by the sign of POINT:SCALE, and by the header's where that is another.
+    /// Whether samples are floats: by the sign of POINT:SCALE, and also by that of the header's scale if it differs.
     fn floats(&self) -> Vec<bool> {
         if !self.scale_is_usable() {
             return vec![true, false];
@@ -165,7 +160,8 @@ impl<'a> Stated<'a> {
         floats
     }
 
-    /// The reading that suits the file, and how many are stated.
+    /// Chooses the combination of stated values that fits the data. Returns it with the number of different
+    /// combinations that are stated.
     fn choose(
         &self,
         file: &FileBytes<'_>,
@@ -174,28 +170,25 @@ impl<'a> Stated<'a> {
     ) -> Result<(Stride, usize)> {
         let points: Vec<u64> =
             self.points_used.into_iter().chain([self.header.n_points.into()]).collect();
-        let strides = combine(&points, &self.analog(), &self.floats(), starts);
+        let strides = stride::combine(&points, &self.analog(), &self.floats(), starts);
         let candidate = |stride: Stride, n_frames: u64, is_stated: bool| {
-            Candidate::new(file, stride, n_frames, is_stated)
+            StrideCandidate::new(file, stride, n_frames, is_stated)
         };
-        let mut candidates: Vec<Candidate> = strides
+        let mut candidates: Vec<StrideCandidate> = strides
             .iter()
-            .map(|&stride| candidate(stride, counts.of_stride(file, &stride).n_frames, true))
+            .map(|&stride| candidate(stride, counts.for_stride(file, &stride).n_frames, true))
             .collect();
         let n_stated = candidates.len();
-        let only = match candidates.as_slice() {
-            &[only] => Some(only),
-            _ => None,
-        };
-        if let Some(only) = only.filter(Candidate::is_uncontradicted) {
+        let only = candidates.first().copied().filter(|_| n_stated == 1);
+        if let Some(only) = only.filter(StrideCandidate::is_acceptable) {
             return Ok((only.stride, 1));
         }
-        let cut_off = only.filter(Candidate::is_short);
-        if !candidates.iter().any(Candidate::is_plausible) {
+        let cut_off = only.filter(StrideCandidate::is_short);
+        if !candidates.iter().any(StrideCandidate::is_plausible) {
             let mut more: Vec<(Stride, u64)> = Vec::new();
             for n_frames in counts.all() {
                 for &stride in &strides {
-                    let sizes = by_size(file, stride, n_frames, self.channels_used);
+                    let sizes = stride::by_size(file, stride, n_frames, self.channels_used);
                     more.extend(sizes.map(|stride| (stride, n_frames)));
                     more.dedup();
                     more.truncate(CANDIDATES_MAX);
@@ -204,18 +197,16 @@ impl<'a> Stated<'a> {
             let more = more.into_iter().map(|(stride, n)| candidate(stride, n, false));
             candidates.extend(more);
             if self.channels_used.is_none_or(|used| used == 0) {
-                // A file that says nothing of channels may have none, whatever its header says.
+                // A file without ANALOG:USED may have no analog samples, whatever its header states.
                 let none = strides.iter().map(|&stride| Stride { analog_per_frame: 0, ..stride });
                 let none = none.filter(|stride| !strides.contains(stride));
                 candidates.extend(none.map(|stride| {
-                    candidate(stride, counts.of_stride(file, &stride).n_frames, true)
+                    candidate(stride, counts.for_stride(file, &stride).n_frames, true)
                 }));
             }
         }
-        let chosen = choose(&candidates).filter(|chosen| {
-            cut_off.is_none_or(|stated| {
-                chosen.is_much_smoother(&stated) && chosen.begins_smoothly(file)
-            })
+        let chosen = stride::choose(&candidates).filter(|best| {
+            cut_off.is_none_or(|only| best.is_much_smoother(&only) && best.begins_smoothly(file))
         });
         match (chosen, strides.first()) {
             (Some(chosen), _) => {
@@ -226,16 +217,16 @@ impl<'a> Stated<'a> {
             _ => Err(malformed(
                 "byte 2",
                 format!(
-                    "{}; no reading of them accounts for the file's {} bytes of data, and in none do positions go on from \
-                     frame to frame: correct the header or the parameters, or export the file again",
-                    self.figures(starts),
+                    "{}; no combination of these fits the {} bytes of data or gives continuous motion: correct the \
+                     header or the parameters, or export the file again",
+                    self.describe(starts),
                     file.bytes.len().saturating_sub(starts.first().copied().unwrap_or(0))
                 ),
             )),
         }
     }
 
-    /// Analog samples a frame and channel.
+    /// Determines the analog samples of one channel in a frame. Warns if header and parameters disagree.
     fn analog_ratio(&self, per_frame: usize, warnings: &mut Vec<String>) -> usize {
         let per_frame = per_frame as u64;
         let header_ratio = u64::from(self.header.analog_ratio);
@@ -243,12 +234,9 @@ impl<'a> Stated<'a> {
             return usize::try_from(header_ratio).unwrap_or(0);
         }
         let used = self.channels_used;
-        let agrees = |ratio: u64| {
-            ratio > 0 && used.is_none_or(|used| used.checked_mul(ratio) == Some(per_frame))
-        };
+        let agrees = |ratio: u64| used.is_none_or(|n| n.checked_mul(ratio) == Some(per_frame));
         let divides = |n: u64| n > 0 && per_frame.is_multiple_of(n);
-        let stated = [Some(header_ratio), self.rate_ratio];
-        let mut stated = stated.into_iter().flatten();
+        let mut stated = [Some(header_ratio), self.rate_ratio].into_iter().flatten();
         let ratio = stated
             .find(|&ratio| agrees(ratio) && divides(ratio))
             .or_else(|| Some(header_ratio).filter(|&ratio| divides(ratio)))
@@ -257,8 +245,8 @@ impl<'a> Stated<'a> {
         let n_channels = per_frame / ratio;
         if used.is_some_and(|used| used != n_channels) || !divides(header_ratio) {
             warnings.push(format!(
-                "{per_frame} analog samples a frame were read as {n_channels} channels of {ratio}: ANALOG:USED is {}, the \
-                 header says {} a channel.",
+                "{per_frame} analog samples in a frame were read as {n_channels} channels with {ratio} each: \
+                 ANALOG:USED is {}, the header states {} for each channel.",
                 used.map_or_else(|| "missing".to_owned(), |used| used.to_string()),
                 header_ratio
             ));
@@ -266,12 +254,12 @@ impl<'a> Stated<'a> {
         usize::try_from(ratio).unwrap_or(1)
     }
 
-    /// All of it in words.
-    fn figures(&self, starts: &[usize]) -> String {
+    /// The stated values as text for the user.
+    fn describe(&self, starts: &[usize]) -> String {
         let or_none = |n: Option<u64>| n.map_or_else(|| "missing".to_owned(), |n| n.to_string());
-        let mut words = format!(
-            "points: POINT:USED {}, header {}; analog samples a frame: header {}, ANALOG:USED {} times {} by the header or {} \
-             by ANALOG:RATE over POINT:RATE",
+        let mut text = format!(
+            "points: POINT:USED {}, header {}; analog samples in a frame: header {}, ANALOG:USED {} times {} from the \
+             header or {} from ANALOG:RATE over POINT:RATE",
             or_none(self.points_used),
             self.header.n_points,
             self.header.analog_per_frame,
@@ -280,71 +268,70 @@ impl<'a> Stated<'a> {
             or_none(self.rate_ratio)
         );
         if self.floats().len() > 1 {
-            words += &format!("; scale: POINT:SCALE {}, header {}", self.scale, self.header.scale);
+            text += &format!("; scale: POINT:SCALE {}, header {}", self.scale, self.header.scale);
         }
         if starts.len() > 1 {
-            let blocks: Vec<String> =
-                starts.iter().map(|start| (start / BLOCK + 1).to_string()).collect();
-            words += &format!("; first block of the data: {}", blocks.join(" or "));
+            let blocks: Vec<_> = starts.iter().map(|at| (at / BLOCK + 1).to_string()).collect();
+            text += &format!("; first block of the data: {}", blocks.join(" or "));
         }
-        words
+        text
     }
 }
 
-/// A ratio of two rates as a whole number, where it is one but for the rounding of rates to f32.
+/// The ratio of two rates as a whole number; `None` if it differs from one by more than the rounding of the rates to
+/// f32.
 fn near_whole(ratio: f64) -> Option<u64> {
     let whole = ratio.round();
     ((ratio - whole).abs() <= 1e-3 * whole && (1.0..65536.0).contains(&whole))
         .then_some(whole as u64)
 }
 
-/// A count stored as a number: whole and not negative.
+/// A stored number as a count, rounded down; `None` if it is negative or exceeds 32 bits.
 fn as_count(value: f64) -> Option<u64> {
     (0.0..4_294_967_296.0).contains(&value).then_some(value as u64)
 }
 
-/// Frames a second: the parameter's, or the header's.
-fn rate(header: &Header, parameter: Option<f64>, warnings: &mut Vec<String>) -> f64 {
+/// The rate in frames a second: POINT:RATE, or the header's, or 100 Hz. Warns unless both agree.
+fn rate(header: &C3dHeader, parameter: Option<f64>, warnings: &mut Vec<String>) -> f64 {
     let usable = |rate: &f64| rate.is_finite() && *rate > 0.0;
     let stated = f64::from(header.rate_hz);
     match (parameter.filter(usable), Some(stated).filter(usable)) {
         (Some(rate), Some(header)) => {
             if (rate - header).abs() > rate * 1e-6 {
                 warnings.push(format!(
-                    "The rate is {rate} Hz by POINT:RATE and {header} Hz by the header; {rate} Hz was taken."
+                    "POINT:RATE is {rate} Hz, but the header states {header} Hz; {rate} Hz was used."
                 ));
             }
             rate
         }
         (Some(rate), None) => rate,
         (None, Some(rate)) => {
-            warnings.push(format!("POINT:RATE is missing; the header's {rate} Hz was taken."));
+            warnings.push(format!("POINT:RATE is missing; the header's {rate} Hz was used."));
             rate
         }
         (None, None) => {
-            warnings.push("No usable rate is stated; 100 Hz was taken.".to_owned());
+            warnings.push("The file states no usable rate; 100 Hz was assumed.".to_owned());
             100.0
         }
     }
 }
 
-/// Offsets at which the first frame may be: the header's, and the parameter's where that is another.
-fn data_starts(header: &Header, parameters: &Parameters, n_bytes: usize) -> Result<Vec<usize>> {
+/// Possible offsets of the first frame: that of the header, and that of `POINT:DATA_START` if it differs.
+fn data_starts(header: &C3dHeader, parameters: &Parameters, n_bytes: usize) -> Result<Vec<usize>> {
     let offset = |block: u64| {
         usize::try_from(block.saturating_sub(1)).unwrap_or(usize::MAX).saturating_mul(BLOCK)
     };
-    let possible =
-        |block: &u64| *block > u64::from(header.parameter_block) && offset(*block) <= n_bytes;
+    let fits = |&block: &u64| block > u64::from(header.parameter_block) && offset(block) <= n_bytes;
     let stated = u64::from(header.data_block);
     let parameter = parameters.number("POINT", "DATA_START").and_then(as_count);
     let mut starts: Vec<usize> =
-        [Some(stated), parameter].into_iter().flatten().filter(possible).map(offset).collect();
+        [Some(stated), parameter].into_iter().flatten().filter(fits).map(offset).collect();
     starts.dedup();
     if starts.is_empty() {
         return Err(malformed(
             "byte 16",
             format!(
-                "the data begin at block {stated}, the file has {}: it was cut off before its data",
+                "the data begins at block {stated}, but the file has only {}: it was cut off before its data",
                 n_bytes.div_ceil(BLOCK)
             ),
         ));
@@ -352,28 +339,28 @@ fn data_starts(header: &Header, parameters: &Parameters, n_bytes: usize) -> Resu
     Ok(starts)
 }
 
-/// Largest value of a word: where a count is this, it may have been larger.
+/// Largest value of a 16-bit count: the actual count may be larger.
 const SATURATED: u64 = 65535;
 
-/// A number of frames, and which place states it.
+/// A number of frames and its source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct FrameCount {
     n_frames: u64,
-    place: Option<Place>,
+    source: Option<CountSource>,
 }
 
-/// Where a number of frames is stated, the most trusted first: the first three can say more than 16 bits.
+/// The sources of the number of frames, the most trusted first. The first three may exceed 16 bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Place {
+enum CountSource {
     Trial,
     LongFrames,
     Frames,
     Header,
-    /// By the bytes present, where 16 bits are not enough and nothing wider is there.
+    /// The size of the file, if 16 bits are not enough and the file has no wider count.
     Size,
 }
 
-impl Place {
+impl CountSource {
     fn name(self) -> &'static str {
         match self {
             Self::Trial => "TRIAL:ACTUAL_END_FIELD",
@@ -385,104 +372,102 @@ impl Place {
     }
 }
 
-/// Every count that a file states.
+/// All numbers of frames that a file states.
 struct FrameCounts<'a> {
-    header: &'a Header,
-    stated: Vec<(Place, u64)>,
+    header: &'a C3dHeader,
+    stated: Vec<(CountSource, u64)>,
     trial_start: Option<u64>,
-    /// Whether nothing wider than 16 bits states the count.
+    /// Whether the file has no count wider than 16 bits.
     is_narrow: bool,
 }
 
 impl<'a> FrameCounts<'a> {
-    fn of(header: &'a Header, parameters: &Parameters) -> Self {
-        let field = |name: &str| match parameters.get("TRIAL", name)?.words()[..] {
+    fn of(header: &'a C3dHeader, parameters: &Parameters) -> Self {
+        let field = |name: &str| match parameters.get("TRIAL", name)?.integers()[..] {
             [low] => Some(u64::from(low)),
             [low, high, ..] => Some(u64::from(low) | u64::from(high) << 16),
             [] => None,
         };
-        let trial_start = field("ACTUAL_START_FIELD");
-        let trial =
-            trial_start.zip(field("ACTUAL_END_FIELD")).and_then(|(s, e)| (e + 1).checked_sub(s));
+        let start = field("ACTUAL_START_FIELD");
+        let trial = start.zip(field("ACTUAL_END_FIELD")).and_then(|(s, e)| (e + 1).checked_sub(s));
         let count = |name: &str| parameters.number("POINT", name).and_then(as_count);
         let (first, last) = (u64::from(header.first_frame), u64::from(header.last_frame));
         let stated = [
-            (Place::Trial, trial),
-            (Place::LongFrames, count("LONG_FRAMES")),
-            (Place::Frames, count("FRAMES")),
-            (Place::Header, (last + 1).checked_sub(first)),
+            (CountSource::Trial, trial),
+            (CountSource::LongFrames, count("LONG_FRAMES")),
+            (CountSource::Frames, count("FRAMES")),
+            (CountSource::Header, (last + 1).checked_sub(first)),
         ];
         let stated = stated.into_iter();
         let has = |group: &str, name: &str| parameters.get(group, name).is_some();
         Self {
             header,
-            stated: stated.filter_map(|(place, n)| Some((place, n.filter(|&n| n > 0)?))).collect(),
-            trial_start,
+            stated: stated.filter_map(|(of, n)| Some((of, n.filter(|&n| n > 0)?))).collect(),
+            trial_start: start,
             is_narrow: !has("POINT", "LONG_FRAMES") && !has("TRIAL", "ACTUAL_END_FIELD"),
         }
     }
 
-    /// Every count, each once.
+    /// The distinct counts.
     fn all(&self) -> BTreeSet<u64> {
         self.stated.iter().map(|&(_, n)| n).collect()
     }
 
-    /// The count for frames of a stride: the most trusted one that accounts for the bytes, else the most trusted one
-    /// that they can hold, else the most trusted one.
-    fn of_stride(&self, file: &FileBytes<'_>, stride: &Stride) -> FrameCount {
-        let fits = |wanted: &dyn Fn(Fit) -> bool| {
+    /// The count for frames of a stride: the most trusted one that fits the data exactly, otherwise the most trusted
+    /// one for which there is enough data, otherwise the most trusted one.
+    fn for_stride(&self, file: &FileBytes<'_>, stride: &Stride) -> FrameCount {
+        let fits = |wanted: &dyn Fn(SizeFit) -> bool| {
             self.stated.iter().find(|&&(_, n)| wanted(file.fit(stride, n)))
         };
-        let found = fits(&|fit| fit == Fit::Exact);
+        let found = fits(&|fit| fit == SizeFit::Exact);
         let is_saturated = self.is_narrow && self.header.last_frame == u16::MAX;
         if found.is_none() && is_saturated {
-            // What the padding of the last block has room for may be no frames.
-            let n_frames =
-                file.present(stride).saturating_sub((BLOCK - 1) / stride.frame_bytes().max(1))
-                    as u64;
+            // Frames that fit in the padding of the last block are not counted.
+            let padding = (BLOCK - 1) / stride.frame_bytes().max(1);
+            let n_frames = file.present(stride).saturating_sub(padding) as u64;
             if self.stated.iter().all(|&(_, n)| n < n_frames) {
-                return FrameCount { n_frames, place: Some(Place::Size) };
+                return FrameCount { n_frames, source: Some(CountSource::Size) };
             }
         }
-        let found = found.or_else(|| fits(&|fit| fit != Fit::Short)).or(self.stated.first());
-        found.map_or(FrameCount { n_frames: 0, place: None }, |&(place, n_frames)| FrameCount {
-            n_frames,
-            place: Some(place),
-        })
+        let found = found.or_else(|| fits(&|fit| fit != SizeFit::Short)).or(self.stated.first());
+        let (source, n_frames) = found.map_or((None, 0), |&(source, n)| (Some(source), n));
+        FrameCount { n_frames, source }
     }
 
-    /// The number of the first frame: the one of the TRIAL group where its count was taken.
-    fn first_frame(&self, taken: &FrameCount) -> u64 {
-        let trial = self.stated.iter().find(|(place, _)| *place == Place::Trial);
+    /// The number of the first frame: from the TRIAL group if its count was used, otherwise from the header.
+    fn first_frame(&self, used: &FrameCount) -> u64 {
+        let trial = self.stated.iter().find(|(source, _)| *source == CountSource::Trial);
         match (self.trial_start, trial) {
-            (Some(start), Some(&(_, n))) if n == taken.n_frames => start,
+            (Some(start), Some(&(_, n))) if n == used.n_frames => start,
             _ => self.header.first_frame.into(),
         }
     }
 
-    /// Says where the places disagree.
-    fn report(&self, taken: &FrameCount, warnings: &mut Vec<String>) {
-        let n_frames = taken.n_frames;
-        let Some(place) = taken.place else {
-            warnings.push("The number of frames is stated nowhere.".to_owned());
+    /// Warns of sources that disagree with the count in use.
+    fn report(&self, used: &FrameCount, warnings: &mut Vec<String>) {
+        let n_frames = used.n_frames;
+        let Some(source) = used.source else {
+            warnings.push("The file states no number of frames.".to_owned());
             return;
         };
-        if place == Place::Size {
+        if source == CountSource::Size {
             warnings.push(format!(
-                "The number of frames does not fit its 16-bit field; {n_frames} whole frames are present."
+                "The number of frames exceeds its 16-bit field; the file has {n_frames} complete frames."
             ));
             return;
         }
         for &(other, n) in &self.stated {
-            // A 16-bit field that says 65535, or the count modulo 65536, agrees as well as it can.
+            // A 16-bit field with 65535, or with the count modulo 65536, agrees as far as it can.
             let agrees = n == n_frames
                 || n_frames > SATURATED && (n == SATURATED || n == n_frames & 0xFFFF)
-                || other == Place::Header && self.header.last_frame == u16::MAX && n < n_frames;
+                || other == CountSource::Header
+                    && self.header.last_frame == u16::MAX
+                    && n < n_frames;
             if !agrees {
                 warnings.push(format!(
-                    "{} says {n} frames, {} {n_frames}; {n_frames} was taken.",
+                    "{} states {n} frames, but {} {n_frames}; {n_frames} was used.",
                     other.name(),
-                    place.name()
+                    source.name()
                 ));
             }
         }

@@ -1,8 +1,8 @@
 //! C3D, the binary format of biomechanics (The C3D File Format: User Guide, Motion Lab Systems, 2021).
 //!
-//! Read: Intel, DEC and MIPS files, integers and floats, more points than a LABELS parameter holds, more frames
-//! than 16 bits count, and files whose parameter section is damaged, as far as they make sense. Written: Intel,
-//! floats, millimetres.
+//! The reader accepts Intel, DEC and MIPS files with integer or float samples, more points than one LABELS parameter
+//! holds, more frames than 16 bits count, and files with a partly damaged parameter section. The writer produces Intel
+//! files with float samples in millimetres.
 
 mod columns;
 mod events;
@@ -19,14 +19,13 @@ mod write;
 use super::InterchangeError;
 
 pub(super) use events::EVENTS_MAX;
-pub(super) use foreign::{MODEL_OUTPUTS, turn};
+pub(super) use foreign::{MODEL_OUTPUTS, rotate};
 pub(super) use read::read;
 pub(super) use write::write;
 
-/// Version of the layouts in which a take keeps what is not a trajectory (`docs/foreign.md`).
+/// Version of the layouts of the foreign parts (`docs/foreign.md`).
 const VERSION: u8 = 1;
 
-/// What cannot be read.
 fn malformed(place: &str, message: impl Into<String>) -> InterchangeError {
     InterchangeError::malformed("c3d", place, message)
 }

@@ -1,39 +1,40 @@
-//! The parameter section: groups, and parameters in them, read and written.
+//! Reading, writing and editing of the parameter section: groups and their parameters.
 
 use super::header::ByteOrder;
 use crate::{
     interchange::{
+        counted,
+        rotation::{Direction, Rotation},
         text::decode,
-        turn::{Direction, Turn},
     },
     motion::UpAxis,
 };
 
 /// A group of parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Group {
+pub(super) struct ParameterGroup {
     /// 1 to 127.
     pub(super) id: u8,
-    /// Its name as stored.
+    /// The name as stored.
     pub(super) name: Vec<u8>,
-    /// Whether users should leave it alone.
+    /// Whether the group is locked against editing.
     pub(super) locked: bool,
     /// Free text.
     pub(super) description: Vec<u8>,
 }
 
-/// A parameter: an array of characters, bytes, 16-bit words or floats, Intel order, first dimension fastest.
+/// A parameter: an array of characters, bytes, 16-bit integers or floats in Intel order, first dimension fastest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Parameter {
-    /// The group it belongs to.
+    /// Id of its group.
     pub(super) group: u8,
-    /// Its name as stored.
+    /// The name as stored.
     pub(super) name: Vec<u8>,
-    /// Whether users should leave it alone.
+    /// Whether the parameter is locked against editing.
     pub(super) locked: bool,
-    /// -1 characters, 1 bytes, 2 words, 4 floats.
+    /// Element type: -1 characters, 1 bytes, 2 integers, 4 floats.
     pub(super) kind: i8,
-    /// At most 255 each; none for a single value.
+    /// The dimensions; none for a scalar.
     pub(super) dimensions: Vec<u8>,
     /// The values.
     pub(super) data: Vec<u8>,
@@ -44,32 +45,37 @@ pub(super) struct Parameter {
 /// The parameter section.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Parameters {
-    /// In the order found.
-    pub(super) groups: Vec<Group>,
-    /// In the order found.
+    /// Groups in file order.
+    pub(super) groups: Vec<ParameterGroup>,
+    /// Parameters of all groups in file order.
     pub(super) parameters: Vec<Parameter>,
 }
 
 impl Parameter {
-    /// Its values as numbers; words unsigned. Empty for characters.
+    /// Whether the parameter has this group and name, ignoring case.
+    fn is(&self, group: u8, name: &str) -> bool {
+        self.group == group && self.name.eq_ignore_ascii_case(name.as_bytes())
+    }
+
+    /// The values as numbers, integers unsigned. Empty for characters.
     pub(super) fn numbers(&self) -> Vec<f64> {
         match self.kind {
             1 => self.data.iter().map(|&v| f64::from(v)).collect(),
-            2 => self.words().into_iter().map(f64::from).collect(),
+            2 => self.integers().into_iter().map(f64::from).collect(),
             4 => self.floats().into_iter().map(f64::from).collect(),
             _ => Vec::new(),
         }
     }
 
-    /// Its values as unsigned words; empty when it holds none.
-    pub(super) fn words(&self) -> Vec<u16> {
+    /// The values as unsigned 16-bit integers; empty for other types.
+    pub(super) fn integers(&self) -> Vec<u16> {
         if self.kind != 2 {
             return Vec::new();
         }
         self.data.as_chunks().0.iter().map(|&b| u16::from_le_bytes(b)).collect()
     }
 
-    /// Its values as floats; empty when it holds none.
+    /// The values as floats; empty for other types.
     pub(super) fn floats(&self) -> Vec<f32> {
         if self.kind != 4 {
             return Vec::new();
@@ -77,7 +83,7 @@ impl Parameter {
         self.data.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect()
     }
 
-    /// Its texts: one for each string of the first dimension's length, trailing spaces and zeros cut off.
+    /// The texts: the first dimension is their length. Trailing spaces and zeros are removed. Empty for other types.
     pub(super) fn texts(&self) -> Vec<String> {
         if self.kind != -1 {
             return Vec::new();
@@ -87,31 +93,25 @@ impl Parameter {
             let n_strings = self.dimensions.iter().skip(1).map(|&d| usize::from(d)).product();
             return vec![String::new(); usize::from(u16::MAX).min(n_strings)];
         }
-        self.data
-            .chunks(length)
-            .map(|text| {
-                let end =
-                    text.iter().rposition(|b| !matches!(b, b' ' | 0)).map_or(0, |last| last + 1);
-                decode(text.get(..end).unwrap_or(text))
-            })
-            .collect()
+        let text = |text: &[u8]| {
+            let end = text.iter().rposition(|b| !matches!(b, b' ' | 0)).map_or(0, |last| last + 1);
+            decode(text.get(..end).unwrap_or(text))
+        };
+        self.data.chunks(length).map(text).collect()
     }
 }
 
 impl Parameters {
-    /// The id of a group by its name, in any case.
+    /// The id of a group by its name, ignoring case.
     pub(super) fn group_id(&self, name: &str) -> Option<u8> {
-        let found =
-            self.groups.iter().find(|group| group.name.eq_ignore_ascii_case(name.as_bytes()))?;
+        let found = self.groups.iter().find(|g| g.name.eq_ignore_ascii_case(name.as_bytes()))?;
         Some(found.id)
     }
 
-    /// A parameter by group and name, in any case.
+    /// A parameter by group and name, ignoring case.
     pub(super) fn get(&self, group: &str, name: &str) -> Option<&Parameter> {
         let id = self.group_id(group)?;
-        self.parameters
-            .iter()
-            .find(|p| p.group == id && p.name.eq_ignore_ascii_case(name.as_bytes()))
+        self.parameters.iter().find(|p| p.is(id, name))
     }
 
     /// The first value of a parameter as a number.
@@ -119,12 +119,12 @@ impl Parameters {
         self.get(group, name)?.numbers().first().copied()
     }
 
-    /// The first value of a parameter, where that is a float.
+    /// The first value of a parameter of floats.
     pub(super) fn float(&self, group: &str, name: &str) -> Option<f32> {
         self.get(group, name)?.floats().first().copied()
     }
 
-    /// The axis that points up on a screen, where the file says so and it is a positive one.
+    /// The up axis from `POINT:Y_SCREEN`; unknown if the parameter is missing or names a negative direction.
     pub(super) fn up_axis(&self) -> UpAxis {
         let axis = self.text("POINT", "Y_SCREEN").unwrap_or_default();
         let up = axis.trim().parse().ok().filter(|up: &Direction| !up.is_negative());
@@ -136,31 +136,31 @@ impl Parameters {
         self.get(group, name)?.texts().into_iter().next()
     }
 
-    /// The texts of a parameter and of those that go on where it is full: NAME, NAME2, NAME3...
+    /// The texts of a parameter and its continuations: NAME, NAME2, NAME3...
     pub(super) fn texts(&self, group: &str, name: &str) -> Vec<String> {
         let mut texts = self.get(group, name).map(Parameter::texts).unwrap_or_default();
         for more in 2..=u8::MAX {
             let Some(parameter) = self.get(group, &format!("{name}{more}")) else { break };
             if texts.len() > usize::from(u16::MAX) {
-                break; // More than a frame can have points: texts of length 0 take no bytes.
+                break; // Texts of length 0 take no bytes, so a damaged file could claim any number of them.
             }
             texts.extend(parameter.texts());
         }
         texts
     }
 
-    /// Reads the records of a section, as far as they make sense. `section` begins at the first record.
+    /// Parses the records of a section up to the first invalid one. `section` begins at the first record.
     pub(super) fn parse(section: &[u8], order: ByteOrder, warnings: &mut Vec<String>) -> Self {
         let mut parameters = Self::default();
         let mut at = 0;
         loop {
-            let Some(record) = Record::parse(section, at, order) else {
+            let Some(record) = ParameterRecord::parse(section, at, order) else {
                 if section.get(at).is_none_or(|&length| length != 0) {
                     warnings.push(format!(
-                        "The parameter section breaks off after {} groups and {} parameters, at its byte {}.",
-                        parameters.groups.len(),
-                        parameters.parameters.len(),
-                        at + 4
+                        "The parameter section is damaged from its byte {} on; {} and {} were read.",
+                        at + 4,
+                        counted(parameters.groups.len() as u64, "group"),
+                        counted(parameters.parameters.len() as u64, "parameter")
                     ));
                 }
                 return parameters;
@@ -174,8 +174,8 @@ impl Parameters {
     }
 }
 
-/// A record of the section: a group or a parameter, not looked into yet.
-struct Record<'a> {
+/// A record of the section: a group or a parameter whose body is not parsed yet.
+struct ParameterRecord<'a> {
     id: i8,
     locked: bool,
     name: &'a [u8],
@@ -183,8 +183,8 @@ struct Record<'a> {
     next: Option<usize>,
 }
 
-impl<'a> Record<'a> {
-    /// The record at `at`; `None` at the end of the list and where there cannot be a record.
+impl<'a> ParameterRecord<'a> {
+    /// Parses the record at `at`; `None` at the end mark and for an invalid record.
     fn parse(section: &'a [u8], at: usize, order: ByteOrder) -> Option<Self> {
         let length = i8::from_le_bytes([*section.get(at)?]);
         let id = i8::from_le_bytes([*section.get(at + 1)?]);
@@ -199,10 +199,10 @@ impl<'a> Record<'a> {
         Some(Self { id, locked: length < 0, name, body, next })
     }
 
-    /// Adds the record to what was read before it.
+    /// Parses the body and adds the group or parameter to `to`.
     fn read_into(&self, to: &mut Parameters, order: ByteOrder, warnings: &mut Vec<String>) {
         if self.id < 0 {
-            to.groups.push(Group {
+            to.groups.push(ParameterGroup {
                 id: self.id.unsigned_abs(),
                 name: self.name.to_vec(),
                 locked: self.locked,
@@ -222,28 +222,26 @@ impl<'a> Record<'a> {
         }
     }
 
-    /// The parameter in the body, and what is wrong with it.
+    /// Parses the body of a parameter, with a description of its fault, if it has one.
     fn parameter(&self, order: ByteOrder) -> Result<(Parameter, Option<String>), String> {
-        let (kind, rest) = self.body.split_first().ok_or("it is empty")?;
+        let (kind, rest) = self.body.split_first().ok_or("no data")?;
         let kind = i8::from_le_bytes([*kind]);
         let width = match kind {
             -1 | 1 => 1,
             2 => 2,
             4 => 4,
-            other => return Err(format!("its type is {other}, expected -1, 1, 2 or 4")),
+            other => return Err(format!("expected type -1, 1, 2 or 4, found {other}")),
         };
-        let (n_dimensions, rest) = rest.split_first().ok_or("it has no dimensions")?;
-        let (dimensions, rest) = rest
-            .split_at_checked(usize::from(*n_dimensions))
-            .ok_or("its dimensions are cut off")?;
+        let (&n, rest) = rest.split_first().ok_or("the number of dimensions is missing")?;
+        let dimensions = rest.split_at_checked(usize::from(n));
+        let (dimensions, rest) = dimensions.ok_or("the dimensions are cut off")?;
         let mut dimensions = dimensions.to_vec();
-        let announced =
-            dimensions.iter().fold(width, |n: usize, &d| n.saturating_mul(usize::from(d)));
+        let announced = dimensions.iter().fold(width, |n: usize, &d| n.saturating_mul(d.into()));
         let (data, after, mut wrong) = match rest.split_at_checked(announced) {
             Some((data, after)) => (data, after, None),
             None => {
                 let whole = rest.get(..rest.len() / width * width).unwrap_or(rest);
-                let wrong = format!("{announced} bytes announced, {} present", rest.len());
+                let wrong = format!("expected {announced} bytes, found {}", rest.len());
                 dimensions = vec![(whole.len() / width).min(255) as u8];
                 let kept = usize::from(dimensions.first().copied().unwrap_or(0)) * width;
                 (whole.get(..kept).unwrap_or(whole), &[][..], Some(wrong))
@@ -251,7 +249,7 @@ impl<'a> Record<'a> {
         };
         let description = description(after).map(<[u8]>::to_vec);
         if description.is_none() && wrong.is_none() {
-            wrong = Some("the byte with the length of its description is missing".to_owned());
+            wrong = Some("the length of the description is missing".to_owned());
         }
         let parameter = Parameter {
             group: self.id.unsigned_abs(),
@@ -266,13 +264,13 @@ impl<'a> Record<'a> {
     }
 }
 
-/// A length byte and that many bytes, or what is there of them.
+/// The description after its length byte, cut off at the end of `bytes`.
 fn description(bytes: &[u8]) -> Option<&[u8]> {
     let (length, text) = bytes.split_first()?;
     Some(text.get(..usize::from(*length)).unwrap_or(text))
 }
 
-/// Parameter values in Intel order.
+/// Converts parameter values to Intel order.
 fn to_intel(data: &[u8], kind: i8, order: ByteOrder) -> Vec<u8> {
     match (kind, order) {
         (2, ByteOrder::Mips) => {
@@ -285,12 +283,14 @@ fn to_intel(data: &[u8], kind: i8, order: ByteOrder) -> Vec<u8> {
     }
 }
 
-/// Most strings that one dimension counts.
-pub(super) const MAX_STRINGS: usize = 255;
-/// Most bytes of one parameter's data: with name, dimensions and description its record stays within a signed word.
-const MAX_DATA: usize = 32_000;
+/// Most elements of one dimension.
+pub(super) const DIMENSION_MAX: usize = 255;
+/// Most bytes of one parameter's data: with dimensions and description the record's offset fits a signed 16-bit
+/// integer.
+const PARAMETER_BYTES_MAX: usize = 32_000;
 
-/// Appends the records of all groups and parameters, each group before its parameters, and the end mark.
+/// Appends the records of all groups, each followed by its parameters, then parameters without a group, and the end
+/// mark.
 pub(super) fn encode_records(parameters: &Parameters, out: &mut Vec<u8>) {
     let known = |id: u8| parameters.groups.iter().any(|group| group.id == id);
     for group in &parameters.groups {
@@ -303,7 +303,7 @@ pub(super) fn encode_records(parameters: &Parameters, out: &mut Vec<u8>) {
     out.extend([0, 0]);
 }
 
-/// A record's length of name (negative when locked), id, and name.
+/// Appends a record's name length (negative if locked), id and name.
 fn encode_name(name: &[u8], locked: bool, id: i8, out: &mut Vec<u8>) {
     let name = name.get(..127).unwrap_or(name);
     let length = name.len() as i8;
@@ -312,49 +312,45 @@ fn encode_name(name: &[u8], locked: bool, id: i8, out: &mut Vec<u8>) {
     out.extend(name);
 }
 
-/// A description's length and text.
+/// Appends a description: length byte and text.
 fn encode_description(text: &[u8], out: &mut Vec<u8>) {
     let text = text.get(..255).unwrap_or(text);
     out.push(text.len() as u8);
     out.extend(text);
 }
 
-fn encode_group(group: &Group, out: &mut Vec<u8>) {
-    // A group 128 is -128 in the file.
+fn encode_group(group: &ParameterGroup, out: &mut Vec<u8>) {
+    // Group 128 is -128 in the file.
     encode_name(&group.name, group.locked, (group.id as i8).wrapping_neg(), out);
     out.extend((group.description.len().min(255) as u16 + 3).to_le_bytes());
     encode_description(&group.description, out);
 }
 
 fn encode_parameter(parameter: &Parameter, out: &mut Vec<u8>) {
-    let body = 4
-        + parameter.dimensions.len()
-        + parameter.data.len()
-        + 1
-        + parameter.description.len().min(255);
-    // Only a last record without an offset can have been longer than an offset can say: it is the last again.
+    let Parameter { dimensions, data, description, .. } = parameter;
+    let body = 4 + dimensions.len() + data.len() + 1 + description.len().min(255);
+    // A record too long for its offset was read from the end of a section, where the offset is 0. It is the last one
+    // again.
     let offset = u16::try_from(body).unwrap_or(0);
     encode_name(&parameter.name, parameter.locked, parameter.group as i8, out);
     out.extend(offset.to_le_bytes());
     out.extend(parameter.kind.to_le_bytes());
-    out.push(parameter.dimensions.len().min(255) as u8);
-    out.extend(&parameter.dimensions);
-    out.extend(&parameter.data);
-    encode_description(&parameter.description, out);
+    out.push(dimensions.len().min(255) as u8);
+    out.extend(dimensions);
+    out.extend(data);
+    encode_description(description, out);
 }
 
 impl Parameters {
-    /// The id of a group, which is made when there is none; `None` when all ids are taken.
+    /// The id of a group, which is created if it does not exist; `None` if all 127 ids are taken.
     fn group_or_new(&mut self, name: &str) -> Option<u8> {
         if let Some(id) = self.group_id(name) {
             return Some(id);
         }
-        let taken = |id: u8| {
-            self.groups.iter().any(|group| group.id == id)
-                || self.parameters.iter().any(|p| p.group == id)
-        };
-        let id = (1..=127).find(|&id| !taken(id))?;
-        self.groups.push(Group {
+        let taken = self.groups.iter().map(|group| group.id);
+        let taken: Vec<u8> = taken.chain(self.parameters.iter().map(|p| p.group)).collect();
+        let id = (1..=127).find(|id| !taken.contains(id))?;
+        self.groups.push(ParameterGroup {
             id,
             name: name.as_bytes().to_vec(),
             locked: false,
@@ -363,22 +359,11 @@ impl Parameters {
         Some(id)
     }
 
-    /// Sets a parameter's values: in place where it exists, else at the end.
-    pub(super) fn set(
-        &mut self,
-        group: &str,
-        name: &str,
-        kind: i8,
-        dimensions: Vec<u8>,
-        data: Vec<u8>,
-    ) {
+    /// Sets a parameter: in place if it exists, otherwise as the last one.
+    pub(super) fn set(&mut self, group: &str, name: &str, kind: i8, shape: Vec<u8>, data: Vec<u8>) {
         let Some(id) = self.group_or_new(group) else { return };
-        let found = self
-            .parameters
-            .iter_mut()
-            .find(|p| p.group == id && p.name.eq_ignore_ascii_case(name.as_bytes()));
-        if let Some(parameter) = found {
-            (parameter.kind, parameter.dimensions, parameter.data) = (kind, dimensions, data);
+        if let Some(parameter) = self.parameters.iter_mut().find(|p| p.is(id, name)) {
+            (parameter.kind, parameter.dimensions, parameter.data) = (kind, shape, data);
             return;
         }
         self.parameters.push(Parameter {
@@ -386,19 +371,19 @@ impl Parameters {
             name: name.as_bytes().to_vec(),
             locked: false,
             kind,
-            dimensions,
+            dimensions: shape,
             data,
             description: Vec::new(),
         });
     }
 
-    /// Sets a single word.
-    pub(super) fn set_word(&mut self, group: &str, name: &str, value: u16) {
+    /// Sets a single 16-bit integer.
+    pub(super) fn set_integer(&mut self, group: &str, name: &str, value: u16) {
         self.set(group, name, 2, Vec::new(), value.to_le_bytes().to_vec());
     }
 
-    /// Sets a number of 32 bits as two words, the lower one first.
-    pub(super) fn set_double_word(&mut self, group: &str, name: &str, value: u32) {
+    /// Sets a 32-bit integer as two 16-bit ones, the lower one first.
+    pub(super) fn set_long_integer(&mut self, group: &str, name: &str, value: u32) {
         self.set(group, name, 2, vec![2], value.to_le_bytes().to_vec());
     }
 
@@ -407,15 +392,18 @@ impl Parameters {
         self.set(group, name, 4, Vec::new(), value.to_le_bytes().to_vec());
     }
 
-    /// Sets a single text.
+    /// Sets a single text, cut off at 255 bytes.
     pub(super) fn set_text(&mut self, group: &str, name: &str, text: &str) {
         let text = text.as_bytes();
         let text = text.get(..255).unwrap_or(text);
         self.set(group, name, -1, vec![text.len() as u8], text.to_vec());
     }
 
-    /// Sets a list of texts, going on in NAME2, NAME3... where one parameter is full. Lists that say the same
-    /// already stay as they are. `Err` with the first text that is too long.
+    /// Sets a list of texts, continued in NAME2, NAME3... where a parameter is full. A list with the same texts stays
+    /// unchanged.
+    ///
+    /// # Errors
+    /// The first text that is longer than 255 bytes.
     pub(super) fn set_texts<'a>(
         &mut self,
         group: &str,
@@ -430,7 +418,7 @@ impl Parameters {
         }
         self.remove_list(group, name);
         let length = texts.iter().map(String::len).max().unwrap_or(0).max(1);
-        let per_parameter = (MAX_DATA / length).min(MAX_STRINGS);
+        let per_parameter = (PARAMETER_BYTES_MAX / length).min(DIMENSION_MAX);
         if texts.is_empty() {
             self.set(group, name, -1, vec![0, 0], Vec::new());
         }
@@ -446,7 +434,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// Removes NAME2, NAME3... and, where the list no longer fits, NAME.
+    /// Removes NAME and its continuations NAME2, NAME3...
     pub(super) fn remove_list(&mut self, group: &str, name: &str) {
         let Some(id) = self.group_id(group) else { return };
         let is_of_list = |found: &[u8]| {
@@ -464,15 +452,16 @@ impl Parameters {
         });
     }
 
-    /// Turns what is a place in the laboratory: the corners of force plates.
-    pub(super) fn turn(&mut self, turn: Turn) {
+    /// Rotates the corners of force plates, the parameters that are positions in the laboratory.
+    pub(super) fn rotate(&mut self, rotation: Rotation) {
         self.map_floats("FORCE_PLATFORM", "CORNERS", |floats| {
             let (corners, rest) = floats.as_chunks::<3>();
-            corners.iter().flat_map(|&corner| turn.of(corner)).chain(rest.iter().copied()).collect()
+            let corners = corners.iter().flat_map(|&corner| rotation.apply(corner));
+            corners.chain(rest.iter().copied()).collect()
         });
     }
 
-    /// Puts as many other floats in the place of a parameter's.
+    /// Replaces the floats of a parameter by as many others.
     fn map_floats(&mut self, group: &str, name: &str, map: impl Fn(&[f32]) -> Vec<f32>) {
         let Some(parameter) = self.get(group, name).filter(|p| p.kind == 4) else { return };
         let data = map(&parameter.floats()).into_iter().flat_map(f32::to_le_bytes).collect();
@@ -480,14 +469,14 @@ impl Parameters {
         self.set(group, name, 4, dimensions, data);
     }
 
-    /// Sets a list of floats, going on in NAME2, NAME3... where one parameter is full.
+    /// Sets a list of floats, continued in NAME2, NAME3... where a parameter is full.
     pub(super) fn set_float_list(&mut self, group: &str, name: &str, values: &[f32]) {
         let values: Vec<[u8; 4]> = values.iter().map(|value| value.to_le_bytes()).collect();
         self.set_list(group, name, 4, &values);
     }
 
-    /// Sets a list of words in the same way.
-    pub(super) fn set_word_list(&mut self, group: &str, name: &str, values: &[u16]) {
+    /// Sets a list of 16-bit integers, continued in NAME2, NAME3... where a parameter is full.
+    pub(super) fn set_integer_list(&mut self, group: &str, name: &str, values: &[u16]) {
         let values: Vec<[u8; 2]> = values.iter().map(|value| value.to_le_bytes()).collect();
         self.set_list(group, name, 2, &values);
     }
@@ -496,7 +485,7 @@ impl Parameters {
         if values.is_empty() {
             self.set(group, name, kind, vec![0], Vec::new());
         }
-        for (index, some) in values.chunks(MAX_STRINGS).enumerate() {
+        for (index, some) in values.chunks(DIMENSION_MAX).enumerate() {
             let name = if index == 0 { name.to_owned() } else { format!("{name}{}", index + 1) };
             self.set(group, &name, kind, vec![some.len() as u8], some.concat());
         }

@@ -1,39 +1,40 @@
-//! How long a frame is, where header, parameters and the number of bytes disagree about it.
+//! The stride: the content and length of a frame, if header, parameters and the size of the file disagree about it.
 //!
-//! The number of points is stated by POINT:USED and by the header, the number of analog samples a frame by the header
-//! and by ANALOG:USED times ANALOG:RATE over POINT:RATE. Every combination is a candidate. A candidate accounts for the
-//! bytes when its frames fill them up to the padding of the last block, and it is smooth when coordinates go on from
-//! frame to frame: a wrong stride reads another marker, or another coordinate, in every frame.
+//! POINT:USED and the header state the number of points; the header, and ANALOG:USED times ANALOG:RATE over POINT:RATE,
+//! state the number of analog samples in a frame. Every combination is a candidate. A candidate fits if its frames fill
+//! the data section except for the padding of the last block, and it is smooth if coordinates are continuous from frame
+//! to frame: a wrong stride reads another marker or another coordinate in every frame.
 
 use super::header::{BLOCK, ByteOrder};
 
-/// Most candidates that are compared: the places that state something give at most 2 * 2 * 2 * 8 of them, the file's
-/// size some more for short files, where several strides leave less than a block.
+/// Most candidates to compare. The stated values give at most 2 * 2 * 2 * 8; the size of the file adds some for short
+/// files, in which several strides leave less than a block.
 pub(super) const CANDIDATES_MAX: usize = 256;
-/// Frames in a row that are looked at together, and how many such windows are spread over the file.
+/// Frames in a window for measuring roughness.
 const WINDOW_FRAMES: usize = 24;
+/// Number of windows, evenly spread over the file.
 const WINDOWS: usize = 4;
-/// Points of a frame that are looked at, evenly spread.
+/// Most points of a frame to measure, evenly spread.
 const POINTS: usize = 48;
-/// Largest roughness of motion: coordinates that change their velocity by a seventh of all they span in each frame are
-/// read at a wrong stride. Human motion at 10 Hz stays below a tenth.
+/// Largest roughness of motion. Coordinates whose velocity changes by a seventh of their range in every frame are read
+/// with a wrong stride; human motion at 10 Hz stays below a tenth.
 const ROUGHNESS_MAX: f64 = 0.15;
-/// A reading this many times as rough as the smoothest one is a wrong one: neighbouring markers of one body are near
-/// each other, so that a stride which is wrong by one point is only ten times as rough.
+/// A candidate this many times as rough as the smoothest one is wrong. Neighbouring markers of a body are close to each
+/// other, so a stride that is wrong by one point is only ten times as rough.
 const ROUGHER: f64 = 4.0;
-/// Roughness below which readings are equally smooth.
+/// Roughness below which all candidates count as smooth.
 const SMOOTH: f64 = 0.01;
-/// Larger coordinates, in the file's unit, are no positions: a thousand kilometres in mm.
+/// Larger coordinates in the file's unit are not positions: 1 km in millimetres, 1000 km in metres.
 const COORDINATE_MAX: f64 = 1e6;
-/// Smaller ones are other numbers read as floats.
+/// Smaller coordinates are other data read as floats.
 const COORDINATE_MIN: f64 = 1e-30;
 
-/// One way to cut the data section into frames.
+/// The content of a frame and the start of the data section.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stride {
-    /// Points a frame.
+    /// Points in a frame.
     pub(super) n_points: usize,
-    /// Analog samples a frame, all channels together.
+    /// Analog samples in a frame, of all channels together.
     pub(super) analog_per_frame: usize,
     /// Whether samples are floats.
     pub(super) float: bool,
@@ -42,7 +43,7 @@ pub(super) struct Stride {
 }
 
 impl Stride {
-    /// Bytes of a sample word.
+    /// Bytes of a word.
     pub(super) fn word_bytes(&self) -> usize {
         if self.float { 4 } else { 2 }
     }
@@ -53,18 +54,18 @@ impl Stride {
     }
 }
 
-/// How a number of frames fits the bytes.
+/// The relation of the size of some frames to the size of the data section.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Fit {
-    /// They fill them, but for less than a block, or for zeros.
+pub(super) enum SizeFit {
+    /// The frames fill the data section except for less than a block, or for zeros.
     Exact,
-    /// More than a block is left.
+    /// A block or more of other data remains.
     Surplus,
-    /// There are fewer bytes.
+    /// The data section is too short.
     Short,
 }
 
-/// A file, and where its zeros at the end begin: found once, however many strides are tried.
+/// The bytes of a file, with the end of its last byte that is not zero, computed once for all candidates.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FileBytes<'a> {
     pub(super) bytes: &'a [u8],
@@ -78,103 +79,102 @@ impl<'a> FileBytes<'a> {
         Self { bytes, order, filled }
     }
 
-    /// Bytes from the first frame on.
+    /// Bytes from the start of the data section to the end of the file.
     pub(super) fn available(&self, stride: &Stride) -> usize {
         self.bytes.len().saturating_sub(stride.data_start)
     }
 
-    /// Whole frames that are there.
+    /// Number of complete frames.
     pub(super) fn present(&self, stride: &Stride) -> usize {
         self.available(stride).checked_div(stride.frame_bytes()).unwrap_or(0)
     }
 
-    /// How many frames of a stride fit.
-    pub(super) fn fit(&self, stride: &Stride, n_frames: u64) -> Fit {
+    /// Compares the size of `n_frames` frames with that of the data section.
+    pub(super) fn fit(&self, stride: &Stride, n_frames: u64) -> SizeFit {
         let needed = usize::try_from(n_frames).unwrap_or(usize::MAX);
         let needed = needed.saturating_mul(stride.frame_bytes());
         match self.available(stride).checked_sub(needed) {
-            None => Fit::Short,
-            Some(left) if left < BLOCK || stride.data_start + needed >= self.filled => Fit::Exact,
-            Some(_) => Fit::Surplus,
+            None => SizeFit::Short,
+            Some(left) if left < BLOCK || stride.data_start + needed >= self.filled => {
+                SizeFit::Exact
+            }
+            Some(_) => SizeFit::Surplus,
         }
     }
 }
 
-/// A stride with the frames that it gives, and how well it suits the file.
+/// A possible stride with measures of how well it fits the file.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
+pub(super) struct StrideCandidate {
     pub(super) stride: Stride,
-    fit: Fit,
-    /// `None` where there is nothing to judge by.
+    fit: SizeFit,
+    /// Roughness of the motion; `None` if there is not enough of it.
     roughness: Option<f64>,
-    /// Whether a place in the file states it: else it follows from the number of bytes alone.
+    /// Whether the file states this stride; otherwise it follows from the size of the file.
     is_stated: bool,
 }
 
-impl Candidate {
-    pub(super) fn new(
-        file: &FileBytes<'_>,
-        stride: Stride,
-        n_frames: u64,
-        is_stated: bool,
-    ) -> Self {
+impl StrideCandidate {
+    pub(super) fn new(file: &FileBytes<'_>, stride: Stride, n_frames: u64, stated: bool) -> Self {
         let n_read = file.present(&stride).min(usize::try_from(n_frames).unwrap_or(usize::MAX));
         Self {
             stride,
             fit: file.fit(&stride, n_frames),
             roughness: roughness(file, &stride, n_read),
-            is_stated,
+            is_stated: stated,
         }
     }
 
-    /// Whether its frames fill the bytes.
-    pub(super) fn accounts(&self) -> bool {
-        self.fit == Fit::Exact
+    /// Whether its frames fill the data section.
+    pub(super) fn fills_data(&self) -> bool {
+        self.fit == SizeFit::Exact
     }
 
-    /// Whether coordinates go on from frame to frame, beside the smoothest reading of all.
+    /// Whether motion is continuous, also in comparison with the smoothest candidate; `None` if that cannot be
+    /// measured.
     fn is_smooth(&self, smoothest: f64) -> Option<bool> {
         let roughness = self.roughness?;
         Some(roughness <= ROUGHNESS_MAX && roughness <= (ROUGHER * smoothest).max(SMOOTH))
     }
 
-    /// Whether nothing speaks against it, with no other reading to compare with.
+    /// Whether it fills the data section, and motion is continuous or cannot be measured.
     pub(super) fn is_plausible(&self) -> bool {
-        self.accounts() && self.may_be_motion()
+        self.fills_data() && self.may_be_motion()
     }
 
-    /// Whether there are fewer bytes than its frames need.
+    /// Whether the data section is too short for its frames.
     pub(super) fn is_short(&self) -> bool {
-        self.fit == Fit::Short
+        self.fit == SizeFit::Short
     }
 
-    /// Whether nothing speaks against the only reading that is stated: it accounts for the bytes, or the file is only
-    /// shorter and motion goes on. A few frames tell nothing of motion, markers may jump, and analog samples be smooth.
-    pub(super) fn is_uncontradicted(&self) -> bool {
-        self.accounts() || self.is_short() && self.may_be_motion()
+    /// Whether the only stated stride can be used without comparison: it fills the data section, or the file is merely
+    /// too short and motion is continuous. If it fills the data, roughness does not count: few frames show no motion,
+    /// markers may jump, and analog samples may be smooth.
+    pub(super) fn is_acceptable(&self) -> bool {
+        self.fills_data() || self.is_short() && self.may_be_motion()
     }
 
-    /// Whether coordinates go on from frame to frame, or are too few to tell.
+    /// Whether motion is continuous or cannot be measured.
     fn may_be_motion(&self) -> bool {
         self.roughness.is_none_or(|roughness| roughness <= ROUGHNESS_MAX)
     }
 
-    /// Whether coordinates go on so much better than in another reading that the other one is wrong.
+    /// Whether motion is so much smoother than with another candidate that the other one is wrong.
     pub(super) fn is_much_smoother(&self, other: &Self) -> bool {
         let measured = self.roughness.zip(other.roughness);
         measured.is_some_and(|(roughness, other)| ROUGHER * roughness < other)
     }
 
-    /// Whether coordinates go on from the first frame, which is a frame in every reading: where a wrong one finds smooth
-    /// analog samples everywhere else, it does not.
+    /// Whether the first three frames are smooth. Every candidate reads the first frame as points, so a wrong stride
+    /// that finds smooth analog samples everywhere else is rough here.
     pub(super) fn begins_smoothly(&self, file: &FileBytes<'_>) -> bool {
         let roughness = roughness(file, &self.stride, file.present(&self.stride).min(3));
         roughness.is_some_and(|roughness| roughness <= ROUGHNESS_MAX)
     }
 
-    /// The order in which readings are taken; `None` for one that nothing speaks for.
+    /// The rank of the candidate, 0 being the best; `None` if it is not acceptable.
     fn tier(&self, smoothest: f64) -> Option<u8> {
-        match (self.accounts(), self.is_smooth(smoothest), self.is_stated) {
+        match (self.fills_data(), self.is_smooth(smoothest), self.is_stated) {
             (true, Some(true), _) => Some(0),
             (true, None, true) => Some(1),
             (false, Some(true), true) => Some(2),
@@ -184,15 +184,15 @@ impl Candidate {
     }
 }
 
-/// The reading to take, of candidates in order of preference. `None` when none accounts for the bytes or keeps motion
-/// continuous.
-pub(super) fn choose(candidates: &[Candidate]) -> Option<Candidate> {
+/// Chooses among candidates in order of preference: the best rank, and within it the first one unless another is at
+/// least twice as smooth. `None` if none is acceptable.
+pub(super) fn choose(candidates: &[StrideCandidate]) -> Option<StrideCandidate> {
     let smoothest = candidates.iter().filter_map(|candidate| candidate.roughness);
     let smoothest = smoothest.fold(f64::INFINITY, f64::min);
     let tier = candidates.iter().filter_map(|candidate| candidate.tier(smoothest)).min()?;
-    let mut best: Option<&Candidate> = None;
+    let mut best: Option<&StrideCandidate> = None;
     for candidate in candidates.iter().filter(|c| c.tier(smoothest) == Some(tier)) {
-        let rough = |candidate: &Candidate| candidate.roughness.unwrap_or(0.0);
+        let rough = |candidate: &StrideCandidate| candidate.roughness.unwrap_or(0.0);
         let is_better = best
             .is_none_or(|best| rough(candidate) < rough(best) / 2.0 && rough(best) > SMOOTH / 10.0);
         if is_better {
@@ -202,7 +202,8 @@ pub(super) fn choose(candidates: &[Candidate]) -> Option<Candidate> {
     best.copied()
 }
 
-/// Strides that leave less than a block of the bytes when there are `n_frames` frames of `n_points` points.
+/// Strides like `of`, with other numbers of analog samples, whose `n_frames` frames leave less than a block of the data
+/// section. The number of analog samples is a multiple of `n_channels`, if that is known.
 pub(super) fn by_size(
     file: &FileBytes<'_>,
     of: Stride,
@@ -226,7 +227,7 @@ pub(super) fn by_size(
     })
 }
 
-/// Every combination of what the places in a file state, the preferred first, none twice.
+/// All distinct combinations of the stated values, the preferred ones first.
 pub(super) fn combine(
     points: &[u64],
     analog: &[u64],
@@ -235,9 +236,8 @@ pub(super) fn combine(
 ) -> Vec<Stride> {
     let count = |n: u64| usize::try_from(n.min(1 << 32)).unwrap_or(usize::MAX);
     let mut all: Vec<Stride> = Vec::new();
-    for (&data_start, &float) in
-        starts.iter().flat_map(|start| floats.iter().map(move |float| (start, float)))
-    {
+    let starts = starts.iter().flat_map(|start| floats.iter().map(move |float| (start, float)));
+    for (&data_start, &float) in starts {
         for (&n_points, &analog) in points.iter().flat_map(|n| analog.iter().map(move |m| (n, m))) {
             let (n_points, analog_per_frame) = (count(n_points), count(analog));
             let stride = Stride { n_points, analog_per_frame, float, data_start };
@@ -249,9 +249,9 @@ pub(super) fn combine(
     all
 }
 
-/// How much the velocity of a coordinate changes from frame to frame, as a share of what coordinates span, in the mean
-/// (0: not at all; 1: by all of it), and the share of fourth words that are none. `None` where fewer than three frames
-/// in a row have positions, or all coordinates are the same.
+/// The roughness of the motion read with a stride: the mean change of a coordinate's velocity from frame to frame as a
+/// share of the range of coordinates (0 for constant velocity, 1 for changes as large as the range), plus the share of
+/// invalid fourth words. `None` if no point has positions in three successive frames, or if all coordinates are equal.
 fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f64> {
     let word = |frame: usize, word: usize| {
         let at = stride.data_start + frame * stride.frame_bytes() + word * stride.word_bytes();
@@ -264,9 +264,7 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
     let n_points = stride.n_points.min(POINTS);
     let window = n_frames.min(WINDOW_FRAMES);
     let n_windows = if n_frames > window { WINDOWS } else { 1 };
-    let is_none = |v: f64| {
-        !v.is_finite() || v.abs() > COORDINATE_MAX || (v != 0.0 && v.abs() < COORDINATE_MIN)
-    };
+    let is_none = |v: f64| v != 0.0 && !(COORDINATE_MIN..=COORDINATE_MAX).contains(&v.abs());
     let mut values = Vec::new();
     let mut changes = Vec::new();
     let (mut fourth_words, mut odd_words, mut odd_changes) = (0usize, 0usize, 0usize);
@@ -313,8 +311,7 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
     if span <= 0.0 && odd_changes == 0 {
         return None;
     }
-    let rough: f64 =
-        changes.iter().map(|change| (change / span.max(f64::MIN_POSITIVE)).min(1.0)).sum();
-    let mean = (rough + odd_changes as f64) / n_changes as f64;
+    let rough = changes.iter().map(|change| (change / span.max(f64::MIN_POSITIVE)).min(1.0));
+    let mean = (rough.sum::<f64>() + odd_changes as f64) / n_changes as f64;
     Some(mean + odd_words as f64 / fourth_words.max(1) as f64)
 }

@@ -1,4 +1,4 @@
-//! Trajectories -> a C3D file: Intel, floats, millimetres.
+//! Export to C3D: Intel order, floats, millimetres.
 
 use std::io::{self, Write};
 
@@ -7,11 +7,11 @@ use super::{
     foreign::{KeptSamples, kept_parameters},
     frames::is_missing,
     gap_coordinates::KeptCoordinates,
-    header::{BLOCK, Header},
-    parameters::{MAX_STRINGS, Parameter, Parameters, encode_records},
+    header::{BLOCK, C3dHeader},
+    parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
 };
 use crate::{
-    interchange::{InterchangeError, Result, expect_frames, write_frames},
+    interchange::{InterchangeError, Result, check_frame_count, write_frames},
     motion::{FrameSource, GAP, Marker, MotionInfo, Position, UpAxis, is_gap},
 };
 
@@ -26,17 +26,17 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     let (mut header, mut parameters) = kept_parameters(&info.foreign)?.unwrap_or_default();
     let mut body = Body::new(&info, &parameters)?;
     fill_parameters(&mut parameters, &info, &mut body)?;
-    fill_header(&mut header, &parameters, &info, &body);
-    let front = front(header, parameters)?;
-    // The front is whole blocks, and so is the file but for frames that readers count by its length.
-    let mut n_bytes = front.len() as u64;
-    let n_written = write_frames(frames, out, front, |buffer, _, row| {
+    set_header(&mut header, &parameters, &info, &body);
+    let leading_blocks = leading_blocks(header, parameters)?;
+    // The file is padded to whole blocks, unless a reader counts the frames by its length.
+    let mut n_bytes = leading_blocks.len() as u64;
+    let n_written = write_frames(frames, out, leading_blocks, |buffer, _, row| {
         let before = buffer.len();
         body.push_frame(row, buffer)?;
         n_bytes += (buffer.len() - before) as u64;
         Ok(())
     })?;
-    expect_frames(info.n_frames, n_written)?;
+    check_frame_count(info.n_frames, n_written)?;
     if !is_counted_by_length(&info) {
         let padding = n_bytes.next_multiple_of(BLOCK as u64) - n_bytes;
         out.write_all(&[0; BLOCK][..padding as usize])?;
@@ -45,15 +45,15 @@ pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
     Ok(())
 }
 
-/// Whether some reader counts the frames by the length of the file, so that padding would be frames to it: ezc3d where
-/// POINT:FRAMES is 65535, which stands for every count that 16 bits do not hold; py-c3d where the first frame's number has
-/// more than 16 bits, of which it makes one too few and so reads a frame too many.
+/// Whether a reader counts the frames by the length of the file and so would read padding as frames. ezc3d does if
+/// POINT:FRAMES is 65535, which stands for every larger count; py-c3d does if the number of the first frame exceeds 16
+/// bits, because it then computes that number one too low and expects one frame more.
 fn is_counted_by_length(info: &MotionInfo) -> bool {
     let max = u64::from(u16::MAX);
     info.n_frames >= max || info.source.first_frame > max
 }
 
-/// The labels of all points.
+/// The labels of all points of the written file.
 fn labels(parameters: &Parameters, info: &MotionInfo, points: &[Point]) -> Vec<String> {
     let source = parameters.texts("POINT", "LABELS");
     let label = |(place, point): (usize, &Point)| match *point {
@@ -63,7 +63,7 @@ fn labels(parameters: &Parameters, info: &MotionInfo, points: &[Point]) -> Vec<S
     points.iter().enumerate().map(|at| label(at).unwrap_or_default()).collect()
 }
 
-/// Makes the parameters say what will be written; all others stay as they came.
+/// Sets all parameters that describe the written file; the others stay as they were imported.
 fn fill_parameters(
     parameters: &mut Parameters,
     info: &MotionInfo,
@@ -71,44 +71,44 @@ fn fill_parameters(
 ) -> Result<()> {
     let n_points = u16::try_from(body.points.len()).map_err(|_| {
         InterchangeError::Unsupported(format!(
-            "c3d holds at most 65535 points, there are {}",
+            "C3D holds at most 65535 points, the take has {}",
             body.points.len()
         ))
     })?;
     let last = last_frame(info).ok_or_else(|| {
         InterchangeError::Unsupported(format!(
-            "c3d counts frames in 32 bits: {} frames from number {} are too many",
+            "C3D frame numbers have 32 bits: {} frames from number {} on are too many",
             info.n_frames, info.source.first_frame
         ))
     })?;
-    // What was kept says how many frames it was kept of: a part of them has its own events only.
+    // Events outside of the written frames are kept only in an export of all frames.
     let kept_frames = parameters.number("POINT", "FRAMES");
     let whole = kept_frames.is_some_and(|n| n as u64 == info.n_frames.min(u64::from(u16::MAX)));
     let labels = labels(parameters, info, &body.points);
     let mut descriptions = parameters.texts("POINT", "DESCRIPTIONS");
-    parameters.set_word("POINT", "USED", n_points);
+    parameters.set_integer("POINT", "USED", n_points);
     parameters.set_float("POINT", "SCALE", -residual_scale(parameters, info.source.factor));
     parameters.set_float("POINT", "RATE", info.rate_hz as f32);
-    parameters.set_word("POINT", "DATA_START", 0);
-    parameters.set_word("POINT", "FRAMES", u16::try_from(info.n_frames).unwrap_or(u16::MAX));
+    parameters.set_integer("POINT", "DATA_START", 0);
+    parameters.set_integer("POINT", "FRAMES", u16::try_from(info.n_frames).unwrap_or(u16::MAX));
     if info.n_frames > u64::from(u16::MAX) || parameters.get("POINT", "LONG_FRAMES").is_some() {
         parameters.set_float("POINT", "LONG_FRAMES", info.n_frames as f32);
     }
     if parameters.get("POINT", "UNITS").is_some() && info.source.factor != 1.0 {
-        // These are lengths in POINT:UNITS, which becomes mm.
+        // These parameters are in POINT:UNITS, which becomes mm.
         parameters.scale_floats("FORCE_PLATFORM", "CORNERS", info.source.factor);
         parameters.scale_floats("FORCE_PLATFORM", "ORIGIN", info.source.factor);
     }
     parameters.set_text("POINT", "UNITS", "mm");
     parameters.set_texts("POINT", "LABELS", &labels).map_err(|label| {
         InterchangeError::Unsupported(format!(
-            "c3d labels have at most 255 bytes: `{label}` has {}",
+            "C3D labels have at most 255 bytes, but `{label}` has {}",
             label.len()
         ))
     })?;
     if descriptions.len() != labels.len() {
         descriptions.resize(labels.len(), String::new());
-        // None is longer than what was read.
+        // Fails, and leaves the list as it is, only for a text of Latin-1 that exceeds 255 bytes as UTF-8.
         parameters.set_texts("POINT", "DESCRIPTIONS", &descriptions).unwrap_or_default();
     }
     set_screen(parameters, info.up);
@@ -121,12 +121,12 @@ fn fill_parameters(
     } else {
         body.analog_offsets = complete_analog(parameters, n_channels, ratio, info.rate_hz);
     }
-    parameters.set_double_word("TRIAL", "ACTUAL_START_FIELD", first_frame(info));
-    parameters.set_double_word("TRIAL", "ACTUAL_END_FIELD", last);
+    parameters.set_long_integer("TRIAL", "ACTUAL_START_FIELD", first_frame(info));
+    parameters.set_long_integer("TRIAL", "ACTUAL_END_FIELD", last);
     Ok(())
 }
 
-/// Says which axes point right and up on a screen, where that is known and not said yet, or said otherwise.
+/// Sets the screen axes for a known up axis, unless the parameters have it already.
 fn set_screen(parameters: &mut Parameters, up: UpAxis) {
     let (right, up) = match up {
         _ if up == parameters.up_axis() => return,
@@ -139,7 +139,7 @@ fn set_screen(parameters: &mut Parameters, up: UpAxis) {
     parameters.set_text("POINT", "Y_SCREEN", up);
 }
 
-/// Says who wrote the file, where it does not say who made it.
+/// Adds a MANUFACTURER group that names mocapd, unless the file has one.
 fn set_manufacturer(parameters: &mut Parameters) {
     if parameters.group_id("MANUFACTURER").is_none() {
         parameters.set_text("MANUFACTURER", "COMPANY", "mocapd");
@@ -148,22 +148,22 @@ fn set_manufacturer(parameters: &mut Parameters) {
     }
 }
 
-/// Says who the subjects are, unless a group says so already, or labels do not.
+/// Adds a SUBJECTS group from the prefixes of the labels, unless the file has one or a label has no prefix.
 fn fill_subjects(parameters: &mut Parameters, markers: &[Marker]) {
     if parameters.group_id("SUBJECTS").is_some() {
         return;
     }
     let Some(names) = prefixes(markers) else { return };
     let prefixes: Vec<String> = names.iter().map(|name| format!("{name}:")).collect();
-    parameters.set_word("SUBJECTS", "USED", names.len() as u16);
-    parameters.set_word_list("SUBJECTS", "IS_STATIC", &vec![0; names.len()]);
-    parameters.set_word_list("SUBJECTS", "USES_PREFIXES", &vec![1; names.len()]);
-    // Prefixes of labels that were written are not too long.
+    parameters.set_integer("SUBJECTS", "USED", names.len() as u16);
+    parameters.set_integer_list("SUBJECTS", "IS_STATIC", &vec![0; names.len()]);
+    parameters.set_integer_list("SUBJECTS", "USES_PREFIXES", &vec![1; names.len()]);
+    // Cannot fail: a prefix is shorter than its label, which was written already.
     parameters.set_texts("SUBJECTS", "NAMES", &names).unwrap_or_default();
     parameters.set_texts("SUBJECTS", "LABEL_PREFIXES", &prefixes).unwrap_or_default();
 }
 
-/// The prefixes before the last `:` in order, when every labelled marker has one.
+/// The distinct label prefixes before the last `:`, in order of markers; `None` unless every labelled marker has one.
 fn prefixes(markers: &[Marker]) -> Option<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for marker in markers.iter().filter(|marker| marker.labelled) {
@@ -175,16 +175,16 @@ fn prefixes(markers: &[Marker]) -> Option<Vec<String>> {
             names.push(name.to_owned());
         }
     }
-    (1..=MAX_STRINGS).contains(&names.len()).then_some(names)
+    (1..=DIMENSION_MAX).contains(&names.len()).then_some(names)
 }
 
-// The ANALOG group is written whole, and of the types that others read: ezc3d reads past the end of a list that is shorter
-// than the number of channels, and takes the samples a frame from the two rates, rounded down; py-c3d reads OFFSET as words
-// whatever its type.
+// The ANALOG group is completed, with the types that other readers expect. ezc3d reads past the end of lists shorter
+// than the number of channels, and computes the samples in a frame from the two rates, rounded down. py-c3d reads
+// OFFSET as 16-bit integers whatever its type.
 
-/// Adds what readers expect of an ANALOG group when there are no analog samples.
+/// Completes the ANALOG group of a file without analog samples.
 fn set_no_analog(parameters: &mut Parameters) {
-    parameters.set_word(ANALOG, "USED", 0);
+    parameters.set_integer(ANALOG, "USED", 0);
     for (name, kind, dimensions, data) in [
         ("LABELS", -1, vec![0, 0], Vec::new()),
         ("DESCRIPTIONS", -1, vec![0, 0], Vec::new()),
@@ -200,26 +200,27 @@ fn set_no_analog(parameters: &mut Parameters) {
     }
 }
 
-/// Whether integers of analog samples are unsigned.
+/// Whether analog samples are unsigned integers.
 fn is_unsigned(parameters: &Parameters) -> bool {
     parameters.text(ANALOG, "FORMAT").is_some_and(|text| text.eq_ignore_ascii_case("UNSIGNED"))
 }
 
-/// Completes the group for so many channels with `ratio` samples a frame. Returns what has to be taken from the samples
-/// of each channel, because OFFSET cannot say it: offsets that are no whole numbers, or too large for a word.
+/// Completes the ANALOG group for `n_channels` channels with `ratio` samples in a frame each. Returns the offsets that
+/// must be subtracted from the samples of each channel because a 16-bit integer cannot hold them; empty if there are
+/// none.
 fn complete_analog(
     parameters: &mut Parameters,
     n_channels: usize,
     ratio: usize,
     rate_hz: f64,
 ) -> Vec<f64> {
-    parameters.set_word(ANALOG, "USED", u16::try_from(n_channels).unwrap_or(u16::MAX));
+    parameters.set_integer(ANALOG, "USED", u16::try_from(n_channels).unwrap_or(u16::MAX));
     set_rate(parameters, ratio, rate_hz);
-    if !is_float(parameters.get(ANALOG, "GEN_SCALE"), 1) {
+    if !has_floats(parameters.get(ANALOG, "GEN_SCALE"), 1) {
         let value = parameters.number(ANALOG, "GEN_SCALE").unwrap_or(1.0);
         parameters.set_float(ANALOG, "GEN_SCALE", value as f32);
     }
-    if !is_float(parameters.get(ANALOG, "SCALE"), n_channels.min(255)) {
+    if !has_floats(parameters.get(ANALOG, "SCALE"), n_channels.min(255)) {
         let known = parameters.get(ANALOG, "SCALE").or(parameters.get(ANALOG, "SCALES"));
         let known = known.map(Parameter::numbers).unwrap_or_default();
         let scales: Vec<f32> =
@@ -234,48 +235,46 @@ fn complete_analog(
         for index in texts.len()..n_channels {
             texts.push(prefix.map_or_else(String::new, |prefix| format!("{prefix}{}", index + 1)));
         }
-        // None is longer than what was read.
+        // Fails, and leaves the list as it is, only for a text of Latin-1 that exceeds 255 bytes as UTF-8.
         parameters.set_texts(ANALOG, name, &texts).unwrap_or_default();
     }
     set_offsets(parameters, n_channels)
 }
 
-/// Whether a parameter holds so many floats.
-fn is_float(parameter: Option<&Parameter>, n: usize) -> bool {
+/// Whether a parameter holds at least `n` floats.
+fn has_floats(parameter: Option<&Parameter>, n: usize) -> bool {
     parameter.is_some_and(|parameter| parameter.floats().len() >= n)
 }
 
-/// ANALOG:RATE, where it does not say the samples a frame already: never less than they are, however it is rounded.
+/// Sets ANALOG:RATE, unless it gives the samples in a frame already. The quotient of the rates is never below `ratio`,
+/// whatever the rounding to f32.
 fn set_rate(parameters: &mut Parameters, ratio: usize, rate_hz: f64) {
     let point_hz = f64::from(rate_hz as f32);
-    let says = |analog_hz: f64| (analog_hz / point_hz) as usize == ratio;
+    let gives_ratio = |analog_hz: f64| (analog_hz / point_hz) as usize == ratio;
     let kept = parameters.float(ANALOG, "RATE");
-    if kept.is_some_and(|kept| says(f64::from(kept))) {
+    if kept.is_some_and(|kept| gives_ratio(f64::from(kept))) {
         return;
     }
     let mut analog_hz = (point_hz * ratio as f64) as f32;
-    if !says(f64::from(analog_hz)) {
+    if !gives_ratio(f64::from(analog_hz)) {
         analog_hz = analog_hz.next_up();
     }
     parameters.set_float(ANALOG, "RATE", analog_hz);
 }
 
-/// OFFSET as words, one a channel. Some software calls it OFFSETS.
+/// Sets OFFSET as one 16-bit integer for each channel, also from OFFSETS, as some software calls it. Returns the
+/// offsets that a 16-bit integer cannot hold, 0 for the others; empty if all fit.
 fn set_offsets(parameters: &mut Parameters, n_channels: usize) -> Vec<f64> {
     let is_unsigned = is_unsigned(parameters);
-    let kept = parameters.get(ANALOG, "OFFSET").or(parameters.get(ANALOG, "OFFSETS"));
+    let offset = parameters.get(ANALOG, "OFFSET");
+    let kept = offset.or(parameters.get(ANALOG, "OFFSETS"));
     let as_signed = |word: u16| if is_unsigned { f64::from(word) } else { f64::from(word as i16) };
     let known: Vec<f64> = match kept {
-        Some(parameter) if parameter.kind == 2 => {
-            parameter.words().into_iter().map(as_signed).collect()
-        }
-        Some(parameter) => parameter.numbers(),
+        Some(p) if p.kind == 2 => p.integers().into_iter().map(as_signed).collect(),
+        Some(p) => p.numbers(),
         None => Vec::new(),
     };
-    let is_whole = parameters
-        .get(ANALOG, "OFFSET")
-        .is_some_and(|p| p.kind == 2 && p.words().len() >= n_channels.min(255));
-    if is_whole {
+    if offset.is_some_and(|p| p.kind == 2 && p.integers().len() >= n_channels.min(255)) {
         return Vec::new();
     }
     let range = if is_unsigned { 0.0..=65535.0 } else { -32768.0..=32767.0 };
@@ -287,22 +286,22 @@ fn set_offsets(parameters: &mut Parameters, n_channels: usize) -> Vec<f64> {
         words.push(if fits { offset as i32 as u16 } else { 0 });
         rest.push(if fits { 0.0 } else { offset });
     }
-    parameters.set_word_list(ANALOG, "OFFSET", &words);
+    parameters.set_integer_list(ANALOG, "OFFSET", &words);
     if rest.iter().all(|&offset| offset == 0.0) { Vec::new() } else { rest }
 }
 
-/// Number of the first frame; C3D counts from 1.
+/// The number of the first frame; C3D counts from 1.
 fn first_frame(info: &MotionInfo) -> u32 {
     u32::try_from(info.source.first_frame).unwrap_or(u32::MAX).max(1)
 }
 
-/// Number of the last frame, if 32 bits hold it.
+/// The number of the last frame; `None` if it exceeds 32 bits.
 fn last_frame(info: &MotionInfo) -> Option<u32> {
     let last = info.source.first_frame.max(1).checked_add(info.n_frames)?.checked_sub(1)?;
     u32::try_from(last).ok()
 }
 
-/// The magnitude of POINT:SCALE: what a residual is counted in, in millimetres.
+/// The magnitude of POINT:SCALE: the unit of residuals in millimetres.
 fn residual_scale(parameters: &Parameters, factor: f64) -> f32 {
     let source = parameters.number("POINT", "SCALE").unwrap_or(1.0).abs();
     let factor = if factor.is_finite() && factor > 0.0 { factor } else { 1.0 };
@@ -310,7 +309,7 @@ fn residual_scale(parameters: &Parameters, factor: f64) -> f32 {
     if scale.is_finite() && scale > 0.0 { scale } else { 1.0 }
 }
 
-fn fill_header(header: &mut Header, parameters: &Parameters, info: &MotionInfo, body: &Body<'_>) {
+fn set_header(header: &mut C3dHeader, parameters: &Parameters, info: &MotionInfo, body: &Body<'_>) {
     let word = |value: u32| u16::try_from(value).unwrap_or(u16::MAX);
     let (ratio, n_channels) = body.analog_shape();
     header.parameter_block = 2;
@@ -321,23 +320,22 @@ fn fill_header(header: &mut Header, parameters: &Parameters, info: &MotionInfo, 
     header.rate_hz = parameters.float("POINT", "RATE").unwrap_or(0.0);
     header.analog_per_frame = word((ratio * n_channels) as u32);
     header.analog_ratio =
-        if n_channels > 0 { word(ratio as u32) } else { idle_analog_ratio(parameters) };
+        if n_channels > 0 { word(ratio as u32) } else { analog_ratio_without_channels(parameters) };
 }
 
-/// Analog samples a frame when there are no channels: what the two rates say, so that readers find them to agree.
-fn idle_analog_ratio(parameters: &Parameters) -> u16 {
+/// The header's analog ratio without analog channels: the quotient of the two rates, so that readers find them
+/// consistent.
+fn analog_ratio_without_channels(parameters: &Parameters) -> u16 {
     let analog = parameters.number("ANALOG", "RATE").unwrap_or(0.0);
     let ratio = analog / parameters.number("POINT", "RATE").unwrap_or(0.0);
-    if ratio.is_finite() && ratio.fract() == 0.0 && (0.0..65536.0).contains(&ratio) {
-        ratio as u16
-    } else {
-        0
-    }
+    if ratio.fract() == 0.0 && (0.0..65536.0).contains(&ratio) { ratio as u16 } else { 0 }
 }
 
-/// Header and parameter section. Where the section is too long for its count of blocks, descriptions of points
-/// give way first.
-fn front(mut header: Header, mut parameters: Parameters) -> Result<Vec<u8>> {
+/// Encodes header and parameter section. Drops POINT:DESCRIPTIONS if the section would exceed 255 blocks.
+///
+/// # Errors
+/// `Unsupported` if the section exceeds 255 blocks even so.
+fn leading_blocks(mut header: C3dHeader, mut parameters: Parameters) -> Result<Vec<u8>> {
     let mut records = Vec::new();
     encode_records(&parameters, &mut records);
     if section_blocks(&records) > 255 {
@@ -347,90 +345,87 @@ fn front(mut header: Header, mut parameters: Parameters) -> Result<Vec<u8>> {
     }
     let n_blocks = u8::try_from(section_blocks(&records)).map_err(|_| {
         InterchangeError::Unsupported(format!(
-            "c3d holds at most {} bytes of parameters, labels among them; there are {}",
+            "C3D holds at most {} bytes of parameters including labels, the take has {}",
             255 * BLOCK,
             records.len()
         ))
     })?;
     header.data_block = u16::from(n_blocks) + 2;
-    parameters.set_word("POINT", "DATA_START", header.data_block);
+    parameters.set_integer("POINT", "DATA_START", header.data_block);
     records.clear();
     encode_records(&parameters, &mut records);
-    let mut front = header.to_bytes().to_vec();
-    front.extend([1, 0x50, n_blocks, INTEL]);
-    front.extend(records);
-    front.resize(usize::from(header.data_block - 1) * BLOCK, 0);
-    Ok(front)
+    let mut leading_blocks = header.to_bytes().to_vec();
+    leading_blocks.extend([1, 0x50, n_blocks, INTEL]);
+    leading_blocks.extend(records);
+    leading_blocks.resize(usize::from(header.data_block - 1) * BLOCK, 0);
+    Ok(leading_blocks)
 }
 
-/// Blocks that a section of these records takes.
+/// Number of blocks of a section with these records.
 fn section_blocks(records: &[u8]) -> usize {
     (records.len() + 4).div_ceil(BLOCK)
 }
 
-/// The fourth word of a missing sample.
-const MISSING: f32 = -1.0;
+/// The words of a missing sample.
+const MISSING: [f32; 4] = [0.0, 0.0, 0.0, -1.0];
 
-/// What a point of the written file is.
+/// A point of the written file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Point {
     Marker(usize),
     ModelOutput(usize),
 }
 
-/// What goes into each frame.
+/// The sources of the content of each frame.
 struct Body<'a> {
-    /// The points in order.
     points: Vec<Point>,
     analog: Option<KeptSamples<'a>>,
     residuals: Option<KeptSamples<'a>>,
     outputs: Option<KeptSamples<'a>>,
-    under_gaps: Option<KeptCoordinates<'a>>,
-    /// The words under the gaps of the frame under way, for each marker; all `None` between frames.
-    under_gap: Vec<Option<[f32; 4]>>,
+    gap_coordinates: Option<KeptCoordinates<'a>>,
+    /// For each marker the kept words of a missing sample in the current frame; all `None` between frames.
+    gap_words: Vec<Option<[f32; 4]>>,
     unsigned_analog: bool,
-    /// What is taken from the analog samples of each channel; empty for nothing.
+    /// Offsets to subtract from the analog samples of each channel; empty for none.
     analog_offsets: Vec<f64>,
 }
 
 impl<'a> Body<'a> {
-    /// For all frames of a file with these parameters.
-    ///
     /// # Errors
-    /// Those of reading what was kept.
+    /// Those of reading the foreign parts.
     fn new(info: &'a MotionInfo, parameters: &Parameters) -> io::Result<Self> {
         let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
-        let outputs = KeptSamples::model_outputs(foreign, first_frame)?;
+        let outputs = KeptSamples::outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
         Ok(Self {
-            under_gaps: KeptCoordinates::parse(foreign, n_markers, first_frame)?,
-            under_gap: vec![None; n_markers],
+            gap_coordinates: KeptCoordinates::parse(foreign, n_markers, first_frame)?,
+            gap_words: vec![None; n_markers],
             analog_offsets: Vec::new(),
-            points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
+            points: ordered_points(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
             analog: KeptSamples::analog(foreign, first_frame)?,
             residuals: KeptSamples::residuals(foreign, first_frame)?
-                .filter(|kept| kept.head.n_signals == n_markers),
+                .filter(|kept| kept.header.n_signals == n_markers),
             outputs,
             unsigned_analog: is_unsigned(parameters),
         })
     }
 
-    /// Analog samples a frame and channel, and channels.
+    /// The analog samples of a channel in a frame, and the number of channels.
     fn analog_shape(&self) -> (usize, usize) {
-        self.analog.as_ref().map_or((0, 0), |kept| (kept.head.ratio, kept.head.n_signals))
+        self.analog.as_ref().map_or((0, 0), |kept| (kept.header.ratio, kept.header.n_signals))
     }
 
     /// Appends a frame.
     ///
     /// # Errors
-    /// Those of reading what was kept.
+    /// Those of reading the foreign parts.
     fn push_frame(&mut self, row: &[Position], buffer: &mut Vec<u8>) -> io::Result<()> {
-        let width = self.residuals.as_ref().map_or(0, |kept| kept.head.width);
+        let width = self.residuals.as_ref().map_or(0, |kept| kept.header.width);
         let residuals = self.residuals.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
         let outputs = self.outputs.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
-        if let Some(kept) = &mut self.under_gaps {
+        if let Some(kept) = &mut self.gap_coordinates {
             for &(marker, words) in kept.next_frame()? {
-                if let Some(place) = self.under_gap.get_mut(marker) {
+                if let Some(place) = self.gap_words.get_mut(marker) {
                     *place = Some(words);
                 }
             }
@@ -441,21 +436,19 @@ impl<'a> Body<'a> {
                     let position = row.get(index).copied().unwrap_or(GAP);
                     let fourth = residuals.and_then(|words| words.get(index));
                     let fourth = fourth.map(|&word| columns::value(width, word, false));
-                    let under_gap = self.under_gap.get_mut(index).and_then(Option::take);
-                    marker_words(position, fourth, under_gap)
+                    let gap_words = self.gap_words.get_mut(index).and_then(Option::take);
+                    marker_words(position, fourth, gap_words)
                 }
                 Point::ModelOutput(index) => outputs
                     .and_then(|words| words.as_chunks::<4>().0.get(index))
-                    .map_or([0.0, 0.0, 0.0, MISSING], |words| {
-                        words.map(|word| columns::value(4, word, false))
-                    }),
+                    .map_or(MISSING, |words| words.map(|word| columns::value(4, word, false))),
             };
             words.iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         }
         let (ratio, n_channels) = self.analog_shape();
         let Some(kept) = self.analog.as_mut() else { return Ok(()) };
         let present = kept.begin_frame();
-        let width = kept.head.width;
+        let width = kept.header.width;
         for _ in 0..ratio {
             match if present { kept.next()? } else { None } {
                 Some(words) => words.iter().enumerate().for_each(|(channel, &word)| {
@@ -472,18 +465,18 @@ impl<'a> Body<'a> {
     }
 }
 
-/// A marker's four words. A fourth word that would say "missing" does not stand beside a position; what a missing sample
-/// had for coordinates stands there again.
-fn marker_words(position: Position, fourth: Option<f32>, under_gap: Option<[f32; 4]>) -> [f32; 4] {
+/// The four words of a marker. A fourth word that means "missing" is replaced by 0 for a present sample; a missing
+/// sample gets back its kept words.
+fn marker_words(position: Position, fourth: Option<f32>, gap_words: Option<[f32; 4]>) -> [f32; 4] {
     if is_gap(position) {
-        return under_gap.unwrap_or([0.0, 0.0, 0.0, MISSING]);
+        return gap_words.unwrap_or(MISSING);
     }
     let [x, y, z] = position;
     [x, y, z, fourth.filter(|&word| !is_missing(word)).unwrap_or(0.0)]
 }
 
-/// The points in order: model outputs at their own places, markers in between.
-fn places(n_markers: usize, outputs: &[usize]) -> Vec<Point> {
+/// The points in file order: model outputs at their original indices, markers in between.
+fn ordered_points(n_markers: usize, outputs: &[usize]) -> Vec<Point> {
     let mut markers = (0..n_markers).map(Point::Marker);
     let mut outputs_left = outputs.iter().enumerate().peekable();
     let n_points = n_markers + outputs.len();

@@ -1,5 +1,5 @@
-//! Cells of a line, and how a label becomes one (RFC 4180); and what a file has between them: commas, or semicolons or tabs
-//! as spreadsheets write them where the comma is the decimal point.
+//! Cells and quoting after RFC 4180, and detection of the separator: commas, or the semicolons and tabs of spreadsheets
+//! in countries with a decimal comma.
 
 use std::borrow::Cow;
 
@@ -16,7 +16,7 @@ impl<'a> LineCells<'a> {
         Self::between(b',', line)
     }
 
-    /// Where something else than commas stands between them.
+    /// The cells of a line with another separator than commas.
     pub(super) fn between(separator: u8, line: &'a [u8]) -> Self {
         Self { rest: Some(line), separator }
     }
@@ -51,8 +51,8 @@ impl<'a> Iterator for LineCells<'a> {
     }
 }
 
-/// A text as a cell: in quotes where it would not come back otherwise, with escapes where it would not stay one line of
-/// text ([`crate::escape`]).
+/// A text as a cell. Quotes protect separators, quotes, outer spaces and a leading `#`; escapes ([`crate::escape`])
+/// stand for characters that would break the line.
 pub(super) fn quote(text: &str) -> Cow<'_, str> {
     let text = to_cell(text);
     if text.contains([',', '"']) || text.trim() != text.as_ref() || text.starts_with('#') {
@@ -61,7 +61,8 @@ pub(super) fn quote(text: &str) -> Cow<'_, str> {
     text
 }
 
-/// The text with commas between its cells and points in its numbers, as the readers want it; the same where it is so.
+/// The file with commas between cells and points in numbers, which the readers expect; unchanged if it has them
+/// already.
 pub(super) fn with_commas(bytes: &[u8]) -> Cow<'_, [u8]> {
     let Some(separator) = separator(bytes) else { return Cow::Borrowed(bytes) };
     let has_points = has_points(separator, bytes);
@@ -77,7 +78,7 @@ pub(super) fn with_commas(bytes: &[u8]) -> Cow<'_, [u8]> {
         }
         out.push(b'\n');
     }
-    // What ends within a line still does.
+    // A file that ends in the middle of a line must still do so.
     if !bytes.ends_with(b"\n") {
         out.pop();
     }
@@ -94,7 +95,7 @@ fn put(cell: &[u8], has_points: bool, out: &mut Vec<u8>) {
     }
 }
 
-/// A number with a decimal comma, with a point.
+/// A number with its decimal comma replaced by a point; `None` if the cell is not such a number.
 fn with_point(cell: &[u8]) -> Option<Vec<u8>> {
     let mut number = cell.trim_ascii().to_vec();
     let comma = number.iter().position(|&b| b == b',')?;
@@ -103,7 +104,7 @@ fn with_point(cell: &[u8]) -> Option<Vec<u8>> {
     text::number(&number).map(|_| number)
 }
 
-/// Whether a number has a point: then commas stand between thousands.
+/// Whether any number has a decimal point: then commas separate thousands.
 fn has_points(separator: u8, bytes: &[u8]) -> bool {
     let is_with_point = |cell: &[u8]| cell.contains(&b'.') && text::number(cell).is_some();
     text::lines(bytes).any(|(_, line)| {
@@ -113,7 +114,7 @@ fn has_points(separator: u8, bytes: &[u8]) -> bool {
     })
 }
 
-/// What stands between the cells, by the names of the columns; `None` for commas, unless numbers are in quotes.
+/// Detects the separator from the line of column names; `None` if the file has commas and no quotes around numbers.
 fn separator(bytes: &[u8]) -> Option<u8> {
     let is_content = |line: &[u8]| !line.trim_ascii().is_empty() && !line.starts_with(b"#");
     let mut lines = text::lines(bytes).map(|(_, line)| line).filter(|line| is_content(line));
@@ -135,7 +136,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn quoted_texts_come_back(texts in proptest::collection::vec("[a-zA-Z\",# .é]{0,8}", 1..6)) {
+        fn quoted_texts_round_trip(texts in proptest::collection::vec("[a-zA-Z\",# .é]{0,8}", 1..6)) {
             let line = texts.iter().map(|t| quote(t).into_owned()).collect::<Vec<_>>().join(",");
             let found: Vec<String> =
                 LineCells::new(line.as_bytes()).map(|c| String::from_utf8(c.into_owned()).expect("UTF-8")).collect();

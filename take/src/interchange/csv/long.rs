@@ -1,5 +1,5 @@
-//! The long layout: one row a sample that is present, `frame,time_s,label,x_mm,y_mm,z_mm`, as statistics programs
-//! like it. Lost frames, and markers that were never seen, have no row.
+//! The long layout of statistics programs: one row for each sample, `frame,time_s,label,x_mm,y_mm,z_mm`. Missing
+//! samples have no row, so lost frames and markers that were never seen do not appear.
 
 use std::{borrow::Cow, collections::HashMap, io::Write};
 
@@ -11,48 +11,45 @@ use crate::{
     ambiguity::Notes,
     escape::from_cell,
     interchange::{
-        ReadOptions, Result,
-        line_frames::{Rounding, rate_of},
-        put_position,
-        table::{
-            CUT_OFF, Cells, MAX_POSITIONS_PER_BYTE, rate_of_one_frame, report_damaged, three_cells,
-        },
-        text::{self, Separator, column_labels},
-        units::{FileUnit, Millimetres},
+        ReadOptions, Result, counted, put_position,
+        row_timing::{Rounding, rate_of},
+        table::{self, CUT_OFF, MAX_POSITIONS_PER_BYTE, SampleCells, parse_sample},
+        text::{self, Separator, column_labels, ends_mid_number},
+        units::{FileUnit, ToMillimetres},
         write_frames,
     },
     motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, UpAxis, is_gap},
 };
 
-/// The names of the columns.
+/// The column names.
 const COLUMNS: [&str; 6] = ["frame", "time_s", "label", "x_mm", "y_mm", "z_mm"];
 
-/// Whether these are the names of the columns.
+/// Whether a line has the column names of this layout.
 pub(super) fn is_long(line: &[u8]) -> bool {
     let mut cells = LineCells::new(line).map(|cell| text::decode(cell.trim_ascii()));
     COLUMNS.iter().all(|name| cells.next().is_some_and(|cell| cell.eq_ignore_ascii_case(name)))
 }
 
-/// Reads a whole file whose column names are at `head_line`. Markers come in the order in which they are first seen.
-pub(super) fn read(bytes: &[u8], head_line: usize, options: &ReadOptions) -> Result<Motion> {
+/// Reads a whole file whose column names are in line `header_line`. Markers are in the order of their first rows.
+pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
-    let unit = FileUnit::of("mm", options.unit, &mut notes);
+    let unit = FileUnit::resolve("mm", options.unit, &mut notes);
     let up = options.up(UpAxis::Unknown, &mut notes);
-    let millimetres = Millimetres::new(unit.factor, options.turn());
-    let data = Data::read(bytes, head_line, &millimetres)?;
+    let millimetres = ToMillimetres::new(unit.factor, options.rotation());
+    let data = Data::read(bytes, header_line, &millimetres)?;
     if data.is_cut_off {
         notes.warnings.push(CUT_OFF.to_owned());
     }
-    report_damaged(data.damaged, &mut notes.warnings);
-    if data.twice > 0 {
+    table::report_damaged(data.damaged, &mut notes.warnings);
+    if data.duplicates > 0 {
         notes.warnings.push(format!(
-            "{} samples come twice, the same marker in the same frame; the last one counts.",
-            data.twice
+            "Repeated for the same marker and frame: {}; the last one was used.",
+            counted(data.duplicates as u64, "sample")
         ));
     }
     millimetres.report(&mut notes.warnings);
     let Some((first, last)) = data.frames() else {
-        return Err(malformed(head_line, "expected a line for each sample, found none"));
+        return Err(malformed(header_line, "expected one line for each sample, found none"));
     };
     let n_markers = data.labels.len();
     let n_frames = usize::try_from(last - first).ok().and_then(|n| n.checked_add(1));
@@ -60,18 +57,14 @@ pub(super) fn read(bytes: &[u8], head_line: usize, options: &ReadOptions) -> Res
     let earned = bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE);
     let Some(total) = total.filter(|&total| total <= earned) else {
         let message = format!(
-            "frames {first} to {last} of {n_markers} markers are more than {} bytes of text can mean; split the file",
+            "frames {first} to {last} of {n_markers} markers are too many for a file of {} bytes; split the file",
             bytes.len()
         );
-        return Err(malformed(head_line, &message));
+        return Err(malformed(header_line, &message));
     };
     let rate_hz = match data.rate_hz() {
-        _ if first == last => rate_of_one_frame(&mut notes.warnings),
-        Some(rate_hz) => rate_hz,
-        None => {
-            let message = "the rate is not known: expected times that rise with the frames";
-            return Err(malformed(head_line, message));
-        }
+        _ if first == last => table::rate_of_one_frame(&mut notes.warnings),
+        rate_hz => rate_hz.ok_or_else(|| malformed(header_line, "no rate: times must increase"))?,
     };
     let mut positions_mm = vec![GAP; total];
     for (frame, column, position) in data.samples {
@@ -81,7 +74,7 @@ pub(super) fn read(bytes: &[u8], head_line: usize, options: &ReadOptions) -> Res
             *place = position;
         }
     }
-    unit.judge(&positions_mm, n_markers, &mut notes);
+    unit.check(&positions_mm, n_markers, &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
@@ -95,32 +88,32 @@ pub(super) fn read(bytes: &[u8], head_line: usize, options: &ReadOptions) -> Res
     })
 }
 
-/// A marker by its name. A column that has none is called by its number, whatever place it has here.
+/// A marker by its label. A label such as `u012` is the number of an unlabelled marker, in whatever column it is here.
 fn marker(label: String) -> Marker {
     let number = label.strip_prefix('u').filter(|digits| digits.len() >= 3);
     let numbered = number.is_some_and(|digits| digits.bytes().all(|b| b.is_ascii_digit()));
     Marker { labelled: !numbered, label }
 }
 
-/// The data as read.
+/// The parsed rows.
 #[derive(Default)]
 struct Data {
     labels: Vec<String>,
     samples: Vec<(u64, usize, Position)>,
-    /// The frames that have a time, in order.
+    /// Frame numbers with times in seconds, in ascending order.
     times: Vec<(u64, f64)>,
     rounding: Rounding,
     damaged: usize,
-    twice: usize,
+    duplicates: usize,
     is_cut_off: bool,
 }
 
 impl Data {
-    fn read(bytes: &[u8], head_line: usize, millimetres: &Millimetres) -> Result<Self> {
+    fn read(bytes: &[u8], header_line: usize, millimetres: &ToMillimetres) -> Result<Self> {
         let mut data = Self::default();
         let mut columns: HashMap<Vec<u8>, usize> = HashMap::new();
         let (mut n_cells, mut last_has_sample) = (COLUMNS.len(), false);
-        for (number, line) in text::lines(bytes).skip(head_line) {
+        for (number, line) in text::lines(bytes).skip(header_line) {
             if line.trim_ascii().is_empty() || line.starts_with(b"#") {
                 continue;
             }
@@ -142,18 +135,17 @@ impl Data {
                 data.labels.len() - 1
             });
             let mut position = position.iter().map(|cell| &cell[..]);
-            match three_cells(&mut position) {
-                Cells::Position(stored) => {
+            match parse_sample(&mut position) {
+                SampleCells::Position(stored) => {
                     data.samples.push((frame, column, millimetres.position(stored)));
                     last_has_sample = true;
                 }
-                Cells::Empty => {}
-                Cells::Damaged => data.damaged += 1,
+                SampleCells::Empty => {}
+                SampleCells::Damaged => data.damaged += 1,
             }
         }
         let is_short = !bytes.ends_with(b"\n") && n_cells < COLUMNS.len();
-        data.is_cut_off =
-            is_short || text::ends_within_a_number(bytes, head_line + 1, Separator::COMMA);
+        data.is_cut_off = is_short || ends_mid_number(bytes, header_line + 1, Separator::COMMA);
         if data.is_cut_off && last_has_sample {
             data.samples.pop();
         }
@@ -162,17 +154,17 @@ impl Data {
         let mut places: Vec<_> =
             data.samples.iter().map(|&(frame, column, _)| (frame, column)).collect();
         places.sort_unstable();
-        data.twice = places.windows(2).filter(|w| matches!(w, [a, b] if a == b)).count();
+        data.duplicates = places.windows(2).filter(|w| matches!(w, [a, b] if a == b)).count();
         Ok(data)
     }
 
-    /// Frames a second, by the frames that have times.
+    /// The rate from the first and the last frame that have a time.
     fn rate_hz(&self) -> Option<f64> {
         let ((first, from_s), (last, to_s)) = (*self.times.first()?, *self.times.last()?);
         rate_of((last - first) as f64, to_s - from_s, self.rounding)
     }
 
-    /// The first and the last frame that have a time or a sample.
+    /// The numbers of the first and the last frame that have a time or a sample.
     fn frames(&self) -> Option<(u64, u64)> {
         let timed = self.times.iter().map(|&(frame, _)| frame);
         let frames = timed.chain(self.samples.iter().map(|&(frame, ..)| frame));
@@ -180,15 +172,15 @@ impl Data {
     }
 }
 
-/// Writes a line of names, then one line a sample that is present: the frame's number, its time from the first frame
-/// in seconds, the marker's label (told apart by `#2`, `#3`... where it is not the only one), and the position in
-/// millimetres with as many digits as bring back the f32.
+/// Writes the column names, then one line for each sample: the frame number, the time from the first frame in seconds,
+/// the marker's label (made unique by `#2`, `#3`...), and the position in millimetres with the digits that restore the
+/// f32.
 pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let labels: Vec<String> =
         column_labels(&info).iter().map(|label| quote(label).into_owned()).collect();
-    let head = COLUMNS.join(",") + "\n";
-    write_frames(frames, out, head.into_bytes(), |lines, index, row| {
+    let header = COLUMNS.join(",") + "\n";
+    write_frames(frames, out, header.into_bytes(), |lines, index, row| {
         let number = info.source.first_frame.saturating_add(index);
         let time_s = index as f64 / info.rate_hz;
         for (label, &position) in labels.iter().zip(row).filter(|(_, at)| !is_gap(**at)) {

@@ -1,4 +1,5 @@
-//! Comma separated values: what `export` writes, the `time,head_x,head_y,head_z,...` dialect, and Motive's export.
+//! CSV: the wide and long layouts that `export` writes, the `time,head_x,head_y,head_z,...` dialect, and Motive's
+//! export.
 
 mod dialect;
 pub(super) mod long;
@@ -8,10 +9,11 @@ pub(super) mod wide;
 use super::{InterchangeError, ReadOptions, Result, text};
 use crate::motion::Motion;
 
-/// Kind of the lines that are kept, each followed by LF: those that begin with `#`; of Motive's export those above the data.
+/// Kind of the foreign part with the header lines, each followed by LF: those that begin with `#`, or in Motive's
+/// export all lines above the data.
 const HEADER: &str = "csv/header";
 
-/// Reads a whole file of whichever of them.
+/// Detects the layout of a file and reads it.
 pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let bytes = &*dialect::with_commas(bytes);
     let is_content = |line: &[u8]| !line.is_empty() && !line.starts_with(b"#");
@@ -23,5 +25,5 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
 }
 
 fn malformed(line: usize, message: &str) -> InterchangeError {
-    InterchangeError::malformed("csv", format!("line {line}"), message)
+    InterchangeError::malformed("csv", &format!("line {line}"), message)
 }

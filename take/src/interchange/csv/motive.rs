@@ -1,13 +1,13 @@
-//! `OptiTrack` Motive's CSV export, format versions 1.2 and later.
+//! The CSV export of `OptiTrack` Motive, format versions 1.2 and later.
 //!
-//! A line of names and values (`Format Version,1.23,...,Export Frame Rate,120.000000,...,Length Units,Meters,...`), an
-//! empty line, then lines that say of each column what it belongs to: the type (`Marker`, `Rigid Body`,
-//! `Rigid Body Marker`, `Bone`...), the name, the ID, the parent in later versions, and what it is (`Position`,
-//! `Rotation`, a quality); the line `Frame,Time (Seconds),X,Y,Z,...`; one line a frame, empty cells where nothing was
-//! seen. The first two cells of the lines about columns are empty or name the line (`Type`, `Name`, `ID`, `Parent`).
+//! The first line has names and values, such as `Format Version,1.23,...,Length Units,Meters,...`, and an empty line
+//! follows. The next lines describe the columns: type (`Marker`, `Rigid Body`, `Rigid Body Marker`, `Bone`...), name,
+//! ID, in later versions parent, and property (`Position`, `Rotation`, a quality). Their first two cells are empty or
+//! name the line (`Type`, `Name`, `ID`, `Parent`). The line `Frame,Time (Seconds),X,Y,Z,...` ends the header. Each
+//! frame is one line; the cells of an occluded marker are empty.
 //!
-//! Motive can write the markers of a rigid body twice: as measured (`Marker`), and as the solved body has them
-//! (`Rigid Body Marker`). The measured ones are read.
+//! Motive can export the markers of a rigid body twice: as measured (`Marker`) and as solved (`Rigid Body Marker`). The
+//! importer reads the measured ones.
 
 use std::collections::HashSet;
 
@@ -15,18 +15,18 @@ use super::{HEADER, dialect::LineCells, malformed};
 use crate::{
     ambiguity::Notes,
     interchange::{
-        ReadOptions, Result, origin,
+        ReadOptions, Result, counted, origin,
         table::{CUT_OFF, Table},
         text::{self, Separator},
-        units::{FileUnit, Millimetres},
+        units::{FileUnit, ToMillimetres},
     },
     motion::{Foreign, Marker, Motion, MotionInfo, UpAxis},
 };
 
-/// Lines in which the head must end: more than any version has.
-const HEAD_LINES_MAX: usize = 32;
+/// The header must end within this many lines, more than any version has.
+const HEADER_LINES_MAX: usize = 32;
 
-/// Whether a file's first line is that of such an export.
+/// Whether a file's first line is that of a Motive export.
 pub(super) fn is_motive(line: &[u8]) -> bool {
     LineCells::new(line).next().is_some_and(|cell| cell.trim_ascii() == b"Format Version")
 }
@@ -34,26 +34,27 @@ pub(super) fn is_motive(line: &[u8]) -> bool {
 /// Reads a whole file.
 pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
-    let head = Head::parse(bytes)?;
-    let columns = head.columns(&mut notes.warnings)?;
-    let stated = head.value("Length Units").unwrap_or_default();
-    let unit = FileUnit::of(stated, options.unit, &mut notes);
-    let mut table = Table::new("csv", bytes, Millimetres::new(unit.factor, options.turn()));
-    read_rows(&mut table, &head, &columns, &mut notes.warnings);
-    // The frames of an export may be fewer than those of the capture: where its own rate is no rate, the times tell it.
-    let number = |name: &str| text::number(head.value(name)?.as_bytes());
+    let header = MotiveHeader::parse(bytes)?;
+    let columns = header.columns(&mut notes.warnings)?;
+    let stated = header.value("Length Units").unwrap_or_default();
+    let unit = FileUnit::resolve(stated, options.unit, &mut notes);
+    let mut table = Table::new("csv", bytes, ToMillimetres::new(unit.factor, options.rotation()));
+    read_rows(&mut table, &header, &columns, &mut notes.warnings);
+    // The export may be decimated, so an invalid export rate is not replaced by the capture rate but taken from the
+    // times.
+    let number = |name: &str| text::number(header.value(name)?.as_bytes());
     let stated_hz = number("Export Frame Rate").or_else(|| number("Capture Frame Rate"));
     let stated_hz = stated_hz.filter(|&hz| text::is_rate(hz));
     let rate_hz = table.place(stated_hz, columns.len(), &mut notes.warnings).ok_or_else(|| {
-        malformed(1, "expected `Export Frame Rate` and a number above 0, or rising times")
+        malformed(1, "expected `Export Frame Rate` and a number above 0, or increasing times")
     })?;
-    let announced = head.value("Total Exported Frames");
+    let announced = header.value("Total Exported Frames");
     let announced = announced.and_then(|n| text::whole_number(n.as_bytes()));
-    let frames_missing = table.n_missing(announced, &mut notes.warnings);
+    let frames_missing = table.count_missing(announced, &mut notes.warnings);
     let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(0));
     let positions_mm = table.into_positions(columns.len())?;
-    unit.judge(&positions_mm, columns.len(), &mut notes);
-    origin::note_zeros(&positions_mm, columns.len(), &mut notes);
+    unit.check(&positions_mm, columns.len(), &mut notes);
+    origin::note_samples_at_origin(&positions_mm, columns.len(), &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
@@ -62,22 +63,22 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
             markers: columns.into_iter().map(|column| column.marker).collect(),
             up: options.up(UpAxis::Unknown, &mut notes),
             source: unit.into_source("csv", first_frame, frames_missing, notes),
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
             ..MotionInfo::default()
         },
     })
 }
 
-/// What a column belongs to.
+/// The object that a column belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
-    /// A marker as it was measured, labelled or not.
+    /// A measured marker, labelled or not.
     Marker,
-    /// A marker as a solved body has it.
+    /// A marker at its place on the solved rigid body.
     SolvedMarker,
-    /// A rigid body or a bone: its position is that of its pivot.
+    /// A rigid body or a bone; its position is that of its pivot.
     Body,
-    /// Force plates and other devices.
+    /// A force plate or another device.
     Other,
 }
 
@@ -92,19 +93,19 @@ impl Owner {
     }
 }
 
-/// Three columns that become a marker.
+/// Three columns of the file that become one marker.
 struct Column {
     marker: Marker,
     owner: Owner,
-    /// The columns of x, y and z.
+    /// Indices of the columns of x, y and z.
     cells: [usize; 3],
 }
 
-/// What stands above the data.
-struct Head {
-    /// Names and values of the first line, in turn.
+/// The header, and the lines that describe the columns.
+struct MotiveHeader {
+    /// The cells of the first line: names and values, alternating.
     values: Vec<String>,
-    /// The lines about columns.
+    /// The lines that describe the columns.
     rows: Vec<Vec<String>>,
     /// `Frame`, `Time (Seconds)`, `X`...
     axes: Vec<String>,
@@ -112,11 +113,11 @@ struct Head {
     lines: Vec<u8>,
 }
 
-impl Head {
+impl MotiveHeader {
     fn parse(bytes: &[u8]) -> Result<Self> {
         let mut lines = Vec::new();
         let mut rows: Vec<Vec<String>> = Vec::new();
-        for (n_lines, line) in text::lines(bytes).take(HEAD_LINES_MAX) {
+        for (n_lines, line) in text::lines(bytes).take(HEADER_LINES_MAX) {
             lines.extend_from_slice(line);
             lines.push(b'\n');
             let cells: Vec<String> =
@@ -131,37 +132,37 @@ impl Head {
         }
         Err(malformed(
             1,
-            "expected a line that begins with `Frame` among the first of Motive's export, found none",
+            "expected a line that begins with `Frame` within the first 32 lines of a Motive export, found none",
         ))
     }
 
     /// A value of the first line.
     fn value(&self, name: &str) -> Option<&str> {
-        let pairs = self.values.chunks_exact(2);
-        let mut found =
-            pairs.filter(|pair| matches!(pair, [key, _] if key.eq_ignore_ascii_case(name)));
-        // A value with a comma in it shifts those behind it by one.
+        let (pairs, _) = self.values.as_chunks::<2>();
+        let found = pairs.iter().find(|[key, _]| key.eq_ignore_ascii_case(name));
+        // An unquoted comma in a value shifts all later cells by one.
         let shifted = || {
             let at = self.values.iter().position(|cell| cell.eq_ignore_ascii_case(name))?;
             self.values.get(at + 1)
         };
-        found.next().and_then(|pair| pair.get(1)).or_else(shifted).map(String::as_str)
+        found.map(|[_, value]| value).or_else(shifted).map(String::as_str)
     }
 
-    /// The positions among the columns, and a note of what is left out.
+    /// The columns with positions. Warns of columns that are left out.
     fn columns(&self, warnings: &mut Vec<String>) -> Result<Vec<Column>> {
         let named = |name: &str| {
             self.rows.iter().find(|row| {
                 row.iter().take(2).any(|cell| cell.trim_end_matches(':').eq_ignore_ascii_case(name))
             })
         };
-        // Without names of their own, lines come in this order; the last one says what a column is: `Position`, `Rotation`...
+        // Lines without a name of their own are in this order; the last one has the properties (`Position`,
+        // `Rotation`...).
         let types = named("Type").or(self.rows.first());
         let names = named("Name").or(self.rows.get(1));
         let (Some(types), Some(names), Some(properties)) = (types, names, self.rows.last()) else {
             return Err(malformed(
                 self.n_lines,
-                "expected lines with the type, the name and the property of each column above this one",
+                "expected lines with the type, name and property of each column above this line",
             ));
         };
         let cell = |row: &[String], at: usize| row.get(at).map_or("", String::as_str).to_owned();
@@ -176,60 +177,62 @@ impl Head {
                 && ["X", "Y", "Z"].iter().enumerate().all(|(i, axis)| is(&self.axes, at + i, axis));
             let owner = Owner::of(&cell(types, at));
             if !is_position || owner == Owner::Other {
-                // The name of the line itself stands above the times.
+                // Above the times stands the name of the line.
                 let is_time = at == 1 && cell(&self.axes, at).starts_with("Time");
                 left_out += usize::from(!is_time && !cell(types, at).is_empty());
                 at += 1;
                 continue;
             }
             let name = cell(names, at);
-            let is_labelled =
-                !name.is_empty() && !name.to_ascii_lowercase().starts_with("unlabeled");
             let mut marker = text::marker(&name, columns.len());
-            marker.labelled &= is_labelled;
+            marker.labelled &= !name.to_ascii_lowercase().starts_with("unlabeled");
             columns.push(Column { marker, owner, cells: [at, at + 1, at + 2] });
             at += 3;
         }
-        let measured: HashSet<String> = columns
-            .iter()
-            .filter(|column| column.owner == Owner::Marker)
-            .map(|column| column.marker.label.clone())
-            .collect();
+        let measured = columns.iter().filter(|column| column.owner == Owner::Marker);
+        let measured: HashSet<_> = measured.map(|column| column.marker.label.clone()).collect();
         let n_all = columns.len();
         columns.retain(|column| {
             column.owner != Owner::SolvedMarker || !measured.contains(&column.marker.label)
         });
-        let n_twice = n_all - columns.len();
-        if n_twice > 0 {
+        let n_duplicates = n_all - columns.len();
+        if n_duplicates > 0 {
             warnings.push(format!(
-                "{n_twice} markers stand there twice, measured and as the solved body has them; the measured ones were read."
+                "{} exported twice, as measured and as solved with the body; the measured positions were read.",
+                counted(n_duplicates as u64, "marker")
             ));
         }
         let n_bodies = columns.iter().filter(|column| column.owner == Owner::Body).count();
         if n_bodies > 0 {
             warnings.push(format!(
-                "The positions of {n_bodies} rigid bodies or bones were read as markers of their names."
+                "Rigid bodies and bones whose positions were read as markers: {n_bodies}."
             ));
         }
         if left_out > 0 {
             warnings.push(format!(
-                "{left_out} columns that are no positions (rotations, qualities, devices) were left out."
+                "{} without positions (rotations, qualities, devices) left out.",
+                counted(left_out as u64, "column")
             ));
         }
         if columns.is_empty() {
             return Err(malformed(
                 self.n_lines,
-                "expected columns with the positions of markers or bodies, found none: export them from Motive",
+                "expected columns with positions of markers or bodies, found none: include them in Motive's export",
             ));
         }
         Ok(columns)
     }
 }
 
-fn read_rows(table: &mut Table<'_>, head: &Head, columns: &[Column], warnings: &mut Vec<String>) {
+fn read_rows(
+    table: &mut Table<'_>,
+    header: &MotiveHeader,
+    columns: &[Column],
+    warnings: &mut Vec<String>,
+) {
     let bytes = table.bytes;
     let mut n_cells = 0;
-    for (_, line) in text::lines(bytes).skip(head.n_lines) {
+    for (_, line) in text::lines(bytes).skip(header.n_lines) {
         if line.trim_ascii().is_empty() {
             continue;
         }
@@ -242,12 +245,11 @@ fn read_rows(table: &mut Table<'_>, head: &Head, columns: &[Column], warnings: &
         }
         table.end_row();
     }
-    let is_short = !bytes.ends_with(b"\n") && n_cells < head.axes.len();
-    if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, Separator::COMMA) {
-        let cut = n_cells
-            .checked_sub(1)
-            .and_then(|last| columns.iter().position(|column| column.cells.contains(&last)));
-        cut.into_iter().for_each(|column| table.drop_cut(column));
+    let is_short = !bytes.ends_with(b"\n") && n_cells < header.axes.len();
+    if is_short || text::ends_mid_number(bytes, header.n_lines + 1, Separator::COMMA) {
+        let is_cut = |column: &Column| column.cells.iter().any(|&at| at + 1 == n_cells);
+        let cut = columns.iter().position(is_cut);
+        cut.into_iter().for_each(|column| table.drop_truncated(column));
         warnings.push(CUT_OFF.to_owned());
     }
     table.report_not_finite(warnings);

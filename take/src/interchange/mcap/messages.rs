@@ -1,33 +1,33 @@
-//! The messages themselves, in Protocol Buffers: the little of them that is needed (protobuf.dev, "Encoding").
+//! Foxglove messages in a minimal Protocol Buffers encoder (protobuf.dev, "Encoding").
 
 use crate::{
     motion::{Position, UpAxis, is_gap},
     varint,
 };
 
-/// The frame of reference of the positions, and the one above it, whose z is up.
+/// The frame of reference of the positions, and its parent, whose z points up.
 const FRAME: &str = "mocap";
 const ROOT: &str = "world";
 
-/// Millimetres of a metre: viewers count in metres.
-const MM: f64 = 1000.0;
+/// Foxglove's schemas have metres.
+const MM_PER_METRE: f64 = 1000.0;
 
-/// Bytes of a point: x, y and z as float32, the column as uint16, two of nothing.
+/// Bytes of a point: x, y and z as float32, the column as uint16, two bytes of padding.
 const STRIDE: usize = 16;
 
-/// Numbers of `NumericType`.
+/// Values of `PackedElementField.NumericType`.
 const UINT16: u64 = 3;
 const FLOAT32: u64 = 7;
 
-/// Height of names, in metres.
-const TEXT_M: f64 = 0.03;
+/// Font size of labels, in metres.
+const LABEL_HEIGHT_M: f64 = 0.03;
 
-/// A message as it is written, field after field.
+/// An encoded message, built field by field.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Message(pub(super) Vec<u8>);
 
 impl Message {
-    /// Adds an integer, a bool or a value of an enum.
+    /// Adds an integer, a bool or an enum value.
     pub(super) fn int(mut self, field: u32, value: u64) -> Self {
         self.tag(field, 0);
         varint::put(&mut self.0, value);
@@ -71,11 +71,14 @@ fn timestamp(time_ns: u64) -> Message {
     Message::default().int(1, time_ns / 1_000_000_000).int(2, time_ns % 1_000_000_000)
 }
 
-/// Fields of doubles from the first on: a vector, a quaternion, a colour.
+/// The start of a message with a time and a frame of reference in its first two fields.
+fn stamped(time_ns: u64, frame: &str) -> Message {
+    Message::default().message(1, &timestamp(time_ns)).text(2, frame)
+}
+
+/// A message of doubles in fields 1, 2, 3...: a vector, a quaternion or a colour.
 fn doubles<const N: usize>(values: [f64; N]) -> Message {
-    (1..)
-        .zip(values)
-        .fold(Message::default(), |message, (field, value)| message.double(field, value))
+    (1..).zip(values).fold(Message::default(), |out, (field, value)| out.double(field, value))
 }
 
 fn pose(at: [f64; 3]) -> Message {
@@ -83,10 +86,10 @@ fn pose(at: [f64; 3]) -> Message {
 }
 
 fn metres(position: Position) -> [f64; 3] {
-    position.map(|mm| f64::from(mm) / MM)
+    position.map(|mm| f64::from(mm) / MM_PER_METRE)
 }
 
-/// `foxglove.PointCloud` of the markers that are seen.
+/// The `foxglove.PointCloud` of the visible markers.
 pub(super) fn cloud(row: &[Position], time_ns: u64) -> Message {
     let mut data = Vec::with_capacity(row.len() * STRIDE);
     for (column, position) in row.iter().enumerate().filter(|(_, position)| !is_gap(**position)) {
@@ -96,29 +99,24 @@ pub(super) fn cloud(row: &[Position], time_ns: u64) -> Message {
         data.extend((column as u16).to_le_bytes());
         data.extend([0; 2]);
     }
-    let head = Message::default()
-        .message(1, &timestamp(time_ns))
-        .text(2, FRAME)
-        .message(3, &pose([0.0; 3]))
-        .fixed32(4, STRIDE as u32);
+    let header = stamped(time_ns, FRAME).message(3, &pose([0.0; 3])).fixed32(4, STRIDE as u32);
     [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("marker", 12, UINT16)]
         .map(|(name, offset, kind)| {
             Message::default().text(1, name).fixed32(2, offset).int(3, kind)
         })
         .iter()
-        .fold(head, |cloud, field| cloud.message(5, field))
+        .fold(header, |cloud, field| cloud.message(5, field))
         .bytes(6, &data)
 }
 
-/// `foxglove.SceneUpdate` with the names of the markers that are seen.
-pub(super) fn names(row: &[Position], labels: &[String], time_ns: u64) -> Message {
-    let mut entity =
-        Message::default().message(1, &timestamp(time_ns)).text(2, FRAME).text(3, "names");
+/// The `foxglove.SceneUpdate` with the labels of the visible markers.
+pub(super) fn label_scene(row: &[Position], labels: &[String], time_ns: u64) -> Message {
+    let mut entity = stamped(time_ns, FRAME).text(3, "names");
     for (position, label) in row.iter().zip(labels).filter(|(position, _)| !is_gap(**position)) {
         let text = Message::default()
             .message(1, &pose(metres(*position)))
             .int(2, 1)
-            .double(3, TEXT_M)
+            .double(3, LABEL_HEIGHT_M)
             .message(5, &doubles([1.0; 4]))
             .text(6, label);
         entity = entity.message(13, &text);
@@ -126,21 +124,17 @@ pub(super) fn names(row: &[Position], labels: &[String], time_ns: u64) -> Messag
     Message::default().message(2, &entity)
 }
 
-/// `foxglove.FrameTransform` that turns the take's way up to z.
-pub(super) fn way_up(up: UpAxis, time_ns: u64) -> Message {
+/// The `foxglove.FrameTransform` that rotates the take's up axis to z.
+pub(super) fn up_transform(up: UpAxis, time_ns: u64) -> Message {
     const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
     let rotation = match up {
         UpAxis::Z | UpAxis::Unknown => [0.0, 0.0, 0.0, 1.0],
-        // A quarter turn about x takes y to z; one back about y takes x to z.
+        // 90° about x takes y to z; -90° about y takes x to z.
         UpAxis::Y => [HALF, 0.0, 0.0, HALF],
         UpAxis::X => [0.0, -HALF, 0.0, HALF],
     };
-    Message::default()
-        .message(1, &timestamp(time_ns))
-        .text(2, ROOT)
-        .text(3, FRAME)
-        .message(4, &doubles([0.0; 3]))
-        .message(5, &doubles(rotation))
+    let transform = stamped(time_ns, ROOT).text(3, FRAME);
+    transform.message(4, &doubles([0.0; 3])).message(5, &doubles(rotation))
 }
 
 #[cfg(test)]
@@ -149,7 +143,7 @@ mod tests {
 
     /// The examples of protobuf.dev, "Encoding".
     #[test]
-    fn fields_are_as_they_are_specified() {
+    fn fields_are_encoded_as_specified() {
         let inner = Message::default().int(1, 150);
         assert_eq!(inner.0, [0x08, 0x96, 0x01]);
         let outer = Message::default().message(3, &inner).text(2, "testing");

@@ -1,16 +1,16 @@
-//! The messages of Foxglove that are written, as its published schemas have them (`foxglove-sdk`,
-//! `schemas/proto`), and as an MCAP file carries them: a `FileDescriptorSet`, complete with what they use.
+//! The Foxglove message types that the export uses, from the published schemas (`foxglove-sdk`, `schemas/proto`), and
+//! their encoding as a `FileDescriptorSet` with all dependencies, which an MCAP file stores as the schema.
 
 use std::collections::BTreeSet;
 
 use super::messages::Message;
 
-/// A field: its name, number, and type.
-type Field = (&'static str, u32, Type);
+/// A field: name, number and type.
+type Field = (&'static str, u32, FieldType);
 
-/// What a field is of; `descriptor.proto` has the numbers.
+/// The type of a field; [`field_descriptor`] has its number in `descriptor.proto`.
 #[derive(Clone, Copy)]
-enum Type {
+enum FieldType {
     Double,
     Fixed32,
     Bool,
@@ -18,24 +18,24 @@ enum Type {
     Bytes,
     Int64,
     Int32,
-    /// Of a message, by its full name.
-    One(&'static str),
-    /// Any number of them.
-    Many(&'static str),
-    /// The type of a packed number.
-    Number,
+    /// A message, by its full name.
+    Nested(&'static str),
+    /// A repeated message, by its full name.
+    Repeated(&'static str),
+    /// The enum `PackedElementField.NumericType`.
+    NumericType,
 }
 
-use Type::{Bool, Bytes, Double, Fixed32, Int32, Int64, Many, Number, One, Text};
+use FieldType::{Bool, Bytes, Double, Fixed32, Int32, Int64, Nested, NumericType, Repeated, Text};
 
-const TIMESTAMP: Type = One("google.protobuf.Timestamp");
-const DURATION: Type = One("google.protobuf.Duration");
+const TIMESTAMP: FieldType = Nested("google.protobuf.Timestamp");
+const DURATION: FieldType = Nested("google.protobuf.Duration");
 
-/// A message by its full name, with its fields; it stands in a file of its own.
-type Declared = (&'static str, &'static [Field]);
+/// A message type: full name and fields. Each has a proto file of its own.
+type MessageType = (&'static str, &'static [Field]);
 
-/// In an order in which each stands behind those that it uses.
-const MESSAGES: &[Declared] = &[
+/// All message types, each after those that it uses.
+const MESSAGES: &[MessageType] = &[
     ("google.protobuf.Timestamp", &[("seconds", 1, Int64), ("nanos", 2, Int32)]),
     ("google.protobuf.Duration", &[("seconds", 1, Int64), ("nanos", 2, Int32)]),
     ("foxglove.Vector3", &[("x", 1, Double), ("y", 2, Double), ("z", 3, Double)]),
@@ -46,24 +46,27 @@ const MESSAGES: &[Declared] = &[
     ("foxglove.Color", &[("r", 1, Double), ("g", 2, Double), ("b", 3, Double), ("a", 4, Double)]),
     (
         "foxglove.Pose",
-        &[("position", 1, One("foxglove.Vector3")), ("orientation", 2, One("foxglove.Quaternion"))],
+        &[
+            ("position", 1, Nested("foxglove.Vector3")),
+            ("orientation", 2, Nested("foxglove.Quaternion")),
+        ],
     ),
     (
         "foxglove.PackedElementField",
-        &[("name", 1, Text), ("offset", 2, Fixed32), ("type", 3, Number)],
+        &[("name", 1, Text), ("offset", 2, Fixed32), ("type", 3, NumericType)],
     ),
     (
         "foxglove.TextPrimitive",
         &[
-            ("pose", 1, One("foxglove.Pose")),
+            ("pose", 1, Nested("foxglove.Pose")),
             ("billboard", 2, Bool),
             ("font_size", 3, Double),
             ("scale_invariant", 4, Bool),
-            ("color", 5, One("foxglove.Color")),
+            ("color", 5, Nested("foxglove.Color")),
             ("text", 6, Text),
         ],
     ),
-    // Of the primitives, those that are written.
+    // Only the primitives that the export uses.
     (
         "foxglove.SceneEntity",
         &[
@@ -72,18 +75,18 @@ const MESSAGES: &[Declared] = &[
             ("id", 3, Text),
             ("lifetime", 4, DURATION),
             ("frame_locked", 5, Bool),
-            ("texts", 13, Many("foxglove.TextPrimitive")),
+            ("texts", 13, Repeated("foxglove.TextPrimitive")),
         ],
     ),
-    ("foxglove.SceneUpdate", &[("entities", 2, Many("foxglove.SceneEntity"))]),
+    ("foxglove.SceneUpdate", &[("entities", 2, Repeated("foxglove.SceneEntity"))]),
     (
         "foxglove.FrameTransform",
         &[
             ("timestamp", 1, TIMESTAMP),
             ("parent_frame_id", 2, Text),
             ("child_frame_id", 3, Text),
-            ("translation", 4, One("foxglove.Vector3")),
-            ("rotation", 5, One("foxglove.Quaternion")),
+            ("translation", 4, Nested("foxglove.Vector3")),
+            ("rotation", 5, Nested("foxglove.Quaternion")),
         ],
     ),
     (
@@ -91,19 +94,19 @@ const MESSAGES: &[Declared] = &[
         &[
             ("timestamp", 1, TIMESTAMP),
             ("frame_id", 2, Text),
-            ("pose", 3, One("foxglove.Pose")),
+            ("pose", 3, Nested("foxglove.Pose")),
             ("point_stride", 4, Fixed32),
-            ("fields", 5, Many("foxglove.PackedElementField")),
+            ("fields", 5, Repeated("foxglove.PackedElementField")),
             ("data", 6, Bytes),
         ],
     ),
 ];
 
-/// Of [`PackedElementField`](MESSAGES); a place is the number.
+/// Names of the enum `PackedElementField.NumericType`; the index is the value.
 const NUMERIC_TYPES: [&str; 9] =
     ["UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"];
 
-/// The `FileDescriptorSet` of a message and all that it uses.
+/// The `FileDescriptorSet` of a message type and all types that it uses.
 pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
     let mut wanted = BTreeSet::from([name]);
     let mut files = Vec::new();
@@ -116,15 +119,15 @@ pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
     files.iter().rev().fold(Message::default(), |set, file| set.message(1, file)).0
 }
 
-/// The messages that fields of one are of.
-fn used((_, fields): &Declared) -> impl Iterator<Item = &'static str> {
+/// The message types of a message's fields.
+fn used((_, fields): &MessageType) -> impl Iterator<Item = &'static str> {
     fields.iter().filter_map(|(.., of)| match of {
-        One(message) | Many(message) => Some(*message),
+        Nested(message) | Repeated(message) => Some(*message),
         _ => None,
     })
 }
 
-/// The file that a message stands in.
+/// The path of the proto file of a message type.
 fn path(full_name: &str) -> String {
     match full_name.strip_prefix("google.protobuf.") {
         Some(name) => format!("google/protobuf/{}.proto", name.to_lowercase()),
@@ -132,17 +135,17 @@ fn path(full_name: &str) -> String {
     }
 }
 
-fn file_descriptor(declared: &Declared) -> Message {
-    let (full_name, fields) = declared;
+fn file_descriptor(message_type: &MessageType) -> Message {
+    let (full_name, fields) = message_type;
     let (package, name) = full_name.rsplit_once('.').unwrap_or(("", full_name));
-    let uses: BTreeSet<String> = used(declared).map(path).collect();
+    let uses: BTreeSet<String> = used(message_type).map(path).collect();
     let file = Message::default().text(1, &path(full_name)).text(2, package);
     let file = uses.iter().fold(file, |file, path| file.text(3, path));
     let mut message = Message::default().text(1, name);
     for field in *fields {
         message = message.message(2, &field_descriptor(field));
     }
-    if fields.iter().any(|(.., of)| matches!(of, Number)) {
+    if fields.iter().any(|(.., of)| matches!(of, NumericType)) {
         let mut numbers = Message::default().text(1, "NumericType");
         for (number, name) in (0..).zip(NUMERIC_TYPES) {
             numbers = numbers.message(2, &Message::default().text(1, name).int(2, number));
@@ -162,10 +165,10 @@ fn field_descriptor(&(name, number, of): &Field) -> Message {
         Fixed32 => (OPTIONAL, 7, None),
         Bool => (OPTIONAL, 8, None),
         Text => (OPTIONAL, 9, None),
-        One(message) => (OPTIONAL, 11, Some(message)),
-        Many(message) => (REPEATED, 11, Some(message)),
+        Nested(message) => (OPTIONAL, 11, Some(message)),
+        Repeated(message) => (REPEATED, 11, Some(message)),
         Bytes => (OPTIONAL, 12, None),
-        Number => (OPTIONAL, 14, Some("foxglove.PackedElementField.NumericType")),
+        NumericType => (OPTIONAL, 14, Some("foxglove.PackedElementField.NumericType")),
     };
     let field = Message::default().text(1, name).int(3, number.into()).int(4, label).int(5, kind);
     match type_name {

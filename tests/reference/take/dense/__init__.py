@@ -1,4 +1,4 @@
-"""`dense`: docs/codec.md, "dense". Rows of a channel are indices into lists, the block's first being MEMORY."""
+"""`dense`: docs/codec.md, "dense". Rows of a channel are list indices; the first row of the block has index MEMORY."""
 
 import math
 import struct
@@ -10,7 +10,7 @@ from .lattice import FINE, NORMAL
 from .track import MEMORY
 from .walk import Walk
 
-# The odds of a block that is not stored raw as a whole, in 2^-16.
+# Probability that a block is not stored raw as a whole, in 2^-16.
 CODED = 65536 - 8
 FLOATS = struct.Struct("<f")
 
@@ -47,7 +47,7 @@ class Dense:
         coder.finish()
 
     def is_raw(self, coder, track):
-        """How a sampled channel is stored in this block."""
+        """Decodes how a sampled channel is stored in this block."""
         model = self.walk.model
         raw = model.single(coder, ctx.RAW + track.was_raw)
         track.was_raw = 1 + raw
@@ -69,7 +69,7 @@ class Dense:
 
 
 def stored(coder, channel):
-    """A channel bit by bit."""
+    """Decodes a channel stored raw."""
     for row, present in enumerate(channel.present):
         if present:
             bits = struct.pack("<3I", *(coder.plain(32) for _ in range(3)))

@@ -1,6 +1,6 @@
-"""Where a span's last row will be: seven guesses."""
+"""Prediction of a span's last row by seven extrapolations."""
 
-# Rows that the velocity is measured over, and its weight in quarters.
+# Number of rows over which the velocity is measured, and its weight in quarters.
 GUESSES = [(1, 0), (2, 4), (4, 4), (8, 4), (8, 2), (32, 4), (32, 2)]
 MAX_ERROR = 1 << 24
 
@@ -10,7 +10,7 @@ class Anchor:
         self.errors = [[0] * len(GUESSES) for _ in range(3)]
 
     def guess(self, known, m):
-        """`known`: the points of the run up to row 0. The best guess of row m, and all guesses by axis."""
+        """`known`: the points of the run up to row 0. Returns the best prediction of row m, and all by axis."""
         last, n_before = known[-1], len(known) - 1
         best, guesses = [], []
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""One row with an expectation: its references, its partners, its residual."""
+"""One row with a prediction: its references, its partners, its residual."""
 
 from ..errors import Corrupt
 from . import row as syntax
@@ -11,19 +11,19 @@ from .weave import Weave
 CHANNELS = 64
 # By kind: anchors; strides 1, 2, 4; 8 and more.
 CLASS = [0, 0, 0, 0, 4, 3, 2, 1, 1, 1]
-# Kinds of which the partners are seen from one place: strides 1, 2 and 4.
+# Kinds whose partners are evaluated at one place: strides 1, 2 and 4.
 FINE = range(4, 7)
 
 
 class Rows:
-    """What a group of channels remembers, and how a row is decoded with it."""
+    """The adaptive state of a group of channels, and the decoding of a row with it."""
 
     def __init__(self):
         self.tracks = [Track() for _ in range(CHANNELS)]
         self.model = Model()
         self.weave = Weave()
         self.lengths = Lengths()
-        # Of the current block and span.
+        # State of the current block and span.
         self.coder = self.settled = None
         self.before = 0
 
@@ -35,7 +35,7 @@ class Rows:
         self.lengths.reset()
 
     def code(self, channel, at, expected, around, left, right, shares):
-        """One row with an expectation: its references, its partners with their shares, its residual."""
+        """Decodes one row with a prediction: its references, its partners with their shares, its residual."""
         kind, row = around.kind, at - self.before
         references = self.weave.references[CLASS[kind]][channel]
         self.refer(around, references, channel, at, row)
@@ -68,7 +68,7 @@ class Rows:
                     self.lengths.learn(channel, k, distance(point, other.points[at]), length)
 
     def refer(self, around, references, channel, at, row):
-        """What the references of a row did there."""
+        """The residuals of the references in a row."""
         if not references.channels:
             if channel > 0 and self.tracks[channel - 1].known[at]:
                 steps = self.tracks[channel - 1].steps[at]
@@ -88,7 +88,7 @@ class Rows:
         around.references_side = [1 if s >= 30.0 else 2 if s <= -30.0 else 0 for s in sides]
 
     def length(self, channel, k, left, at, right):
-        """The distance in tolerances that two channels should have at a row; None where it is not known."""
+        """The expected distance of two channels in a row, in tolerances; None if it is unknown."""
         own, other = self.tracks[channel], self.tracks[k]
         for row in (left, right):
             if not (own.known[row] and other.known[row]):
@@ -99,7 +99,7 @@ class Rows:
         return along(first, distance(own.points[right], other.points[right]), left, at, right)
 
     def pull(self, channel, kind, prediction, shares, rows):
-        """Moves the prediction to where the distances to the partners would be right, one after another."""
+        """Moves the prediction to satisfy the distances to the partners, one after another."""
         pulls, far = [], kind not in FINE
         start, moved = [float(units) for units in prediction], [0.0, 0.0, 0.0]
         seen = start

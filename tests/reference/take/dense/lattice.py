@@ -1,30 +1,30 @@
-"""Fixed point: positions as integers of tolerance / 256, residuals as steps of two lattices."""
+"""Fixed-point numbers: positions as integers of tolerance / 256, residuals as steps of two lattices."""
 
 import math
 
-UNITS = 256  # in a tolerance
+UNITS = 256  # units per tolerance
 MAX_DECODED = 1 << 41
 
 CUBIC, CENTRED = 0, 1
-# Units of a step, by lattice.
+# Units per step, by lattice.
 NORMAL = (293, 227)
 FINE = (256, 198)
 
 
 def to_i64(value):
-    """A cast: towards zero, cut to 64 bits; 0 for NaN."""
+    """Casts towards zero, clamped to 64 bits; 0 for NaN."""
     if value != value:
         return 0
     return int(max(-(2.0**63), min(2.0**63, value))) - (value >= 2.0**63)
 
 
 def wrap(value):
-    """Modulo 2^64."""
+    """Wraps modulo 2^64."""
     return (value + (1 << 63)) % (1 << 64) - (1 << 63)
 
 
 def nearest(value):
-    """The nearest integer, halves up."""
+    """Rounds to the nearest integer, halves up."""
     if -1e15 < value < 1e15:
         return math.floor(value + 0.5)
     shifted = value + 0.5
@@ -33,7 +33,7 @@ def nearest(value):
 
 
 def divided(a, b):
-    """As IEEE 754 has it, zero divisors included."""
+    """Division as in IEEE 754, including by zero."""
     try:
         return a / b
     except ZeroDivisionError:
@@ -43,6 +43,6 @@ def divided(a, b):
 
 
 def distance(a, b):
-    """In tolerances."""
+    """Converts units to tolerances."""
     x, y, z = float(a[0] - b[0]), float(a[1] - b[1]), float(a[2] - b[2])
     return math.sqrt(x * x + y * y + z * z) / UNITS

@@ -1,13 +1,13 @@
-"""The numbers of the contexts: one family after another, each with its first."""
+"""The indices of the contexts: one family after another, each with its first index."""
 
 SPAN = 64
 LEVELS = 6
-# First row of a run; anchor of a long, a middling and a short span; strides 1, 2, 4, 8, 16, 32.
+# First row of a run; anchor of a long, a medium and a short span; strides 1, 2, 4, 8, 16, 32.
 KINDS = 4 + LEVELS
 ORIGIN_KIND = 0
 
-UNARY = 4  # magnitudes beyond this are Exp-Golomb
-EXPONENTS = 24  # of which have contexts of their own
+UNARY = 4  # larger magnitudes are Exp-Golomb coded
+EXPONENTS = 24  # those with contexts of their own
 CANDIDATES = 16
 MAX_EXPONENT = 42
 

@@ -1,4 +1,4 @@
-"""Segments of constant length: what the distance to another marker says. Distances in tolerances, float64."""
+"""Segments of constant length: prediction from distances to other markers. Distances in tolerances, float64."""
 
 import math
 
@@ -21,7 +21,7 @@ def clamp(value):
 
 
 def along(first, last, left, at, right):
-    """Linear between two rows."""
+    """Linear interpolation between two rows."""
     return first + (last - first) * float(at - left) / float(right - left)
 
 
@@ -30,9 +30,9 @@ class Lengths:
         self.reset()
 
     def reset(self):
-        # By channel and earlier channel: variance, and how many were seen.
+        # By channel and earlier channel: variance, and the number of observations.
         self.spreads = [[[0.0, 0.0] for _ in range(j)] for j in range(CHANNELS)]
-        # By channel, kind, slot: sums of squares and products, and the share that follows.
+        # By channel, kind, slot: sums of squares and products, and the resulting share.
         self.shares = [
             [[[0.0, 0.0, 0.0] for _ in range(PARTNERS)] for _ in range(KINDS)] for _ in range(CHANNELS)
         ]
@@ -40,7 +40,7 @@ class Lengths:
         self.partners = [[] for _ in range(CHANNELS)]
 
     def choose(self, j, nearness):
-        """Chooses partners for a span. Sorting is stable: the first of equals first."""
+        """Chooses partners for a span. Sorting is stable: at a tie the first one comes first."""
         near = sorted(range(j), key=lambda k: -nearness[k])[:NEAR]
         spreads = self.spreads[j]
         steady = [k for k in range(j) if spreads[k][1] >= LEAST_SEEN]
@@ -50,17 +50,17 @@ class Lengths:
         self.near[j], self.partners[j] = near, partners
 
     def begin(self, j, kind):
-        """A level begins: a share that has learnt nothing is that of the level above."""
+        """Begins a level: a share without observations starts as that of the level above."""
         for slot, share in enumerate(self.shares[j][kind]):
             if 4 <= kind < KINDS - 1 and share[0] == 0.0:
                 share[2] = self.shares[j][kind + 1][slot][2]
 
     def shares_of(self, j, kind):
-        """The shares as they are now."""
+        """The current shares."""
         return [share[2] for share in self.shares[j][kind]]
 
     def aim(self, own, partner, length):
-        """How much too far a point is from a partner, and the direction away from it; None where there is none."""
+        """Excess of a point's distance from a partner, and the direction away from it; None without a direction."""
         x, y, z = (e - float(p) for e, p in zip(own, partner))
         far = math.sqrt(x * x + y * y + z * z)
         if far < UNITS:
@@ -69,7 +69,7 @@ class Lengths:
         return far / UNITS - length, (x * inverse, y * inverse, z * inverse)
 
     def score(self, j, kind, pull, point):
-        """Learns how much of a pull was true."""
+        """Updates a share with the fraction of a correction that was right."""
         slot, difference, direction, start = pull
         truth = 0.0
         for axis in range(3):
@@ -82,7 +82,7 @@ class Lengths:
         share[2] = min(share[1] / (share[0] + RIDGE), 1.0)
 
     def learn(self, j, k, distance, length):
-        """Learns how far a distance was from where its neighbours in time put it."""
+        """Updates the variance with the deviation of a distance from its interpolation in time."""
         spread = self.spreads[j][k]
         off = min(abs(distance - length), MAX_DIFFERENCE)
         spread[0] += (off * off - spread[0]) / (min(spread[1], MEMORY_ROWS) + 1.0)

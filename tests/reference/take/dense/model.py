@@ -1,4 +1,4 @@
-"""The odds of a group: contexts, and the mixing of what they say. All integers; `>>` rounds down."""
+"""The probabilities of a group: contexts and their mixing. All numbers are integers; `>>` rounds down."""
 
 import math
 from pathlib import Path
@@ -8,7 +8,7 @@ from .layout import N_CONTEXTS, N_MIXERS
 PRIOR = Path(__file__).parents[4] / "codec/src/dense/prior.bin"
 MAX_LOGIT = 2047
 
-# A context moves by 1/(n + 1.6) of its error at its n-th bit, and by 2 % at least.
+# A context moves by 1/(n + 1.6) of its error at its n-th bit, and by at least 2 %.
 MOVES = [max(65536 * 5 // (5 * n + 8), 1311) for n in range(64)]
 FIRST_RATE, LAST_RATE = 1311, 393
 
@@ -21,12 +21,12 @@ def squashed(logit):
     return (KNOTS[knot] * (32 - rest) + KNOTS[knot + 1] * rest + 16) >> 5
 
 
-# From -MAX_LOGIT on.
+# Starting at -MAX_LOGIT.
 PROBABILITIES = [squashed(logit) for logit in range(-MAX_LOGIT, MAX_LOGIT + 1)]
 
 
 def _logits():
-    """By probability / 16: the smallest logit whose probability is not below the middle of the interval."""
+    """By probability / 16: the smallest logit whose probability is at least the middle of the interval."""
     logit, logits = -MAX_LOGIT, []
     for i in range(4096):
         while logit < MAX_LOGIT and squashed(logit) < 16 * i + 8:
@@ -56,7 +56,7 @@ class Model:
             self.weights.append([int.from_bytes(w, "little", signed=True) << 6 for w in words])
 
     def mixed(self, coder, contexts, mixer):
-        """A bit that two or three contexts expect together."""
+        """Decodes a bit with the mixed probability of two or three contexts."""
         weights, probabilities = self.weights[mixer], self.probabilities
         logits = [LOGITS[probabilities[context] >> 4] for context in contexts]
         total = 0
@@ -79,7 +79,7 @@ class Model:
         return bit
 
     def single(self, coder, context):
-        """A bit of one context."""
+        """Decodes a bit with one context."""
         bit = coder.split(65536 - min(max(self.probabilities[context], 32), 65504))
         self.learn(context, bit)
         return bit

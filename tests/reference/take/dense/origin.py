@@ -1,4 +1,4 @@
-"""Where a run may have come from."""
+"""Candidates for the origin of a run."""
 
 from . import layout as ctx
 from .track import MEMORY, ZERO
@@ -7,7 +7,7 @@ FORGOTTEN_ROWS = 200
 
 
 class Ways:
-    """Candidates: the nearby one (always there) first, then the own, then the ends of other channels."""
+    """Candidates: the nearby one (always there) first, then the channel's own end, then ends of other channels."""
 
     def __init__(self, tracks, channel, at, first_row, present):
         now = first_row + at - MEMORY
@@ -22,7 +22,7 @@ class Ways:
         self.points += [tracks[k].end.point for k in self.ends]
 
     def read(self, coder, model):
-        """The number of the candidate, the contexts of its residual, the channel whose end is taken."""
+        """The number of the candidate, the contexts of its residual, the channel whose end is used."""
         if self.age is not None:
             age = min(max(self.age, 1).bit_length() - 1, 7)
             if model.single(coder, ctx.ORIGIN_OWN + age):
@@ -36,7 +36,7 @@ class Ways:
 
 
 def find_ends(tracks, channel, now, first_row, present):
-    """Channels whose runs ended and were not taken up: the latest first, of equals the lower channel."""
+    """Channels whose runs ended without a successor: the latest first, at a tie the lower channel."""
     found = []
     for k, flags in enumerate(present):
         end = tracks[k].end
@@ -51,7 +51,7 @@ def find_ends(tracks, channel, now, first_row, present):
 
 
 def moved(tracks, channel, at, point, rows):
-    """A point of `rows` rows ago, moved as its nearest neighbour of then has moved since."""
+    """A point `rows` rows ago, moved as its nearest neighbour at that time has moved since."""
     then = at - rows
     if then < 0:
         return point

@@ -1,4 +1,4 @@
-"""The syntax of one row: what it is expected by, and the bits of its residual."""
+"""The syntax of one row: its contexts, and the bits of its residual."""
 
 from ..errors import Corrupt
 from . import layout as ctx
@@ -29,7 +29,7 @@ def eight(activity):
 
 
 def thirty_two(expectation):
-    """Half octaves."""
+    """Twice the binary logarithm: half octaves."""
     if expectation < 4:
         return 0
     octave = expectation.bit_length() - 1
@@ -41,7 +41,7 @@ def sign(value):
 
 
 def residual(coder, model, track, around, centred):
-    """Lattice steps and coded magnitudes of one row, or None where it stays."""
+    """Decodes lattice steps and coded magnitudes of one row, or None if it is unchanged."""
     kind = around.kind
     activity = track.activity[kind]
     before, before_that = weight(around.before), weight(around.before_that)
@@ -103,7 +103,7 @@ def axis_magnitude(coder, model, track, around, form, axis, some, certain):
 
 
 def longer(coder, model, kind, form, near, referred, active, expected):
-    """A magnitude less one: unary at first, then Exp-Golomb."""
+    """Decodes a magnitude minus one: unary at first, then Exp-Golomb."""
     for i in range(ctx.UNARY):
         contexts = (
             ctx.LONGER_NEAR + (kind * ctx.UNARY + i) * 6 + near,
@@ -136,7 +136,7 @@ def longer(coder, model, kind, form, near, referred, active, expected):
 
 
 def origin(coder, model, way):
-    """The residual of a first row."""
+    """Decodes the residual of the first row of a run."""
     steps = []
     for axis in range(3):
         first = ctx.ORIGIN_EXPONENT + (way * 3 + axis) * 48

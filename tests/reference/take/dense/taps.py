@@ -1,4 +1,4 @@
-"""From which rows a row is interpolated, and where it is expected."""
+"""The rows from which a row is interpolated, and its predicted position."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ SIDE_UNITS = 40
 
 
 class Site:
-    """A row and its neighbours. `start`, `zero` and `end` are of its run."""
+    """A row and its neighbours. `start`, `zero` and `end` belong to its run."""
 
     __slots__ = ("at", "stride", "left", "right", "outer_right", "outer_left")
 
@@ -33,7 +33,7 @@ class Site:
         return offsets == (at - stride, at + stride, at + 3 * stride, at - 3 * stride)
 
     def expect(self, points):
-        """Point, bend, side of each axis."""
+        """Point, curvature and side of each axis."""
         base, far = points[self.left], points[self.right]
         if self.is_even():
             right, left = points[self.outer_right], points[self.outer_left]
@@ -75,7 +75,7 @@ class Site:
 
 @cache
 def weights(at, nodes):
-    """Of the nodes but the left one, which is row 0; in 2^-16, rounded half up."""
+    """Weights of the nodes except the left one, which is row 0; in 2^-16, rounded half up."""
     out = []
     for node in nodes:
         numerator, denominator = 1 << 16, 1

@@ -1,4 +1,4 @@
-"""What is known of one channel."""
+"""The decoded state of one channel."""
 
 from .anchor import Anchor
 from .lattice import NORMAL
@@ -14,7 +14,7 @@ class End:
     def __init__(self, row, point):
         self.row = row  # since the key block
         self.point = point
-        self.taken = False  # a later run goes on from here
+        self.taken = False  # a later run continues from here
 
 
 class Track:
@@ -45,7 +45,7 @@ class Track:
         self.run_start = max(self.run_start - n_rows, 0)
 
     def steps_from(self, start, row):
-        """Coded magnitudes, with signs; none before `start`."""
+        """Coded magnitudes with signs; None before `start`."""
         return self.steps[row] if row >= start and self.known[row] else ZERO
 
     def settle(self, row, kind, point, steps):
@@ -66,7 +66,7 @@ class Track:
 
 
 def magnitude(step):
-    """As neighbours count it."""
+    """The magnitude as neighbours use it in their contexts."""
     return min(abs(step), 900)
 
 

@@ -1,4 +1,4 @@
-"""The order in which a group's rows are coded."""
+"""The order in which the rows of a group are coded."""
 
 from . import row as syntax
 from .code import Rows
@@ -9,7 +9,7 @@ from .row import Surroundings
 from .taps import Site
 from .track import MEMORY, End
 
-# Rows of a level whose partners have the same shares.
+# Number of rows of a level for which the partners keep the same shares.
 TOGETHER = 8
 
 
@@ -29,7 +29,7 @@ class Walk(Rows):
             track.known = [False] * len(track.known)
 
     def block(self, coder, n_rows, present, settled):
-        """`present` by channel, None of a raw one; `settled` is told of every row."""
+        """`present` by channel, None for a raw one; `settled` is called with every row."""
         self.coder, self.present, self.settled = coder, present, settled
         for track in self.tracks:
             track.begin(n_rows)
@@ -43,7 +43,7 @@ class Walk(Rows):
         self.first_row += n_rows
 
     def span(self, before, last):
-        """The rows after `before`, up to `last`."""
+        """The rows after `before`, up to and including `last`."""
         n = len(self.present)
         self.before = before
         self.weave.begin()
@@ -71,7 +71,7 @@ class Walk(Rows):
         self.weave.end(n)
 
     def runs(self, before, last):
-        """(first row, or the row before the span where it goes on from there; channel; last row)."""
+        """(first row, or the row before the span if the run continues from there; channel; last row)."""
         for channel, present in enumerate(self.present):
             row = before + 1
             while present is not None and row <= last:
@@ -86,7 +86,7 @@ class Walk(Rows):
                 row += 2
 
     def look_around(self, channel, n):
-        """Where the channel is among the others, and what follows from it."""
+        """Updates what depends on the channel's position among the others."""
         own = self.placed(channel)
         for k in range(channel if own else 0):
             other = self.placed(k)
@@ -131,7 +131,7 @@ class Walk(Rows):
             self.code(channel, at, point, around, site.left, site.right, shares)
 
     def origin(self, channel, at):
-        """The first row of a run."""
+        """Decodes the first row of a run."""
         ways = Ways(self.tracks, channel, at, self.first_row, self.present)
         step = self.tracks[channel].fineness[CUBIC]
         choice, way, taken = ways.read(self.coder, self.model)

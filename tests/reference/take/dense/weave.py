@@ -1,4 +1,4 @@
-"""What one marker's residuals say about another's. All floats are float64, in the order written."""
+"""Cross-channel prediction of residuals. All floats are float64, in the order written."""
 
 import math
 
@@ -17,7 +17,7 @@ LEAST_GAIN = 0.02, 0.15
 MAX_RESIDUAL = 128000.0
 MAX_WEIGHT = 256.0
 NONE = (0.0, 0.0, 0.0)
-# By class, in the order of the sums: strides 32, 16, 8; 4; 2; 1. Anchors count at once.
+# By class, in the order of the sums: strides 32, 16, 8; 4; 2; 1. Anchors are added immediately.
 ROWS = [
     [],
     [32, 16, 48, *range(8, 64, 16)],
@@ -28,7 +28,7 @@ ROWS = [
 
 
 class References:
-    """The references of one channel in one class."""
+    """The reference channels of one channel in one class."""
 
     def __init__(self):
         self.channels, self.weights, self.signs = [], [], []
@@ -42,20 +42,20 @@ class Weave:
 
     def reset(self):
         zeros = range(CHANNELS)
-        # By class, channel, earlier channel or itself.
+        # Indexed by class, channel, and earlier channel or itself.
         self.covariances = [[[0.0] * (j + 1) for j in zeros] for _ in range(CLASSES)]
         self.references = [[References() for _ in zeros] for _ in range(CLASSES)]
 
     def begin(self):
-        """A span begins."""
+        """Begins a span."""
         self.kernel = [[0.0] * j for j in range(CHANNELS)]
-        # By row: the residuals of the channels that have one, as float32.
+        # By row: the residuals of the channels that have one, in float32.
         self.residuals = [{} for _ in range(SPAN + 1)]
-        # Which are of anchors: row and channel.
+        # Row and channel of each anchor residual.
         self.anchors = []
 
     def end(self, n):
-        """The span is over: what was seen in it is remembered, and the averages forget a little."""
+        """Ends a span: its residuals are added to the averages, which decay a little."""
         for row, channel in self.anchors:
             del self.residuals[row][channel]
         for rows, class_rows in zip(self.covariances, ROWS):
@@ -77,7 +77,7 @@ class Weave:
         self.kernel[j][k] = near * near * near
 
     def expect(self, references, row):
-        """What the references expect of a residual, in units."""
+        """The residual predicted by the references, in units."""
         x = y = z = 0.0
         residuals = self.residuals[row]
         for k, weight in zip(references.channels, references.weights):
@@ -106,7 +106,7 @@ class Weave:
                 covariances[k] += (x * a + y * b + z * c) / 65536.0
 
     def solve(self, j, n):
-        """Chooses and weighs the references of channel j of n, for every class."""
+        """Chooses and weights the references of channel j of n, for every class."""
         for level_class in range(CLASSES):
             self.references[level_class][j] = self.solved(self.covariances[level_class], j, n)
 
@@ -153,7 +153,7 @@ class Weave:
 
 
 def weigh(matrix, right):
-    """Least squares by Gauss and Jordan, without pivoting."""
+    """Least squares by Gauss-Jordan elimination without pivoting."""
     n = len(right)
     system = [row + [value] for row, value in zip(matrix, right)]
     for i in range(n):

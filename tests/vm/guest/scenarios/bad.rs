@@ -1,4 +1,4 @@
-//! Devices that misbehave: each ends in a clear state, and a line that says what to do.
+//! Misbehaving devices: each ends in a defined state, with a message that says what to do.
 
 use std::{
     sync::atomic::AtomicBool,
@@ -14,22 +14,22 @@ use usb_gadget::{
 };
 
 use crate::{
-    Measured,
+    Measurement,
     attached::wait_for_usb,
-    ledger::Account,
-    odd::{Odd, deaf, garbage, mute, served},
+    ledger::LedgerReport,
+    misbehaving::{MisbehavingDevice, garbage, ignores_commands, serve_with_fault, silent},
     recorder::{User, mocapd, record},
 };
 
-/// Longer than five commands are waited for, a second each.
+/// More than the time for five tries of a command, one second each.
 const ENDS_WITHIN: Duration = Duration::from_secs(60);
 
-/// How many times a device stalls in [`stalls`].
+/// Number of stalls in [`stalls`].
 const STALLS: u64 = 5;
 
 fn stalling(line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     let mut stalled = 0;
-    served(line, stop, Duration::ZERO, |line, writes| {
+    serve_with_fault(line, stop, Duration::ZERO, |line, writes| {
         // The first writes are the answers to Identify.
         if stalled < STALLS && writes >= 50 * (stalled + 1) {
             stalled += 1;
@@ -39,27 +39,27 @@ fn stalling(line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     })
 }
 
-pub(crate) fn stalls() -> Measured {
-    let device = Odd::start("STALL1", stalling)?;
+pub(crate) fn stalls() -> Measurement {
+    let device = MisbehavingDevice::start("STALL1", stalling)?;
     let ran = record(&device.uri, "/tmp/stall.take", &["--seconds", "5s"])?;
     let ran = ran.finish(ENDS_WITHIN)?;
     ensure!(matches!(ran.code, Some(0 | 3)), "{ran:?}");
-    ran.says(&["the device stalled, and was cleared"])?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
-    ensure!(account.ending == "stopped", "{account:?}");
+    ran.mentions(&["the device stalled and its endpoint was cleared"])?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
+    ensure!(ledger.ending == "stopped", "{ledger:?}");
     let info = mocapd(User::Dialout, &["info", "/tmp/stall.take"])?.stdout;
-    let told = info.matches("the device stalled").count() as u64;
-    ensure!(told == STALLS, "{told} of {STALLS} stalls in {info}");
+    let noted = info.matches("the device stalled").count() as u64;
+    ensure!(noted == STALLS, "{noted} of {STALLS} stalls in {info}");
     device.stop()?;
     Ok(format!(
-        "{told} of {STALLS} cleared and noted; {} of {} frames, {} damaged messages",
-        account.recorded, account.frames_sent, account.damaged
+        "{noted} of {STALLS} cleared and noted; {} of {} frames, {} damaged messages",
+        ledger.recorded, ledger.frames_sent, ledger.damaged
     ))
 }
 
 fn stalling_for_good(line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
-    served(
+    serve_with_fault(
         line,
         stop,
         Duration::ZERO,
@@ -69,18 +69,19 @@ fn stalling_for_good(line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     )
 }
 
-pub(crate) fn stalls_for_good() -> Measured {
-    let device = Odd::start("STALL2", stalling_for_good)?;
+pub(crate) fn stalls_for_good() -> Measurement {
+    let device = MisbehavingDevice::start("STALL2", stalling_for_good)?;
     let ran = record(&device.uri, "/tmp/stalled.take", &["--seconds", "10s"])?;
     let ran = ran.finish(ENDS_WITHIN)?.with_code(1)?;
-    ran.says(&["stalls again each time it is cleared", "plug it in again", "ends early"])?;
+    ran.mentions(&["stalls again each time it is cleared", "plug it in again", "ends early"])?;
     let info = mocapd(User::Dialout, &["info", "/tmp/stalled.take"])?;
     ensure!(info.stdout.contains("frames"), "{info:?}");
     Ok("ends with a line; the take up to there can be read".to_owned())
 }
 
-/// `record` refuses a device, and how long that takes; a loop would show in its processor time.
-fn refused(uri: &str, words: &[&str]) -> anyhow::Result<(Duration, f64)> {
+/// Checks that `record` refuses a device; returns how long that takes, and its processor time, which reveals a busy
+/// loop.
+fn refused(uri: &str, facts: &[&str]) -> anyhow::Result<(Duration, f64)> {
     let started = Instant::now();
     let mut recorder = record(uri, "/tmp/refused.take", &[])?;
     let mut processor_s = 0.0;
@@ -90,24 +91,24 @@ fn refused(uri: &str, words: &[&str]) -> anyhow::Result<(Duration, f64)> {
     }
     let ran = recorder.finish(Duration::ZERO)?;
     let took = started.elapsed();
-    ran.with_code(1)?.says(words)?;
+    ran.with_code(1)?.mentions(facts)?;
     ensure!(!std::path::Path::new("/tmp/refused.take").exists(), "an empty take is left");
     Ok((took, processor_s))
 }
 
-pub(crate) fn sends_nothing() -> Measured {
-    let device = Odd::start("MUTE1", mute)?;
+pub(crate) fn sends_nothing() -> Measurement {
+    let device = MisbehavingDevice::start("MUTE1", silent)?;
     let (took, processor_s) = refused(&device.uri, &["does not answer", "switched on"])?;
     device.stop()?;
     ensure!(processor_s < 0.5 * took.as_secs_f64(), "it spins: {processor_s:.2} s of {took:?}");
     Ok(format!("ends after {:.1} s, {processor_s:.2} s of them busy", took.as_secs_f64()))
 }
 
-pub(crate) fn sends_garbage() -> Measured {
-    let device = Odd::start("NOISE1", garbage)?;
+pub(crate) fn sends_garbage() -> Measurement {
+    let device = MisbehavingDevice::start("NOISE1", garbage)?;
     let (took, _) = refused(&device.uri, &["does not understand", "?driver=NAME"])?;
     device.stop()?;
-    let device = Odd::start("NOISE2", deaf)?;
+    let device = MisbehavingDevice::start("NOISE2", ignores_commands)?;
     let (deaf_took, _) = refused(&device.uri, &["takes no commands", "switch it off and on"])?;
     device.stop()?;
     Ok(format!(
@@ -117,7 +118,7 @@ pub(crate) fn sends_garbage() -> Measured {
     ))
 }
 
-/// A gadget with endpoints that are no bulk pair.
+/// A gadget whose endpoints are not a pair of bulk endpoints.
 fn liar(serial: &str, endpoints: Vec<Endpoint>) -> anyhow::Result<(usb_gadget::RegGadget, Custom)> {
     let mut interface = Interface::new(Class::vendor_specific(0x4d, 1), "mocapd link");
     for endpoint in endpoints {
@@ -135,7 +136,7 @@ fn liar(serial: &str, endpoints: Vec<Endpoint>) -> anyhow::Result<(usb_gadget::R
     Ok((made, custom))
 }
 
-pub(crate) fn lies() -> Measured {
+pub(crate) fn lies() -> Measurement {
     let to_host = || EndpointDirection::device_to_host();
     let from_host = || EndpointDirection::host_to_device();
     let (_keep, direction) = to_host();
@@ -156,16 +157,16 @@ pub(crate) fn lies() -> Measured {
     let mut small = Endpoint::bulk(to);
     small.max_packet_size_hs = 24;
     let packets = liar("LIAR3", vec![small, Endpoint::bulk(from)])?;
-    // The controller does not take such a configuration: the device stays without one.
-    let (took_3, _) = refused("usb:1209:0001:LIAR3", &["is no device that this build reads"])?;
+    // The controller refuses such a configuration: the device stays unconfigured.
+    let (took_3, _) = refused("usb:1209:0001:LIAR3", &["is not a device that mocapd can read"])?;
     drop(packets);
     let longest = took_1.max(took_2).max(took_3);
     Ok(format!("three lies refused, each within {:.1} s", longest.as_secs_f64()))
 }
 
-/// Half of a message, and then no cable.
+/// Sends half a message, then pulls the cable.
 fn vanishing(line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
-    served(line, stop, Duration::ZERO, |line, writes| {
+    serve_with_fault(line, stop, Duration::ZERO, |line, writes| {
         if writes < 100 {
             return Ok(());
         }
@@ -174,36 +175,36 @@ fn vanishing(line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
     })
 }
 
-pub(crate) fn vanishes() -> Measured {
-    let device = Odd::start("GONE1", vanishing)?;
+pub(crate) fn vanishes() -> Measurement {
+    let device = MisbehavingDevice::start("GONE1", vanishing)?;
     let uri = device.uri.clone();
     let ran = record(&uri, "/tmp/gone.take", &["--reconnect", "1s"])?;
     let ran = ran.finish(ENDS_WITHIN)?.with_code(3)?;
-    ran.says(&["is gone: plug it in again within 1 s", "the device was disconnected"])?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
-    ensure!(account.ending == "disconnected" && account.recorded > 0, "{account:?}");
-    Ok(format!("{} frames of before are in the take, which closes", account.recorded))
+    ran.mentions(&["is gone: plug it in again within 1 s", "the device was disconnected"])?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
+    ensure!(ledger.ending == "disconnected" && ledger.recorded > 0, "{ledger:?}");
+    Ok(format!("{} frames of before are in the take, which closes", ledger.recorded))
 }
 
-pub(crate) fn answers_late() -> Measured {
+pub(crate) fn answers_late() -> Measurement {
     let late = |late_ms| {
         move |line: Bulk, stop: &AtomicBool| {
-            served(line, stop, Duration::from_millis(late_ms), |_, _| Ok(()))
+            serve_with_fault(line, stop, Duration::from_millis(late_ms), |_, _| Ok(()))
         }
     };
-    let device = Odd::start("LATE1", late(1500))?;
+    let device = MisbehavingDevice::start("LATE1", late(1500))?;
     let ran = record(&device.uri, "/tmp/late.take", &["--seconds", "2s"])?;
     let ran = ran.finish(ENDS_WITHIN)?.with_code(0)?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
     device.stop()?;
-    let device = Odd::start("LATE2", late(20_000))?;
+    let device = MisbehavingDevice::start("LATE2", late(20_000))?;
     let (took, _) = refused(&device.uri, &["does not answer"])?;
     device.stop()?;
     Ok(format!(
         "1.5 s late: recorded, {} frames; 20 s late: ends after {:.1} s",
-        account.recorded,
+        ledger.recorded,
         took.as_secs_f64()
     ))
 }

@@ -1,4 +1,4 @@
-//! What is tried, in this order.
+//! The USB scenarios, in order.
 
 mod access;
 mod bad;
@@ -11,11 +11,11 @@ use crate::Scenario;
 
 pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("devices: both listed with our rules", access::listed_with_our_rules),
-    ("devices: the udev line that is shown mends it", access::the_line_mends_it),
+    ("devices: the udev rule shown solves it", access::the_rule_solves_it),
     ("devices: one program at a time", access::one_at_a_time),
-    ("devices: a kernel driver gives way", access::kernel_driver),
+    ("devices: a kernel driver is detached", access::kernel_driver),
     ("devices: no memory for transfers", access::no_memory),
-    ("simulator: what keeps it from being a device", access::no_gadget),
+    ("simulator: why it cannot be a device", access::no_gadget),
     ("record: bulk", recording::bulk),
     ("record: CDC-ACM", recording::port),
     ("record: two devices at once", recording::two_at_once),
@@ -38,5 +38,5 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("speed: the whole pipeline", speed::pipeline),
 ];
 
-/// Run by name alone.
+/// Scenarios that run only when named.
 pub(crate) const LONG: &[(&str, Scenario)] = &[("speed: the heaviest load", speed::heaviest_load)];

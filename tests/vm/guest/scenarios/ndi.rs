@@ -1,18 +1,18 @@
-//! An NDI system on a serial port of the kernel's: breaks and changes of speed are real there.
+//! An NDI system on a serial port of the kernel, with real breaks and changes of speed.
 
 use std::{thread::sleep, time::Duration};
 
 use anyhow::ensure;
 
 use crate::{
-    Measured, attached::PATIENCE, ledger::Account, recorder::record, simulator::Simulator,
+    Measurement, attached::TIMEOUT, ledger::LedgerReport, recorder::record, simulator::Simulator,
 };
 
-/// Of the frames of a system that keeps one at a time, so many may be missed by an emulated host: it has a core of its
-/// own, or shares it with whatever else is tested. The account has to be right in either case.
+/// Largest fraction of frames that an emulated host may miss of a system that keeps only one: the host may share its
+/// core with other tests. The ledger has to be right in any case.
 const MISSED_MAX: f64 = 0.5;
 
-/// A system that is back is searched for at every speed, and set up anew.
+/// A system that is back has to be found at an unknown speed and set up again.
 const BACK_WITHIN: Duration = Duration::from_secs(20);
 
 fn system(serial: &str, more: &[&str]) -> anyhow::Result<(Simulator, String)> {
@@ -22,42 +22,39 @@ fn system(serial: &str, more: &[&str]) -> anyhow::Result<(Simulator, String)> {
     Ok((simulator, uri))
 }
 
-pub(crate) fn recorded() -> Measured {
+pub(crate) fn recorded() -> Measurement {
     let (simulator, uri) = system("NDI1", &["--seconds", "10"])?;
-    let ran = record(&uri, "/tmp/ndi.take", &[])?.finish(PATIENCE * 3)?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
+    let ran = record(&uri, "/tmp/ndi.take", &[])?.finish(TIMEOUT * 3)?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
     let sent = simulator.stop()?;
-    ensure!(account.ending == "end of stream", "it ended: {}, {}", account.ending, ran.stderr);
-    ensure!(
-        account.frames_sent == sent.produced && account.damaged == 0,
-        "{account:?} of {sent:?}"
-    );
-    // An answer that comes after its time is one that nobody reads, and the host cannot tell what it held.
-    let was_late = account.recorded + sent.dropped < sent.produced;
-    ensure!(account.recorded + sent.dropped <= sent.produced, "{account:?} of {sent:?}");
-    ensure!(was_late || account.samples == sent.samples, "{account:?} of {sent:?}");
-    let missed = account.lost as f64 / sent.produced.max(1) as f64;
-    ensure!(missed < MISSED_MAX, "{account:?} of {sent:?}");
-    Ok(format!("{} of {} frames", account.recorded, sent.produced))
+    ensure!(ledger.ending == "end of stream", "it ended: {}, {}", ledger.ending, ran.stderr);
+    ensure!(ledger.frames_sent == sent.produced && ledger.damaged == 0, "{ledger:?} of {sent:?}");
+    // The host discards an answer that comes too late, so it cannot know the frame in it.
+    let was_late = ledger.recorded + sent.dropped < sent.produced;
+    ensure!(ledger.recorded + sent.dropped <= sent.produced, "{ledger:?} of {sent:?}");
+    ensure!(was_late || ledger.samples == sent.samples, "{ledger:?} of {sent:?}");
+    let missed = ledger.lost as f64 / sent.produced.max(1) as f64;
+    ensure!(missed < MISSED_MAX, "{ledger:?} of {sent:?}");
+    Ok(format!("{} of {} frames", ledger.recorded, sent.produced))
 }
 
-pub(crate) fn replugged() -> Measured {
+pub(crate) fn replugged() -> Measurement {
     let (simulator, uri) = system("NDI2", &["--loop"])?;
     let take = "/tmp/ndi-replug.take";
     let mut recorder = record(&uri, take, &[])?;
     recorder.has_recorded(take)?;
     let (controller, pulled) = simulator.unplug()?;
-    let acted = recorder.said("is gone: plug it in again", PATIENCE)? - pulled;
+    let acted = recorder.wait_for_line("is gone: plug it in again", TIMEOUT)? - pulled;
     sleep(Duration::from_secs(1));
     let plugged = simulator.plug(&controller)?;
-    let back = recorder.said("the device is back", PATIENCE)? - plugged;
+    let back = recorder.wait_for_line("the device is back", TIMEOUT)? - plugged;
     ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
     sleep(Duration::from_secs(2));
     recorder.interrupt()?;
-    let ran = recorder.finish(PATIENCE)?.with_code(3)?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
+    let ran = recorder.finish(TIMEOUT)?.with_code(3)?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
     Ok(format!(
         "acted on after {} ms, recorded again {} ms after the replug",
         acted.as_millis(),

@@ -1,4 +1,4 @@
-//! Cables that are pulled while a take is being recorded.
+//! Cables pulled during a recording.
 
 use std::{
     thread::sleep,
@@ -8,99 +8,99 @@ use std::{
 use anyhow::{Context, ensure};
 
 use crate::{
-    Measured,
-    attached::{PATIENCE, run, wait_for_absence, wait_until},
-    ledger::Account,
+    Measurement,
+    attached::{TIMEOUT, run, wait_for_absence, wait_until},
+    ledger::LedgerReport,
     recorder::{Mocapd, User, mocapd, record},
     simulator::Simulator,
 };
 
-/// A pulled plug is acted on by the transfer that fails.
+/// The recorder reacts to a pulled cable as soon as a transfer fails.
 const ACTED_WITHIN: Duration = Duration::from_millis(100);
 
-/// A device that is back is recorded again.
+/// Time until a device that is back is recorded again.
 const BACK_WITHIN: Duration = Duration::from_secs(2);
 
-/// By how much the take of a device that lost its power may be off the wall clock: the process that plays it is
-/// killed and started again, and its first frame comes a little after it is back.
+/// Tolerance of the outage's duration in the take of a device that lost its power: the simulator is killed and started
+/// again, and its first frame comes a little after it is back.
 const KEEPS_TIME_WITHIN_S: f64 = 0.3;
 
-/// Half a second in which a busy machine lets the device stand still.
+/// Frames of half a second, for which a busy machine may pause the device.
 const STOOD_STILL_MAX: u64 = 120;
 
 const ENDLESS: [&str; 5] = ["--rate", "240", "--markers", "24", "--loop"];
 
-/// How long the device is away, and recorded before and after.
+/// Duration of the outage, and of the recording before and after it.
 const WHILE: Duration = Duration::from_millis(1500);
 
-fn pull_and_plug(simulator: Simulator, take: &str) -> Measured {
+fn pull_and_plug(simulator: Simulator, take: &str) -> Measurement {
     let mut recorder = record(&simulator.uri, take, &[])?;
     recorder.has_recorded(take)?;
     sleep(WHILE);
     let (controller, pulled) = simulator.unplug()?;
-    let acted = recorder.said("is gone: plug it in again", PATIENCE)? - pulled;
+    let acted = recorder.wait_for_line("is gone: plug it in again", TIMEOUT)? - pulled;
     sleep(WHILE);
     let plugged = simulator.plug(&controller)?;
-    let back = recorder.said("the device is back", PATIENCE)? - plugged;
+    let back = recorder.wait_for_line("the device is back", TIMEOUT)? - plugged;
     sleep(WHILE);
-    let account = ended(recorder, take)?;
+    let ledger = ended(recorder, take)?;
     let sent = simulator.stop()?;
-    let lost_frames = account.unknown;
-    // What was sent after the last frame that arrived nobody can know of but the simulator; and where the host took long
-    // from its Stop to its Start, the counter stood still, and the take keeps time by the device's clock.
+    let lost_frames = ledger.unknown;
+    // Only the simulator knows of frames sent after the last one that arrived. While the host is slow between Stop and
+    // Start, the counter stands still, and the take keeps time by the device's clock.
     ensure!(
-        account.frames_sent <= sent.produced + STOOD_STILL_MAX
-            && sent.produced <= account.frames_sent + 240,
-        "{account:?} of {sent:?}"
+        ledger.frames_sent <= sent.produced + STOOD_STILL_MAX
+            && sent.produced <= ledger.frames_sent + 240,
+        "{ledger:?} of {sent:?}"
     );
-    ensure!(lost_frames >= 240, "an outage of more than a second, and {account:?}");
+    ensure!(lost_frames >= 240, "an outage of more than a second, and {ledger:?}");
     ensure!(acted < ACTED_WITHIN, "acted on after {} ms", acted.as_millis());
     ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
     Ok(format!(
         "acted on after {} ms, recorded again {} ms after the replug; {} of {} frames, {lost_frames} in the gap",
         acted.as_millis(),
         back.as_millis(),
-        account.recorded,
-        account.frames_sent
+        ledger.recorded,
+        ledger.frames_sent
     ))
 }
 
-/// Ctrl-C; the take is whole, and says that the device was away.
-fn ended(recorder: Mocapd, take: &str) -> anyhow::Result<Account> {
+/// Stops the recorder by Ctrl-C; checks that the take is complete and reports the outage.
+fn ended(recorder: Mocapd, take: &str) -> anyhow::Result<LedgerReport> {
     recorder.interrupt()?;
-    let ran = recorder.finish(PATIENCE)?.with_code(3)?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
-    ensure!(account.ending == "stopped", "{account:?}: {}", ran.stderr);
+    let ran = recorder.finish(TIMEOUT)?.with_code(3)?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
+    ensure!(ledger.ending == "stopped", "{ledger:?}: {}", ran.stderr);
     let info = mocapd(User::Dialout, &["info", take])?;
     for event in ["the device was disconnected", "the device is back after"] {
         ensure!(info.stdout.contains(event), "no event '{event}' in {}", info.stdout);
     }
-    Ok(account)
+    Ok(ledger)
 }
 
-pub(crate) fn bulk() -> Measured {
+pub(crate) fn bulk() -> Measurement {
     pull_and_plug(Simulator::bulk("PLUG1", &ENDLESS)?, "/tmp/plug-1.take")
 }
 
-pub(crate) fn port() -> Measured {
+pub(crate) fn port() -> Measurement {
     pull_and_plug(Simulator::port("PLUG2", &ENDLESS)?, "/tmp/plug-2.take")
 }
 
-/// Nobody says that devices come: whoever waits looks.
-pub(crate) fn without_udev() -> Measured {
+/// Without udev there are no notifications of new devices: the recorder has to poll.
+pub(crate) fn without_udev() -> Measurement {
     let simulator = Simulator::bulk("PLUG3", &ENDLESS)?;
     let mut recorder = record(&simulator.uri, "/tmp/plug-3.take", &[])?;
     recorder.has_recorded("/tmp/plug-3.take")?;
     run("udevadm", &["control", "--exit"])?;
     let measured = (|| {
         let (controller, pulled) = simulator.unplug()?;
-        let acted = recorder.said("is gone: plug it in again", PATIENCE)? - pulled;
+        let acted = recorder.wait_for_line("is gone: plug it in again", TIMEOUT)? - pulled;
         sleep(WHILE);
         let plugged = simulator.plug(&controller)?;
-        // Without udev nobody sets permissions either: this stands in for a machine that has its own way.
+        // Without udev, permissions have to be set in another way.
         open_to_all("PLUG3")?;
-        let back = recorder.said("the device is back", PATIENCE)? - plugged;
+        let back = recorder.wait_for_line("the device is back", TIMEOUT)? - plugged;
         ensure!(acted < ACTED_WITHIN, "acted on after {} ms", acted.as_millis());
         ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
         Ok(format!("recorded again {} ms after the replug", back.as_millis()))
@@ -116,7 +116,7 @@ pub(crate) fn without_udev() -> Measured {
 fn open_to_all(serial: &str) -> anyhow::Result<()> {
     use std::os::unix::fs::PermissionsExt;
 
-    let node = wait_until("the device", PATIENCE, || {
+    let node = wait_until("the device", TIMEOUT, || {
         let all = mocapd_drivers::transport::usb::devices().ok()?;
         let found = all.into_iter().find(|device| device.serial.as_deref() == Some(serial))?;
         found.node.exists().then_some(found.node)
@@ -124,8 +124,8 @@ fn open_to_all(serial: &str) -> anyhow::Result<()> {
     Ok(std::fs::set_permissions(node, PermissionsExt::from_mode(0o666))?)
 }
 
-/// The device's counter and clock begin anew.
-fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Measured {
+/// A loss of power: the device's counter and clock restart.
+fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Measurement {
     let simulator = plug_in()?;
     let uri = simulator.uri.clone();
     let mut recorder = record(&uri, take, &[])?;
@@ -133,63 +133,63 @@ fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Mea
     let cut = Instant::now();
     simulator.kill()?;
     let simulator = plug_in()?;
-    let away_s = (recorder.said("the device is back", PATIENCE)? - cut).as_secs_f64();
+    let away_s = (recorder.wait_for_line("the device is back", TIMEOUT)? - cut).as_secs_f64();
     sleep(WHILE);
-    let account = ended(recorder, take)?;
-    // The device's counter says nothing of the time between: the take keeps it by the host's clock.
+    let ledger = ended(recorder, take)?;
+    // The device's counter does not cover the outage: the take measures it by the host's clock.
     ensure!(
-        (account.away_s - away_s).abs() < KEEPS_TIME_WITHIN_S,
-        "{account:?}: away for {away_s} s"
+        (ledger.away_s - away_s).abs() < KEEPS_TIME_WITHIN_S,
+        "{ledger:?}: away for {away_s} s"
     );
     let info = mocapd(User::Dialout, &["info", take])?;
-    ensure!(info.stdout.contains("began anew"), "{}", info.stdout);
+    ensure!(info.stdout.contains("started again"), "{}", info.stdout);
     let sent = simulator.stop()?;
-    ensure!(account.recorded > sent.produced, "{account:?}: no frame of before the cut");
-    let off_ms = (account.away_s - away_s) * 1e3;
+    ensure!(ledger.recorded > sent.produced, "{ledger:?}: no frame of before the cut");
+    let off_ms = (ledger.away_s - away_s) * 1e3;
     Ok(format!(
         "{} frames, {away_s:.2} s away, of which the take has {off_ms:+.0} ms",
-        account.recorded
+        ledger.recorded
     ))
 }
 
-pub(crate) fn power_cut() -> Measured {
+pub(crate) fn power_cut() -> Measurement {
     let bulk = cut_power(|| Simulator::bulk("POWER1", &ENDLESS), "/tmp/power-1.take")?;
     let port = cut_power(|| Simulator::port("POWER2", &ENDLESS), "/tmp/power-2.take")?;
     Ok(format!("bulk: {bulk}; CDC-ACM: {port}; the takes say so"))
 }
 
-pub(crate) fn another() -> Measured {
+pub(crate) fn another() -> Measurement {
     let first = Simulator::bulk("SERIAL1", &ENDLESS)?;
     let mut recorder = record(&first.uri, "/tmp/serial.take", &["--reconnect", "6s"])?;
     recorder.has_recorded("/tmp/serial.take")?;
     let sent = first.stop()?;
-    recorder.said("is gone: plug it in again", PATIENCE)?;
+    recorder.wait_for_line("is gone: plug it in again", TIMEOUT)?;
     wait_for_absence("SERIAL1")?;
     let second = Simulator::bulk("SERIAL2", &ENDLESS)?;
-    recorder.said(
-        "still waiting: usb:1209:0001:SERIAL1 (attached of its kind: usb:1209:0001:SERIAL2)",
-        PATIENCE,
+    recorder.wait_for_line(
+        "still waiting: usb:1209:0001:SERIAL1 (attached with these ids: usb:1209:0001:SERIAL2)",
+        TIMEOUT,
     )?;
-    let ran = recorder.finish(PATIENCE * 3)?.with_code(3)?;
-    ran.says(&["the device was disconnected: the take ends there"])?;
-    let account = Account::of(&ran.json()?)?;
-    account.closes()?;
-    ensure!(account.recorded <= sent.produced, "{account:?} of {sent:?}: frames of another device");
+    let ran = recorder.finish(TIMEOUT * 3)?.with_code(3)?;
+    ran.mentions(&["the device was disconnected: the take ends there"])?;
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes()?;
+    ensure!(ledger.recorded <= sent.produced, "{ledger:?} of {sent:?}: frames of another device");
     let asked = second.stop()?.produced;
     ensure!(asked == 0, "the other device was started");
-    Ok("told which one is there and which is waited for; the other is left alone".to_owned())
+    Ok("reports the device attached and the one awaited; leaves the other alone".to_owned())
 }
 
-pub(crate) fn never() -> Measured {
+pub(crate) fn never() -> Measurement {
     let simulator = Simulator::bulk("NEVER1", &ENDLESS)?;
     let mut recorder = record(&simulator.uri, "/tmp/never.take", &["--reconnect", "2s"])?;
     recorder.has_recorded("/tmp/never.take")?;
     simulator.stop()?;
-    let gone = recorder.said("is gone: plug it in again within 2 s", PATIENCE)?;
-    let ran = recorder.finish(PATIENCE)?.with_code(3)?;
+    let gone = recorder.wait_for_line("is gone: plug it in again within 2 s", TIMEOUT)?;
+    let ran = recorder.finish(TIMEOUT)?.with_code(3)?;
     let waited = gone.elapsed().as_secs_f64();
-    let account = Account::of(&ran.json()?)?;
-    account.closes().context("after the wait")?;
-    ensure!(account.ending == "disconnected", "{account:?}");
-    Ok(format!("ended {waited:.1} s after it was told that it waits 2 s"))
+    let ledger = LedgerReport::of(&ran.json()?)?;
+    ledger.closes().context("after the wait")?;
+    ensure!(ledger.ending == "disconnected", "{ledger:?}");
+    Ok(format!("ended {waited:.1} s after announcing a wait of 2 s"))
 }

@@ -1,4 +1,4 @@
-//! What the transport costs, and what the whole pipeline keeps up with here.
+//! Throughput of the transport, and the load that the whole pipeline sustains.
 
 use std::{
     sync::atomic::AtomicBool,
@@ -17,33 +17,33 @@ use nusb::{
 };
 
 use crate::{
-    Measured,
-    ledger::Account,
-    odd::{Odd, pour},
+    Measurement,
+    ledger::LedgerReport,
+    misbehaving::{MisbehavingDevice, send_forever},
     recorder::record,
     simulator::Simulator,
 };
 
-/// Of a bare loop's bytes.
+/// Least throughput of the transport, as a fraction of a bare loop's.
 const PART_MIN: f64 = 0.9;
 
-/// The two are measured in turn, often and for a short time: what else the machine does meanwhile meets both. Where
-/// that is much, more turns are taken before the median counts.
+/// The two are measured alternately, many times and briefly, so that other load affects both. If the median is too low,
+/// more turns are measured.
 const TURNS: usize = 12;
 const TURNS_MAX: usize = 48;
 const TURN: Duration = Duration::from_millis(500);
 
 fn pouring(mut line: Bulk, stop: &AtomicBool) -> anyhow::Result<()> {
-    pour(&mut line, &[0x55; 64 << 10], stop)
+    send_forever(&mut line, &[0x55; 64 << 10], stop)
 }
 
-/// What any program would write: transfers queued ahead, and their bytes thrown away.
-fn bare(serial: &str, length: Duration) -> anyhow::Result<f64> {
+/// Throughput of a bare loop, bytes per second: transfers are queued ahead and their bytes discarded.
+fn bare_loop(serial: &str, length: Duration) -> anyhow::Result<f64> {
     let info = nusb::list_devices().wait()?.find(|info| info.serial_number() == Some(serial));
     let interface = info.context("the device")?.open().wait()?.claim_interface(0).wait()?;
     let address = interface
         .descriptor()
-        .and_then(|said| said.endpoints().map(|e| e.address()).find(|a| a & 0x80 != 0));
+        .and_then(|descriptor| descriptor.endpoints().map(|e| e.address()).find(|a| a & 0x80 != 0));
     let mut endpoint = interface.endpoint::<transfer::Bulk, In>(address.context("no endpoint")?)?;
     for _ in 0..TRANSFERS {
         let buffer = endpoint.allocate(TRANSFER_BYTES);
@@ -64,7 +64,7 @@ fn bare(serial: &str, length: Duration) -> anyhow::Result<f64> {
     Ok(per_s)
 }
 
-fn ours(serial: &str, length: Duration) -> anyhow::Result<f64> {
+fn our_transport(serial: &str, length: Duration) -> anyhow::Result<f64> {
     let mut transport = UsbTransport::open(0x1209, 1, Some(serial))?;
     let mut buffer = vec![0; 64 << 10];
     let (started, mut bytes) = (Instant::now(), 0);
@@ -74,15 +74,15 @@ fn ours(serial: &str, length: Duration) -> anyhow::Result<f64> {
     Ok(bytes as f64 / started.elapsed().as_secs_f64())
 }
 
-pub(crate) fn transport() -> Measured {
-    let device = Odd::start("SPEED1", pouring)?;
+pub(crate) fn transport() -> Measurement {
+    let device = MisbehavingDevice::start("SPEED1", pouring)?;
     let (mut theirs, mut mine, mut parts) = (0.0, 0.0, Vec::new());
     while parts.len() < TURNS || (parts.len() < TURNS_MAX && median(&mut parts) < PART_MIN) {
         for turn in 0..TURNS {
-            // Now the one first, now the other.
-            let early = if turn % 2 == 0 { Some(bare("SPEED1", TURN)?) } else { None };
-            let our_part = ours("SPEED1", TURN)?;
-            let bare_part = early.map_or_else(|| bare("SPEED1", TURN), Ok)?;
+            // Alternate the order.
+            let early = if turn % 2 == 0 { Some(bare_loop("SPEED1", TURN)?) } else { None };
+            let our_part = our_transport("SPEED1", TURN)?;
+            let bare_part = early.map_or_else(|| bare_loop("SPEED1", TURN), Ok)?;
             parts.push(our_part / bare_part);
             mine += our_part;
             theirs += bare_part;
@@ -90,14 +90,14 @@ pub(crate) fn transport() -> Measured {
     }
     device.stop()?;
     let (turns, part) = (parts.len() as f64, median(&mut parts));
-    let words = format!(
+    let summary = format!(
         "{:.1} MB/s and a bare loop {:.1} MB/s; median of {turns} turns: {:.0} %",
         mine / turns / 1e6,
         theirs / turns / 1e6,
         part * 100.0
     );
-    ensure!(part >= PART_MIN, "{words}");
-    Ok(words)
+    ensure!(part >= PART_MIN, "{summary}");
+    Ok(summary)
 }
 
 fn median(values: &mut [f64]) -> f64 {
@@ -105,24 +105,24 @@ fn median(values: &mut [f64]) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Markers and frames a second: the least that must go, without a frame lost.
+/// Markers and frames per second that must be recorded without a lost frame.
 const LEAST: (u32, u32) = (64, 240);
 const WHOLE: Duration = Duration::from_secs(60);
 
-/// Heavier ones, in this order.
+/// Heavier loads, in order.
 const HEAVIER: [(u32, u32); 7] =
     [(64, 360), (64, 480), (64, 720), (64, 1000), (128, 1000), (256, 1000), (512, 1000)];
 
-/// Longer than rings (2 s) and the device's queue (1 s) hide what is too much.
+/// Long enough that rings (2 s) and the device's queue (1 s) cannot hide an overload.
 const TRIAL: Duration = Duration::from_secs(10);
 
-/// What became of a load.
+/// Result of recording a load.
 struct Sustained {
     is_whole: bool,
-    words: String,
+    summary: String,
 }
 
-/// Records a load so long.
+/// Records a load for this long.
 fn at_load((markers, rate): (u32, u32), length: Duration) -> anyhow::Result<Sustained> {
     let (markers_asked, rate_asked) = (markers.to_string(), rate.to_string());
     let options = ["--markers", &markers_asked, "--rate", &rate_asked, "--loop"];
@@ -132,28 +132,28 @@ fn at_load((markers, rate): (u32, u32), length: Duration) -> anyhow::Result<Sust
     let ran = recorder.finish(length * 5)?;
     ensure!(matches!(ran.code, Some(0 | 3)), "{ran:?}");
     let report = ran.json()?;
-    let account = Account::of(&report)?;
-    account.closes()?;
+    let ledger = LedgerReport::of(&report)?;
+    ledger.closes()?;
     let processor_s = report["process"]["cpu_s"].as_f64().unwrap_or(f64::NAN);
-    let lost = account.lost + account.unknown + simulator.stop()?.dropped;
+    let lost = ledger.lost + ledger.unknown + simulator.stop()?.dropped;
     Ok(Sustained {
-        is_whole: lost == 0 && account.recorded >= u64::from(rate) * length.as_secs(),
-        words: format!(
+        is_whole: lost == 0 && ledger.recorded >= u64::from(rate) * length.as_secs(),
+        summary: format!(
             "{markers} markers at {rate} Hz for {} s: {} frames, {lost} lost, {processor_s:.1} s of processor time",
             length.as_secs(),
-            account.recorded
+            ledger.recorded
         ),
     })
 }
 
-pub(crate) fn pipeline() -> Measured {
-    let Sustained { is_whole, words } = at_load(LEAST, WHOLE)?;
-    ensure!(is_whole, "{words}");
-    Ok(words)
+pub(crate) fn pipeline() -> Measurement {
+    let Sustained { is_whole, summary } = at_load(LEAST, WHOLE)?;
+    ensure!(is_whole, "{summary}");
+    Ok(summary)
 }
 
-/// The heaviest load that a short trial and then the whole time go through. It measures the machine, and takes minutes.
-pub(crate) fn heaviest_load() -> Measured {
+/// The heaviest load that passes a short trial and then the whole duration. It measures the machine, and takes minutes.
+pub(crate) fn heaviest_load() -> Measurement {
     let mut sustained = vec![LEAST];
     for load in HEAVIER {
         if !at_load(load, TRIAL)?.is_whole {
@@ -162,11 +162,11 @@ pub(crate) fn heaviest_load() -> Measured {
         sustained.push(load);
     }
     while let Some(load) = sustained.pop() {
-        let Sustained { is_whole, words } = at_load(load, WHOLE)?;
+        let Sustained { is_whole, summary } = at_load(load, WHOLE)?;
         if is_whole {
-            return Ok(words);
+            return Ok(summary);
         }
-        println!("   not sustained: {words}");
+        println!("   not sustained: {summary}");
     }
     bail!("even the lightest load of {LEAST:?} loses frames")
 }

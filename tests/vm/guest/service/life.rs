@@ -1,4 +1,4 @@
-//! A service that starts, records, is reloaded and stopped.
+//! The life of a service: start, recording, reload and stop.
 
 use std::{
     fs,
@@ -11,14 +11,14 @@ use std::{
 use anyhow::{Context, ensure};
 
 use super::rig::{
-    PATIENCE, SIM, TAKES, UNIT, User, configure, frames, id_of, ok, run, said, show, start,
+    SIM, TAKES, TIMEOUT, UNIT, User, configure, frames, id_of, ok, run, show, start, stdout_of,
 };
-use crate::{Measured, attached::wait_until};
+use crate::{Measurement, attached::wait_until};
 
-/// How long a stop may take while a take is recorded.
+/// Time limit of a stop during a recording.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
-pub(crate) fn ready_without_a_device() -> Measured {
+pub(crate) fn ready_without_a_device() -> Measurement {
     configure("")?;
     let began = Instant::now();
     // Waits for READY=1, since the type is notify.
@@ -31,14 +31,14 @@ pub(crate) fn ready_without_a_device() -> Measured {
     let absent = show(UNIT, "StatusText")?;
     ensure!(!absent.is_empty(), "no status");
     ok("systemctl", &["start", "mocapd-sim@sim"])?;
-    let present = wait_until("another status", PATIENCE, || {
+    let present = wait_until("another status", TIMEOUT, || {
         let status = show(UNIT, "StatusText").ok()?;
         (status != absent).then_some(status)
     })?;
     Ok(format!("ready after {ready_s:.1} s: '{absent}', then '{present}'"))
 }
 
-pub(crate) fn refused() -> Measured {
+pub(crate) fn refused() -> Measurement {
     configure("[no_such_part]\nx = 1")?;
     let output = run(User::Root, "systemctl", &["start", UNIT])?;
     ensure!(!output.status.success(), "it started");
@@ -47,13 +47,13 @@ pub(crate) fn refused() -> Measured {
     ensure!(restarts == "0", "{restarts} restarts in vain");
     ensure!(show(UNIT, "ExecMainStatus")? == "2", "{}", show(UNIT, "ExecMainStatus")?);
     let lines = super::rig::journal(UNIT)?;
-    let told =
+    let reported =
         lines.iter().any(|line| line["MESSAGE"].as_str().unwrap_or("").contains("no_such_part"));
-    ensure!(told, "the journal does not say why");
-    Ok("exit code 2, told in the journal, and not tried again".to_owned())
+    ensure!(reported, "the journal does not say why");
+    Ok("exit code 2, reported in the journal, and not tried again".to_owned())
 }
 
-pub(crate) fn records() -> Measured {
+pub(crate) fn records() -> Measurement {
     configure("")?;
     start()?;
     let take = SIM.begin()?;
@@ -67,43 +67,43 @@ pub(crate) fn records() -> Measured {
     let n = frames(&take, 0)?;
     ensure!(n > 100, "{n} frames");
     let verified = ["verify", &take];
-    said(&run(User::Member, "mocapd", &verified)?, "mocapd", &verified)?;
+    stdout_of(&run(User::Member, "mocapd", &verified)?, "mocapd", &verified)?;
     let hidden = run(User::Stranger, "mocapd", &["info", &take])?;
     ensure!(!hidden.status.success(), "a stranger reads takes");
     Ok(format!("{n} frames in five seconds, 0640 mocapd:mocapd, sound; hidden from strangers"))
 }
 
-pub(crate) fn who_may() -> Measured {
+pub(crate) fn group_access() -> Measurement {
     configure("")?;
     start()?;
-    // By the rig's own socket, by the only one there is, and over TCP.
+    // Through the rig's own socket, through the default socket, and over TCP.
     let status = ["ctl", "status"];
-    wait_until("the group to be let in", PATIENCE, || {
+    wait_until("the group to be let in", TIMEOUT, || {
         SIM.ctl(User::Member, &["status"]).ok()?.status.success().then_some(())
     })?;
-    said(&run(User::Member, "mocapd", &status)?, "mocapd", &status)?;
+    stdout_of(&run(User::Member, "mocapd", &status)?, "mocapd", &status)?;
     TcpStream::connect("127.0.0.1:7060").context("TCP on this machine")?;
     let refused = SIM.ctl(User::Stranger, &["status"])?;
     ensure!(!refused.status.success(), "a stranger may ask");
-    let words = String::from_utf8_lossy(&refused.stderr);
-    Ok(format!("the group by socket and TCP; a stranger is told '{}'", words.trim()))
+    let stderr = String::from_utf8_lossy(&refused.stderr);
+    Ok(format!("the group by socket and TCP; a stranger gets '{}'", stderr.trim()))
 }
 
-pub(crate) fn triggered() -> Measured {
+pub(crate) fn triggered() -> Measurement {
     configure("")?;
     start()?;
     let take = SIM.trigger(Duration::from_secs(1))?;
     Ok(format!("a take of {} frames by UDP", frames(&take, 0)?))
 }
 
-pub(crate) fn reloads() -> Measured {
+pub(crate) fn reloads() -> Measurement {
     configure("")?;
     start()?;
     let pid = show(UNIT, "MainPID")?;
     SIM.begin()?;
     configure("[log]\nlevel = \"debug\"")?;
     ok("systemctl", &["reload", UNIT])?;
-    wait_until("to be active again", PATIENCE, || {
+    wait_until("to be active again", TIMEOUT, || {
         (show(UNIT, "ActiveState").ok()? == "active").then_some(())
     })?;
     sleep(Duration::from_secs(1));
@@ -119,7 +119,7 @@ pub(crate) fn reloads() -> Measured {
     Ok("in the midst of a take, and with a configuration that is refused".to_owned())
 }
 
-pub(crate) fn journal() -> Measured {
+pub(crate) fn journal() -> Measurement {
     super::rig::journal(UNIT).map(drop)?;
     configure("")?;
     start()?;
@@ -138,7 +138,7 @@ pub(crate) fn journal() -> Measured {
     Ok(format!("rig, take and device in {counts:?} of {} lines", ours.len()))
 }
 
-pub(crate) fn stops() -> Measured {
+pub(crate) fn stops() -> Measurement {
     configure("")?;
     start()?;
     let take = SIM.begin()?;
@@ -150,6 +150,6 @@ pub(crate) fn stops() -> Measured {
     ensure!(show(UNIT, "Result")? == "success", "{}", show(UNIT, "Result")?);
     let n = frames(&take, 0)?;
     let verified = ["verify", &take];
-    said(&run(User::Member, "mocapd", &verified)?, "mocapd", &verified)?;
+    stdout_of(&run(User::Member, "mocapd", &verified)?, "mocapd", &verified)?;
     Ok(format!("{:.1} s, and a finished take of {n} frames", took.as_secs_f64()))
 }

@@ -1,24 +1,24 @@
-//! The Debian package: what it installs, what it says, and what it leaves.
+//! The Debian package: installation, upgrade and removal.
 
 use std::{fs, os::unix::fs::MetadataExt, path::Path};
 
 use anyhow::{Context, ensure};
 
-use super::rig::{PATIENCE, TAKES, UNIT, User, configure, id_of, ok, run, said, show, start};
-use crate::{Measured, attached::wait_until};
+use super::rig::{TAKES, TIMEOUT, UNIT, User, configure, id_of, ok, run, show, start, stdout_of};
+use crate::{Measurement, attached::wait_until};
 
 const PACKAGE: &str = "/opt/mocapd.deb";
 
-/// What the unit's exposure must stay below, by `systemd-analyze security`.
+/// Upper limit of the unit's exposure, by `systemd-analyze security`.
 const EXPOSURE_MAX: f64 = 1.5;
 
-/// mode, user, group
+/// Mode, user and group of a file.
 fn owned(path: &str) -> anyhow::Result<(u32, u32, u32)> {
     let meta = fs::metadata(path).with_context(|| path.to_owned())?;
     Ok((meta.mode() & 0o7777, meta.uid(), meta.gid()))
 }
 
-pub(crate) fn installs() -> Measured {
+pub(crate) fn installs() -> Measurement {
     ok("dpkg", &["-i", PACKAGE])?;
     let status = ok("dpkg-query", &["-W", "-f", "${Status} ${Version}", "mocapd"])?;
     ensure!(status.starts_with("install ok installed"), "{status}");
@@ -38,13 +38,13 @@ pub(crate) fn installs() -> Measured {
     ))
 }
 
-pub(crate) fn units() -> Measured {
+pub(crate) fn units() -> Measurement {
     for unit in ["mocapd@sim.service", "mocapd-sim@sim.service"] {
-        // Without the option an unknown key is no error. `man` is not in this machine, nor are its pages looked at.
+        // Without --recursive-errors an unknown key is not an error. The machine has no `man` to check pages with.
         let arguments = ["verify", "--recursive-errors=no", "--man=no", unit];
         let output = run(User::Root, "systemd-analyze", &arguments)?;
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-        said(&output, "systemd-analyze", &arguments)?;
+        stdout_of(&output, "systemd-analyze", &arguments)?;
         ensure!(stderr.is_empty(), "{unit}: {stderr}");
     }
     configure("")?;
@@ -54,7 +54,7 @@ pub(crate) fn units() -> Measured {
         let table = ok("systemd-analyze", &["security", "--no-pager", unit])?;
         let last =
             table.lines().rfind(|line| line.contains("exposure level")).context(table.clone())?;
-        let figure = last.split(':').nth(1).and_then(|words| words.split_whitespace().next());
+        let figure = last.split(':').nth(1).and_then(|text| text.split_whitespace().next());
         let figure: f64 = figure.context(last.to_owned())?.parse()?;
         ensure!(figure < EXPOSURE_MAX, "{last}");
         figures.push(format!("{unit} {figure}"));
@@ -62,14 +62,14 @@ pub(crate) fn units() -> Measured {
     Ok(format!("exposure: {}", figures.join(", ")))
 }
 
-pub(crate) fn manual() -> Measured {
+pub(crate) fn manual() -> Measurement {
     let help = ok("mocapd", &["--help"])?;
     let commands: Vec<_> = help
         .lines()
         .skip_while(|line| !line.starts_with("Commands:"))
         .skip(1)
         .take_while(|line| line.starts_with("  "))
-        // Longer words go on in a line that is set in further.
+        // Longer descriptions continue on a line with a deeper indent.
         .filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|&name| name != "help")
@@ -93,7 +93,7 @@ pub(crate) fn manual() -> Measured {
     Ok(format!("{} pages, and three shells know them", commands.len()))
 }
 
-pub(crate) fn doctor() -> Measured {
+pub(crate) fn doctor() -> Measurement {
     configure("")?;
     start()?;
     let seen = |user| -> anyhow::Result<String> {
@@ -116,29 +116,29 @@ pub(crate) fn doctor() -> Measured {
     Ok(service.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
-/// An upgrade keeps what was edited and cuts no take; a removal stops the service and keeps takes.
-pub(crate) fn removed() -> Measured {
+/// An upgrade keeps edited files and interrupts no take; a removal stops the service and keeps takes.
+pub(crate) fn removed() -> Measurement {
     let example = "/etc/mocapd/example.toml";
     let edited = format!("{}\n# edited\n", fs::read_to_string(example)?);
     fs::write(example, &edited)?;
     configure("")?;
     start()?;
     let pid = show(UNIT, "MainPID")?;
-    let said = ok("dpkg", &["-i", PACKAGE])?;
+    let stdout = ok("dpkg", &["-i", PACKAGE])?;
     ensure!(show(UNIT, "MainPID")? == pid, "an upgrade restarted it");
-    ensure!(said.contains("systemctl restart mocapd@sim.service"), "{said}");
+    ensure!(stdout.contains("systemctl restart mocapd@sim.service"), "{stdout}");
     ensure!(fs::read_to_string(example)? == edited, "the edited file is gone");
     ok("dpkg", &["-r", "mocapd"])?;
-    wait_until("the service's end", PATIENCE, || {
+    wait_until("the service's end", TIMEOUT, || {
         (show(UNIT, "ActiveState").ok()? != "active").then_some(())
     })?;
     ensure!(!Path::new("/usr/bin/mocapd").exists(), "the program is there");
     ensure!(fs::read_to_string(example)? == edited, "a removal took the configuration");
     let takes = super::rig::takes()?.len();
     ensure!(takes > 0, "no take to keep");
-    let said = ok("dpkg", &["-P", "mocapd"])?;
+    let stdout = ok("dpkg", &["-P", "mocapd"])?;
     ensure!(super::rig::takes()?.len() == takes, "a purge took takes");
-    ensure!(said.contains("takes in /var/lib/mocapd are kept"), "{said}");
+    ensure!(stdout.contains("takes in /var/lib/mocapd are kept"), "{stdout}");
     ensure!(!Path::new(example).exists(), "a purge left the example");
     Ok(format!("{takes} takes kept in {TAKES}"))
 }

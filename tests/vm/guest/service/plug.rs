@@ -1,13 +1,13 @@
-//! Rigs that are plugged in: udev starts their service, whose sandbox lets them through.
+//! Plugging in a rig: udev starts its service, whose sandbox admits the device.
 
 use std::{fs, path::Path, thread::sleep, time::Duration};
 
 use anyhow::{Context, ensure};
 
-use super::rig::{PATIENCE, Rig, User, frames, ok, run, show};
-use crate::{Measured, attached::wait_until, simulator::Simulator};
+use super::rig::{Rig, TIMEOUT, User, frames, ok, run, show};
+use crate::{Measurement, attached::wait_until, simulator::Simulator};
 
-/// The guest's kernel can be a USB device from here on. A driver of ports is not among these.
+/// Loads kernel modules, which make the guest's kernel a USB device; all of them if `names` is empty.
 fn load(names: &[&str]) -> anyhow::Result<()> {
     let mut modules: Vec<_> =
         fs::read_dir("/modules")?.flatten().map(|entry| entry.path()).collect();
@@ -19,9 +19,9 @@ fn load(names: &[&str]) -> anyhow::Result<()> {
         let is_wanted = names.is_empty() || names.contains(&name);
         if is_wanted && !is_loaded {
             let parameters = fs::read_to_string(module.with_extension("parameters"))?;
-            let words: Vec<_> = parameters.split_whitespace().collect();
+            let parameters: Vec<_> = parameters.split_whitespace().collect();
             let path = module.display().to_string();
-            ok("insmod", &[&[path.as_str()], &words[..]].concat())?;
+            ok("insmod", &[&[path.as_str()], &parameters[..]].concat())?;
         }
     }
     if !Path::new("/sys/kernel/config/usb_gadget").exists() {
@@ -36,7 +36,7 @@ const WITHOUT_PORTS: &[&str] =
 const BULK: Rig = Rig { name: "RIG0001", port: 8990 };
 const PORT: Rig = Rig { name: "PORT0001", port: 8991 };
 
-/// Two units: each has ports of its own.
+/// Writes the configuration of a rig, with its own port for triggers.
 fn configure(rig: Rig, uri: &str) -> anyhow::Result<()> {
     let text = format!(
         "[device]\nuri = \"{uri}\"\n[trigger]\nlisten = \"127.0.0.1:{}\"\n[http]\nlisten = \"\"\n",
@@ -45,7 +45,7 @@ fn configure(rig: Rig, uri: &str) -> anyhow::Result<()> {
     Ok(fs::write(format!("/etc/mocapd/{}.toml", rig.name), text)?)
 }
 
-/// `code` is 3 where frames are missing.
+/// Records a take; `code` is the exit code: 3 if frames are missing.
 fn records(rig: Rig, code: i32) -> anyhow::Result<u64> {
     let take = rig.begin()?;
     sleep(Duration::from_secs(2));
@@ -56,15 +56,15 @@ fn records(rig: Rig, code: i32) -> anyhow::Result<u64> {
 }
 
 fn wait_for(unit: &str, state: &str) -> anyhow::Result<()> {
-    wait_until(&format!("{unit} {state}"), PATIENCE, || {
+    wait_until(&format!("{unit} {state}"), TIMEOUT, || {
         (show(unit, "ActiveState").ok()? == state).then_some(())
     })
 }
 
-pub(crate) fn starts() -> Measured {
+pub(crate) fn starts() -> Measurement {
     load(WITHOUT_PORTS)?;
     configure(BULK, "usb:1209:0001:RIG0001")?;
-    // A rig that nobody has configured starts nothing.
+    // A rig without a configuration starts nothing.
     let other = Simulator::bulk("RIG0002", &["--loop"])?;
     let rig = Simulator::bulk("RIG0001", &["--loop"])?;
     wait_for("mocapd@RIG0001", "active")?;
@@ -76,7 +76,7 @@ pub(crate) fn starts() -> Measured {
     sleep(Duration::from_secs(2));
     rig.plug(&controller)?;
     sleep(Duration::from_secs(4));
-    // What was sent meanwhile is missing, and the take went on.
+    // The frames sent meanwhile are missing, and the take continued.
     BULK.end(3)?;
     let over_the_gap = frames(&take, 3)?;
     ensure!(over_the_gap > 0, "nothing of it is in the take");
@@ -89,8 +89,8 @@ pub(crate) fn starts() -> Measured {
     ))
 }
 
-/// The service runs before the port's driver is loaded: its sandbox knew no such device then.
-pub(crate) fn driver_comes_later() -> Measured {
+/// The service runs before the port's driver is loaded, when its sandbox cannot know such a device yet.
+pub(crate) fn driver_comes_later() -> Measurement {
     let was_loaded = Path::new("/sys/module/cdc_acm").exists();
     ensure!(!was_loaded, "the driver is there already: this shows nothing");
     configure(PORT, "serial:/dev/ttyACM0")?;

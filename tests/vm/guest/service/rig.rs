@@ -1,4 +1,4 @@
-//! The rig `sim`: its configuration, its units, and those who speak to it.
+//! The rig `sim`: its configuration, its units, and its users.
 
 use std::{
     fs,
@@ -13,25 +13,25 @@ use anyhow::{Context, ensure};
 
 use crate::attached::wait_until;
 
-/// Five times what anything took on a loaded machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
+/// Five times the longest wait on a loaded machine.
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(40);
 
 pub(crate) const UNIT: &str = "mocapd@sim";
 pub(crate) const TAKES: &str = "/var/lib/mocapd/sim";
 const CONFIG: &str = "/etc/mocapd/sim.toml";
 const DROP_IN: &str = "/run/systemd/system/mocapd@sim.service.d";
 
-/// Who runs a command.
+/// The user who runs a command.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum User {
     Root,
-    /// In the group `mocapd`.
+    /// A member of the group `mocapd`.
     Member,
-    /// In no group that matters.
+    /// A member of no relevant group.
     Stranger,
 }
 
-/// Nothing of the scenario before runs any more, and nothing of it has failed.
+/// Stops the units of the scenario before, and clears their failures.
 pub(crate) fn prepare() -> anyhow::Result<()> {
     let units = ["mocapd@*.service", "mocapd-sim@*.service"];
     run(User::Root, "systemctl", &[&["stop"][..], &units].concat())?;
@@ -61,18 +61,18 @@ pub(crate) fn run(user: User, program: &str, arguments: &[&str]) -> anyhow::Resu
     command.args(arguments).output().context(program.to_owned())
 }
 
-/// What it says on stdout, when it ends well.
+/// Runs a command as root and returns its stdout; fails if the command fails.
 pub(crate) fn ok(program: &str, arguments: &[&str]) -> anyhow::Result<String> {
-    said(&run(User::Root, program, arguments)?, program, arguments)
+    stdout_of(&run(User::Root, program, arguments)?, program, arguments)
 }
 
-pub(crate) fn said(output: &Output, program: &str, arguments: &[&str]) -> anyhow::Result<String> {
+pub(crate) fn stdout_of(output: &Output, program: &str, args: &[&str]) -> anyhow::Result<String> {
     let stderr = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{program} {arguments:?}: {}: {stderr}", output.status);
+    ensure!(output.status.success(), "{program} {args:?}: {}: {stderr}", output.status);
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Of a user or a group.
+/// The id of a user or group.
 pub(crate) fn id_of(name: &str, file: &str) -> anyhow::Result<u32> {
     let text = fs::read_to_string(file)?;
     let line = text.lines().find(|line| line.starts_with(&format!("{name}:")));
@@ -86,31 +86,31 @@ pub(crate) fn show(unit: &str, property: &str) -> anyhow::Result<String> {
     Ok(ok("systemctl", &["show", "-P", property, unit])?.trim().to_owned())
 }
 
-/// `sim.toml` as it ships, with a port for triggers and more lines behind it.
+/// Writes the supplied `sim.toml`, with a port for triggers and further lines appended.
 pub(crate) fn configure(more: &str) -> anyhow::Result<()> {
     let shipped = fs::read_to_string("/usr/share/doc/mocapd/examples/sim.toml")?;
     let trigger = format!("[trigger]\nlisten = \"127.0.0.1:{}\"", SIM.port);
     Ok(fs::write(CONFIG, format!("{shipped}\n{trigger}\n{more}\n"))?)
 }
 
-/// What `systemctl edit` would do.
+/// Does what `systemctl edit` would do.
 pub(crate) fn edit(lines: &str) -> anyhow::Result<()> {
     fs::create_dir_all(DROP_IN)?;
     fs::write(format!("{DROP_IN}/edit.conf"), format!("[Service]\n{lines}\n"))?;
     ok("systemctl", &["daemon-reload"]).map(drop)
 }
 
-/// Both units, and the device found by the service.
+/// Starts both units.
 pub(crate) fn start() -> anyhow::Result<()> {
     ok("systemctl", &["start", "mocapd-sim@sim"])?;
-    wait_until("the simulated rig", PATIENCE, || {
+    wait_until("the simulated rig", TIMEOUT, || {
         Path::new("/run/mocapd-sim/sim/rig").exists().then_some(())
     })?;
     ok("systemctl", &["start", UNIT])?;
     Ok(())
 }
 
-/// Where a rig hears capture triggers.
+/// A rig and its UDP port for capture triggers.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rig {
     pub(crate) name: &'static str,
@@ -119,7 +119,7 @@ pub(crate) struct Rig {
 
 pub(crate) const SIM: Rig = Rig { name: "sim", port: 8989 };
 
-/// Each trigger has another number, and each take another name.
+/// Unique numbers for triggers and takes.
 static NUMBER: AtomicU32 = AtomicU32::new(1);
 
 impl Rig {
@@ -133,7 +133,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Asks the service.
+    /// Runs `mocapd ctl` against the rig's service.
     pub(crate) fn ctl(self, user: User, arguments: &[&str]) -> anyhow::Result<Output> {
         let socket = format!("unix:/run/mocapd/{}/mocapd.sock", self.name);
         run(user, "mocapd", &[&["ctl", "--connect", &socket][..], arguments].concat())
@@ -145,12 +145,11 @@ impl Rig {
         (name, take)
     }
 
-    /// Begins a take. A device that has just appeared is not there for the service yet, so it is asked again. Gives the
-    /// take's file.
+    /// Starts a take; returns its file. Retries while the service has not found a new device yet.
     pub(crate) fn begin(self) -> anyhow::Result<String> {
         let (name, take) = self.new_take();
         let mut last = String::new();
-        let begun = wait_until(&format!("{take} to begin"), PATIENCE, || {
+        let begun = wait_until(&format!("{take} to begin"), TIMEOUT, || {
             let output = self.ctl(User::Member, &["start", "--name", &name]).ok()?;
             last = String::from_utf8_lossy(&output.stderr).into_owned();
             if !output.status.success() {
@@ -162,7 +161,7 @@ impl Rig {
         Ok(take)
     }
 
-    /// Ends it: then it is whole. `code` is 3 where frames are missing.
+    /// Stops the take. `code` is the exit code: 3 if frames are missing.
     pub(crate) fn end(self, code: i32) -> anyhow::Result<()> {
         let output = self.ctl(User::Member, &["stop"])?;
         let stderr = String::from_utf8_lossy(&output.stderr);
@@ -170,17 +169,17 @@ impl Rig {
         Ok(())
     }
 
-    /// Begins a take and ends it by UDP, as other programs do. Gives its file.
+    /// Starts and stops a take over UDP, as other programs do; returns its file.
     pub(crate) fn trigger(self, length: Duration) -> anyhow::Result<String> {
         let (name, take) = self.new_take();
-        wait_until(&format!("{take} to begin"), PATIENCE, || {
+        wait_until(&format!("{take} to begin"), TIMEOUT, || {
             self.send("CaptureStart", &name).ok()?;
             std::thread::sleep(Duration::from_millis(500));
             frames_so_far(&take).filter(|&n| n > 0)
         })?;
         std::thread::sleep(length);
         self.send("CaptureStop", &name)?;
-        wait_until(&format!("{take} to end"), PATIENCE, || frames(&take, 0).ok())?;
+        wait_until(&format!("{take} to end"), TIMEOUT, || frames(&take, 0).ok())?;
         Ok(take)
     }
 }
@@ -212,17 +211,17 @@ pub(crate) fn frames(take: &str, code: i32) -> anyhow::Result<u64> {
     json["frames"].as_u64().context("no frames in the JSON")
 }
 
-/// Lines of the unit's journal since a moment, as JSON objects.
+/// The lines of the unit's journal, as JSON objects.
 pub(crate) fn journal(unit: &str) -> anyhow::Result<Vec<serde_json::Value>> {
     ok("journalctl", &["--sync"])?;
     let text = ok("journalctl", &["--no-pager", "-o", "json", "-u", unit])?;
     text.lines().map(|line| Ok(serde_json::from_str(line)?)).collect()
 }
 
-/// Waits until the unit is up again after so many restarts. Gives how long that took.
+/// Waits until the unit is up again after this many restarts; returns how long that took.
 pub(crate) fn restarted(times: u32) -> anyhow::Result<Duration> {
     let began = Instant::now();
-    wait_until("a restart", PATIENCE, || {
+    wait_until("a restart", TIMEOUT, || {
         let restarts = show(UNIT, "NRestarts").ok()?.parse::<u32>().ok()?;
         (restarts >= times && show(UNIT, "ActiveState").ok()? == "active").then_some(())
     })?;

@@ -1,4 +1,4 @@
-//! A service that is killed, and one whose data plane hangs.
+//! Services that are killed or whose data plane hangs.
 
 use std::{
     thread::sleep,
@@ -8,31 +8,31 @@ use std::{
 use anyhow::{Context, ensure};
 
 use super::rig::{
-    PATIENCE, SIM, TAKES, UNIT, User, configure, edit, frames, journal, ok, restarted, run, show,
+    SIM, TAKES, TIMEOUT, UNIT, User, configure, edit, frames, journal, ok, restarted, run, show,
     start,
 };
-use crate::{Measured, attached::wait_until};
+use crate::{Measurement, attached::wait_until};
 
-pub(crate) fn killed() -> Measured {
+pub(crate) fn killed() -> Measurement {
     configure("")?;
     start()?;
     let take = SIM.begin()?;
     sleep(Duration::from_secs(3));
     ok("systemctl", &["kill", "-s", "KILL", UNIT])?;
     let took = restarted(1)?;
-    // The service closes it again, beside itself.
+    // The service recovers the take into a new file.
     let recovered = take.replace(".take", ".recovered.take");
-    let n = wait_until("the take to be recovered", PATIENCE, || frames(&recovered, 3).ok())?;
+    let n = wait_until("the take to be recovered", TIMEOUT, || frames(&recovered, 3).ok())?;
     ensure!(n > 100, "{n} frames of the killed take");
     let next = SIM.begin()?;
     SIM.end(0)?;
-    // What stood behind the cut nobody can count.
+    // The number of samples after the cut is unknown.
     for (take, code) in [(&recovered, 3), (&next, 0)] {
         let verified = run(User::Member, "mocapd", &["verify", take])?;
-        let words = String::from_utf8_lossy(&verified.stderr);
+        let stderr = String::from_utf8_lossy(&verified.stderr);
         ensure!(
             verified.status.code() == Some(code),
-            "verify {take}: {}: {words}",
+            "verify {take}: {}: {stderr}",
             verified.status
         );
     }
@@ -40,10 +40,10 @@ pub(crate) fn killed() -> Measured {
     Ok(format!("up again after {took_s:.1} s, {n} frames recovered, and the next take is sound"))
 }
 
-/// systemd's limit in this scenario; the guest is slow, and the unit's own would take a minute.
+/// The watchdog's limit in this scenario; with the unit's own, the scenario would take a minute.
 const WATCHDOG_S: u64 = 8;
 
-pub(crate) fn hangs() -> Measured {
+pub(crate) fn hangs() -> Measurement {
     configure("")?;
     let mut measured = Vec::new();
     for whom in ["reader", "worker", "writer"] {
@@ -57,18 +57,18 @@ pub(crate) fn hangs() -> Measured {
         let pid = show(UNIT, "MainPID")?;
         let began = Instant::now();
         ok("systemctl", &["kill", "--kill-whom=main", "-s", "USR2", UNIT])?;
-        wait_until("the watchdog", PATIENCE, || (show(UNIT, "MainPID").ok()? != pid).then_some(()))
+        wait_until("the watchdog", TIMEOUT, || (show(UNIT, "MainPID").ok()? != pid).then_some(()))
             .with_context(|| format!("a {whom} that hangs"))?;
         let noticed_s = began.elapsed().as_secs_f64();
         restarted(1)?;
         let lines = journal(UNIT)?;
-        let says = |words: &str| {
-            lines.iter().any(|line| line["MESSAGE"].as_str().unwrap_or("").contains(words))
+        let logged = |text: &str| {
+            lines.iter().any(|line| line["MESSAGE"].as_str().unwrap_or("").contains(text))
         };
-        ensure!(says("Watchdog timeout"), "another end of a {whom} that hangs");
+        ensure!(logged("Watchdog timeout"), "another end of a {whom} that hangs");
         ensure!(
-            says(&format!("the {whom} has not moved for")),
-            "nobody said that the {whom} hangs"
+            logged(&format!("the {whom} has not moved for")),
+            "no line about the {whom} that hangs"
         );
         let n = frames(&take, 3)?;
         ensure!(n > 0, "nothing of the take in {TAKES} before it hung");

@@ -1,30 +1,30 @@
-//! Ends told through the inside of a body, where its limbs touch.
+//! Extremities through the interior of a body whose limbs touch.
 //!
-//! Where skin touches skin, a scan grows together, and ways along its surface step from an arm to the hip. Inside, limbs
-//! are still thick and the places where they touch are thin: with a layer taken off all over, they come apart. How thick a
-//! layer that takes is not known, so several are tried.
+//! Where skin touches skin, a scan fuses, and paths along its surface step from an arm to the hip. In the interior
+//! limbs stay thick while contacts are thin, so removing a layer of voxels all over separates them. The thickness that
+//! this takes is unknown; several are tried.
 
 use nalgebra::Matrix3;
 
 use super::naming::{Naming, misfit, name};
-use super::peaks::standing_out;
-use super::{Ends, Extremities, Told};
+use super::peaks::protrusions;
+use super::{Ends, Extremities, NamingMode};
 use crate::Mesh;
-use crate::geodesic::{Graph, Way, Workspace, distances, distances_from};
+use crate::geodesic::{Graph, GraphEdge, Workspace, distances, distances_from};
 use crate::mesh::{Point, distance, normal};
-use crate::topology::{join, root};
+use crate::topology::{find_root, union};
 
 #[cfg(test)]
 mod tests;
 
-/// The edge of a cube, as a part of the square root of the surface's area: some 12 mm of an adult.
+/// Edge of a voxel as a fraction of the square root of the surface area: about 12 mm of an adult.
 const STEP: f64 = 1.0 / 110.0;
-/// The layers that are taken off, in cubes: none, one, and two by steps that diagonals make; a wrist is some five thick.
+/// Layers to remove, in voxels: none, one, and two by diagonal steps. A wrist is about five thick.
 const LAYERS: [f64; 4] = [0.0, 1.0, 1.8, 2.2];
 
-/// Finds head, hands and feet of a body whose limbs touch; none if no layer taken off leaves a body.
+/// Finds head, hands and feet of a body whose limbs touch; none if no layer leaves a body.
 ///
-/// The ends are vertices of the surface, next to where the thinned inside ends.
+/// The extremities are the surface vertices nearest to the ends of the thinned interior.
 pub(super) fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Option<Ends> {
     let positions = in_principal_frame(mesh);
     let step = STEP * mesh.area().sqrt();
@@ -34,11 +34,11 @@ pub(super) fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Opt
     for layer in LAYERS {
         let thinned = inside.deeper_than(layer);
         let Some(start) = largest_piece(&thinned) else { break };
-        let standing = standing_out(&thinned, start, workspace);
-        let Ok(naming) = name(&standing, misfit) else { continue };
+        let protrusions = protrusions(&thinned, start, workspace);
+        let Ok(naming) = name(&protrusions, misfit) else { continue };
         if best.as_ref().is_none_or(|best| naming.misfit.rms < best.naming.misfit.rms) {
-            let peaks = naming.ends.map(|end| standing.candidates[end].peak);
-            let persistence = peaks.map(|peak| peak.persistence / standing.longest);
+            let peaks = naming.ends.map(|end| protrusions.candidates[end].peak);
+            let persistence = peaks.map(|peak| peak.persistence / protrusions.longest);
             best = Some(Thinned { cubes: peaks.map(|peak| peak.vertex), persistence, naming });
         }
     }
@@ -53,33 +53,33 @@ pub(super) fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Opt
         fields: ends.map(|end| distances(graph, end, workspace)),
         spread: Vec::new(),
         persistence,
-        told: Told::Inside,
+        mode: NamingMode::Interior,
         misfit: naming.misfit,
         margin: naming.margin,
     })
 }
 
-/// What one thickness of layer gives.
+/// Result for one thickness.
 struct Thinned {
     cubes: [u32; 5],
     persistence: [f64; 5],
     naming: Naming,
 }
 
-/// The first vertex of the piece with the most vertices; none if nothing is linked.
+/// The first vertex of the largest component; none if nothing is linked.
 fn largest_piece(graph: &Graph) -> Option<u32> {
     let vertices = 0..graph.vertex_count() as u32;
-    let mut leads: Vec<u32> = vertices.clone().collect();
+    let mut parents: Vec<u32> = vertices.clone().collect();
     for vertex in vertices.clone() {
-        graph.links(vertex).iter().for_each(|link| join(&mut leads, vertex, link.to));
+        graph.links(vertex).iter().for_each(|link| union(&mut parents, vertex, link.to));
     }
-    let mut counts = vec![0; leads.len()];
-    vertices.clone().for_each(|vertex| counts[root(&mut leads, vertex) as usize] += 1);
+    let mut counts = vec![0; parents.len()];
+    vertices.clone().for_each(|vertex| counts[find_root(&mut parents, vertex) as usize] += 1);
     let largest = vertices.rev().max_by_key(|vertex| counts[*vertex as usize])?;
     (counts[largest as usize] > 1).then_some(largest)
 }
 
-/// The vertex of the surface that is nearest to a place inside.
+/// The surface vertex nearest to a point inside.
 fn nearest(positions: &[Point], graph: &Graph, place: Point) -> u32 {
     let mut best = (f64::INFINITY, 0);
     for (vertex, at) in (0_u32..).zip(positions) {
@@ -91,13 +91,13 @@ fn nearest(positions: &[Point], graph: &Graph, place: Point) -> u32 {
     best.1
 }
 
-/// The cubes inside, as vertices of a graph.
+/// The interior voxels as vertices of a graph.
 struct Inside {
-    /// Their cells.
+    /// Grid cells of the voxels.
     cells: Vec<usize>,
-    /// From each to those of its 26 neighbours that come after it.
-    ways: Vec<Way>,
-    /// How far each is from outside, about; in steps of the grid.
+    /// Edges from each voxel to the later half of its 26 neighbours.
+    edges: Vec<GraphEdge>,
+    /// Approximate depth of each voxel below the surface, in grid steps.
     depths: Vec<f64>,
 }
 
@@ -115,12 +115,12 @@ impl Inside {
             let other = cell as isize + (x * columns + y) * layers + z;
             numbers.get(other as usize).copied().filter(|number| *number != OUTSIDE)
         };
-        let mut ways = Vec::with_capacity(13 * cells.len());
+        let mut edges = Vec::with_capacity(13 * cells.len());
         let mut skin = Vec::new();
         for (number, cell) in (0_u32..).zip(&cells) {
             for (offset, length) in half_of_neighbours() {
                 if let Some(other) = around(*cell, offset) {
-                    ways.push(Way { ends: [number, other], length });
+                    edges.push(GraphEdge { ends: [number, other], length });
                 }
             }
             let faces = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]];
@@ -129,50 +129,50 @@ impl Inside {
             }
         }
         let depths =
-            distances_from(&Graph::new(cells.len(), ways.iter().copied()), skin, workspace);
-        Self { cells, ways, depths }
+            distances_from(&Graph::new(cells.len(), edges.iter().copied()), skin, workspace);
+        Self { cells, edges, depths }
     }
 
-    /// The cubes that are deeper than `layer`, in steps, as a graph whose lengths are steps.
+    /// The graph of voxels deeper than `layer`, with lengths in grid steps.
     fn deeper_than(&self, layer: f64) -> Graph {
         let deep = |end: &u32| self.depths[*end as usize] > layer;
-        let ways = self.ways.iter().filter(|way| way.ends.iter().all(deep));
-        Graph::new(self.cells.len(), ways.copied())
+        let edges = self.edges.iter().filter(|edge| edge.ends.iter().all(deep));
+        Graph::new(self.cells.len(), edges.copied())
     }
 }
 
-/// Thirteen of the 26 neighbours: of each and its opposite, the later.
+/// Thirteen of the 26 neighbours: of each opposite pair, the later.
 fn half_of_neighbours() -> impl Iterator<Item = ([isize; 3], f64)> {
     let all = (-1..=1).flat_map(|x| (-1..=1).flat_map(move |y| (-1..=1).map(move |z| [x, y, z])));
     let later = all.filter(|offset| *offset > [0, 0, 0]);
     later.map(|[x, y, z]| ([x, y, z], ((x * x + y * y + z * z) as f64).sqrt()))
 }
 
-/// No grid has more cells: a body has one to two million, and a cell costs a byte and an index.
+/// Most cells of a grid. A body has one to two million; a cell costs a byte and an index.
 const CELL_COUNT_MAX: usize = 1 << 24;
 
-/// A grid of cubes, and which of them have their centre inside.
+/// A voxel grid, and which voxels have their centre inside.
 struct Grid {
-    /// The edge of a cube.
+    /// Edge of a voxel.
     step: f64,
-    /// The centre of the first cube.
+    /// Centre of the first voxel.
     origin: Point,
-    /// How many there are along each axis; the outermost are all outside.
+    /// Number of voxels along each axis; the outermost are all outside.
     size: [usize; 3],
-    /// z fastest, then y.
+    /// Order: z fastest, then y.
     inside: Vec<bool>,
 }
 
 impl Grid {
-    /// Fills a grid of such a step: along each column in z the surface is crossed in and out by turns. None if there would
-    /// be too many cells.
+    /// Voxelises the interior: along each column in z the surface is crossed inwards and outwards in turn. None if
+    /// there would be too many cells.
     fn new(positions: &[Point], triangles: &[[u32; 3]], step: f64) -> Option<Self> {
         let low = positions.iter().fold(Point::repeat(f64::INFINITY), |low, at| low.inf(at));
         let high = positions.iter().fold(Point::repeat(f64::NEG_INFINITY), |high, at| high.sup(at));
         let mut size = [0; 3];
         for axis in 0..3 {
             let cells = (high[axis] - low[axis]) / step;
-            // An empty mesh has no extent, and gives what is not finite.
+            // An empty mesh has no finite extent.
             if !cells.is_finite() || cells > CELL_COUNT_MAX as f64 {
                 return None;
             }
@@ -201,7 +201,7 @@ impl Grid {
         Some(grid)
     }
 
-    /// Where the columns cross a triangle.
+    /// Adds the crossings of columns with a triangle.
     fn cross(&self, [a, b, c]: [Point; 3], crossings: &mut [Vec<f64>]) {
         let cell = |axis: usize, value: f64| ((value - self.origin[axis]) / self.step).max(0.0);
         let least = |axis: usize| a[axis].min(b[axis]).min(c[axis]);
@@ -228,7 +228,7 @@ impl Grid {
         }
     }
 
-    /// The centre of a cell.
+    /// Centre of a cell.
     fn centre(&self, cell: usize) -> Point {
         let [_, columns, layers] = self.size;
         let at = [cell / layers / columns, cell / layers % columns, cell % layers];
@@ -236,10 +236,10 @@ impl Grid {
     }
 }
 
-/// Whether the side runs past `at`, to its right, in x and y.
+/// Whether the side passes `at` on its right in x and y.
 ///
-/// The ends are put in order first, so that both triangles of a side come to the same answer, and a column that hits the
-/// side exactly still goes through one of them alone.
+/// The end points are ordered first, so that both triangles of a side agree and a column that hits the side exactly
+/// crosses one of them alone.
 fn passes([p, q]: [Point; 2], at: [f64; 2]) -> bool {
     let [p, q] = if [p[1], p[0]] <= [q[1], q[0]] { [p, q] } else { [q, p] };
     if (p[1] > at[1]) == (q[1] > at[1]) {
@@ -248,8 +248,8 @@ fn passes([p, q]: [Point; 2], at: [f64; 2]) -> bool {
     at[0] < p[0] + (q[0] - p[0]) * (at[1] - p[1]) / (q[1] - p[1])
 }
 
-/// Positions in the frame of the surface's principal axes about its centroid, so that a grid along them does not depend on
-/// how the body was turned.
+/// Positions in the frame of the surface's principal axes about its centroid, so that the grid does not depend on the
+/// orientation of the scan.
 fn in_principal_frame(mesh: &Mesh) -> Vec<Point> {
     let centre = mesh.area_centroid();
     let arms: Vec<Point> = mesh.positions.iter().map(|at| Point::from(*at) - centre).collect();
@@ -267,7 +267,7 @@ fn in_principal_frame(mesh: &Mesh) -> Vec<Point> {
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
     let axes = order.map(|at| {
         let axis: Point = eigen.eigenvectors.column(at).into_owned();
-        // Of an axis' two directions, the one to which the surface reaches farther.
+        // The positive direction of an axis is the one in which the surface reaches farther.
         let skew: f64 = third.iter().map(|(middle, area)| area * middle.dot(&axis).powi(3)).sum();
         if skew < 0.0 { -axis } else { axis }
     });

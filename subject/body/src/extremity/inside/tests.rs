@@ -1,4 +1,4 @@
-//! What is inside, how deep, and what comes apart.
+//! Tests of the interior: filling, depth and separation.
 
 use super::{Grid, Inside, in_principal_frame};
 use crate::Mesh;
@@ -6,7 +6,7 @@ use crate::geodesic::{Workspace, distances};
 use crate::mesh::Point;
 use crate::tests::{cubes, sphere};
 
-/// How many pieces are left with such a layer off.
+/// Number of pieces after the outer layer of this thickness is removed.
 fn pieces(inside: &Inside, layer: f64) -> usize {
     let graph = inside.deeper_than(layer);
     let mut seen = vec![false; graph.vertex_count()];
@@ -42,7 +42,7 @@ fn a_sphere_is_filled_to_its_volume() {
 }
 
 #[test]
-fn a_torn_surface_does_not_spill() {
+fn a_torn_surface_does_not_leak() {
     let mut mesh = sphere(20);
     mesh.triangles.truncate(mesh.triangles.len() - 30);
     let grid = filled(&mesh, 0.1);
@@ -52,8 +52,8 @@ fn a_torn_surface_does_not_spill() {
 }
 
 #[test]
-fn thick_parts_come_apart_where_they_touch() {
-    // Two pillars, 4 wide, 12 high, that have grown together over a stripe of 2 by 1.
+fn thick_parts_separate_where_they_touch() {
+    // Two pillars, 4 wide and 12 high, fused over a strip of 2 by 1.
     let mut places = Vec::new();
     for z in 0..12 {
         for x in (0..4).chain(5..9) {
@@ -67,7 +67,7 @@ fn thick_parts_come_apart_where_they_touch() {
 }
 
 #[test]
-fn a_needle_asks_for_no_memory() {
+fn a_needle_is_refused_without_a_large_allocation() {
     let mesh = Mesh {
         positions: vec![[0.0; 3], [1e9, 0.0, 0.0], [0.0, 1.0, 1.0]],
         triangles: vec![[0, 1, 2]],
@@ -76,7 +76,7 @@ fn a_needle_asks_for_no_memory() {
 }
 
 #[test]
-fn the_frame_turns_with_the_body() {
+fn the_frame_rotates_with_the_body() {
     let mesh = cubes(&[
         [0, 0, 0],
         [1, 0, 0],

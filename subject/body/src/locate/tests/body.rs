@@ -1,18 +1,18 @@
-//! A whole body of capsules.
+//! A whole body made of capsules.
 
 use nalgebra::{Rotation3, Vector3};
 
 use super::voxels::{Capsule, surface};
 use crate::extremity::Extremities;
 use crate::geodesic::{Adjacency, Graph, Workspace, distances};
-use crate::locate::{Landmarks, joints as joints_among, settle};
+use crate::locate::{Landmarks, joints as joints_among, refine_ends};
 use crate::{Joint, Joints, Mesh, Side};
 
 type Point = Vector3<f64>;
 
 const STATURE: f64 = 1.72;
 
-/// Somebody who looks along z, head along y: the left is at positive x. The left elbow and the left knee bend.
+/// A person who faces along z, head along y: the left is at positive x. The left elbow and the left knee are bent.
 fn joints() -> Vec<(Joint, Point)> {
     let both = |joint: fn(Side) -> Joint, [x, y, z]: [f64; 3]| {
         [(joint(Side::Left), Point::new(x, y, z)), (joint(Side::Right), Point::new(-x, y, z))]
@@ -62,17 +62,17 @@ fn capsules() -> Vec<Capsule> {
     body
 }
 
-/// The vertices that are farthest out in the directions of the ends.
+/// The outermost vertices in the directions of the extremities.
 fn ends(mesh: &Mesh) -> Extremities {
     let joints = joints();
     let at = |joint: Joint| joints.iter().find(|(name, _)| *name == joint).unwrap().1;
     let farthest = |from: Point, to: Point| {
-        let way = |vertex: &[f64; 3]| {
+        let reach = |vertex: &[f64; 3]| {
             let at = Point::from(*vertex) - to;
             at.dot(&(to - from).normalize()) - 2.0 * (at.norm() - 0.15).max(0.0)
         };
         let all = (0..).zip(&mesh.positions);
-        all.max_by(|one, other| way(one.1).total_cmp(&way(other.1))).unwrap().0
+        all.max_by(|one, other| reach(one.1).total_cmp(&reach(other.1))).unwrap().0
     };
     let hand = |side| farthest(at(Joint::Elbow(side)), at(Joint::Wrist(side)));
     let foot = |side| {
@@ -90,8 +90,8 @@ fn found(mesh: &Mesh, ends: &Extremities) -> Option<Joints> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh).ok()?);
     let mut workspace = Workspace::default();
     let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
-    let settled = settle(&graph, ends, fields, &[], &mut workspace);
-    Some(joints_among(&Landmarks::new(mesh, &settled.fields())?))
+    let refined = refine_ends(&graph, ends, fields, &[], &mut workspace);
+    Some(joints_among(&Landmarks::new(mesh, &refined.fields())?))
 }
 
 #[test]
@@ -109,13 +109,13 @@ fn joints_of_a_body_of_capsules_are_found_on_their_sides() {
         .collect();
     errors.sort_by(|one, other| other.0.total_cmp(&one.0));
     let mean = errors.iter().map(|error| error.0).sum::<f64>() / errors.len() as f64;
-    // A body of capsules is nobody: no muscles, no heels, hips in the middle of thighs.
+    // A body of capsules is not anatomical: no muscles, no heels, hips in the middle of the thighs.
     assert!(mean < 0.025 && errors[0].0 < 0.06, "{mean} {errors:?}");
     assert!(found.estimates.values().all(|one| (0.002..0.1).contains(&one.sigma)));
 }
 
 #[test]
-fn joints_turn_and_grow_with_the_body() {
+fn joints_rotate_and_scale_with_the_body() {
     let mesh = surface(&capsules());
     let ends = ends(&mesh);
     let turn = Rotation3::from_euler_angles(0.4, 2.0, -1.1);
@@ -144,7 +144,7 @@ fn the_first_hand_may_be_either() {
 }
 
 #[test]
-fn ends_without_a_way_between_them_give_nothing() {
+fn unconnected_ends_give_no_joints() {
     let mut mesh = surface(&capsules());
     let ends = ends(&mesh);
     let head = Extremities { head: u32::MAX, ..ends };

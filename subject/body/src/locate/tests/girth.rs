@@ -1,4 +1,4 @@
-//! A joint told by how thick the limb is round it.
+//! Joints located by the girth of the limb around them.
 
 use std::f64::consts::TAU;
 
@@ -8,8 +8,8 @@ use crate::locate::limb::{Window, bend, wrist};
 use crate::locate::model::{GIRTHS, Measure};
 use crate::locate::section::{LEVELS, Sections, level};
 
-/// The lengths of curves of a straight leg as thick as legs are in the mean, with its knee so far from its end; `thicker`
-/// times as thick all along, and more so by `slope` a body scale.
+/// Curve lengths of a straight leg of average girth whose knee is at the given distance from its end, multiplied by
+/// `thicker` and tapered by `slope` per body scale.
 fn leg(knee: f64, thicker: f64, slope: f64) -> Sections {
     let last = GIRTHS.knee.mean.len() - 1;
     let perimeter = |index: usize| {
@@ -29,7 +29,7 @@ fn leg(knee: f64, thicker: f64, slope: f64) -> Sections {
 }
 
 #[test]
-fn what_is_as_thick_as_the_mean_fits_at_its_knee_alone() {
+fn a_leg_of_average_girth_fits_only_at_its_knee() {
     let leg = leg(0.36, 1.0, 0.0);
     assert!(GIRTHS.knee.misfit(&leg.perimeter, 0.36) < 0.05);
     for away in [-0.04, -0.02, 0.02, 0.04] {
@@ -38,7 +38,7 @@ fn what_is_as_thick_as_the_mean_fits_at_its_knee_alone() {
 }
 
 #[test]
-fn thick_legs_and_tapered_ones_fit_as_well() {
+fn thick_and_tapered_legs_fit_equally_well() {
     for (thicker, slope) in [(1.5, 0.0), (0.7, 0.0), (1.0, 0.8), (1.3, -0.8)] {
         let misfit = GIRTHS.knee.misfit(&leg(0.36, thicker, slope).perimeter, 0.36);
         assert!(misfit < 1.0, "{thicker} {slope}: {misfit}");
@@ -46,7 +46,7 @@ fn thick_legs_and_tapered_ones_fit_as_well() {
 }
 
 #[test]
-fn a_straight_legs_knee_is_where_its_girth_says_and_not_only_where_knees_are() {
+fn the_girth_locates_the_knee_of_a_straight_leg() {
     for knee in [0.32, 0.344, 0.375] {
         let window = Window {
             line: [0.17, 0.53],
@@ -67,12 +67,12 @@ fn a_straight_legs_knee_is_where_its_girth_says_and_not_only_where_knees_are() {
 }
 
 #[test]
-fn a_limb_of_no_curves_has_a_misfit_all_the_same() {
+fn a_limb_without_curves_has_a_finite_misfit() {
     assert!(GIRTHS.knee.misfit(&[], 0.3).is_finite());
     assert!(GIRTHS.knee.misfit(&[0.0; 4], 0.3).is_finite());
 }
 
-/// The length of the curve so far `along` the mean arm, with its wrist so far from its end.
+/// Curve length at `along` on the mean arm whose wrist is at the given distance from its end.
 pub(super) fn arm_girth(along: f64, wrist: f64) -> f64 {
     let Measure::Length(average) = GIRTHS.wrist.measure else { panic!("{:?}", GIRTHS.wrist) };
     let last = GIRTHS.wrist.mean.len() - 1;
@@ -84,7 +84,7 @@ pub(super) fn arm_girth(along: f64, wrist: f64) -> f64 {
 }
 
 #[test]
-fn a_wrist_is_where_it_is_under_a_layer_of_fat_too() {
+fn a_layer_of_fat_does_not_move_the_wrist() {
     for (at, fat) in [(0.14, 0.0), (0.12, 0.0), (0.13, 0.004), (0.13, -0.002)] {
         let curve = |index| arm_girth(level(index), at) + TAU * fat;
         let perimeter: Vec<f64> = (0..LEVELS).map(curve).collect();

@@ -1,4 +1,4 @@
-//! Limbs that have grown together, and the scale of bodies whose ways they shorten.
+//! Fused limbs, and the scale of bodies whose geodesic distances they shorten.
 
 use nalgebra::Vector3;
 
@@ -6,8 +6,8 @@ use crate::locate::Fields;
 use crate::locate::scale::{BodyScale, Touching};
 use crate::locate::section::{LEVELS, Sections, level};
 
-/// The ways between five ends of a body of scale 1; the vertices are the ends.
-const WAYS: [[f64; 5]; 5] = [
+/// Distances between the five extremities of a body of scale 1; the vertices are the extremities.
+const DISTANCES: [[f64; 5]; 5] = [
     [0.0, 0.68, 0.68, 1.13, 1.13],
     [0.68, 0.0, 0.95, 1.17, 1.25],
     [0.68, 0.95, 0.0, 1.25, 1.17],
@@ -16,13 +16,13 @@ const WAYS: [[f64; 5]; 5] = [
 ];
 
 fn scale(change: impl Fn(&mut [[f64; 5]; 5])) -> Option<BodyScale> {
-    let mut ways = WAYS;
-    change(&mut ways);
+    let mut distances = DISTANCES;
+    change(&mut distances);
     BodyScale::new(&Fields {
         first_head: None,
         missing: [0.0; 5],
         ends: [0, 1, 2, 3, 4],
-        distances: ways.each_ref().map(<[f64; 5]>::as_slice),
+        distances: distances.each_ref().map(<[f64; 5]>::as_slice),
     })
 }
 
@@ -34,7 +34,7 @@ fn limb(perimeter: impl Fn(f64) -> f64) -> Sections {
 }
 
 #[test]
-fn a_free_body_is_in_no_doubt() {
+fn limbs_of_a_free_body_are_certain() {
     let scale = scale(|_| ()).unwrap();
     assert!((scale.length - 1.0).abs() < 0.03, "{scale:?}");
     let (arm, leg) = (limb(|at| 0.1 + 0.2 * at), limb(|at| 0.1 + 0.5 * at));
@@ -43,7 +43,7 @@ fn a_free_body_is_in_no_doubt() {
 }
 
 #[test]
-fn an_arm_whose_curves_go_round_the_trunk_is_in_doubt_and_the_other_is_not() {
+fn only_the_arm_whose_curves_enclose_the_trunk_is_uncertain() {
     let (free, leg) = (limb(|at| 0.1 + 0.2 * at), limb(|at| 0.1 + 0.5 * at));
     let grown = limb(|at| if at < 0.25 { 0.12 } else { 0.8 });
     let touching = Touching::new(
@@ -55,11 +55,11 @@ fn an_arm_whose_curves_go_round_the_trunk_is_in_doubt_and_the_other_is_not() {
 }
 
 #[test]
-fn hands_that_touch_hips_leave_the_scale_to_the_feet() {
-    let change = |ways: &mut [[f64; 5]; 5]| {
+fn with_hands_on_the_hips_the_feet_determine_the_scale() {
+    let change = |distances: &mut [[f64; 5]; 5]| {
         for (one, other) in [(1, 2), (1, 3), (1, 4), (2, 3), (2, 4)] {
-            ways[one][other] *= 0.55;
-            ways[other][one] = ways[one][other];
+            distances[one][other] *= 0.55;
+            distances[other][one] = distances[one][other];
         }
     };
     let found = scale(change).unwrap();
@@ -67,10 +67,10 @@ fn hands_that_touch_hips_leave_the_scale_to_the_feet() {
 }
 
 #[test]
-fn legs_that_touch_are_in_doubt_and_leave_the_scale_to_the_rest() {
-    let change = |ways: &mut [[f64; 5]; 5]| {
-        ways[3][4] *= 0.8;
-        ways[4][3] = ways[3][4];
+fn touching_legs_are_uncertain_and_do_not_determine_the_scale() {
+    let change = |distances: &mut [[f64; 5]; 5]| {
+        distances[3][4] *= 0.8;
+        distances[4][3] = distances[3][4];
     };
     let found = scale(change).unwrap();
     let limb = limb(|_| 0.2);
@@ -80,12 +80,12 @@ fn legs_that_touch_are_in_doubt_and_leave_the_scale_to_the_rest() {
 }
 
 #[test]
-fn ways_that_contradict_each_other_have_no_scale() {
-    let none = scale(|ways| {
-        ways[3][4] *= 0.2;
-        ways[4][3] = ways[3][4];
+fn contradicting_distances_have_no_scale() {
+    let none = scale(|distances| {
+        distances[3][4] *= 0.2;
+        distances[4][3] = distances[3][4];
     });
     assert_eq!(none, None);
-    assert_eq!(scale(|ways| ways[2][1] = 0.0), None);
-    assert_eq!(scale(|ways| ways[4][3] = f64::INFINITY), None);
+    assert_eq!(scale(|distances| distances[2][1] = 0.0), None);
+    assert_eq!(scale(|distances| distances[4][3] = f64::INFINITY), None);
 }

@@ -14,7 +14,7 @@ const ROUND: usize = 24;
 const LENGTH: f64 = 0.6;
 const RADIUS: f64 = 0.03;
 
-/// A tube of [`LENGTH`] that turns by `angle` at `knot`, with the way along it from its start.
+/// A tube of [`LENGTH`] that bends by `angle` at `knot`, with the distance along it from its start.
 fn tube(knot: f64, angle: f64, radius: impl Fn(f64) -> f64) -> (Mesh, Vec<f64>) {
     let rings = 200;
     let (mut mesh, mut field) = (Mesh::default(), Vec::new());
@@ -53,7 +53,7 @@ fn window() -> Window {
 }
 
 #[test]
-fn a_curve_round_a_tube_is_its_circle() {
+fn a_level_curve_of_a_tube_is_its_circle() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     let sections = sections(&mesh, &field);
     let circle = 2.0 * ROUND as f64 * RADIUS * (std::f64::consts::PI / ROUND as f64).sin();
@@ -65,7 +65,7 @@ fn a_curve_round_a_tube_is_its_circle() {
 }
 
 #[test]
-fn a_surface_of_no_weight_has_no_middle() {
+fn a_surface_without_weight_has_no_sections() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     assert!(Sections::new(&mesh, &field, &vec![0.0; field.len()], 1.0, 0.9).is_none());
     let nowhere = vec![f64::INFINITY; field.len()];
@@ -73,7 +73,7 @@ fn a_surface_of_no_weight_has_no_middle() {
 }
 
 #[test]
-fn a_half_of_weight_moves_the_middle_into_it() {
+fn weighting_one_half_moves_the_centroid_into_it() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     let weights: Vec<f64> =
         mesh.positions.iter().map(|at| f64::from(u8::from(at[1] > 0.0))).collect();
@@ -92,18 +92,18 @@ fn the_bend_of_a_tube_is_found() {
 }
 
 #[test]
-fn a_straight_tube_bends_where_limbs_do_on_average_and_less_surely() {
+fn a_straight_tube_bends_at_the_average_place_and_less_certainly() {
     let straight = tube(0.25, 0.0, |_| RADIUS);
     let bent = tube(0.25, 0.8, |_| RADIUS);
     let found = bend(&sections(&straight.0, &straight.1), &window(), |_| 0.0).unwrap();
     let surer = bend(&sections(&bent.0, &bent.1), &window(), |_| 0.0).unwrap();
     assert!((found.level - window().prior).abs() < 1e-6, "{}", found.level);
-    assert!(limb::elbow_spread(found.sharpness) > 2.0 * limb::elbow_spread(surer.sharpness));
+    assert!(limb::elbow_sigma(found.sharpness) > 2.0 * limb::elbow_sigma(surer.sharpness));
 }
 
 #[test]
 fn the_marks_of_an_arm_are_where_it_narrows_bends_and_widens() {
-    // A hand and a forearm as they are in the mean with the wrist at 0.14, and a trunk from 0.39 on.
+    // A hand and a forearm of average girth with the wrist at 0.14, and a trunk from 0.39 on.
     let radius = |along: f64| arm_girth(along, 0.14) / TAU + (along - 0.37).max(0.0);
     let (mesh, field) = tube(0.27, 0.9, radius);
     let marks = limb::arm(&sections(&mesh, &field), 0.96).unwrap();
@@ -127,7 +127,7 @@ fn the_marks_of_a_leg_move_with_the_heel_and_the_bend() {
 }
 
 #[test]
-fn a_field_of_nothing_has_no_bend() {
+fn an_empty_window_has_no_bend() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     let none = Window { line: [2.0, 3.0], ..window() };
     assert!(bend(&sections(&mesh, &field), &none, |_| 0.0).is_none());

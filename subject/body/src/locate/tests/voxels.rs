@@ -1,4 +1,4 @@
-//! A body of capsules: cut out of voxels, and smoothed.
+//! A body made of capsules, sampled on voxels and smoothed.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::Mesh;
 
 type Point = Vector3<f64>;
 
-/// From, to, radius at both ends, all in metres.
+/// Start, end and the radius at both, in metres.
 pub(super) type Capsule = (Point, Point, f64, f64);
 
 const CELL: f64 = 0.018;

@@ -1,11 +1,11 @@
-//! Files of anybody: a reason, or a surface that the bytes earn; never a panic.
+//! Untrusted files: reading gives an error or a surface no larger than the file accounts for, and never panics.
 
 use mocapd_testkit::random::Random;
 
 use super::{files, read, read_text};
 use crate::read::{FACES_MAX, Format, ReadError, Scan};
 
-/// Whatever was read can be used without a look at it.
+/// A surface that was read can be used without further checks.
 fn sound(bytes: &[u8], result: &Result<Scan, ReadError>) {
     match result {
         Ok(scan) => {
@@ -23,13 +23,14 @@ fn sound(bytes: &[u8], result: &Result<Scan, ReadError>) {
 }
 
 #[test]
-fn cut_off_anywhere() {
+fn truncation_anywhere_is_handled() {
     for (what, format, bytes) in files() {
         let whole = read(&bytes, "").unwrap();
         for len in 0..bytes.len() {
             let result = read(&bytes[..len], "a.ply");
             sound(&bytes[..len], &result);
-            // An OBJ has no end that could be missed; of all others, what is read is the whole surface.
+            // An OBJ has no end marker that could be missing; for all other formats, a surface that is read is
+            // complete.
             if let Ok(scan) = result
                 && format != Format::Obj
             {
@@ -40,7 +41,7 @@ fn cut_off_anywhere() {
 }
 
 #[test]
-fn any_bit_flipped() {
+fn any_flipped_bit_is_handled() {
     for (_, _, bytes) in files() {
         for at in 0..bytes.len() {
             for bit in 0..8 {
@@ -53,7 +54,7 @@ fn any_bit_flipped() {
 }
 
 #[test]
-fn any_bytes_behind_any_beginning() {
+fn random_bytes_after_any_prefix_are_handled() {
     let mut random = Random::new(1);
     for round in 0..3000 {
         let files = files();
@@ -66,9 +67,9 @@ fn any_bytes_behind_any_beginning() {
 }
 
 #[test]
-fn reasons_say_what_and_where() {
+fn errors_state_what_is_wrong_and_where() {
     use Format::{Obj, Off, Ply, Stl};
-    // The line, where there is one, and what is quoted of it, of what was expected, or of what was found.
+    // The line, if there is one, and an excerpt from the file or the expected syntax.
     let malformed: [(&str, Format, Option<usize>, &[&str]); 18] = [
         ("v 1 2\nf 1 1 1\n", Obj, Some(1), &["`v`", "`v 1 2`"]),
         ("v 1 2 3\nf 1 1 0\n", Obj, Some(2), &["`0`"]),
@@ -113,7 +114,7 @@ fn reasons_say_what_and_where() {
 }
 
 #[test]
-fn what_is_no_mesh_is_told_from_one_without_faces() {
+fn files_that_are_no_mesh_and_meshes_without_faces_have_different_errors() {
     assert_eq!(read(&[], "a.obj"), Err(ReadError::Empty));
     let unknown = |bytes: &[u8]| match read(bytes, "a") {
         Err(ReadError::Unknown { found }) => found,
@@ -137,7 +138,7 @@ fn what_is_no_mesh_is_told_from_one_without_faces() {
 }
 
 #[test]
-fn what_is_announced_is_not_believed() {
+fn announced_counts_are_not_trusted() {
     let n = u64::MAX;
     for text in [
         format!("OFF\n{} {} 0\n0 0 0\n", i64::MAX, i64::MAX),
@@ -156,24 +157,24 @@ fn what_is_announced_is_not_believed() {
         Err(ReadError::Malformed { format: Format::Stl, reason, .. }) => reason,
         other => panic!("{other:?}"),
     };
-    // The title begins as a text does: it is then read as such, and has no facet.
+    // The title begins like the text format: the file is read as such, and has no facet.
     let reason = malformed(&stl);
     assert!(!reason.contains("4294967295"), "{reason}");
     stl[..5].copy_from_slice(b"title");
     let reason = malformed(&stl);
-    let words: Vec<&str> = reason.split(' ').collect();
-    assert!(words.contains(&"4294967295") && words.contains(&"4"), "{reason}");
+    let tokens: Vec<&str> = reason.split(|c: char| !c.is_ascii_digit()).collect();
+    assert!(tokens.contains(&"4294967295") && tokens.contains(&"4"), "{reason}");
 }
 
 #[test]
-fn more_faces_than_are_read() {
+fn more_faces_than_the_limit_are_refused() {
     let mut text = "v 0 0 0\nv 1 0 0\nv 0 1 0\n".to_owned();
     text += &"f 1 2 3\n".repeat(FACES_MAX + 1);
     let error = read_text(&text).unwrap_err();
     let limit = FACES_MAX;
     assert_eq!(error, ReadError::TooLarge { what: "faces", found: limit + 1, limit });
     assert!(error.to_string().contains(&limit.to_string()), "{error}");
-    // One face of as many corners.
+    // One face with as many corners.
     let text = format!("v 0 0 0\nf{}", " 1".repeat(FACES_MAX + 3));
     assert!(matches!(read_text(&text), Err(ReadError::TooLarge { .. })));
 }

@@ -1,4 +1,4 @@
-//! Files as programs write them.
+//! Files as real programs write them.
 
 use super::{CORNERS, FACES, files, ply, read, read_text};
 use crate::Unit;
@@ -22,27 +22,27 @@ fn every_format_gives_the_same_surface() {
 }
 
 #[test]
-fn a_comment_tells_the_unit() {
+fn a_comment_states_the_unit() {
     let unit = |bytes: &[u8]| read(bytes, "").unwrap().unit;
     assert_eq!(unit(&super::obj()), Some(Unit::Metre));
     assert_eq!(unit(&ply("binary_big_endian", "\n")), Some(Unit::Millimetre));
     assert_eq!(unit(&super::off()), None);
-    let told = |line: &str| Unit::from_comment(line.as_bytes());
-    assert_eq!(told("# units: CM"), Some(Unit::Centimetre));
-    assert_eq!(told("# a united kingdom of m"), None);
-    assert_eq!(told("# unit"), None);
+    let unit = |line: &str| Unit::from_comment(line.as_bytes());
+    assert_eq!(unit("# units: CM"), Some(Unit::Centimetre));
+    assert_eq!(unit("# a united kingdom of m"), None);
+    assert_eq!(unit("# unit"), None);
 }
 
 #[test]
 fn polygons_become_triangles() {
-    // A dart: its third corner is a notch, and must be an end of the cut.
+    // A dart: its third corner is concave, and must be an end of the cut.
     let dart = read_text("v 0 0 0\nv 4 0 0\nv 1 1 0\nv 0 4 0\nf 1 2 3 4\n").unwrap();
     assert_eq!(dart.mesh.triangles.len(), 2);
     for triangle in &dart.mesh.triangles {
         assert!(triangle.contains(&0) && triangle.contains(&2), "{triangle:?}");
     }
     assert!(dart.notes.iter().any(|note| note.code == "polygons"));
-    // A comb of two teeth: its area is that of its triangles only if none lies outside.
+    // A comb of two teeth: its area equals that of its triangles only if none lies outside.
     let comb = "v 0 0 0\nv 6 0 0\nv 6 5 0\nv 4 5 0\nv 4 1 0\nv 2 1 0\nv 2 5 0\nv 0 5 0\nf 1 2 3 4 5 6 7 8\n";
     let comb = read_text(comb).unwrap().mesh;
     let area = |t: &[u32; 3]| {
@@ -53,7 +53,7 @@ fn polygons_become_triangles() {
     assert_eq!(comb.triangles.len(), 6);
     assert!(areas.iter().all(|&area| area > 0.0), "{areas:?}");
     assert!((areas.iter().sum::<f64>() - 2.0 * 22.0).abs() < 1e-12, "{areas:?}");
-    // More corners than are cut from their ears.
+    // More corners than ear clipping handles.
     let n = 100;
     let mut circle = String::new();
     for i in 0..n {
@@ -76,14 +76,14 @@ fn indices_of_an_obj_count_from_either_end() {
 }
 
 #[test]
-fn off_may_say_more() {
+fn off_may_have_additional_values() {
     let colours = "COFF 3 1 0\n0 0 0 1 1 1 1\n1 0 0 0 0 0 1\n0 1 0 1 0 1 1\n3 0 1 2\n";
     assert_eq!(read_text(colours).unwrap().mesh.triangles, [[0, 1, 2]]);
     assert_eq!(read_text(colours).unwrap().mesh.positions[1], [1.0, 0.0, 0.0]);
 }
 
 #[test]
-fn strips_of_a_ply_turn_every_second_triangle() {
+fn triangle_strips_of_a_ply_alternate_orientation() {
     let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
                 element tristrips 1\nproperty list int int vertex_indices\nend_header\n\
                 0 0 0\n1 0 0\n0 1 0\n1 1 0\n8 0 1 2 3 -1 2 1 3\n";
@@ -91,7 +91,7 @@ fn strips_of_a_ply_turn_every_second_triangle() {
 }
 
 #[test]
-fn single_positions_that_are_no_numbers_are_left_out_with_their_faces() {
+fn single_non_finite_positions_are_left_out_with_their_faces() {
     let mut text = String::new();
     for i in 0..300 {
         text += &format!("v {i} 0 0\n");

@@ -1,11 +1,11 @@
-//! Good files of every format, and bad ones.
+//! Valid files of every format, and damaged ones.
 
 mod damaged;
 mod good;
 
 use super::{Format, ReadError, Scan, read};
 
-/// A tetrahedron, so that files of it are short.
+/// A tetrahedron, so that its files are short.
 pub(super) const CORNERS: [[f32; 3]; 4] =
     [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 1.25, 0.0], [0.0, 0.0, 1.75]];
 pub(super) const FACES: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
@@ -40,7 +40,7 @@ pub(super) fn stl_text() -> Vec<u8> {
 }
 
 pub(super) fn stl_binary() -> Vec<u8> {
-    // Begins as the text does: programs write such titles.
+    // Begins like the text format: some programs write such titles.
     let mut bytes = [b"solid body".as_slice(), &[b' '; 70], &4_u32.to_le_bytes()].concat();
     for face in FACES {
         bytes.extend([0; 12]);
@@ -52,7 +52,8 @@ pub(super) fn stl_binary() -> Vec<u8> {
     bytes
 }
 
-/// Vertices with a confidence between, of float64 and float32; faces with flags before the corners, and a list behind.
+/// Vertices with a confidence between the coordinates, as float64 and float32; faces with flags before the corners, and
+/// another list after them.
 pub(super) fn ply(encoding: &str, line_end: &str) -> Vec<u8> {
     let header = [
         "ply",
@@ -103,7 +104,7 @@ pub(super) fn ply(encoding: &str, line_end: &str) -> Vec<u8> {
     bytes
 }
 
-/// One file of each kind.
+/// One file of each format.
 pub(super) fn files() -> Vec<(&'static str, Format, Vec<u8>)> {
     vec![
         ("obj", Format::Obj, obj()),

@@ -1,15 +1,15 @@
-//! What can be mended, and what is told of it.
+//! Repairable damage, and the notes on it.
 
 use super::{clean, codes, euler, repaired, volume};
 use mocapd_body::repair::FACES_KEPT_MAX;
 use mocapd_body::skeleton::Method;
-use mocapd_body::{Mesh, Survey, Unit};
+use mocapd_body::{Mesh, ScanAnalysis, Unit};
 use mocapd_testkit::random::Random;
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 use nalgebra::Vector3;
 
 #[test]
-fn shared_corners_are_found_again() {
+fn shared_corners_are_merged() {
     let mesh = clean();
     let mut soup = Mesh::default();
     for triangle in &mesh.triangles {
@@ -26,11 +26,11 @@ fn shared_corners_are_found_again() {
 }
 
 #[test]
-fn parts_that_were_rounded_apart_are_joined() {
+fn parts_separated_by_rounding_are_joined() {
     let mesh = clean();
     let mut apart = mesh.clone();
     let middle = mesh.positions[100][1];
-    // Everything above the middle is a part of its own, a thousandth of a millimetre away.
+    // Everything above the middle is a separate part, a thousandth of a millimetre away.
     let high =
         |triangle: &[u32; 3]| triangle.iter().any(|&c| mesh.positions[c as usize][1] > middle);
     let n = mesh.positions.len() as u32;
@@ -45,7 +45,7 @@ fn parts_that_were_rounded_apart_are_joined() {
 }
 
 #[test]
-fn triangles_face_outside() {
+fn triangles_are_oriented_outward() {
     let mesh = clean();
     let mut mixed = mesh.clone();
     mixed.triangles.iter_mut().step_by(3).for_each(|triangle| triangle.swap(0, 1));
@@ -61,10 +61,10 @@ fn triangles_face_outside() {
 }
 
 #[test]
-fn holes_are_closed_with_triangles_of_their_neighbours_size() {
-    let mesh = body(1, Pose::Down, Options { n_faces: 3000, turned: false }).0;
+fn holes_are_closed_with_triangles_of_the_neighbours_size() {
+    let mesh = body(1, Pose::Down, BodyOptions { n_faces: 3000, turned: false }).0;
     let mut torn = mesh.clone();
-    // Crown, back and belly.
+    // At crown, back and belly.
     let centres = [[0.0, 1.8, 0.0], [0.0, 1.2, -0.12], [0.0, 1.0, 0.12]];
     let radii = [0.12, 0.06, 0.09];
     let near = |triangle: &[u32; 3]| {
@@ -84,10 +84,10 @@ fn holes_are_closed_with_triangles_of_their_neighbours_size() {
 }
 
 #[test]
-fn what_is_not_the_body_is_left_out() {
+fn parts_that_do_not_belong_to_the_body_are_removed() {
     let mesh = clean();
     let mut more = mesh.clone();
-    // A small body floats beside, and another hangs on a vertex; a fin stands on an edge.
+    // A small body floats beside it, another is attached to a vertex, and a fin to an edge.
     for (shift, joined) in [([3.0, 0.0, 0.0], false), ([0.0; 3], true)] {
         let n = more.positions.len() as u32;
         let small = mesh.positions.iter().map(|p| [0, 1, 2].map(|k| p[k] * 0.05 + shift[k]));
@@ -95,7 +95,7 @@ fn what_is_not_the_body_is_left_out() {
         let of = |corner: u32| if joined && corner == 0 { 0 } else { corner + n };
         more.triangles.extend(mesh.triangles.iter().map(|triangle| triangle.map(of)));
     }
-    // In the plane of the triangle, so that it is the flatter way on, and not a piece of its own.
+    // In the plane of the triangle, so that it is the flatter continuation, and not a separate piece.
     let [a, b, c] = mesh.triangles[7];
     let [p, q, r] = [a, b, c].map(|corner| mesh.positions[corner as usize]);
     more.triangles.push([b, a, more.positions.len() as u32]);
@@ -108,7 +108,7 @@ fn what_is_not_the_body_is_left_out() {
     assert!(codes.contains(&"edges-cut") && codes.contains(&"pieces-left-out"), "{codes:?}");
 }
 
-/// Every triangle as four.
+/// Splits every triangle into four.
 fn finer(mesh: &Mesh) -> Mesh {
     let mut fine = Mesh { positions: mesh.positions.clone(), triangles: Vec::new() };
     let mut between = std::collections::HashMap::new();
@@ -126,7 +126,7 @@ fn finer(mesh: &Mesh) -> Mesh {
 }
 
 #[test]
-fn single_vertices_far_out_are_cut_off() {
+fn spikes_of_single_vertices_are_removed() {
     let mesh = clean();
     let mut spiky = mesh.clone();
     spiky.positions[77] = [40.0, 0.0, 0.0];
@@ -138,9 +138,9 @@ fn single_vertices_far_out_are_cut_off() {
 }
 
 #[test]
-fn too_many_faces_become_fewer_and_the_body_stays() {
+fn decimation_keeps_the_body() {
     for pose in [Pose::T, Pose::Walk] {
-        let (coarse, _) = body(2, pose, Options { n_faces: 5000, turned: true });
+        let (coarse, _) = body(2, pose, BodyOptions { n_faces: 5000, turned: true });
         let fine = finer(&finer(&coarse));
         let found = repaired(fine.clone()).unwrap();
         let n = found.mesh.triangles.len();
@@ -152,7 +152,7 @@ fn too_many_faces_become_fewer_and_the_body_stays() {
 }
 
 #[test]
-fn the_unit_is_that_of_a_body() {
+fn the_unit_is_inferred_from_the_size_of_a_body() {
     let mesh = clean();
     for (factor, unit) in [(1.0, Unit::Metre), (100.0, Unit::Centimetre), (1e3, Unit::Millimetre)] {
         let mut scaled = mesh.clone();
@@ -163,13 +163,13 @@ fn the_unit_is_that_of_a_body() {
 }
 
 #[test]
-fn inches_are_not_taken_for_centimetres_without_a_word() {
+fn centimetres_that_may_be_inches_get_a_note() {
     let ambiguity = |factor: f64| {
         let mut scaled = clean();
         scaled.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= factor);
         let found = repaired(scaled).unwrap();
-        let survey = Survey::new(&found.mesh, Method::Default).unwrap();
-        (found.unit, found.unit_ambiguity(survey.body_scale).map(|note| note.code))
+        let analysis = ScanAnalysis::new(&found.mesh, Method::Default).unwrap();
+        (found.unit, found.unit_ambiguity(analysis.body_scale).map(|note| note.code))
     };
     let inches = Unit::Inch.mm() / 1000.0;
     assert_eq!(ambiguity(1.0 / inches), (Unit::Centimetre, Some("unit-ambiguous")));
@@ -179,9 +179,9 @@ fn inches_are_not_taken_for_centimetres_without_a_word() {
 }
 
 #[test]
-fn a_soup_that_was_rounded_hangs_together_again() {
+fn rounded_triangle_soup_is_reconnected() {
     for (seed, pose) in [(1, Pose::Squat), (2, Pose::Sit)] {
-        let mesh = body(seed, pose, Options { n_faces: 40_000, turned: true }).0;
+        let mesh = body(seed, pose, BodyOptions { n_faces: 40_000, turned: true }).0;
         let mut soup = Mesh::default();
         for corners in &mesh.triangles {
             let first = soup.positions.len() as u32;
@@ -196,9 +196,9 @@ fn a_soup_that_was_rounded_hangs_together_again() {
 }
 
 #[test]
-fn whatever_happens_to_a_surface_what_comes_back_is_closed() {
-    let mesh = body(3, Pose::Down, Options { n_faces: 2000, turned: false }).0;
-    let (mut mended, mut random) = (0, Random::new(7));
+fn repaired_surfaces_are_closed_after_any_damage() {
+    let mesh = body(3, Pose::Down, BodyOptions { n_faces: 2000, turned: false }).0;
+    let (mut accepted, mut random) = (0, Random::new(7));
     for round in 0..120 {
         let mut hurt = mesh.clone();
         for _ in 0..=random.below(40) {
@@ -224,10 +224,10 @@ fn whatever_happens_to_a_surface_what_comes_back_is_closed() {
             Ok(found) => {
                 let chi = euler(&found.mesh);
                 assert_eq!(chi, 2 - 2 * found.genus as i64, "round {round}");
-                mended += 1;
+                accepted += 1;
             }
             Err(error) => println!("round {round}: {error}"),
         }
     }
-    assert!(mended > 90, "{mended} of 120");
+    assert!(accepted > 90, "{accepted} of 120");
 }

@@ -1,4 +1,4 @@
-//! Bodies that were clean, and what happens to scans.
+//! Clean bodies, and the kinds of damage that scans have.
 
 mod damage;
 mod refused;
@@ -8,10 +8,10 @@ use std::collections::HashMap;
 use mocapd_body::Mesh;
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::{RepairError, Repaired, repair};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
 fn clean() -> Mesh {
-    body(1, Pose::A, Options { n_faces: 3000, turned: true }).0
+    body(1, Pose::A, BodyOptions { n_faces: 3000, turned: true }).0
 }
 
 fn repaired(mesh: Mesh) -> Result<Repaired, RepairError> {
@@ -27,7 +27,7 @@ fn volume(mesh: &Mesh) -> f64 {
     mesh.triangles.iter().map(determinant).sum::<f64>() / 6.0
 }
 
-/// Closed, one piece, facing outside; gives V - E + F.
+/// Asserts that the surface is closed, connected and oriented outward; returns V - E + F.
 fn euler(mesh: &Mesh) -> i64 {
     let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
     for (index, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -53,7 +53,7 @@ fn codes(repaired: &Repaired) -> Vec<&'static str> {
 }
 
 #[test]
-fn a_clean_surface_stays_as_it_is() {
+fn a_clean_surface_is_unchanged() {
     let mesh = clean();
     let found = repaired(mesh.clone()).unwrap();
     assert_eq!(found.mesh, mesh);

@@ -1,12 +1,12 @@
-//! What is no body's surface, with the reason.
+//! Surfaces that are refused, with the reason.
 
 use super::{clean, repaired};
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::{RepairError, repair};
 use mocapd_body::{Mesh, Unit};
-use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use mocapd_testkit::synthetic_body::{BodyOptions, Pose, body};
 
-/// What lies below a plane.
+/// The part below a plane.
 fn below(mesh: &Mesh, axis: usize, height: f64) -> Mesh {
     let mut half = mesh.clone();
     let low = |triangle: &[u32; 3]| {
@@ -17,17 +17,17 @@ fn below(mesh: &Mesh, axis: usize, height: f64) -> Mesh {
 }
 
 fn upright() -> Mesh {
-    body(1, Pose::Down, Options { n_faces: 3000, turned: false }).0
+    body(1, Pose::Down, BodyOptions { n_faces: 3000, turned: false }).0
 }
 
 #[test]
-fn half_a_body() {
-    // The front alone, as of one camera. The waist leaves the hands, which are pieces of their own.
+fn half_a_body_is_refused() {
+    // Only the front, as from one camera. The cut at the waist detaches the hands.
     for half in [below(&upright(), 2, 0.01), below(&upright(), 1, 0.9)] {
         let error = repaired(half).unwrap_err();
         assert!(matches!(error, RepairError::Hole { .. }), "{error}");
     }
-    // Without soles it is one all the same.
+    // A body without soles is accepted all the same.
     let mut mesh = upright();
     mesh.positions.iter_mut().for_each(|p| p[1] = -p[1]);
     mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
@@ -36,7 +36,7 @@ fn half_a_body() {
 }
 
 #[test]
-fn two_bodies() {
+fn two_bodies_are_refused() {
     let mesh = clean();
     let mut both = mesh.clone();
     both.positions.extend(mesh.positions.iter().map(|p| [p[0] + 3.0, p[1], p[2]]));
@@ -47,7 +47,7 @@ fn two_bodies() {
 }
 
 #[test]
-fn no_solid() {
+fn surfaces_without_volume_are_refused() {
     assert_eq!(repaired(Mesh::default()), Err(RepairError::NoSurface));
     let point = Mesh { positions: vec![[1.0; 3]; 9], triangles: vec![[0, 1, 2], [4, 5, 6]] };
     assert_eq!(repaired(point), Err(RepairError::NoSurface));
@@ -55,7 +55,7 @@ fn no_solid() {
     flat.positions.iter_mut().for_each(|p| p[2] = 0.0);
     let error = repaired(flat).unwrap_err();
     assert!(matches!(error, RepairError::Flat | RepairError::Tangled), "{error}");
-    // A sheet of paper: its border is all around it.
+    // A sheet of paper: its boundary surrounds it.
     let mut sheet = Mesh::default();
     for i in 0..30_u32 {
         for j in 0..30_u32 {
@@ -70,12 +70,12 @@ fn no_solid() {
 }
 
 #[test]
-fn no_bodys_size() {
+fn a_size_that_fits_no_body_is_refused() {
     let mut large = clean();
     large.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= 12.0);
     let error = repaired(large.clone()).unwrap_err();
     assert!(matches!(error, RepairError::Unit(_)), "{error}");
-    // Whoever states it is believed, and told.
+    // A stated unit is used in spite of an unlikely size, with a note.
     let scan = Scan { mesh: large, format: Format::Obj, unit: None, notes: Vec::new() };
     let found = repair(scan, Some(Unit::Centimetre)).unwrap();
     assert!(!found.unit_inferred && found.notes.iter().any(|note| note.code == "odd-size"));

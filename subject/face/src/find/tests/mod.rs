@@ -1,24 +1,24 @@
-mod again;
+mod second_stage;
 
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
 use super::align::STEPS;
-use super::look::{look, mirrored};
-use super::{Frame, LOOK, SCORE_MIN, faces};
+use super::features::{extract, mirrored};
+use super::{FEATURE_COUNT, Frame, SCORE_MIN, faces};
 use crate::model::FeatureId;
 use crate::photo::Photo;
 use crate::plane::Pyramid;
 use crate::vector;
 
-/// Somebody before clutter, and the middles of eyes and mouth.
-fn drawn(seed: u64, io_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
-    turned(seed, io_px, 0.0, roll_deg)
+/// A drawn person in front of clutter, and the centres of eyes and mouth.
+fn drawn(seed: u64, interocular_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    turned(seed, interocular_px, 0.0, roll_deg)
 }
 
 /// The same, turned to the right of the picture.
-fn turned(seed: u64, io_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
-    let mut scene = Scene::portrait(seed, io_px, yaw_deg);
+fn turned(seed: u64, interocular_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    let mut scene = Scene::portrait(seed, interocular_px, yaw_deg);
     for sitter in &mut scene.faces {
         sitter.roll_deg = roll_deg;
     }
@@ -34,7 +34,7 @@ fn turned(seed: u64, io_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 
     (photo, [mean(36, 42), mean(42, 48), mean(48, 60)])
 }
 
-/// A photograph as it is, without its colours, or otherwise changed.
+/// A photograph as it is, without its colours, or otherwise modified.
 fn with(photo: &Photo, change: impl Fn([u8; 3]) -> [u8; 3]) -> Photo {
     let pixels = photo.pixels().iter().copied().map(change).collect();
     Photo::from_pixels(photo.width(), photo.height(), pixels).unwrap()
@@ -44,26 +44,26 @@ fn with(photo: &Photo, change: impl Fn([u8; 3]) -> [u8; 3]) -> Photo {
 fn a_drawn_face_is_found_at_any_size_and_roll_once() {
     let faces_drawn =
         [(1, 44.0, 0.0), (2, 64.0, 0.0), (3, 130.0, 0.0), (4, 70.0, 26.0), (5, 70.0, -26.0)];
-    for (seed, io_px, roll_deg) in faces_drawn {
-        let (photo, [left, right, mouth]) = drawn(seed, io_px, roll_deg);
+    for (seed, interocular_px, roll_deg) in faces_drawn {
+        let (photo, [left, right, mouth]) = drawn(seed, interocular_px, roll_deg);
         for photo in [with(&photo, |[_, green, _]| [green; 3]), photo] {
             let all = faces(&photo, SCORE_MIN);
-            assert_eq!(all.len(), 1, "{seed} {io_px} {roll_deg}: {all:?}");
+            assert_eq!(all.len(), 1, "{seed} {interocular_px} {roll_deg}: {all:?}");
             let found = all[0];
             let pairs = [(found.eyes[0], left), (found.eyes[1], right), (found.mouth, mouth)];
             for (seen, truth) in pairs {
-                let off = (seen[0] - truth[0]).hypot(seen[1] - truth[1]) / io_px;
-                assert!(off < 0.12, "{seed} {io_px} {roll_deg}: {off} of {found:?}");
+                let off = (seen[0] - truth[0]).hypot(seen[1] - truth[1]) / interocular_px;
+                assert!(off < 0.12, "{seed} {interocular_px} {roll_deg}: {off} of {found:?}");
             }
             let roll_rad = (right[1] - left[1]).atan2(right[0] - left[0]);
             assert!((found.roll_rad - roll_rad).abs() < 0.12, "{found:?}");
-            assert!((found.io_px / io_px - 1.0).abs() < 0.2, "{found:?}");
+            assert!((found.interocular_px / interocular_px - 1.0).abs() < 0.2, "{found:?}");
         }
     }
 }
 
 #[test]
-fn upside_down_it_is_less_of_a_face() {
+fn an_upside_down_face_has_a_lower_score() {
     let upright = drawn(6, 70.0, 0.0).0;
     let pixels: Vec<[u8; 3]> = upright.pixels().iter().rev().copied().collect();
     let over = Photo::from_pixels(upright.width(), upright.height(), pixels).unwrap();
@@ -72,7 +72,7 @@ fn upside_down_it_is_less_of_a_face() {
 }
 
 #[test]
-fn noise_and_nothing_have_no_faces() {
+fn noise_and_uniform_pictures_have_no_faces() {
     let mut random = Random::new(3);
     let mut grain = || random.byte();
     let noisy = (0..200 * 160).map(|_| [grain(), grain(), grain()]).collect();
@@ -84,7 +84,7 @@ fn noise_and_nothing_have_no_faces() {
 }
 
 #[test]
-fn a_frame_goes_through_its_eyes_and_its_mouth_however_it_is_turned() {
+fn a_frame_passes_through_eyes_and_mouth_at_any_turn() {
     let (eyes, mouth) = ([[30.0, 28.0], [50.0, 32.0]], [37.0, 56.0]);
     for turn in [0.0, 0.2, -0.3] {
         let frame = Frame::through(eyes, mouth, turn);
@@ -101,7 +101,7 @@ fn the_same_photograph_gives_the_same_faces() {
 }
 
 #[test]
-fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
+fn features_of_a_mirrored_photograph_are_the_mirrored_features() {
     let photo = drawn(8, 60.0, 11.0).0;
     let mirrored_pixels = photo.pixels().chunks(photo.width()).flat_map(|row| row.iter().rev());
     let pixels = mirrored_pixels.copied().collect();
@@ -113,16 +113,16 @@ fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
         down: [5.0, 50.0],
         turn: -0.1,
     };
-    let own = look(&Pyramid::new(photo.grey()), &frame);
-    let of_other = look(&Pyramid::new(other.grey()), &back);
-    assert_eq!(own.len(), LOOK);
+    let own = extract(&Pyramid::new(photo.grey()), &frame);
+    let of_other = extract(&Pyramid::new(other.grey()), &back);
+    assert_eq!(own.len(), FEATURE_COUNT);
     assert_eq!(mirrored(&mirrored(&own)), own);
     let off = mirrored(&own).iter().zip(&of_other).map(|(a, b)| a.abs_diff(*b)).max();
     assert!(off <= Some(2), "{off:?}");
 }
 
 #[test]
-fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
+fn alignment_moves_eyes_and_mouth_nearer_to_the_truth() {
     let (mut before, mut after) = (0.0, 0.0);
     for seed in 0..8 {
         let (photo, truth) = drawn(seed, 80.0, 0.0);
@@ -144,7 +144,7 @@ fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
         };
         before += far(&rough);
         let aligned =
-            STEPS.iter().fold(rough, |frame, step| step.aligned(&frame, &look(&pyramid, &frame)));
+            STEPS.iter().fold(rough, |at, step| step.aligned(&at, &extract(&pyramid, &at)));
         after += far(&aligned);
     }
     assert!(after < 0.7 * before, "{after} of {before}");

@@ -1,4 +1,4 @@
-//! The model on annotated faces that are not the project's: how much of a face it can tell, given good points.
+//! Accuracy of the model on annotated faces that are not the project's, given good points.
 
 use mocapd_testkit::recorded::RecordedData;
 
@@ -7,11 +7,11 @@ use crate::model::*;
 struct Face {
     name: String,
     landmarks: Vec<[f64; 2]>,
-    /// In our sense.
+    /// With the sign of this crate.
     yaw_deg: f64,
 }
 
-/// Faces whose pose is known, from `MOCAPD_FACES`; none where there are none.
+/// Faces whose pose is known, from `MOCAPD_FACES`; empty if it is not set.
 fn faces(folder: &str, prefix: &str, yaw_sense: f64) -> Vec<Face> {
     let Some(root) = RecordedData::Faces.folder() else { return Vec::new() };
     let mut paths: Vec<_> = std::fs::read_dir(root.join(folder))
@@ -32,7 +32,7 @@ fn faces(folder: &str, prefix: &str, yaw_sense: f64) -> Vec<Face> {
     paths.iter().map(read).collect()
 }
 
-/// Median distance of the fit from the points in shares of the outer eye corners' distance, and the mean error of yaw.
+/// Median distance of the fit from the points in outer interocular distances, and the mean error of yaw.
 fn measured(faces: &[Face]) -> (f64, f64) {
     let model = Model::generic().unwrap();
     let (mut off, mut yaw) = (Vec::new(), Vec::new());
@@ -67,7 +67,7 @@ fn measured(faces: &[Face]) -> (f64, f64) {
 }
 
 #[test]
-fn photographs_are_told_from_good_points() {
+fn photographs_are_fitted_from_good_points() {
     // Their yaw is positive to the left of the picture.
     let mut faces = faces("photos", "aflw2000_", -1.0);
     faces.retain(|face| face.yaw_deg.abs() <= 50.0);
@@ -80,12 +80,12 @@ fn photographs_are_told_from_good_points() {
 }
 
 #[test]
-fn synthetic_faces_are_told_from_good_points() {
+fn synthetic_faces_are_fitted_from_good_points() {
     let mut faces = faces("synthetic", "synth_", 1.0);
     if faces.is_empty() {
         return;
     }
-    // That set has the corners of the mouth within the neck.
+    // In this data set the mouth corners are vertices inside the head.
     for face in &mut faces {
         for point in [48, 54] {
             face.landmarks[point] = [60, 64].map(|i| face.landmarks[i])[usize::from(point == 54)];

@@ -1,42 +1,41 @@
-//! Eyes, brows, nose and mouth, each in its box (Yang et al. 2004, section 3).
+//! Location of eyes, brows, nose and mouth, each in its box (Yang et al. 2004, section 3).
 
 use std::ops::RangeInclusive;
 
-use super::{Bounds, settle, value};
+use super::{Bounds, fit_snake, value};
 use crate::plane::{Gradient, Plane};
 use crate::vector::{Point, extent};
 
-/// Radii of an iris (pixels): 0.07 to 0.15 of the eyes' distance. The paper gives none.
+/// Radii of an iris (pixels): 0.07 to 0.15 of the eye distance. The paper gives none.
 const RADII: RangeInclusive<i32> = 4..=9;
-/// A pixel votes when its slope is this share of the steepest in the box. The paper gives none.
+/// Least gradient of a voting pixel, as a fraction of the steepest in the box. The paper gives none.
 const VOTES: f64 = 0.25;
-/// The white reaches down to this share of the way from the iris' darkness to the seed. The paper gives none.
+/// Threshold of the white of the eye, as a fraction of the way from the iris' darkness to the seed. The paper gives
+/// none.
 const WHITE: f64 = 0.75;
-/// Pixels of the brow are darker than this share of the way from the seed to the box's median. The paper gives none.
+/// Threshold of the brow, as a fraction of the way from the seed to the box's median. The paper gives none.
 const DARK: f64 = 0.5;
-/// Columns that a brow spans at least (pixels); less is a mole or noise.
+/// Least width of a brow (pixels); less is a mole or noise.
 const BROW_WIDTH_MIN: i32 = 12;
-/// The bridge's edges are the first slopes from either side that reach this share of the line's steepest. The paper gives
-/// none.
+/// Threshold of the bridge's edges, as a fraction of the line's steepest gradient. The paper gives none.
 const BRIDGE_EDGE: f64 = 0.6;
-/// Points of the nose's snake.
+/// Number of points of the nose's snake.
 const NOSE_POINTS: usize = 24;
-/// A jump of the column projection is big when it reaches this share of the projection's whole range. The paper gives
-/// none.
+/// A jump of the column projection, as a fraction of its range. The paper gives none.
 const JUMP: f64 = 0.35;
 /// Width of the sliding window (pixels). The paper gives none.
 const WINDOW: i32 = 7;
-/// A valley between the lips that is wider than this (pixels) is an open mouth: the paper's 3 px.
+/// Least width of the valley of an open mouth: the paper's 3 px.
 const OPEN_PX: usize = 3;
 
-/// The points of a feature, and whether it was found where they are; else they are where its box suggests.
+/// The points of a feature, and whether they were located or follow from its box.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Feature<const N: usize> {
     pub(super) points: [Point; N],
     pub(super) found: bool,
 }
 
-/// A circle (pixels).
+/// An iris: a circle (pixels).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Iris {
     pub(super) x: i32,
@@ -44,8 +43,8 @@ pub(super) struct Iris {
     radius: i32,
 }
 
-/// An eye from left to right: left corner, upper lid (2), right corner, lower lid (2, from the right). The corners by growing
-/// from the white, the lids as parabolas. `light` is brightness, 0 to 255.
+/// An eye from left to right: left corner, upper lid (2), right corner, lower lid (2, from the right). The corners come
+/// from growing the white, the lids are parabolas. `light` is brightness, 0 to 255.
 pub(super) fn eye(light: &Plane, iris: &Iris, bounds: Bounds) -> Feature<6> {
     let (left, found_left) = corner(light, bounds, iris, -1);
     let (right, found_right) = corner(light, bounds, iris, 1);
@@ -66,7 +65,7 @@ pub(super) fn eye(light: &Plane, iris: &Iris, bounds: Bounds) -> Feature<6> {
     Feature { points, found: found_left && found_right }
 }
 
-/// The iris by the Hough transform: the circle with the most votes for its length. Irises are dark, so that a slope points
+/// The iris by the Hough transform: the circle with the most votes per length. Irises are dark, so gradients point
 /// outward.
 pub(super) fn iris(slope: &Gradient, b: Bounds) -> Iris {
     let steepest =
@@ -92,7 +91,7 @@ pub(super) fn iris(slope: &Gradient, b: Bounds) -> Iris {
             }
         }
         for (cx, cy) in b.pixels() {
-            // Votes scatter by rounding: the neighbours count too.
+            // Rounding scatters votes, so neighbours count too.
             let mut sum = 0.0;
             for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
                 if b.holds(cx + dx, cy + dy) {
@@ -109,8 +108,8 @@ pub(super) fn iris(slope: &Gradient, b: Bounds) -> Iris {
     best
 }
 
-/// Grows the white on one side of the iris (`side` -1 or 1): its outermost pixel, or 2.2 radii from the centre where
-/// nothing grows.
+/// Grows the white on one side of the iris (`side` -1 or 1) and returns its outermost pixel, or 2.2 radii from the
+/// centre if nothing grows.
 fn corner(light: &Plane, bounds: Bounds, iris: &Iris, side: i32) -> (Point, bool) {
     let &Iris { x, y, radius: r } = iris;
     let dark = value(light, x, y);
@@ -130,12 +129,12 @@ fn corner(light: &Plane, bounds: Bounds, iris: &Iris, side: i32) -> (Point, bool
     };
     let region = grow(beside, seed, |px, py| value(light, px, py) >= level);
     let Some(out) = region.iter().max_by_key(|(px, _)| side * px) else { return fallback };
-    // Grown to the end of its box, it is skin and not the white.
+    // A region that reaches the end of its box is skin, not the white.
     let leaked = out.0 == bounds.left || out.0 + 1 == bounds.right;
     if leaked { fallback } else { ([f64::from(out.0), f64::from(out.1)], true) }
 }
 
-/// Five points of a brow from the left of the picture, on the middle line of a region that is grown from a dark seed over the
+/// Five points of a brow from the left of the picture, on the middle line of a region grown from a dark seed above the
 /// iris.
 pub(super) fn brow(light: &Plane, bounds: Bounds, iris_x: i32) -> Feature<5> {
     let x = iris_x.clamp(bounds.left, bounds.right - 1);
@@ -169,9 +168,9 @@ pub(super) fn brow(light: &Plane, bounds: Bounds, iris_x: i32) -> Feature<5> {
     Feature { points, found }
 }
 
-/// Five points of the nose's base from the left of the picture, by an open snake between two points of its bridge.
+/// Five points of the nose's base from the left of the picture, by an open snake between two points of the bridge.
 pub(super) fn nose(slope: &Gradient, b: Bounds) -> Feature<5> {
-    // The middle line of the box, made of a few rows against noise.
+    // The middle line of the box, averaged over a few rows against noise.
     let middle = (b.top + b.bottom) / 2;
     let line: Vec<f64> = (b.left..b.right)
         .map(|x| (middle - 2..=middle + 2).map(|y| value(&slope.x, x, y).abs()).sum::<f64>())
@@ -190,24 +189,23 @@ pub(super) fn nose(slope: &Gradient, b: Bounds) -> Feature<5> {
     let centre = f64::from(left + right) / 2.0;
     let half = (f64::from(right - left) / 2.0).max(f64::from(width) * 0.3);
     let deep = f64::from(b.bottom - 4 - middle);
-    let mut curve: Vec<(i32, i32)> = (0..NOSE_POINTS)
-        .map(|i| {
-            let a = i as f64 / (NOSE_POINTS - 1) as f64 * std::f64::consts::PI;
-            // A superellipse: a nose is wide down to its wings.
-            let (x, y) = (-a.cos(), a.sin());
-            let x = x.signum() * x.abs().powf(0.6);
-            let px = |v: f64| v.round() as i32;
-            (px(centre + half * x), middle + px(deep * y))
-        })
-        .collect();
+    let place = |i: usize| {
+        let a = i as f64 / (NOSE_POINTS - 1) as f64 * std::f64::consts::PI;
+        // A superellipse: a nose is wide down to its wings.
+        let (x, y) = (-a.cos(), a.sin());
+        let x = x.signum() * x.abs().powf(0.6);
+        let px = |v: f64| v.round() as i32;
+        (px(centre + half * x), middle + px(deep * y))
+    };
+    let mut curve: Vec<(i32, i32)> = (0..NOSE_POINTS).map(place).collect();
     if let Some(end) = curve.first_mut() {
         *end = (left, middle);
     }
     if let Some(end) = curve.last_mut() {
         *end = (right, middle);
     }
-    settle(&slope.magnitude, &mut curve, false);
-    // The wings are the widest places of the lower half, the middle is the lowest; the nostrils lie between.
+    fit_snake(&slope.magnitude, &mut curve, false);
+    // The wings are the widest points of the lower half, the middle is the lowest; the nostrils lie between.
     let lower = || curve.iter().filter(|p| f64::from(p.1) > f64::from(middle) + 0.4 * deep);
     let point =
         |p: Option<&(i32, i32)>, or: Point| p.map_or(or, |p| [f64::from(p.0), f64::from(p.1)]);
@@ -225,8 +223,8 @@ pub(super) fn nose(slope: &Gradient, b: Bounds) -> Feature<5> {
     Feature { points, found }
 }
 
-/// Fourteen points of the mouth by the projections of the saturation: the outer outline from the left corner clockwise, the
-/// upper lip's inner middle, the lower lip's.
+/// Fourteen points of the mouth by projections of the saturation: the outer outline clockwise from the left corner, the
+/// middle of the upper lip's inner edge, that of the lower lip's.
 pub(super) fn mouth(saturation: &Plane, centre: Point) -> Feature<14> {
     let bounds = Bounds::mouth(centre);
     let projection = columns(saturation, bounds);
@@ -236,7 +234,7 @@ pub(super) fn mouth(saturation: &Plane, centre: Point) -> Feature<14> {
         |x: i32| rows(saturation, Bounds { left: x - half, right: x + half + 1, ..bounds });
     let height = |row: usize| f64::from(bounds.top) + row as f64;
     let corner = |x: i32| [f64::from(x), height(peak(&window(x)))];
-    // The corner windows lie inside the mouth: its end fills half of one centred on it.
+    // The corner windows lie inside the mouth, whose end fills half of a window centred on it.
     let (a, g) = (corner(left + half), corner(right - half));
     let (a, g) = ([f64::from(left), a[1]], [f64::from(right), g[1]]);
 
@@ -256,7 +254,7 @@ pub(super) fn mouth(saturation: &Plane, centre: Point) -> Feature<14> {
     let line = peak(&profile);
     let (inner_top, inner_bottom) = open.map_or((line, line), |(from, to, _)| (from, to));
     let middle = (a[0] + g[0]) / 2.0;
-    // A lip's point must lie off the corners' columns for a parabola.
+    // A parabola needs a point off the corners' columns.
     let xm = f64::from(x).clamp(a[0] + 0.2 * (g[0] - a[0]), g[0] - 0.2 * (g[0] - a[0]));
     let curve = |row: usize, x: f64| [x, parabola(a, [xm, height(row)], g, x)];
     let at = |i: f64| a[0] + i / 6.0 * (g[0] - a[0]);
@@ -268,7 +266,7 @@ pub(super) fn mouth(saturation: &Plane, centre: Point) -> Feature<14> {
     Feature { points: [a, b, c, d, e, f, g, h, i, j, k, l, m, n], found }
 }
 
-/// First big jump from either side; the box's inner two thirds where there is none.
+/// First large jump from either side; the box's inner two thirds if there is none.
 fn jumps(projection: &[f64], bounds: Bounds) -> (i32, i32, bool) {
     let (low, high) = extent(projection.iter().copied());
     let level = low + JUMP * (high - low);
@@ -299,7 +297,7 @@ fn peak(profile: &[f64]) -> usize {
 fn valley(profile: &[f64]) -> Option<(usize, usize)> {
     let best = peak(profile);
     let at = |i: usize| profile.get(i).copied().unwrap_or(0.0);
-    // The other peak: the highest from which one has to go down first.
+    // The other peak: the highest that is separated by a descent.
     let mut other: Option<(usize, usize, f64)> = None;
     for range in [(0..best).rev().collect::<Vec<_>>(), (best + 1..profile.len()).collect()] {
         let mut floor = (best, at(best));
@@ -328,23 +326,21 @@ fn flanks(profile: &[f64]) -> (usize, usize) {
     (first, profile.iter().rposition(above).unwrap_or(first))
 }
 
-/// Projection onto the columns: the mean of each.
+/// Projection onto the columns: their means.
 fn columns(plane: &Plane, b: Bounds) -> Vec<f64> {
     let n = f64::from((b.bottom - b.top).max(1));
-    (b.left..b.right)
-        .map(|x| (b.top..b.bottom).map(|y| value(plane, x, y)).sum::<f64>() / n)
-        .collect()
+    let mean = |x: i32| (b.top..b.bottom).map(|y| value(plane, x, y)).sum::<f64>() / n;
+    (b.left..b.right).map(mean).collect()
 }
 
-/// Projection onto the rows: the mean of each.
+/// Projection onto the rows: their means.
 fn rows(plane: &Plane, b: Bounds) -> Vec<f64> {
     let n = f64::from((b.right - b.left).max(1));
-    (b.top..b.bottom)
-        .map(|y| (b.left..b.right).map(|x| value(plane, x, y)).sum::<f64>() / n)
-        .collect()
+    let mean = |y: i32| (b.left..b.right).map(|x| value(plane, x, y)).sum::<f64>() / n;
+    (b.top..b.bottom).map(mean).collect()
 }
 
-/// The pixels of `bounds` that hang together with `seed` (by their sides) and are `like` it.
+/// The pixels of `bounds` that are `like` the seed and connected to it by their sides.
 fn grow(bounds: Bounds, seed: (i32, i32), like: impl Fn(i32, i32) -> bool) -> Vec<(i32, i32)> {
     let width = (bounds.right - bounds.left).max(0);
     let index = |x: i32, y: i32| ((y - bounds.top) * width + (x - bounds.left)) as usize;
@@ -365,7 +361,7 @@ fn grow(bounds: Bounds, seed: (i32, i32), like: impl Fn(i32, i32) -> bool) -> Ve
     region
 }
 
-/// The parabola through three points with different x, at `x`; `b`'s height where they are in one column.
+/// The parabola through three points with different x, at `x`; the height of `b` if they share a column.
 fn parabola(a: Point, b: Point, c: Point, x: f64) -> f64 {
     let term = |p: Point, q: Point, r: Point| {
         let d = (p[0] - q[0]) * (p[0] - r[0]);

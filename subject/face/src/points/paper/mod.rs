@@ -1,33 +1,34 @@
-//! The paper's own way to the points (Yang et al. 2004, section 3), as a baseline: each feature by itself, in the box that
-//! the face's position gives it.
+//! The published method for the points (Yang et al. 2004, section 3), as a baseline: each feature by itself, in the box
+//! that follows from the face's position.
 //!
-//! What the paper leaves open is chosen and named below: the boxes' sizes, the size of a jump, of a window
-//! and of a circle, how like its seed a pixel must be to be grown into, and the weights of the snakes.
+//! Mouth corners come from projections of the saturation, eyelids and irises from a Hough transform and region growing,
+//! brows from region growing, nose and face outline from snakes. The paper gives no numbers: sizes of boxes, jumps,
+//! windows and circles, similarity thresholds and the snakes' weights are chosen and named below.
 
 mod features;
 
 use super::crop::{Crop, EYE_DISTANCE, HEIGHT, Maps, WIDTH};
 use super::outline::{Heights, twelve};
-use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, Rough};
+use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, RoughFace};
 use crate::photo::Photo;
 use crate::plane::{Gradient, Plane};
 use crate::vector::{self, Point};
 
-/// Confidence of a point whose step found nothing and fell back to a place in its box.
+/// Confidence of a point whose step failed and fell back to a place in its box.
 const FALLBACK: f64 = 0.2;
 
-/// Points of the snake.
+/// Number of points of the outline's snake.
 const OUTLINE_POINTS: usize = 64;
-/// A pixel is of the face region when it is no less like the skin than this (0 to 1). The paper's threshold is not given.
+/// Largest dissimilarity (0 to 1) to the skin within the face region. The paper gives no threshold.
 const OUTLINE_UNLIKE: f32 = 0.5;
-/// The face region's holes (eyes, brows, mouth) are closed up to this radius (pixels).
+/// Holes of the face region (eyes, brows, mouth) are closed up to this radius (pixels).
 const HOLES_PX: usize = 5;
-/// No outline lies nearer to the middle than this, or farther (pixels).
+/// Range of the outline's radius (pixels).
 const OUTLINE_RADII: (i32, i32) = (35, 125);
 
-/// The 53 points of the face that `rough` points at, by the paper's methods.
+/// Locates the 53 points of the face at `rough` by the published methods.
 #[must_use]
-pub fn find(photo: &Photo, rough: &Rough) -> FacePoints {
+pub fn find(photo: &Photo, rough: &RoughFace) -> FacePoints {
     let crop = Crop::cut(photo, rough);
     let places = [rough.left_eye, rough.right_eye, rough.mouth].map(|p| crop.in_crop(p));
     let [left, right, mouth_at] = places;
@@ -73,9 +74,10 @@ pub fn find(photo: &Photo, rough: &Rough) -> FacePoints {
     points
 }
 
-/// The outline of the face by a closed snake from the outline of the skin region.
+/// The outline of the face by a closed snake that starts at the outline of the skin region (Yang et al. 2004, equation
+/// 5).
 ///
-/// The outline, a closed polygon around `centre`. `unlike` says how little a pixel looks like the cheeks' skin.
+/// Returns a closed polygon around `centre`. `unlike` is the dissimilarity of each pixel to the skin of the cheeks.
 fn outline(unlike: &Plane, slope: &Gradient, centre: Point) -> Vec<Point> {
     let skin = unlike.map(|v| v < OUTLINE_UNLIKE).closed(HOLES_PX);
     let mut curve: Vec<(i32, i32)> = (0..OUTLINE_POINTS)
@@ -89,17 +91,17 @@ fn outline(unlike: &Plane, slope: &Gradient, centre: Point) -> Vec<Point> {
                 let (x, y) = place(*r);
                 matches!((usize::try_from(x), usize::try_from(y)), (Ok(x), Ok(y)) if skin.row(y).get(x) == Some(&true))
             };
-            // The first three pixels in a row that are no skin end the region.
+            // The region ends at the first three consecutive pixels that are not skin.
             let end =
                 (OUTLINE_RADII.0..OUTLINE_RADII.1).find(|r| (*r..*r + 3).all(|r| !inside(&r)));
             place(end.unwrap_or(OUTLINE_RADII.1))
         })
         .collect();
-    settle(&slope.magnitude, &mut curve, true);
+    fit_snake(&slope.magnitude, &mut curve, true);
     curve.into_iter().map(|(x, y)| [f64::from(x), f64::from(y)]).collect()
 }
 
-/// A rectangle of the crop (pixels), its right and bottom just outside.
+/// A rectangle of the crop (pixels); right and bottom are exclusive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Bounds {
     left: i32,
@@ -109,7 +111,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// Around `at`: so far to both sides, up and down, in eye distances.
+    /// A rectangle around `at`, in eye distances to both sides, up and down.
     fn around(at: Point, side: f64, up: f64, down: f64) -> Bounds {
         let px = |v: f64| v.round().clamp(-1e4, 1e4) as i32;
         Bounds {
@@ -125,12 +127,12 @@ impl Bounds {
         Bounds::around(centre, 0.40, 0.62, 0.27)
     }
 
-    /// The mouth.
+    /// A mouth.
     fn mouth(centre: Point) -> Bounds {
         Bounds::around(centre, 0.62, 0.30, 0.36)
     }
 
-    /// The nose, between eyes and mouth.
+    /// A nose, between eyes and mouth.
     fn nose(eyes: Point, mouth: Point) -> Bounds {
         let middle = [(eyes[0] + mouth[0]) / 2.0, eyes[1]];
         let height = ((mouth[1] - eyes[1]) / EYE_DISTANCE).max(0.4);
@@ -154,27 +156,26 @@ impl Bounds {
     }
 }
 
-/// A pixel's value.
+/// Value of a pixel.
 fn value(plane: &Plane, x: i32, y: i32) -> f64 {
     f64::from(plane.get(x as isize, y as isize))
 }
 
-/// Weights of continuity, curvature and image in equation (5). The paper gives none: those of (Williams and Shah 1992).
+/// Weights of continuity, curvature and image in equation (5). The paper gives none; these are of (Williams and Shah
+/// 1992).
 const WEIGHTS: [f64; 3] = [1.0, 1.0, 1.2];
-/// Rounds at most.
+/// Most rounds.
 const ROUNDS_MAX: usize = 120;
 
-/// Pixels that a point may go to: itself and the four beside it, or the four across.
+/// Moves of a point: to itself, the four adjacent pixels, or the four diagonal ones.
 const BESIDE: [(i32, i32); 5] = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
 const ACROSS: [(i32, i32); 5] = [(0, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)];
 
-/// Lets a curve settle on the edges of `strength` (the larger, the better), by an active contour (Yang et al. 2004, equation
-/// 5). An open curve keeps its ends.
+/// Fits a snake to the edges of `strength` (Yang et al. 2004, equation 5). An open snake keeps its ends.
 ///
-/// It is solved greedily, with energies normalised over the neighbourhood of each point (Williams and Shah 1992); of the eight
-/// neighbours the four beside and the four across are tried by turns, which halves the work and ends in the same place (Lam and
-/// Yan 1994).
-fn settle(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
+/// Greedy minimisation with energies normalised over each point's neighbourhood (Williams and Shah 1992). Adjacent and
+/// diagonal neighbours alternate, which halves the work and ends in the same place (Lam and Yan 1994).
+fn fit_snake(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
     let n = curve.len();
     if n < 3 {
         return;
@@ -216,7 +217,7 @@ fn settle(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
                 moved += 1;
             }
         }
-        // Both patterns must have had their turn without a move.
+        // Stop once both patterns had a round with hardly any move.
         still = if moved * 20 <= n { still + 1 } else { 0 };
         if still == 2 {
             break;
@@ -224,7 +225,7 @@ fn settle(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
     }
 }
 
-/// From 0 to 1 over the neighbourhood; a range below `floor` is no difference.
+/// Scales energies to 0 to 1 over the neighbourhood; a range below `floor` is no difference.
 fn scaled(energy: [f64; 5], floor: f64) -> [f64; 5] {
     let (low, high) = vector::extent(energy);
     let range = (high - low).max(floor).max(1e-12);
@@ -235,7 +236,7 @@ fn distance(a: (i32, i32), b: (i32, i32)) -> f64 {
     f64::from(a.0 - b.0).hypot(f64::from(a.1 - b.1))
 }
 
-/// Mean distance of neighbours.
+/// Mean distance between neighbours.
 fn spacing(curve: &[(i32, i32)], closed: bool) -> f64 {
     let pairs = curve.iter().zip(curve.iter().cycle().skip(1));
     let n = if closed { curve.len() } else { curve.len() - 1 };

@@ -1,0 +1,170 @@
+//! The pre-roll buffer: encoded stretches kept in memory for a take that begins later.
+
+use std::{collections::VecDeque, time::Duration};
+
+use mocapd_take::{record::Event, stretch::Span};
+
+use crate::pipeline::{
+    Counts, PreRollConfig,
+    messages::{FrameTimes, PartReport, StretchEnd},
+};
+
+/// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
+const EVENTS_MAX: usize = 1024;
+
+/// An encoded stretch.
+#[derive(Debug)]
+pub(super) struct PreRollStretch {
+    pub(super) stretch: u64,
+    pub(super) span: Span,
+    pub(super) first: FrameTimes,
+    pub(super) last_arrival_ns: u64,
+    pub(super) payload: Box<[u8]>,
+    pub(super) report: PartReport,
+    /// The counters before it, and at its end.
+    pub(super) before: Counts,
+    pub(super) after: Counts,
+}
+
+/// The newest stretches, beginning with a key stretch.
+#[derive(Debug)]
+pub(super) struct PreRollBuffer {
+    time_ns: u64,
+    bytes_max: usize,
+    stretches: VecDeque<PreRollStretch>,
+    events: VecDeque<(u64, Event)>,
+    bytes: usize,
+    /// Stretches were dropped early because of the memory limit.
+    cut: bool,
+}
+
+impl PreRollBuffer {
+    pub(super) fn new(config: PreRollConfig) -> Self {
+        // Two a second, and those up to the next key.
+        let usual = 2 * config.time.as_secs().min(600) as usize + 32;
+        Self {
+            time_ns: u64::try_from(config.time.as_nanos()).unwrap_or(u64::MAX),
+            bytes_max: config.bytes_max,
+            stretches: VecDeque::with_capacity(usual),
+            events: VecDeque::with_capacity(EVENTS_MAX),
+            bytes: 0,
+            cut: false,
+        }
+    }
+
+    pub(super) fn push(
+        &mut self,
+        stretch: u64,
+        end: &StretchEnd,
+        payload: &[u8],
+        report: PartReport,
+        (before, after): (Counts, Counts),
+    ) {
+        // A decoder can start only at a key.
+        if self.stretches.is_empty() && !end.span.key {
+            return;
+        }
+        self.bytes += bytes_of(payload);
+        self.stretches.push_back(PreRollStretch {
+            stretch,
+            span: end.span,
+            first: end.first,
+            last_arrival_ns: end.last_arrival_ns,
+            payload: payload.into(),
+            report,
+            before,
+            after,
+        });
+        self.trim(end.last_arrival_ns);
+    }
+
+    pub(super) fn event(&mut self, stretch: u64, event: Event) {
+        if self.events.len() == EVENTS_MAX {
+            self.events.pop_front();
+        }
+        self.events.push_back((stretch, event));
+    }
+
+    /// Index of the first stretch for a take with `pre_roll` before `now_ns`: the last key that is old enough, but
+    /// nothing from before an outage that had begun by then.
+    pub(super) fn start_of(&self, pre_roll: Duration, now_ns: u64) -> usize {
+        if pre_roll.is_zero() {
+            return self.stretches.len();
+        }
+        let pre_roll_ns = u64::try_from(pre_roll.as_nanos()).unwrap_or(u64::MAX);
+        let from_ns = now_ns.saturating_sub(pre_roll_ns);
+        // Nothing is recent enough: the device was disconnected.
+        if self.stretches.back().is_none_or(|newest| newest.last_arrival_ns < from_ns) {
+            return self.stretches.len();
+        }
+        let old_enough = |kept: &PreRollStretch| kept.span.key && kept.first.arrival_ns <= from_ns;
+        let Some(at) = self.stretches.iter().rposition(old_enough) else { return 0 };
+        // All stretches of that key may be older than requested.
+        let next_key = self.stretches.iter().skip(at + 1).position(|kept| kept.span.key);
+        let next_key = next_key.map(|after| at + 1 + after);
+        let end = next_key.unwrap_or(self.stretches.len());
+        let reaches_into = |kept: &PreRollStretch| kept.last_arrival_ns >= from_ns;
+        let is_wanted = self.stretches.range(at..end).any(reaches_into);
+        if is_wanted { at } else { end }
+    }
+
+    pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &PreRollStretch> {
+        self.stretches.iter().skip(at)
+    }
+
+    pub(super) fn events(&self) -> impl Iterator<Item = &(u64, Event)> {
+        self.events.iter()
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    pub(super) fn is_cut(&self) -> bool {
+        self.cut
+    }
+
+    /// Time in seconds from the first frame to the last.
+    pub(super) fn seconds(&self) -> f64 {
+        let ends = (self.stretches.front(), self.stretches.back());
+        let (Some(first), Some(last)) = ends else { return 0.0 };
+        last.last_arrival_ns.saturating_sub(first.first.arrival_ns) as f64 * 1e-9
+    }
+
+    /// Drops stretches that are older than configured, up to a key at a time.
+    fn trim(&mut self, newest_ns: u64) {
+        let from_ns = newest_ns.saturating_sub(self.time_ns);
+        let mut over = self.bytes > self.bytes_max;
+        while let Some(next_key) = self.next_key() {
+            let is_old = self.stretches[next_key].first.arrival_ns <= from_ns;
+            if !is_old && !over {
+                break;
+            }
+            self.cut |= !is_old;
+            self.drop_first(next_key);
+            over = self.bytes > self.bytes_max;
+        }
+        if over {
+            // The stretches since the last key alone exceed the limit: nothing can be kept before the next key.
+            self.cut = true;
+            self.drop_first(self.stretches.len());
+        }
+        let first = self.stretches.front().map_or(u64::MAX, |kept| kept.stretch);
+        while self.events.front().is_some_and(|(stretch, _)| *stretch < first) {
+            self.events.pop_front();
+        }
+    }
+
+    fn next_key(&self) -> Option<usize> {
+        self.stretches.iter().skip(1).position(|kept| kept.span.key).map(|at| at + 1)
+    }
+
+    fn drop_first(&mut self, n: usize) {
+        self.bytes -= self.stretches.drain(..n).map(|kept| bytes_of(&kept.payload)).sum::<usize>();
+    }
+}
+
+/// Memory used by a stretch, in bytes.
+fn bytes_of(payload: &[u8]) -> usize {
+    payload.len() + size_of::<PreRollStretch>()
+}

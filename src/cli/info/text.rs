@@ -1,0 +1,156 @@
+//! The report of `info` as text.
+
+use std::fmt::Write;
+
+use mocapd_service::units;
+
+use super::{LABEL_COLUMNS_MAX, report::InfoReport};
+use crate::cli::{
+    clock::ClockReport,
+    damage, ledger,
+    output::plain,
+    values::{bytes, count, frames_of, thousands},
+};
+
+/// The whole report: a list of facts, the ledger, the clock and a table of the markers.
+pub(super) fn text(report: &InfoReport) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, value: &str| {
+        writeln!(out, "{name:<10} {}", plain(value)).ok();
+    };
+    line("take", &report.take.display().to_string());
+    let by = format!("by {}", report.software);
+    let made = report.created_unix_ms.and_then(units::local_time);
+    line("made", &made.map_or(by.clone(), |made| format!("{made} {by}")));
+    if let Some(recovered) = &report.recovered {
+        line("recovered", recovered);
+    }
+    line("health", &health(report));
+    origin(report, &mut line);
+    if let Some(subject) = &report.subject {
+        subject.lines(&mut line);
+    }
+    motion(report, &mut line);
+    size(report, &mut line);
+    for lost in damage::lines(&report.damage) {
+        line("lost", &lost);
+    }
+    // Frames are numbered as in the imported file, and as in exports.
+    let first_frame = report.source.as_ref().map_or(0, |source| source.file.first_frame);
+    for event in &report.events {
+        let frame = thousands(first_frame.saturating_add(event.frame));
+        let time_s = event.frame as f64 / report.rate_hz;
+        let what = format!("at frame {frame}, {time_s:.3} s: {} {}", event.kind, event.text);
+        line("event", &what);
+    }
+    if let Some(document) = &report.ledger {
+        let is_import = report.source.is_some();
+        out += &if is_import { ledger::import_text(document) } else { ledger::text(document) };
+    }
+    if let Some(outages) = report.outages.text() {
+        writeln!(out, "{:<10} {outages}", "outages").ok();
+    }
+    let by_ledger = || report.ledger.as_ref().and_then(ledger::clock_text);
+    let clock = report.clock.as_ref().map(ClockReport::text).or_else(by_ledger);
+    out.push_str(&clock.unwrap_or_default());
+    markers(report, &mut out);
+    let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
+    out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
+    out
+}
+
+/// The health of the take and how it ended.
+fn health(report: &InfoReport) -> String {
+    let mut out = report.health.name().to_owned();
+    if let Some(ending) = report.ending {
+        out += &format!("; ended: {ending}");
+    }
+    if let Some(detail) = &report.ending_detail {
+        out += &format!(" ({detail})");
+    }
+    out
+}
+
+fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
+    if let Some(device) = &report.device {
+        let firmware = match device.firmware.as_str() {
+            "" => String::new(),
+            firmware => format!(", firmware {firmware}"),
+        };
+        let from = format!("{} {}{firmware}, at {}", device.model, device.serial, device.uri);
+        line("from", &from);
+    }
+    if let Some(source) = &report.source {
+        let file = &source.file;
+        let mut unit = match file.unit.as_str() {
+            "" => "no unit stated".to_owned(),
+            unit => format!("in {unit}"),
+        };
+        if let Some(given) = &source.unit_given {
+            unit += &format!(", read as {given}");
+        }
+        if let Some(given) = &source.up_given {
+            unit += &format!(", {given} up (--up)");
+        }
+        let (name, format, first_frame) = (&file.file, &file.format, file.first_frame);
+        let from = format!("{name} ({format}, {unit}, first frame {first_frame})");
+        line("from", &from);
+        for warning in &file.warnings {
+            line("note", warning);
+        }
+    }
+    for part in &report.foreign_parts {
+        line("kept", &format!("{}, {}", part.kind, bytes(part.bytes)));
+    }
+}
+
+fn motion(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
+    let up = report.up_axis.map_or(String::new(), |axis| format!(", {axis} is up"));
+    let recorded = report.frames_recorded().unwrap_or(report.frames);
+    let frames = frames_of(recorded, report.frames);
+    let markers = count(report.markers as u64, "marker");
+    let (rate_hz, seconds) = (report.rate_hz, report.seconds);
+    line("motion", &format!("{frames} of {markers} at {rate_hz} Hz, {seconds:.3} s{up}"));
+    let all = thousands(report.frames.saturating_mul(report.markers as u64));
+    let gaps = count(report.channels.iter().map(|channel| channel.gaps).sum(), "gap");
+    line("samples", &format!("{} of {all} present, {gaps}", thousands(report.samples)));
+}
+
+fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
+    let knots = count(report.channels.iter().map(|channel| channel.knots).sum(), "sample");
+    let (tolerance_mm, error_mm) = (report.tolerance_mm, report.max_error_mm);
+    let bound = if tolerance_mm > 0.0 {
+        format!("within {tolerance_mm} mm (largest error {error_mm:.4} mm), {knots} kept")
+    } else {
+        "every bit kept".to_owned()
+    };
+    line("resampler", &format!("{}, {bound}", report.resampler));
+    let (raw, file) = (bytes(report.raw_bytes), bytes(report.file_bytes));
+    line("size", &format!("{raw} as float32, {file} on disk, {:.1}:1", report.ratio));
+    if !report.foreign_parts.is_empty() {
+        let blocks = report.bytes.blocks;
+        let ratio = report.raw_bytes as f64 / blocks.max(1) as f64;
+        let trajectories = format!("{} of it for trajectories, {ratio:.1}:1", bytes(blocks));
+        line("", &format!("{trajectories}; the rest is mostly the header and foreign data"));
+    }
+    if let (Some(sr1), Some(sr2)) = (report.sr1, report.sr2) {
+        line("SR1, SR2", &format!("{sr1:.2}, {sr2:.2} (Shi et al. 2012, eq. 7 and 8)"));
+    }
+}
+
+fn markers(report: &InfoReport, out: &mut String) {
+    let label = |channel: &super::report::ChannelReport| {
+        let note = if channel.labelled { "" } else { " (unlabelled)" };
+        format!("{}{note}", plain(&channel.label))
+    };
+    let labels: Vec<String> = report.channels.iter().map(label).collect();
+    let widths = labels.iter().map(|label| label.chars().count());
+    let width = widths.max().unwrap_or(0).clamp(6, LABEL_COLUMNS_MAX);
+    let (samples, knots, error) = ("samples", "knots", "max error mm");
+    writeln!(out, "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13}", "marker", "gaps").ok();
+    for (label, channel) in labels.iter().zip(&report.channels) {
+        let [samples, gaps, knots] = [channel.samples, channel.gaps, channel.knots].map(thousands);
+        let error_mm = channel.max_error_mm;
+        writeln!(out, "{label:<width$} {samples:>10} {gaps:>6} {knots:>10} {error_mm:>13.4}").ok();
+    }
+}

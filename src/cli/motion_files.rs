@@ -1,0 +1,84 @@
+//! Reading takes and motion files whole into memory, for commands that analyse a motion, and writing their output.
+
+use std::{io::BufReader, path::Path};
+
+use anyhow::Context;
+use mocapd_acquire::files::{NewFile, SparseFile};
+use mocapd_codec::Settings;
+use mocapd_report::decoded::DecodedTake;
+use mocapd_take::{
+    TakeFrames,
+    interchange::ReadOptions,
+    motion::{FrameSource, Motion},
+};
+
+use super::{
+    original::{read_motion, read_motion_with},
+    output::notify,
+    paths,
+};
+
+/// Decodes a take. Damage is reported on stderr, and the lost samples are gaps.
+///
+/// # Errors
+/// If it cannot be read.
+pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
+    let file = BufReader::new(SparseFile::open(path)?);
+    let take =
+        DecodedTake::read(file).with_context(|| format!("cannot read {}", path.display()))?;
+    for problem in &take.problems {
+        notify(&format!("{}: {problem}", path.display()));
+    }
+    Ok(take)
+}
+
+/// The motion of a take or a motion file, and the settings that the take was coded with.
+///
+/// # Errors
+/// If it cannot be read.
+pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settings>)> {
+    if paths::is_take(path) {
+        let take = read_take(path)?;
+        return Ok((take.motion, take.settings));
+    }
+    Ok((read_motion(path)?, None))
+}
+
+/// The motion of an original, and its settings if it is itself a take.
+pub(super) type Original = (Motion, Option<Settings>);
+
+/// The motion of a take's original: either another take, with its settings, or a motion file, read with the options
+/// with which the take was imported.
+///
+/// # Errors
+/// If the original or the take cannot be read.
+pub(super) fn read_original(take: &Path, original: &Path) -> anyhow::Result<Original> {
+    if paths::is_take(original) {
+        return read_samples(original);
+    }
+    let frames = TakeFrames::open(BufReader::new(SparseFile::open(take)?))
+        .with_context(|| format!("cannot read {}", take.display()))?;
+    Ok((read_motion_with(original, &read_options(&frames))?, None))
+}
+
+/// The options with which a take was imported.
+pub(super) fn read_options(take: &dyn FrameSource) -> ReadOptions {
+    let settings = take.take().map(|take| ReadOptions::from_settings(&take.header.settings));
+    settings.unwrap_or_default()
+}
+
+/// The name of a file, without its folders.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Writes a new file atomically: under its name there is the whole file or none.
+///
+/// # Errors
+/// If it exists or cannot be written.
+pub(super) fn write_new(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let mut file = NewFile::create(path)?;
+    std::io::Write::write_all(&mut file, bytes)
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    file.keep()
+}

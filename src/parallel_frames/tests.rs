@@ -1,0 +1,155 @@
+use std::{fs, io::Cursor, path::PathBuf, sync::atomic::AtomicU64};
+
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_take::motion::is_gap;
+
+use super::*;
+use mocapd_acquire::{header, pipeline::offline};
+
+/// A take of several key stretches and two groups of channels.
+fn take(kind: &str, folder: &Path) -> PathBuf {
+    let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.2 });
+    let spec = JumpSpec { n_markers: 70, seconds: Some(64.0), occlusion, ..JumpSpec::new(3, 50.0) };
+    let motion = spec.generate().unwrap().motion;
+    let kind: ResamplerKind = kind.parse().unwrap();
+    let codec = Settings { kind, tolerance: Tolerance::from_mm(1.0).unwrap() };
+    let mut header = header::of_import(&codec, 50.0);
+    header.channels = header::channels(&motion.info.markers);
+    header.stretch_rows = offline::stretch_rows(&codec, 50.0, motion.n_frames(), 70) as u32;
+    let (_, bytes) =
+        offline::write_take(&motion, &header, 2, &AtomicU64::new(0), Vec::new()).unwrap();
+    let path = folder.join("a.take");
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn open(path: &Path) -> TakeFrames<Cursor<Vec<u8>>> {
+    TakeFrames::open(Cursor::new(fs::read(path).unwrap())).unwrap()
+}
+
+fn rows(frames: &mut dyn FrameSource) -> Vec<Vec<[u32; 3]>> {
+    let mut row = vec![GAP; frames.info().markers.len()];
+    let mut all = Vec::new();
+    while frames.next_frame(&mut row).unwrap() {
+        let bits = |&p: &Position| if is_gap(p) { [0; 3] } else { p.map(f32::to_bits) };
+        all.push(row.iter().map(bits).collect());
+    }
+    all
+}
+
+#[test]
+fn the_same_frames_for_any_number_of_threads() {
+    for kind in ["dense", "fast", "lossless"] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = take(kind, folder.path());
+        let mut frames = open(&path);
+        let expected = rows(&mut frames);
+        assert_eq!(expected.len(), 3200);
+        for n_threads in [1, 2, 3, 9] {
+            let pieces = frames.map().pieces(&(0..3200), 4);
+            let mut parallel =
+                ParallelFrames::with_threads(&path, &frames, pieces, n_threads).unwrap();
+            assert!(rows(&mut parallel) == expected, "{kind}, {n_threads} threads");
+            assert!(!parallel.is_damaged());
+        }
+    }
+}
+
+#[test]
+fn threads_end_when_a_channel_is_disconnected() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let map = open(&path).map().clone();
+    let traversal =
+        || TakeTraversal::from_map(File::open(&path).unwrap(), &map, Decode::All).unwrap();
+    // The receiver of the rows is gone: the thread ends instead of waiting.
+    let (jobs, to_do) = bounded(2);
+    for _ in 0..2 {
+        let (decoded, from_job) = bounded(1);
+        drop(from_job);
+        jobs.send(Job { rows: 0..3200, decoded }).unwrap();
+    }
+    work(traversal(), 70, &to_do);
+    assert_eq!(to_do.len(), 1);
+    // The sender of jobs is gone.
+    drop(jobs);
+    let worker = threads::spawn("test", {
+        let take = traversal();
+        move || work(take, 70, &to_do)
+    });
+    threads::join(worker.unwrap()).unwrap();
+}
+
+#[test]
+fn a_damaged_take_is_not_decoded_in_parallel() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
+    assert!(ParallelFrames::start(&path, &open(&path), 0, 4).unwrap().is_none());
+}
+
+/// A repeated section between two jobs would be seen by neither thread.
+#[test]
+fn a_repeated_section_is_reported_and_read_by_one_thread() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let keys = open(&path).map().keys.clone();
+    let [from, to] = [keys[1], keys[2]].map(|key| key.offset as usize);
+    let mut bytes = fs::read(&path).unwrap();
+    let again = bytes[from..to].to_vec();
+    drop(bytes.splice(to..to, again));
+    fs::write(&path, &bytes).unwrap();
+    let frames = open(&path);
+    let problems: Vec<String> = frames.problems().iter().map(ToString::to_string).collect();
+    assert!(problems.iter().any(|text| text.contains("it comes twice")), "{problems:?}");
+    assert!(ParallelFrames::start(&path, &frames, 0, 4).unwrap().is_none());
+}
+
+#[test]
+fn stretches_that_fill_the_memory_are_read_by_one_thread() {
+    let folder = tempfile::tempdir().unwrap();
+    // A whole take in one stretch: 70 markers of 3200 rows are 5 MB a thread.
+    let path = take("spline", folder.path());
+    let frames = open(&path);
+    let memory = MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES);
+    assert_eq!(threads_max(frames.map(), 70) as u64, memory);
+    assert!(ParallelFrames::start(&path, &frames, 0, 1000).unwrap().is_some());
+    assert!(ParallelFrames::start(&path, &frames, 0, 1).unwrap().is_none());
+}
+
+#[test]
+fn a_file_that_shrinks_meanwhile_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let frames = open(&path);
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..100]).unwrap();
+    let mut parallel = ParallelFrames::start(&path, &frames, 0, 2).unwrap().unwrap();
+    let mut row = vec![GAP; 70];
+    assert!(parallel.next_frame(&mut row).is_err());
+    assert!(parallel.is_damaged());
+}
+
+/// A file that changes, or a disk that returns other bytes, after the take was opened: none of it may become a gap.
+#[test]
+fn a_byte_that_changes_meanwhile_is_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let (frames, bytes) = (open(&path), fs::read(&path).unwrap());
+    for at in (bytes.len() / 3..bytes.len() - 200).step_by(bytes.len() / 7) {
+        let mut wrong = bytes.clone();
+        wrong[at] ^= 0x10;
+        fs::write(&path, &wrong).unwrap();
+        let mut parallel = ParallelFrames::start(&path, &frames, 0, 2).unwrap().unwrap();
+        let mut row = vec![GAP; 70];
+        let end = loop {
+            match parallel.next_frame(&mut row) {
+                Ok(true) => {}
+                end => break end,
+            }
+        };
+        assert!(end.is_err() && parallel.is_damaged(), "byte {at}");
+    }
+}

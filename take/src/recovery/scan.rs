@@ -1,0 +1,309 @@
+//! The first pass over the file: which chunks can be kept, and what is lost.
+
+use super::{ChunkKind, ChunkKindCount, KINDS, OutputChunk, ledger_tally::LedgerTally};
+use crate::{
+    NotATake, TakeError, TakeEvent,
+    chunk::types,
+    damage::{DamageOrigin, LedgerTotals, LostRows, Problem},
+    reader::TakeInput,
+    record::{Channel, EndingKind, Header, Ledger, TakeEnding},
+    stretch::{NUMBERS, Span, Stretch},
+    traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
+};
+
+/// Most chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the shortest
+/// stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
+const CHUNKS_MAX: usize = 1 << 23;
+
+/// Counts of one channel, over the whole take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ChannelCount {
+    /// Samples that are kept.
+    pub samples: u64,
+    /// Rows lost to damage since the channel was announced.
+    pub rows_damaged: u64,
+}
+
+/// What a recovery keeps of a file and what is lost.
+#[derive(Debug)]
+pub struct RecoveryScan {
+    /// The header, as the file has it.
+    pub header: Header,
+    /// The complete channel table.
+    pub channels: Vec<Channel>,
+    /// Counts by channel.
+    pub per_channel: Vec<ChannelCount>,
+    /// Chunk counts by kind.
+    pub kinds: [ChunkKindCount; KINDS.len()],
+    /// Everything missing or damaged.
+    pub problems: Vec<Problem>,
+    /// Rows lost to damage, in order, including those of an earlier recovery.
+    pub damage: Vec<LostRows>,
+    /// Rows of the new take, including lost ones.
+    pub rows: u64,
+    /// Recorded frames of the new take.
+    pub recorded: u64,
+    /// The ledger of the new take.
+    pub ledger: Ledger,
+    /// The ending that the new take states: the ending of the old take, or that it was cut off.
+    pub ending: Option<TakeEnding>,
+    /// Whether the old take was closed: its last ledger exists, if not its footer.
+    pub finished: bool,
+    /// Bytes that are damaged or depend on damaged ones.
+    pub discarded_bytes: u64,
+    pub(super) output: Vec<OutputChunk>,
+    names_lost: bool,
+    /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
+    pub(super) contradicted: bool,
+}
+
+impl RecoveryScan {
+    /// Reads and decodes everything that is valid. It holds one chunk at a time, and about forty bytes for each chunk.
+    ///
+    /// # Errors
+    /// `NotATake` without a header, `Unsupported`, `Io`. Damage is not an error.
+    pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
+        let mut scanner = RecoveryScanner::default();
+        let traversal = TakeTraversal::new(input, Decode::All);
+        let progress = traversal.run(|found, progress| scanner.visit(found, progress));
+        progress.map_err(without_recovery_advice).map(|progress| scanner.finish(progress))
+    }
+
+    /// Rows lost to damage in this file.
+    #[must_use]
+    pub fn rows_damaged(&self) -> u64 {
+        let here = self.damage.iter().filter(|lost| lost.origin == DamageOrigin::Damaged);
+        here.fold(0, |sum, lost| sum.saturating_add(lost.rows))
+    }
+
+    /// Whether the new take lacks anything that the file had, or may have had.
+    #[must_use]
+    pub fn lost_anything(&self) -> bool {
+        let lost = |count: &ChunkKindCount| count.discarded > 0 && !count.kind.is_rebuilt();
+        !self.finished
+            || self.names_lost
+            || self.contradicted
+            || self.rows_damaged() > 0
+            || self.kinds.iter().any(lost)
+    }
+}
+
+/// An error of a recovery does not advise running one.
+fn without_recovery_advice(error: TakeError) -> TakeError {
+    match error {
+        TakeError::NotATake(NotATake::HeaderDamaged) => TakeError::NotATake(NotATake::HeaderLost),
+        other => other,
+    }
+}
+
+/// What happens to a chunk.
+#[derive(Debug, Clone, Copy)]
+enum ChunkAction {
+    /// Copy it; a stretch with its span.
+    Copy(Option<Span>),
+    /// Write a new one in its place.
+    Rewrite,
+    /// Discard it.
+    Discard,
+}
+
+/// The state of the first pass.
+#[derive(Debug, Default)]
+struct RecoveryScanner {
+    /// Counts of chunks by kind.
+    recovered: [u64; KINDS.len()],
+    discarded: [u64; KINDS.len()],
+    output: Vec<OutputChunk>,
+    tally: LedgerTally,
+    samples: Vec<u64>,
+    /// Position in `output` at which channel table entries may be missing.
+    missing_at: Option<usize>,
+    end_row: u64,
+    next_number: u8,
+    discarded_bytes: u64,
+    names_lost: bool,
+    closed: bool,
+    /// A ledger before the last that contradicts the stretches before it.
+    contradiction: Option<Problem>,
+}
+
+impl RecoveryScanner {
+    fn visit(&mut self, found: &LocatedEvent<'_>, progress: &Progress) -> Result<(), TakeError> {
+        if let Some(lost_entries) = found.lost_entries {
+            self.name_channels(lost_entries, progress.channels());
+        }
+        self.samples.resize(progress.channels().len(), 0);
+        let (kind, action) = match &found.event {
+            TakeEvent::Header(_) => (types::HEADER, ChunkAction::Rewrite),
+            TakeEvent::Channels(_) => (types::CHANNELS, ChunkAction::Copy(None)),
+            TakeEvent::Stretch(_) if found.is_refused => (types::STRETCH, ChunkAction::Discard),
+            TakeEvent::Stretch(stretch) => {
+                if stretch.stated_channels() >= progress.channels().len() {
+                    // No channel table entry is missing.
+                    self.missing_at = None;
+                }
+                self.add_stretch(stretch, progress);
+                (types::STRETCH, ChunkAction::Copy(Some(stretch.span)))
+            }
+            TakeEvent::Unplaced { .. } => (types::STRETCH, ChunkAction::Discard),
+            TakeEvent::Event(_) => (types::EVENT, ChunkAction::Copy(None)),
+            TakeEvent::Clock(_) => (types::CLOCK, ChunkAction::Copy(None)),
+            TakeEvent::Subject(_) => (types::SUBJECT, ChunkAction::Copy(None)),
+            TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy(None)),
+            TakeEvent::Ledger(ledger) => {
+                self.closed |= ledger.finished;
+                self.tally.mark_ledger();
+                let (frames, samples) = (self.tally.recorded(), self.samples.iter().sum());
+                let (stated, found) =
+                    (LedgerTotals::from_ledger(ledger), LedgerTotals { frames, samples });
+                if stated != found && !ledger.finished && !progress.take.damaged {
+                    self.contradiction = Some(Problem::LedgerCounts { stated, found });
+                }
+                // A ledger after damage counts more than is kept; its counts go into the new last ledger.
+                let is_stale = ledger.finished || progress.take.damaged || stated != found;
+                let action = if is_stale { ChunkAction::Rewrite } else { ChunkAction::Copy(None) };
+                (types::LEDGER, action)
+            }
+            TakeEvent::Summary(_) => (types::SUMMARY, ChunkAction::Rewrite),
+            // An index that is too long to hold has the old offsets, too.
+            TakeEvent::Index(_) | TakeEvent::Skipped { kind: types::INDEX } => {
+                (types::INDEX, ChunkAction::Rewrite)
+            }
+            TakeEvent::Footer(_) => {
+                self.closed = true;
+                (types::FOOTER, ChunkAction::Rewrite)
+            }
+            TakeEvent::Skipped { kind } => (*kind, ChunkAction::Copy(None)),
+            TakeEvent::Damaged { kind, .. } => {
+                if self.recovered[ChunkKind::Header as usize] > 0 {
+                    self.missing_at.get_or_insert(self.output.len());
+                }
+                // Only summary, index and footer follow the last ledger.
+                let is_expected = ChunkKind::of(*kind).follows_last_ledger();
+                let kind = if self.closed && !is_expected { Some(types::INDEX) } else { *kind };
+                (kind.unwrap_or_default(), ChunkAction::Discard)
+            }
+            TakeEvent::Repaired { .. } | TakeEvent::End { .. } => return Ok(()),
+        };
+        self.add_chunk(found, kind, action);
+        if self.output.len() > CHUNKS_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "the file has more than {CHUNKS_MAX} chunks, the most that a recovery can hold"
+            )));
+        }
+        self.end_row = progress.end_row();
+        Ok(())
+    }
+
+    fn add_chunk(&mut self, found: &LocatedEvent<'_>, kind: u8, action: ChunkAction) {
+        let (offset, len) = (found.offset, found.len);
+        let index = ChunkKind::of(Some(kind)) as usize;
+        match action {
+            ChunkAction::Discard => {
+                self.discarded[index] += 1;
+                self.discarded_bytes += len;
+            }
+            ChunkAction::Rewrite => self.recovered[index] += 1,
+            ChunkAction::Copy(span) => {
+                self.recovered[index] += 1;
+                self.output.push(OutputChunk::Copied { offset, len, kind, span });
+            }
+        }
+    }
+
+    /// Counts a stretch that is kept.
+    fn add_stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
+        let span = stretch.span;
+        let from_row = stretch.from_row();
+        let skips_number = span.number != self.next_number && !stretch.replaces_damaged();
+        if span.key && (from_row > self.end_row || skips_number) {
+            let number = (span.number + NUMBERS - 1) % NUMBERS;
+            let rows = from_row - self.end_row;
+            self.output.push(OutputChunk::Lost { first_row: self.end_row, rows, number });
+        }
+        self.next_number = (span.number + 1) % NUMBERS;
+        let mut samples = 0;
+        if span.n_rows > 0 {
+            for (sum, rows) in self.samples.iter_mut().zip(progress.rows()) {
+                let present = rows.map_or(0, |rows| rows.present.iter().filter(|&&p| p).count());
+                *sum += present as u64;
+                samples += present as u64;
+            }
+        }
+        self.tally.add_stretch(stretch, progress.channels().len(), samples);
+    }
+
+    /// Inserts entries for the lost ones at the same place in the new take.
+    fn name_channels(&mut self, lost_entries: LostEntries, channels: &[Channel]) {
+        self.names_lost = true;
+        let first = lost_entries.first.min(self.samples.len());
+        self.samples.splice(first..first, std::iter::repeat_n(0, lost_entries.inserted));
+        let at = self.missing_at.take().unwrap_or(self.output.len());
+        if lost_entries.nameless > lost_entries.inserted {
+            // Entries whose columns are unknown.
+            let mut seen = 0;
+            self.output.retain(|chunk| {
+                seen += 1;
+                let uncertain = matches!(chunk, OutputChunk::Copied { kind: types::CHANNELS, .. });
+                !(uncertain && seen > at)
+            });
+        }
+        let nameless = lost_entries.first..lost_entries.first + lost_entries.nameless;
+        let nameless = channels.get(nameless).unwrap_or_default();
+        self.output.insert(at.min(self.output.len()), OutputChunk::Channels(nameless.to_vec()));
+    }
+
+    fn finish(mut self, progress: Progress) -> RecoveryScan {
+        let Progress { take, rows_damaged, .. } = progress;
+        let rows = take.n_rows - self.end_row;
+        if rows > 0 {
+            let (first_row, number) = (self.end_row, self.next_number);
+            self.output.push(OutputChunk::Lost { first_row, rows, number });
+        }
+        let mut problems = take.problems;
+        let lacks_ledger = problems.contains(&Problem::NoLedger);
+        // A file that was cut off states no ending; the recovered take states that it was cut off.
+        let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
+        let ending = take.ending.or_else(cut_off);
+        if self.closed {
+            problems.pop_if(|last| *last == Problem::CutOff);
+        }
+        let here = take.damage.iter().filter(|lost| lost.origin == DamageOrigin::Damaged);
+        let here: Vec<_> = here.copied().collect();
+        let count = |(kind, ..): (ChunkKind, Option<u8>, &str)| {
+            let i = kind as usize;
+            ChunkKindCount { kind, recovered: self.recovered[i], discarded: self.discarded[i] }
+        };
+        let channel_count = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
+        let mut scan = RecoveryScan {
+            header: take.header,
+            ledger: self.tally.close(take.ledger.as_ref(), &here),
+            ending,
+            kinds: KINDS.map(count),
+            channels: take.channels,
+            per_channel: self.samples.into_iter().zip(rows_damaged).map(channel_count).collect(),
+            problems,
+            damage: take.damage,
+            rows: take.n_rows,
+            recorded: self.tally.recorded(),
+            finished: self.closed,
+            discarded_bytes: self.discarded_bytes,
+            output: self.output,
+            names_lost: self.names_lost,
+            contradicted: self.contradiction.is_some() || lacks_ledger,
+        };
+        scan.problems.extend(self.contradiction);
+        // Without loss, the original ledger stands.
+        let is_complete = !scan.lost_anything();
+        if is_complete && let Some(ledger) = take.ledger.filter(|ledger| ledger.finished) {
+            let [stated, found] = [&ledger, &scan.ledger].map(LedgerTotals::from_ledger);
+            if stated == found {
+                scan.ledger = ledger;
+            } else {
+                scan.contradicted = true;
+                scan.problems.push(Problem::LedgerCounts { stated, found });
+            }
+        }
+        scan
+    }
+}

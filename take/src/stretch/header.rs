@@ -1,0 +1,241 @@
+//! The header of a stretch, before its blocks: docs/take-format.md, "STRETCH".
+
+use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, RUNS_MAX, Span, StretchSizes};
+use crate::{
+    TakeError,
+    timeline::{LossCauses, RowRun, Timeline, TimelineEncoder, take_times},
+    varint,
+};
+
+pub(super) const KEY: u8 = 1;
+pub(super) const PLAIN: u8 = 2;
+const ALONE: u8 = 4;
+pub(super) const NUMBER_SHIFT: u32 = 3;
+
+const HAS_TIMES: u8 = 1;
+const RUNS_LISTED: u8 = 2;
+const ROWS_LISTED: u8 = 4;
+const SHARED: u8 = 8;
+
+/// Writes the headers of a take's stretches, in order.
+#[derive(Debug)]
+pub struct StretchHeaderWriter {
+    stretch_rows: u32,
+    times: Option<TimelineEncoder>,
+}
+
+impl StretchHeaderWriter {
+    /// A writer for stretches without time lines, as in imports. `stretch_rows` is that of the take's HEADER.
+    #[must_use]
+    pub fn new(stretch_rows: u32) -> Self {
+        Self { stretch_rows, times: None }
+    }
+
+    /// A writer for stretches with time lines.
+    #[must_use]
+    pub fn with_times(stretch_rows: u32, times: TimelineEncoder) -> Self {
+        Self { stretch_rows, times: Some(times) }
+    }
+
+    /// Appends the header of a stretch. The caller then appends the block of each group, in the order of the channel
+    /// table, with [`put_block`](super::put_block). `timeline` covers the rows from the end of the previous stretch to
+    /// the end of this one; it is written only with [`with_times`](Self::with_times). `alone`: at most one block
+    /// follows.
+    pub fn put(
+        &mut self,
+        span: Span,
+        timeline: &Timeline,
+        shared: &[u8],
+        alone: bool,
+        out: &mut Vec<u8>,
+    ) {
+        let lost = timeline.runs.iter().any(|run| run.lost.is_some());
+        let timed = self.times.is_some();
+        let shape = flag(timed, HAS_TIMES)
+            | flag(timed && lost, RUNS_LISTED)
+            | flag(span.n_rows != self.stretch_rows, ROWS_LISTED)
+            | flag(!shared.is_empty(), SHARED);
+        let plain = shape == HAS_TIMES;
+        let flags = flag(span.key, KEY) | flag(plain, PLAIN) | flag(alone, ALONE);
+        out.push(flags | ((span.number % NUMBERS) << NUMBER_SHIFT));
+        if !plain {
+            out.push(shape);
+        }
+        if span.key {
+            let first_row = if timed { timeline.first_row } else { span.first_row };
+            varint::put(out, first_row);
+        }
+        if shape & ROWS_LISTED != 0 {
+            varint::put(out, u64::from(span.n_rows));
+        }
+        if shape & RUNS_LISTED != 0 {
+            varint::put(out, timeline.runs.len() as u64);
+            for run in &timeline.runs {
+                varint::put(out, (run.rows << 1) | u64::from(run.lost.is_some()));
+                out.extend(run.lost.map(|causes| causes.0));
+            }
+        }
+        if let Some(times) = &mut self.times {
+            times.encode(timeline, span.key, out);
+        }
+        if !shared.is_empty() {
+            varint::put_prefixed(out, shared);
+        }
+    }
+}
+
+fn flag(set: bool, bit: u8) -> u8 {
+    if set { bit } else { 0 }
+}
+
+/// The parsed header of a stretch, not yet related to the previous stretch.
+#[derive(Debug)]
+pub(crate) struct StretchHeader<'a> {
+    pub(crate) key: bool,
+    pub(crate) alone: bool,
+    pub(crate) number: u8,
+    /// For a key stretch: the row after the previous stretch.
+    pub(crate) from_row: Option<u64>,
+    pub(crate) n_rows: u32,
+    /// With a time line: the runs of rows from `from_row` on.
+    pub(crate) runs: Option<Vec<RowRun>>,
+    /// Rows from `from_row` to the end: `n_rows`, and those lost before.
+    pub(crate) rows_passed: u64,
+    pub(crate) times: &'a [u8],
+    pub(crate) shared: &'a [u8],
+    pub(crate) sizes: StretchSizes,
+}
+
+/// Whether these bytes are a plausible start of a stretch's payload, by the fields that are cheap to check.
+pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
+    let mut cursor = varint::Cursor::new(payload);
+    let Some(head) = cursor.byte() else { return false };
+    let shape = if head & PLAIN != 0 { Some(HAS_TIMES) } else { cursor.byte() };
+    let row = if head & KEY != 0 { cursor.varint() } else { Some(0) };
+    let Some((shape, _)) = shape.zip(row).filter(|(shape, _)| is_known(*shape)) else {
+        return false;
+    };
+    let listed = shape & ROWS_LISTED != 0;
+    !listed || cursor.varint().is_some_and(|n_rows| (1..=ROWS_MAX).contains(&n_rows))
+}
+
+fn is_known(shape: u8) -> bool {
+    shape <= HAS_TIMES | RUNS_LISTED | ROWS_LISTED | SHARED
+        && shape & (HAS_TIMES | RUNS_LISTED) != RUNS_LISTED
+}
+
+impl<'a> StretchHeader<'a> {
+    /// Parses the header at the front of `cursor`. The stretch has `stretch_rows` rows unless it lists another number,
+    /// and at most `rows_max`. The error is a message.
+    pub(crate) fn take(
+        cursor: &mut varint::Cursor<'a>,
+        rows_max: u64,
+        stretch_rows: u32,
+    ) -> Result<Self, &'static str> {
+        let short = "its header is truncated";
+        let before = cursor.rest().len();
+        let head = cursor.byte().ok_or(short)?;
+        let shape = if head & PLAIN != 0 { HAS_TIMES } else { cursor.byte().ok_or(short)? };
+        let key = head & KEY != 0;
+        if !is_known(shape) {
+            return Err("unknown shape: use a newer mocapd");
+        }
+        let from_row = if key { Some(cursor.varint().ok_or(short)?) } else { None };
+        let listed = shape & ROWS_LISTED != 0;
+        let n_rows = if listed { cursor.varint().ok_or(short)? } else { stretch_rows.into() };
+        if n_rows > rows_max {
+            return Err("it claims more rows than a stretch can hold");
+        }
+        let in_head = before - cursor.rest().len();
+        let runs = match shape & (HAS_TIMES | RUNS_LISTED) {
+            0 => None,
+            HAS_TIMES if n_rows == 0 => Some(Vec::new()),
+            HAS_TIMES => Some(vec![RowRun { rows: n_rows, lost: None }]),
+            _ => Some(take_runs(cursor).ok_or("its runs are invalid")?),
+        };
+        let rows_of = |runs: &[RowRun], all: bool| {
+            let runs = runs.iter().filter(|run| all || run.lost.is_none());
+            runs.fold(0_u64, |sum, run| sum.saturating_add(run.rows))
+        };
+        let (rows_passed, n_recorded) =
+            runs.as_deref().map_or((n_rows, 0), |runs| (rows_of(runs, true), rows_of(runs, false)));
+        if rows_passed < n_rows || n_recorded > RECORDED_MAX {
+            return Err("its runs are invalid");
+        }
+        if rows_passed > ROWS_PASSED_MAX {
+            return Err("it claims more lost rows than can lie between two stretches");
+        }
+        let times = if n_recorded > 0 { take_times(cursor, key).ok_or(short)? } else { &[] };
+        let in_time_line = before - cursor.rest().len() - in_head;
+        let mut shared = &[][..];
+        let mut framing = in_head;
+        if shape & SHARED != 0 {
+            let left = cursor.rest().len();
+            shared = cursor.prefixed().ok_or(short)?;
+            framing += left - cursor.rest().len() - shared.len();
+        }
+        Ok(Self {
+            key,
+            alone: head & ALONE != 0,
+            number: head >> NUMBER_SHIFT,
+            from_row,
+            n_rows: n_rows as u32,
+            runs,
+            rows_passed,
+            times,
+            shared,
+            sizes: StretchSizes {
+                framing: framing as u64,
+                time_line: in_time_line as u64,
+                blocks: shared.len() as u64,
+                ..StretchSizes::default()
+            },
+        })
+    }
+
+    /// Whether the stretch has no rows and replaces damaged stretches of a recovered take.
+    pub(crate) fn replaces_damaged(&self) -> bool {
+        self.n_rows == 0 && super::all_damaged(self.runs.as_deref().unwrap_or_default())
+    }
+}
+
+fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<RowRun>> {
+    let n_runs = cursor.varint().filter(|&n| n <= RUNS_MAX)?;
+    let mut runs = Vec::new();
+    for _ in 0..n_runs {
+        let head = cursor.varint()?;
+        let lost = if head & 1 == 1 { Some(LossCauses(cursor.byte()?)) } else { None };
+        let rows = Some(head >> 1).filter(|&rows| rows > 0)?;
+        runs.push(RowRun { rows, lost });
+    }
+    Some(runs)
+}
+
+/// Appends `payload`, made by [`StretchHeaderWriter`], for another take: with stretch number `number`, and with row
+/// `rows_before` of the original recording as row 0. Only the number and the row of a key stretch are rewritten;
+/// nothing is decoded.
+///
+/// # Errors
+/// `InvalidArgument` for a payload without a complete header, or a stretch that begins before the take.
+pub fn put_renumbered(
+    payload: &[u8],
+    rows_before: u64,
+    number: u8,
+    out: &mut Vec<u8>,
+) -> Result<(), TakeError> {
+    let wrong = |what: &str| TakeError::InvalidArgument(format!("a stretch that {what}"));
+    let mut cursor = varint::Cursor::new(payload);
+    let short = || wrong("has no complete header");
+    let head = cursor.byte().ok_or_else(short)?;
+    out.push((head & ((1 << NUMBER_SHIFT) - 1)) | ((number % NUMBERS) << NUMBER_SHIFT));
+    if head & PLAIN == 0 {
+        out.push(cursor.byte().ok_or_else(short)?);
+    }
+    if head & KEY != 0 {
+        let from_row = cursor.varint().ok_or_else(short)?;
+        let from_row = from_row.checked_sub(rows_before);
+        varint::put(out, from_row.ok_or_else(|| wrong("begins before the take"))?);
+    }
+    out.extend_from_slice(cursor.rest());
+    Ok(())
+}
