@@ -1,12 +1,12 @@
 //! Arbitrary bytes as a configuration.
 
-use mocapd_service::config::{Config, Overrides, PROBLEMS_MAX, Surroundings};
+use mocapd_service::config::{Config, Overrides, PROBLEMS_MAX, Environment};
 
 /// Parses a configuration: gives a bounded number of errors, one short line each, or a configuration that survives
 /// being written and read again without changes.
 pub fn config(bytes: &[u8]) {
     let surroundings =
-        Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() };
+        Environment { file_stem: Some("left".to_owned()), ..Environment::default() };
     let parse = |bytes: &[u8]| Config::parse("x", bytes, &surroundings, &Overrides::default());
     match parse(bytes) {
         Ok(config) => {

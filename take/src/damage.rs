@@ -10,10 +10,10 @@ pub const PROBLEMS_MAX: usize = 10_000;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {
-    /// The magic was damaged and has been [repaired](crate::recovery::mend_start).
+    /// The magic was damaged and has been [repaired](crate::recovery::repair_start).
     #[error("the signature of the take was damaged; it has been repaired")]
     Magic,
-    /// A byte of the header, at this file offset, was damaged and has been [repaired](crate::recovery::mend_start).
+    /// A byte of the header, at this file offset, was damaged and has been [repaired](crate::recovery::repair_start).
     #[error("byte {0}, in the header, was damaged; the checksum restored it")]
     HeaderByte(u64),
     /// Bytes that are not a chunk, or a chunk with invalid content.

@@ -50,7 +50,7 @@ pub enum NotATake {
     /// The file ends inside its header.
     #[error("the file ends inside its header, so nothing can be read")]
     HeaderCut,
-    /// The header is damaged; [`repair_start`](recovery::mend_start) may repair one byte of it.
+    /// The header is damaged; [`repair_start`](recovery::repair_start) may repair one byte of it.
     #[error("its header is damaged; try `mocapd recover`, which can repair one byte of it")]
     HeaderDamaged,
     /// The header has more damage than can be repaired.

@@ -3,7 +3,7 @@
 //!
 //! [`run`](TakeTraversal::run) reads a whole take. Rows between two key stretches can be read independently:
 //! [`pieces`](TakeMap::pieces) splits rows there, and each decoding thread has a traversal [of the same
-//! map](TakeTraversal::of_map).
+//! map](TakeTraversal::from_map).
 
 use std::{
     io::{Read, Seek, SeekFrom},

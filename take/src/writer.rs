@@ -75,7 +75,7 @@ impl<W: Write> TakeWriter<W> {
         self.record(&MoreChannels(channels.to_vec()))
     }
 
-    /// Writes a stretch, with a payload made by [`StretchHeaderWriter`](crate::stretch::FrontWriter) and
+    /// Writes a stretch, with a payload made by [`StretchHeaderWriter`](crate::stretch::StretchHeaderWriter) and
     /// [`put_block`](crate::stretch::put_block).
     ///
     /// # Errors

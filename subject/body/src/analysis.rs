@@ -1,7 +1,7 @@
 //! Analysis of one scan, from a clean surface to joint centres.
 //!
 //! The default method finds the extremities ([`extremity`]), refines them and places landmarks and joints ([`locate`]),
-//! then checks the result: proportions ([`plausible`]), volume, neck, and parts missing from the scan. Doubtful joints
+//! then checks the result: proportions (`plausible`), volume, neck, and parts missing from the scan. Doubtful joints
 //! get a larger standard deviation or are left out, each with a note.
 
 use super::extremity::{self, Extremities, NamingMode};

@@ -35,7 +35,7 @@ pub struct Repaired {
 
 impl Repaired {
     /// A note if the inferred unit may be another. `stature` is in the mesh's unit
-    /// ([`ScanAnalysis::body_scale`](super::Survey::body_scale)); without it, the extent of the mesh counts.
+    /// ([`ScanAnalysis::body_scale`](super::ScanAnalysis::body_scale)); without it, the extent of the mesh counts.
     #[must_use]
     pub fn unit_ambiguity(&self, stature: Option<f64>) -> Option<Note> {
         let stature = || stature.unwrap_or_else(|| self.mesh.extent());
