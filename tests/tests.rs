@@ -9,6 +9,7 @@
 
 mod cli;
 mod kills;
+mod messages;
 mod parallel_frames;
 mod phases;
 mod pipeline;

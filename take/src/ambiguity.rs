@@ -142,19 +142,26 @@ impl fmt::Display for Ambiguity {
             ),
             Self::CoordinatesUnderGaps { samples } => write!(
                 f,
-                "{samples} samples are marked as missing (negative fourth word) but have coordinates; they were read as gaps, \
-                 and the coordinates are kept as c3d/gap-coordinates."
+                "{} marked as missing (negative fourth word) in spite of coordinates; read as gaps, with the coordinates kept \
+                 as c3d/gap-coordinates.",
+                samples_are(*samples)
             ),
             Self::Origin { samples, gaps: true } => write!(
                 f,
-                "{samples} samples are exactly at the origin while other markers move; they were read as missing."
+                "{} exactly at the origin while other markers move; read as missing.",
+                samples_are(*samples)
             ),
             Self::Origin { samples, gaps: false } => write!(
                 f,
-                "{samples} samples are exactly at the origin and not marked as missing; they were kept as positions."
+                "{} exactly at the origin and not marked as missing; kept as positions.",
+                samples_are(*samples)
             ),
         }
     }
+}
+
+fn samples_are(n: u64) -> String {
+    if n == 1 { "1 sample is".to_owned() } else { format!("{n} samples are") }
 }
 
 /// Warnings that an importer collects.

@@ -86,10 +86,11 @@ impl Timeline {
         self.extend_run(rows, Some(causes));
     }
 
-    /// Adds a run of rows that were damaged before a recovery. A run of no rows states that only stretch numbers are
-    /// missing.
+    /// Adds a run of rows that were damaged before a recovery; none if only stretch numbers are missing.
     pub(crate) fn push_damaged(&mut self, rows: u64) {
-        self.runs.push(RowRun { rows, lost: Some(LossCauses::DAMAGED) });
+        if rows > 0 {
+            self.runs.push(RowRun { rows, lost: Some(LossCauses::DAMAGED) });
+        }
     }
 
     /// Number of rows.

@@ -253,3 +253,20 @@ fn stretches_that_are_moved_come_back_at_their_new_rows() {
         "begins before the take"
     );
 }
+
+#[test]
+fn a_missing_stretch_that_had_no_rows_leaves_one_that_can_be_read() {
+    let times = TimelineEncoder::new(TICK_HZ, 60.0);
+    let mut headers = StretchHeaderWriter::with_times(STRETCH_ROWS, times);
+    let mut chain = StretchChain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+    for (number, rows) in [(0, 7), (1, 0), (2, 0), (3, 1)] {
+        let mut timeline = Timeline::default();
+        timeline.restart(if number == 0 { 0 } else { 7 });
+        timeline.push_damaged(rows);
+        let first_row = timeline.first_row + rows;
+        let span = Span { first_row, n_rows: 0, key: true, number };
+        let mut payload = Vec::new();
+        headers.put(span, &timeline, &[], true, &mut payload);
+        assert_eq!(placed(&mut chain, &payload).unwrap().span, span);
+    }
+}

@@ -211,7 +211,7 @@ fn invalid_utf_8_and_files_that_are_too_long_are_refused() {
     assert!(message.contains("UTF-8"), "{message}");
     let long = vec![b'#'; CONFIG_BYTES_MAX + 1];
     let ConfigProblem { place, message, .. } = refused(&long);
-    assert!(place == SourceLocation::Nowhere && message.contains("1 MiB"), "{message}");
+    assert!(place == SourceLocation::Nowhere && message.contains("64 KiB"), "{message}");
     assert!(parse(str::from_utf8(&long[1..]).unwrap()).is_ok());
     // Deep nesting is refused, and does not end the process.
     assert!(parse(&format!("[arm]\npre_roll = {}", "[".repeat(100_000))).is_err());

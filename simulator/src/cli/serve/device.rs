@@ -76,6 +76,7 @@ fn settings(args: &ServeArgs) -> DeviceSettings {
 fn ndi_settings(args: &ServeArgs) -> NdiSettings {
     let settings = NdiSettings::default();
     NdiSettings {
+        serial: args.serial.clone(),
         rate_hz: args.rate,
         speed: args.speed,
         looping: args.looping,
