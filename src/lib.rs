@@ -1,6 +1,3 @@
-//! What the `mocapd` program shares with the tests: parallel decoding of a take ([`parallel_frames`]), sample-by-sample
-//! comparison of two motions ([`compare`]), and exit codes ([`outcome`]).
+//! What the `mocapd` program shares with the tests: its exit codes.
 
-pub mod compare;
 pub mod outcome;
-pub mod parallel_frames;

@@ -2,7 +2,7 @@
 
 use std::{fs::File, io::BufReader};
 
-use mocapd::parallel_frames::ParallelFrames;
+use mocapd_acquire::parallel_frames::ParallelFrames;
 use mocapd_take::{
     TakeFrames,
     motion::{FrameSource, GAP, Position, is_gap},

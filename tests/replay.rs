@@ -10,7 +10,6 @@ use std::{
     time::Duration,
 };
 
-use mocapd::compare::compare;
 use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
     rig::Rig,
@@ -21,6 +20,7 @@ use mocapd_simulator::{
     device::{Device, DeviceSettings, SentLog, TICK_HZ},
     pty::{ServeOptions, serve_pty},
 };
+use mocapd_take::compare::compare;
 use mocapd_take::{
     TakeFrames,
     interchange::Format,

@@ -14,6 +14,7 @@ pub mod inspect;
 pub mod latency;
 pub mod ledger;
 pub mod listing;
+pub mod parallel_frames;
 pub mod pipeline;
 pub mod raw_log;
 pub mod record;

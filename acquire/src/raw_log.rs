@@ -211,7 +211,9 @@ impl RawLogTap {
         let (n_bytes, text_bytes) = match entry {
             Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => (bytes.len(), 0),
             Entry::Opened(text) => (0, text.len()),
-            _ => (0, 0),
+            Entry::Break | Entry::Baud(_) | Entry::Missing(_) | Entry::Closed | Entry::End => {
+                (0, 0)
+            }
         };
         let needed = n_bytes + text_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
         self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);

@@ -13,10 +13,7 @@ use std::{
 };
 
 use anyhow::{Context, anyhow, ensure};
-use mocapd::{
-    compare::compare,
-    outcome::{Outcome, UsageError},
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files, inspect::Summary, record::Recorded, rig::Rig, threads};
 
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
@@ -29,6 +26,7 @@ use mocapd_simulator::{
 };
 use mocapd_take::{
     TakeFrames,
+    compare::compare,
     interchange::Format,
     motion::{Motion, MotionFrames},
     record::EndingKind,

@@ -5,6 +5,7 @@
 
 mod ambiguity;
 pub mod chunk;
+pub mod compare;
 pub mod damage;
 pub mod escape;
 pub mod foreign;
@@ -13,9 +14,8 @@ pub mod index;
 pub mod interchange;
 pub mod map;
 pub mod motion;
-pub mod phase;
-
 pub mod motion_encoder;
+pub mod phase;
 pub mod reader;
 pub mod record;
 pub mod recovery;

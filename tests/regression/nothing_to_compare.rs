@@ -1,6 +1,6 @@
 //! A comparison of takes without a common frame is an error, and lists few labels.
 
-use mocapd::compare::{CompareError, FrameNumbers, compare};
+use mocapd_take::compare::{CompareError, FrameNumbers, compare};
 use mocapd_take::motion::{Marker, Motion, MotionFrames, MotionInfo, Source};
 
 use crate::{

@@ -12,12 +12,10 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    parallel_frames::ParallelFrames,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::{self, NewFile, NewFolder, SparseFile},
+    parallel_frames::ParallelFrames,
     threads,
 };
 use mocapd_service::units;

@@ -3,10 +3,10 @@
 use std::{io::BufReader, path::Path};
 
 use anyhow::Context;
-use mocapd::compare::{Difference, compare};
 use mocapd_acquire::files::SparseFile;
 use mocapd_take::{
     TakeFrames,
+    compare::{Difference, compare},
     interchange::ReadOptions,
     motion::{Ambiguity, MotionFrames},
 };

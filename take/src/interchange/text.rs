@@ -33,7 +33,7 @@ pub(super) fn number(cell: &[u8]) -> Option<f64> {
 /// Parses a cell as a whole number from 0 to 2^53; `12.0` counts as one.
 pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
     let value = number(cell)?;
-    (value.fract() == 0.0 && (0.0..=2f64.powi(53)).contains(&value)).then_some(value as u64)
+    (value.fract() == 0.0 && (0.0..=(1_u64 << 53) as f64).contains(&value)).then_some(value as u64)
 }
 
 /// Parses a cell as a rate: a finite number above 0.

@@ -83,7 +83,6 @@ fn ndi_settings(args: &ServeArgs) -> NdiSettings {
         tools: args.tool.clone(),
         bx2: !args.no_bx2,
         baud_max: args.baud.unwrap_or(settings.baud_max),
-        ..settings
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::{fmt, io};
 
-use mocapd_take::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
+use crate::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
 use serde::Serialize;
 
 /// How a take differs from its original.

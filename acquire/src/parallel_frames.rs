@@ -16,12 +16,13 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_acquire::{files, threads};
 use mocapd_take::{
     TakeError, TakeFrames, TakeMap, TakeTraversal,
     motion::{FrameSource, GAP, MotionInfo, Position},
     traversal::Decode,
 };
+
+use crate::{files, threads};
 
 /// Limit on the memory of all worker threads together, bytes.
 const MEMORY_MAX: u64 = 128 << 20;
@@ -29,9 +30,9 @@ const MEMORY_MAX: u64 = 128 << 20;
 /// Memory per sample of the stretch that a thread decodes, bytes: position, flags and decoder state.
 const SAMPLE_BYTES: u64 = 24;
 
-/// Target size of a job, samples, where key stretches are close enough together: some milliseconds of work, so that
-/// the cost of starting a job is negligible.
-const JOB_SAMPLES: u64 = 1 << 16;
+/// Target size of a job, samples, where key stretches are close enough together: milliseconds of work, so that the
+/// cost of starting a job is negligible and the first frames come soon.
+const JOB_SAMPLES: u64 = 1 << 14;
 
 /// Samples per batch of rows: 200 kB, which stay in the processor's cache while columns are transposed to rows.
 const BATCH_SAMPLES: usize = 1 << 14;

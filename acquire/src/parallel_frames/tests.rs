@@ -1,17 +1,38 @@
-use std::{fs, io::Cursor, path::PathBuf, sync::atomic::AtomicU64};
+use std::{f64::consts::TAU, fs, io::Cursor, path::PathBuf, sync::atomic::AtomicU64};
 
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
-use mocapd_simulator::generator::{JumpSpec, Occlusion};
-use mocapd_take::motion::is_gap;
+use mocapd_take::motion::{Marker, Motion, is_gap};
+use mocapd_testkit::random::Random;
 
 use super::*;
-use mocapd_acquire::{header, pipeline::offline};
+use crate::{header, pipeline::offline};
+
+/// 64 s of 70 markers at 50 Hz that swing, each at a frequency of its own, and are hidden now and then.
+fn motion() -> Motion {
+    let mut random = Random::new(3);
+    let swings: [_; 70] = std::array::from_fn(|_| (random.between(0.2, 2.0), random.unit()));
+    let mut hidden_until = [0; 70];
+    let mut positions_mm = Vec::new();
+    for frame in 0..3200 {
+        let time_s = f64::from(frame) / 50.0;
+        for ((frequency_hz, phase), hidden_until) in swings.iter().zip(&mut hidden_until) {
+            if random.one_in(100) {
+                *hidden_until = frame + 10;
+            }
+            let turns = frequency_hz * time_s + phase;
+            let at = [0.0, 0.25, 0.6].map(|axis| (300.0 * (TAU * (turns + axis)).sin()) as f32);
+            positions_mm.push(if frame < *hidden_until { GAP } else { at });
+        }
+    }
+    let marker = |i| Marker { label: format!("m{i}"), labelled: true };
+    let markers = (0..70).map(marker).collect();
+    let info = MotionInfo { rate_hz: 50.0, n_frames: 3200, markers, ..MotionInfo::default() };
+    Motion { info, positions_mm }
+}
 
 /// A take of several key stretches and two groups of channels.
 fn take(kind: &str, folder: &Path) -> PathBuf {
-    let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.2 });
-    let spec = JumpSpec { n_markers: 70, seconds: Some(64.0), occlusion, ..JumpSpec::new(3, 50.0) };
-    let motion = spec.generate().unwrap().motion;
+    let motion = motion();
     let kind: ResamplerKind = kind.parse().unwrap();
     let codec = Settings { kind, tolerance: Tolerance::from_mm(1.0).unwrap() };
     let mut header = header::of_import(&codec, 50.0);
