@@ -18,7 +18,6 @@ use mocapd::{
     outcome::{Outcome, UsageError},
 };
 use mocapd_acquire::{files, inspect::Summary, record::Recorded, rig::Rig, threads};
-
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
 use mocapd_service::units;
@@ -125,7 +124,7 @@ fn show_take(take: &Path) -> anyhow::Result<()> {
     let summary = Summary::read(BufReader::new(files::open(take)?))?;
     let gaps: u64 = summary.per_channel.iter().map(|channel| channel.gaps).sum();
     print(&format!(
-        "3. in the take: {} of {} kept, in {} a marker; {} in the trajectories\n",
+        "3. in the take: {} of {} kept, in {} per marker; {} in the trajectories\n",
         thousands(summary.knots()),
         count(summary.samples(), "sample"),
         count(summary.stretches, "block"),
@@ -162,7 +161,7 @@ fn verify(
     Ok(())
 }
 
-/// Exports the take to each format, beside it; the names and sizes of the files.
+/// Exports the take to each format, in its folder. Returns the names and sizes of the files.
 fn export(take: &Path) -> anyhow::Result<String> {
     let mut names = Vec::new();
     for (format, extension) in EXPORTS {

@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let written = write(&motion, &header, workers, &args.output)
         .with_context(|| format!("cannot write {}", args.output.display()))?;
     if written.samples == 0 {
-        about_file("it has no samples: the take holds only gaps");
+        about_file("no samples: the take holds only gaps");
     }
     let report = ImportReport::new(&args.output, &motion, &codec, &written, foreign_dropped);
     if args.json {

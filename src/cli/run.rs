@@ -248,7 +248,7 @@ fn create_directory(config: &Config) -> anyhow::Result<()> {
         return Ok(());
     }
     std::fs::create_dir_all(directory)
-        .with_context(|| format!("cannot create the folder for takes, {}", directory.display()))?;
+        .with_context(|| format!("cannot create the takes' folder {}", directory.display()))?;
     notify(&format!("created the folder {}", directory.display()));
     Ok(())
 }

@@ -187,7 +187,7 @@ impl Inner {
         let message = match (&read, &joined) {
             (_, Err(error)) => {
                 self.fail(&format!("{error:#}"));
-                "data plane failed"
+                "recording pipeline failed"
             }
             (Err(error), _) => {
                 self.report_obstacle(&message_with_keys(error));
@@ -201,8 +201,8 @@ impl Inner {
                 }
                 EndingKind::DeviceGone => "device gone",
                 EndingKind::CutOff => {
-                    self.fail("the data plane failed: see the log");
-                    "data plane failed"
+                    self.fail("the recording pipeline failed: see the log");
+                    "recording pipeline failed"
                 }
                 _ => "disarmed",
             },

@@ -50,7 +50,7 @@ impl WorkQueues {
         Self {
             commands: WorkQueue::new("too many requests are being executed", COMMANDS, work_max),
             files: WorkQueue::new("too many files are being read", FILES, work_max),
-            checks: WorkQueue::new("another take is being checked", CHECKS, None),
+            checks: WorkQueue::new("another take is being verified", CHECKS, None),
         }
     }
 }
