@@ -56,8 +56,9 @@ fn ends(mesh: &Mesh) -> Option<Extremities> {
 /// The default method and the paper's beside each other, one row per group.
 pub(crate) fn beside(of: &str, groups: &[Group<'_>]) {
     println!(
-        "| {of} | meshes | default: refused | mean / p95 | paper: refused | ends wrong | joints missing | \
-         mean / p95 | paper with our ends: refused | joints missing | mean / p95 |"
+        "| {of} | meshes | default: refused | mean / p95 | paper: refused | extremities wrong | \
+         joints missing | mean / p95 | paper with the default extremities: refused | \
+         joints missing | mean / p95 |"
     );
     println!("|{}", "---|".repeat(11));
     for group in groups {
