@@ -84,8 +84,8 @@ def compress(
     Returns
     -------
     bytes
-        A complete take of unlabelled markers at 100 frames a second. Written to a file, every reader of takes
-        can read it.
+        A complete take of unlabelled markers at 100 frames a second, which any program that reads takes can read
+        from a file.
 
     Raises
     ------
