@@ -52,7 +52,7 @@ test("an absent or silent device takes precedence over every state but failed", 
 test("without a device the page tells what is interrupted, how many frames are missing, and when it resumes", () => {
   const recording = { ...STATUS, state: "recording", take: { name: "b" } };
   equal(describe({ ...recording, device: AWAY }).map((line) => line.replace("\u202f", " ")), ["Recording interrupted: b",
-    "1 599 frames missing so far", "Recording resumes when the device is back, or ends in 0:50"]);
+    "1 599 frames missing so far", "Recording resumes when the device is back, or the take ends in 0:50"]);
   equal(describe({ ...recording, device: SILENT })[2], "Recording resumes when the device sends again");
   equal(describe({ ...STATUS, device: AWAY }), ["Armed: nothing can be recorded", "Ready again when the device is back"]);
   equal(describe({ ...STATUS, state: "idle", device: { ...DEVICE, presence: "absent" } }), ["Idle"]);
