@@ -121,8 +121,8 @@ pub struct TakeReader {
     seek_request: Option<u64>,
     /// End of the region that held only an incomplete header.
     header_cut_until: u64,
-    seen_magic: bool,
-    seen_footer: bool,
+    has_magic: bool,
+    has_footer: bool,
     complete: bool,
     ended: bool,
 }
@@ -144,7 +144,7 @@ impl TakeReader {
     pub fn from_key(header: &Header, key: IndexEntry) -> Result<Self, TakeError> {
         let mut chain = StretchChain::from_header(header)?;
         chain.seek(key.first_row);
-        Ok(Self { base: key.offset, chain: Some(chain), seen_magic: true, ..Self::default() })
+        Ok(Self { base: key.offset, chain: Some(chain), has_magic: true, ..Self::default() })
     }
 
     /// Appends bytes of the file, in order, in pieces of any size.
@@ -208,7 +208,7 @@ impl TakeReader {
 
     /// The next event with the file offset of its end.
     pub(crate) fn next_located(&mut self) -> Result<Option<(u64, TakeEvent<'_>)>, TakeError> {
-        if self.ended || !self.seen_magic && !self.check_magic()? {
+        if self.ended || !self.has_magic && !self.check_magic()? {
             return Ok(None);
         }
         while self.seek_request.is_none() {
@@ -256,7 +256,7 @@ impl TakeReader {
         }
         self.used = have;
         self.header_cut_until = have as u64;
-        self.seen_magic = true;
+        self.has_magic = true;
         self.bytes.header += have as u64;
         Ok(true)
     }
@@ -268,7 +268,7 @@ impl TakeReader {
             let why = if is_damaged { NotATake::HeaderDamaged } else { NotATake::HeaderCut };
             return Err(TakeError::NotATake(why));
         }
-        Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
+        Ok(TakeEvent::End { finished: self.has_footer, bytes: self.bytes })
     }
 }
 

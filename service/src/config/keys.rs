@@ -108,7 +108,7 @@ keys! {
     take.tolerance: ValueType::Distance,
         DefaultValue::Text("0.5mm"), ReloadPolicy::NextArm,
         Field {
-            read: |config, given| given.quantity(tolerance).map(|mm| config.take.codec.tolerance = mm),
+            read: |config, raw| raw.quantity(tolerance).map(|mm| config.take.codec.tolerance = mm),
             to_json: |config| {
                 let codec = &config.take.codec;
                 (!codec.kind.is_lossless()).then(|| json!(format!("{}mm", codec.tolerance.mm())))
@@ -120,7 +120,7 @@ keys! {
         DefaultValue::Flag(false), ReloadPolicy::NextArm,
         Field {
             // Its effect depends on `take.resampler`: see `ConfigReader::codec`.
-            read: |_, given| bool::read(given).map(drop),
+            read: |_, raw| bool::read(raw).map(drop),
             to_json: |config| Some(json!(config.take.codec.kind.is_lossless())),
         };
     /// How samples are compressed.
@@ -153,7 +153,7 @@ keys! {
     subject.name: ValueType::Text("a name of at most 128 bytes"),
         DefaultValue::Absent("\"S01\""), ReloadPolicy::NextTake,
         Field {
-            read: |config, given| given.text(subject_name).map(|name| config.subject.name = Some(name)),
+            read: |config, raw| raw.text(subject_name).map(|name| config.subject.name = Some(name)),
             to_json: |config| config.subject.name.as_deref().map(|name| json!(name)),
         };
     /// The skeleton.json that `mocapd subject body` made from a scan; stored in every take and drawn by the dashboard.
@@ -194,7 +194,7 @@ keys! {
             example: "\"/run/mocapd/mocapd.sock\"",
         }, ReloadPolicy::Restart,
         Field {
-            read: |config, given| given.text(socket).map(|socket| config.http.socket = socket),
+            read: |config, raw| raw.text(socket).map(|socket| config.http.socket = socket),
             to_json: |config| config.http.socket.to_json().or_else(|| Some(json!(""))),
         };
     /// TCP address of the HTTP interface; `""` for none.

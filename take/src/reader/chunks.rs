@@ -117,7 +117,7 @@ impl TakeReader {
             },
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.plausible_rows_max(), offset))
-                .inspect(|_| self.seen_footer = true)
+                .inspect(|_| self.has_footer = true)
                 .map(TakeEvent::Footer),
             _ => match record(kind, payload, offset) {
                 Ok(Some(TakeEvent::Channels(more))) => {
