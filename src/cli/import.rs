@@ -48,7 +48,7 @@ pub(crate) struct Args {
     /// rotated so that the axis points up
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Direction>,
-    /// Import marker trajectories only, without analog channels, model outputs and foreign parameters
+    /// Import marker trajectories only, without analog channels, model outputs and other parameters
     #[arg(long)]
     drop_foreign: bool,
     /// Number of resampler threads; the take is the same for any number [default: one per core, at most 8]

@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// Tolerances of table 1 [default: those of the paper, 1mm,5mm,10mm,15mm,20mm]
     #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
-    /// Number of trials on which to try the exhaustive variant of step 2, in pieces of up to 256 frames
+    /// Number of trials to resample with spline:exhaustive as well, in pieces of up to 256 frames
     #[arg(long, value_name = "N", default_value_t = 10)]
     exhaustive: usize,
     /// Cutoff of the low-pass filter for velocities and accelerations

@@ -121,7 +121,7 @@ impl AgainstReport {
         }
         for ambiguity in &self.ambiguities {
             let text = plain(&ambiguity.text);
-            out += &format!("  the original is ambiguous, and was read as at import: {text}\n");
+            out += &format!("  the original is ambiguous; it was read as in the import: {text}\n");
         }
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");
@@ -129,7 +129,7 @@ impl AgainstReport {
         }
         if let Some(beyond) = found.beyond_stated.filter(|&beyond| beyond > 0) {
             let samples = count(beyond, "sample");
-            out += &format!("  ERROR ABOVE the bound of their blocks: {samples}\n");
+            out += &format!("  ERROR ABOVE what their blocks state: {samples}\n");
         }
         if found.frames_missing > 0 {
             out += &format!("  in only one of the two: {}\n", count(found.frames_missing, "frame"));
