@@ -145,10 +145,10 @@ fn verify(
     let report = AgainstReport::new(difference, tolerance_mm);
     print(&format!("4. {}", report.text(tolerance_mm)))?;
     let ledger = &recorded.written.ledger;
-    ensure!(ledger.closes(), "the ledger does not close: this is a bug in mocapd");
+    ensure!(ledger.closes(), "the ledger does not close: please report this bug");
     ensure!(
         sent.run.frames_produced == ledger.frames_sent,
-        "the device sent {} frames, the ledger has {}: this is a bug in mocapd",
+        "the device sent {} frames, the ledger has {}: please report this bug",
         sent.run.frames_produced,
         ledger.frames_sent
     );
@@ -156,7 +156,7 @@ fn verify(
     let cut_short = recorded.recording.ending == EndingKind::Stopped;
     ensure!(
         report.is_within() || ledger.lost_anything() || cut_short,
-        "the take is not within its tolerance: this is a bug in mocapd"
+        "the take is not within its tolerance: please report this bug"
     );
     Ok(())
 }

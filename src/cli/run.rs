@@ -191,11 +191,11 @@ impl RunningService<'_> {
                     self.notifier.status(&self.engine.status().summary());
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    anyhow::bail!("the signal thread has ended: this is a bug in mocapd")
+                    anyhow::bail!("the signal thread has ended: please report this bug")
                 }
             }
             if self.engine.has_died() {
-                anyhow::bail!("a thread of the service has ended: this is a bug in mocapd");
+                anyhow::bail!("a thread of the service has ended: please report this bug");
             }
         }
     }

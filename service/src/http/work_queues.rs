@@ -124,7 +124,7 @@ impl WorkQueue {
             drop(held);
             done
         });
-        job.await.map_err(|_| Problem::internal("a job panicked: this is a bug in mocapd"))
+        job.await.map_err(|_| Problem::internal("a job panicked: please report this bug"))
     }
 }
 
