@@ -76,7 +76,7 @@ fn takes(findings: &Findings) -> String {
     }
     let frames: u64 = findings.trials.iter().map(|trial| trial.frames).sum();
     let without = findings.trials.iter().filter(|trial| trial.phases.is_err()).count();
-    write!(out, "{n} takes, {frames} frames; {without} without phases.\n\n").ok();
+    write!(out, "Takes: {n}, without phases: {without}; frames: {frames}.\n\n").ok();
     if !table.rows.is_empty() {
         out += &table.markdown();
     }
