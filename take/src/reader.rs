@@ -104,7 +104,7 @@ pub struct TakeReader {
     /// File offset of the front of `buffer`.
     base: u64,
     /// Number of unprocessed bytes needed before the next attempt to parse.
-    wanted: u64,
+    needed: u64,
     /// `None` before the header.
     chain: Option<StretchChain>,
     /// Entries of the channel table so far.
@@ -157,12 +157,12 @@ impl TakeReader {
             self.base += done as u64;
             self.used -= done;
         }
-        let (held, wanted) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
-        if wanted > held {
+        let (capacity, needed) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
+        if needed > capacity {
             // A vector would double its capacity; near the window size less is enough.
-            let grown = if held < WINDOW_BYTES { 2 * held } else { held / 4 * 5 };
-            let grown = if wanted > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
-            self.buffer.reserve_exact(grown.max(wanted) - self.buffer.len());
+            let grown = if capacity < WINDOW_BYTES { 2 * capacity } else { capacity / 4 * 5 };
+            let grown = if needed > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
+            self.buffer.reserve_exact(grown.max(needed) - self.buffer.len());
         }
         self.buffer.extend_from_slice(bytes);
     }
@@ -220,7 +220,7 @@ impl TakeReader {
                     return Ok(None);
                 }
                 return self.finish_long_chunk().map(|event| self.located(event));
-            } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.wanted {
+            } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.needed {
                 return Ok(None);
             } else if self.damage.is_some() {
                 if let Some(event) = self.find_next() {

@@ -169,13 +169,13 @@ impl Inner {
             }
         };
         self.publish(ServiceEventKind::State, "armed", None);
-        let say = |message: &str| self.events.defer(message);
+        let defer = |message: &str| self.events.defer(message);
         let options = ReadOptions {
             stop: &stop,
             rows_max: None,
             length: None,
             single_take: false,
-            notify: &say,
+            notify: &defer,
             how_to_end: "",
             how_to_set: key_hint,
         };

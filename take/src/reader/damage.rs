@@ -51,7 +51,7 @@ impl TakeReader {
         // No chunk begins at the region's own first byte.
         let (offset, start_dropped) = self.damage.as_ref().map(|d| (d.offset, d.start_dropped))?;
         if !self.complete && self.buffer.len() - self.used < WINDOW_BYTES {
-            self.wanted = WINDOW_BYTES as u64;
+            self.needed = WINDOW_BYTES as u64;
             return None;
         }
         let from = self.used + usize::from(self.offset() == offset);
@@ -80,7 +80,7 @@ impl TakeReader {
         let damage = self.damage.take()?;
         let offset = damage.offset;
         self.used = at;
-        self.wanted = 1;
+        self.needed = 1;
         let len = self.offset() - offset;
         if !damage.start_dropped && len <= CHUNK_HELD_MAX {
             let start = (offset - self.base) as usize;
