@@ -51,7 +51,7 @@ class Header:
     """Start of the recording in UTC; None for an import."""
     resampler: str
     tolerance_mm: float
-    """Largest Euclidean distance in 3D between a sample and its reconstruction; 0 for ``lossless``."""
+    """Largest allowed Euclidean distance in 3D between a sample and its reconstruction; 0 for ``lossless``."""
     rate_hz: float
     up_axis: str | None
     """``x``, ``y`` or ``z``; None if unknown."""
