@@ -25,14 +25,14 @@ export function responseMessage(what, answer, tookMs, rateHz) {
   if (what === "stop" || what === "save-last") {
     const { ledger, rows, seconds } = answer;
     const lost = Math.max(0, rows - ledger.recorded);
-    const losses = lost > 0 ? `${plural(lost, "frame")} lost` : "no frame lost";
+    const losses = lost > 0 ? `${count(lost)} lost` : "none lost";
     const closes = ledger.closes ? "the ledger closes" : "the ledger does not close: verify the take";
     const ending = ["stopped", "saved"].includes(answer.ending) ? "" : ` It ended by itself: ${answer.ending}.`;
-    return `${answer.name} is on disk: ${elapsed(seconds)}, ${count(rows)} rows, ${losses}, ${closes}.${ending}${remarks}`;
+    return `${answer.name} is on disk: ${elapsed(seconds)}, ${plural(rows, "frame")}, ${losses}, ${closes}.${ending}${remarks}`;
   }
   if (what === "mark") {
     const at = rateHz > 0 ? ` (${elapsed(answer.row / rateHz)})` : "";
-    return `Marked at row ${count(answer.row)}${at}.`;
+    return `Marked at frame ${count(answer.row)}${at}.`;
   }
   return what === "arm" ? `Armed (${took}).` : "Idle: the device is stopped and the pre-roll discarded.";
 }
@@ -110,7 +110,7 @@ export class Actions {
     showResponse("waiting", `${PROGRESS[what]} …`);
     const began = performance.now();
     try {
-      const onRetry = () => showResponse("waiting", `${PROGRESS[what]}: no answer, retrying with the same request id …`);
+      const onRetry = () => showResponse("waiting", `${PROGRESS[what]}: no reply, retrying with the same request id …`);
       const answer = await sendCommand(`/v1/${what}`, body, { onRetry });
       showResponse("done", responseMessage(what, answer, performance.now() - began, this.#status?.device.rate_hz ?? 0));
       return answer;

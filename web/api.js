@@ -31,7 +31,7 @@ async function send(path, options, timeoutMs) {
   try {
     response = await fetch(path, { ...options, signal: timeout, cache: "no-store" });
   } catch {
-    throw new ConnectionError(timeout.aborted ? `no answer within ${timeoutMs / 1000} s` : "the service cannot be reached");
+    throw new ConnectionError(timeout.aborted ? `no reply within ${timeoutMs / 1000} s` : "the service cannot be reached");
   }
   return checkStatus(response);
 }
@@ -56,7 +56,7 @@ export async function get(path) {
     } catch (error) {
       if (error.status === 401) await logIn();
       else if (error instanceof ServiceError || error instanceof ConnectionError) throw error;
-      else throw new ConnectionError("the answer is incomplete");
+      else throw new ConnectionError("the reply is incomplete");
     }
   }
 }

@@ -33,7 +33,7 @@ const bad = (word) => ({ level: "bad", word });
 
 function rate({ input, device }) {
   const nominal = device.rate_hz;
-  const note = nominal > 0 ? `of ${Number(nominal.toFixed(2))} Hz` : "nominal unknown";
+  const note = nominal > 0 ? `of ${Number(nominal.toFixed(2))} Hz` : "nominal rate unknown";
   const hz = input.measured_hz;
   const metric = { ...value(hz.toFixed(hz < 100 ? 2 : 1), "Hz"), note };
   if (device.presence !== "streaming") return { ...metric, ...bad(device.presence) };

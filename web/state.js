@@ -34,7 +34,7 @@ function withoutFrames({ state, take, device, last_take: last }) {
   if (state === "recording" && take) {
     const lines = [`Recording interrupted: ${take.name}`];
     if (outage) lines.push(`${plural(outage.frames, "frame")} missing so far`);
-    const limit = outage?.ends_in_s != null ? `, or ends in ${elapsed(outage.ends_in_s).split(".")[0]}` : "";
+    const limit = outage?.ends_in_s != null ? `, or the take ends in ${elapsed(outage.ends_in_s).split(".")[0]}` : "";
     return [...lines, `Recording resumes ${back}${limit}`];
   }
   if (state === "armed") return ["Armed: nothing can be recorded", `Ready again ${back}`];

@@ -164,7 +164,7 @@ pub struct HungThread {
 
 impl fmt::Display for HungThread {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the {} has not moved for {:.1} s", self.role, self.silent_for.as_secs_f64())
+        write!(f, "the {} has been stuck for {:.1} s", self.role, self.silent_for.as_secs_f64())
     }
 }
 

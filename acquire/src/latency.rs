@@ -41,11 +41,11 @@ impl LatencyHistogram {
     /// The `q`-quantile (`q` from 0 to 1), rounded up to the end of its bucket.
     #[must_use]
     pub fn quantile_ns(&self, q: f64) -> u64 {
-        let wanted = (q * self.n as f64).ceil() as u64;
-        let mut seen = 0;
+        let rank = (q * self.n as f64).ceil() as u64;
+        let mut n = 0;
         for (index, count) in self.buckets.iter().enumerate() {
-            seen += count;
-            if seen >= wanted && *count > 0 {
+            n += count;
+            if n >= rank && *count > 0 {
                 return bucket_end(index).min(self.max_ns);
             }
         }

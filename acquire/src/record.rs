@@ -1,4 +1,4 @@
-//! Records one take: opens a pipeline for a rig and reads the rig into it.
+//! Records one take: starts a pipeline for a rig, and reads the rig until the take ends.
 
 use std::{
     path::Path,
@@ -97,21 +97,21 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         (recording, pipeline.finish())
     });
     let name = options.take.display();
-    // A take without a frame is useless: remove it.
-    let nothing_recorded = |error: anyhow::Error| match id.remove(options.take) {
+    // A take without a frame is useless.
+    let remove_empty = |error: anyhow::Error| match id.remove(options.take) {
         Ok(()) => error,
         Err(e) => error.context(format!("{name} is empty and cannot be removed ({e})")),
     };
     let is_empty = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
     match outcome {
-        Err(error) => Err(nothing_recorded(error)),
+        Err(error) => Err(remove_empty(error)),
         Ok((Err(error), written)) => Err(match written {
-            Ok((written, _)) if written.ledger.recorded == 0 => nothing_recorded(error),
+            Ok((written, _)) if written.ledger.recorded == 0 => remove_empty(error),
             Ok((_, mut file)) => explain_early_end(options.take, error, Some(&mut *file)),
-            Err(failed) if is_empty(&failed) => nothing_recorded(error),
+            Err(failed) if is_empty(&failed) => remove_empty(error),
             Err(mut failed) => explain_early_end(options.take, error, failed.output.as_deref_mut()),
         }),
-        Ok((Ok(_), Err(failed))) if is_empty(&failed) => Err(nothing_recorded(failed.error)),
+        Ok((Ok(_), Err(failed))) if is_empty(&failed) => Err(remove_empty(failed.error)),
         Ok((Ok(_), Err(mut failed))) => {
             Err(explain_early_end(options.take, failed.error, failed.output.as_deref_mut()))
         }
@@ -125,7 +125,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
                     }
                     _ => "the device sent no frame: check that it is capturing",
                 };
-                return Err(nothing_recorded(anyhow!("nothing was recorded: {why}")));
+                return Err(remove_empty(anyhow!("nothing was recorded: {why}")));
             }
             Ok(Recorded { written, recording, file: file.settle(), rate_hz, markers })
         }

@@ -73,7 +73,7 @@ pub fn run_alongside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: i
 /// When it panicked.
 pub fn join<T>(handle: JoinHandle<T>) -> anyhow::Result<T> {
     let name = handle.thread().name().unwrap_or("?").to_owned();
-    handle.join().map_err(|_| anyhow!("the thread {name} panicked: this is a bug in mocapd"))
+    handle.join().map_err(|_| anyhow!("the thread {name} panicked: please report this bug"))
 }
 
 /// The default number of worker threads: one per core, at most eight, since one core resamples

@@ -9,7 +9,7 @@ pub struct Family {
     pub name: &'static str,
     /// Rates a device by what is visible without opening it: location, USB ids and strings.
     pub claims: fn(&Candidate) -> Claim,
-    /// Makes the protocol for a newly opened device at a location.
+    /// Creates the protocol for a newly opened device at a location.
     pub protocol: fn(&Location) -> Box<dyn Protocol>,
 }
 

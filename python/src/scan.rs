@@ -12,7 +12,7 @@ pub(crate) struct MarkerScan {
     pub(crate) samples: u64,
     /// Runs of rows without a sample, including those at start and end.
     pub(crate) gaps: u64,
-    /// Kept samples.
+    /// Samples kept as knots.
     pub(crate) n_knots: u64,
     /// The largest error stated by a block with samples of this marker.
     pub(crate) max_error_mm: f64,
@@ -23,6 +23,7 @@ pub(crate) struct MarkerScan {
 }
 
 impl MarkerScan {
+    /// Counts absent rows; `at_start`: the first of the piece.
     fn absent(&mut self, at_start: bool) {
         self.gaps += u64::from(at_start || !self.in_gap);
         self.begins_in_gap |= at_start;
@@ -51,36 +52,36 @@ pub(crate) fn scan(
     let (pieces, problems) = request.decode(pieces, |take, rows| {
         let mut found = vec![MarkerScan::default(); columns.len()];
         let mut at = rows.start;
-        take.read_rows(&rows, |take, held, offset| {
+        take.read_rows(&rows, |take, part, offset| {
             source.check()?;
-            let n = (held.end - held.start) as usize;
+            let n = (part.end - part.start) as usize;
             for (column, &place) in found.iter_mut().zip(columns) {
-                if held.start > at {
+                if part.start > at {
                     column.absent(at == rows.start);
                 }
-                let first = held.start == rows.start;
-                let seen = take.rows().nth(place).flatten().filter(|seen| seen.has_samples());
-                let Some(seen) = seen else {
+                let first = part.start == rows.start;
+                let decoded = take.rows().nth(place).flatten().filter(|rows| rows.has_samples());
+                let Some(decoded) = decoded else {
                     column.absent(first);
                     continue;
                 };
-                column.max_error_mm = column.max_error_mm.max(seen.max_error_mm);
+                column.max_error_mm = column.max_error_mm.max(decoded.max_error_mm);
                 for i in 0..n {
-                    if !seen.present[offset + i] {
+                    if !decoded.present[offset + i] {
                         column.absent(first && i == 0);
                         continue;
                     }
                     column.in_gap = false;
                     column.samples += 1;
-                    if seen.kept[offset + i] {
+                    if decoded.kept[offset + i] {
                         column.n_knots += 1;
                         if with_knots {
-                            column.knots.push((held.start + i as u64).cast_signed());
+                            column.knots.push((part.start + i as u64).cast_signed());
                         }
                     }
                 }
             }
-            at = held.end;
+            at = part.end;
             Ok(())
         })?;
         if rows.end > at {

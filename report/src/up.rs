@@ -17,8 +17,8 @@ pub struct Up {
 }
 
 impl Up {
-    /// The up axis as stated by the take; else the axis nearest to the top of the face; else the axis along which the
-    /// markers spread most, since a body is taller than wide.
+    /// The up axis that the take states; else the axis nearest to `top_of_face`, a direction; else the axis along which
+    /// the markers spread most, since a body is taller than wide.
     #[must_use]
     pub fn of(motion: &Motion, top_of_face: Option<Vector>) -> Self {
         if let Some(axis) = motion.info.up.index() {

@@ -15,7 +15,6 @@ use std::{
 use anyhow::{Context, anyhow, ensure};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files, inspect::Summary, record::Recorded, rig::Rig, threads};
-
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
 use mocapd_service::units;
@@ -123,7 +122,7 @@ fn show_take(take: &Path) -> anyhow::Result<()> {
     let summary = Summary::read(BufReader::new(files::open(take)?))?;
     let gaps: u64 = summary.per_channel.iter().map(|channel| channel.gaps).sum();
     print(&format!(
-        "3. in the take: {} of {} kept, in {} a marker; {} in the trajectories\n",
+        "3. in the take: {} of {} kept, in {} per marker; {} in the trajectories\n",
         thousands(summary.knots()),
         count(summary.samples(), "sample"),
         count(summary.stretches, "block"),
@@ -144,10 +143,10 @@ fn verify(
     let report = AgainstReport::new(difference, tolerance_mm);
     print(&format!("4. {}", report.text(tolerance_mm)))?;
     let ledger = &recorded.written.ledger;
-    ensure!(ledger.closes(), "the ledger does not close: this is a bug in mocapd");
+    ensure!(ledger.closes(), "the ledger does not close: please report this bug");
     ensure!(
         sent.run.frames_produced == ledger.frames_sent,
-        "the device sent {} frames, the ledger has {}: this is a bug in mocapd",
+        "the device sent {} frames, the ledger has {}: please report this bug",
         sent.run.frames_produced,
         ledger.frames_sent
     );
@@ -155,12 +154,12 @@ fn verify(
     let cut_short = recorded.recording.ending == EndingKind::Stopped;
     ensure!(
         report.is_within() || ledger.lost_anything() || cut_short,
-        "the take is not within its tolerance: this is a bug in mocapd"
+        "the take is not within its tolerance: please report this bug"
     );
     Ok(())
 }
 
-/// Exports the take to each format, beside it; the names and sizes of the files.
+/// Exports the take to each format, in its folder. Returns the names and sizes of the files.
 fn export(take: &Path) -> anyhow::Result<String> {
     let mut names = Vec::new();
     for (format, extension) in EXPORTS {

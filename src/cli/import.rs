@@ -48,7 +48,7 @@ pub(crate) struct Args {
     /// rotated so that the axis points up
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Direction>,
-    /// Import marker trajectories only, without analog channels, model outputs and foreign parameters
+    /// Import marker trajectories only, without analog channels, model outputs and other parameters
     #[arg(long)]
     drop_foreign: bool,
     /// Number of resampler threads; the take is the same for any number [default: one per core, at most 8]
@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let written = write(&motion, &header, workers, &args.output)
         .with_context(|| format!("cannot write {}", args.output.display()))?;
     if written.samples == 0 {
-        about_file("it has no samples: the take holds only gaps");
+        about_file("no samples: the take holds only gaps");
     }
     let report = ImportReport::new(&args.output, &motion, &codec, &written, foreign_dropped);
     if args.json {

@@ -100,7 +100,7 @@ pub(crate) fn losses(ledger: &LedgerDocument) -> Option<String> {
         frames.map(|(n, what)| format!("{} {what}", count(n, "frame"))).collect();
     if ledger.markers_dropped > 0 {
         let samples = count(ledger.markers_dropped, "sample");
-        losses.push(format!("{samples} of markers beyond the channel pool"));
+        losses.push(format!("{samples} of markers without a free channel"));
     }
     (!losses.is_empty()).then(|| losses.join(", "))
 }
@@ -147,7 +147,7 @@ fn samples(ledger: &LedgerDocument, out: &mut String) {
 fn link(ledger: &LedgerDocument, out: &mut String) {
     if ledger.markers_dropped > 0 {
         let n = thousands(ledger.markers_dropped);
-        writeln!(out, "  {n:>15} samples of markers beyond the channel pool").ok();
+        writeln!(out, "  {n:>15} samples of markers without a free channel").ok();
     }
     if ledger.link_messages_damaged > 0 || ledger.link_bytes_skipped > 0 {
         let damaged = thousands(ledger.link_messages_damaged);

@@ -191,11 +191,11 @@ impl RunningService<'_> {
                     self.notifier.status(&self.engine.status().summary());
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    anyhow::bail!("the signal thread has ended: this is a bug in mocapd")
+                    anyhow::bail!("the signal thread has ended: please report this bug")
                 }
             }
             if self.engine.has_died() {
-                anyhow::bail!("a thread of the service has ended: this is a bug in mocapd");
+                anyhow::bail!("a thread of the service has ended: please report this bug");
             }
         }
     }
@@ -248,7 +248,7 @@ fn create_directory(config: &Config) -> anyhow::Result<()> {
         return Ok(());
     }
     std::fs::create_dir_all(directory)
-        .with_context(|| format!("cannot create the folder for takes, {}", directory.display()))?;
+        .with_context(|| format!("cannot create the takes' folder {}", directory.display()))?;
     notify(&format!("created the folder {}", directory.display()));
     Ok(())
 }

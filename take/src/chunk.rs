@@ -76,7 +76,7 @@ pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError>
     Ok(())
 }
 
-/// What the first bytes of a buffer hold.
+/// What the first bytes of a buffer are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChunkParse<'a> {
     /// A complete chunk with a matching CRC.
@@ -99,7 +99,7 @@ pub enum ChunkParse<'a> {
 pub fn parse(bytes: &[u8]) -> ChunkParse<'_> {
     match split(bytes) {
         ChunkParse::Whole { len, .. } if !crc_matches(&bytes[..len]) => ChunkParse::Damaged,
-        front => front,
+        other => other,
     }
 }
 
@@ -111,7 +111,7 @@ fn crc_matches(chunk: &[u8]) -> bool {
 /// Parses the chunk at the front of `bytes` without checking its CRC.
 pub(crate) fn split(bytes: &[u8]) -> ChunkParse<'_> {
     match head(bytes) {
-        ChunkHead::Short(wanted) => ChunkParse::Short(wanted),
+        ChunkHead::Short(needed) => ChunkParse::Short(needed),
         ChunkHead::Invalid => ChunkParse::Damaged,
         ChunkHead::Valid { kind, len, head_bytes } => {
             let chunk = usize::try_from(len).ok().and_then(|len| bytes.get(..len));
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_chunks_come_back() {
+    fn whole_chunks_are_parsed() {
         let bytes = two();
         let ChunkParse::Whole { kind, payload, len } = parse(&bytes) else { panic!() };
         assert_eq!((kind, payload), (types::STRETCH, &b"first"[..]));
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn every_mutation_is_seen() {
+    fn every_mutation_is_detected() {
         let bytes = two();
         let ChunkParse::Whole { len, .. } = parse(&bytes) else { panic!() };
         for at in 0..len {

@@ -207,11 +207,11 @@ struct Chunk {
 }
 
 impl Chunk {
-    /// Reads the chunk at `offset`. `None` unless its CRC matches, its type is `wanted` and it has at most `max` bytes.
+    /// Reads the chunk at `offset`. `None` unless its CRC matches, its type is `kind` and it has at most `max` bytes.
     fn read(
         input: &mut (impl Read + Seek),
         offset: u64,
-        wanted: u8,
+        kind: u8,
         max: u64,
     ) -> Result<Option<Self>, TakeError> {
         let mut bytes = Vec::new();
@@ -220,12 +220,12 @@ impl Chunk {
         loop {
             // Memory grows with the file's content, not with a length that it claims.
             input.by_ref().take(needed - bytes.len() as u64).read_to_end(&mut bytes)?;
-            let is_wanted = bytes.first() == Some(&wanted);
+            let has_kind = bytes.first() == Some(&kind);
             match chunk::parse(&bytes) {
-                ChunkParse::Whole { payload, len, .. } if is_wanted => {
+                ChunkParse::Whole { payload, len, .. } if has_kind => {
                     return Ok(Some(Self { payload: payload.to_vec(), len: len as u64 }));
                 }
-                ChunkParse::Short(more) if is_wanted && more <= max && more > needed => {
+                ChunkParse::Short(more) if has_kind && more <= max && more > needed => {
                     needed = more;
                 }
                 _ => return Ok(None),

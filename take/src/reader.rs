@@ -104,7 +104,7 @@ pub struct TakeReader {
     /// File offset of the front of `buffer`.
     base: u64,
     /// Number of unprocessed bytes needed before the next attempt to parse.
-    wanted: u64,
+    needed: u64,
     /// `None` before the header.
     chain: Option<StretchChain>,
     /// Entries of the channel table so far.
@@ -121,8 +121,8 @@ pub struct TakeReader {
     seek_request: Option<u64>,
     /// End of the region that held only an incomplete header.
     header_cut_until: u64,
-    seen_magic: bool,
-    seen_footer: bool,
+    has_magic: bool,
+    has_footer: bool,
     complete: bool,
     ended: bool,
 }
@@ -144,7 +144,7 @@ impl TakeReader {
     pub fn from_key(header: &Header, key: IndexEntry) -> Result<Self, TakeError> {
         let mut chain = StretchChain::from_header(header)?;
         chain.seek(key.first_row);
-        Ok(Self { base: key.offset, chain: Some(chain), seen_magic: true, ..Self::default() })
+        Ok(Self { base: key.offset, chain: Some(chain), has_magic: true, ..Self::default() })
     }
 
     /// Appends bytes of the file, in order, in pieces of any size.
@@ -157,12 +157,12 @@ impl TakeReader {
             self.base += done as u64;
             self.used -= done;
         }
-        let (held, wanted) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
-        if wanted > held {
+        let (capacity, needed) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
+        if needed > capacity {
             // A vector would double its capacity; near the window size less is enough.
-            let grown = if held < WINDOW_BYTES { 2 * held } else { held / 4 * 5 };
-            let grown = if wanted > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
-            self.buffer.reserve_exact(grown.max(wanted) - self.buffer.len());
+            let grown = if capacity < WINDOW_BYTES { 2 * capacity } else { capacity / 4 * 5 };
+            let grown = if needed > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
+            self.buffer.reserve_exact(grown.max(needed) - self.buffer.len());
         }
         self.buffer.extend_from_slice(bytes);
     }
@@ -208,7 +208,7 @@ impl TakeReader {
 
     /// The next event with the file offset of its end.
     pub(crate) fn next_located(&mut self) -> Result<Option<(u64, TakeEvent<'_>)>, TakeError> {
-        if self.ended || !self.seen_magic && !self.check_magic()? {
+        if self.ended || !self.has_magic && !self.check_magic()? {
             return Ok(None);
         }
         while self.seek_request.is_none() {
@@ -220,7 +220,7 @@ impl TakeReader {
                     return Ok(None);
                 }
                 return self.finish_long_chunk().map(|event| self.located(event));
-            } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.wanted {
+            } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.needed {
                 return Ok(None);
             } else if self.damage.is_some() {
                 if let Some(event) = self.find_next() {
@@ -256,7 +256,7 @@ impl TakeReader {
         }
         self.used = have;
         self.header_cut_until = have as u64;
-        self.seen_magic = true;
+        self.has_magic = true;
         self.bytes.header += have as u64;
         Ok(true)
     }
@@ -268,7 +268,7 @@ impl TakeReader {
             let why = if is_damaged { NotATake::HeaderDamaged } else { NotATake::HeaderCut };
             return Err(TakeError::NotATake(why));
         }
-        Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
+        Ok(TakeEvent::End { finished: self.has_footer, bytes: self.bytes })
     }
 }
 

@@ -188,7 +188,7 @@ fn take_blocks<'a>(
 pub struct StretchDecoder {
     settings: Settings,
     /// Numbers of the groups to decode; `None`: all.
-    wanted: Option<Vec<usize>>,
+    chosen: Option<Vec<usize>>,
     /// Decoders by group, created with the group's first block.
     groups: Vec<Option<GroupDecoder>>,
     /// The previous stretch was not decoded, so decoding resumes at the next key stretch.
@@ -209,14 +209,14 @@ impl StretchDecoder {
     /// A decoder of all groups of a take encoded with `settings`.
     #[must_use]
     pub fn new(settings: Settings) -> Self {
-        Self { settings, wanted: None, groups: Vec::new(), waits_for_key: true }
+        Self { settings, chosen: None, groups: Vec::new(), waits_for_key: true }
     }
 
-    /// A decoder of the groups with the numbers `wanted`; groups are coded independently. [`rows`](Self::rows) has no
+    /// A decoder of the groups with the numbers `groups`; groups are coded independently. [`rows`](Self::rows) has no
     /// samples of the others.
     #[must_use]
-    pub fn with_groups(settings: Settings, wanted: Vec<usize>) -> Self {
-        Self { wanted: Some(wanted), ..Self::new(settings) }
+    pub fn with_groups(settings: Settings, groups: Vec<usize>) -> Self {
+        Self { chosen: Some(groups), ..Self::new(settings) }
     }
 
     /// Skips a stretch, and with it all stretches that depend on it.
@@ -248,9 +248,9 @@ impl StretchDecoder {
             self.groups.resize_with(stretch.blocks.len(), || None);
         }
         // Every existing group must see the stretch, if only as a gap.
-        let is_wanted = |group: usize| self.wanted.as_ref().is_none_or(|all| all.contains(&group));
-        let wanted = |(group, &block)| if is_wanted(group) { block } else { &[][..] };
-        let blocks = stretch.blocks.iter().enumerate().map(wanted).chain(iter::repeat(&[][..]));
+        let is_chosen = |group: usize| self.chosen.as_ref().is_none_or(|all| all.contains(&group));
+        let chosen = |(group, &block)| if is_chosen(group) { block } else { &[][..] };
+        let blocks = stretch.blocks.iter().enumerate().map(chosen).chain(iter::repeat(&[][..]));
         let mut n_channels = 0;
         for (group, block) in self.groups.iter_mut().zip(blocks.clone()) {
             if key && let Some(group) = group {

@@ -433,10 +433,10 @@ impl<R: Read + Seek> TakeTraversal<R> {
         // The stretch that was decoded last may contain some of them.
         while self.current.is_some() || self.next_stretch()?.is_some() {
             let Some(span) = self.current else { break };
-            let held = span.first_row.max(rows.start)..span.end_row().min(rows.end);
-            if held.start < held.end {
-                let offset = (held.start - span.first_row) as usize;
-                each(self, held, offset)?;
+            let part = span.first_row.max(rows.start)..span.end_row().min(rows.end);
+            if part.start < part.end {
+                let offset = (part.start - span.first_row) as usize;
+                each(self, part, offset)?;
             }
             if span.end_row() >= rows.end {
                 break;

@@ -93,7 +93,7 @@ def by_keys(browser, _log):
         browser.wait("the timer", lambda: browser.text("timer") > "0:00.5")
         browser.type("mark-text", "heel <i>strike</i>")
         browser.keys("m")
-        browser.wait("the row of the mark", lambda: "Marked at row" in browser.text("answer"))
+        browser.wait("the frame of the mark", lambda: "Marked at frame" in browser.text("answer"))
         event = "return document.querySelector('#events li[data-kind=mark] .message')?.textContent"
         assert browser.wait("the event", event) == "heel <i>strike</i>"
         browser.picture("recording-dark")

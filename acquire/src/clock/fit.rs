@@ -147,7 +147,7 @@ struct FitInput {
     high: BoundPoints<BURSTS_MAX>,
     /// Scatter of the bounds below and above, in microseconds.
     noise_us: [f64; 2],
-    probes_tell_the_rate: bool,
+    rate_from_probes: bool,
 }
 
 impl FitInput {
@@ -169,7 +169,7 @@ impl FitInput {
     fn score(&self, ppm: f64) -> f64 {
         let prior = PRIOR_S * ppm.abs();
         let violation = if self.low.n > 0 { VIOLATION_COST * self.gap(ppm).min(0.0) } else { 0.0 };
-        if self.probes_tell_the_rate {
+        if self.rate_from_probes {
             let [low, high] = self.slack(ppm);
             let [low_noise, high_noise] = self.noise_us;
             let slack = low / low_noise + high / high_noise;
@@ -258,10 +258,10 @@ fn fit_line(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64
         low: BoundPoints::new(bursts.iter().map(|burst| burst.low), at, tick_hz),
         high: BoundPoints::new(bursts.iter().map(|burst| burst.high), at, tick_hz),
         noise_us: noise_us(bursts),
-        probes_tell_the_rate: bursts.len() >= BURSTS_FOR_RATE
+        rate_from_probes: bursts.len() >= BURSTS_FOR_RATE
             && span_us as f64 >= SPAN_FOR_RATE_S * 1e6,
     };
-    let drift_ppm = if input.probes_tell_the_rate || input.arrivals.n > 0 {
+    let drift_ppm = if input.rate_from_probes || input.arrivals.n > 0 {
         argmax(-DRIFT_MAX_PPM, DRIFT_MAX_PPM, |ppm| input.score(ppm))
     } else {
         0.0

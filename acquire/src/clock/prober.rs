@@ -51,7 +51,8 @@ pub struct Prober {
     bursts: usize,
     burst_began_ns: u64,
     next_burst_ns: u64,
-    left: u32,
+    /// Probes of this burst that are still to be sent.
+    remaining: u32,
     ready_ns: u64,
     sleeps: bool,
     waiting_since_ns: Option<u64>,
@@ -94,7 +95,7 @@ impl Prober {
             self.off = self.unanswered >= UNANSWERED_MAX;
             self.ready_ns = now_ns;
         }
-        if self.left == 0 {
+        if self.remaining == 0 {
             if now_ns < self.next_burst_ns {
                 return None;
             }
@@ -108,7 +109,7 @@ impl Prober {
     fn begin(&mut self, now_ns: u64) {
         let interval_s = INTERVALS_S[self.bursts.min(INTERVALS_S.len() - 1)];
         self.bursts += 1;
-        self.left = PROBES;
+        self.remaining = PROBES;
         self.burst_began_ns = now_ns;
         self.next_burst_ns = now_ns.saturating_add(interval_s * SECOND_NS);
         self.ready_ns = now_ns;
@@ -128,7 +129,7 @@ impl Prober {
 
     /// Reports that a ping was sent.
     pub fn sent(&mut self, at_ns: u64) {
-        self.left = self.left.saturating_sub(1);
+        self.remaining = self.remaining.saturating_sub(1);
         self.waiting_since_ns = Some(at_ns);
         self.pending.rotate_right(1);
         self.pending[0] = Some(at_ns);

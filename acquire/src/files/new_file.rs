@@ -123,7 +123,7 @@ pub struct NewFolder {
 }
 
 impl NewFolder {
-    /// Creates a hidden folder beside `path`.
+    /// Creates a hidden folder in the folder of `path`.
     ///
     /// # Errors
     /// When `path` exists, or nothing can be created there.
@@ -200,7 +200,7 @@ fn unnamed_file(path: &Path) -> anyhow::Result<Option<File>> {
     match openat(CWD, folder_of(path), flags, Mode::from_raw_mode(0o666)) {
         Ok(file) => {
             let file = File::from(file);
-            // Without /proc it could never be named.
+            // Without /proc it could never be given a name.
             Ok(proc_link(&file).exists().then_some(file))
         }
         // Network file systems, and kernels that take the flag for a folder to be opened.
@@ -240,13 +240,13 @@ impl BackgroundSync {
         if self.syncer.is_none() {
             self.syncer = start(file);
         }
-        let gone = match &self.syncer {
+        let has_ended = match &self.syncer {
             // Without a thread, everything is synced at the end.
             None => false,
             // Full: a sync has yet to start, and will include these bytes.
             Some(syncer) => matches!(syncer.wake.try_send(()), Err(TrySendError::Disconnected(()))),
         };
-        if gone { self.finish() } else { Ok(()) }
+        if has_ended { self.finish() } else { Ok(()) }
     }
 
     /// Waits for the running sync.
@@ -260,7 +260,7 @@ impl BackgroundSync {
     }
 }
 
-/// Starts the thread; `None` if the system provides no thread or no second handle.
+/// Starts the thread; `None` if the system provides no thread or no second handle of the file.
 fn start(file: &File) -> Option<SyncThread> {
     let file = file.try_clone().ok()?;
     // One queued wake-up is enough.

@@ -33,7 +33,7 @@ pub fn write_take<W: Write>(
 ) -> anyhow::Result<(TakeAccount, W)> {
     let plan = EncodePlan::new(motion, header)?;
     let mut take = MotionWriter::new(&plan, header, out)
-        .context("cannot write the take's header, or what is beside trajectories")?;
+        .context("cannot write the take's header, or its data beside the trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
         let mut encoder = plan.encoder();

@@ -136,7 +136,7 @@ impl Writer {
                 }
                 // Not expected: the groups hold the senders, and the writer keeps the groups alive through their
                 // wake-ups.
-                Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
+                Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads have ended"),
             }
             while let Some(last) = self.assembler.front_is_last() {
                 heartbeat.at_disk();

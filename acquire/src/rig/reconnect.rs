@@ -51,7 +51,6 @@ impl Obstacle {
 
 impl Rig {
     /// Sets how long a recording waits for a disconnected device before the take ends. By default it does not wait.
-    /// does not wait.
     pub fn wait_for_replug(&mut self, replug_timeout: Duration) {
         self.replug_timeout = replug_timeout;
     }

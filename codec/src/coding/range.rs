@@ -39,28 +39,28 @@ const TOP: u32 = 1 << 24;
 pub struct Bit {
     fast: u16,
     slow: u16,
-    /// Number of bits seen, saturating; averages of few bits move faster.
-    seen: u8,
+    /// Number of bits coded with it, saturating; averages of few bits move faster.
+    n_bits: u8,
 }
 
 impl Bit {
     /// Shifts of the exponential averages after enough bits: time constants of 32 and 128 bits.
     const FAST_SHIFT: u32 = 5;
     const SLOW_SHIFT: u32 = 7;
-    /// At this count `ilog2(seen + 2)` has reached the larger shift.
-    const MAX_SEEN: u8 = 126;
+    /// At this count `ilog2(n_bits + 2)` has reached the larger shift.
+    const N_BITS_MAX: u8 = 126;
 
     /// The number of bits that an initial probability counts for.
-    const PRIOR_SEEN: u8 = 14;
+    const PRIOR_BITS: u8 = 14;
 
-    /// Probability 1/2, with no bit seen.
-    pub const NEW: Self = Self { fast: 1 << 15, slow: 1 << 15, seen: 0 };
+    /// Probability 1/2, before any bit.
+    pub const NEW: Self = Self { fast: 1 << 15, slow: 1 << 15, n_bits: 0 };
 
-    /// Starts from the probability `odds` of `true` in 1/256, as if 14 bits had been seen.
+    /// Starts from the probability `odds` of `true` in 1/256, as after 14 bits.
     #[must_use]
     pub const fn expecting(odds: u8) -> Self {
         let estimate = u16::MAX - ((odds as u16) << 8 | 0x80);
-        Self { fast: estimate, slow: estimate, seen: Self::PRIOR_SEEN }
+        Self { fast: estimate, slow: estimate, n_bits: Self::PRIOR_BITS }
     }
 
     /// The probability of `false` in 2^-16: the mean of both averages, never 0 or 1.
@@ -69,7 +69,7 @@ impl Bit {
     }
 
     fn update(&mut self, bit: bool) {
-        let age = (u32::from(self.seen) + 2).ilog2();
+        let age = (u32::from(self.n_bits) + 2).ilog2();
         for (estimate, shift) in [
             (&mut self.fast, age.min(Self::FAST_SHIFT)),
             (&mut self.slow, age.min(Self::SLOW_SHIFT)),
@@ -80,7 +80,7 @@ impl Bit {
                 *estimate += (u16::MAX - *estimate) >> shift;
             }
         }
-        self.seen = (self.seen + 1).min(Self::MAX_SEEN);
+        self.n_bits = (self.n_bits + 1).min(Self::N_BITS_MAX);
     }
 }
 

@@ -101,7 +101,7 @@ const fn logit(probability: u16) -> i32 {
 /// The adaptive probabilities of all contexts.
 #[derive(Debug, Clone)]
 struct Contexts {
-    /// Upper 16 bits: the probability of a one bit. Lower 16 bits: how many bits the context has seen.
+    /// Upper 16 bits: the probability of a one bit. Lower 16 bits: how many bits were coded in the context.
     states: [u32; N_CONTEXTS],
     /// The logits of the probabilities, computed after each bit, so that the next decision does not wait for them.
     logits: [i16; N_CONTEXTS],
@@ -112,8 +112,8 @@ static INITIAL: Contexts = {
     let mut first = Contexts { states: [0; N_CONTEXTS], logits: [0; N_CONTEXTS] };
     let mut index = 0;
     while index < N_CONTEXTS {
-        let (probability, seen) = prior_context(index);
-        first.states[index] = (probability as u32) << 16 | seen as u32;
+        let (probability, n_bits) = prior_context(index);
+        first.states[index] = (probability as u32) << 16 | n_bits as u32;
         first.logits[index] = logit(probability) as i16;
         index += 1;
     }
@@ -130,22 +130,22 @@ impl Contexts {
     /// Adapts a context, whose state is `state`, to a bit.
     #[inline(always)]
     fn update(&mut self, index: usize, state: u32, bit: bool) {
-        let (probability, seen) = (state >> 16, (state & 0xffff) as usize);
+        let (probability, n_bits) = (state >> 16, (state & 0xffff) as usize);
         // 65535 or 0, without a branch, which would be unpredictable.
         let target = 0_u32.wrapping_sub(u32::from(bit)) >> 16;
         // The upper half of the product is the step, rounded down, also where it is negative; the sum is in range.
-        let rate = CONTEXT_RATES[seen % CONTEXT_RATES.len()];
+        let rate = CONTEXT_RATES[n_bits % CONTEXT_RATES.len()];
         let step = target.wrapping_sub(probability).wrapping_mul(rate);
-        let older = u32::from(seen < CONTEXT_RATES.len() - 1);
+        let older = u32::from(n_bits < CONTEXT_RATES.len() - 1);
         self.set(index, state.wrapping_add(step & !0xffff).wrapping_add(older));
     }
 }
 
-/// A mixer: the weights of up to three contexts in 2^-16, and how many bits it has seen.
+/// A mixer: the weights of up to three contexts in 2^-16, and the number of bits that trained it.
 #[derive(Debug, Clone, Copy)]
 struct Mixer {
     weights: [i32; 3],
-    seen: u32,
+    n_bits: u32,
 }
 
 /// By how much of its error a context moves at its n-th bit, in 2^-16: 1/(n + 1.6), at least 2 %.
@@ -164,14 +164,14 @@ const CONTEXT_RATES: [u32; 64] = {
 const INITIAL_RATE: i32 = 1311;
 const MIN_RATE: i32 = 393;
 
-/// The learning rate of a mixer by the number of bits it has seen, in 2^-16.
+/// The learning rate of a mixer by the number of bits that trained it, in 2^-16.
 const MIXER_RATES: [i32; 64] = {
     let mut rates = [0; 64];
-    let mut seen = 0;
-    while seen < 64 {
-        let rate = INITIAL_RATE * 16 / (16 + seen as i32);
-        rates[seen] = if rate < MIN_RATE { MIN_RATE } else { rate };
-        seen += 1;
+    let mut n = 0;
+    while n < 64 {
+        let rate = INITIAL_RATE * 16 / (16 + n as i32);
+        rates[n] = if rate < MIN_RATE { MIN_RATE } else { rate };
+        n += 1;
     }
     rates
 };
@@ -191,7 +191,7 @@ impl Model {
     pub(super) fn new() -> Self {
         let mut model = Self {
             contexts: Box::new(INITIAL.clone()),
-            mixers: Box::new([Mixer { weights: [0; 3], seen: 0 }; N_MIXERS]),
+            mixers: Box::new([Mixer { weights: [0; 3], n_bits: 0 }; N_MIXERS]),
             #[cfg(feature = "training")]
             tally: Tally::new(),
         };
@@ -203,7 +203,7 @@ impl Model {
     pub(super) fn reset(&mut self) {
         (*self.contexts).clone_from(&INITIAL);
         for (index, mixer) in self.mixers.iter_mut().enumerate() {
-            *mixer = Mixer { weights: prior_weights(index), seen: 0 };
+            *mixer = Mixer { weights: prior_weights(index), n_bits: 0 };
         }
         #[cfg(feature = "training")]
         self.tally.key();
@@ -232,14 +232,14 @@ impl Model {
         #[cfg(feature = "training")]
         self.tally.mixed(mixer, 65536 - p_zero as i32, bit);
         let error = i64::from(p_zero) - (i64::from(!bit) << 16);
-        let age = state.seen as usize % MIXER_RATES.len();
+        let age = state.n_bits as usize % MIXER_RATES.len();
         let rate = i64::from(MIXER_RATES[age]);
         for (weight, logit) in state.weights.iter_mut().zip(logits) {
             let step = ((((error * logit) >> 8) * rate) + (1 << 15)) >> 16;
             // Wraps only after about 2^31 bits that all push one way; key blocks come sooner.
             *weight = weight.wrapping_add(step as i32);
         }
-        state.seen = age as u32 + u32::from(age < MIXER_RATES.len() - 1);
+        state.n_bits = age as u32 + u32::from(age < MIXER_RATES.len() - 1);
         for (index, state) in contexts.into_iter().zip(states) {
             self.contexts.update(index, state, bit);
             #[cfg(feature = "training")]

@@ -21,8 +21,8 @@ pub(super) const PARTNERS: usize = 3;
 const NEAR: usize = 6;
 /// [`NEAR`], padded to whole vectors.
 const NEAR_LANES: usize = NEAR.next_multiple_of(LANES);
-/// Distances to see before a pair may be partners.
-const MIN_SEEN: f64 = 6.0;
+/// Least number of errors of a pair before its channels may be partners.
+const N_ERRORS_MIN: f64 = 6.0;
 /// Memory of the variance of a distance, in rows.
 const MEMORY_ROWS: f64 = 60.0;
 /// Errors in distance are clamped to this, in tolerances.
@@ -33,8 +33,8 @@ pub(super) const MAX_DIFFERENCE: f64 = 50.0;
 struct Spread {
     /// Mean squared error, in squared tolerances.
     variance: f64,
-    /// Number of errors seen.
-    seen: f64,
+    /// Number of errors so far.
+    n_errors: f64,
 }
 
 impl Spread {
@@ -42,12 +42,12 @@ impl Spread {
     #[inline(always)]
     fn update(pairs: &mut [Self; NEAR_LANES], offs: [f64; NEAR_LANES]) {
         for (pair, off) in pairs.iter_mut().zip(offs) {
-            let Self { variance, seen } = *pair;
+            let Self { variance, n_errors } = *pair;
             let cut = if off < MAX_DIFFERENCE { off } else { MAX_DIFFERENCE };
-            let rows = if seen < MEMORY_ROWS { seen } else { MEMORY_ROWS };
+            let rows = if n_errors < MEMORY_ROWS { n_errors } else { MEMORY_ROWS };
             let learnt = variance + (cut * cut - variance) / (rows + 1.0);
             pair.variance = if off.is_nan() { variance } else { learnt };
-            pair.seen = if off.is_nan() { seen } else { seen + 1.0 };
+            pair.n_errors = if off.is_nan() { n_errors } else { n_errors + 1.0 };
         }
     }
 }
@@ -147,7 +147,7 @@ impl SegmentLengths {
     pub(super) fn choose_partners(&mut self, j: usize, nearness: impl Fn(usize) -> f64) {
         let near = ChannelList::smallest(0..j, |k| -nearness(k), &self.near[j]);
         let spreads = &self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
-        let steady = (0..j).filter(|&k| spreads[k].seen >= MIN_SEEN);
+        let steady = (0..j).filter(|&k| spreads[k].n_errors >= N_ERRORS_MIN);
         let mut partners =
             ChannelList::smallest(steady, |k| spreads[k].variance, &self.partners[j]);
         if let (0, Some(&nearest)) = (partners.n, near.channels().first())
@@ -281,13 +281,13 @@ impl<'a> PairDistances<'a> {
         let last = at(end);
         let Range { start: from, end: to } = self.interior;
         let mut place = (self.layout.at(from) - stride - before) / every;
-        let beside = step / every;
+        let spacing = step / every;
         for first in (from..to).step_by(LANES) {
             let mut nodes = [0.0; LANES + 1];
             for (i, node) in nodes.iter_mut().enumerate() {
-                *node = known[(place + i * beside) % N];
+                *node = known[(place + i * spacing) % N];
             }
-            place += LANES * beside;
+            place += LANES * spacing;
             let mut middle = [0.0; LANES];
             for i in 0..LANES {
                 middle[i] = nodes[i] + (nodes[i + 1] - nodes[i]) * 0.5;

@@ -58,11 +58,11 @@ impl Presence {
     pub(super) fn write(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>) {
         let start = out.len();
         let mut coder = RangeEncoder::new(out, usize::MAX);
-        let mut beside = None;
+        let mut previous = None;
         for (state, rows) in self.states.iter_mut().zip(channels) {
             let before = state.is_present();
-            self.models.channel(&mut coder, state, beside, &mut Flags::Encode(rows.present()));
-            beside = Some(PreviousChannel { present: rows.present(), before });
+            self.models.channel(&mut coder, state, previous, &mut Flags::Encode(rows.present()));
+            previous = Some(PreviousChannel { present: rows.present(), before });
         }
         let fits = coder.finish();
         debug_assert!(fits);
@@ -85,12 +85,12 @@ impl Presence {
         let mut before = true;
         for (i, state) in self.states.iter_mut().enumerate().take(channels.len()) {
             let (done, rest) = channels.split_at_mut(i);
-            let beside = done.last().map(|rows| PreviousChannel { present: &rows.present, before });
+            let previous = done.last().map(|c| PreviousChannel { present: &c.present, before });
             before = state.is_present();
             self.models.channel(
                 &mut coder,
                 state,
-                beside,
+                previous,
                 &mut Flags::Decode(&mut rest[0].present),
             );
         }
@@ -224,7 +224,7 @@ impl Models {
         &mut self,
         coder: &mut C,
         state: &mut PresenceHistory,
-        beside: Option<PreviousChannel<'_>>,
+        previous: Option<PreviousChannel<'_>>,
         rows: &mut Flags<'_>,
     ) {
         let all = 0..rows.len();
@@ -238,7 +238,7 @@ impl Models {
         let mut found = false;
         for page in split(all.clone(), PAGE) {
             let is_coded = found || page.end != all.end;
-            let change = &mut self.pages[place(state, beside, &page)];
+            let change = &mut self.pages[place(state, previous, &page)];
             if !code_any_change(coder, is_coded.then_some(change), state, page.clone(), rows) {
                 continue;
             }
@@ -246,10 +246,10 @@ impl Models {
             let mut found = false;
             for part in split(page.clone(), PART) {
                 let is_coded = found || part.end != page.end;
-                let change = &mut self.parts[place(state, beside, &part)];
+                let change = &mut self.parts[place(state, previous, &part)];
                 if code_any_change(coder, is_coded.then_some(change), state, part.clone(), rows) {
                     found = true;
-                    self.rows(coder, state, beside, part, rows);
+                    self.rows(coder, state, previous, part, rows);
                 }
             }
         }
@@ -260,13 +260,13 @@ impl Models {
         &mut self,
         coder: &mut C,
         state: &mut PresenceHistory,
-        beside: Option<PreviousChannel<'_>>,
+        previous: Option<PreviousChannel<'_>>,
         part: Range<usize>,
         rows: &mut Flags<'_>,
     ) {
         let (mut found, end) = (false, part.end);
         for row in part {
-            let (near, before) = beside.map_or((true, true), |beside| beside.at(row));
+            let (near, before) = previous.map_or((true, true), |previous| previous.at(row));
             let neighbour = usize::from(near) << 1 | usize::from(near != before);
             let was = state.is_present();
             let by_age = usize::from(was) * AGES + state.age_class();
@@ -306,11 +306,11 @@ fn code_any_change<C: BinaryCoder>(
 /// The context index of a page or part.
 fn place(
     state: &PresenceHistory,
-    beside: Option<PreviousChannel<'_>>,
+    previous: Option<PreviousChannel<'_>>,
     rows: &Range<usize>,
 ) -> usize {
-    let beside = beside.map_or(2, |beside| beside.class(rows.clone()));
-    (usize::from(state.is_present()) * AGES + state.age_class()) * 3 + beside
+    let previous = previous.map_or(2, |previous| previous.class(rows.clone()));
+    (usize::from(state.is_present()) * AGES + state.age_class()) * 3 + previous
 }
 
 /// Splits rows into pieces, the last one shorter.

@@ -62,7 +62,7 @@ impl NdiHost {
             (Task::Poll, Outcome::Refused(error)) if error != code::NOT_INITIALIZED => {
                 self.polls_lost += 1;
                 if self.polls_lost >= 3 {
-                    self.fail_code("give its frames", error);
+                    self.fail_code("send its frames", error);
                 } else {
                     let later_ns = self.line.now_ns() + REFUSED_PAUSE_NS;
                     self.request(Task::Poll, self.poll, POLL_TIMEOUT_MS, later_ns);
@@ -195,8 +195,8 @@ impl NdiHost {
                 format!("append @{baud} to the port in the device URI")
             }
             Some(_) => {
-                "system or line support no higher baud rate; use another adapter, show fewer markers, or lower \
-                 its frame rate"
+                "neither the system nor the line supports a higher baud rate; use another adapter, show fewer \
+                 markers, or lower its frame rate"
                     .to_owned()
             }
             None => "no baud rate suffices; show fewer markers, or lower its frame rate".to_owned(),
@@ -205,7 +205,7 @@ impl NdiHost {
         let load: Vec<_> = load.map(|(n, what)| plural(n, what)).collect();
         let load = if load.is_empty() { "a frame".to_owned() } else { load.join(" and ") };
         format!(
-            "{} baud carry {load} at most {most_hz:.1} times per second, but the system runs at {rate_hz} Hz; {advice}",
+            "{} baud carries {load} at most {most_hz:.1} times per second, but the system runs at {rate_hz} Hz; {advice}",
             self.baud
         )
     }

@@ -98,7 +98,7 @@ pub enum TransportError {
         holder: Option<String>,
     },
     /// The user lacks permission to open the device.
-    #[error("no permission for {device}: {remedy}")]
+    #[error("no permission to open {device}: {remedy}")]
     PermissionDenied {
         /// Path, or USB ids and serial number.
         device: String,
@@ -116,7 +116,7 @@ pub enum TransportError {
     Refused(String),
     /// The device is present but accepts no bytes.
     #[error(
-        "{device} takes no commands; check that it is the right device, and switch it off and on again"
+        "{device} does not accept commands; check that it is the right device, and switch it off and on again"
     )]
     Stuck {
         /// Path, or USB ids and serial number.

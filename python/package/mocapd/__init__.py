@@ -6,7 +6,7 @@
 (1200, 15, 3)
 >>> take["LKNE"].read(start_s=2.0, stop_s=3.0)      # one second of one marker
 
-Positions are float32 millimetres, right-handed, in the device's axes. Every sample is within
+Positions are float32 millimetres, right-handed, in the axes of the device or the imported file. Every sample is within
 ``take.header.tolerance_mm`` of the recorded one (Euclidean distance in 3D): the encoder verified each of them.
 """
 

@@ -73,8 +73,8 @@ def compress(
         [frames, markers, 3], in millimetres; a gap is three NaN. Other types are rounded to float32 first, and
         the error is measured from the rounded values.
     tolerance_mm
-        The largest Euclidean distance in 3D between a sample and its reconstruction by :func:`decompress`. The
-        encoder decodes and verifies every sample.
+        The largest allowed Euclidean distance in 3D between a sample and its reconstruction by :func:`decompress`.
+        The encoder decodes and verifies every sample.
     resampler
         ``dense`` (smallest), ``fast``, ``lossless`` (every bit; ignores the tolerance), or for short arrays one of
         the published methods ``spline`` and ``sync``.
@@ -84,8 +84,8 @@ def compress(
     Returns
     -------
     bytes
-        A complete take of unlabelled markers at 100 frames a second. Written to a file, every reader of takes
-        can read it.
+        A complete take of unlabelled markers at 100 frames a second, which any program that reads takes can read
+        from a file.
 
     Raises
     ------

@@ -23,6 +23,7 @@ class Device:
     tick_hz: int
     """Clock ticks a second."""
     low_latency: bool
+    """Whether the serial line ran in the kernel's low-latency mode."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,10 @@ class Source:
     """``c3d``, ``trc``, ``tsv`` or ``csv``; ``array`` for a take from :func:`write_take` or :func:`compress`."""
     file: str
     unit: str
+    """Unit of length as the file states it; empty if it states none."""
     factor_to_mm: float
     first_frame: int
+    """Number of the first frame in the file."""
     warnings: list[str]
 
 
@@ -48,7 +51,7 @@ class Header:
     """Start of the recording in UTC; None for an import."""
     resampler: str
     tolerance_mm: float
-    """Largest Euclidean distance in 3D between a sample and its reconstruction; 0 for ``lossless``."""
+    """Largest allowed Euclidean distance in 3D between a sample and its reconstruction; 0 for ``lossless``."""
     rate_hz: float
     up_axis: str | None
     """``x``, ``y`` or ``z``; None if unknown."""
@@ -98,7 +101,7 @@ class Ledger:
     link_messages_unknown: int
     contradictions: list[str]
     closes: bool
-    """Whether sent frames equal recorded plus lost ones, and no counters contradict each other."""
+    """Whether frames and samples balance, and no counters contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ class Ending:
     """How a recording ended."""
 
     kind: str
-    """``stopped``, ``length``, ``device ended``, ``device gone``, ``disk full`` and others; docs/api.md has the list."""
+    """``stopped``, ``length``, ``device ended``, ``device gone``, ``disk full`` and others, listed in docs/api.md."""
     detail: str
     """Additional information; usually empty."""
 
@@ -125,6 +128,7 @@ class Event:
     host_ns: int
     """The host's monotonic clock, in nanoseconds."""
     input: int
+    """Number of the device's input that a trigger or sync pulse came from."""
     text: str
 
 
@@ -140,12 +144,12 @@ class ClockLine:
     host_ns: int
     drift_ppm: float
     bound_us: int | None
-    """Largest error at the reference point, in microseconds; None if no round trip was measured."""
+    """Largest possible error at the reference point, in microseconds; None if no round trip was measured."""
 
 
 @dataclass(frozen=True)
 class LostFrames:
-    """A run of lost frames."""
+    """Consecutive lost frames."""
 
     first_frame: int
     n_frames: int
@@ -161,10 +165,10 @@ class Times:
     nominal_s: npt.NDArray[np.float64]
     """Frame / rate, in seconds from the first frame."""
     device_s: npt.NDArray[np.float64] | None
-    """The device's clock at exposure, in seconds; NaN for lost frames. None for an import."""
+    """The device's time stamp, in seconds; NaN for lost frames. None for an import."""
     host_s: npt.NDArray[np.float64] | None
     """The host's monotonic clock at arrival, in seconds, to within 0.32 ms; NaN for lost frames. None for an import."""
     device_ticks: npt.NDArray[np.uint64] | None
-    """The device's clock in ticks; 0 for lost frames. None for an import."""
+    """The device's time stamp, in ticks; 0 for lost frames. None for an import."""
     recorded: npt.NDArray[np.bool_] | None
     """Whether the frame was recorded. If it was, a marker with NaN was not seen. None for an import."""

@@ -42,7 +42,7 @@ class MarkerSummary:
     label: str
     n_samples: int
     n_gaps: int
-    """Runs of frames without a sample, including those at start and end."""
+    """Runs of consecutive frames without a sample, including those at start and end."""
     n_knots: int
     """Kept samples; the others are interpolated between them."""
     max_error_mm: float
@@ -162,9 +162,9 @@ class Take:
 
     @cached_property
     def positions(self) -> Positions:
-        """All positions: float32 [frames, markers, 3], millimetres, NaN where a marker was not seen or a frame lost.
+        """All positions: float32 [frames, markers, 3], millimetres, NaN for missing samples.
 
-        Decoded once and cached, 12 bytes a sample; :meth:`read` decodes a part.
+        Decoded once and cached, 12 bytes per sample; :meth:`read` decodes a part.
         """
         return self.read()
 
@@ -187,7 +187,7 @@ class Take:
         start_s, stop_s
             Seconds from the first frame: reads frames at or after ``start_s`` and before ``stop_s``.
         markers
-            Labels or columns, in the order of the result; by default all. The result has an axis of markers also
+            Labels or columns, in the order of the result; by default all. The result has an axis of markers even
             for a single one.
         start_frame, stop_frame
             The range as frame indices from 0, instead of seconds.
@@ -251,7 +251,7 @@ class Take:
         return out
 
     def knots(self, markers: Sequence[MarkerKey] | MarkerKey | None = None) -> list[npt.NDArray[np.int64]]:
-        """For each marker the frames of its kept samples, which ``mocapd info`` counts as knots."""
+        """For each marker, the frames of its kept samples, which ``mocapd info`` counts as knots."""
         found, problems = self._file.scan(self._columns(markers), True, self._threads)
         self._warn(problems)
         return [knots for *_, knots in found]
@@ -321,8 +321,8 @@ class Take:
         stop_s: float | None = None,
         markers: Sequence[MarkerKey] | MarkerKey | None = None,
     ) -> pandas.DataFrame:
-        """Positions as a ``pandas.DataFrame``: one row a frame, indexed by time in seconds, with columns (marker, axis)
-        in millimetres.
+        """Positions as a ``pandas.DataFrame``: one row per frame, indexed by time in seconds, with columns (marker,
+        axis) in millimetres.
 
         Raises
         ------
@@ -426,14 +426,14 @@ class Take:
     def _column(self, marker: MarkerKey) -> int:
         if isinstance(marker, (int, np.integer)):
             if not 0 <= marker < self.n_markers:
-                raise KeyError(f"no marker {marker}: the take has {self.n_markers} markers, counted from 0")
+                raise KeyError(f"no marker in column {marker}: the take has {self.n_markers} markers, counted from 0")
             return int(marker)
         found = [column for column, label in enumerate(self.labels) if label == marker]
         if len(found) == 1:
             return found[0]
         if found:
             raise KeyError(f"{len(found)} markers have the label {marker!r}: use one of their columns, {found}")
-        raise KeyError(f"no marker has the label {marker!r}; the take has {', '.join(self.labels[:20])}...")
+        raise KeyError(f"no marker has the label {marker!r}; the labels are {', '.join(self.labels[:20])}...")
 
 
 class Marker:

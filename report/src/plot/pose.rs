@@ -92,7 +92,7 @@ pub fn pose(plot: &PosePlot<'_>) -> Result<String, ReportError> {
 }
 
 /// The markers visible in a frame: columns and positions.
-fn seen(motion: &Motion, row: usize) -> impl Iterator<Item = (usize, Vector)> + '_ {
+fn visible(motion: &Motion, row: usize) -> impl Iterator<Item = (usize, Vector)> + '_ {
     let frame = motion.frame(row).iter().enumerate().take(MARKERS_MAX);
     frame.filter_map(|(marker, &position)| Some((marker, sample(position)?)))
 }
@@ -119,7 +119,7 @@ fn draw_strip(
     text(area, name, (24, top + 20), left_aligned(BODY, INK))?;
     for (i, &row) in plot.rows.iter().enumerate() {
         // Both strips are centred on the reconstruction, so that they can be compared by eye.
-        let rebuilt: Vec<Vector> = seen(&plot.take.motion, row).map(|(_, at)| at).collect();
+        let rebuilt: Vec<Vector> = visible(&plot.take.motion, row).map(|(_, at)| at).collect();
         let Some(middle) = middle(&rebuilt, view.across) else { continue };
         let x0 = column_x(i, plot.rows.len());
         let place = |at: Vector| {
@@ -130,7 +130,7 @@ fn draw_strip(
         for line in plot.faces.get(i).into_iter().flatten() {
             area.draw(&PathElement::new(line.map(place).to_vec(), DIM.mix(0.5).stroke_width(1)))?;
         }
-        let points: std::collections::BTreeMap<usize, Vector> = seen(motion, row).collect();
+        let points: std::collections::BTreeMap<usize, Vector> = visible(motion, row).collect();
         for ([a, b], limb) in lines(plot) {
             if let (Some(&a), Some(&b)) = (points.get(&a), points.get(&b)) {
                 let is_off = limb.is_some_and(|limb| limb.is_off(distance(a, b)));
@@ -164,14 +164,14 @@ fn times(area: &Area<'_>, top: i32, plot: &PosePlot<'_>) -> DrawResult {
         let x = column_x(i, plot.rows.len()).round() as i32;
         let time_s = row as f64 / motion.info.rate_hz.max(f64::MIN_POSITIVE);
         text(area, &format!("{time_s:.2} s"), (x, top + 2), centred(BODY, INK))?;
-        let none = seen(motion, row).next().is_none();
+        let none = visible(motion, row).next().is_none();
         let line = match plot.original {
             _ if none => "no marker visible".to_owned(),
             None => continue,
             Some(original) => {
                 let pairs = motion.frame(row).iter().zip(original.frame(row));
-                let apart = pairs.filter_map(|(&a, &b)| Some(distance(sample(a)?, sample(b)?)));
-                apart.reduce(f64::max).map_or_else(String::new, |mm| format!("{mm:.2} mm"))
+                let errors_mm = pairs.filter_map(|(&a, &b)| Some(distance(sample(a)?, sample(b)?)));
+                errors_mm.reduce(f64::max).map_or_else(String::new, |mm| format!("{mm:.2} mm"))
             }
         };
         text(area, &line, (x, top + 24), centred(SMALL, VERMILION))?;
@@ -279,7 +279,7 @@ impl View {
         let up = plot.up;
         let face = |moment: usize| plot.faces.get(moment).into_iter().flatten().flatten().copied();
         let of_moment = |(moment, &row): (usize, &usize)| {
-            let markers = seen(motion, row).map(|(_, at)| at);
+            let markers = visible(motion, row).map(|(_, at)| at);
             markers.chain(face(moment)).collect()
         };
         let moments: Vec<Vec<Vector>> = plot.rows.iter().enumerate().map(of_moment).collect();

@@ -72,7 +72,7 @@ impl MarkerQuality {
         let of_marker = |marker: usize| {
             let ours = Column::of(motion, marker);
             let theirs = plot.original.map(|original| Column::of(original, marker));
-            let apart = theirs.as_ref().and_then(|theirs| {
+            let max_error_mm = theirs.as_ref().and_then(|theirs| {
                 let pairs = ours.0.iter().zip(&theirs.0);
                 pairs.filter_map(|(a, b)| Some(distance((*a)?, (*b)?))).reduce(f64::max)
             });
@@ -84,7 +84,7 @@ impl MarkerQuality {
                 gaps: gaps.len(),
                 longest_gap: gaps.iter().copied().max().unwrap_or(0),
                 noise_mm: noise_of(plot, theirs.as_ref().unwrap_or(&ours)),
-                max_error_mm: apart,
+                max_error_mm,
             }
         };
         (0..motion.info.markers.len()).map(of_marker).collect()

@@ -224,8 +224,8 @@ fn projection(up: Up) -> impl Fn(Vector) -> (f64, f64) + Copy {
     move |at: Vector| {
         let (a, b, c) = (at[right], at[depth], up.height(at));
         let x = a * turn_cos + b * turn_sin;
-        let away = b * turn_cos - a * turn_sin;
-        (x, c * tilt_cos + away * tilt_sin)
+        let depth = b * turn_cos - a * turn_sin;
+        (x, c * tilt_cos + depth * tilt_sin)
     }
 }
 

@@ -112,7 +112,7 @@ fn check(decoded: &DecodedTake, motion: &Motion, tolerance_mm: f64) -> Result<()
     }
     if found != expected || error_mm > tolerance_mm {
         return Err(ReportError::Coder(format!(
-            "{found} of {expected} samples decoded, max error {error_mm} mm: this is a bug in mocapd"
+            "{found} of {expected} samples decoded, max error {error_mm} mm: please report this bug"
         )));
     }
     Ok(())

@@ -168,10 +168,10 @@ impl Findings {
         piece: Piece,
         method: Method,
         tolerance_mm: f64,
-        wanted: impl Fn(&Results) -> bool,
+        filter: impl Fn(&Results) -> bool,
     ) -> Option<Sum> {
         let mut sum = Sum::default();
-        for cell in self.trials.iter().filter(|trial| wanted(trial)).flat_map(|trial| &trial.cells)
+        for cell in self.trials.iter().filter(|trial| filter(trial)).flat_map(|trial| &trial.cells)
         {
             if (cell.piece, cell.method) == (piece, method) && cell.tolerance_mm == tolerance_mm {
                 sum.add(cell);

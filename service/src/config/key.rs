@@ -190,7 +190,7 @@ impl ValueType {
 #[derive(Debug)]
 pub(super) struct Field {
     /// Reads the value from the document into the configuration.
-    pub(super) read: fn(&mut Config, &Given<'_>) -> Result<(), Vec<ConfigProblem>>,
+    pub(super) read: fn(&mut Config, &RawValue<'_>) -> Result<(), Vec<ConfigProblem>>,
     /// Gives the value, which has the same form in TOML and JSON; `None` if the key has none.
     pub(super) to_json: fn(&Config) -> Option<Json>,
 }
@@ -199,19 +199,19 @@ pub(super) struct Field {
 macro_rules! field {
     ($($name:ident).+) => {
         Field {
-            read: |config, given| ConfigValue::read(given).map(|value| config.$($name).+ = value),
+            read: |config, raw| ConfigValue::read(raw).map(|value| config.$($name).+ = value),
             to_json: |config| config.$($name).+.to_json(),
         }
     };
     ($($name:ident).+, $read:expr) => {
         Field {
-            read: |config, given| given.text($read).map(|value| config.$($name).+ = value),
+            read: |config, raw| raw.text($read).map(|value| config.$($name).+ = value),
             to_json: |config| Some(json!(config.$($name).+.to_string())),
         }
     };
     ($($name:ident).+, each $read:expr) => {
         Field {
-            read: |config, given| given.list($read).map(|items| config.$($name).+ = items),
+            read: |config, raw| raw.list($read).map(|items| config.$($name).+ = items),
             to_json: |config| {
                 let items = config.$($name).+.iter().map(ToString::to_string);
                 Some(json!(items.collect::<Vec<_>>()))
@@ -229,7 +229,7 @@ type FieldResult<T> = Result<T, Vec<ConfigProblem>>;
 
 /// The value of a key from the document, the command line or the default.
 #[derive(Debug)]
-pub(super) struct Given<'a> {
+pub(super) struct RawValue<'a> {
     pub(super) key: &'static Key,
     pub(super) value: &'a DeValue<'a>,
     pub(super) place: SourceLocation,
@@ -237,7 +237,7 @@ pub(super) struct Given<'a> {
     pub(super) text: &'a str,
 }
 
-impl<'a> Given<'a> {
+impl<'a> RawValue<'a> {
     fn problem(&self, place: SourceLocation, message: String) -> ConfigProblem {
         ConfigProblem { place, key: Some(self.key.path), message }
     }
@@ -329,7 +329,7 @@ fn line(why: &str) -> String {
 
 /// A type of configuration values. What `to_json` writes, `read` parses to exactly the same value.
 pub(super) trait ConfigValue: Serialize + Sized {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>>;
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>>;
 
     /// The value as JSON: a text, number or flag, or `None`.
     fn to_json(&self) -> Option<Json> {
@@ -338,19 +338,19 @@ pub(super) trait ConfigValue: Serialize + Sized {
 }
 
 impl ConfigValue for bool {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.read(|value| value.as_bool().ok_or(None))
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.read(|value| value.as_bool().ok_or(None))
     }
 }
 
 impl ConfigValue for usize {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.read(|value| {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.read(|value| {
             if matches!(value, DeValue::Float(_)) {
                 return Err(Some("a whole number needs no decimal point or exponent".to_owned()));
             }
             let number = whole(value).and_then(|number| u64::try_from(number).ok()).ok_or(None)?;
-            let ValueType::Integer(range) = &given.key.values else { return Err(None) };
+            let ValueType::Integer(range) = &raw.key.values else { return Err(None) };
             Self::try_from(number).ok().filter(|_| range.contains(&number)).ok_or(None)
         })
     }
@@ -358,8 +358,8 @@ impl ConfigValue for usize {
 
 /// A frame rate in Hz.
 impl ConfigValue for f64 {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.read(|value| {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.read(|value| {
             let text = match value {
                 DeValue::String(text) => text.to_string(),
                 DeValue::Integer(_) => whole(value).ok_or(None)?.to_string(),
@@ -374,10 +374,10 @@ impl ConfigValue for f64 {
 }
 
 impl ConfigValue for Duration {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.quantity(|text| {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.quantity(|text| {
             let time = units::duration(text).map_err(Some)?;
-            let ValueType::Time(range) = &given.key.values else { return Err(None) };
+            let ValueType::Time(range) = &raw.key.values else { return Err(None) };
             if range.contains(&time) { Ok(time) } else { Err(None) }
         })
     }
@@ -389,10 +389,10 @@ impl ConfigValue for Duration {
 
 /// A number of bytes.
 impl ConfigValue for u64 {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.quantity(|text| {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.quantity(|text| {
             let bytes = units::size_bytes(text).map_err(Some)?;
-            let ValueType::Size(range) = &given.key.values else { return Err(None) };
+            let ValueType::Size(range) = &raw.key.values else { return Err(None) };
             if range.contains(&bytes) { Ok(bytes) } else { Err(None) }
         })
     }
@@ -404,8 +404,8 @@ impl ConfigValue for u64 {
 
 /// A path; whether it exists is not checked.
 impl ConfigValue for PathBuf {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.text(|text| match text {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.text(|text| match text {
             "" => Err(None),
             _ => path(text, PATH_BYTES_MAX).map_err(Some),
         })
@@ -413,8 +413,8 @@ impl ConfigValue for PathBuf {
 }
 
 impl<T: ConfigValue> ConfigValue for Option<T> {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        T::read(given).map(Some)
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        T::read(raw).map(Some)
     }
 
     fn to_json(&self) -> Option<Json> {
@@ -424,8 +424,8 @@ impl<T: ConfigValue> ConfigValue for Option<T> {
 
 /// A socket address; `""` means none.
 impl ConfigValue for Option<SocketAddr> {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<ConfigProblem>> {
-        given.text(|text| match text {
+    fn read(raw: &RawValue<'_>) -> Result<Self, Vec<ConfigProblem>> {
+        raw.text(|text| match text {
             "" => Ok(None),
             _ => address(text).map(Some).map_err(Some),
         })

@@ -67,7 +67,7 @@ macro_rules! keys {
 
 keys! {
     /// Name of the rig, used in names of takes, in the status and in triggers.
-    /// One service records one rig; /etc/mocapd/left.toml is named left by its file name.
+    /// One service records one rig; with the file /etc/mocapd/left.toml it is called left.
     rig.name: ValueType::Text(
             "1 to 64 letters, digits, '-', '_' or '.', beginning with a letter or digit"
         ),
@@ -75,7 +75,7 @@ keys! {
             description: "the file name without .toml; `rig` for mocapd.toml",
             example: "\"left\"",
         }, ReloadPolicy::Now, field!(rig_name, rig_name);
-    /// The device to record; `auto` is the only attached device that a driver recognises, as listed by `mocapd devices`.
+    /// The device to record; `auto` takes the only attached device that a driver recognises, as listed by `mocapd devices`.
     /// A path under /dev/serial/by-id or a USB serial number stays the same when other devices are plugged in.
     device.uri: ValueType::Text(
             "auto, serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME if needed"
@@ -86,7 +86,7 @@ keys! {
     device.rate_hz: ValueType::Rate,
         DefaultValue::Absent("240"), ReloadPolicy::NextArm, field!(device.rate_hz);
     /// Log every byte received while the device is armed, in a file beside the takes that `mocapd-sim serve` can replay.
-    /// For tracking down faults of a rig: a log is many times as large as its take.
+    /// For finding faults in a rig: a log is many times as large as its take.
     device.raw_log: ValueType::Flag,
         DefaultValue::Flag(false), ReloadPolicy::NextArm, field!(device.raw_log);
     /// Folder for new takes; created at startup if it does not exist.
@@ -108,7 +108,7 @@ keys! {
     take.tolerance: ValueType::Distance,
         DefaultValue::Text("0.5mm"), ReloadPolicy::NextArm,
         Field {
-            read: |config, given| given.quantity(tolerance).map(|mm| config.take.codec.tolerance = mm),
+            read: |config, raw| raw.quantity(tolerance).map(|mm| config.take.codec.tolerance = mm),
             to_json: |config| {
                 let codec = &config.take.codec;
                 (!codec.kind.is_lossless()).then(|| json!(format!("{}mm", codec.tolerance.mm())))
@@ -120,7 +120,7 @@ keys! {
         DefaultValue::Flag(false), ReloadPolicy::NextArm,
         Field {
             // Its effect depends on `take.resampler`: see `ConfigReader::codec`.
-            read: |_, given| bool::read(given).map(drop),
+            read: |_, raw| bool::read(raw).map(drop),
             to_json: |config| Some(json!(config.take.codec.kind.is_lossless())),
         };
     /// How samples are compressed.
@@ -144,7 +144,7 @@ keys! {
     take.reconnect: ValueType::Time(Duration::ZERO..=Duration::from_secs(86_400)),
         DefaultValue::Text("60s"), ReloadPolicy::NextArm, field!(take.reconnect);
     /// Longest take: it is closed at this length, with the ending `length`; if absent, there is no limit.
-    /// It ends forgotten takes.
+    /// It ends takes that nobody stopped.
     // A month: in longer takes the frame counter of a 1000 Hz device would wrap around.
     take.max_length: ValueType::Time(Duration::from_secs(1)..=Duration::from_secs(744 * 3600)),
         DefaultValue::Absent("\"1h\""), ReloadPolicy::Now, field!(take.max_length);
@@ -153,7 +153,7 @@ keys! {
     subject.name: ValueType::Text("a name of at most 128 bytes"),
         DefaultValue::Absent("\"S01\""), ReloadPolicy::NextTake,
         Field {
-            read: |config, given| given.text(subject_name).map(|name| config.subject.name = Some(name)),
+            read: |config, raw| raw.text(subject_name).map(|name| config.subject.name = Some(name)),
             to_json: |config| config.subject.name.as_deref().map(|name| json!(name)),
         };
     /// The skeleton.json that `mocapd subject body` made from a scan; stored in every take and drawn by the dashboard.
@@ -165,7 +165,7 @@ keys! {
     /// Markers on a face are identified by their positions on it.
     subject.face: ValueType::Text("the path of a file"),
         DefaultValue::Absent("\"/srv/subjects/s01-face.json\""), ReloadPolicy::NextTake, field!(subject.face);
-    /// Which marker sits where on the `face`, as labels and vertices of the wireframe; stored in every take, and used by the dashboard to draw the face under its markers.
+    /// File that maps marker labels to points of the `face`; stored in every take, and used by the dashboard to draw the face under its markers.
     /// Facial marker sets have no standard names.
     subject.face_markers: ValueType::Text("the path of a file"),
         DefaultValue::Absent("\"/srv/subjects/face-markers.json\""), ReloadPolicy::NextTake,
@@ -194,7 +194,7 @@ keys! {
             example: "\"/run/mocapd/mocapd.sock\"",
         }, ReloadPolicy::Restart,
         Field {
-            read: |config, given| given.text(socket).map(|socket| config.http.socket = socket),
+            read: |config, raw| raw.text(socket).map(|socket| config.http.socket = socket),
             to_json: |config| config.http.socket.to_json().or_else(|| Some(json!(""))),
         };
     /// TCP address of the HTTP interface; `""` for none.
@@ -206,7 +206,7 @@ keys! {
     http.token_file: ValueType::Text("the path of a file"),
         DefaultValue::Absent("\"/etc/mocapd/token\""), ReloadPolicy::Restart, field!(http.token_file);
     /// Host names under which clients may reach the service over TCP, besides its address and localhost.
-    /// Requests under any other name are refused, so that web pages of others cannot reach the service through a browser.
+    /// Requests under any other name are refused, so that pages of other sites cannot reach the service through a browser.
     http.allowed_hosts: ValueType::List {
             of: "a host name or address without a port",
             max: ITEMS_MAX,
@@ -222,7 +222,7 @@ keys! {
             "an address and a port, such as \"0.0.0.0:8989\", or \"\" for none"
         ),
         DefaultValue::Text(""), ReloadPolicy::Now, field!(trigger.listen);
-    /// Addresses that are sent triggers when a take starts or stops here.
+    /// Addresses to send triggers to when a take starts or stops here.
     /// Other systems of the laboratory then record the same take under the same name.
     trigger.send_to: ValueType::List {
             of: "an address and a port; broadcast addresses are allowed",
@@ -238,7 +238,7 @@ keys! {
     trigger.delay_max: ValueType::Time(Duration::ZERO..=DELAY_MAX),
         DefaultValue::Text("5s"), ReloadPolicy::Now, field!(trigger.delay_max);
     /// How much is logged to standard error, and so to the journal.
-    /// `info` logs every arm, start, stop and outage, and nothing per frame.
+    /// `info` logs every arming, start, stop and outage, and nothing per frame.
     log.level: ValueType::Text("error, warn, info, debug or trace"),
         DefaultValue::Text("info"), ReloadPolicy::Now, field!(log_level, level);
 }

@@ -140,13 +140,13 @@ pub(super) fn suggestion(word: &str, known: impl Iterator<Item = &'static str>) 
         return None;
     }
     let word = word.to_lowercase();
-    let away = |name: &str| match word.strip_prefix(name) {
+    let distance = |name: &str| match word.strip_prefix(name) {
         Some(_) if name.len() > 2 => 1,
         _ => strsim::osa_distance(&word, name),
     };
     let (_, name) = known
-        .map(|name| (away(name), name))
-        .filter(|(away, name)| *away <= 2.max(name.len() / 3))
-        .min_by_key(|(away, _)| *away)?;
+        .map(|name| (distance(name), name))
+        .filter(|(distance, name)| *distance <= 2.max(name.len() / 3))
+        .min_by_key(|(distance, _)| *distance)?;
     Some(format!("did you mean '{name}'?"))
 }

@@ -20,13 +20,13 @@ use toml::{
 use super::{
     ArmConfig, Config, ConfigError, ConfigProblem, DeviceConfig, HttpConfig, NameTemplate,
     PROBLEMS_MAX, SourceLocation, TakeConfig, TriggerConfig,
-    key::{Given, Key, found},
+    key::{Key, RawValue, found},
     keys::{KEYS, SECTIONS, SOCKET_BYTES_MAX, rig_name},
     problem::{excerpt, suggestion_or_list},
 };
 use crate::{log::Level, subject::SubjectFiles, units::duration_text};
 
-/// The configuration file if none is given.
+/// The configuration file if none is named.
 pub const CONFIG_PATH: &str = "/etc/mocapd/mocapd.toml";
 
 /// Largest configuration in bytes: the example, with every key and its purpose, has 10 kB. The place of each problem is
@@ -118,13 +118,13 @@ impl Config {
             let value = value.as_deref().map(|value| DeValue::String(Cow::Borrowed(value)));
             (path, SourceLocation::Option(option), value)
         });
-        let mut reader = ConfigReader { text, given: BTreeMap::new(), problems: Vec::new() };
+        let mut reader = ConfigReader { text, values: BTreeMap::new(), problems: Vec::new() };
         for (name, value) in document.get_ref() {
             reader.section(name, value);
         }
         for (path, place, value) in &options {
             if let Some(value) = value {
-                reader.given.insert(path, (*place, value));
+                reader.values.insert(path, (*place, value));
             }
         }
         let mut config = Self::blank().map_err(|problem| refused(name, vec![problem]))?;
@@ -165,10 +165,10 @@ impl Config {
     }
 }
 
-/// Collects the given values by key path, and their problems.
+/// Collects values by key path, and their problems.
 struct ConfigReader<'a> {
     text: &'a str,
-    given: BTreeMap<&'static str, (SourceLocation, &'a DeValue<'a>)>,
+    values: BTreeMap<&'static str, (SourceLocation, &'a DeValue<'a>)>,
     problems: Vec<ConfigProblem>,
 }
 
@@ -197,7 +197,7 @@ impl<'a> ConfigReader<'a> {
             let here = KEYS.iter().filter(|key| key.section() == section);
             if let Some(key) = here.clone().find(|key| key.name() == word) {
                 let place = SourceLocation::of_byte(self.text, value.span().start);
-                self.given.insert(key.path, (place, value.get_ref()));
+                self.values.insert(key.path, (place, value.get_ref()));
                 continue;
             }
             let message = match section_of(word) {
@@ -219,10 +219,10 @@ impl<'a> ConfigReader<'a> {
     /// Reads the value of a key, or its default.
     fn key(&mut self, key: &'static Key, config: &mut Config) {
         let read = |place, value: &DeValue<'_>, text: &str, config: &mut Config| {
-            (key.field.read)(config, &Given { key, value, place, text })
+            (key.field.read)(config, &RawValue { key, value, place, text })
         };
         let default = key.example();
-        let done = match self.given.get(key.path) {
+        let done = match self.values.get(key.path) {
             Some((place, value)) => read(*place, value, self.text, config),
             None if !key.has_default() => Ok(()),
             None => match DeValue::parse(&default) {
@@ -233,8 +233,8 @@ impl<'a> ConfigReader<'a> {
         self.problems.extend(done.err().into_iter().flatten());
     }
 
-    fn is_given(&self, path: &str) -> bool {
-        self.given.contains_key(path)
+    fn is_set(&self, path: &str) -> bool {
+        self.values.contains_key(path)
     }
 
     /// Whether none of these keys has a problem.
@@ -244,13 +244,13 @@ impl<'a> ConfigReader<'a> {
 
     /// Reports a problem of a key at the location of its value.
     fn refuse(&mut self, path: &'static str, message: String) {
-        let place = self.given.get(path).map_or(SourceLocation::Nowhere, |(place, _)| *place);
+        let place = self.values.get(path).map_or(SourceLocation::Nowhere, |(place, _)| *place);
         self.problems.push(ConfigProblem { place, key: Some(path), message });
     }
 
     /// Fills in the defaults that depend on the environment.
     fn environment_defaults(&mut self, config: &mut Config, environment: &Environment) {
-        if !self.is_given("rig.name") {
+        if !self.is_set("rig.name") {
             let stem = environment.file_stem.as_deref().filter(|stem| *stem != "mocapd");
             let stem = stem.unwrap_or("rig");
             config.rig_name = stem.to_owned();
@@ -262,11 +262,11 @@ impl<'a> ConfigReader<'a> {
                 self.refuse("rig.name", message);
             }
         }
-        if !self.is_given("take.directory") {
+        if !self.is_set("take.directory") {
             let directory = environment.state_directory.clone();
             config.take.directory = directory.unwrap_or_else(|| PathBuf::from("."));
         }
-        if !self.is_given("http.socket") {
+        if !self.is_set("http.socket") {
             let folder = environment.runtime_directory.as_deref();
             let socket = folder.unwrap_or(Path::new("/run/mocapd")).join("mocapd.sock");
             if socket.as_os_str().len() > SOCKET_BYTES_MAX {
@@ -287,10 +287,10 @@ impl<'a> ConfigReader<'a> {
             return;
         }
         let codec = &mut config.take.codec;
-        let (kind, value) = (codec.kind, self.given.get("take.lossless"));
+        let (kind, value) = (codec.kind, self.values.get("take.lossless"));
         let value = value.and_then(|(_, value)| value.as_bool());
         if let Some(is_lossless) = value
-            && self.is_given("take.resampler")
+            && self.is_set("take.resampler")
             && is_lossless != kind.is_lossless()
         {
             let message = format!(
@@ -298,7 +298,7 @@ impl<'a> ConfigReader<'a> {
             );
             self.refuse("take.lossless", message);
         } else if value == Some(true) || kind.is_lossless() {
-            if self.is_given("take.tolerance") {
+            if self.is_set("take.tolerance") {
                 let message = "a lossless take has no tolerance: remove tolerance or lossless";
                 self.refuse("take.tolerance", message.to_owned());
             }
@@ -319,15 +319,15 @@ impl<'a> ConfigReader<'a> {
             duration_text(kept)
         );
         // If only one of the two is in the file, it is the one to change.
-        let is_given = self.is_given("arm.include_pre_roll");
-        self.refuse(if is_given { "arm.include_pre_roll" } else { "arm.pre_roll" }, message);
+        let is_set = self.is_set("arm.include_pre_roll");
+        self.refuse(if is_set { "arm.include_pre_roll" } else { "arm.pre_roll" }, message);
     }
 
     /// An address that other machines can reach needs a token.
     fn listen(&mut self, config: &Config) {
         if let Some(listen) = config.http.listen
             && !listen.ip().to_canonical().is_loopback()
-            && !self.is_given("http.token_file")
+            && !self.is_set("http.token_file")
         {
             let message = format!(
                 "other machines can reach http.listen = {listen}: set http.token_file too, \

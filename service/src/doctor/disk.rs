@@ -96,11 +96,11 @@ fn kind(f_type: u64) -> Finding {
         0x2fc1_2fc1 => Finding::good(what, "ZFS"),
         0x794c_7630 => Finding::note(what, "overlay: in a container, takes may be deleted with it"),
         0x0102_1994 | 0x8584_58f6 => {
-            Finding::warning(what, "in memory: lost when the power is", "record to a disk")
+            Finding::warning(what, "in memory: a power cut loses it", "record to a disk")
         }
-        0x6969 => Finding::warning(what, "NFS: stops working when the network does", network),
+        0x6969 => Finding::warning(what, "NFS: fails when the network fails", network),
         0xff53_4d42 | 0xfe53_4d42 | 0x517b => {
-            Finding::warning(what, "SMB: stops working when the network does", network)
+            Finding::warning(what, "SMB: fails when the network fails", network)
         }
         0x4d44 => {
             let seen = "FAT: files are limited to 4 GB, and a power cut may damage all of them";

@@ -29,7 +29,7 @@ pub(super) fn examine(report: &mut dyn FnMut(Finding)) {
     }
     let Ok(groups) = fs::read_to_string("/etc/group") else { return };
     let me = CurrentUser::now();
-    let why = ["open serial ports and rigs", "read the service's takes and speak to it"];
+    let why = ["open serial ports and rigs", "read the service's takes and control it"];
     for (name, why) in ["dialout", "mocapd"].into_iter().zip(why) {
         group(&groups, &me, name, why).into_iter().for_each(&mut *report);
     }
@@ -166,7 +166,7 @@ fn group(groups: &str, me: &CurrentUser, name: &str, why: &str) -> Option<Findin
     }
     let is_member = me.name.as_deref().is_some_and(|me| members.any(|member| member == me));
     if is_member {
-        let seen = "you became a member after logging in";
+        let seen = "your membership takes effect at the next login";
         return Some(Finding::warning(&what, seen, "log in again"));
     }
     let seen = format!("you are not a member: you may not {why}");

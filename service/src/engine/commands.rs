@@ -77,7 +77,7 @@ impl Inner {
                 return Err(Refusal::device(message));
             }
             if Instant::now() >= until {
-                let message = "the device does not start: check the status, and try again";
+                let message = "the device did not start: check the status, and try again";
                 return Err(Refusal::device(message));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
@@ -96,7 +96,7 @@ impl Inner {
         while let Some(session) = &core.session {
             session.stop.store(true, Ordering::Relaxed);
             if Instant::now() >= until {
-                return Err(Refusal::device("the device does not stop: check the status"));
+                return Err(Refusal::device("the device did not stop: check the status"));
             }
             let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
             core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
@@ -428,7 +428,7 @@ fn pre_roll_remark(requested: Duration, before_request_s: f64) -> Option<String>
     }
     (requested_s > 0.0 && before_request_s > requested_s + USUAL_S).then(|| {
         format!(
-            "the take begins {before_request_s:.1} s before the request, not {requested_s:.1} s: takes begin at key stretches, which are up to 10 s apart in what was recorded before"
+            "the take begins {before_request_s:.1} s before the request, not {requested_s:.1} s: takes begin at key stretches, which are up to 10 s apart while a take is recorded"
         )
     })
 }

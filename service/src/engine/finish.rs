@@ -210,7 +210,7 @@ impl Inner {
 
     /// What remains of a take that could not be completed, and where.
     fn remains(&self, output: Option<Box<dyn TakeOutput>>) -> String {
-        let recover = "`mocapd recover` closes it";
+        let recover = "`mocapd recover` writes a complete take from it";
         let Some(mut file) = output else { return recover.to_owned() };
         let settled = file.settle();
         match (settled.message(), &settled.path) {

@@ -121,7 +121,7 @@ impl Inner {
         let name = names::check(name)?;
         let directory = self.core().options.take.directory.clone();
         // The name as listed, or else as a file name.
-        for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
+        for name in [Some(name), names::strip_extension(name)].into_iter().flatten() {
             let path = directory.join(format!("{name}.take"));
             // A link could lead out of the folder.
             if path.symlink_metadata().is_ok_and(|file| file.is_file()) {

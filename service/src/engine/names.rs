@@ -1,4 +1,4 @@
-//! Checks names of takes given by people and programs.
+//! Checks the names of takes in requests.
 
 use crate::{
     config::{NAME_BYTES_MAX, is_refused_in_name},
@@ -8,26 +8,26 @@ use crate::{
 /// Normalises the name of a new take: a file name without path. The extension `.take` is removed and added once later.
 pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
     let mut name = name;
-    while let Some(shorter) = without_ending(name) {
+    while let Some(shorter) = strip_extension(name) {
         name = shorter;
     }
     check(name)
 }
 
-/// The name without `.take`; `None` if it does not end so.
-pub(super) fn without_ending(name: &str) -> Option<&str> {
-    let (shorter, ending) = name.split_at_checked(name.len().checked_sub(".take".len())?)?;
-    ending.eq_ignore_ascii_case(".take").then_some(shorter)
+/// The name without the extension `.take`, in any case; `None` if it has another or none.
+pub(super) fn strip_extension(name: &str) -> Option<&str> {
+    let (shorter, extension) = name.split_at_checked(name.len().checked_sub(".take".len())?)?;
+    extension.eq_ignore_ascii_case(".take").then_some(shorter)
 }
 
-/// Checks the name of an existing take. Files put into the folder by others may end in `.take.take`.
+/// Checks the name of an existing take. Files from other programs may be named `NAME.take.take`.
 pub(super) fn check(name: &str) -> Result<&str, Refusal> {
     let invalid = |message: String| Err(Refusal::new(RefusalKind::Invalid, message));
     if name.is_empty() || name.len() > NAME_BYTES_MAX {
-        return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes"));
+        return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes, not {}", name.len()));
     }
     if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
-        return invalid(format!("a take cannot be named {name:?}: begin with a letter or digit"));
+        return invalid(format!("name {name:?}: remove '.', '-', ' ' at its start, ' ' at its end"));
     }
     if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
         return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));
@@ -44,8 +44,8 @@ mod tests {
         for good in ["jump", "Max Müller 3", "2026-11-22_walk", "a.b", "x.take"] {
             assert!(normalised(good).is_ok(), "{good}");
         }
-        for (given, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
-            assert_eq!(normalised(given).unwrap(), name);
+        for (sent, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
+            assert_eq!(normalised(sent).unwrap(), name);
         }
         assert_eq!(check("x.take").unwrap(), "x.take");
         let long = "x".repeat(201);

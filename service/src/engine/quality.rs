@@ -81,24 +81,24 @@ impl MarkerStatistics {
         for (slot, &now) in positions.iter().enumerate() {
             let was = self.before[slot];
             // Ends here for most markers, which moved little.
-            if is_gap(now) || is_gap(was) || apart_mm(now, was) < APART_MM {
+            if is_gap(now) || is_gap(was) || distance_mm(now, was) < APART_MM {
                 continue;
             }
             let other = (0..positions.len()).find(|&other| {
                 other != slot
-                    && apart_mm(now, self.before[other]) < SWAPPED_MM
-                    && (is_gap(positions[other]) || apart_mm(positions[other], was) < SWAPPED_MM)
+                    && distance_mm(now, self.before[other]) < SWAPPED_MM
+                    && (is_gap(positions[other]) || distance_mm(positions[other], was) < SWAPPED_MM)
             });
             self.markers[slot].swaps += u64::from(other.is_some());
         }
     }
 }
 
-/// The distance between two positions; infinite if one is not seen.
-fn apart_mm(a: Position, b: Position) -> f64 {
+/// The distance between two positions; infinite if one is a gap.
+fn distance_mm(a: Position, b: Position) -> f64 {
     let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
-    let apart = squares.sum::<f64>().sqrt();
-    if apart.is_nan() { f64::INFINITY } else { apart }
+    let distance_mm = squares.sum::<f64>().sqrt();
+    if distance_mm.is_nan() { f64::INFINITY } else { distance_mm }
 }
 
 impl Inner {

@@ -169,13 +169,13 @@ pub(super) fn free_bytes(directory: &Path) -> Option<u64> {
 
 /// Before a take has a rate of its own, it is estimated from the pre-roll.
 fn estimated_left_s(status: &Status) -> Option<u64> {
-    let held = &status.pre_roll;
-    if held.held_s < 2.0 || held.held_bytes == 0 {
+    let pre_roll = &status.pre_roll;
+    if pre_roll.held_s < 2.0 || pre_roll.held_bytes == 0 {
         return None;
     }
-    let bytes_per_s = held.held_bytes as f64 / held.held_s;
+    let bytes_per_s = pre_roll.held_bytes as f64 / pre_roll.held_s;
     // The space needed to close a take is not available for its frames.
-    let kept = status.disk.keep_free_bytes.saturating_add(RESERVE_MIN_BYTES);
-    let spare = status.disk.free_bytes?.saturating_sub(kept);
+    let reserved = status.disk.keep_free_bytes.saturating_add(RESERVE_MIN_BYTES);
+    let spare = status.disk.free_bytes?.saturating_sub(reserved);
     Some((spare as f64 / bytes_per_s) as u64)
 }

@@ -169,13 +169,13 @@ impl Inner {
             }
         };
         self.publish(ServiceEventKind::State, "armed", None);
-        let say = |message: &str| self.events.defer(message);
+        let defer = |message: &str| self.events.defer(message);
         let options = ReadOptions {
             stop: &stop,
             rows_max: None,
             length: None,
             single_take: false,
-            notify: &say,
+            notify: &defer,
             how_to_end: "",
             how_to_set: key_hint,
         };
@@ -187,7 +187,7 @@ impl Inner {
         let message = match (&read, &joined) {
             (_, Err(error)) => {
                 self.fail(&format!("{error:#}"));
-                "data plane failed"
+                "recording pipeline failed"
             }
             (Err(error), _) => {
                 self.report_obstacle(&message_with_keys(error));
@@ -201,8 +201,8 @@ impl Inner {
                 }
                 EndingKind::DeviceGone => "device gone",
                 EndingKind::CutOff => {
-                    self.fail("the data plane failed: see the log");
-                    "data plane failed"
+                    self.fail("the recording pipeline failed: see the log");
+                    "recording pipeline failed"
                 }
                 _ => "disarmed",
             },

@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// Events kept for clients that reconnect: an hour of a busy session, some hundred kilobytes.
-const KEPT_MAX: usize = 512;
+const HISTORY_MAX: usize = 512;
 
 /// Most events that a subscriber may lag behind before it loses the oldest.
 const EVENTS_BEHIND_MAX: usize = 128;
@@ -33,15 +33,15 @@ const EVENTS_BEHIND_MAX: usize = 128;
 pub(super) struct EventBroadcast {
     /// Identifies this run of the service: numbers start again with each.
     pub(super) run: String,
-    kept: Mutex<VecDeque<Arc<ServiceEvent>>>,
+    history: Mutex<VecDeque<Arc<ServiceEvent>>>,
     sender: broadcast::Sender<Arc<ServiceEvent>>,
     counts: Arc<Counts>,
 }
 
 impl EventBroadcast {
     pub(super) fn new(run: String, counts: Arc<Counts>) -> Self {
-        let kept = Mutex::new(VecDeque::with_capacity(KEPT_MAX));
-        Self { run, kept, sender: broadcast::Sender::new(EVENTS_BEHIND_MAX), counts }
+        let history = Mutex::new(VecDeque::with_capacity(HISTORY_MAX));
+        Self { run, history, sender: broadcast::Sender::new(EVENTS_BEHIND_MAX), counts }
     }
 
     /// Forwards events until it is stopped or the feed ends, on its own thread. The feed was opened earlier, so that
@@ -60,11 +60,11 @@ impl EventBroadcast {
     }
 
     fn publish(&self, event: Arc<ServiceEvent>) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if kept.len() == KEPT_MAX {
-            kept.pop_front();
+        let mut history = self.history.lock().unwrap_or_else(PoisonError::into_inner);
+        if history.len() == HISTORY_MAX {
+            history.pop_front();
         }
-        kept.push_back(Arc::clone(&event));
+        history.push_back(Arc::clone(&event));
         // Sent under the lock, so that `follow` gets each event once. There may be no receivers.
         self.sender.send(event).ok();
     }
@@ -72,10 +72,10 @@ impl EventBroadcast {
     /// Subscribes to the kept events after number `after` and to all future ones; without a number, only to future
     /// ones.
     pub(super) fn follow(&self, after: Option<u64>) -> EventSubscription {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = kept.back().map_or(0, |event| event.number);
+        let history = self.history.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = history.back().map_or(0, |event| event.number);
         let since = after.unwrap_or(last);
-        let backlog = kept.iter().filter(|event| event.number > since).cloned().collect();
+        let backlog = history.iter().filter(|event| event.number > since).cloned().collect();
         EventSubscription { backlog, coming: self.sender.subscribe(), last_number: since }
     }
 }
@@ -231,7 +231,7 @@ impl LiveBroadcast {
         drop(table);
         // If the channel is full, the thread has been woken already.
         self.wake.try_send(()).ok();
-        LiveSubscription { first, coming, table_seen: 0, counts: Arc::clone(&self.counts) }
+        LiveSubscription { first, coming, table_sent: 0, counts: Arc::clone(&self.counts) }
     }
 }
 
@@ -240,7 +240,7 @@ impl LiveBroadcast {
 pub(super) struct LiveSubscription {
     first: Option<LiveUpdate>,
     coming: broadcast::Receiver<LiveUpdate>,
-    table_seen: u64,
+    table_sent: u64,
     counts: Arc<Counts>,
 }
 
@@ -261,14 +261,14 @@ impl LiveSubscription {
             };
             match shown {
                 LiveUpdate::Over => return None,
-                LiveUpdate::Table(table) if table.number == self.table_seen => {}
+                LiveUpdate::Table(table) if table.number == self.table_sent => {}
                 LiveUpdate::Table(table) => {
-                    self.table_seen = table.number;
+                    self.table_sent = table.number;
                     return Some(table.bytes.clone());
                 }
-                LiveUpdate::Frame(Some(table), frame) if table.number != self.table_seen => {
+                LiveUpdate::Frame(Some(table), frame) if table.number != self.table_sent => {
                     self.first = Some(LiveUpdate::Frame(Some(Arc::clone(&table)), frame));
-                    self.table_seen = table.number;
+                    self.table_sent = table.number;
                     return Some(table.bytes.clone());
                 }
                 LiveUpdate::Frame(_, frame) => return Some(frame),
@@ -303,7 +303,7 @@ mod tests {
     #[test]
     fn history_is_bounded_and_gaps_are_reported() {
         let hub = EventBroadcast::new("r".to_owned(), Arc::default());
-        let total = KEPT_MAX as u64 + 10;
+        let total = HISTORY_MAX as u64 + 10;
         (1..=total).for_each(|number| hub.publish(event(number)));
         let mut resumed = hub.follow(Some(3));
         assert_eq!(next(&mut resumed), (11, 7), "4 to 10 are gone");

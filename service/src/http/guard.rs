@@ -135,12 +135,12 @@ fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Proble
             .is_some_and(|from| host.is_some_and(|host| host.as_str().eq_ignore_ascii_case(from)));
         if !same || origins.next().is_some() {
             let origin = value.escape_default();
-            return Err(forbidden(format!("pages of '{origin}' may not change anything here")));
+            return Err(forbidden(format!("pages of '{origin}' may not send commands")));
         }
     }
     match headers.get(SEC_FETCH_SITE).map(HeaderValue::as_bytes) {
         None | Some(b"same-origin" | b"none") => Ok(()),
-        Some(_) => Err(forbidden("pages of other sites may not change anything here".to_owned())),
+        Some(_) => Err(forbidden("pages of other sites may not send commands".to_owned())),
     }
 }
 

@@ -64,7 +64,7 @@ impl Problem {
                 (ProblemKind::UnsupportedMediaType, "send application/json")
             }
             status if status.is_server_error() => {
-                (ProblemKind::Internal, "this is a bug in mocapd")
+                (ProblemKind::Internal, "internal error: please report this bug")
             }
             _ => (ProblemKind::Invalid, "invalid request"),
         };

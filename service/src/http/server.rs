@@ -100,8 +100,8 @@ impl HttpServer {
                 streams: Arc::new(Semaphore::new(connections_max.div_ceil(2))),
                 stopping: stopping.clone(),
             });
-            // Nothing is ever sent: the channel tells when all connections are closed.
-            let (gone, alive) = watch::channel(());
+            // Nothing is ever sent: the channel closes with the last connection.
+            let (connections, alive) = watch::channel(());
             let acceptor = Acceptor {
                 router: routes::router(&app),
                 limits,
@@ -111,7 +111,7 @@ impl HttpServer {
                 stopping: stopping.clone(),
                 alive,
             };
-            Serving { acceptor, gone, how_long: how_long.clone() }
+            Serving { acceptor, connections, how_long: how_long.clone() }
         };
         if let Some(Listening { runtime, listener }) = unix {
             let serving = serving(connections_max + UNIX_MORE);
@@ -190,7 +190,7 @@ impl<L> Listening<L> {
 /// The state of a listener's thread.
 struct Serving {
     acceptor: Acceptor,
-    gone: watch::Sender<()>,
+    connections: watch::Sender<()>,
     how_long: watch::Receiver<Duration>,
 }
 
@@ -202,7 +202,7 @@ impl Serving {
         accept: impl FnOnce(Acceptor) -> F,
         file: impl Sized,
     ) {
-        let Self { acceptor, gone, how_long } = self;
+        let Self { acceptor, connections, how_long } = self;
         let deadline = runtime.block_on(async move {
             let mut stopping = acceptor.stopping.clone();
             tokio::spawn(accept(acceptor));
@@ -211,7 +211,7 @@ impl Serving {
             drop(file);
             let within = *how_long.borrow();
             let deadline = Instant::now() + within;
-            tokio::time::timeout(within, gone.closed()).await.ok();
+            tokio::time::timeout(within, connections.closed()).await.ok();
             deadline
         });
         // Work that is not finished in time is abandoned.

@@ -50,7 +50,7 @@ impl WorkQueues {
         Self {
             commands: WorkQueue::new("too many requests are being executed", COMMANDS, work_max),
             files: WorkQueue::new("too many files are being read", FILES, work_max),
-            checks: WorkQueue::new("another take is being checked", CHECKS, None),
+            checks: WorkQueue::new("another take is being verified", CHECKS, None),
         }
     }
 }
@@ -124,7 +124,7 @@ impl WorkQueue {
             drop(held);
             done
         });
-        job.await.map_err(|_| Problem::internal("a job panicked: this is a bug in mocapd"))
+        job.await.map_err(|_| Problem::internal("a job panicked: please report this bug"))
     }
 }
 

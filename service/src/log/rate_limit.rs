@@ -206,7 +206,7 @@ impl SummaryThread {
 
 fn log_summaries(filter: &LogFilter, all: bool) {
     for (n, sample) in filter.take_suppressed(Instant::now(), all) {
-        tracing::warn!(target: SUMMARY, left_out = n, "{n} more like this were left out: {}", visible(&sample));
+        tracing::warn!(target: SUMMARY, left_out = n, "{n} similar messages suppressed: {}", visible(&sample));
     }
 }
 

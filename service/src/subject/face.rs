@@ -36,7 +36,7 @@ pub(super) fn check_places(face: &FittedFace, mapping: &Mapping) -> anyhow::Resu
     let listed: Vec<_> = nowhere.iter().take(LISTED_MAX).map(String::as_str).collect();
     ensure!(
         nowhere.is_empty(),
-        "the face does not have these places: {}{others}; it has vertices 0 to {}, and the names under \"features\" in its file",
+        "the face does not have these points: {}{others}; it has vertices 0 to {}, and the names under \"features\" in its file",
         listed.join(", "),
         n.saturating_sub(1)
     );

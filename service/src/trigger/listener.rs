@@ -31,7 +31,7 @@ pub struct Listener {
     allow_from: Vec<Network>,
     delay_max: Duration,
     instance_id: u64,
-    seen: RecentTriggers,
+    recent: RecentTriggers,
 }
 
 impl Listener {
@@ -39,7 +39,7 @@ impl Listener {
     /// `instance_id` is that of the [`Announcer`](super::Announcer), to recognise our own datagrams.
     #[must_use]
     pub fn new(allow_from: Vec<Network>, delay_max: Duration, instance_id: u64) -> Self {
-        Self { allow_from, delay_max, instance_id, seen: RecentTriggers::default() }
+        Self { allow_from, delay_max, instance_id, recent: RecentTriggers::default() }
     }
 
     /// Whether `trigger.allow_from` lists the sender.
@@ -69,7 +69,7 @@ impl Listener {
         if encode::is_from_instance(&trigger, self.instance_id) {
             return Ok(Incoming::Own);
         }
-        if self.seen.is_repeat(from, &trigger, datagram, now) {
+        if self.recent.is_repeat(from, &trigger, datagram, now) {
             return Ok(Incoming::Repeat);
         }
         if trigger.delay() > self.delay_max {
@@ -87,7 +87,7 @@ impl Listener {
     /// Forgets a trigger that did not fit into the queue: its repeats are new attempts of the sender, not repeats of an
     /// executed trigger.
     pub fn forget(&mut self, from: IpAddr, trigger: &Trigger, datagram: &[u8]) {
-        self.seen.forget(from.to_canonical(), trigger, datagram);
+        self.recent.forget(from.to_canonical(), trigger, datagram);
     }
 }
 

@@ -16,10 +16,10 @@ use mocapd_acquire::pipeline::lock;
 use super::{Trigger, TriggerError};
 
 /// Most undelayed triggers that wait. Execution takes milliseconds, and a laboratory sends one every few seconds: if so
-/// many wait, the service is stuck, and a start executed minutes later would record nothing that anybody wanted.
+/// many wait, the service is stuck, and a start executed minutes later would be of no use.
 pub const DUE_MAX: usize = 16;
 
-/// Of these, the most of one sender that is not in `trigger.allow_from`: the stop of one take and the start of the
+/// Most undelayed triggers of one sender that is not in `trigger.allow_from`: the stop of one take and the start of the
 /// next, twice.
 pub const DUE_EACH_MAX: usize = 4;
 
@@ -75,10 +75,10 @@ impl PendingTriggers {
         let delay = received.trigger.delay();
         let is_delayed = delay > Duration::ZERO;
         let (sender, is_known) = (received.sender(), received.is_known);
-        let alike = || self.entries.iter().filter(|entry| entry.is_delayed == is_delayed);
+        let same_kind = || self.entries.iter().filter(|entry| entry.is_delayed == is_delayed);
         let all =
-            alike().filter(|entry| !is_delayed || entry.received.is_known == is_known).count();
-        let own = alike().filter(|entry| entry.received.sender() == sender).count();
+            same_kind().filter(|entry| !is_delayed || entry.received.is_known == is_known).count();
+        let own = same_kind().filter(|entry| entry.received.sender() == sender).count();
         let (all_max, own_max) = match (is_delayed, is_known) {
             (false, true) => (DUE_MAX, None),
             (false, false) => (DUE_MAX, Some(DUE_EACH_MAX)),
@@ -129,11 +129,11 @@ impl PendingTriggers {
         let before = self.entries.len();
         self.entries.retain(|entry| {
             let Trigger::Start(start) = &entry.received.trigger else { return true };
-            let is_meant = match (name, &start.name) {
+            let has_name = match (name, &start.name) {
                 (Some(name), Some(start)) => start.text() == name,
                 _ => true,
             };
-            entry.received.sender() != from.ip().to_canonical() || !is_meant
+            entry.received.sender() != from.ip().to_canonical() || !has_name
         });
         before - self.entries.len()
     }
@@ -146,21 +146,21 @@ pub struct TriggerQueue {
     /// Holds at most one message: the next due time may have changed.
     wake: Sender<()>,
     woken: Receiver<()>,
-    begin: Instant,
+    created: Instant,
 }
 
 impl Default for TriggerQueue {
     fn default() -> Self {
         let (wake, woken) = bounded(1);
-        Self { waiting: Arc::default(), wake, woken, begin: Instant::now() }
+        Self { waiting: Arc::default(), wake, woken, created: Instant::now() }
     }
 }
 
 impl TriggerQueue {
-    /// The time for comparison with due times.
+    /// The current time, by the clock of the due times.
     #[must_use]
     pub fn now(&self) -> Duration {
-        self.begin.elapsed()
+        self.created.elapsed()
     }
 
     /// Accepts a trigger that has just arrived.
@@ -192,7 +192,7 @@ impl TriggerQueue {
         &self.woken
     }
 
-    /// Cancels pending starts: see [`PendingTriggers::cancel_starts`].
+    /// Cancels pending starts of a sender, and returns their number, as [`PendingTriggers::cancel_starts`] does.
     #[must_use]
     pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
         lock(&self.waiting).cancel_starts(from, name)

@@ -206,17 +206,17 @@ const BURST: u32 = 5;
 /// Time after which one more is passed.
 const REFILL_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Passes a few messages and counts the others: anybody can send a thousand datagrams a second.
+/// A token bucket: passes a few messages and counts the others, since anybody can send a thousand datagrams a second.
 #[derive(Debug)]
 pub struct RateLimit {
-    left: u32,
+    tokens: u32,
     since: Duration,
-    held_back: u64,
+    suppressed: u64,
 }
 
 impl Default for RateLimit {
     fn default() -> Self {
-        Self { left: BURST, since: Duration::ZERO, held_back: 0 }
+        Self { tokens: BURST, since: Duration::ZERO, suppressed: 0 }
     }
 }
 
@@ -226,16 +226,16 @@ impl RateLimit {
         let earned = now.saturating_sub(self.since).as_secs() / REFILL_INTERVAL.as_secs();
         if earned > 0 {
             let earned = u32::try_from(earned).unwrap_or(u32::MAX);
-            self.left = self.left.saturating_add(earned).min(BURST);
+            self.tokens = self.tokens.saturating_add(earned).min(BURST);
             self.since = now;
         }
-        if self.left == 0 {
-            self.held_back += 1;
+        if self.tokens == 0 {
+            self.suppressed += 1;
             return None;
         }
-        self.left -= 1;
-        let held_back = std::mem::take(&mut self.held_back);
-        Some(match held_back {
+        self.tokens -= 1;
+        let suppressed = std::mem::take(&mut self.suppressed);
+        Some(match suppressed {
             0 => message.to_owned(),
             n => format!("{message}; {n} similar messages suppressed"),
         })

@@ -81,7 +81,7 @@ fn completions(shell: Shell) -> Result<(), Failure> {
 
 fn pages(out: &Path) -> Result<(), Failure> {
     let written = clap_mangen::generate_to(Cli::command(), out);
-    Ok(written.with_context(|| format!("cannot write pages to {}", out.display()))?)
+    Ok(written.with_context(|| format!("cannot write manual pages to {}", out.display()))?)
 }
 
 /// Parses a length in millimetres: `0.05mm`, `50um`, `1cm`; a bare number is millimetres.

@@ -54,7 +54,7 @@ pub struct Device {
     clock: DeviceClock,
     faults: Option<SourceFaults>,
     first_start_ns: Option<u64>,
-    /// The next frame's number on the wire. It counts from power-up; the log counts since the device was made.
+    /// The next frame's number on the wire. It counts from power-up; the log counts from the creation of the device.
     counter: u32,
     commands: Vec<Command>,
     row: Vec<Position>,
@@ -154,6 +154,7 @@ impl Device {
         self.run.is_some()
     }
 
+    /// Sends a Status when one is due. Returns when the next one is.
     fn report(&mut self, mut run: Run, now_ns: u64) -> u64 {
         if run.status_ns <= now_ns {
             let status = self.status();
@@ -189,7 +190,7 @@ impl Device {
         }
     }
 
-    /// The device loses its power, and everything in its memory.
+    /// Switches the device off: its memory is lost.
     pub(crate) fn lose_power(&mut self) {
         self.run = None;
         self.pending_end = None;
@@ -203,7 +204,7 @@ impl Device {
         }
     }
 
-    /// The device is switched on again; with `greets`, on an open line, it sends Hello unasked.
+    /// Switches the device on again; with `greets`, on an open line, it sends an unsolicited Hello.
     pub(crate) fn power_up(&mut self, now_ns: u64, greets: bool) {
         self.clock.begin(now_ns);
         if greets {
@@ -331,10 +332,8 @@ impl LineDevice for Device {
     }
 }
 
-/// The device's marker table, one entry per column of the motion with the column as id, and warnings about changed
-/// labels.
-///
-/// Unlabelled markers get a temporary id and an empty label.
+/// The device's marker table (one entry per column of the motion, whose number is the id), and warnings about changed
+/// labels. Unlabelled markers get a temporary id and an empty label.
 fn marker_table(markers: &[Marker]) -> (Vec<MarkerInfo>, Vec<String>) {
     let mut warnings = Vec::new();
     let mut table = Vec::with_capacity(markers.len());

@@ -1,4 +1,4 @@
-//! Settings of a simulated device, the rates that follow from them, and the errors of bad ones.
+//! Settings of a simulated device, the rates that follow from them, and their errors.
 
 use std::sync::Arc;
 
@@ -30,8 +30,8 @@ pub struct DeviceSettings {
     pub form: FrameForm,
     /// Capacity of the line, bytes per second; 0 for unlimited.
     pub line_bytes_per_s: u64,
-    /// Drift of the device's clock against the caller's, parts per million, -100 000 to 100 000. A positive value makes
-    /// it slow; recorders report the same number.
+    /// Drift of the device's clock against the caller's, parts per million, -100 000 to 100 000. A positive drift makes
+    /// the clock slow; recorders report the same number.
     pub drift_ppm: f64,
     /// Size of the queue of frames for a host that does not read; `None` for one second of frames, at most 4 MiB.
     pub queue_bytes: Option<usize>,
@@ -58,7 +58,7 @@ impl Default for DeviceSettings {
     }
 }
 
-/// Why a motion cannot be a device.
+/// Why a device cannot be created from a motion and settings.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
@@ -102,7 +102,7 @@ pub enum DeviceError {
     },
     /// Rate times speed is out of range.
     #[error(
-        "{rate_hz} Hz at speed {speed} would be {product_hz} Hz, expected 1 to 10000: change the speed or give a rate"
+        "{rate_hz} Hz at speed {speed} would be {product_hz} Hz, expected 1 to 10000: choose another speed or rate"
     )]
     Product {
         /// The rate before the speed is applied, Hz.
@@ -148,8 +148,8 @@ impl Rates {
         let (native_millihertz, rate_millihertz) = match hz {
             None => faster(recorded_millihertz).map(|native| (Some(native), native))?,
             Some(found_hz) => {
-                let asked = to_millihertz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
-                (faster(recorded_millihertz).ok(), faster(asked)?)
+                let requested = to_millihertz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
+                (faster(recorded_millihertz).ok(), faster(requested)?)
             }
         };
         Ok(Self { recorded_millihertz, native_millihertz, rate_millihertz, speed_milli })

@@ -1,4 +1,4 @@
-//! Faults of the connection: stalls, bursts, pulled cables and losses of power.
+//! Faults of the connection: stalls, bursts, unplugged cables and losses of power.
 
 use super::kinds::{Fault, Kind};
 use super::script::{ScheduledFault, Script, nanoseconds};
@@ -8,15 +8,15 @@ use crate::line::LatencyTimer;
 /// The state of the connection at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ConnectionState {
-    /// The cable is in.
+    /// The cable is plugged in.
     pub(super) plugged: bool,
     /// The device is switched on.
     pub(super) powered: bool,
-    /// Bytes are handed over.
+    /// Bytes are delivered.
     pub(super) flows: bool,
 }
 
-/// A stall, pulled cable or loss of power, from its start to its end.
+/// A stall, unplugged cable or loss of power, from its start to its end.
 #[derive(Debug, Clone, Copy)]
 struct Outage {
     kind: Kind,
@@ -25,7 +25,7 @@ struct Outage {
     keeps_port: bool,
 }
 
-/// A window in which waiting bytes are handed over once per period only.
+/// A window in which waiting bytes are delivered only once per period.
 #[derive(Debug, Clone, Copy)]
 struct Burst {
     from_ns: u64,
@@ -93,7 +93,7 @@ impl ConnectionFaults {
         counts
     }
 
-    /// How many of the `waiting` bytes may be handed over.
+    /// How many of the `waiting` bytes may be delivered now.
     pub(super) fn allowed(&self, waiting: usize) -> usize {
         self.timer.as_ref().map_or(waiting, |timer| timer.released.min(waiting))
     }

@@ -333,14 +333,14 @@ fn check_range(value: &Spanned<DeValue<'_>>, key: &KeySpec) -> Result<(), CheckE
     if fits {
         return Ok(());
     }
-    let wanted = match (is_bool, is_whole) {
+    let expected = match (is_bool, is_whole) {
         (true, _) => "true or false".to_owned(),
         (_, true) => format!("a whole number from {min} to {max} ({unit})"),
         _ => format!("{min} to {max} ({unit})"),
     };
-    let type_wanted = if is_bool { "a boolean" } else { "a number" };
-    let wrong = wrong_type(value, name, type_wanted).unwrap_or(format!("{name} is out of range"));
-    Err((value.span().start, format!("{wrong}: expected {wanted}")))
+    let expected_type = if is_bool { "a boolean" } else { "a number" };
+    let wrong = wrong_type(value, name, expected_type).unwrap_or(format!("{name} is out of range"));
+    Err((value.span().start, format!("{wrong}: expected {expected}")))
 }
 
 /// The nearest known word within an edit distance of 2, or of a third of a longer word's length.

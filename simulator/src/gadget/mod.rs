@@ -56,12 +56,12 @@ fn plug_in(
     let mut gadget = Gadget::new(Class::INTERFACE_SPECIFIC, id, strings)
         .with_config(Config::new("mocapd link").with_function(function));
     gadget.name = Some(gadget_name());
-    let made = gadget.register().map_err(GadgetError::from_io)?;
-    made.bind(Some(&controller)).map_err(|source| {
+    let registration = gadget.register().map_err(GadgetError::from_io)?;
+    registration.bind(Some(&controller)).map_err(|source| {
         let controller = controller.name().to_string_lossy().into_owned();
         GadgetError::Bind { controller, source }
     })?;
-    Ok(made)
+    Ok(registration)
 }
 
 /// Prefix of the simulator's gadgets in configfs; the process id follows.
@@ -82,16 +82,16 @@ fn free_controller(wanted: Option<&str>) -> Result<Udc, GadgetError> {
     {
         return Err(GadgetError::NoSuchController { name: name.to_owned(), found });
     }
-    let is_meant = |udc: &Udc| wanted.is_none_or(|name| udc.name() == name);
+    let has_name = |udc: &Udc| wanted.is_none_or(|name| udc.name() == name);
     let is_free = |udc: &Udc| udc.function().is_ok_and(|gadget| gadget.is_none());
-    let free = all.iter().find(|udc| is_meant(udc) && is_free(udc)).cloned();
+    let free = all.iter().find(|udc| has_name(udc) && is_free(udc)).cloned();
     free.ok_or(GadgetError::ControllerBusy { found })
 }
 
 /// A new name for a gadget of this process.
 fn gadget_name() -> String {
-    static MADE: AtomicU32 = AtomicU32::new(0);
-    format!("{NAME_PREFIX}{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed))
+    static CREATED: AtomicU32 = AtomicU32::new(0);
+    format!("{NAME_PREFIX}{}-{}", std::process::id(), CREATED.fetch_add(1, Ordering::Relaxed))
 }
 
 /// Removes the gadgets of simulators that were killed.
@@ -99,8 +99,8 @@ fn remove_leftovers() {
     for gadget in registered().unwrap_or_default() {
         let name = gadget.name().to_string_lossy().into_owned();
         let process = name.strip_prefix(NAME_PREFIX).and_then(|rest| rest.split('-').next());
-        let is_left = process.is_some_and(|process| !Path::new("/proc").join(process).exists());
-        if is_left && gadget.remove().is_err() {
+        let is_stale = process.is_some_and(|process| !Path::new("/proc").join(process).exists());
+        if is_stale && gadget.remove().is_err() {
             // Its controller then counts as busy, which the error reports.
         }
     }

@@ -159,28 +159,28 @@ impl Body {
     /// Two-bone inverse kinematics: knee and ankle for a target ankle, with the knee in front.
     ///
     /// A target out of reach is moved smoothly towards the hip, so that the bones keep their lengths.
-    fn bend_leg(&self, hip: V3, wanted: V3, left: V3) -> (V3, V3) {
-        let way = sub(wanted, hip);
-        let down = unit(way);
-        let reach = self.soft_reach(norm(way));
+    fn bend_leg(&self, hip: V3, target: V3, left: V3) -> (V3, V3) {
+        let full = sub(target, hip);
+        let down = unit(full);
+        let reach = self.soft_reach(norm(full));
         let along =
             (self.thigh * self.thigh - self.shank * self.shank + reach * reach) / (2.0 * reach);
-        let aside = (self.thigh * self.thigh - along * along).max(0.0).sqrt();
+        let across = (self.thigh * self.thigh - along * along).max(0.0).sqrt();
         let front = cross(down, left);
         let front = unit(sub(front, scale(down, dot(front, down))));
-        let knee = add(add(hip, scale(down, along)), scale(front, aside));
-        let ankle = if reach < norm(way) { add(hip, scale(down, reach)) } else { wanted };
+        let knee = add(add(hip, scale(down, along)), scale(front, across));
+        let ankle = if reach < norm(full) { add(hip, scale(down, reach)) } else { target };
         (knee, ankle)
     }
 
     /// Limits the reach: unchanged up to 98.8 % of the leg, then approaching 99.9 % with two continuous derivatives.
     fn soft_reach(&self, reach: f64) -> f64 {
-        let (free, room) = (0.988 * self.leg(), 0.011 * self.leg());
+        let (free, margin) = (0.988 * self.leg(), 0.011 * self.leg());
         if reach <= free {
             return reach;
         }
-        let x = (reach - free) / room;
-        free + room * x / (1.0 + x * x).sqrt()
+        let x = (reach - free) / margin;
+        free + margin * x / (1.0 + x * x).sqrt()
     }
 }
 

@@ -249,8 +249,8 @@ impl Server<'_> {
         loop {
             self.write()?;
             let unread = self.line.unread().map_err(self.failed("counting bytes"))?;
-            let left = self.device.pending().len() as u64 + unread;
-            if drain.is_over(left, host_ns()) {
+            let remaining = self.device.pending().len() as u64 + unread;
+            if drain.is_over(remaining, host_ns()) {
                 return Ok(());
             }
             std::thread::sleep(POLL_INTERVAL);
@@ -280,21 +280,21 @@ const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Watches the number of bytes that the host still has to read.
 #[derive(Debug, Default)]
 struct Drain {
-    left: Option<u64>,
+    remaining: Option<u64>,
     progress_ns: u64,
     empty_polls: u32,
 }
 
 impl Drain {
-    /// Takes the number of bytes between device and host; `true` when none are left or the host has stopped reading.
-    fn is_over(&mut self, left: u64, now_ns: u64) -> bool {
-        if self.left != Some(left) {
-            self.left = Some(left);
+    /// Takes the number of bytes between device and host; `true` at 0, or when the host has stopped reading.
+    fn is_over(&mut self, remaining: u64, now_ns: u64) -> bool {
+        if self.remaining != Some(remaining) {
+            self.remaining = Some(remaining);
             self.progress_ns = now_ns;
         }
         // The kernel moves bytes between its buffers asynchronously and counts only the last one: wait for five
         // consecutive polls without bytes.
-        self.empty_polls = if left == 0 { self.empty_polls + 1 } else { 0 };
+        self.empty_polls = if remaining == 0 { self.empty_polls + 1 } else { 0 };
         self.empty_polls > 4 || now_ns.saturating_sub(self.progress_ns) > HOST_IDLE_TIMEOUT_NS
     }
 }

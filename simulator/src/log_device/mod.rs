@@ -246,9 +246,9 @@ impl LogDevice {
                 Action::Send { start, end } => {
                     let bytes = self.steps.bytes.get(start + self.offset..end).unwrap_or_default();
                     let (pings, due_ns) = (&self.steps.pings, self.clock());
-                    let asked_ns = |host_ns: u64| pings.get(&host_ns).map(|at_ns| due_ns(*at_ns));
+                    let ping_ns = |host_ns: u64| pings.get(&host_ns).map(|at_ns| due_ns(*at_ns));
                     let out = &mut self.out;
-                    let n = self.pongs.pass(bytes, now_ns, self.handshaking, asked_ns, out);
+                    let n = self.pongs.pass(bytes, now_ns, self.handshaking, ping_ns, out);
                     self.offset += n;
                     if n < bytes.len() {
                         return u64::MAX;

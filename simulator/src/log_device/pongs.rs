@@ -57,14 +57,14 @@ impl PongRewriter {
     /// Passes logged bytes on and returns how many. With `waits` it stops at a Pong that has no Ping to answer;
     /// otherwise it passes all.
     ///
-    /// `asked_ns` gives the time of the Ping of a logged Pong, by the caller's clock. Without `waits`, only a Ping that
+    /// `ping_ns` gives the time of the Ping of a logged Pong, by the caller's clock. Without `waits`, only a Ping that
     /// came before it is answered: a Pong whose ticks are older than its Ping would spoil the clock fit.
     pub(super) fn pass(
         &mut self,
         bytes: &[u8],
         now_ns: u64,
         waits: bool,
-        asked_ns: impl Fn(u64) -> Option<u64>,
+        ping_ns: impl Fn(u64) -> Option<u64>,
         out: &mut Vec<u8>,
     ) -> usize {
         for (taken, &byte) in bytes.iter().enumerate() {
@@ -83,7 +83,7 @@ impl PongRewriter {
             };
             let is_old = |ping: &mut Ping| now_ns.saturating_sub(ping.came_ns) > PING_NS_MAX;
             while !waits && self.pings.pop_front_if(is_old).is_some() {}
-            let by_ns = if waits { Some(u64::MAX) } else { asked_ns(pong.host_ns) };
+            let by_ns = if waits { Some(u64::MAX) } else { ping_ns(pong.host_ns) };
             let ping = self.pings.front().copied();
             match ping.filter(|ping| by_ns.is_some_and(|by_ns| ping.came_ns <= by_ns)) {
                 Some(Ping { host_ns, .. }) => {

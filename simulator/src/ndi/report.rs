@@ -158,18 +158,18 @@ pub(super) struct Bx2Options {
 impl Bx2Options {
     /// Parses the options; `None` if one is unknown.
     pub(super) fn of(options: &str) -> Option<Self> {
-        let mut wanted = Self { tools: true, strays: false };
+        let mut parsed = Self { tools: true, strays: false };
         for option in options.split_ascii_whitespace() {
             match option {
-                "--6d=tools" => wanted.tools = true,
-                "--6d=none" => wanted.tools = false,
-                "--3d=strays" | "--3d=all" => wanted.strays = true,
-                "--3d=tools" | "--3d=none" => wanted.strays = false,
+                "--6d=tools" => parsed.tools = true,
+                "--6d=none" => parsed.tools = false,
+                "--3d=strays" | "--3d=all" => parsed.strays = true,
+                "--3d=tools" | "--3d=none" => parsed.strays = false,
                 "--1d=none" | "--1d=buttons" | "--sensor=none" => {}
                 _ => return None,
             }
         }
-        Some(wanted)
+        Some(parsed)
     }
 }
 

@@ -140,7 +140,7 @@ fn measure(input: &BenchInput<'_>, codec: &Settings, repeats: u8) -> anyhow::Res
     })?;
     ensure!(
         samples as u64 == input.samples(),
-        "{samples} of {} samples were decoded: this is a bug in mocapd",
+        "{samples} of {} samples were decoded: please report this bug",
         input.samples()
     );
     let decode = median_time(repeats, || decode(&take, |_, _| ()))?;

@@ -159,7 +159,7 @@ impl Client {
     fn document(&self, response: Response<Incoming>) -> anyhow::Result<Value> {
         let body = self.bytes(response)?;
         serde_json::from_slice(&body)
-            .with_context(|| format!("the answer of {} is not JSON", self.target))
+            .with_context(|| format!("the reply from {} is not JSON", self.target))
     }
 
     fn bytes(&self, response: Response<Incoming>) -> anyhow::Result<Bytes> {
@@ -168,7 +168,7 @@ impl Client {
         match self.runtime.block_on(collected) {
             Ok(Ok(collected)) => Ok(collected.to_bytes()),
             Ok(Err(error)) => Err(ConnectionLost(error.to_string()).into()),
-            Err(_) => bail!("no complete answer within {} s", RESPONSE_TIMEOUT.as_secs()),
+            Err(_) => bail!("no complete reply within {} s", RESPONSE_TIMEOUT.as_secs()),
         }
     }
 }
@@ -183,7 +183,7 @@ async fn exchange(
     tokio::spawn(async move { connection.await.ok() });
     match timeout(RESPONSE_TIMEOUT, sender.send_request(request)).await {
         Ok(answer) => Ok(answer.map_err(|error| connection_lost(&error))?),
-        Err(_) => bail!("no answer within {} s", RESPONSE_TIMEOUT.as_secs()),
+        Err(_) => bail!("no reply within {} s: see the service's log", RESPONSE_TIMEOUT.as_secs()),
     }
 }
 

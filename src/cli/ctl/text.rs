@@ -198,7 +198,7 @@ mod tests {
             LedgerDocument { lost_on_link: 1, markers_dropped: 1200, ..LedgerDocument::default() };
         assert_eq!(
             losses(&ledger).unwrap(),
-            "1 frame lost on the link, 1 200 samples of markers beyond the channel pool"
+            "1 frame lost on the link, 1 200 samples of markers without a free channel"
         );
     }
 

@@ -19,13 +19,13 @@ use mocapd_take::{
 
 /// Most lost frames that are exported without `--to` if the take has fewer recorded ones: four hours at 1000 Hz. A loss
 /// takes a few bytes in a take, but may state so many frames that their gaps would fill the disk.
-const LOST_UNASKED_MAX: u64 = 1 << 24;
+const LOST_FRAMES_MAX: u64 = 1 << 24;
 
 /// The next frames of a source, up to the end of a range; counts them as they are read.
 pub(super) struct CroppedFrames<'a> {
     frames: &'a mut dyn FrameSource,
     info: MotionInfo,
-    left: u64,
+    remaining: u64,
     counter: Arc<AtomicU64>,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct CroppedFrames<'a> {
 ///
 /// # Errors
 /// If the take has no frames; a usage error if none is in the range, or if `to` is missing and lost frames outnumber
-/// both the recorded ones and [`LOST_UNASKED_MAX`].
+/// both the recorded ones and [`LOST_FRAMES_MAX`].
 pub(super) fn range(
     info: &MotionInfo,
     n_sampled_rows: u64,
@@ -50,7 +50,7 @@ pub(super) fn range(
         )));
     }
     let lost = info.n_frames.saturating_sub(n_sampled_rows);
-    if to.is_none() && lost > LOST_UNASKED_MAX.max(n_sampled_rows) {
+    if to.is_none() && lost > LOST_FRAMES_MAX.max(n_sampled_rows) {
         bail!(UsageError(format!(
             "{lost} of the {} frames are empty, and each would be a row of gaps: give --to to limit the export",
             info.n_frames
@@ -68,7 +68,7 @@ impl<'a> CroppedFrames<'a> {
     ) -> Self {
         let mut info = frames.info().clone();
         info.cut(range.start, range.end);
-        Self { frames, left: info.n_frames, info, counter }
+        Self { frames, remaining: info.n_frames, info, counter }
     }
 }
 
@@ -78,10 +78,10 @@ impl FrameSource for CroppedFrames<'_> {
     }
 
     fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
-        if self.left == 0 {
+        if self.remaining == 0 {
             return Ok(false);
         }
-        self.left -= 1;
+        self.remaining -= 1;
         self.counter.fetch_add(1, Ordering::Relaxed);
         self.frames.next_frame(row)
     }
@@ -151,7 +151,7 @@ mod tests {
             .map(|range| range.end - range.start)
             .map_err(|error| error.to_string())
         };
-        assert_eq!(part(LOST_UNASKED_MAX - 1200, None), Ok(LOST_UNASKED_MAX));
+        assert_eq!(part(LOST_FRAMES_MAX - 1200, None), Ok(LOST_FRAMES_MAX));
         let refused = part(1 << 31, None).unwrap_err();
         assert!(refused.starts_with("2147484848 of the 2147484848 frames are empty"), "{refused}");
         assert_eq!(part(1 << 31, Some(10)), Ok(600));

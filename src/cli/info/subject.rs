@@ -114,7 +114,7 @@ impl SubjectReport {
 impl SkeletonReport {
     fn lines(&self, line: &mut impl FnMut(&str, &str)) {
         let stature = self.stature_mm.map(|mm| format!("stature {mm:.0} mm, ")).unwrap_or_default();
-        let sides = if self.sides_told { "" } else { "; left and right may be exchanged" };
+        let sides = if self.sides_told { "" } else { "; left and right may be swapped" };
         let (joints, bones) =
             (count(self.joints as u64, "joint"), count(self.bones.len() as u64, "bone"));
         line("skeleton", &format!("{stature}{joints}, {bones}{}{sides}", by(&self.method)));

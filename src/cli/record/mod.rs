@@ -89,11 +89,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         rig.wait_for_replug(args.reconnect);
         rig.limit_loss(args.stretch, args.sync);
-        let beside = log.filter(|log| paths::are_on_one_disk(log.path(), &args.output));
+        let same_disk = log.filter(|log| paths::are_on_one_disk(log.path(), &args.output));
         let limits = Limits {
             length: args.seconds,
             keep_free_bytes: args.keep_free,
-            raw_log_bytes: beside.map(RawLog::file_bytes),
+            raw_log_bytes: same_disk.map(RawLog::file_bytes),
             subject,
         };
         record_and_watch(rig, &args.output, codec, &limits, &stop)

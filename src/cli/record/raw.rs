@@ -49,7 +49,7 @@ impl RawLogReport {
     pub(crate) fn text(&self) -> String {
         let what = if self.lost() { "incomplete raw log" } else { "raw log" };
         let [file, line] = [self.file_bytes, self.line_bytes].map(bytes);
-        format!("{}: {what}, {file} with {line} of the line\n", plain_path(&self.log))
+        format!("{}: {what}, {file} with {line} of line data\n", plain_path(&self.log))
     }
 
     /// The missing bytes, in one line; `None` if the log is complete.
@@ -57,11 +57,11 @@ impl RawLogReport {
         let missing = bytes(self.missing_bytes);
         match &self.error {
             Some(error) => Some(format!(
-                "the raw log {} ends early, {missing} of the line are missing: {error}; the rest can be replayed",
+                "the raw log {} ends early, {missing} of line data are missing: {error}; the rest can be replayed",
                 self.log.display()
             )),
             None if self.missing_bytes > 0 => {
-                Some(format!("{missing} of the line are missing from the raw log: disk too slow"))
+                Some(format!("{missing} of line data are missing from the raw log: disk too slow"))
             }
             None => None,
         }

@@ -132,7 +132,7 @@ impl RecordReport {
         let announced = count(self.markers as u64, "marker");
         match self.markers_appeared {
             0 => announced,
-            more => format!("{announced} announced and {} more as they appeared", thousands(more)),
+            more => format!("{announced} announced and {} that appeared later", thousands(more)),
         }
     }
 

@@ -1,4 +1,4 @@
-//! `study`: repeats the tables and figures of Shi et al. 2012 on given takes.
+//! `study`: repeats the tables and figures of Shi et al. 2012 on other takes.
 
 mod report;
 
@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// Tolerances of table 1 [default: those of the paper, 1mm,5mm,10mm,15mm,20mm]
     #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
-    /// Number of trials to try the exhaustive reading of step 2 on, in pieces of up to 256 frames
+    /// Number of trials to resample with spline:exhaustive as well, in pieces of up to 256 frames
     #[arg(long, value_name = "N", default_value_t = 10)]
     exhaustive: usize,
     /// Cutoff of the low-pass filter for velocities and accelerations
@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let samples: usize = trials.iter().map(|trial| trial.motion.positions_mm.len()).sum();
     if samples > SAMPLES_MAX {
         bail!(UsageError(format!(
-            "{samples} samples do not fit into memory (at most {SAMPLES_MAX}): give fewer takes at a time"
+            "{samples} samples do not fit into memory (at most {SAMPLES_MAX}): pass fewer takes at a time"
         )));
     }
     let options = options(args);
@@ -97,8 +97,8 @@ fn options(args: &Args) -> Options {
 fn study(trials: &[Trial], options: &Options, args: &Args) -> anyhow::Result<Findings> {
     let n = trials.len();
     // Evenly spread over the trials, so that every subject is represented.
-    let wanted = args.exhaustive.min(n);
-    let is_compared = |i: usize| i * wanted / n != (i + 1) * wanted / n;
+    let compared = args.exhaustive.min(n);
+    let is_compared = |i: usize| i * compared / n != (i + 1) * compared / n;
     let total = (0..n).map(|i| work(&trials[i], options, is_compared(i))).sum();
     let counter = Arc::new(AtomicU64::new(0));
     let progress = Progress::follow("resampling", &counter, total);
@@ -125,7 +125,7 @@ fn study(trials: &[Trial], options: &Options, args: &Args) -> anyhow::Result<Fin
     Ok(findings)
 }
 
-/// Codes takes in memory, as `import` would write them.
+/// Encodes takes in memory, as `import` would write them.
 #[derive(Debug)]
 pub(super) struct InMemory;
 
@@ -152,37 +152,37 @@ fn write_out(out: &Path, trials: &[Trial], findings: &Findings) -> anyhow::Resul
     Ok(())
 }
 
-/// Largest file of phases, bytes: room for a hundred thousand trials.
+/// Largest file of phases, in bytes: a hundred thousand trials fit.
 const PHASES_BYTES_MAX: usize = 1 << 26;
 
 /// By file name, each phase and its first frame.
-type GivenPhases = BTreeMap<String, Vec<(Phase, usize)>>;
+type PhasesByFile = BTreeMap<String, Vec<(Phase, usize)>>;
 
-/// Reads every file, and detects the phases of those that `given` does not list.
+/// Reads every file, and detects the phases of those that the file `phases` does not list.
 ///
 /// # Errors
-/// The first file that cannot be read; a usage error if `given` lists phases of a file that is not among them.
-pub(super) fn trials(paths: &[PathBuf], given: Option<&Path>) -> anyhow::Result<Vec<Trial>> {
-    let given = given.map(read_phases).transpose()?.unwrap_or_default();
+/// The first file that cannot be read; a usage error if `phases` lists a file that is not among them.
+pub(super) fn trials(paths: &[PathBuf], phases: Option<&Path>) -> anyhow::Result<Vec<Trial>> {
+    let listed = phases.map(read_phases).transpose()?.unwrap_or_default();
     let names: Vec<String> = paths.iter().map(|path| file_name(path)).collect();
-    if let Some(unknown) = given.keys().find(|file| !names.contains(file)) {
+    if let Some(unknown) = listed.keys().find(|file| !names.contains(file)) {
         bail!(UsageError(format!(
             "--phases lists {unknown}, which is not among the files: add it, or remove its lines"
         )));
     }
-    paths.iter().zip(names).map(|(path, name)| trial(path, name, &given)).collect()
+    paths.iter().zip(names).map(|(path, name)| trial(path, name, &listed)).collect()
 }
 
-fn trial(path: &Path, name: String, given: &GivenPhases) -> anyhow::Result<Trial> {
+fn trial(path: &Path, name: String, listed: &PhasesByFile) -> anyhow::Result<Trial> {
     let (motion, settings) = read_samples(path)?;
     if let Some(settings) = settings.filter(|settings| !settings.kind.is_lossless()) {
         notify(&format!(
-            "{}: a take coded at {} mm: the study uses its reconstruction, not its original",
+            "{}: a take encoded within {} mm: the study uses its reconstruction, not its original",
             path.display(),
             settings.tolerance.mm()
         ));
     }
-    let starts = match given.get(&name) {
+    let starts = match listed.get(&name) {
         Some(starts) => Ok(starts.clone()),
         None => phases::find(&motion).map_err(|none| none.to_string()),
     };
@@ -193,7 +193,7 @@ fn trial(path: &Path, name: String, given: &GivenPhases) -> anyhow::Result<Trial
     Ok(Trial { name, motion, phases })
 }
 
-fn read_phases(path: &Path) -> anyhow::Result<GivenPhases> {
+fn read_phases(path: &Path) -> anyhow::Result<PhasesByFile> {
     let text = String::from_utf8(files::read_bounded(path, PHASES_BYTES_MAX)?)
         .with_context(|| format!("{} is not a text file", path.display()))?;
     phases::parse(&text).map_err(|error| UsageError(format!("{}: {error}", path.display())).into())

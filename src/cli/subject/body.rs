@@ -140,7 +140,7 @@ fn analyse(
         );
     }
     if !analysis.joints.sides_told {
-        notes.push("left and right are uncertain: the sides may be exchanged".to_owned());
+        notes.push("left and right are uncertain: they may be swapped".to_owned());
     }
     notes.iter().skip(repaired.notes.len()).for_each(|note| notify(&format!("{file}: {note}")));
     let scan = ScanJoints {
@@ -160,7 +160,7 @@ fn table(skeleton: &Skeleton) -> String {
         let sigma = sigma.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
         out += &format!("stature {stature_mm:.0}{sigma} mm, from the bone lengths\n");
     }
-    let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be exchanged)" };
+    let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be swapped)" };
     out += &format!("\nbone                 length mm   +- mm{sides}\n");
     for bone in &skeleton.bones {
         let sigma_mm = bone.uncertainty_mm.unwrap_or_default();

@@ -22,7 +22,7 @@ const LABELS_LISTED_MAX: usize = 10;
 #[derive(Debug, Serialize)]
 pub(crate) struct AgainstReport {
     within_tolerance: bool,
-    /// Ambiguities in the original: other ways to read it than the one taken.
+    /// Ambiguities in the original: places that could also be read in another way.
     ambiguities: Vec<AmbiguityReport>,
     #[serde(flatten)]
     difference: Difference,
@@ -76,7 +76,7 @@ pub(super) fn against(
         difference.frames_lost += std::mem::take(&mut difference.frames_missing);
     }
     if !exact {
-        // The original has its own coding error on top of what the blocks state.
+        // The original has an error of its own, which the take's blocks do not state.
         difference.beyond_stated = None;
     }
     notes.append(&mut difference.notes);
@@ -86,10 +86,10 @@ pub(super) fn against(
 
 /// The note that the original was read with the options of the import, if there were any.
 fn note_of(options: &ReadOptions) -> Option<String> {
-    let given: Vec<String> =
+    let options: Vec<String> =
         options.settings().iter().map(|(name, value)| format!("--{name} {value}")).collect();
-    (!given.is_empty())
-        .then(|| format!("the original was read with the import's options: {}", given.join(" ")))
+    (!options.is_empty())
+        .then(|| format!("the original was read with the import's options: {}", options.join(" ")))
 }
 
 impl AgainstReport {
@@ -103,7 +103,7 @@ impl AgainstReport {
         self.within_tolerance
     }
 
-    /// A line with the errors, and one for each other difference.
+    /// A line with the errors, and a line for each other kind of difference.
     pub(crate) fn text(&self, tolerance_mm: f64) -> String {
         let found = &self.difference;
         let verdict = match (tolerance_mm > 0.0, found.max_error_mm <= tolerance_mm) {
@@ -121,7 +121,7 @@ impl AgainstReport {
         }
         for ambiguity in &self.ambiguities {
             let text = plain(&ambiguity.text);
-            out += &format!("  the original is ambiguous, and was read as at import: {text}\n");
+            out += &format!("  the original is ambiguous; it was read as in the import: {text}\n");
         }
         if found.frames_lost > 0 {
             let frames = count(found.frames_lost, "frame");
@@ -129,7 +129,7 @@ impl AgainstReport {
         }
         if let Some(beyond) = found.beyond_stated.filter(|&beyond| beyond > 0) {
             let samples = count(beyond, "sample");
-            out += &format!("  ERROR ABOVE the bound of their blocks: {samples}\n");
+            out += &format!("  ERROR ABOVE what their blocks state: {samples}\n");
         }
         if found.frames_missing > 0 {
             out += &format!("  in only one of the two: {}\n", count(found.frames_missing, "frame"));

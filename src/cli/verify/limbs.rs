@@ -15,7 +15,7 @@ use crate::cli::{
     values::count,
 };
 
-/// Most excursions of limbs from their bands that the text lists; the JSON has all of them.
+/// Most ranges with an implausible limb length that the text lists; the JSON has all of them.
 const OUTSIDE_SHOWN: usize = 20;
 
 #[derive(Debug, Serialize)]
@@ -151,7 +151,7 @@ impl LimbsReport {
     pub(super) fn text(&self) -> String {
         let mut out = format!(
             "limb lengths in the take and in the scan (mm):\n{:<20} {:>9} {:>8} {:>12} {:>7} {:>7} {:>16} {:>8}\n",
-            "bone", "frames", "median", "scan", "ratio", "spread", "own band", "outside"
+            "bone", "frames", "median", "scan", "ratio", "spread", "plausible", "outside"
         );
         for bone in &self.bones {
             let scan = format!("{:.0} +- {:.0}", bone.scan_mm, bone.uncertainty_mm);
@@ -183,7 +183,7 @@ impl LimbsReport {
         for OutsideReport { bone, when, extreme_mm } in self.outside.iter().take(OUTSIDE_SHOWN) {
             let (bone, when) = (plain(bone), when.text());
             out += &format!(
-                "out of its band, not by a swap of labels: {bone}, {when}, extreme length {extreme_mm:.0} mm\n"
+                "implausible length, but no swap of labels: {bone}, {when}, extreme {extreme_mm:.0} mm\n"
             );
         }
         if let Some(more) = self.outside.len().checked_sub(OUTSIDE_SHOWN).filter(|&more| more > 0) {

@@ -170,7 +170,7 @@ impl VerifyReport {
         );
         if let Some(LineDeviation { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
             out += &format!(
-                "clock line fitted again from the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
+                "clock line refitted to the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
             );
         }
         for line in damage::lines(&self.damage) {

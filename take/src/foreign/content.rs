@@ -9,7 +9,7 @@ use std::{
 /// Most bytes of all foreign parts of a take in memory; further parts go into a scratch file. Parameters and header
 /// lines, which every imported C3D or TRC file has, take a few kB; the analog data of a short trial takes a few
 /// hundred.
-const HELD_BYTES_MAX: u64 = 8 << 20;
+const MEMORY_BYTES_MAX: u64 = 8 << 20;
 
 /// A temporary file. The caller provides it, because this crate opens no files.
 pub trait ScratchFile: Debug + Send + Sync {
@@ -241,20 +241,20 @@ impl Scratch {
 #[derive(Debug)]
 pub(crate) struct Spool<F> {
     new_scratch: F,
-    held_bytes: u64,
+    memory_bytes: u64,
     scratch: Option<Arc<Scratch>>,
 }
 
 impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
     /// Creates a spool; `new_scratch` is called when the scratch file is first needed.
     pub(crate) fn new(new_scratch: F) -> Self {
-        Self { new_scratch, held_bytes: 0, scratch: None }
+        Self { new_scratch, memory_bytes: 0, scratch: None }
     }
 
     /// Stores the bytes of `input`, at most `len + 1`, so that a longer input shows.
     pub(crate) fn put(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
-        let held_bytes = self.held_bytes.saturating_add(len);
-        if held_bytes > HELD_BYTES_MAX {
+        let memory_bytes = self.memory_bytes.saturating_add(len);
+        if memory_bytes > MEMORY_BYTES_MAX {
             let scratch = match &self.scratch {
                 Some(scratch) => scratch,
                 None => {
@@ -267,7 +267,7 @@ impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
         // Memory grows with the actual input; a few damaged bytes can claim any length.
         let mut bytes = Vec::new();
         input.take(len + 1).read_to_end(&mut bytes)?;
-        self.held_bytes = held_bytes;
+        self.memory_bytes = memory_bytes;
         Ok(bytes.into())
     }
 }
@@ -308,11 +308,11 @@ mod tests {
     #[test]
     fn is_the_same_in_memory_and_in_a_file() {
         let mut spool = Spool::new(memory_scratch);
-        let lengths = [0, 5, 70_000, HELD_BYTES_MAX, 0, HELD_BYTES_MAX + 3];
+        let lengths = [0, 5, 70_000, MEMORY_BYTES_MAX, 0, MEMORY_BYTES_MAX + 3];
         for len in lengths {
             let content = spool.put(&mut &bytes(len)[..], len).unwrap();
             let is_in_file = matches!(content.0, Storage::Scratch { .. });
-            assert_eq!(is_in_file, len >= HELD_BYTES_MAX, "{len}");
+            assert_eq!(is_in_file, len >= MEMORY_BYTES_MAX, "{len}");
             assert_eq!(content, bytes(len).into());
             assert_eq!(content.to_vec(len).unwrap().unwrap(), bytes(len));
             let mut read = Vec::new();
@@ -325,7 +325,7 @@ mod tests {
 
     #[test]
     fn a_copy_is_written_alone() {
-        let mut spool = Spool { held_bytes: HELD_BYTES_MAX, ..Spool::new(memory_scratch) };
+        let mut spool = Spool { memory_bytes: MEMORY_BYTES_MAX, ..Spool::new(memory_scratch) };
         for content in [spool.put(&mut &bytes(300)[..], 300).unwrap(), bytes(300).into()] {
             let mut copy = content.copy().unwrap();
             copy.write_at(298, &[1, 2]).unwrap();
@@ -337,8 +337,8 @@ mod tests {
 
     #[test]
     fn one_byte_more_than_announced_is_noticed() {
-        for held_bytes in [0, HELD_BYTES_MAX] {
-            let mut spool = Spool { held_bytes, ..Spool::new(memory_scratch) };
+        for memory_bytes in [0, MEMORY_BYTES_MAX] {
+            let mut spool = Spool { memory_bytes, ..Spool::new(memory_scratch) };
             assert_eq!(spool.put(&mut &[7; 100][..], 10).unwrap().len(), 11);
         }
     }

@@ -53,7 +53,7 @@ impl<'a, W: Write + Seek> Archive<'a, W> {
     /// Writes a member of `n_bytes` bytes, which `fill` writes.
     ///
     /// # Errors
-    /// Those of writing, and one if `fill` writes another number of bytes.
+    /// Those of writing, and an error if `fill` writes another number of bytes than `n_bytes`.
     pub(super) fn stream(
         &mut self,
         name: &str,
@@ -154,14 +154,14 @@ impl<W: Write> Write for MemberWriter<'_, W> {
     }
 }
 
-/// Appends the fields that the local header and the directory entry share: version to lengths of name and extra field.
+/// Appends the fields that local header and directory entry share: from the version to the length of the extra field.
 fn put_common(out: &mut Vec<u8>, name: &str, crc: u32, n_bytes: u64, n_extra: usize) {
     put_u16s(out, &[VERSION, 0, 0, 0, DATE]);
     out.extend([crc, saturated(n_bytes), saturated(n_bytes)].map(u32::to_le_bytes).as_flattened());
     put_u16s(out, &[name.len() as u16, n_extra as u16]);
 }
 
-/// The ZIP64 extra field with those of the numbers that do not fit in 32 bits; empty if all fit.
+/// The ZIP64 extra field: the numbers that do not fit into 32 bits. Empty if all fit.
 fn extra(numbers: &[u64]) -> Vec<u8> {
     let long: Vec<u64> = numbers.iter().copied().filter(|&n| saturated(n) == u32::MAX).collect();
     let mut extra = Vec::new();
@@ -172,7 +172,7 @@ fn extra(numbers: &[u64]) -> Vec<u8> {
     extra
 }
 
-/// A number as 32 bits, or all ones if the ZIP64 fields hold it.
+/// A number as 32 bits; all ones if it does not fit and is in the ZIP64 fields.
 fn saturated(n: u64) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }

@@ -38,7 +38,7 @@ impl TakeReader {
                     }
                     Some(false) => self.damage = begin_damage(BAD_CRC),
                     Some(true) if kind == types::STRETCH && len <= stretch::BYTES_MAX => {
-                        self.wanted = len;
+                        self.needed = len;
                     }
                     Some(true) => self.long_chunk = Some(LongChunk::new(kind, offset, len)),
                 }
@@ -49,10 +49,10 @@ impl TakeReader {
         match chunk::parse_at(&self.buffer, self.used, &mut self.prefixes) {
             ChunkParse::Whole { len, .. } => {
                 self.used += len;
-                self.wanted = 1;
+                self.needed = 1;
                 return Some(len);
             }
-            ChunkParse::Short(wanted) if !self.complete => self.wanted = wanted,
+            ChunkParse::Short(needed) if !self.complete => self.needed = needed,
             ChunkParse::Short(_) => self.damage = begin_damage(CUT),
             ChunkParse::Damaged => self.damage = begin_damage(BAD_CRC),
         }
@@ -70,7 +70,7 @@ impl TakeReader {
         self.long_chunks = self.scan.take().map_or_else(LongChunks::default, LongChunkScan::finish);
         self.buffer.clear();
         self.prefixes = PrefixCrcs::default();
-        (self.base, self.used, self.wanted) = (from, 0, 1);
+        (self.base, self.used, self.needed) = (from, 0, 1);
         self.seek_request = Some(from);
     }
 }
@@ -117,7 +117,7 @@ impl TakeReader {
             },
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.plausible_rows_max(), offset))
-                .inspect(|_| self.seen_footer = true)
+                .inspect(|_| self.has_footer = true)
                 .map(TakeEvent::Footer),
             _ => match record(kind, payload, offset) {
                 Ok(Some(TakeEvent::Channels(more))) => {
@@ -239,7 +239,7 @@ impl TakeReader {
         let next = &waiting[..waiting.len().min(left)];
         long_chunk.check(at, next);
         self.used += next.len();
-        self.wanted = 1;
+        self.needed = 1;
         next.len() == left || self.complete
     }
 

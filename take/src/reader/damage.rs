@@ -19,9 +19,9 @@ pub(super) struct Damage {
     /// Its first bytes.
     head: Vec<u8>,
     message: &'static str,
-    /// The region is so long that its beginning is no longer held.
+    /// The region is so long that its beginning is no longer buffered.
     pub(super) start_dropped: bool,
-    /// The region is a header that the file ends inside.
+    /// The region is the take's header, and the file ends within it.
     header_cut: bool,
 }
 
@@ -37,9 +37,9 @@ impl Damage {
         self.head.first().copied().filter(|kind| types::ALL.contains(kind))
     }
 
-    /// Whether the region is exactly one chunk by its own head, and not a stretch: then no stretch was lost in it.
+    /// Whether the region is by its own head exactly one chunk, and not a stretch: then no stretch was lost in it.
     /// Where bytes are missing, the region consists of pieces of two chunks, and no head fits its length.
-    fn is_one_other_chunk(&self, damaged_bytes: u64) -> bool {
+    fn is_single_non_stretch(&self, damaged_bytes: u64) -> bool {
         let ChunkHead::Valid { kind, len, .. } = chunk::head(&self.head) else { return false };
         len == damaged_bytes && kind != types::STRETCH && types::ALL.contains(&kind)
     }
@@ -51,7 +51,7 @@ impl TakeReader {
         // No chunk begins at the region's own first byte.
         let (offset, start_dropped) = self.damage.as_ref().map(|d| (d.offset, d.start_dropped))?;
         if !self.complete && self.buffer.len() - self.used < WINDOW_BYTES {
-            self.wanted = WINDOW_BYTES as u64;
+            self.needed = WINDOW_BYTES as u64;
             return None;
         }
         let from = self.used + usize::from(self.offset() == offset);
@@ -66,9 +66,9 @@ impl TakeReader {
                 }
             }
             ResyncOutcome::NeedsScan(at) => {
-                let begun = if start_dropped { self.base + at as u64 } else { offset };
-                self.used = (begun - self.base) as usize;
-                self.scan = Some(LongChunkScan::new(begun, false));
+                let start = if start_dropped { self.base + at as u64 } else { offset };
+                self.used = (start - self.base) as usize;
+                self.scan = Some(LongChunkScan::new(start, false));
             }
         }
         None
@@ -80,7 +80,7 @@ impl TakeReader {
         let damage = self.damage.take()?;
         let offset = damage.offset;
         self.used = at;
-        self.wanted = 1;
+        self.needed = 1;
         let len = self.offset() - offset;
         if !damage.start_dropped && len <= CHUNK_HELD_MAX {
             let start = (offset - self.base) as usize;
@@ -94,7 +94,7 @@ impl TakeReader {
         if damage.header_cut {
             self.header_cut_until = self.offset();
         }
-        let may_be_stretch = !damage.is_one_other_chunk(len);
+        let may_be_stretch = !damage.is_single_non_stretch(len);
         if may_be_stretch && let Some(chain) = &mut self.chain {
             chain.break_off();
         }
@@ -103,8 +103,8 @@ impl TakeReader {
     }
 }
 
-/// Restores the head of the one chunk that `region` holds, if its CRC matches with one of the chunk types. Returns
-/// whether it did. By chance, one of the twelve types fits one in 3.6 * 10^8 damaged regions.
+/// Restores the head of the single chunk in `region`, if its CRC matches with one of the chunk types. Returns
+/// whether it did. By chance, one of the twelve types matches in one of 3.6 * 10^8 damaged regions.
 pub(crate) fn repair_head(region: &mut [u8]) -> bool {
     let Some(payload_len) = payload_len(region.len() as u64) else { return false };
     let mut head = vec![0];
@@ -141,7 +141,7 @@ mod tests {
     use crate::chunk;
 
     #[test]
-    fn type_and_length_come_back_and_nothing_else_does() {
+    fn type_and_length_are_repaired_and_nothing_else() {
         for n in [0, 1, 100, 126, 127, 128, 129, 16_383, 16_384, 20_000] {
             let payload: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let mut good = Vec::new();
@@ -153,9 +153,9 @@ mod tests {
                 assert_eq!(repair_head(&mut damaged), at < head_len, "byte {at} of {n}");
                 assert_eq!(damaged == good, at < head_len, "byte {at} of {n}");
             }
-            let mut gone = good.clone();
-            gone[..head_len].fill(0);
-            assert!(repair_head(&mut gone) && gone == good, "{n}");
+            let mut zeroed = good.clone();
+            zeroed[..head_len].fill(0);
+            assert!(repair_head(&mut zeroed) && zeroed == good, "{n}");
             assert!(!repair_head(&mut good[1..].to_vec()));
         }
         assert!(!repair_head(&mut []));

@@ -1,11 +1,11 @@
-//! Random numbers of pictures.
+//! Random numbers for synthetic pictures.
 
 /// A stream of random numbers, the same on every machine: splitmix64 (Steele, Lea and Flood 2014).
 #[derive(Debug, Clone)]
 pub struct PictureRng(u64);
 
 impl PictureRng {
-    /// The stream of a seed.
+    /// The stream for a seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(seed)
@@ -30,7 +30,7 @@ impl PictureRng {
         low + (high - low) * self.uniform()
     }
 
-    /// Nearly standard normal: the sum of twelve uniforms less 6, never beyond 6.
+    /// Nearly standard normal: the sum of twelve uniform numbers minus 6, so always between -6 and 6.
     pub fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
     }

@@ -201,10 +201,10 @@ impl Plane {
                 joined.entry(other).or_default().push(one);
             }
         }
-        let away = |edge: &Edge| ((self.crossing(mesh, *edge) - self.through).norm(), *edge);
+        let distance = |edge: &Edge| ((self.crossing(mesh, *edge) - self.through).norm(), *edge);
         let (_, first) = joined
             .keys()
-            .map(away)
+            .map(distance)
             .min_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)))?;
         let mut curve = HashSet::new();
         let mut next = vec![first];

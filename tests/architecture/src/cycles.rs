@@ -1,4 +1,4 @@
-//! Circles of files: the graph of which file of a crate uses names of which, and its cycles.
+//! Cycles between files: the graph of which file of a crate uses names of which, and its cycles.
 //!
 //! To declare a module or to re-export its names (`pub use`) does not count as use; to call into it does. Names are
 //! followed through re-exports to the file that defines them. A submodule's use of its parent modules does not count:
@@ -32,7 +32,7 @@ type Modules = BTreeMap<Vec<String>, Module>;
 /// For each file, the files whose names it uses.
 pub type Graph = BTreeMap<String, BTreeSet<String>>;
 
-/// The circles of files of one crate: groups of files that use one another, each sorted.
+/// The cycles between the files of one crate: groups of files that use one another, each sorted.
 #[must_use]
 pub fn cycles(graph: &Graph) -> Vec<Vec<String>> {
     let reached: BTreeMap<&str, BTreeSet<&str>> =
@@ -254,20 +254,20 @@ fn owner(modules: &Modules, from: &[String], path: &[String], depth: usize) -> O
 mod tests {
     use super::*;
 
-    fn circles(files: &[(&str, &str)]) -> Vec<Vec<String>> {
+    fn cycles_of(files: &[(&str, &str)]) -> Vec<Vec<String>> {
         let sources =
             files.iter().map(|&(path, text)| (path.to_owned(), text.to_owned())).collect();
         cycles(&graph(&sources))
     }
 
     #[test]
-    fn two_files_that_use_each_other_are_a_circle() {
+    fn two_files_that_use_each_other_are_a_cycle() {
         let root = ("lib.rs", "mod a; mod b; mod c;");
         let c = ("c.rs", "use super::a::A;");
         let a = ("a.rs", "use crate::b::B; pub struct A;");
-        let found = circles(&[root, a, ("b.rs", "use super::a::A; pub struct B;"), c]);
+        let found = cycles_of(&[root, a, ("b.rs", "use super::a::A; pub struct B;"), c]);
         assert_eq!(found, [["a.rs", "b.rs"]]);
-        assert!(circles(&[root, a, ("b.rs", "pub struct B;"), c]).is_empty());
+        assert!(cycles_of(&[root, a, ("b.rs", "pub struct B;"), c]).is_empty());
     }
 
     #[test]
@@ -275,9 +275,9 @@ mod tests {
         let root = ("lib.rs", "pub mod m;");
         let passes = ("m/mod.rs", "mod a; mod b; pub use a::A;");
         let a = ("m/a.rs", "pub struct A; fn f() { super::b::f() }");
-        let found = circles(&[root, passes, a, ("m/b.rs", "use super::A; pub fn f() {}")]);
+        let found = cycles_of(&[root, passes, a, ("m/b.rs", "use super::A; pub fn f() {}")]);
         assert_eq!(found, [["m/a.rs", "m/b.rs"]]);
-        assert!(circles(&[root, passes, ("m/a.rs", "pub struct A;")]).is_empty());
+        assert!(cycles_of(&[root, passes, ("m/a.rs", "pub struct A;")]).is_empty());
     }
 
     #[test]
@@ -285,15 +285,15 @@ mod tests {
         let root = ("lib.rs", "pub mod m; pub mod n;");
         let uses = ("m/mod.rs", "mod a; pub use a::A; pub fn f(a: A) {}");
         let n = ("n.rs", "pub fn g() { crate::m::f() }");
-        assert!(circles(&[root, uses, ("m/a.rs", "use super::f; pub struct A;"), n]).is_empty());
+        assert!(cycles_of(&[root, uses, ("m/a.rs", "use super::f; pub struct A;"), n]).is_empty());
         let a = ("m/a.rs", "use crate::n::g; pub struct A;");
-        assert_eq!(circles(&[root, uses, a, n]), [["m/a.rs", "m/mod.rs", "n.rs"]]);
+        assert_eq!(cycles_of(&[root, uses, a, n]), [["m/a.rs", "m/mod.rs", "n.rs"]]);
     }
 
     #[test]
     fn tests_do_not_count() {
         let root = ("lib.rs", "mod a; mod b;");
         let a = ("a.rs", "pub struct A; #[cfg(test)] mod tests { use crate::b::B; }");
-        assert!(circles(&[root, a, ("b.rs", "use crate::a::A; pub struct B;")]).is_empty());
+        assert!(cycles_of(&[root, a, ("b.rs", "use crate::a::A; pub struct B;")]).is_empty());
     }
 }

@@ -1,4 +1,4 @@
-//! Compares the table "Who may know whom" in ARCHITECTURE.md with the dependencies in `cargo metadata`.
+//! Compares the table "Dependencies between crates" in ARCHITECTURE.md with the dependencies in `cargo metadata`.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -11,7 +11,7 @@ use serde_json::Value;
 type Graph = BTreeMap<String, BTreeSet<String>>;
 
 /// The heading above the table in ARCHITECTURE.md.
-const HEADING: &str = "## Who may know whom";
+const HEADING: &str = "## Dependencies between crates";
 
 #[test]
 fn crates_depend_on_those_that_the_page_lists_and_no_others() {
@@ -26,7 +26,7 @@ fn crates_depend_on_those_that_the_page_lists_and_no_others() {
 
 #[test]
 fn unlisted_and_stale_dependencies_are_found() {
-    let page = format!("{HEADING}\n```text\ncodec -> nobody\ntake -> codec\n```\n");
+    let page = format!("{HEADING}\n```text\ncodec -> none\ntake -> codec\n```\n");
     let metadata = |take: &str| -> Value {
         let text = format!(
             r#"{{"packages": [
@@ -67,7 +67,7 @@ fn problems(listed: &Graph, actual: &Graph) -> Vec<String> {
     problems
 }
 
-/// Parses the table: one line per crate, `name -> name, name` or `name -> nobody`.
+/// Parses the table: one line per crate, `name -> name, name` or `name -> none`.
 fn listed(page: &str) -> Graph {
     let (_, section) = page.split_once(HEADING).expect("ARCHITECTURE.md has the heading");
     let table = section.split("```").nth(1).expect("a fenced block follows the heading");
@@ -76,7 +76,7 @@ fn listed(page: &str) -> Graph {
         .map(|line| {
             let (name, others) = line.split_once("->").unwrap_or_else(|| panic!("'{line}'"));
             let others = others.split(',').map(|other| other.trim().to_owned());
-            (name.trim().to_owned(), others.filter(|other| other != "nobody").collect())
+            (name.trim().to_owned(), others.filter(|other| other != "none").collect())
         })
         .collect()
 }

@@ -1,4 +1,4 @@
-//! Checks the limits of CONTRIBUTING.md, and that ARCHITECTURE.md gives a reason for every circle of files.
+//! Checks the limits of CONTRIBUTING.md, and that ARCHITECTURE.md gives a reason for every cycle between files.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,11 +7,11 @@ use crate::{cycles, product_sources, root, structure, text};
 /// Most files of the product: at about 140 lines of code each, a file is a concept rather than a function.
 const FILES_MAX: usize = 550;
 
-/// Crates that must have no circle of files.
-const WITHOUT_CIRCLES: [&str; 4] = ["codec", "take", "drivers", "acquire"];
+/// Crates that must have no cycle between files.
+const WITHOUT_CYCLES: [&str; 4] = ["codec", "take", "drivers", "acquire"];
 
 /// The heading above the reasons in ARCHITECTURE.md.
-const HEADING: &str = "### Circles of files";
+const HEADING: &str = "### Cycles between files";
 
 fn sources() -> Vec<(String, String)> {
     let paths = product_sources(&root()).into_iter();
@@ -49,7 +49,7 @@ fn the_product_has_few_files() {
 }
 
 #[test]
-fn every_circle_of_files_has_a_reason() {
+fn every_cycle_between_files_has_a_reason() {
     let sources = sources();
     let crates: BTreeSet<String> =
         sources.iter().map(|(path, _)| structure::crate_of(path)).collect();
@@ -59,17 +59,17 @@ fn every_circle_of_files_has_a_reason() {
     let mut problems = Vec::new();
     for name in &crates {
         let files: BTreeMap<String, String> = structure::files_of(&sources, name);
-        for circle in cycles::cycles(&cycles::graph(&files)) {
-            // A reason names the first file of its circle.
-            let has_reason = section.contains(&format!("`{name}/{}`", circle[0]));
-            if WITHOUT_CIRCLES.contains(&name.as_str()) || !has_reason {
-                problems.push(format!("{name}: {}", circle.join(" ")));
+        for cycle in cycles::cycles(&cycles::graph(&files)) {
+            // A reason names the first file of its cycle.
+            let has_reason = section.contains(&format!("`{name}/{}`", cycle[0]));
+            if WITHOUT_CYCLES.contains(&name.as_str()) || !has_reason {
+                problems.push(format!("{name}: {}", cycle.join(" ")));
             }
         }
     }
     assert!(
         problems.is_empty(),
-        "circles of files without a reason in ARCHITECTURE.md:\n  {}",
+        "cycles between files without a reason in ARCHITECTURE.md:\n  {}",
         problems.join("\n  ")
     );
 }

@@ -19,20 +19,20 @@ test("a response to start reports that the first frame is on disk, and the pre-r
 
 test("a response to stop reports lost frames, whether the ledger closes, and why the take ended", () => {
   const answer = { name: "a", rows: 100, seconds: 1.7, ending: "stopped", ledger: LEDGER };
-  equal(responseMessage("stop", answer, 1, 60), "a is on disk: 0:01.7, 100 rows, 2 frames lost, the ledger closes.");
+  equal(responseMessage("stop", answer, 1, 60), "a is on disk: 0:01.7, 100 frames, 2 lost, the ledger closes.");
   const open = { ...answer, rows: 98, ending: "disk full", ledger: { ...LEDGER, closes: false } };
   equal(responseMessage("stop", open, 1, 60),
-    "a is on disk: 0:01.7, 98 rows, no frame lost, the ledger does not close: verify the take. It ended by itself: disk full.");
+    "a is on disk: 0:01.7, 98 frames, none lost, the ledger does not close: verify the take. It ended by itself: disk full.");
 });
 
 test("a response to save-last reports a shorter pre-roll once", () => {
   const answer = { name: "a", rows: 98, seconds: 1.7, ending: "saved", ledger: LEDGER, remarks: ["only 1.7 s of the requested 500.0 s were held"] };
-  equal(responseMessage("save-last", answer, 1, 60), "a is on disk: 0:01.7, 98 rows, no frame lost, the ledger closes. " +
+  equal(responseMessage("save-last", answer, 1, 60), "a is on disk: 0:01.7, 98 frames, none lost, the ledger closes. " +
     "Note: only 1.7 s of the requested 500.0 s were held.");
 });
 
-test("a response to mark reports the row and the time", () => {
-  equal(responseMessage("mark", { row: 1200 }, 1, 120).replace("\u202f", " "), "Marked at row 1 200 (0:10.0).");
+test("a response to mark reports the frame and the time", () => {
+  equal(responseMessage("mark", { row: 1200 }, 1, 120).replace("\u202f", " "), "Marked at frame 1 200 (0:10.0).");
 });
 
 test("each state is described", () => {
@@ -52,7 +52,7 @@ test("an absent or silent device takes precedence over every state but failed", 
 test("without a device the page tells what is interrupted, how many frames are missing, and when it resumes", () => {
   const recording = { ...STATUS, state: "recording", take: { name: "b" } };
   equal(describe({ ...recording, device: AWAY }).map((line) => line.replace("\u202f", " ")), ["Recording interrupted: b",
-    "1 599 frames missing so far", "Recording resumes when the device is back, or ends in 0:50"]);
+    "1 599 frames missing so far", "Recording resumes when the device is back, or the take ends in 0:50"]);
   equal(describe({ ...recording, device: SILENT })[2], "Recording resumes when the device sends again");
   equal(describe({ ...STATUS, device: AWAY }), ["Armed: nothing can be recorded", "Ready again when the device is back"]);
   equal(describe({ ...STATUS, state: "idle", device: { ...DEVICE, presence: "absent" } }), ["Idle"]);

@@ -188,7 +188,7 @@ impl ClockWriter {
             probes: std::mem::take(&mut self.probes),
             points: std::mem::take(&mut self.points),
         };
-        take.clock(&clock).context("cannot write what was seen of the clocks")?;
+        take.clock(&clock).context("cannot write the clock observations")?;
         clock.probes.clear();
         clock.points.clear();
         (self.probes, self.points) = (clock.probes, clock.points);

@@ -307,7 +307,7 @@ impl LiveTake {
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
             ledger.contradictions.push(format!(
-                "{} blocks were refused by the codec: this is a bug in mocapd",
+                "{} blocks were refused by the codec: please report this bug",
                 self.report.refused
             ));
         }

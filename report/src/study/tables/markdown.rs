@@ -28,7 +28,7 @@ pub fn markdown(findings: &Findings) -> String {
     section(&mut out, "SR2 by phase, within the resampling of the whole take", &within(findings));
     section(&mut out, "Claims of the paper", &claims(findings));
     section(&mut out, "Synchronous against asynchronous, whole takes", &rivals(findings));
-    section(&mut out, "Both readings of step 2", &readings(findings));
+    section(&mut out, "Both readings of step 2 of the method", &readings(findings));
     section(&mut out, "Ratios on disk: raw float32 to take", &on_disk(findings));
     let title = "Table 2: SR2 of the first frames, by their number (here / paper)";
     section(&mut out, title, &table_2(findings));
@@ -76,7 +76,7 @@ fn takes(findings: &Findings) -> String {
     }
     let frames: u64 = findings.trials.iter().map(|trial| trial.frames).sum();
     let without = findings.trials.iter().filter(|trial| trial.phases.is_err()).count();
-    write!(out, "{n} takes, {frames} frames; {without} without phases.\n\n").ok();
+    write!(out, "Takes: {n}, without phases: {without}; frames: {frames}.\n\n").ok();
     if !table.rows.is_empty() {
         out += &table.markdown();
     }
@@ -100,7 +100,7 @@ fn table_1(findings: &Findings) -> String {
         table.row([tolerance(mm)].into_iter().chain(columns.iter().map(cell)));
     }
     table.markdown()
-        + "\nThe first and the last sample are always kept, so that a phase of n frames has at most SR2 = (N + 1) n / 4 N, here "
+        + "\nThe first and the last sample are always kept, so that a phase of n frames has an SR2 of at most (N + 1) n / (4 N), here "
         + &caps(findings, &columns)
         + ".\n"
 }
@@ -165,9 +165,9 @@ fn rivals(findings: &Findings) -> String {
         "SR1",
         "SR2",
         "asynchronous wins",
-        "bytes, `sync`",
-        "bytes, `spline`",
-        "bytes, `dense`",
+        "on disk, `sync`",
+        "on disk, `spline`",
+        "on disk, `dense`",
     ]);
     for &mm in &findings.tolerances_mm {
         let sum = |method| findings.sum(Piece::Whole, method, mm);
@@ -191,9 +191,9 @@ fn readings(findings: &Findings) -> String {
         "tolerance",
         "SR2, `worst-sample`",
         "SR2, `exhaustive`",
-        "kept",
-        "bytes, `worst-sample`",
-        "bytes, `exhaustive`",
+        "samples kept",
+        "on disk, `worst-sample`",
+        "on disk, `exhaustive`",
     ]);
     let mut n = 0;
     for piece in columns(findings) {
@@ -228,7 +228,7 @@ fn on_disk(findings: &Findings) -> String {
     let methods = [Method::WorstSample, Method::Sync, Method::Dense];
     let mut head = vec!["piece".to_owned(), "tolerance".to_owned()];
     for method in methods {
-        head.extend([format!("SR2, `{}`", method.name()), format!("bytes, `{}`", method.name())]);
+        head.extend([format!("SR2, `{}`", method.name()), format!("on disk, `{}`", method.name())]);
     }
     let mut table = Table::new(head);
     for piece in columns(findings) {
@@ -266,8 +266,8 @@ fn table_2(findings: &Findings) -> String {
             let here = sum(length, Method::WorstSample).and_then(|sum| sum.counts.sr2());
             format!("{} / {}", figure(here), figure(paper::sr2(Piece::First(length), mm)))
         });
-        add(format!("bytes, `spline`, {mm} mm"), &|length| bytes(length, Method::WorstSample));
-        add(format!("bytes, `dense`, {mm} mm"), &|length| bytes(length, Method::Dense));
+        add(format!("on disk, `spline`, {mm} mm"), &|length| bytes(length, Method::WorstSample));
+        add(format!("on disk, `dense`, {mm} mm"), &|length| bytes(length, Method::Dense));
         add(format!("takes, {mm} mm"), &|length| {
             sum(length, Method::WorstSample).map_or(0, |sum| sum.n).to_string()
         });

@@ -33,7 +33,7 @@ pub(crate) fn print(
         let Ok(ends) = find(&mesh, &graph, &mut Workspace::default()) else { continue };
         let Ok(paper) = joints(&mesh, 0, Some(ends.extremities)) else { continue };
         given += 1;
-        for (name, error) in score::apart(&paper.joints, &truth) {
+        for (name, error) in score::joint_errors(&paper.joints, &truth) {
             errors.entry(name).or_default().push(100.0 * error / truth.stature_m);
         }
     }

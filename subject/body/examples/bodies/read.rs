@@ -1,4 +1,4 @@
-//! Meshes with known joints: OBJ files beside JSON files of the same name.
+//! Meshes with known joints: OBJ files, each with a JSON file of the same name.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -30,7 +30,7 @@ pub(crate) fn all(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The mesh at `path`, and the ground truth in the file beside it.
+/// The mesh at `path`, and the ground truth in the JSON file of the same name.
 pub(crate) fn body(path: &Path) -> Result<(Mesh, Truth), Box<dyn std::error::Error>> {
     let truth = serde_json::from_str(&fs::read_to_string(path.with_extension("json"))?)?;
     let mut mesh = Mesh::default();

@@ -53,7 +53,7 @@ fn near(truth: &Truth, kind: usize, side: &str, end: [f64; 3], limit: Limit) -> 
 
 /// The error of each joint in the mesh's unit, with its name; the sides of arms and of legs are assigned in the way
 /// that fits better.
-pub(crate) fn apart(found: &Joints, truth: &Truth) -> Vec<(&'static str, f64)> {
+pub(crate) fn joint_errors(found: &Joints, truth: &Truth) -> Vec<(&'static str, f64)> {
     type Pair = (&'static str, fn(Side) -> Joint);
     let arm: [Pair; 3] =
         [("shoulder", Joint::Shoulder), ("elbow", Joint::Elbow), ("wrist", Joint::Wrist)];

@@ -38,14 +38,15 @@ pub(crate) fn remeshed(cases: &[Case]) {
             let Some((same, others)) = other.name.rsplit_once('_') else { continue };
             let (Ok(one), Ok(two)) = (&case.found, &other.found) else { continue };
             if same == body && case.truth == other.truth {
-                let (mean, most, which) = apart(one, two, case.stature);
+                let (mean, most, which) = differences(one, two, case.stature);
                 println!("| {body} | {others}, {faces} | {mean:.2} | {most:.2} | {which} |");
             }
         }
     }
 }
 
-fn apart(one: &Joints, two: &Joints, stature: f64) -> (f64, f64, String) {
+/// Mean and largest distance of the joints of two results, in percent of stature, and the joint that differs most.
+fn differences(one: &Joints, two: &Joints, stature: f64) -> (f64, f64, String) {
     let moved: Vec<(f64, String)> = one
         .estimates
         .iter()

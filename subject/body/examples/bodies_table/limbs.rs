@@ -7,7 +7,7 @@ const ROWS: [(&str, &[&str]); 4] = [
     ("mlean", &["mh_mlean_"]),
     ("mheavy", &["mh_mheavy_"]),
     ("both and MHR", &["mh_mlean_", "mh_mheavy_", "mhr_"]),
-    ("FAUST and SMPL besides", &["mh_mlean_", "mh_mheavy_", "mhr_", "faust_", "smpl_"]),
+    ("the same, FAUST and SMPL", &["mh_mlean_", "mh_mheavy_", "mhr_", "faust_", "smpl_"]),
 ];
 
 /// Limbs with a length within 10 % of the truth, without bodies whose limbs touch.

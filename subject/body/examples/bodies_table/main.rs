@@ -63,8 +63,8 @@ fn report(cases: &[&Case]) {
     let by_shape = Group::by(cases, |case| group::shape(&case.name));
     table::joints("pose", &by_pose);
     table::joints("shape", &by_shape);
-    paper::beside("pose", &by_pose);
-    paper::beside("shape", &by_shape);
+    paper::print_comparison("pose", &by_pose);
+    paper::print_comparison("shape", &by_shape);
     table::totals(cases);
     table::worst(cases);
 }

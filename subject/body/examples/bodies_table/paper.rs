@@ -39,7 +39,7 @@ impl ByPaper {
 
 impl Found {
     fn new(mesh: &Mesh, truth: &Truth, joints: &Joints, ends: &Extremities) -> Self {
-        let errors = score::apart(joints, truth).into_iter();
+        let errors = score::joint_errors(joints, truth).into_iter();
         let of_twelve = errors.filter(|(name, _)| KINDS.contains(name));
         Self {
             ends_right: score::right(mesh, truth, ends, Limit::ByJoint) == Some(true),
@@ -53,11 +53,12 @@ fn ends(mesh: &Mesh) -> Option<Extremities> {
     Some(extremity::find(mesh, &graph, &mut Workspace::default()).ok()?.extremities)
 }
 
-/// The default method and the paper's beside each other, one row per group.
-pub(crate) fn beside(of: &str, groups: &[Group<'_>]) {
+/// Prints a table that compares the default method with the paper's, one row per group.
+pub(crate) fn print_comparison(of: &str, groups: &[Group<'_>]) {
     println!(
-        "| {of} | meshes | default: refused | mean / p95 | paper: refused | ends wrong | joints missing | \
-         mean / p95 | paper with our ends: refused | joints missing | mean / p95 |"
+        "| {of} | meshes | default: refused | mean / p95 | paper: refused | extremities wrong | \
+         joints missing | mean / p95 | paper with the default extremities: refused | \
+         joints missing | mean / p95 |"
     );
     println!("|{}", "---|".repeat(11));
     for group in groups {

@@ -34,9 +34,7 @@ pub(crate) fn joints(of: &str, groups: &[Group<'_>]) {
 
 /// Lengths, sides, midline and calibration of the standard deviations.
 pub(crate) fn totals(cases: &[&Case]) {
-    println!(
-        "| limb | length: mean error | too long by, in the mean | within 10 % |\n|---|---|---|---|"
-    );
+    println!("| limb | length: mean error | mean signed error | within 10 % |\n|---|---|---|---|");
     let lengths: Vec<(usize, f64)> = cases.iter().flat_map(|case| case.lengths()).collect();
     for (limb, name) in ["upper arm", "forearm", "thigh", "shank", "all"].iter().enumerate() {
         let signed: Vec<f64> = lengths

@@ -51,14 +51,14 @@ pub(crate) fn name(protrusions: &Protrusions, cost: Cost) -> Result<Naming, Refu
     let few = Refusal::TooFewEnds { found: candidates.len() };
     let best = *namings.iter().min_by(by_misfit).ok_or(few)?;
     let ends = best.ends;
-    let apart = |one: usize, other: usize| one != other && distance(one, other) > other_min;
+    let distinct = |one: usize, other: usize| one != other && distance(one, other) > other_min;
     let differs = |other: &[usize; 5]| {
         let pair = |at: usize, to: [usize; 2]| {
-            let straight = apart(ends[at], other[to[0]]) || apart(ends[at + 1], other[to[1]]);
-            let swapped = apart(ends[at], other[to[1]]) || apart(ends[at + 1], other[to[0]]);
+            let straight = distinct(ends[at], other[to[0]]) || distinct(ends[at + 1], other[to[1]]);
+            let swapped = distinct(ends[at], other[to[1]]) || distinct(ends[at + 1], other[to[0]]);
             straight && swapped
         };
-        apart(ends[0], other[0]) || pair(1, [1, 2]) || pair(3, [3, 4])
+        distinct(ends[0], other[0]) || pair(1, [1, 2]) || pair(3, [3, 4])
     };
     let others = namings.iter().filter(|other| differs(&other.ends));
     let second = others.map(|other| other.misfit.rms).fold(f64::INFINITY, f64::min);

@@ -61,8 +61,8 @@ pub fn distances_from(
         order.clear();
         // An order that did not help is dropped: the next run starts without one.
         if !known {
-            let apart = (0_u32..).zip(&found).filter(|(_, far)| far.is_infinite());
-            order.extend(reached.into_iter().chain(apart.map(|(vertex, _)| vertex)));
+            let unreached = (0_u32..).zip(&found).filter(|(_, far)| far.is_infinite());
+            order.extend(reached.into_iter().chain(unreached.map(|(vertex, _)| vertex)));
         }
     }
     found

@@ -17,34 +17,34 @@ pub enum Width {
 }
 
 impl Width {
-    /// As (Yang et al. 2004) print it, with its 1 read as a pixel, since they do not give the unit.
+    /// The value of Yang et al. 2004: 1. They state no unit; here it is a pixel.
     ///
-    /// Read as an outer interocular distance it is twenty times as wide as features are apart: the points are met, but
-    /// vertices between them end up an interocular distance from where they belong.
+    /// In outer interocular distances it would be twenty times the distance between features: the map would meet the
+    /// points, but vertices between them would be up to an interocular distance from where they belong.
     pub const PAPER: Self = Self::Pixels(1.0);
 }
 
 impl Default for Width {
-    /// A twentieth of the interocular distance, about as far as features are apart: the same at every resolution.
+    /// A twentieth of the interocular distance, about the distance between features: the same at every resolution.
     fn default() -> Self {
         Self::OuterEyes(0.05)
     }
 }
 
-/// Source of the result's depth. A photograph has none, and (Yang et al. 2004) do not mention it.
+/// Source of the result's depth. A photograph has none, and Yang et al. 2004 do not mention it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Depth<'a> {
     /// The model's depth, scaled like its width and height.
     Model,
-    /// A separate map in three dimensions through the depth of each point: pixels before the model's origin, in the
-    /// order of the points. A fitted shape provides them.
+    /// A separate map in three dimensions through the depth of each point: pixels in front of the model's origin, in
+    /// the order of the points. A fitted shape provides them.
     Points(&'a [f64]),
 }
 
 /// An adapted face.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adapted {
-    /// Each vertex in the picture: x, y and depth before the model's origin, in pixels.
+    /// Each vertex in the picture: x, y and depth in front of the model's origin, in pixels.
     pub vertices_px: Vec<[f64; 3]>,
     /// Each vertex facing forward, in the model's frame and nominal millimetres.
     pub vertices_mm: Vec<[f64; 3]>,
@@ -65,7 +65,7 @@ pub fn adapt(
 ) -> Result<Adapted, AdaptError> {
     // Steps 1 and 2: rotation and orthographic projection, in interocular distances.
     let turned = Camera { scale_px_per_mm: 1.0 / OUTER_EYES_MM, origin_px: [0.0; 2], ..*camera };
-    let seen = turned.project(vertices_mm);
+    let projected = turned.project(vertices_mm);
     let features = turned.project(&model.feature_points(vertices_mm, &camera.rotation()));
     // Step 3: centres and targets.
     let nodes: Vec<_> = points.iter().map(|point| features[point.id.index()]).collect();
@@ -73,7 +73,7 @@ pub fn adapt(
     let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let unit = |point: &Landmark| point.xy_px.map(|v| v / interocular_px);
     let targets: Vec<_> = points.iter().map(unit).collect();
-    // Steps 4 to 6. Another unit of r is another d, and a factor that the weights absorb.
+    // Steps 4 to 6. Another unit of r scales d, and adds a factor that the weights absorb.
     let d = match width {
         Width::Pixels(d) => d * (1.0 / interocular_px),
         Width::OuterEyes(d) => d,
@@ -83,7 +83,7 @@ pub fn adapt(
         let [u, v] = map.at(&[x, y]);
         [u * interocular_px, v * interocular_px, z]
     };
-    let mut vertices_px: Vec<_> = seen.iter().map(place).collect();
+    let mut vertices_px: Vec<_> = projected.iter().map(place).collect();
     match depth {
         Depth::Model => {
             let scale_px = interocular_px * spread(&targets) / spread(&flat);
@@ -92,7 +92,7 @@ pub fn adapt(
         Depth::Points(depths) => {
             let targets: Vec<_> = depths.iter().map(|z| [z / interocular_px]).collect();
             let map = RadialMap::<3, 1>::new(d, &nodes, &targets)?;
-            for (vertex, place) in vertices_px.iter_mut().zip(&seen) {
+            for (vertex, place) in vertices_px.iter_mut().zip(&projected) {
                 vertex[2] = map.at(place)[0] * interocular_px;
             }
         }

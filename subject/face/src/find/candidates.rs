@@ -48,9 +48,9 @@ pub(super) fn candidates(pyramid: &Pyramid, eyes_min: f32) -> Vec<Candidate> {
     let mut kept: Vec<Candidate> = Vec::new();
     for candidate in all {
         let near = |other: &Candidate| {
-            let apart = [0, 1].map(|axis| other.origin[axis] - candidate.origin[axis]);
+            let offset = [0, 1].map(|axis| other.origin[axis] - candidate.origin[axis]);
             let (a, b) = (other.eyes_px(), candidate.eyes_px());
-            length(apart) < APART * a.min(b) && a.max(b) < SAME_SIZE * a.min(b)
+            length(offset) < APART * a.min(b) && a.max(b) < SAME_SIZE * a.min(b)
         };
         if !kept.iter().any(near) {
             kept.push(candidate);

@@ -201,11 +201,11 @@ impl Number {
         let sides = [f64::from(picture.width()), f64::from(picture.height())];
         let within = |at: [f64; 2]| (0..2).all(|k| at[k] >= 0.0 && at[k] + size[k] <= sides[k]);
         let free = |at: [f64; 2]| {
-            let apart =
+            let separate =
                 |k: usize, other: &PixelBox| at[k] + size[k] <= other[0][k] || at[k] >= other[1][k];
-            boxes.iter().all(|other| apart(0, other) || apart(1, other))
+            boxes.iter().all(|other| separate(0, other) || separate(1, other))
         };
-        let places = beside(own, size);
+        let places = label_corners(own, size);
         let best = places.iter().copied().find(|at| within(*at) && free(*at));
         let at = best.or_else(|| places.iter().copied().find(|at| within(*at)));
         let at = at.unwrap_or(places[0]);
@@ -243,8 +243,8 @@ impl Number {
     }
 }
 
-/// Positions beside a box: top left, top right, above and below its middle.
-fn beside([low, high]: PixelBox, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
+/// Positions of a label next to a box, as its top left corner: top left, top right, above and below its middle.
+fn label_corners([low, high]: PixelBox, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
     let gap = 0.15 * height;
     let middle = (low[0] + high[0] - width) / 2.0;
     [

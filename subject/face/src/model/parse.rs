@@ -41,7 +41,7 @@ pub(super) fn model(text: &str) -> Result<Model, ModelError> {
     check(&model).map_err(wrong)?;
     for id in FeatureId::all().skip(FeatureId::CONTOUR) {
         let vertex = model.features.get(id.name());
-        model.fixed.push(*vertex.ok_or_else(|| wrong(format!("no feature {}", id.name())))?);
+        model.fixed.push(*vertex.ok_or_else(|| wrong(format!("{} is missing", id.name())))?);
     }
     Ok(model)
 }
@@ -59,25 +59,25 @@ fn check(model: &Model) -> Result<(), String> {
         return Err(format!("{} modes, the limit is {MAX_MODES}", model.modes.len()));
     }
     if let Some(mode) = model.modes.iter().find(|mode| mode.displacements.len() != count) {
-        return Err(format!("{} displacements for {count} vertices", mode.displacements.len()));
+        return Err(format!("a mode moves {} of {count} vertices", mode.displacements.len()));
     }
     if model.contours.len() != FeatureId::CONTOUR || model.contours.iter().any(Vec::is_empty) {
         return Err(format!("expected {} non-empty outline rows", FeatureId::CONTOUR));
     }
     let places = || model.contours.iter().flatten();
     if let Some(place) = places().find(|place| !(0.0..=1.0).contains(&place.fraction)) {
-        return Err(format!("fraction {}, expected 0 to 1", place.fraction));
+        return Err(format!("a fraction of {}, expected 0 to 1", place.fraction));
     }
     let corners = model.triangles.iter().flatten().copied();
     let ends = places().flat_map(|place| [place.from, place.to]);
     let mut indices = corners.chain(model.features.values().copied()).chain(ends);
     if let Some(index) = indices.find(|&index| index >= count) {
-        return Err(format!("vertex {index} of {count}"));
+        return Err(format!("vertex index {index}, expected less than {count}"));
     }
     let modes = model.modes.iter().flat_map(|mode| &mode.displacements);
     let mut lengths = model.vertices.iter().chain(modes).flatten();
     match lengths.find(|length| length.abs() > MAX_COORDINATE_MM) {
-        Some(length) => Err(format!("{length} mm, the limit is {MAX_COORDINATE_MM}")),
+        Some(length) => Err(format!("coordinate {length} mm, the limit is {MAX_COORDINATE_MM}")),
         None => Ok(()),
     }
 }

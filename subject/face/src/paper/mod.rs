@@ -184,10 +184,10 @@ fn energy(grey: &Plane, edges: &Plane, face: &RotatedBox) -> f32 {
         let (edge, bright) = (edges.sample(px, py), grey.sample(px, py));
         all_edges += edge;
         all_grey += bright;
-        if BLACK.iter().any(|zone| zone.holds(x, y)) {
+        if BLACK.iter().any(|zone| zone.contains(x, y)) {
             black = [black[0] + edge, black[1] + 1.0];
         }
-        if GREY.holds(x, y) {
+        if GREY.contains(x, y) {
             lips = [lips[0] + bright, lips[1] + 1.0];
         }
     }
@@ -197,7 +197,7 @@ fn energy(grey: &Plane, edges: &Plane, face: &RotatedBox) -> f32 {
 }
 
 impl Zone {
-    fn holds(&self, x: f32, y: f32) -> bool {
+    fn contains(&self, x: f32, y: f32) -> bool {
         let Self { left, top, right, bottom } = *self;
         (left..right).contains(&x) && (top..bottom).contains(&y)
     }

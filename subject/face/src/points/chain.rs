@@ -51,7 +51,7 @@ struct Attempt<'a> {
     regressor: LandmarkRegressor,
     predicted: LandmarkPoints,
     pose: PosedModel<'a>,
-    seen: LocatedFeatures,
+    located: LocatedFeatures,
     line: Vec<Ray>,
     evidence: Evidence,
 }
@@ -67,23 +67,23 @@ impl<'a> Attempt<'a> {
         let mut pose = frontal.clone();
         pose.fit(&targets(REGRESSOR_FIRST_SD).collect::<Vec<_>>(), 8);
         let maps = Maps::of(regressor.crop());
-        let (mut seen, mut line) = (LocatedFeatures::default(), Vec::new());
+        let (mut located, mut line) = (LocatedFeatures::default(), Vec::new());
         for _ in 0..ROUNDS {
             let unlike = evidence::unlike(&maps, &pose);
             let (around, outlined) = evidence::locate_outline(&maps, &unlike, &pose, OUTLINE_REACH);
-            seen = evidence::locate_features(&maps, &pose, REACH);
-            let seen = seen.targets.iter().chain(&around).copied();
-            pose.fit(&seen.chain(targets(REGRESSOR_SD)).collect::<Vec<_>>(), 4);
+            located = evidence::locate_features(&maps, &pose, REACH);
+            let located = located.targets.iter().chain(&around).copied();
+            pose.fit(&located.chain(targets(REGRESSOR_SD)).collect::<Vec<_>>(), 4);
             line = outlined;
         }
-        let evidence = Evidence::of(&pose, &seen, &line, &predicted);
-        Self { regressor, predicted, pose, seen, line, evidence }
+        let evidence = Evidence::of(&pose, &located, &line, &predicted);
+        Self { regressor, predicted, pose, located, line, evidence }
     }
 }
 
 /// Collects the points of the fitted pose, in the photograph.
 fn collect(attempt: Attempt<'_>) -> FacePoints {
-    let Attempt { regressor, pose, seen, line, evidence, .. } = attempt;
+    let Attempt { regressor, pose, located, line, evidence, .. } = attempt;
     let crop = regressor.crop();
     let p = pose.project();
     let (yaw_deg, evidence) = (Some(pose.yaw_deg()), Some(evidence));
@@ -95,7 +95,7 @@ fn collect(attempt: Attempt<'_>) -> FacePoints {
         let narrow = pose.yaw_deg().to_radians().cos();
         p.get(i).map(|p| [p[0] + size * narrow * x, p[1] + size * y])
     };
-    for (which, clear) in features.into_iter().zip(&seen.clear) {
+    for (which, clear) in features.into_iter().zip(&located.clear) {
         let at: Vec<Point> = which.iter().filter_map(|i| at_annotators(*i)).collect();
         points.put(which, &at, *clear, crop);
     }

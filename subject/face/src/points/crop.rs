@@ -221,8 +221,8 @@ impl Maps {
 pub(crate) fn at(plane: &Plane, p: Point) -> f64 {
     // Like [`Plane::sample`], with sizes known at compile time: most of the time is spent here. In this order of `max`
     // and `min`, NaN becomes 0.
-    let held = |v: f64, size: usize| (v as f32).max(0.0).min((size - 2) as f32);
-    let (x, y) = (held(p[0], WIDTH), held(p[1], HEIGHT));
+    let clamped = |v: f64, size: usize| (v as f32).max(0.0).min((size - 2) as f32);
+    let (x, y) = (clamped(p[0], WIDTH), clamped(p[1], HEIGHT));
     let (left, top) = (x as usize, y as usize);
     let (fx, fy) = (x - left as f32, y - top as f32);
     let from = top * WIDTH + left;

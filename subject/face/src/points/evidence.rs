@@ -1,5 +1,5 @@
-//! Location of features and outline from a pose, and the confidence of the whole face: a logistic function of how
-//! clearly features are visible where the generic face, in one pose and shape, has them.
+//! Locates features and outline near their places in a pose, and estimates the confidence of the whole face: a logistic
+//! function of terms such as how clearly the features are visible at these places.
 
 use super::crop::Maps;
 use super::outline::{self, Ray};
@@ -20,7 +20,7 @@ const MOUTH_SD: f64 = 2.5;
 const OUTLINE_SD: f64 = 9.0;
 /// Contrast (natural logarithm) at which a feature counts as clearly visible.
 const CLEAR: f64 = 0.2;
-/// Contrast at which a piece of the outline does, colour included.
+/// Contrast, including colour, at which a piece of the outline counts as clearly visible.
 const CLEAR_OUTLINE: f64 = 0.5;
 /// Least confidence: even an invisible point lies within the search range.
 pub const FAINT: f64 = 0.2;
@@ -52,21 +52,21 @@ impl LocatedFeatures {
 /// Searches every feature near its place in the pose.
 pub(super) fn locate_features(maps: &Maps, pose: &PosedModel<'_>, reach: f64) -> LocatedFeatures {
     let p = pose.project();
-    let mut seen = LocatedFeatures::default();
+    let mut located = LocatedFeatures::default();
     let mut lids = Vec::new();
     for which in EYES {
         let found = features::eye(maps, &pick(&p, which), reach);
         let [_, outer, inner, ..] = found.points;
         lids.push([outer, inner]);
-        seen.add(&which, &found, EYE_SD);
+        located.add(&which, &found, EYE_SD);
     }
     for (which, lid) in BROWS.into_iter().zip(lids) {
-        seen.add(&which, &features::brow(maps, &pick(&p, which), lid, reach), BROW_SD);
+        located.add(&which, &features::brow(maps, &pick(&p, which), lid, reach), BROW_SD);
     }
-    seen.add(&NOSE, &features::nose(maps, &pick(&p, NOSE), reach), NOSE_SD);
+    located.add(&NOSE, &features::nose(maps, &pick(&p, NOSE), reach), NOSE_SD);
     // A mouth moves more than other features.
-    seen.add(&MOUTH, &features::mouth(maps, &pick(&p, MOUTH), 1.2 * reach), MOUTH_SD);
-    seen
+    located.add(&MOUTH, &features::mouth(maps, &pick(&p, MOUTH), 1.2 * reach), MOUTH_SD);
+    located
 }
 
 /// Mean squared distance of the targets from the pose, in units of 6 px, each target limited to 4.
@@ -80,7 +80,7 @@ fn misfit(pose: &PosedModel<'_>, targets: &[Target]) -> f64 {
     sum / targets.len().max(1) as f64
 }
 
-/// Dissimilarity to the skin of cheeks and nose.
+/// Dissimilarity of each pixel to the skin of cheeks and nose.
 pub(super) fn unlike(maps: &Maps, pose: &PosedModel<'_>) -> Plane {
     let p = pose.project();
     maps.unlike_skin(&[middle(p[41], p[48]), middle(p[46], p[54]), middle(p[27], p[33])])
@@ -101,7 +101,7 @@ fn trace(maps: &Maps, unlike: &Plane, p: &[Point; LANDMARKS], sd: f64) -> Vec<Ra
     outline::trace(maps, unlike, centre, &outline::hull_radii(&hull, centre), sd)
 }
 
-/// Traces the outline and gives targets for the landmarks of the jaw.
+/// Traces the outline. Returns targets for the landmarks of the jaw, and the rays of the outline.
 pub(super) fn locate_outline(
     maps: &Maps,
     unlike: &Plane,
@@ -192,21 +192,21 @@ impl Evidence {
 
     pub(super) fn of(
         pose: &PosedModel<'_>,
-        seen: &LocatedFeatures,
+        located: &LocatedFeatures,
         line: &[Ray],
         predicted: &LandmarkPoints,
     ) -> Self {
-        let held = |i: usize| seen.penalised.get(i).copied().unwrap_or_default();
+        let score = |i: usize| located.penalised.get(i).copied().unwrap_or_default();
         let counts = [6.0, 6.0, 5.0, 5.0, 5.0, 14.0];
         let points: f64 = counts.iter().sum();
         Self {
-            clear: seen.clear.iter().zip(counts).map(|(clear, n)| clear * n).sum::<f64>() / points,
-            eyes: held(0).min(held(1)),
-            brows: held(2).min(held(3)),
-            nose: held(4),
-            mouth: held(5),
+            clear: located.clear.iter().zip(counts).map(|(c, n)| c * n).sum::<f64>() / points,
+            eyes: score(0).min(score(1)),
+            brows: score(2).min(score(3)),
+            nose: score(4),
+            mouth: score(5),
             outline: line.iter().map(clearness).sum::<f64>() / line.len().max(1) as f64,
-            misfit: misfit(pose, &seen.targets),
+            misfit: misfit(pose, &located.targets),
             strain: pose.strain(),
             pitch_deg: pose.pitch_deg().abs(),
             yaw_mismatch_deg: outline_yaw_deg(line, &pose.project())
@@ -237,8 +237,8 @@ impl Evidence {
     /// logistic function of the terms.
     #[must_use]
     pub fn confidence(&self) -> f64 {
-        let held = |(term, value): (&Term, f64)| term.weight * value.clamp(term.low, term.high);
-        let log_odds = CONSTANT + TERMS.iter().zip(self.terms()).map(held).sum::<f64>();
+        let weighted = |(term, value): (&Term, f64)| term.weight * value.clamp(term.low, term.high);
+        let log_odds = CONSTANT + TERMS.iter().zip(self.terms()).map(weighted).sum::<f64>();
         1.0 / (1.0 + (-log_odds).exp())
     }
 }
@@ -247,6 +247,6 @@ impl Evidence {
 fn regressor_offset(pose: &PosedModel<'_>, landmarks: &LandmarkPoints) -> f64 {
     let p = pose.project();
     let pairs = REGRESSED.iter().zip(landmarks);
-    let far = pairs.filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
-    far.sum::<f64>() / REGRESSED.len() as f64
+    let distances = pairs.filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
+    distances.sum::<f64>() / REGRESSED.len() as f64
 }

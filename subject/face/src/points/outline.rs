@@ -49,14 +49,14 @@ pub(crate) fn trace(
     };
     // Gain of every ray and radius, from the pixels three within and three beyond.
     let mut gain = vec![0.0_f64; RAYS * LENGTH];
-    let mut seen = [[0.0_f64; 2]; LENGTH + 6];
+    let mut tints = [[0.0_f64; 2]; LENGTH + 6];
     for (k, (row, d)) in gain.chunks_mut(LENGTH).zip(&rays).enumerate() {
-        for (i, [colour, light]) in seen.iter_mut().enumerate() {
+        for (i, [colour, light]) in tints.iter_mut().enumerate() {
             let p = along(centre, *d, (RADIUS_MIN + i) as f64 - 3.0);
             *colour = f64::from(unlike.sample(0.5 * p[0] as f32, 0.5 * p[1] as f32));
             *light = at(&maps.fine, p);
         }
-        for (i, ((g, within), beyond)) in row.iter_mut().zip(&seen).zip(&seen[6..]).enumerate() {
+        for (i, ((g, within), beyond)) in row.iter_mut().zip(&tints).zip(&tints[6..]).enumerate() {
             let colour = beyond[0] - within[0];
             let light = (within[1] - beyond[1]).clamp(-0.3, 0.5);
             // Hair and shadow are darker than the face; a bright background is not.

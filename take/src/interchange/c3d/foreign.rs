@@ -207,18 +207,18 @@ impl SampleHeader {
     }
 }
 
-/// A kept block of columns, read frame by frame.
+/// The columns of samples in a foreign part, read frame by frame.
 #[derive(Debug)]
-pub(super) struct KeptSamples<'a> {
+pub(super) struct PartSamples<'a> {
     pub(super) header: SampleHeader,
     /// Indices of the points; empty except for model outputs.
     pub(super) points: Vec<usize>,
     columns: ColumnReader<'a>,
-    /// Number of frames before the first kept one.
+    /// Number of frames before the first one in the part.
     frames_ahead: u64,
 }
 
-impl<'a> KeptSamples<'a> {
+impl<'a> PartSamples<'a> {
     /// The part of a kind, positioned at frame number `first_frame`. Each signal has `columns` columns; if `indexed`,
     /// point indices precede the columns. `None` if there is no such part or it is damaged.
     fn parse(

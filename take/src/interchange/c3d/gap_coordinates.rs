@@ -115,21 +115,21 @@ fn runs(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
     samples.chunk_by(|a, b| a.0.checked_add(1) == Some(b.0))
 }
 
-/// A kept part of coordinates under gaps, read frame by frame.
+/// The coordinates under gaps in a part of a take, read frame by frame.
 #[derive(Debug)]
-pub(super) struct KeptCoordinates<'a> {
+pub(super) struct PartCoordinates<'a> {
     /// Number of the first frame of the source.
     first_frame: u64,
     /// Number of the next frame.
     next: u64,
-    markers: Vec<KeptMarker<'a>>,
+    markers: Vec<PartMarker<'a>>,
     /// The index and words of each marker with coordinates in the current frame.
     current: Vec<(usize, PointWords)>,
 }
 
 /// The coordinates of one marker.
 #[derive(Debug)]
-struct KeptMarker<'a> {
+struct PartMarker<'a> {
     index: usize,
     runs: GapRuns<'a>,
     /// The current run.
@@ -140,7 +140,7 @@ struct KeptMarker<'a> {
     n_samples: usize,
 }
 
-impl<'a> KeptCoordinates<'a> {
+impl<'a> PartCoordinates<'a> {
     /// The part of a take with `n_markers` markers, positioned at frame number `from`. `None` if there is no such part
     /// or it is damaged.
     pub(super) fn parse(
@@ -152,16 +152,16 @@ impl<'a> KeptCoordinates<'a> {
         let data = part.data.as_slice();
         let Some(([VERSION], rest)) = data.split_array()? else { return Ok(None) };
         let Some((first_frame, rest)) = rest.split_array()? else { return Ok(None) };
-        let Some((n_kept, mut rest)) = rest.split_array()? else { return Ok(None) };
+        let Some((n_stored, mut rest)) = rest.split_array()? else { return Ok(None) };
         let first_frame = u64::from_le_bytes(first_frame);
-        let n_kept = u32::from_le_bytes(n_kept) as usize;
-        if n_kept > n_markers {
+        let n_stored = u32::from_le_bytes(n_stored) as usize;
+        if n_stored > n_markers {
             return Ok(None);
         }
-        let buffer_bytes = BLOCK_BYTES / n_kept.max(1);
-        let mut markers: Vec<KeptMarker<'_>> = Vec::new();
-        for _ in 0..n_kept {
-            let parsed = KeptMarker::parse(rest, buffer_bytes)?;
+        let buffer_bytes = BLOCK_BYTES / n_stored.max(1);
+        let mut markers: Vec<PartMarker<'_>> = Vec::new();
+        for _ in 0..n_stored {
+            let parsed = PartMarker::parse(rest, buffer_bytes)?;
             let Some((marker, after)) = parsed else { return Ok(None) };
             let is_next = markers.last().is_none_or(|last| last.index < marker.index);
             if !is_next || marker.index >= n_markers {
@@ -194,7 +194,7 @@ impl<'a> KeptCoordinates<'a> {
     }
 }
 
-impl<'a> KeptMarker<'a> {
+impl<'a> PartMarker<'a> {
     /// Parses a marker, with a buffer of `buffer_bytes` bytes for its words. Returns it and the data after it.
     fn parse(
         data: ContentSlice<'a>,
@@ -311,10 +311,10 @@ pub(super) fn rotated(
     n_markers: usize,
     rotation: Rotation,
 ) -> io::Result<Option<Foreign>> {
-    let Some(kept) = KeptCoordinates::parse(foreign, n_markers, 0)? else { return Ok(None) };
+    let Some(stored) = PartCoordinates::parse(foreign, n_markers, 0)? else { return Ok(None) };
     let Some(part) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
     let mut data = part.data.copy()?;
-    for mut marker in kept.markers {
+    for mut marker in stored.markers {
         let mut columns = [const { ColumnRewriter::new() }; WORDS];
         let n_samples = marker.n_samples;
         for sample in 0..n_samples {
@@ -340,8 +340,8 @@ mod tests {
     use crate::motion::UpAxis;
 
     fn part(samples: &[Sample]) -> Foreign {
-        let kept = GapCoordinates(samples.to_vec()).into_foreign(100, &mut Vec::new());
-        kept.expect("samples, and not too many")
+        let part = GapCoordinates(samples.to_vec()).into_foreign(100, &mut Vec::new());
+        part.expect("samples, and not too many")
     }
 
     fn sample(frame: usize, marker: usize) -> Sample {
@@ -354,9 +354,9 @@ mod tests {
         let samples = samples.map(|(frame, marker)| sample(frame, marker));
         let foreign = [part(&samples)];
         for from in 95..115 {
-            let mut kept = KeptCoordinates::parse(&foreign, 8, from).unwrap().expect("a part");
+            let mut stored = PartCoordinates::parse(&foreign, 8, from).unwrap().expect("a part");
             for number in from..115 {
-                let found = kept.next_frame().unwrap();
+                let found = stored.next_frame().unwrap();
                 let here = samples.iter().filter(|&&(frame, ..)| frame as u64 + 100 == number);
                 let expected: Vec<_> = here.map(|&(_, marker, words)| (marker, words)).collect();
                 assert_eq!(found, expected, "frame {number}, from {from}");
@@ -370,15 +370,15 @@ mod tests {
         let bytes = whole.data.to_vec(u64::MAX).unwrap().expect("few");
         for n_bytes in 0..bytes.len() {
             let cut = Foreign { data: bytes[..n_bytes].to_vec().into(), ..whole.clone() };
-            assert!(KeptCoordinates::parse(&[cut], 8, 0).unwrap().is_none(), "{n_bytes}");
+            assert!(PartCoordinates::parse(&[cut], 8, 0).unwrap().is_none(), "{n_bytes}");
         }
         for at in 0..bytes.len() {
             for bits in [1, 0x80, 0xFF] {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= bits;
                 let foreign = [Foreign { data: damaged.into(), ..whole.clone() }];
-                if let Some(mut kept) = KeptCoordinates::parse(&foreign, 8, 100).unwrap() {
-                    (0..9).for_each(|_| assert!(kept.next_frame().unwrap().len() <= 2));
+                if let Some(mut stored) = PartCoordinates::parse(&foreign, 8, 100).unwrap() {
+                    (0..9).for_each(|_| assert!(stored.next_frame().unwrap().len() <= 2));
                 }
                 rotated(&foreign, 8, Rotation::IDENTITY).unwrap();
             }
@@ -388,9 +388,9 @@ mod tests {
     #[test]
     fn a_part_of_more_markers_than_the_take_has_is_not_read() {
         let foreign = [part(&[sample(0, 1), sample(0, 4)])];
-        assert!(KeptCoordinates::parse(&foreign, 5, 0).unwrap().is_some());
-        assert!(KeptCoordinates::parse(&foreign, 4, 0).unwrap().is_none());
-        assert!(KeptCoordinates::parse(&foreign, 1, 0).unwrap().is_none());
+        assert!(PartCoordinates::parse(&foreign, 5, 0).unwrap().is_some());
+        assert!(PartCoordinates::parse(&foreign, 4, 0).unwrap().is_none());
+        assert!(PartCoordinates::parse(&foreign, 1, 0).unwrap().is_none());
     }
 
     #[test]
@@ -411,7 +411,7 @@ mod tests {
 
     #[test]
     fn the_length_of_a_part_is_known_before_it_is_encoded() {
-        let kept = GapCoordinates(vec![sample(0, 1), sample(1, 1), sample(5, 1), sample(5, 2)]);
-        assert_eq!(kept.encode(1).len(), kept.n_bytes());
+        let all = GapCoordinates(vec![sample(0, 1), sample(1, 1), sample(5, 1), sample(5, 2)]);
+        assert_eq!(all.encode(1).len(), all.n_bytes());
     }
 }

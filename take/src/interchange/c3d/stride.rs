@@ -1,4 +1,4 @@
-//! The stride: the content and length of a frame, if header, parameters and the size of the file disagree about it.
+//! Finds the stride (content and length of a frame) where header, parameters and size of the file disagree about it.
 //!
 //! POINT:USED and the header state the number of points; the header, and ANALOG:USED times ANALOG:RATE over POINT:RATE,
 //! state the number of analog samples in a frame. Every combination is a candidate. A candidate fits if its frames fill
@@ -95,7 +95,7 @@ impl<'a> FileBytes<'a> {
         let needed = needed.saturating_mul(stride.frame_bytes());
         match self.available(stride).checked_sub(needed) {
             None => SizeFit::Short,
-            Some(left) if left < BLOCK || stride.data_start + needed >= self.filled => {
+            Some(rest) if rest < BLOCK || stride.data_start + needed >= self.filled => {
                 SizeFit::Exact
             }
             Some(_) => SizeFit::Surplus,
@@ -173,7 +173,7 @@ impl StrideCandidate {
     }
 
     /// The rank of the candidate, 0 being the best; `None` if it is not acceptable.
-    fn tier(&self, smoothest: f64) -> Option<u8> {
+    fn rank(&self, smoothest: f64) -> Option<u8> {
         match (self.fills_data(), self.is_smooth(smoothest), self.is_stated) {
             (true, Some(true), _) => Some(0),
             (true, None, true) => Some(1),
@@ -189,9 +189,9 @@ impl StrideCandidate {
 pub(super) fn choose(candidates: &[StrideCandidate]) -> Option<StrideCandidate> {
     let smoothest = candidates.iter().filter_map(|candidate| candidate.roughness);
     let smoothest = smoothest.fold(f64::INFINITY, f64::min);
-    let tier = candidates.iter().filter_map(|candidate| candidate.tier(smoothest)).min()?;
+    let rank = candidates.iter().filter_map(|candidate| candidate.rank(smoothest)).min()?;
     let mut best: Option<&StrideCandidate> = None;
-    for candidate in candidates.iter().filter(|c| c.tier(smoothest) == Some(tier)) {
+    for candidate in candidates.iter().filter(|c| c.rank(smoothest) == Some(rank)) {
         let rough = |candidate: &StrideCandidate| candidate.roughness.unwrap_or(0.0);
         let is_better = best
             .is_none_or(|best| rough(candidate) < rough(best) / 2.0 && rough(best) > SMOOTH / 10.0);
@@ -202,28 +202,28 @@ pub(super) fn choose(candidates: &[StrideCandidate]) -> Option<StrideCandidate> 
     best.copied()
 }
 
-/// Strides like `of`, with other numbers of analog samples, whose `n_frames` frames leave less than a block of the data
-/// section. The number of analog samples is a multiple of `n_channels`, if that is known.
+/// Strides like `base`, with other numbers of analog samples, whose `n_frames` frames leave less than a block of the
+/// data section. The number of analog samples is a multiple of `n_channels`, if that is known.
 pub(super) fn by_size(
     file: &FileBytes<'_>,
-    of: Stride,
+    base: Stride,
     n_frames: u64,
     n_channels: Option<u64>,
 ) -> impl Iterator<Item = Stride> + use<> {
-    let available = file.available(&of);
-    let width = of.word_bytes();
+    let available = file.available(&base);
+    let width = base.word_bytes();
     let n_frames = usize::try_from(n_frames).unwrap_or(usize::MAX).max(1);
     let most = available / width / n_frames;
     let least = (available.saturating_sub(BLOCK - 1)).div_ceil(width).div_ceil(n_frames);
     let words = (least..=most).rev().take(CANDIDATES_MAX);
     words.filter_map(move |words| {
-        let analog = words.checked_sub(4 * of.n_points)?;
+        let analog = words.checked_sub(4 * base.n_points)?;
         let whole = match n_channels {
             Some(0) => analog == 0,
             Some(n) => usize::try_from(n).is_ok_and(|n| analog.is_multiple_of(n)),
             None => true,
         };
-        whole.then_some(Stride { analog_per_frame: analog, ..of })
+        whole.then_some(Stride { analog_per_frame: analog, ..base })
     })
 }
 
@@ -264,7 +264,7 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
     let n_points = stride.n_points.min(POINTS);
     let window = n_frames.min(WINDOW_FRAMES);
     let n_windows = if n_frames > window { WINDOWS } else { 1 };
-    let is_none = |v: f64| v != 0.0 && !(COORDINATE_MIN..=COORDINATE_MAX).contains(&v.abs());
+    let is_invalid = |v: f64| v != 0.0 && !(COORDINATE_MIN..=COORDINATE_MAX).contains(&v.abs());
     let mut values = Vec::new();
     let mut changes = Vec::new();
     let (mut fourth_words, mut odd_words, mut odd_changes) = (0usize, 0usize, 0usize);
@@ -284,13 +284,13 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
                 let now = sample(frame);
                 if let Some([x, y, z, fourth]) = now {
                     fourth_words += 1;
-                    odd_words += usize::from(is_none(fourth) || (stride.float && fourth < -1.0));
-                    values.extend([x, y, z].into_iter().filter(|&v| !is_none(v)));
+                    odd_words += usize::from(is_invalid(fourth) || (stride.float && fourth < -1.0));
+                    values.extend([x, y, z].into_iter().filter(|&v| !is_invalid(v)));
                 }
                 if let ([Some(a), Some(b)], Some(c)) = (before, now) {
                     for axis in 0..3 {
                         let three = [a[axis], b[axis], c[axis]];
-                        if three.iter().any(|&v| is_none(v)) {
+                        if three.iter().any(|&v| is_invalid(v)) {
                             odd_changes += 1;
                         } else {
                             changes.push((three[0] - 2.0 * three[1] + three[2]).abs());

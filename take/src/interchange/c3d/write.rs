@@ -4,9 +4,9 @@ use std::io::{self, Write};
 
 use super::{
     columns, events,
-    foreign::{KeptSamples, kept_parameters},
+    foreign::{PartSamples, kept_parameters},
     frames::is_missing,
-    gap_coordinates::KeptCoordinates,
+    gap_coordinates::PartCoordinates,
     header::{BLOCK, C3dHeader},
     parameters::{DIMENSION_MAX, Parameter, Parameters, encode_records},
 };
@@ -379,10 +379,10 @@ enum Point {
 /// The sources of the content of each frame.
 struct Body<'a> {
     points: Vec<Point>,
-    analog: Option<KeptSamples<'a>>,
-    residuals: Option<KeptSamples<'a>>,
-    outputs: Option<KeptSamples<'a>>,
-    gap_coordinates: Option<KeptCoordinates<'a>>,
+    analog: Option<PartSamples<'a>>,
+    residuals: Option<PartSamples<'a>>,
+    outputs: Option<PartSamples<'a>>,
+    gap_coordinates: Option<PartCoordinates<'a>>,
     /// For each marker the kept words of a missing sample in the current frame; all `None` between frames.
     gap_words: Vec<Option<[f32; 4]>>,
     unsigned_analog: bool,
@@ -395,15 +395,15 @@ impl<'a> Body<'a> {
     /// Those of reading the foreign parts.
     fn new(info: &'a MotionInfo, parameters: &Parameters) -> io::Result<Self> {
         let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
-        let outputs = KeptSamples::outputs(foreign, first_frame)?;
+        let outputs = PartSamples::outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
         Ok(Self {
-            gap_coordinates: KeptCoordinates::parse(foreign, n_markers, first_frame)?,
+            gap_coordinates: PartCoordinates::parse(foreign, n_markers, first_frame)?,
             gap_words: vec![None; n_markers],
             analog_offsets: Vec::new(),
             points: ordered_points(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
-            analog: KeptSamples::analog(foreign, first_frame)?,
-            residuals: KeptSamples::residuals(foreign, first_frame)?
+            analog: PartSamples::analog(foreign, first_frame)?,
+            residuals: PartSamples::residuals(foreign, first_frame)?
                 .filter(|kept| kept.header.n_signals == n_markers),
             outputs,
             unsigned_analog: is_unsigned(parameters),
@@ -421,8 +421,8 @@ impl<'a> Body<'a> {
     /// Those of reading the foreign parts.
     fn push_frame(&mut self, row: &[Position], buffer: &mut Vec<u8>) -> io::Result<()> {
         let width = self.residuals.as_ref().map_or(0, |kept| kept.header.width);
-        let residuals = self.residuals.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
-        let outputs = self.outputs.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
+        let residuals = self.residuals.as_mut().map(PartSamples::next_frame).transpose()?.flatten();
+        let outputs = self.outputs.as_mut().map(PartSamples::next_frame).transpose()?.flatten();
         if let Some(kept) = &mut self.gap_coordinates {
             for &(marker, words) in kept.next_frame()? {
                 if let Some(place) = self.gap_words.get_mut(marker) {

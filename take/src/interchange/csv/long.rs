@@ -54,8 +54,8 @@ pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> R
     let n_markers = data.labels.len();
     let n_frames = usize::try_from(last - first).ok().and_then(|n| n.checked_add(1));
     let total = n_frames.and_then(|n| n.checked_mul(n_markers));
-    let earned = bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE);
-    let Some(total) = total.filter(|&total| total <= earned) else {
+    let total_max = bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE);
+    let Some(total) = total.filter(|&total| total <= total_max) else {
         let message = format!(
             "frames {first} to {last} of {n_markers} markers are too many for a file of {} bytes; split the file",
             bytes.len()

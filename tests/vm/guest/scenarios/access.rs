@@ -56,7 +56,7 @@ pub(crate) fn the_rule_solves_it() -> Measurement {
     ensure!(rule.starts_with("SUBSYSTEM==\"usb\""), "{problem}");
     let refused = record(&device.uri, "/tmp/refused.take", &[])?;
     let refused = refused.finish(TIMEOUT)?.with_code(1)?;
-    refused.mentions(&["no permission for usb:1209:0001:RULE1", &rule])?;
+    refused.mentions(&["no permission to open usb:1209:0001:RULE1", &rule])?;
     device.stop()?;
     wait_for_absence("RULE1")?;
     set_rules(Some(&rule))?;

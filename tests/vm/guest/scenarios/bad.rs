@@ -109,10 +109,10 @@ pub(crate) fn sends_garbage() -> Measurement {
     let (took, _) = refused(&device.uri, &["does not understand", "?driver=NAME"])?;
     device.stop()?;
     let device = MisbehavingDevice::start("NOISE2", ignores_commands)?;
-    let (deaf_took, _) = refused(&device.uri, &["takes no commands", "switch it off and on"])?;
+    let (deaf_took, _) = refused(&device.uri, &["accept commands", "switch it off and on"])?;
     device.stop()?;
     Ok(format!(
-        "ends after {:.1} s; one that takes no commands either, after {:.1} s",
+        "ends after {:.1} s; one that accepts no commands either, after {:.1} s",
         took.as_secs_f64(),
         deaf_took.as_secs_f64()
     ))

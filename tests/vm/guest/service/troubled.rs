@@ -67,7 +67,7 @@ pub(crate) fn hangs() -> Measurement {
         };
         ensure!(logged("Watchdog timeout"), "another end of a {whom} that hangs");
         ensure!(
-            logged(&format!("the {whom} has not moved for")),
+            logged(&format!("the {whom} has been stuck for")),
             "no line about the {whom} that hangs"
         );
         let n = frames(&take, 3)?;

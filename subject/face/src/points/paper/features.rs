@@ -84,7 +84,7 @@ pub(super) fn iris(slope: &Gradient, b: Bounds) -> Iris {
             let step = f64::from(r) / m;
             let cx = x - (value(&slope.x, x, y) * step).round() as i32;
             let cy = y - (value(&slope.y, x, y) * step).round() as i32;
-            if b.holds(cx, cy)
+            if b.contains(cx, cy)
                 && let Some(v) = votes.get_mut(((cy - b.top) * width + cx - b.left) as usize)
             {
                 *v += m;
@@ -94,7 +94,7 @@ pub(super) fn iris(slope: &Gradient, b: Bounds) -> Iris {
             // Rounding scatters votes, so neighbours count too.
             let mut sum = 0.0;
             for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
-                if b.holds(cx + dx, cy + dy) {
+                if b.contains(cx + dx, cy + dy) {
                     let i = (cy + dy - b.top) * width + cx + dx - b.left;
                     sum += votes.get(i as usize).copied().unwrap_or(0.0);
                 }
@@ -116,18 +116,18 @@ fn corner(light: &Plane, bounds: Bounds, iris: &Iris, side: i32) -> (Point, bool
     // The seed: the brightest of a few pixels beside the iris.
     let seed = (r + 1..=r + 4)
         .flat_map(|d| (-2..=2).map(move |dy| (x + side * d, y + dy)))
-        .filter(|(sx, sy)| bounds.holds(*sx, *sy))
+        .filter(|(sx, sy)| bounds.contains(*sx, *sy))
         .max_by(|a, b| value(light, a.0, a.1).total_cmp(&value(light, b.0, b.1)));
     let fallback = ([f64::from(x) + f64::from(side) * 2.2 * f64::from(r), f64::from(y)], false);
     let Some(seed) = seed else { return fallback };
     let level = dark + WHITE * (value(light, seed.0, seed.1) - dark);
-    let beside = Bounds {
+    let window = Bounds {
         left: if side < 0 { bounds.left } else { x },
         right: if side < 0 { x + 1 } else { bounds.right },
         top: (y - r).max(bounds.top),
         bottom: (y + r + 1).min(bounds.bottom),
     };
-    let region = grow(beside, seed, |px, py| value(light, px, py) >= level);
+    let region = grow(window, seed, |px, py| value(light, px, py) >= level);
     let Some(out) = region.iter().max_by_key(|(px, _)| side * px) else { return fallback };
     // A region that reaches the end of its box is skin, not the white.
     let leaked = out.0 == bounds.left || out.0 + 1 == bounds.right;
@@ -348,7 +348,7 @@ fn grow(bounds: Bounds, seed: (i32, i32), like: impl Fn(i32, i32) -> bool) -> Ve
     let mut region = Vec::new();
     let mut open = vec![seed];
     while let Some((x, y)) = open.pop() {
-        if !bounds.holds(x, y) || !like(x, y) {
+        if !bounds.contains(x, y) || !like(x, y) {
             continue;
         }
         match seen.get_mut(index(x, y)) {

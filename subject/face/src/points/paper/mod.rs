@@ -147,7 +147,7 @@ impl Bounds {
         Bounds { top: (self.top + self.bottom) / 2, ..self }
     }
 
-    fn holds(self, x: i32, y: i32) -> bool {
+    fn contains(self, x: i32, y: i32) -> bool {
         (self.left..self.right).contains(&x) && (self.top..self.bottom).contains(&y)
     }
 
