@@ -27,7 +27,9 @@ pub(super) fn check(name: &str) -> Result<&str, Refusal> {
         return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes, not {}", name.len()));
     }
     if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
-        return invalid(format!("name {name:?}: remove '.', '-', ' ' at its start, ' ' at its end"));
+        return invalid(format!(
+            "name {name:?}: remove '.', '-', ' ' at its start, ' ' at its end"
+        ));
     }
     if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
         return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));

@@ -69,9 +69,9 @@ fn joints_are_accurate_on_bodies_not_learned_from() {
         let right = score::right(&mesh, &truth, &found.extremities, Limit::ByJoint);
         assert!(right.unwrap(), "an extremity of {name} is misnamed");
         assert!(found.joints.estimates.contains_key(&Joint::Head), "{name} has no head");
-        let errors = score::joint_errors(&found.joints, &truth);
+        let by_joint = score::joint_errors(&found.joints, &truth);
         let twelve =
-            errors.iter().filter(|(joint, _)| !["head_top", "neck", "root"].contains(joint));
+            by_joint.iter().filter(|(joint, _)| !["head_top", "neck", "root"].contains(joint));
         errors.extend(twelve.map(|(_, error)| error / truth.stature_m));
         if EXACT.iter().any(|start| name.starts_with(start)) {
             lengths.extend(length_errors(&found, &truth));
