@@ -132,11 +132,11 @@ impl DiskReserve {
             return;
         }
         let from = self.reserved_to.max(written);
-        // Leave `keep_free_bytes` alone.
+        // Do not reserve any of `keep_free_bytes`.
         let spare =
             output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
-        let wanted = (written + target).min(from.saturating_add(spare));
-        for to in [wanted, (written + RESERVE_MIN_BYTES).min(wanted)] {
+        let end = (written + target).min(from.saturating_add(spare));
+        for to in [end, (written + RESERVE_MIN_BYTES).min(end)] {
             if to <= from {
                 return;
             }
