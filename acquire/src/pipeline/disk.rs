@@ -84,14 +84,14 @@ impl DiskReserve {
         }
         let raw_log_bytes = progress.raw_log_bytes.get().map_or(0, |n| n.load(Ordering::Relaxed));
         if let Some((last, before, raw_log_before)) = self.last_poll {
-            let passed_s = now.duration_since(last).as_secs_f64();
+            let elapsed_s = now.duration_since(last).as_secs_f64();
             // Before there is a mean, use the first second's rate.
-            let weight = if self.bytes_per_s > 0.0 { (passed_s / TAU_S).min(1.0) } else { 1.0 };
+            let weight = if self.bytes_per_s > 0.0 { (elapsed_s / TAU_S).min(1.0) } else { 1.0 };
             for (mean, now, before) in [
                 (&mut self.bytes_per_s, written, before),
                 (&mut self.raw_log_bytes_per_s, raw_log_bytes, raw_log_before),
             ] {
-                *mean += (now.saturating_sub(before) as f64 / passed_s - *mean) * weight;
+                *mean += (now.saturating_sub(before) as f64 / elapsed_s - *mean) * weight;
             }
         }
         self.last_poll = Some((now, written, raw_log_bytes));
