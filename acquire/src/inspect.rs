@@ -91,7 +91,7 @@ impl Summary {
     /// The health of the take.
     #[must_use]
     pub fn health(&self) -> TakeHealth {
-        let clock_is_off = self.clock_deviation().is_some_and(|apart| !apart.agrees);
+        let clock_is_off = self.clock_deviation().is_some_and(|found| !found.agrees);
         if !self.contradictions().is_empty() || clock_is_off {
             TakeHealth::Damaged
         } else if !self.take.finished && self.take.damage.is_empty() {
@@ -261,10 +261,10 @@ impl Summary {
 
     fn add_outages(&mut self, timeline: &Timeline) {
         for run in &timeline.runs {
-            let away = run.lost.is_some_and(|causes| causes.contains(LossCauses::DISCONNECTED));
-            self.outages.0 += u32::from(away && !self.in_outage);
-            self.outages.1 += if away { run.rows } else { 0 };
-            self.in_outage = away;
+            let outage = run.lost.is_some_and(|causes| causes.contains(LossCauses::DISCONNECTED));
+            self.outages.0 += u32::from(outage && !self.in_outage);
+            self.outages.1 += if outage { run.rows } else { 0 };
+            self.in_outage = outage;
         }
     }
 }

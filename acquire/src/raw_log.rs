@@ -218,7 +218,7 @@ impl RawLogTap {
         let needed = n_bytes + text_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
         self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
         if self.block.bytes.len() + needed > BLOCK_CAPACITY_BYTES {
-            self.hand_over();
+            self.submit_block();
         }
         if self.block.bytes.capacity() == 0 {
             let Ok(block) = self.free.try_recv() else { return self.count_missing(n_bytes) };
@@ -231,7 +231,7 @@ impl RawLogTap {
         put_now(entry, self.began_ns, &mut self.block.bytes);
         self.block.line_bytes += n_bytes as u64;
         if self.block.bytes.len() >= BLOCK_BYTES {
-            self.hand_over();
+            self.submit_block();
         }
     }
 
@@ -249,20 +249,20 @@ impl RawLogTap {
         self.totals.unreported_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
     }
 
-    fn hand_over(&mut self) {
+    fn submit_block(&mut self) {
         if !self.block.bytes.is_empty() {
             // Never full: the queue has a place for every block.
             self.full.try_send(std::mem::take(&mut self.block)).ok();
         }
     }
 
-    /// Hands over a block that is old enough.
+    /// Submits the block if it is old enough.
     fn tick(&mut self) {
         let age_ns = monotonic_ns().saturating_sub(self.block_since_ns);
         // While a disk stalls, a slow line would use up the blocks nearly empty.
         let keeps_up = self.free.len() >= self.free.capacity().unwrap_or(0) / 2;
         if !self.block.bytes.is_empty() && age_ns > BLOCK_AGE_MAX_NS && keeps_up {
-            self.hand_over();
+            self.submit_block();
         }
     }
 
@@ -275,14 +275,14 @@ impl RawLogTap {
             self.begin(block);
         }
         self.put(Entry::End);
-        self.hand_over();
+        self.submit_block();
         Arc::clone(&self.totals)
     }
 }
 
 impl Drop for RawLogTap {
     fn drop(&mut self) {
-        self.hand_over();
+        self.submit_block();
     }
 }
 

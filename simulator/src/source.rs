@@ -81,9 +81,9 @@ pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
 
 /// Truncates a motion to its first seconds, but at least one frame if it has any.
 pub fn keep_first(motion: &mut Motion, seconds: f64) {
-    let wanted = (seconds * motion.info.rate_hz).round().max(1.0);
+    let requested = (seconds * motion.info.rate_hz).round().max(1.0);
     // A float beyond usize saturates, which truncates nothing.
-    let n_frames = motion.n_frames().min(wanted as usize);
+    let n_frames = motion.n_frames().min(requested as usize);
     motion.positions_mm.truncate(n_frames * motion.info.markers.len());
     motion.info.n_frames = n_frames as u64;
 }

@@ -63,13 +63,13 @@ mod tests {
     fn every_subcommand_has_a_page_with_all_its_options() {
         let folder = tempfile::tempdir().unwrap();
         pages(&Pages { out: folder.path().to_owned() }).unwrap();
-        let mut wanted = Vec::new();
-        page_names(&Cli::command(), "mocapd", &mut wanted);
-        assert!(wanted.len() > 10, "{wanted:?}");
-        for (name, command) in &wanted {
+        let mut expected = Vec::new();
+        page_names(&Cli::command(), "mocapd", &mut expected);
+        assert!(expected.len() > 10, "{expected:?}");
+        for (name, command) in &expected {
             check(&folder.path().join(format!("{name}.1")), command);
         }
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), wanted.len(), "and no other");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), expected.len(), "and no other");
         let nowhere = Pages { out: folder.path().join("none") };
         let error = format!("{:#}", pages(&nowhere).unwrap_err());
         assert!(error.contains("cannot write manual pages"), "{error}");

@@ -118,8 +118,8 @@ impl Servers {
         if config.missing_socket_folder().is_some() {
             options.unix_socket = None;
         }
-        let wanted = options.unix_socket.is_some() || options.tcp.is_some();
-        let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
+        let is_on = options.unix_socket.is_some() || options.tcp.is_some();
+        let http = is_on.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
         if let Some(address) = http.as_ref().and_then(HttpServer::tcp_address) {
             control
                 .notify(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));

@@ -167,12 +167,12 @@ impl InflateCheck {
                 Err(error) => self.message = Some(format!("invalid DEFLATE data: {error}")),
             }
             let taken = (self.inflater.total_in() - before.0) as usize;
-            let given = (self.inflater.total_out() - before.1) as usize;
+            let produced = (self.inflater.total_out() - before.1) as usize;
             bytes = bytes.get(taken..).unwrap_or_default();
             if self.inflater.total_out() > self.stated_bytes {
                 self.message = Some(WRONG_LENGTH.to_owned());
             }
-            if bytes.is_empty() && given < INFLATED_BYTES || taken == 0 && given == 0 {
+            if bytes.is_empty() && produced < INFLATED_BYTES || taken == 0 && produced == 0 {
                 return;
             }
         }

@@ -338,8 +338,8 @@ impl TakeBytes {
     pub fn sum(&self) -> u64 {
         let Self { header, blocks, lengths, time_line, framing, .. } = self;
         let stretches = header + blocks + lengths + time_line + framing;
-        let beside = self.events + self.subject + self.foreign + self.other;
-        stretches + self.ledgers + self.clock + self.index + beside
+        let records = self.events + self.subject + self.foreign + self.other;
+        stretches + self.ledgers + self.clock + self.index + records
     }
 }
 

@@ -80,9 +80,9 @@ impl Line {
     /// How late an event was against the line, in microseconds; negative when early.
     #[must_use]
     pub fn lateness_us(&self, ticks: u64, host_ns: u64, tick_hz: f64) -> f64 {
-        let passed_s = seconds(ticks, self.at.device_ticks, tick_hz);
+        let elapsed_s = seconds(ticks, self.at.device_ticks, tick_hz);
         let host_ns = host_ns.wrapping_sub(self.at.host_us.wrapping_mul(1000)).cast_signed();
-        host_ns as f64 * 1e-3 - passed_s * (1e6 + self.drift_ppm) - self.late_us
+        host_ns as f64 * 1e-3 - elapsed_s * (1e6 + self.drift_ppm) - self.late_us
     }
 
     /// The line as stored in a take.

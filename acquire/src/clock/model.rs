@@ -260,8 +260,8 @@ impl ClockModel {
             return None;
         }
         let wrapped_s = seconds(ticks.wrapping_add(1 << 32), last, self.tick_hz);
-        let passed_s = silent_us as f64 * 1e-6;
-        let is_wrap = last >> 32 == 0 && (wrapped_s - passed_s).abs() < 0.1 + passed_s * 0.1;
+        let elapsed_s = silent_us as f64 * 1e-6;
+        let is_wrap = last >> 32 == 0 && (wrapped_s - elapsed_s).abs() < 0.1 + elapsed_s * 0.1;
         let back_s = by as f64 / self.tick_hz;
         Some(if is_wrap { ClockEvent::Wrapped } else { ClockEvent::WentBack(back_s) })
     }

@@ -101,9 +101,9 @@ impl RoundTrips {
 
     fn best(&self, drift_ppm: f64, tick_hz: f64) -> Burst {
         let later_us = |point: ClockPoint, than: ClockPoint| {
-            let passed_s = seconds(point.device_ticks, than.device_ticks, tick_hz);
+            let elapsed_s = seconds(point.device_ticks, than.device_ticks, tick_hz);
             point.host_us.wrapping_sub(than.host_us).cast_signed() as f64
-                - passed_s * (1e6 + drift_ppm)
+                - elapsed_s * (1e6 + drift_ppm)
         };
         let mut bounds = self.probes[..self.n].iter().map(|probe| {
             let ClockProbe { sent_us, device_ticks, round_trip_us } = *probe;
@@ -182,9 +182,9 @@ impl Arrivals {
             self.open = Some(OpenBin { since_us: frame.host_us, earliest: frame });
             return Some(closed);
         }
-        let passed_s = seconds(frame.device_ticks, open.earliest.device_ticks, tick_hz);
-        let passed_us = frame.host_us.wrapping_sub(open.earliest.host_us).cast_signed() as f64;
-        if passed_us < passed_s * (1e6 + drift_ppm) {
+        let elapsed_s = seconds(frame.device_ticks, open.earliest.device_ticks, tick_hz);
+        let elapsed_us = frame.host_us.wrapping_sub(open.earliest.host_us).cast_signed() as f64;
+        if elapsed_us < elapsed_s * (1e6 + drift_ppm) {
             open.earliest = frame;
         }
         None
@@ -309,9 +309,9 @@ impl LineRefit {
 
 fn deviation(line: &Line, stored: &ClockLine, tick_hz: f64) -> LineDeviation {
     let stored_ppm = stored.drift_ppb as f64 / 1e3;
-    let passed_s = seconds(line.at.device_ticks, stored.device_ticks, tick_hz);
+    let elapsed_s = seconds(line.at.device_ticks, stored.device_ticks, tick_hz);
     let at_ns = line.at.host_us.wrapping_mul(1000).wrapping_sub(stored.host_ns).cast_signed();
-    let offset_us = at_ns as f64 * 1e-3 + line.late_us - passed_s * (1e6 + stored_ppm);
+    let offset_us = at_ns as f64 * 1e-3 + line.late_us - elapsed_s * (1e6 + stored_ppm);
     let drift_ppm = line.drift_ppm - stored_ppm;
     let (us, ppm) =
         stored.bound.map_or((0.0, 0.0), |b| (b.offset_us as f64, b.drift_ppb as f64 / 1e3));

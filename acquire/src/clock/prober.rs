@@ -162,10 +162,10 @@ impl BatchTiming {
     /// Corrects the batch interval, which a pong noticed late has made wrong: later pongs show it again, or
     /// twice its length.
     fn correct(&mut self, now_ns: u64, before_ns: Option<u64>) {
-        let passed_ns = now_ns.saturating_sub(before_ns.unwrap_or(now_ns));
-        let times = (passed_ns + self.period_ns / 2) / self.period_ns.max(1);
-        if (1..=2).contains(&times) && self.period_ns.abs_diff(passed_ns / times) > self.lead_ns {
-            self.period_ns = u64::midpoint(self.period_ns, passed_ns / times);
+        let elapsed_ns = now_ns.saturating_sub(before_ns.unwrap_or(now_ns));
+        let times = (elapsed_ns + self.period_ns / 2) / self.period_ns.max(1);
+        if (1..=2).contains(&times) && self.period_ns.abs_diff(elapsed_ns / times) > self.lead_ns {
+            self.period_ns = u64::midpoint(self.period_ns, elapsed_ns / times);
         }
     }
 

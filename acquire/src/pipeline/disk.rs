@@ -84,14 +84,14 @@ impl DiskReserve {
         }
         let raw_log_bytes = progress.raw_log_bytes.get().map_or(0, |n| n.load(Ordering::Relaxed));
         if let Some((last, before, raw_log_before)) = self.last_poll {
-            let passed_s = now.duration_since(last).as_secs_f64();
+            let elapsed_s = now.duration_since(last).as_secs_f64();
             // Before there is a mean, use the first second's rate.
-            let weight = if self.bytes_per_s > 0.0 { (passed_s / TAU_S).min(1.0) } else { 1.0 };
+            let weight = if self.bytes_per_s > 0.0 { (elapsed_s / TAU_S).min(1.0) } else { 1.0 };
             for (mean, now, before) in [
                 (&mut self.bytes_per_s, written, before),
                 (&mut self.raw_log_bytes_per_s, raw_log_bytes, raw_log_before),
             ] {
-                *mean += (now.saturating_sub(before) as f64 / passed_s - *mean) * weight;
+                *mean += (now.saturating_sub(before) as f64 / elapsed_s - *mean) * weight;
             }
         }
         self.last_poll = Some((now, written, raw_log_bytes));
@@ -132,11 +132,11 @@ impl DiskReserve {
             return;
         }
         let from = self.reserved_to.max(written);
-        // Leave `keep_free_bytes` alone.
+        // Do not reserve any of `keep_free_bytes`.
         let spare =
             output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
-        let wanted = (written + target).min(from.saturating_add(spare));
-        for to in [wanted, (written + RESERVE_MIN_BYTES).min(wanted)] {
+        let end = (written + target).min(from.saturating_add(spare));
+        for to in [end, (written + RESERVE_MIN_BYTES).min(end)] {
             if to <= from {
                 return;
             }

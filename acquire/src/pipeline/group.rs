@@ -48,7 +48,7 @@ struct ChannelCoder {
     samples: Vec<Sample>,
     block: Vec<u8>,
     /// Visibility counters, if requested, by slot across all groups.
-    seen: Option<VisibilityCounters>,
+    visibility: Option<VisibilityCounters>,
 }
 
 #[derive(Debug)]
@@ -63,7 +63,7 @@ impl Group {
     pub(super) fn channels(
         plan: &Plan,
         index: usize,
-        seen: Option<VisibilityCounters>,
+        visibility: Option<VisibilityCounters>,
         parts: &Sender<Part>,
     ) -> (Self, Vec<RingProducer<Sample>>) {
         let rows = plan.stretch_rows as usize;
@@ -83,7 +83,7 @@ impl Group {
             encoder,
             samples: vec![Sample::default(); rows],
             block: Vec::with_capacity(plan.part_bytes_max(index)),
-            seen,
+            visibility,
         }));
         (Self::new(plan, index, coder, plan.part_bytes_max(index), parts), producers)
     }
@@ -158,10 +158,10 @@ impl ChannelCoder {
             slot.positions.extend(self.samples[..n_rows].iter().map(|s| s.position_mm));
             slot.present.extend(self.samples[..n_rows].iter().map(|s| s.present));
         }
-        if let Some(VisibilityCounters(seen)) = &self.seen {
-            let seen = &seen[self.first_slot..];
+        if let Some(VisibilityCounters(counts)) = &self.visibility {
+            let counts = &counts[self.first_slot..];
             let slots = self.slots[..n_channels].iter();
-            slots.zip(seen).for_each(|(slot, seen)| seen.count(&slot.present));
+            slots.zip(counts).for_each(|(slot, counts)| counts.count(&slot.present));
         }
         self.block.clear();
         let key = end.span.key;
@@ -254,7 +254,7 @@ pub(super) struct VisibilityCounts {
 /// Visibility of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Visibility {
-    /// Rows since the channel exists; lost frames count as not seen.
+    /// Rows since the channel exists; lost frames count as not visible.
     pub rows: u64,
     /// Rows with a position.
     pub present: u64,
@@ -289,10 +289,10 @@ impl VisibilityCounts {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         let (mut open, mut gaps, mut longest) =
             (get(&self.open_gap), get(&self.gaps), get(&self.longest_gap));
-        let mut seen = 0;
+        let mut n_present = 0;
         for &present in present {
             if present {
-                seen += 1;
+                n_present += 1;
                 open = 0;
             } else {
                 gaps += u64::from(open == 0);
@@ -302,7 +302,7 @@ impl VisibilityCounts {
         }
         let put = |n: &AtomicU64, value| n.store(value, Ordering::Relaxed);
         put(&self.rows, get(&self.rows) + present.len() as u64);
-        put(&self.present, get(&self.present) + seen);
+        put(&self.present, get(&self.present) + n_present);
         put(&self.gaps, gaps);
         put(&self.longest_gap, longest);
         put(&self.open_gap, open);
@@ -315,11 +315,11 @@ mod tests {
 
     #[test]
     fn gaps_go_on_from_stretch_to_stretch() {
-        let seen = VisibilityCounters::new(1);
-        seen.0[0].count(&[true, false, false]);
-        seen.0[0].count(&[false, true, true, false]);
-        let wanted = Visibility { rows: 7, present: 3, gaps: 2, longest_gap: 3 };
-        assert_eq!(seen.get(0), Some(wanted));
-        assert_eq!(seen.get(1), None);
+        let counters = VisibilityCounters::new(1);
+        counters.0[0].count(&[true, false, false]);
+        counters.0[0].count(&[false, true, true, false]);
+        let expected = Visibility { rows: 7, present: 3, gaps: 2, longest_gap: 3 };
+        assert_eq!(counters.get(0), Some(expected));
+        assert_eq!(counters.get(1), None);
     }
 }

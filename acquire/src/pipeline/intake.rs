@@ -410,8 +410,8 @@ impl Intake {
                 self.counts.impossible_produced = Some(status.frames_produced);
                 self.counts.status = None;
             } else {
-                let gone = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
-                let cause = if self.counts.ended { LossCauses::NOT_RECEIVED } else { gone };
+                let either = LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED);
+                let cause = if self.counts.ended { LossCauses::NOT_RECEIVED } else { either };
                 self.counts.outages += u32::from(!self.counts.ended && unseen > 0);
                 self.pending.add(unseen, cause);
             }

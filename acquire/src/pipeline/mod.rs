@@ -95,15 +95,15 @@ impl Pipeline {
         config: &PipelineConfig,
         header: &Header,
     ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
-        let seen = VisibilityCounters::new(config.channels.len() + config.reserve);
-        Self::run(config, header, None, Some(seen))
+        let visibility = VisibilityCounters::new(config.channels.len() + config.reserve);
+        Self::run(config, header, None, Some(visibility))
     }
 
     fn run(
         config: &PipelineConfig,
         header: &Header,
         take: Option<LiveTake>,
-        seen: Option<VisibilityCounters>,
+        visibility: Option<VisibilityCounters>,
     ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
         let plan = Plan::new(config)?;
         let progress = Arc::new(PipelineProgress::new(&config.channels));
@@ -114,7 +114,7 @@ impl Pipeline {
         let mut groups = Vec::new();
         let mut rings = Vec::new();
         for index in 0..plan.n_groups() {
-            let (group, group_rings) = Group::channels(&plan, index, seen.clone(), &parts_in);
+            let (group, group_rings) = Group::channels(&plan, index, visibility.clone(), &parts_in);
             groups.push(group);
             rings.extend(group_rings);
         }
@@ -146,7 +146,7 @@ impl Pipeline {
             drop(guard);
             written
         })?;
-        let armed = ArmedHandles { takes, tap, seen: seen.unwrap_or_default() };
+        let armed = ArmedHandles { takes, tap, seen: visibility.unwrap_or_default() };
         Ok((intake, Self { pool, writer, progress, take: None }, armed))
     }
 

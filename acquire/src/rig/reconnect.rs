@@ -67,7 +67,7 @@ impl Rig {
         if self.replug_timeout.is_zero() || is_over(reader) {
             return false;
         }
-        let gone_ns = monotonic_ns();
+        let lost_ns = monotonic_ns();
         (options.notify)(&format!(
             "{} is gone: plug it in again within {} s to continue {}{}",
             self.uri,
@@ -75,10 +75,10 @@ impl Rig {
             if options.single_take { "the take" } else { "recording" },
             options.how_to_end
         ));
-        let mut obstacle = Obstacle { message: String::new(), since_ns: gone_ns, reported: true };
+        let mut obstacle = Obstacle { message: String::new(), since_ns: lost_ns, reported: true };
         let mut watch = UsbWatch::new();
-        while !is_over(reader) && monotonic_ns() - gone_ns < self.replug_timeout.as_nanos() as u64 {
-            let give_up_ns = gone_ns.saturating_add(self.replug_timeout.as_nanos() as u64);
+        while !is_over(reader) && monotonic_ns() - lost_ns < self.replug_timeout.as_nanos() as u64 {
+            let give_up_ns = lost_ns.saturating_add(self.replug_timeout.as_nanos() as u64);
             let cancel = |reader: &Reader<'_>| {
                 // Called between any two attempts: a handshake may take longer than the watchdog's limit.
                 reader.intake.keep_alive();

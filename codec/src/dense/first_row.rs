@@ -145,10 +145,10 @@ pub(super) fn residual(
     let mut decoded = [0; 3];
     for (axis, decoded) in decoded.iter_mut().enumerate() {
         let value = steps[axis].unsigned_abs() + 1;
-        let wanted = value.ilog2() as usize;
+        let target = value.ilog2() as usize;
         let mut exponent = 0;
         let context = |i: usize| ORIGIN_EXPONENT.at((class * 3 + axis) * 48 + i);
-        while model.single(coder, context(exponent), wanted > exponent) {
+        while model.single(coder, context(exponent), target > exponent) {
             exponent += 1;
             ensure(exponent <= MAX_EXPONENT, "a first row out of range")?;
         }

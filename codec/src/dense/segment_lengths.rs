@@ -262,11 +262,11 @@ impl<'a> PairDistances<'a> {
             *self.layout;
         let other = &self.tracks[k];
         let mut at = |row: usize| {
-            let (place, beside) = ((row - before) / every % N, (row - before) % every);
-            if beside != 0 || known[place].is_nan() {
+            let (place, remainder) = ((row - before) / every % N, (row - before) % every);
+            if remainder != 0 || known[place].is_nan() {
                 let units = squared_distance(self.own.points[row], other.points[row]).sqrt();
                 let distance = units / UNITS_PER_TOLERANCE;
-                if beside == 0 {
+                if remainder == 0 {
                     known[place] = distance;
                 }
                 return distance;

@@ -338,8 +338,8 @@ impl Flags<'_> {
     }
 
     fn fill(&mut self, rows: Range<usize>, present: bool) {
-        if let Self::Decode(wanted) = self {
-            wanted[rows].fill(present);
+        if let Self::Decode(decoded) = self {
+            decoded[rows].fill(present);
         }
     }
 }

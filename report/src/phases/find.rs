@@ -225,9 +225,9 @@ impl Signals {
 
     /// The first row from which a condition holds for [`SUSTAINED_S`].
     fn sustained(&self, rows: std::ops::Range<usize>, is: impl Fn(usize) -> bool) -> Option<usize> {
-        let wanted = (SUSTAINED_S * self.rate_hz).ceil() as usize;
+        let n_rows = (SUSTAINED_S * self.rate_hz).ceil() as usize;
         let start = rows.start;
-        let run = crate::column::runs(rows.map(is)).find(|run| run.len() >= wanted)?;
+        let run = crate::column::runs(rows.map(is)).find(|run| run.len() >= n_rows)?;
         Some(start + run.start)
     }
 }

@@ -125,9 +125,9 @@ mod tests {
         for vertex in vertices {
             let found =
                 pose.map(|[x, y, z, add]| x * vertex[0] + y * vertex[1] + z * vertex[2] + add);
-            let wanted = placed(vertex);
-            for (found, wanted) in found.into_iter().zip(wanted) {
-                assert!((found - wanted).abs() < 1e-3, "{found:?} {wanted:?}");
+            let expected = placed(vertex);
+            for (found, expected) in found.into_iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-3, "{found:?} {expected:?}");
             }
         }
         positions[4] = [f32::NAN; 3];

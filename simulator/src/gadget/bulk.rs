@@ -89,7 +89,7 @@ impl Bulk {
     /// When no host is connected, or the controller cannot stall.
     pub fn stall(&mut self) -> io::Result<()> {
         self.to_host.cancel()?;
-        let asked = Instant::now();
+        let started = Instant::now();
         loop {
             match self.to_host.control()?.halt() {
                 // FunctionFS reports success by EBADMSG.
@@ -99,7 +99,7 @@ impl Bulk {
                 // A cancelled transfer is not returned yet.
                 Err(error)
                     if error.kind() == io::ErrorKind::WouldBlock
-                        && asked.elapsed() < CANCEL_TIMEOUT =>
+                        && started.elapsed() < CANCEL_TIMEOUT =>
                 {
                     std::thread::sleep(Duration::from_millis(1));
                 }

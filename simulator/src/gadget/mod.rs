@@ -67,8 +67,8 @@ fn plug_in(
 /// Prefix of the simulator's gadgets in configfs; the process id follows.
 const NAME_PREFIX: &str = "mocapd-sim-";
 
-/// The controller of this name, or the first free one in order of names.
-fn free_controller(wanted: Option<&str>) -> Result<Udc, GadgetError> {
+/// The controller called `name`, or the first free one in order of names.
+fn free_controller(name: Option<&str>) -> Result<Udc, GadgetError> {
     let mut all = udcs().unwrap_or_default();
     if all.is_empty() {
         return Err(GadgetError::NoController);
@@ -77,12 +77,12 @@ fn free_controller(wanted: Option<&str>) -> Result<Udc, GadgetError> {
     all.sort_by_key(|udc| udc.name().to_owned());
     let names: Vec<_> = all.iter().map(|udc| udc.name().to_string_lossy()).collect();
     let found = names.join(", ");
-    if let Some(name) = wanted
+    if let Some(name) = name
         && !names.iter().any(|known| known == name)
     {
         return Err(GadgetError::NoSuchController { name: name.to_owned(), found });
     }
-    let has_name = |udc: &Udc| wanted.is_none_or(|name| udc.name() == name);
+    let has_name = |udc: &Udc| name.is_none_or(|name| udc.name() == name);
     let is_free = |udc: &Udc| udc.function().is_ok_and(|gadget| gadget.is_none());
     let free = all.iter().find(|udc| has_name(udc) && is_free(udc)).cloned();
     free.ok_or(GadgetError::ControllerBusy { found })

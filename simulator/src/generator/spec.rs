@@ -270,19 +270,19 @@ pub(super) fn noise(noise_mm: f64, rng: &mut Rng) -> V3 {
 fn occlude(positions: &mut [Position], marker: usize, spec: &JumpSpec, occlusion: &Occlusion) {
     let n_frames = positions.len() / spec.n_markers.max(1);
     let mut rng = Rng::stream(spec.seed, 0x3_0000 + marker as u64);
-    let wanted = (occlusion.fraction * n_frames as f64).round() as usize;
+    let occluded = (occlusion.fraction * n_frames as f64).round() as usize;
     let mut gaps = Vec::new();
-    let mut left = wanted.min(n_frames);
-    while left > 0 {
+    let mut remaining = occluded.min(n_frames);
+    while remaining > 0 {
         let u = rng.unit();
         let length = (3.0 * occlusion.mean_gap_s * u * u * spec.rate_hz).ceil().max(1.0) as usize;
-        gaps.push(length.min(left));
-        left -= length.min(left);
+        gaps.push(length.min(remaining));
+        remaining -= length.min(remaining);
     }
     // The remaining samples are cut at random places, and one gap goes into each cut.
-    let kept = n_frames - wanted.min(n_frames);
+    let visible = n_frames - occluded.min(n_frames);
     let mut cuts: Vec<usize> =
-        gaps.iter().map(|_| (rng.unit() * (kept + 1) as f64) as usize).collect();
+        gaps.iter().map(|_| (rng.unit() * (visible + 1) as f64) as usize).collect();
     cuts.sort_unstable();
     let mut taken = 0;
     for (cut, gap) in cuts.iter().zip(&gaps) {

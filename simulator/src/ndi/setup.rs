@@ -116,7 +116,7 @@ impl NdiDevice {
 
     /// Lists handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
     fn list(&self, args: &str) -> Answer {
-        let wanted = |port: &&Port| match args {
+        let is_listed = |port: &&Port| match args {
             "00" | "" => true,
             "02" => !port.initialized,
             "03" => port.initialized && !port.enabled,
@@ -126,7 +126,7 @@ impl NdiDevice {
         if !["", "00", "01", "02", "03", "04"].contains(&args) {
             return Err(code::PARAMETERS);
         }
-        let ports: Vec<_> = self.ports.iter().filter(wanted).collect();
+        let ports: Vec<_> = self.ports.iter().filter(is_listed).collect();
         let mut text = format!("{:02X}", ports.len());
         for port in ports {
             text.push_str(&format!("{:02X}{:03X}", port.handle, port.status()));

@@ -274,10 +274,10 @@ impl fmt::Display for Target {
 }
 
 impl Target {
-    /// The given address; else `$MOCAPD_SOCKET`; else the default of [`default_in`](Self::default_in).
-    pub(super) fn find(given: Option<&str>) -> anyhow::Result<Self> {
-        if let Some(given) = given {
-            return Ok(Self::parse(given).map_err(UsageError)?);
+    /// The address `argument`; else `$MOCAPD_SOCKET`; else the default of [`default_in`](Self::default_in).
+    pub(super) fn find(argument: Option<&str>) -> anyhow::Result<Self> {
+        if let Some(address) = argument {
+            return Ok(Self::parse(address).map_err(UsageError)?);
         }
         if let Some(path) = env::var_os("MOCAPD_SOCKET").filter(|path| !path.is_empty()) {
             return Ok(Self::Unix(path.into()));

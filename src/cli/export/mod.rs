@@ -60,8 +60,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let name = args.take.display();
     let reading = || format!("cannot read {name}");
     let file = SparseFile::open(&args.take)?;
-    let wanted = |kind: &str| format.restores(kind);
-    let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
+    let is_restored = |kind: &str| format.restores(kind);
+    let mut frames = TakeFrames::open_with(BufReader::new(file), is_restored, files::scratch)
         .with_context(reading)?;
     let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
     let range = crop::range(frames.info(), n_sampled_rows, args.from, args.to)

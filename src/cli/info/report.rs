@@ -120,7 +120,7 @@ impl InfoReport {
         let parts = summary.take.foreign.iter();
         let foreign_parts =
             parts.map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes });
-        let given = ReadOptions::from_settings(&header.settings);
+        let options = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
             finished: summary.take.finished,
@@ -139,8 +139,8 @@ impl InfoReport {
             device: header.device.clone(),
             source: header.source.clone().map(|file| ImportSourceReport {
                 file,
-                unit_given: given.unit.map(|unit| unit.to_string()),
-                up_given: given.up.map(|up| up.to_string()),
+                unit_given: options.unit.map(|unit| unit.to_string()),
+                up_given: options.up.map(|up| up.to_string()),
             }),
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
             foreign_parts: foreign_parts.collect(),

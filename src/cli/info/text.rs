@@ -20,8 +20,8 @@ pub(super) fn text(report: &InfoReport) -> String {
     };
     line("take", &report.take.display().to_string());
     let by = format!("by {}", report.software);
-    let made = report.created_unix_ms.and_then(units::local_time);
-    line("made", &made.map_or(by.clone(), |made| format!("{made} {by}")));
+    let created = report.created_unix_ms.and_then(units::local_time);
+    line("made", &created.map_or(by.clone(), |at| format!("{at} {by}")));
     if let Some(recovered) = &report.recovered {
         line("recovered", recovered);
     }
@@ -86,11 +86,11 @@ fn origin(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
             "" => "no unit stated".to_owned(),
             unit => format!("in {unit}"),
         };
-        if let Some(given) = &source.unit_given {
-            unit += &format!(", read as {given}");
+        if let Some(option) = &source.unit_given {
+            unit += &format!(", read as {option}");
         }
-        if let Some(given) = &source.up_given {
-            unit += &format!(", {given} up (--up)");
+        if let Some(axis) = &source.up_given {
+            unit += &format!(", {axis} up (--up)");
         }
         let (name, format, first_frame) = (&file.file, &file.format, file.first_frame);
         let from = format!("{name} ({format}, {unit}, first frame {first_frame})");

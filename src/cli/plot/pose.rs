@@ -62,14 +62,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let labels = motion.info.labels();
     let mut bones = labels::marker_lines(&labels);
-    let given = args.skeleton.as_deref();
+    let skeleton = args.skeleton.as_deref();
     let mut limbs = None;
-    match given.map(|path| read_bones(path, &labels)).transpose()?.flatten() {
+    match skeleton.map(|path| read_bones(path, &labels)).transpose()?.flatten() {
         Some(read) => bones = read,
-        None => limbs = limbs::of(motion, given)?,
+        None => limbs = limbs::of(motion, skeleton)?,
     }
     let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
-    if limbs.is_empty() && given.is_some() && bones.is_empty() {
+    if limbs.is_empty() && skeleton.is_some() && bones.is_empty() {
         notify("no bone of the skeleton has a marker at both ends: no lines are drawn");
     }
     let faces = Faces::of(motion, &labels, &rows);

@@ -125,8 +125,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         notify(&why);
     }
     let ledger = &recorded.written.ledger;
-    let was_away = disconnected || recorded.recording.outages > 0;
+    let had_outage = disconnected || recorded.recording.outages > 0;
     let is_displaced = recorded.file.state != FileState::InPlace;
     let lost_anything = ledger.lost_anything() || !ledger.closes() || report.log_lost();
-    Ok(Outcome::of(lost_anything || was_away || is_full || is_displaced))
+    Ok(Outcome::of(lost_anything || had_outage || is_full || is_displaced))
 }

@@ -47,9 +47,9 @@ pub(crate) fn record_and_watch(
     let mut display = None;
     let mut started = |progress: &Arc<mocapd_acquire::pipeline::PipelineProgress>| {
         let progress = Arc::clone(progress);
-        if let Some(beside) = &limits.raw_log_bytes {
+        if let Some(bytes) = &limits.raw_log_bytes {
             // This cannot fail: the pipeline is new, so the cell is empty.
-            progress.raw_log_bytes.set(Arc::clone(beside)).ok();
+            progress.raw_log_bytes.set(Arc::clone(bytes)).ok();
         }
         display = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);

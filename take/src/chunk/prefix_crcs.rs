@@ -31,10 +31,10 @@ impl PrefixCrcs {
 
     /// Discards the CRCs of bytes before `at`, which have changed or will.
     pub(crate) fn discard_before(&mut self, at: usize) {
-        let n_gone = at.saturating_sub(self.first).div_ceil(STEP);
-        if n_gone < self.crcs.len() {
-            self.crcs.drain(..n_gone);
-            self.first += n_gone * STEP;
+        let n = at.saturating_sub(self.first).div_ceil(STEP);
+        if n < self.crcs.len() {
+            self.crcs.drain(..n);
+            self.first += n * STEP;
         } else {
             // No CRC was computed after it.
             *self = Self { first: at, ..Self::default() };

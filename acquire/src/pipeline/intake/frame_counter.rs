@@ -44,10 +44,10 @@ impl FrameCounter {
     /// Whether the device cannot have produced so many frames since the last one, by its own clock.
     fn is_ahead_of_clock(&self, ahead: i32, ticks: u64, last_ticks: u64) -> bool {
         // A clock that went back proves nothing.
-        let passed = ticks.checked_sub(last_ticks).filter(|passed| *passed > 0);
-        passed.is_some_and(|passed| {
+        let elapsed = ticks.checked_sub(last_ticks).filter(|elapsed| *elapsed > 0);
+        elapsed.is_some_and(|elapsed| {
             ahead > DOUBTED_MIN
-                && f64::from(ahead) * self.frame_ticks > CLOCK_FACTOR * passed as f64
+                && f64::from(ahead) * self.frame_ticks > CLOCK_FACTOR * elapsed as f64
         })
     }
 
@@ -59,8 +59,8 @@ impl FrameCounter {
         match seq.wrapping_sub(last).cast_signed() {
             ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => {
                 // The counter stood still while the device was stopped, but its clock went on.
-                let passed = (device_ticks - ticks) as f64 / self.frame_ticks;
-                let by_clock = if passed.is_finite() { passed.round() as i64 } else { 0 };
+                let elapsed = (device_ticks - ticks) as f64 / self.frame_ticks;
+                let by_clock = if elapsed.is_finite() { elapsed.round() as i64 } else { 0 };
                 let slack = i64::from(DOUBTED_MIN).max(i64::from(ahead) / 100);
                 let stood_still = by_clock - i64::from(ahead) > slack;
                 let ahead =
@@ -128,8 +128,8 @@ mod tests {
     fn a_counter_that_is_ahead_of_its_own_clock_is_a_jump() {
         let mut counter = FrameCounter::new(100.0, 1000);
         counter.step(0, 0);
-        assert_eq!(counter.step(501, 5010), SeqStep::Next { missing: 500 }, "five seconds passed");
-        assert_eq!(counter.step(1002, 5020), SeqStep::Jump, "a hundredth passed");
+        assert_eq!(counter.step(501, 5010), SeqStep::Next { missing: 500 }, "five seconds elapsed");
+        assert_eq!(counter.step(1002, 5020), SeqStep::Jump, "a hundredth elapsed");
         assert_eq!(counter.step(1003, 5030), SeqStep::Next { missing: 0 });
         assert_eq!(counter.step(1010, 5040), SeqStep::Next { missing: 6 }, "too few to doubt");
         assert_eq!(counter.step(1111, 5300), SeqStep::Next { missing: 100 }, "a misstated rate");

@@ -104,8 +104,8 @@ impl PreRollBuffer {
         let next_key = next_key.map(|after| at + 1 + after);
         let end = next_key.unwrap_or(self.stretches.len());
         let reaches_into = |kept: &PreRollStretch| kept.last_arrival_ns >= from_ns;
-        let is_wanted = self.stretches.range(at..end).any(reaches_into);
-        if is_wanted { at } else { end }
+        let is_needed = self.stretches.range(at..end).any(reaches_into);
+        if is_needed { at } else { end }
     }
 
     pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &PreRollStretch> {

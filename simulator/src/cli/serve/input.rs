@@ -119,7 +119,7 @@ fn unknown_file(path: &Path, head: &[u8]) -> Failure {
 }
 
 fn refuse_motion_options(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
-    let given = [
+    let options = [
         ("--rate", args.rate.is_some()),
         ("--seconds", args.seconds.is_some()),
         ("--wire", args.wire.is_some()),
@@ -131,7 +131,7 @@ fn refuse_motion_options(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
         ("--tool", !args.tool.is_empty()),
         ("--no-bx2", args.no_bx2),
     ];
-    match given.iter().find(|(_, given)| *given) {
+    match options.iter().find(|(_, is_set)| *is_set) {
         Some((option, _)) => Err(Failure::usage(anyhow::anyhow!(
             "{option} applies to motions only: {} is a raw log, which is replayed unchanged",
             path.display()

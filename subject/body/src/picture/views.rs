@@ -274,12 +274,12 @@ fn labels(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f64; 2], co
     }
 }
 
-/// Heights in the same order, at least a step apart, within the range.
-fn spread(wanted: &[f64]) -> Vec<f64> {
-    let n = wanted.len();
+/// Heights near `targets` and in their order, at least a step apart, within the range.
+fn spread(targets: &[f64]) -> Vec<f64> {
+    let n = targets.len();
     let mut heights = Vec::with_capacity(n);
     let mut free = LABEL_ROWS[0];
-    for &y in wanted {
+    for &y in targets {
         let y = y.max(free);
         heights.push(y);
         free = y + STEP;

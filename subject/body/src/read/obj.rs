@@ -59,7 +59,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
 /// Parses `7`, `7/1`, `7//3`, `7/1/3` or `-1` as an index from 0; 0 is invalid.
 fn index(token: &[u8], n_vertices: usize) -> Option<u32> {
     let vertex = token.split(|&b| b == b'/').next()?;
-    let given = text::integer(vertex)?;
-    let index = if given < 0 { (n_vertices as i64).checked_add(given)? } else { given - 1 };
+    let number = text::integer(vertex)?;
+    let index = if number < 0 { (n_vertices as i64).checked_add(number)? } else { number - 1 };
     u32::try_from(index).ok()
 }

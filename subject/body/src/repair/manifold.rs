@@ -129,14 +129,14 @@ fn orient(triangles: &mut [[u32; 3]], across: &mut [u32]) -> usize {
                     continue;
                 }
                 let neighbour = other as usize / 3;
-                let wanted = flipped[at] != Some(same_way(triangles, side as u32, other));
+                let is_flipped = flipped[at] != Some(same_way(triangles, side as u32, other));
                 match flipped[neighbour] {
                     None => {
-                        flipped[neighbour] = Some(wanted);
+                        flipped[neighbour] = Some(is_flipped);
                         piece.push(neighbour);
                         next.push(neighbour);
                     }
-                    Some(is) if is != wanted => {
+                    Some(is) if is != is_flipped => {
                         (across[side], across[other as usize]) = (NONE, NONE);
                     }
                     Some(_) => {}

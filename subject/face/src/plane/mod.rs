@@ -285,8 +285,8 @@ impl Pyramid {
     /// The largest level that needs less than a factor of two of further reduction to reach `shrink` photograph pixels
     /// per pixel, and its own reduction.
     pub(crate) fn at(&self, shrink: f32) -> Option<(&Plane, f32)> {
-        let wanted = shrink.max(1.0).log2() as usize;
-        let which = wanted.min(self.0.len().saturating_sub(1));
+        let level = shrink.max(1.0).log2() as usize;
+        let which = level.min(self.0.len().saturating_sub(1));
         self.0.get(which).map(|plane| (plane, (1_u64 << which.min(32)) as f32))
     }
 }

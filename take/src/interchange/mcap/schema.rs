@@ -108,11 +108,11 @@ const NUMERIC_TYPES: [&str; 9] =
 
 /// The `FileDescriptorSet` of a message type and all types that it uses.
 pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
-    let mut wanted = BTreeSet::from([name]);
+    let mut names = BTreeSet::from([name]);
     let mut files = Vec::new();
     for message in MESSAGES.iter().rev() {
-        if wanted.contains(message.0) {
-            wanted.extend(used(message));
+        if names.contains(message.0) {
+            names.extend(used(message));
             files.push(file_descriptor(message));
         }
     }
