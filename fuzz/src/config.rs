@@ -1,12 +1,11 @@
 //! Arbitrary bytes as a configuration.
 
-use mocapd_service::config::{Config, Overrides, PROBLEMS_MAX, Environment};
+use mocapd_service::config::{Config, Environment, Overrides, PROBLEMS_MAX};
 
 /// Parses a configuration: gives a bounded number of errors, one short line each, or a configuration that survives
 /// being written and read again without changes.
 pub fn config(bytes: &[u8]) {
-    let surroundings =
-        Environment { file_stem: Some("left".to_owned()), ..Environment::default() };
+    let surroundings = Environment { file_stem: Some("left".to_owned()), ..Environment::default() };
     let parse = |bytes: &[u8]| Config::parse("x", bytes, &surroundings, &Overrides::default());
     match parse(bytes) {
         Ok(config) => {

@@ -108,7 +108,7 @@ fn systemd_finds_nothing_wrong_with_them() {
 #[test]
 fn the_page_states_the_exposure() {
     let (whole, tenth) = EXPOSURE_MAX_TENTHS.split_at(1);
-    let report = format!("systemd/mocapd@.service` says {whole}.{tenth},");
+    let report = format!("systemd/mocapd@.service` reports an exposure of {whole}.{tenth},");
     assert!(text("systemd/README.md").contains(&report), "systemd/README.md: '{report}'");
 }
 

@@ -41,12 +41,12 @@ fn the_limits_are_those_of_the_code() {
     for message in [
         format!("at most {} KiB", DATAGRAM_BYTES_MAX >> 10),
         format!("0 to {}", DELAY_MAX.as_millis()),
-        format!("| {DELAYED_MAX} of all of these senders | {DUE_MAX} in all |"),
+        format!("| {DELAYED_MAX} in all | {DUE_MAX} in all |"),
         format!(
             "| 1 of each sender, {DELAYED_OTHERS_MAX} in all | {DUE_EACH_MAX} of each sender, {DUE_MAX} in all |"
         ),
         format!("with {TEXT_BYTES_MAX} bytes each"),
-        format!("Of each sender {IDS_MAX} numbers are remembered, and of {SENDERS_MAX} senders"),
+        format!("the last {IDS_MAX} numbers of each sender, for the last {SENDERS_MAX} senders"),
         format!("cut after {} bytes", crate::config::NAME_BYTES_MAX),
     ] {
         assert!(PAGE.contains(&message), "docs/triggers.md does not say '{message}'");
