@@ -30,7 +30,7 @@ DOCUMENTS = [
 ]
 
 # The first words of an indented line that is a command.
-PROGRAMS = r"(?:[A-Z_]+=\S+ )*(?:mocapd|mocapd-sim|cargo|curl|python3?|pip|sudo|apt|dpkg|systemctl|journalctl|\./mocapd\S*|\.ci/run)\b"
+PROGRAMS = r"(?:[A-Z_]+=\S+ )*(?:sleep|mocapd|mocapd-sim|cargo|curl|python3?|pip|sudo|apt|dpkg|systemctl|journalctl|\./mocapd\S*|\.ci/run)\b"
 
 # (document, beginning of the command, reason): a regular expression each. The first that matches counts.
 NOT_RUN = [
@@ -69,10 +69,12 @@ ENDLESS = {
 }
 
 
-def commands(document: str) -> list[tuple[int, str]]:
-    """The commands of a document, each with the number of its first line; a command may have several lines."""
-    found, block, in_block, fence = [], [], False, False
+def commands(document: str) -> list[tuple[int, str, str]]:
+    """The commands of a document: the number of the first line, the text, and the heading above."""
+    found, block, in_block, fence, section = [], [], False, False, ""
     for number, line in enumerate((ROOT / document).read_text(encoding="utf-8").splitlines(), 1):
+        if not fence and line.startswith("#"):
+            section = line
         if line.startswith("```"):
             in_block = line.strip() in ("```sh", "```bash") and not fence
             fence = not fence
@@ -83,10 +85,10 @@ def commands(document: str) -> list[tuple[int, str]]:
             if not text.strip() or text.lstrip().startswith("#"):
                 block = []
             elif subprocess.run(["bash", "-n", "-c", text], capture_output=True, check=False).returncode == 0:
-                found.append((number - len(block) + 1, text))
+                found.append((number - len(block) + 1, text, section))
                 block = []
         elif not fence and re.match(r"    " + PROGRAMS, line):
-            found.append((number, line.strip()))
+            found.append((number, line.strip(), section))
     return found
 
 
@@ -106,14 +108,19 @@ def accepted_codes(command: str) -> str:
     return f"0 {announced[1]}" if announced[2] else announced[1]
 
 
-def script(document: str, lines: list[tuple[int, str]]) -> str:
-    """A shell script that runs the commands one after another and stops at the first with an unexpected exit code."""
+def script(document: str, lines: list[tuple[int, str, str]]) -> str:
+    """A shell script that runs the commands one after another and stops at the first with an unexpected exit code. What
+    runs in the background ends with its section."""
     parts = ["set -m", "check() { local code=$1 at=$2; shift 2; for one; do [[ $code != \"$one\" ]] || return 0; done",
              "  echo \"FAILED: line $at: exit code $code, expected $*\" >&2; exit 1; }",
-             "trap 'for job in $(jobs -p); do kill -9 -- \"-$job\" 2>/dev/null; done' EXIT"]
+             "end() { for job in $(jobs -p); do kill -- \"-$job\" 2>/dev/null; done; wait; }", "trap end EXIT"]
     if document in PREPARATION:
         parts += [PREPARATION[document], "check $? 0 0"]
-    for number, command in lines:
+    before = lines[0][2]
+    for number, command, section in lines:
+        if section != before:
+            parts.append("end")
+        before = section
         ready = next((ready for start, ready in ENDLESS.items() if re.match(start, command)), None)
         if ready:
             bare = re.sub(r"\s+#.*$", "", command)
@@ -123,7 +130,7 @@ def script(document: str, lines: list[tuple[int, str]]) -> str:
     return "\n".join(parts) + "\n"
 
 
-def run(document: str, lines: list[tuple[int, str]], programs: pathlib.Path, subject: pathlib.Path | None) -> bool:
+def run(document: str, lines: list[tuple[int, str, str]], programs: pathlib.Path, subject: pathlib.Path | None) -> bool:
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         # The project's files under their own paths; what the commands write stays here.
@@ -153,12 +160,12 @@ def main() -> int:
     n_run, n_listed, failed = 0, 0, 0
     for document in args.documents:
         lines = []
-        for number, command in commands(document):
+        for number, command, section in commands(document):
             why = reason(document, command)
             if why is None and "mocapd subject" in command and subject is None:
                 why = "there is no scan and no photograph"
             if why is None:
-                lines.append((number, command))
+                lines.append((number, command, section))
             else:
                 n_listed += 1
         if lines:

@@ -29,6 +29,15 @@ const TEXT_BYTES_MAX: u64 = 1 << 26;
 /// # Errors
 /// `Unsupported` if the labels are too long for a text array; `Io` if reading or writing fails.
 pub fn write(frames: &mut dyn FrameSource, out: &mut (impl Write + Seek)) -> Result<()> {
+    // One copy of the code, built with this crate.
+    write_to(frames, &mut (out as &mut dyn WriteSeek))
+}
+
+trait WriteSeek: Write + Seek {}
+
+impl<T: Write + Seek> WriteSeek for T {}
+
+fn write_to(frames: &mut dyn FrameSource, out: &mut &mut dyn WriteSeek) -> Result<()> {
     let info = frames.info().clone();
     let mut archive = Archive::new(out)?;
     write_metadata(&info, &mut archive)?;
