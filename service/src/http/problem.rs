@@ -120,3 +120,39 @@ impl IntoResponse for Problem {
         response
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAGE: &str = include_str!("../../../docs/api.md");
+
+    #[test]
+    fn the_page_has_every_kind_with_its_status() {
+        let kinds = [
+            ProblemKind::Invalid,
+            ProblemKind::NotFound,
+            ProblemKind::Conflict,
+            ProblemKind::Exists,
+            ProblemKind::Device,
+            ProblemKind::Disk,
+            ProblemKind::Vanished,
+            ProblemKind::DataLost,
+            ProblemKind::Unavailable,
+            ProblemKind::Internal,
+            ProblemKind::Unauthorized,
+            ProblemKind::Forbidden,
+            ProblemKind::MethodNotAllowed,
+            ProblemKind::Timeout,
+            ProblemKind::TooLarge,
+            ProblemKind::UnsupportedMediaType,
+            ProblemKind::Range,
+        ];
+        for kind in kinds {
+            let problem = Problem::of(kind, "a message");
+            let code = serde_json::to_value(problem.kind).unwrap();
+            let row = format!("| `{}` | {}", code.as_str().unwrap(), problem.status);
+            assert!(PAGE.contains(&row), "docs/api.md has no row {row}");
+        }
+    }
+}
