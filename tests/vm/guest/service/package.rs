@@ -106,7 +106,7 @@ pub(crate) fn doctor() -> Measurement {
         Ok(found.with_context(|| format!("no '{what}' in: {text}"))?.to_owned())
     };
     let service = line(&member, "mocapd@sim")?;
-    ensure!(service.starts_with("good") && service.contains("runs"), "{service}");
+    ensure!(service.starts_with("good") && service.contains("running"), "{service}");
     ensure!(line(&member, "sudo systemctl enable mocapd@sim").is_ok(), "{member}");
     let stranger = seen(User::Stranger)?;
     line(&stranger, "sudo usermod -aG mocapd")?;
