@@ -49,7 +49,7 @@ impl TakeHealth {
     /// The health of a take that was closed and is not damaged.
     #[must_use]
     pub fn of_closed(ledger: &Ledger, ending: Option<&TakeEnding>) -> Self {
-        // Nobody can count what a disconnected device did not send, or what was behind a cut.
+        // What a disconnected device did not send, or what followed a cut, cannot be counted.
         let cut_short = [EndingKind::DeviceGone, EndingKind::CutOff, EndingKind::Truncated];
         let is_cut_short = ending.is_some_and(|ending| cut_short.contains(&ending.kind));
         let is_whole = ledger.closes() && !ledger.lost_anything() && !is_cut_short;

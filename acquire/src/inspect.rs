@@ -27,8 +27,8 @@ pub struct ChannelSummary {
     /// The largest error stated by any block that has samples of the channel, over all channels of that block, in
     /// millimetres.
     pub max_error_mm: f64,
-    /// Rows lost because the take is damaged, or was when it was recovered: the marker was announced, and nobody knows
-    /// whether it was seen.
+    /// Rows lost because the take is damaged, or was when it was recovered: the marker was announced, but it is
+    /// unknown whether it was visible.
     pub rows_damaged: u64,
     in_gap: bool,
 }

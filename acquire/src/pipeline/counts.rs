@@ -212,7 +212,7 @@ impl Counts {
         }
         let unseen = if self.closed { reported.saturating_sub(seen) } else { 0 };
         let frames_sent = seen + unseen;
-        // Without a final report nobody knows whether they were sent, lost or dropped.
+        // Without a final report it is unknown whether they were sent, lost or dropped.
         let unknown_after_disconnect = self.lost_in_outages + if self.ended { 0 } else { unseen };
         let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
         let dropped = self.status.map_or(self.dropped_before, |status| status.frames_dropped);
