@@ -3,12 +3,14 @@
 use std::process::ExitCode;
 
 /// The result of a command that ran to its end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Outcome {
     /// Nothing was lost.
     Done,
     /// Done, but data was lost; the command has already reported which.
     DataLost,
+    /// Done but for some files that failed; the command has already reported which and why.
+    Failed,
 }
 
 impl Outcome {
@@ -21,7 +23,7 @@ impl Outcome {
     /// The worse of two.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
-        if self == Self::Done { other } else { self }
+        self.max(other)
     }
 }
 
@@ -41,6 +43,7 @@ pub fn exit_code(result: &anyhow::Result<Outcome>) -> ExitCode {
     ExitCode::from(match result {
         Ok(Outcome::Done) => 0,
         Ok(Outcome::DataLost) => 3,
+        Ok(Outcome::Failed) => 1,
         Err(error) if error.downcast_ref::<UsageError>().is_some() => 2,
         Err(error) if error.downcast_ref::<DataLostError>().is_some() => 3,
         Err(_) => 1,

@@ -2,6 +2,7 @@
 //! complete.
 
 mod file_state;
+mod hidden_path;
 mod new_file;
 mod take_file;
 
@@ -11,7 +12,10 @@ use std::{
     ops::Range,
     os::{fd::AsRawFd, unix::fs::FileExt},
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use anyhow::{Context, anyhow, ensure};
@@ -25,7 +29,8 @@ use serde::{Serialize, Serializer};
 
 pub use self::{
     file_state::{DisplacedFile, FileState, SettledFile},
-    new_file::{NewFile, NewFolder},
+    hidden_path::remove_incomplete_outputs,
+    new_file::{Kept, NewFile, NewFolder},
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
 
@@ -170,16 +175,30 @@ impl ScratchFile for Scratch {
 /// # Errors
 /// When it cannot be created. The message says what to do.
 pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
+    let (file, dir) = unnamed()?;
+    Ok(Arc::new(Scratch { file, dir }))
+}
+
+/// A file without a name, as [`scratch`] creates, for reading and writing.
+///
+/// # Errors
+/// When it cannot be created. The message says what to do.
+pub fn temporary() -> io::Result<File> {
+    Ok(unnamed()?.0)
+}
+
+/// A file without a name, and its folder.
+fn unnamed() -> io::Result<(File, PathBuf)> {
     let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
     let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
     let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
     let file = tempfile::tempfile_in(&dir).map_err(|error| scratch_error(&dir, &error))?;
-    Ok(Arc::new(Scratch { file, dir }))
+    Ok((file, dir))
 }
 
 fn scratch_error(dir: &Path, error: &io::Error) -> io::Error {
     let message = format!(
-        "no space in {} for a temporary file with the original data of the take ({error}): set TMPDIR to another folder",
+        "no space in {} for a temporary file ({error}): set TMPDIR to another folder",
         dir.display()
     );
     io::Error::new(error.kind(), message)
@@ -269,6 +288,35 @@ impl Seek for SparseFile {
             SeekFrom::End(by) => self.len_bytes()?.checked_add_signed(by).ok_or_else(beyond)?,
         };
         Ok(self.at)
+    }
+}
+
+/// A file that counts the bytes read from it, for a progress display.
+#[derive(Debug)]
+pub struct CountingFile {
+    file: SparseFile,
+    read: Arc<AtomicU64>,
+}
+
+impl CountingFile {
+    /// Adds the bytes that are read to `read`.
+    #[must_use]
+    pub fn new(file: SparseFile, read: &Arc<AtomicU64>) -> Self {
+        Self { file, read: Arc::clone(read) }
+    }
+}
+
+impl Read for CountingFile {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let n = self.file.read(bytes)?;
+        self.read.fetch_add(n as u64, Ordering::Relaxed);
+        Ok(n)
+    }
+}
+
+impl Seek for CountingFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
     }
 }
 

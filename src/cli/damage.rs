@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{
     ledger,
-    output::{notify, plain},
+    output::plain,
     values::{count, thousands},
 };
 
@@ -46,30 +46,29 @@ impl DamageReport {
     }
 }
 
-/// Reports what a take lacks: its losses, a ledger that does not close, and, if no losses are known, that the recording
-/// ended before the motion did. With `with_hint` also how to recover a damaged take.
-pub(crate) fn notify_losses(take: &Path, summary: &Summary, with_hint: bool) {
-    let name = take.display();
+/// What a take lacks, one message each: its losses, a ledger that does not close, and, if no losses are known, that the
+/// recording ended before the motion did. With `with_hint` also how to recover a damaged take.
+pub(crate) fn losses(take: &Path, summary: &Summary, with_hint: bool) -> Vec<String> {
     let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
     let losses = document.as_ref().and_then(ledger::losses);
-    if let Some(losses) = &losses {
-        notify(&format!("{name}: not in the take: {losses}"));
-    }
-    if let Some(why) = document.as_ref().and_then(ledger::not_closing) {
-        notify(&format!("{name}: {why}"));
-    }
+    let has_losses = losses.is_some();
+    let mut messages: Vec<String> =
+        losses.map(|losses| format!("not in the take: {losses}")).into_iter().collect();
+    messages.extend(document.as_ref().and_then(ledger::not_closing));
     if summary.health() == TakeHealth::Lossy
-        && losses.is_none()
+        && !has_losses
         && let Some(ending) = &summary.take.ending
     {
         let ending = ending.kind.name();
-        notify(&format!("{name}: the recording ended early ({ending}): later frames are missing"));
+        messages.push(format!("the recording ended early ({ending}): later frames are missing"));
     }
     if with_hint && !summary.take.problems.is_empty() {
-        notify(&format!(
-            "{name}: `mocapd recover {name} -o NEW.take` writes a new take from what can be read"
+        let name = take.display();
+        messages.push(format!(
+            "`mocapd recover {name} -o NEW.take` writes a new take from what can be read"
         ));
     }
+    messages
 }
 
 /// The lost ranges, one line each.

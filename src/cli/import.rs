@@ -1,101 +1,228 @@
-//! `import`: converts a motion file of another tool to a take.
+//! `import`: converts motion files of other tools to takes.
 
 use std::{
-    io::BufWriter,
+    io::{BufReader, BufWriter},
     path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicU64},
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail, ensure};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::NewFile,
+    files::{self, SparseFile},
+    health::TakeHealth,
+    inspect::Summary,
     pipeline::{TakeAccount, offline},
-    threads,
 };
 use mocapd_codec::Settings;
 use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
+    TakeEnds,
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, Motion},
-    record::Header,
+    record::{Header, Subject},
 };
 use serde::Serialize;
 
 use super::{
+    batch::{
+        self, Batch, Destination, Figures, FileKinds, FileReport, Input, InputArgs, Job, outputs,
+    },
     original::{header_of, read_motion_and_bytes},
-    output::{Progress, notify, plain, plain_path, print, print_json},
-    paths,
+    output::{plain, plain_path},
+    paths::{self, InputFormatName},
     subject::SubjectArgs,
     values::{CodecArgs, SizeReport, count, thousands, tolerance_mm},
+    verify::AgainstReport,
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A .c3d, .trc, .tsv (QTM) or .csv file
-    file: PathBuf,
-    /// The take to write; it must not exist
+    /// .c3d, .trc, .tsv (QTM) or .csv files, or folders with such files; `-` reads standard input, with --format
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// The take to write, or the folder for the takes of several files; `-` writes one take to standard output. A take
+    /// that exists and is that of the same file and settings is left as it is [default: beside each file]
     #[arg(short, long, value_name = "TAKE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Format of standard input
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<InputFormatName>,
     #[command(flatten)]
     codec: CodecArgs,
     #[command(flatten)]
     subject: SubjectArgs,
-    /// Unit of length of the file, if it states none or a wrong one: mm, cm, dm, m, um, in, ft
+    /// Unit of length of the files, if they state none or a wrong one: mm, cm, dm, m, um, in, ft
     #[arg(long, value_name = "UNIT")]
     unit: Option<LengthUnit>,
-    /// Axis that points up in the file, if it states none or a wrong one: x, y, z; with -x, -y or -z the take is
+    /// Axis that points up in the files, if they state none or a wrong one: x, y, z; with -x, -y or -z the takes are
     /// rotated so that the axis points up
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Direction>,
     /// Import marker trajectories only, without analog channels, model outputs and other parameters
     #[arg(long)]
     drop_foreign: bool,
-    /// Number of resampler threads; the take is the same for any number [default: one per core, at most 8]
+    /// Compare each take with its source, sample by sample, after it is written
+    #[arg(long)]
+    verify: bool,
+    /// Number of resampler threads for all files together; the takes are the same for any number [default: one per
+    /// core, at most 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
-    /// Print one JSON document
+    /// Print one JSON document, or one per line for several files
     #[arg(long)]
     json: bool,
 }
 
+/// What is the same for every file.
+struct ImportPlan<'a> {
+    args: &'a Args,
+    codec: Settings,
+    subject: Option<Subject>,
+    options: ReadOptions,
+    is_folder: bool,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.settings()?;
-    paths::check_take_output(&args.output)?;
-    let subject = args.subject.load()?;
-    let options = ReadOptions { unit: args.unit, up: args.up };
-    let (mut motion, bytes) = read_motion_and_bytes(&args.file, &options)?;
-    check_unit(&motion, &args.file, tolerance_mm(&codec))?;
-    let about_file = |message: &str| notify(&format!("{}: {message}", args.file.display()));
-    motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
-    let mut foreign_dropped = Vec::new();
-    if args.drop_foreign && !motion.info.foreign.is_empty() {
-        foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
-        about_file(&format!("left out (--drop-foreign): {}", foreign_dropped.join(", ")));
+    let format = args.format.map(Into::into);
+    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::MotionFiles, format)?;
+    let destination = Destination::of(args.output.as_deref(), &inputs)?;
+    let paths_of_outputs = destination.paths(&inputs, "take")?;
+    match &destination {
+        Destination::File(path) => paths::check_take_output(path)?,
+        Destination::Stdout => paths::check_stdout(args.json)?,
+        Destination::Folder(_) | Destination::Beside => {}
     }
-    let mut header = header_of(&motion, &args.file, &codec);
-    header.settings.extend(options.settings());
-    if args.drop_foreign {
-        header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
+    let is_stream = destination == Destination::Stdout || inputs.files.iter().any(Input::is_stdin);
+    if args.verify && is_stream {
+        let message = "--verify reads the source and the take again: give both as files";
+        bail!(UsageError(message.to_owned()));
     }
-    let unseen = unused_part_notes(subject.as_ref(), &motion.info.labels());
-    unseen.iter().for_each(|warning| about_file(warning));
-    header.set_import_id(&bytes, subject.as_ref())?;
-    motion.info.subject = subject;
-    drop(bytes);
-    let workers = args.threads.map_or_else(threads::default_workers, usize::from);
-    let written = write(&motion, &header, workers, &args.output)
-        .with_context(|| format!("cannot write {}", args.output.display()))?;
-    if written.samples == 0 {
-        about_file("no samples: the take holds only gaps");
+    let plan = ImportPlan {
+        args,
+        codec,
+        subject: args.subject.load()?,
+        options: ReadOptions { unit: args.unit, up: args.up },
+        is_folder: matches!(destination, Destination::Folder(_)),
+    };
+    let batch = Batch {
+        inputs: &inputs,
+        outputs: &paths_of_outputs,
+        json: args.json,
+        text_to_stderr: destination == Destination::Stdout,
+        threads: batch::thread_count(args.threads),
+        doing: "importing",
+        done: "imported",
+    };
+    batch::run(&batch, |job| plan.import(job))
+}
+
+impl ImportPlan<'_> {
+    fn import(&self, job: &Job<'_>) -> anyhow::Result<FileReport> {
+        let Self { args, codec, options, .. } = self;
+        let (mut motion, bytes) = read_motion_and_bytes(job.input, options)?;
+        let name = &job.input.name;
+        check_unit(&motion, name, tolerance_mm(codec))?;
+        motion.info.source.warnings.iter().for_each(|warning| job.notify(warning));
+        let mut foreign_dropped = Vec::new();
+        if args.drop_foreign && !motion.info.foreign.is_empty() {
+            foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
+            job.notify(&format!("left out (--drop-foreign): {}", foreign_dropped.join(", ")));
+        }
+        let mut header = header_of(&motion, name, codec);
+        header.settings.extend(options.settings());
+        if args.drop_foreign {
+            header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
+        }
+        let unseen = unused_part_notes(self.subject.as_ref(), &motion.info.labels());
+        unseen.iter().for_each(|warning| job.notify(warning));
+        header.set_import_id(&bytes, self.subject.as_ref())?;
+        motion.info.subject.clone_from(&self.subject);
+        let bytes_read = bytes.len() as u64;
+        drop(bytes);
+        let output = job.output.context("no output was planned")?;
+        let before = existing(output, &header)?;
+        let is_unchanged = before.is_some();
+        let written = match before {
+            Some(before) => before,
+            None => self.write(&motion, &header, job, output)?,
+        };
+        if written.samples == 0 {
+            job.notify("no samples: the take holds only gaps");
+        }
+        let mut report = ImportReport::new(output, &motion, codec, &written, foreign_dropped);
+        (report.file, report.unchanged) = (name.clone(), is_unchanged);
+        report.against = args.verify.then(|| compare(output, job)).transpose()?;
+        Ok(FileReport {
+            data_lost: motion.info.source.frames_missing > 0,
+            text: report.text(),
+            line: report.text(),
+            json: job.json(&report)?,
+            figures: Figures {
+                frames: report.frames,
+                seconds: report.seconds,
+                bytes_read,
+                bytes_written: written.file_bytes,
+                is_unchanged,
+            },
+        })
     }
-    let report = ImportReport::new(&args.output, &motion, &codec, &written, foreign_dropped);
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(&report.text())?;
+
+    fn write(
+        &self,
+        motion: &Motion,
+        header: &Header,
+        job: &Job<'_>,
+        output: &Path,
+    ) -> anyhow::Result<TakeAccount> {
+        let phase = job.phase("resampling", motion.positions_mm.len() as u64);
+        let (written, _) = outputs::write_whole(output, self.is_folder, |out| {
+            let out = BufWriter::new(out);
+            Ok(offline::write_take(motion, header, job.threads, &phase.counter, out)?.0)
+        })?;
+        Ok(written)
     }
-    Ok(Outcome::of(motion.info.source.frames_missing > 0))
+}
+
+/// The take at `path` if it is complete and has the id of this import: the same bytes and settings. It is read whole, so
+/// that a damaged one is not taken for done.
+///
+/// # Errors
+/// If it cannot be read.
+fn existing(path: &Path, header: &Header) -> anyhow::Result<Option<TakeAccount>> {
+    let Ok(file) = SparseFile::open(path) else { return Ok(None) };
+    let file_bytes = file.len_bytes()?;
+    let Ok(summary) = Summary::read(BufReader::new(file)) else { return Ok(None) };
+    if summary.take.header.take_id != header.take_id || summary.health() != TakeHealth::Complete {
+        return Ok(None);
+    }
+    Ok(Some(TakeAccount {
+        file_bytes,
+        samples: summary.samples(),
+        kept: summary.knots(),
+        max_error_mm: summary.max_error_mm(),
+        ledger: summary.take.ledger.unwrap_or_default(),
+        ..TakeAccount::default()
+    }))
+}
+
+/// Compares a new take with its source.
+///
+/// # Errors
+/// If a sample is not within the tolerance, or a gap differs.
+fn compare(output: &Path, job: &Job<'_>) -> anyhow::Result<AgainstReport> {
+    let tolerance_mm = TakeEnds::read(&mut files::open(output)?)?.header.tolerance_mm;
+    let report = super::verify::against(output, &job.input.path, tolerance_mm)?;
+    ensure!(
+        report.is_within(),
+        "{} differs from {}: {}",
+        output.display(),
+        job.input.name.display(),
+        report.text(tolerance_mm).trim_end()
+    );
+    Ok(report)
 }
 
 /// Refuses a tolerance that would destroy the motion if the unit of the file, unstated or implausible, is not the one
@@ -120,34 +247,22 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
         ),
         _ => return Ok(()),
     };
-    anyhow::bail!(UsageError(format!(
+    bail!(UsageError(format!(
         "{}: {why}; as millimetres, a tolerance of {tolerance_mm} mm would destroy the motion: give --unit (mm, cm, m, \
          in...), or --lossless to keep every bit as it is read",
         file.display()
     )))
 }
 
-fn write(
-    motion: &Motion,
-    header: &Header,
-    workers: usize,
-    to: &Path,
-) -> anyhow::Result<TakeAccount> {
-    let mut output = NewFile::create(to)?;
-    let counter = Arc::new(AtomicU64::new(0));
-    let progress = Progress::follow("resampling", &counter, motion.positions_mm.len() as u64);
-    let out = BufWriter::new(&mut output);
-    let (written, out) = offline::write_take(motion, header, workers, &counter, out)?;
-    drop(out);
-    drop(progress);
-    output.keep()?;
-    Ok(written)
-}
-
 #[derive(Debug, Serialize)]
 pub(super) struct ImportReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
+    /// The source.
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    file: PathBuf,
+    /// Whether the take existed, written from the same file with the same settings.
+    unchanged: bool,
     frames: u64,
     frames_missing: u64,
     seconds: f64,
@@ -158,6 +273,8 @@ pub(super) struct ImportReport {
     samples_missing: u64,
     foreign_dropped: Vec<String>,
     warnings: Vec<String>,
+    /// With `--verify`: the comparison of the take with its source.
+    against: Option<AgainstReport>,
 }
 
 impl ImportReport {
@@ -172,6 +289,8 @@ impl ImportReport {
         let frames = motion.n_frames() as u64;
         Self {
             take: take.to_owned(),
+            file: PathBuf::new(),
+            unchanged: false,
             frames,
             frames_missing: info.source.frames_missing,
             seconds: frames as f64 / info.rate_hz,
@@ -181,6 +300,7 @@ impl ImportReport {
             samples_missing: (motion.positions_mm.len() as u64).saturating_sub(written.samples),
             foreign_dropped,
             warnings: info.source.warnings.clone(),
+            against: None,
         }
     }
 
@@ -189,8 +309,10 @@ impl ImportReport {
             0 => String::new(),
             n => format!(" ({} samples missing)", thousands(n)),
         };
+        let unchanged = if self.unchanged { "; unchanged, imported before" } else { "" };
+        let verified = if self.against.is_some() { "; compared with the source" } else { "" };
         format!(
-            "{}: {} of {}{gaps} at {} Hz, {}\n",
+            "{}: {} of {}{gaps} at {} Hz, {}{unchanged}{verified}\n",
             plain_path(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),

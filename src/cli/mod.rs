@@ -1,6 +1,7 @@
 //! The command line: one file or folder per subcommand, and what several of them share. Data goes to standard output,
 //! messages go to standard error.
 
+mod batch;
 mod bench;
 mod clock;
 mod config;
@@ -26,6 +27,7 @@ mod run;
 mod stop;
 mod study;
 mod subject;
+mod to;
 mod usage;
 mod values;
 mod verify;
@@ -93,6 +95,16 @@ enum Command {
     Man(manual::Pages),
 }
 
+impl Command {
+    /// Whether Ctrl-C finishes what the command does, a recording or a service, rather than ends it at once.
+    fn stops_in_order(&self) -> bool {
+        matches!(
+            self,
+            Self::Demo(_) | Self::Record(_) | Self::Run(_) | Self::Ctl(_) | Self::Bench(_)
+        )
+    }
+}
+
 /// Parses the arguments; prints help and version and exits if asked to.
 pub(crate) fn parse() -> anyhow::Result<Cli> {
     Cli::try_parse().map_err(|error| match error.kind() {
@@ -105,6 +117,9 @@ pub(crate) fn parse() -> anyhow::Result<Cli> {
 
 /// Runs the command that was given.
 pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
+    if !cli.command.stops_in_order() {
+        stop::end_on_signal()?;
+    }
     match cli.command {
         Command::Demo(args) => demo::run(&args),
         Command::Devices(args) => devices::run(&args),

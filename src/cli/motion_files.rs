@@ -3,7 +3,7 @@
 use std::{io::BufReader, path::Path};
 
 use anyhow::Context;
-use mocapd_acquire::files::{NewFile, SparseFile};
+use mocapd_acquire::files::{CountingFile, NewFile, SparseFile};
 use mocapd_codec::Settings;
 use mocapd_report::decoded::DecodedTake;
 use mocapd_take::{
@@ -13,9 +13,10 @@ use mocapd_take::{
 };
 
 use super::{
-    original::{read_motion, read_motion_with},
+    batch::Job,
+    original::{read_motion, read_motion_and_bytes, read_motion_with},
     output::notify,
-    paths,
+    paths::{self, InputFormat},
 };
 
 /// Decodes a take. Damage is reported on stderr, and the lost samples are gaps.
@@ -30,6 +31,27 @@ pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
         notify(&format!("{}: {problem}", path.display()));
     }
     Ok(take)
+}
+
+/// Reads a take or a motion file that is to be plotted, and returns its size in bytes, too. No sample of a motion file is
+/// a knot.
+///
+/// # Errors
+/// If it cannot be read.
+pub(super) fn read_picture_source(job: &Job<'_>) -> anyhow::Result<(DecodedTake, u64)> {
+    if let InputFormat::MotionFile(_) = job.input.format()? {
+        let (motion, bytes) = read_motion_and_bytes(job.input, &ReadOptions::default())?;
+        let kept = vec![vec![false; motion.n_frames()]; motion.info.markers.len()];
+        let take = DecodedTake { motion, kept, settings: None, problems: Vec::new() };
+        return Ok((take, bytes.len() as u64));
+    }
+    let file = SparseFile::open(&job.input.path)?;
+    let n_bytes = file.len_bytes()?;
+    let phase = job.phase("reading", n_bytes);
+    let take = DecodedTake::read(BufReader::new(CountingFile::new(file, &phase.counter)))
+        .with_context(|| format!("cannot read {}", job.input.name.display()))?;
+    take.problems.iter().for_each(|problem| job.notify(&problem.to_string()));
+    Ok((take, n_bytes))
 }
 
 /// The motion of a take or a motion file, and the settings that the take was coded with.

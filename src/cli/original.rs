@@ -6,12 +6,15 @@ use anyhow::{Context, ensure};
 use mocapd_acquire::{files, header, pipeline::offline};
 use mocapd_codec::Settings;
 use mocapd_take::{
-    interchange::ReadOptions,
+    interchange::{Format, ReadOptions},
     motion::Motion,
     record::{Header, ImportSource},
 };
 
-use super::paths;
+use super::{
+    batch::Input,
+    paths::{self, InputFormat},
+};
 
 /// Plausible frame rates, Hz: from time lapse to ballistics.
 const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
@@ -29,23 +32,38 @@ pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
 /// # Errors
 /// As [`read_motion`].
 pub(super) fn read_motion_with(path: &Path, options: &ReadOptions) -> anyhow::Result<Motion> {
-    Ok(read_motion_and_bytes(path, options)?.0)
+    let InputFormat::MotionFile(format) = InputFormat::of(path)? else {
+        return Err(paths::unknown_ending(path, ".c3d, .trc, .tsv or .csv"));
+    };
+    Ok(read(path, path, format, options)?.0)
 }
 
-/// Reads a motion file; also returns its bytes.
+/// Reads a motion file that a command was given; also returns its bytes.
 ///
 /// # Errors
 /// As [`read_motion`].
 pub(super) fn read_motion_and_bytes(
-    path: &Path,
+    input: &Input,
     options: &ReadOptions,
 ) -> anyhow::Result<(Motion, Vec<u8>)> {
-    let format = paths::input_format(path)?;
+    match input.format()? {
+        InputFormat::MotionFile(format) => read(&input.path, &input.name, format, options),
+        InputFormat::Take => Err(paths::unknown_ending(&input.name, ".c3d, .trc, .tsv or .csv")),
+    }
+}
+
+/// Reads a motion file of this format, and returns its bytes, too. Messages have its `name`.
+fn read(
+    path: &Path,
+    name: &Path,
+    format: Format,
+    options: &ReadOptions,
+) -> anyhow::Result<(Motion, Vec<u8>)> {
+    let name = name.display();
     let mut bytes = Vec::new();
-    let reading = || format!("cannot read {}", path.display());
+    let reading = || format!("cannot read {name}");
     files::open(path)?.read_to_end(&mut bytes).with_context(reading)?;
     let motion = format.read_with(&bytes, options).with_context(reading)?;
-    let name = path.display();
     let rate_hz = motion.info.rate_hz;
     ensure!(!motion.info.markers.is_empty(), "{name} has no markers: nothing to import");
     ensure!(motion.n_frames() > 0, "{name} has no frames: nothing to import");

@@ -3,10 +3,11 @@
 
 use std::{
     borrow::Cow,
-    io::{self, IsTerminal, Write},
+    fs::File,
+    io::{self, IsTerminal, Seek, SeekFrom, Write},
     path::Path,
     sync::{
-        Arc,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     thread::JoinHandle,
@@ -45,9 +46,30 @@ pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
     }
 }
 
+/// Copies a whole file to stdout.
+///
+/// # Errors
+/// If it cannot be read or written; a closed pipe counts, because the file is not whole there.
+pub(crate) fn copy_to_stdout(mut file: &File) -> io::Result<()> {
+    file.seek(SeekFrom::Start(0))?;
+    let mut stdout = io::stdout().lock();
+    io::copy(&mut file, &mut stdout)?;
+    stdout.flush()
+}
+
 /// Prints a value as one indented JSON document and a line end on stdout.
 pub(crate) fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
-    print_json_text(&serde_json::to_string_pretty(value)?)
+    print_json_text(&pretty_json(value)?)
+}
+
+/// A value as an indented JSON document.
+pub(crate) fn pretty_json(value: &impl Serialize) -> anyhow::Result<String> {
+    Ok(serde_json::to_string_pretty(value)?)
+}
+
+/// A value as JSON on one line.
+pub(crate) fn json_line(value: &impl Serialize) -> anyhow::Result<String> {
+    Ok(serde_json::to_string(value)?)
 }
 
 /// Prints JSON text and a line end on stdout, escaped for a terminal.
@@ -90,6 +112,8 @@ pub(crate) fn plain_path(path: &Path) -> String {
 #[derive(Debug)]
 pub(crate) struct Progress {
     done: Arc<AtomicBool>,
+    /// The display, once it has appeared.
+    bar: Arc<Mutex<Option<ProgressBar>>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -97,18 +121,30 @@ pub(crate) struct Progress {
 const STEP: Duration = Duration::from_millis(100);
 /// Refreshes before it appears (1 s), so that quick commands show none.
 const APPEARS_AFTER_STEPS: u32 = 10;
+/// Steps of a display of shares.
+const SHARE_STEPS: u64 = 10_000;
 
 impl Progress {
     /// Shows a bar of `counter` towards `total`.
     pub(crate) fn follow(what: &'static str, counter: &Arc<AtomicU64>, total: u64) -> Self {
         let counter = Arc::clone(counter);
-        let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
         Self::start(
-            move || {
-                let bar = ProgressBar::new(total).with_message(what);
-                if let Ok(style) = &style { bar.with_style(style.clone()) } else { bar }
-            },
+            move || bar(total).with_message(what),
             move |bar| bar.set_position(counter.load(Ordering::Relaxed)),
+        )
+    }
+
+    /// Shows a bar of `share`, 0 to 1, beside the current value of `text`.
+    pub(crate) fn share(
+        text: impl Fn() -> String + Send + 'static,
+        share: impl Fn() -> f64 + Send + 'static,
+    ) -> Self {
+        Self::start(
+            || bar(SHARE_STEPS),
+            move |bar| {
+                bar.set_message(visible(&text()).into_owned());
+                bar.set_position((share() * SHARE_STEPS as f64) as u64);
+            },
         )
     }
 
@@ -120,36 +156,57 @@ impl Progress {
         })
     }
 
+    /// Prints with the display out of the way.
+    pub(crate) fn suspend<T>(&self, print: impl FnOnce() -> T) -> T {
+        match &*locked(&self.bar) {
+            Some(bar) => bar.suspend(print),
+            None => print(),
+        }
+    }
+
     fn start(
         make: impl Fn() -> ProgressBar + Send + 'static,
         update: impl Fn(&ProgressBar) + Send + 'static,
     ) -> Self {
-        let done = Arc::new(AtomicBool::new(false));
+        let (done, bar) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(None)));
         if !io::stderr().is_terminal() {
-            return Self { done, thread: None };
+            return Self { done, bar, thread: None };
         }
-        let stop = Arc::clone(&done);
+        let (stop, shown) = (Arc::clone(&done), Arc::clone(&bar));
         let thread = threads::spawn("mocapd-progress", move || {
-            let mut bar = None;
             for step in 0_u32.. {
                 std::thread::park_timeout(STEP);
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
+                let mut shown = locked(&shown);
                 if step == APPEARS_AFTER_STEPS {
-                    bar = Some(make());
+                    *shown = Some(make());
                 }
-                if let Some(bar) = &bar {
+                if let Some(bar) = &*shown {
                     update(bar);
                 }
             }
-            if let Some(bar) = bar {
+            if let Some(bar) = locked(&shown).take() {
                 bar.finish_and_clear();
             }
         });
         // If no thread can be started there is no display; the work goes on.
-        Self { done, thread: thread.ok() }
+        Self { done, bar, thread: thread.ok() }
     }
+}
+
+/// A bar of `total` steps, with its percentage and the time that is left.
+fn bar(total: u64) -> ProgressBar {
+    let bar = ProgressBar::new(total);
+    match ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}") {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
+fn locked<T>(shown: &Mutex<T>) -> MutexGuard<'_, T> {
+    shown.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Progress {

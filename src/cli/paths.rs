@@ -1,6 +1,11 @@
 //! Paths as arguments: formats by extension, and checks of output paths.
 
-use std::{fs::Metadata, os::unix::fs::MetadataExt, path::Path};
+use std::{
+    fs::Metadata,
+    io::{self, IsTerminal},
+    os::unix::fs::MetadataExt,
+    path::Path,
+};
 
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{FileError, NewFile, folder_of};
@@ -18,6 +23,47 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
     Format::from_extension(path)
         .filter(|format| format.is_read())
         .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
+}
+
+/// The format of a file that a command reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum InputFormat {
+    /// A take.
+    Take,
+    /// A motion file of another tool.
+    MotionFile(Format),
+}
+
+impl InputFormat {
+    /// The format of a file, by its extension.
+    ///
+    /// # Errors
+    /// If it is a folder; a usage error that lists the extensions.
+    pub(crate) fn of(path: &Path) -> anyhow::Result<Self> {
+        if is_take(path) { Ok(Self::Take) } else { input_format(path).map(Self::MotionFile) }
+    }
+}
+
+/// Names of the formats that `--format` has for standard input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum InputFormatName {
+    Take,
+    C3d,
+    Trc,
+    Tsv,
+    Csv,
+}
+
+impl From<InputFormatName> for InputFormat {
+    fn from(name: InputFormatName) -> Self {
+        match name {
+            InputFormatName::Take => Self::Take,
+            InputFormatName::C3d => Self::MotionFile(Format::C3d),
+            InputFormatName::Trc => Self::MotionFile(Format::Trc),
+            InputFormatName::Tsv => Self::MotionFile(Format::Tsv),
+            InputFormatName::Csv => Self::MotionFile(Format::Csv),
+        }
+    }
 }
 
 /// The format of a file to write, by its extension.
@@ -77,9 +123,26 @@ fn folder(path: &Path) -> Option<Metadata> {
     folder_of(path).metadata().ok()
 }
 
-/// Whether a path stands for standard output.
-pub(super) fn is_stdout(path: &Path) -> bool {
+/// Whether a path stands for standard input or output.
+pub(super) fn is_dash(path: &Path) -> bool {
     path == Path::new("-")
+}
+
+/// Checks that the only output may go to standard output.
+///
+/// # Errors
+/// A usage error for a terminal, and beside an option that prints a report there.
+pub(super) fn check_stdout(json: bool) -> anyhow::Result<()> {
+    if json {
+        let message = "standard output is the file: omit --json, or give -o FILE";
+        return Err(UsageError(message.to_owned()).into());
+    }
+    if io::stdout().is_terminal() {
+        let message =
+            "standard output is this terminal: redirect it to a file or a pipe, or give -o FILE";
+        return Err(UsageError(message.to_owned()).into());
+    }
+    Ok(())
 }
 
 /// Checks that a file can be created at `path`.
@@ -87,7 +150,7 @@ pub(super) fn is_stdout(path: &Path) -> bool {
 /// # Errors
 /// If something exists there, or nothing can be created in its folder; a usage error for `-`.
 pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
-    if is_stdout(path) {
+    if is_dash(path) {
         let message = "cannot write to standard output: name a file (./- for a file of the name -)";
         return Err(UsageError(message.to_owned()).into());
     }

@@ -10,11 +10,12 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd_acquire::threads;
+use mocapd_acquire::{files, threads};
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM},
     flag,
     iterator::Signals,
+    low_level,
 };
 
 /// `timeout` and service managers signal a process and its group, so that the same signal arrives twice: within this
@@ -58,11 +59,29 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
         for _ in signals.forever() {
             stopped.store(true, Ordering::Relaxed);
             if first.get_or_insert_with(Instant::now).elapsed() > SAME_SIGNAL_WITHIN {
-                signal_hook::low_level::exit(EXIT_FAILED);
+                low_level::exit(EXIT_FAILED);
             }
         }
     })?;
     Ok(stop)
+}
+
+/// Lets the first of these signals end the program at once, as it does without a handler, but removes incomplete outputs
+/// first.
+///
+/// # Errors
+/// If the system refuses a signal handler or a thread.
+pub(crate) fn end_on_signal() -> anyhow::Result<()> {
+    let mut signals = Signals::new(ending_signals()).context("cannot watch for Ctrl-C")?;
+    threads::spawn("mocapd-signal", move || {
+        for signal in signals.forever() {
+            files::remove_incomplete_outputs();
+            // The shell sees that the signal ended the program.
+            low_level::emulate_default_handler(signal).ok();
+            low_level::exit(EXIT_FAILED);
+        }
+    })?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -98,6 +98,23 @@ pub(crate) fn bytes(n: u64) -> String {
     }
 }
 
+/// A length of time with its unit: `9.5 s`, `12 min 5 s`, `3 h 2 min`.
+pub(crate) fn length_of_time(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => format!("{} h {} min", thousands(whole / 3600), whole / 60 % 60),
+    }
+}
+
+/// A rate with its unit, without digits that only a conversion to binary added: `59.94 Hz`.
+pub(crate) fn rate(hz: f64) -> String {
+    // Six digits tell 59.94 from 60000/1001.
+    let digits = format!("{hz:.6}");
+    format!("{} Hz", digits.trim_end_matches('0').trim_end_matches('.'))
+}
+
 /// The default tolerance: 5 to 15 times the noise of an optical rig, with files 2.5 times smaller than at 0.1 mm.
 const DEFAULT_TOLERANCE_MM: f64 = 0.5;
 
@@ -218,5 +235,8 @@ mod tests_of_numbers {
         assert_eq!(frames_of(300, 1200), "300 of 1 200 frames");
         assert_eq!(bytes(999), "999 B");
         assert_eq!(bytes(1_250_000), "1.2 MB");
+        assert_eq!(length_of_time(9.54), "9.5 s");
+        assert_eq!(length_of_time(725.2), "12 min 5 s");
+        assert_eq!(length_of_time(10_931.0), "3 h 2 min");
     }
 }

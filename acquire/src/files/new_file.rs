@@ -3,20 +3,21 @@
 use std::{
     ffi::{OsStr, OsString},
     fs::{self, File, OpenOptions},
-    io::{self, BufWriter, Seek, SeekFrom, Write},
+    io::{self, BufRead, BufReader, BufWriter, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     thread::JoinHandle,
 };
 
 use anyhow::{Context, bail};
 use crossbeam_channel::{Sender, TrySendError, bounded};
+use mocapd_drivers::plain_file;
 use mocapd_take::interchange::bids::DatasetFolder;
 use rustix::{
     fs::{Advice, AtFlags, CWD, Mode, OFlags, RenameFlags, fadvise, linkat, openat, renameat_with},
     io::Errno,
 };
 
-use super::{cannot_create, folder_of, name_taken, proc_link, sync_name};
+use super::{cannot_create, folder_of, hidden_path::HiddenPath, name_taken, proc_link, sync_name};
 use crate::threads;
 
 /// A file that gets its name only when it is complete. Dropping it earlier removes it; on a file system with
@@ -26,8 +27,17 @@ pub struct NewFile {
     file: Option<File>,
     sync: BackgroundSync,
     /// Its temporary name, if it needs one.
-    hidden: Option<PathBuf>,
+    hidden: Option<HiddenPath>,
     path: PathBuf,
+}
+
+/// What became of the name of a new file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kept {
+    /// The file has its name.
+    New,
+    /// A file of that name with the same content existed, and stays.
+    Unchanged,
 }
 
 impl NewFile {
@@ -39,17 +49,26 @@ impl NewFile {
         if path.symlink_metadata().is_ok() {
             return Err(name_taken(path));
         }
+        Self::create_or_compare(path)
+    }
+
+    /// Creates a file as [`create`](Self::create) does, where `path` may exist: it is compared with the new content at
+    /// the end, by [`keep_or_compare`](Self::keep_or_compare).
+    ///
+    /// # Errors
+    /// When nothing can be created there.
+    pub fn create_or_compare(path: &Path) -> anyhow::Result<Self> {
         let Some(name) = path.file_name() else { bail!("{} is not a file name", path.display()) };
         if let Some(file) = unnamed_file(path)? {
             return Ok(Self::new(file, None, path));
         }
-        let hidden = path.with_file_name(hidden_name(name));
-        let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
+        let hidden = HiddenPath::new(path.with_file_name(hidden_name(name)));
+        let created = OpenOptions::new().write(true).create_new(true).open(hidden.path());
         let file = created.map_err(|error| cannot_create(path, &error))?;
         Ok(Self::new(file, Some(hidden), path))
     }
 
-    fn new(file: File, hidden: Option<PathBuf>, path: &Path) -> Self {
+    fn new(file: File, hidden: Option<HiddenPath>, path: &Path) -> Self {
         Self { file: Some(file), sync: BackgroundSync::default(), hidden, path: path.to_owned() }
     }
 
@@ -57,11 +76,23 @@ impl NewFile {
     ///
     /// # Errors
     /// When a file of that name appeared, or the disk fails.
-    pub fn keep(mut self) -> anyhow::Result<()> {
-        let Some(file) = self.file.take() else { return Ok(()) };
+    pub fn keep(self) -> anyhow::Result<()> {
+        let path = self.path.clone();
+        match self.keep_or_compare()? {
+            Kept::New => Ok(()),
+            Kept::Unchanged => Err(name_taken(&path)),
+        }
+    }
+
+    /// Gives the file its name, unless a file of that name has the same content. Nothing is overwritten.
+    ///
+    /// # Errors
+    /// When a file of that name has another content, or the disk fails.
+    pub fn keep_or_compare(mut self) -> anyhow::Result<Kept> {
+        let Some(file) = self.file.take() else { return Ok(Kept::New) };
         let synced = self.sync.finish().and_then(|()| file.sync_all());
         synced.with_context(|| format!("cannot write {}", self.path.display()))?;
-        let named = match &self.hidden {
+        let named = match self.hidden.as_ref().map(HiddenPath::path) {
             None => linkat(CWD, proc_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
             Some(hidden) => {
                 match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
@@ -74,15 +105,47 @@ impl NewFile {
             }
         };
         match named {
+            Err(Errno::EXIST) if has_same_content(&self.path, &file) => Ok(Kept::Unchanged),
             Err(Errno::EXIST) => Err(name_taken(&self.path)),
             Ok(()) => {
                 sync_name(&self.path);
-                Ok(())
+                Ok(Kept::New)
             }
-            other => other.with_context(|| format!("cannot name {}", self.path.display())),
+            other => {
+                other.with_context(|| format!("cannot name {}", self.path.display()))?;
+                Ok(Kept::New)
+            }
         }
     }
 }
+
+/// Whether the file at `path` has the content of `new`. `new` may be open for writing only.
+fn has_same_content(path: &Path, new: &File) -> bool {
+    let read = || -> io::Result<bool> {
+        let there = plain_file::open(path)?;
+        if there.metadata()?.len() != new.metadata()?.len() {
+            return Ok(false);
+        }
+        let mut there = BufReader::with_capacity(COMPARED_BYTES, there);
+        let mut new = BufReader::with_capacity(COMPARED_BYTES, File::open(proc_link(new))?);
+        loop {
+            let (old, found) = (there.fill_buf()?, new.fill_buf()?);
+            let n = old.len().min(found.len());
+            if old[..n] != found[..n] {
+                return Ok(false);
+            }
+            if n == 0 {
+                return Ok(old.len() == found.len());
+            }
+            there.consume(n);
+            new.consume(n);
+        }
+    };
+    read().unwrap_or(false)
+}
+
+/// Bytes of one read of a comparison: large enough to make the cost of a call negligible.
+const COMPARED_BYTES: usize = 1 << 18;
 
 impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -104,20 +167,11 @@ impl Seek for NewFile {
     }
 }
 
-impl Drop for NewFile {
-    fn drop(&mut self) {
-        // After `keep` it does not exist, or is a second link to the kept file.
-        if let Some(hidden) = &self.hidden {
-            fs::remove_file(hidden).ok();
-        }
-    }
-}
-
 /// A folder that gets its name only when it is complete. Dropping it earlier removes it with its content.
 #[derive(Debug)]
 pub struct NewFolder {
     /// Its temporary name.
-    hidden: Option<PathBuf>,
+    hidden: Option<HiddenPath>,
     path: PathBuf,
     files: Vec<PathBuf>,
 }
@@ -132,8 +186,8 @@ impl NewFolder {
             return Err(name_taken(path));
         }
         let Some(name) = path.file_name() else { bail!("{} is not a folder name", path.display()) };
-        let hidden = path.with_file_name(hidden_name(name));
-        fs::create_dir(&hidden).map_err(|error| cannot_create(path, &error))?;
+        let hidden = HiddenPath::new(path.with_file_name(hidden_name(name)));
+        fs::create_dir(hidden.path()).map_err(|error| cannot_create(path, &error))?;
         Ok(Self { hidden: Some(hidden), path: path.to_owned(), files: Vec::new() })
     }
 
@@ -143,7 +197,7 @@ impl NewFolder {
     /// When something of that name appeared, or the disk fails.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let writing = || format!("cannot write {}", self.path.display());
-        let Some(hidden) = &self.hidden else { return Ok(()) };
+        let Some(hidden) = self.hidden.as_ref().map(HiddenPath::path) else { return Ok(()) };
         for file in &self.files {
             File::open(file).and_then(|file| file.sync_all()).with_context(writing)?;
             sync_name(file);
@@ -168,21 +222,13 @@ impl NewFolder {
 impl DatasetFolder for NewFolder {
     fn file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>> {
         let hidden = self.hidden.as_ref().ok_or(io::ErrorKind::NotFound)?;
-        let path = hidden.join(path);
+        let path = hidden.path().join(path);
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)?;
         }
         let file = OpenOptions::new().write(true).create_new(true).open(&path)?;
         self.files.push(path);
         Ok(Box::new(BufWriter::new(file)))
-    }
-}
-
-impl Drop for NewFolder {
-    fn drop(&mut self) {
-        if let Some(hidden) = &self.hidden {
-            fs::remove_dir_all(hidden).ok();
-        }
     }
 }
 
@@ -309,6 +355,27 @@ mod tests {
         assert!(NewFile::create(&path).unwrap_err().is::<NameTaken>());
         assert!(late.keep().unwrap_err().is::<NameTaken>());
         assert_eq!(fs::read(&path).unwrap(), b"mine");
+    }
+
+    #[test]
+    fn a_file_with_the_same_content_stays_and_another_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.take");
+        let keep = |content: &[u8]| {
+            let mut file = NewFile::create_or_compare(&path).unwrap();
+            file.write_all(content).unwrap();
+            file.keep_or_compare()
+        };
+        let long = vec![7; 3 * COMPARED_BYTES];
+        assert_eq!(keep(&long).unwrap(), Kept::New);
+        assert_eq!(keep(&long).unwrap(), Kept::Unchanged);
+        let mut other = long.clone();
+        *other.last_mut().unwrap() = 8;
+        for content in [&other[..], &long[1..], b""] {
+            assert!(keep(content).unwrap_err().is::<NameTaken>());
+        }
+        assert_eq!(fs::read(&path).unwrap(), long);
+        assert_eq!(dir.path().read_dir().unwrap().count(), 1);
     }
 
     #[test]

@@ -11,9 +11,6 @@ use super::canvas::{
 };
 use crate::ReportError;
 
-/// Most panels on a sheet.
-const PANELS_MAX: usize = 6;
-
 const PANEL: (u32, u32) = (640, 560);
 /// Width of the column of line names, right of a panel.
 const NAMES: u32 = 120;
@@ -46,24 +43,19 @@ pub struct SizePanel {
 /// Draws one panel per take as SVG, all with the same axes.
 ///
 /// # Errors
-/// `InvalidArgument` for too many takes, `Nothing` without any size.
+/// `Nothing` without any size.
 pub fn sizes(panels: &[SizePanel]) -> Result<String, ReportError> {
     let points = || panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.points);
     if points().next().is_none() {
         return Err(ReportError::Nothing("no sizes measured: nothing to draw".to_owned()));
     }
-    if panels.len() > PANELS_MAX {
-        return Err(ReportError::InvalidArgument(format!(
-            "{} takes are too many: give at most {PANELS_MAX}",
-            panels.len()
-        )));
-    }
     let low = points().map(|point| point.1 as f64).fold(f64::MAX, f64::min) * 0.7;
     let high = points().map(|point| point.1 as f64).fold(1.0, f64::max) * 1.4;
     let from = points().map(|point| point.0).fold(f64::MAX, f64::min);
     let to = points().map(|point| point.0).fold(0.0, f64::max).max(from * 1.01);
-    let n_across = panels.len().min(2);
-    let n_down = panels.len().div_ceil(2);
+    // About as many across as down, at most as wide as four screens' halves: 2560 pixels.
+    let n_across = ((panels.len() as f64).sqrt().ceil() as usize).clamp(1, 4);
+    let n_down = panels.len().div_ceil(n_across);
     let size = (PANEL.0 * n_across as u32, PANEL.1 * n_down as u32);
     sheet(size, |area| {
         let areas = area.split_evenly((n_down, n_across));

@@ -22,7 +22,9 @@ use mocapd_take::{
 use serde::Serialize;
 
 use crate::cli::{
-    original::{header_of, read_motion},
+    batch::{self, FileKinds, Input, InputArgs},
+    motion_files::read_samples,
+    original::header_of,
     output::{notify, plain, print, print_json},
     values,
 };
@@ -32,9 +34,11 @@ const TOLERANCES_MM: [f64; 6] = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0];
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// .c3d, .trc, .tsv (QTM) or .csv files; only their marker trajectories are coded
-    #[arg(required = true)]
+    /// .c3d, .trc, .tsv (QTM) or .csv files, takes, or folders with such files; only their marker trajectories are coded
+    #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
     /// A resampler; can be repeated [default: dense, fast, lossless, spline, sync]
     #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
     resamplers: Vec<ResamplerKind>,
@@ -52,8 +56,12 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut report = CodecBenchReport::default();
     let settings = all_settings(args)?;
-    for file in &args.files {
-        let mut motion = read_motion(file)?;
+    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, None)?;
+    if let Some(unreadable) = inputs.unreadable.first() {
+        bail!("{unreadable}");
+    }
+    for Input { path: file, .. } in &inputs.files {
+        let mut motion = read_samples(file)?.0;
         motion.info.foreign.clear();
         let input = BenchInput { file, motion: &motion };
         let mut about = FileReport::new(&input);

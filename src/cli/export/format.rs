@@ -1,9 +1,8 @@
 //! The format of an export, and its options.
 
-use std::path::Path;
-
 use mocapd::outcome::UsageError;
 use mocapd_take::interchange::{Format, bids};
+use std::path::Path;
 
 use crate::cli::paths;
 
@@ -30,9 +29,9 @@ pub(super) struct FormatArgs {
     task: Option<String>,
 }
 
-/// A format, by its name on the command line.
+/// A format, by its name on the command line, which is also its extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum FormatName {
+pub(super) enum FormatName {
     C3d,
     Trc,
     Tsv,
@@ -51,13 +50,44 @@ enum CsvLayout {
     Long,
 }
 
+impl FormatName {
+    /// The extension of its files; empty for a folder.
+    pub(super) fn extension(self) -> &'static str {
+        match self {
+            Self::C3d => "c3d",
+            Self::Trc => "trc",
+            Self::Tsv => "tsv",
+            Self::Csv => "csv",
+            Self::Npz => "npz",
+            Self::Xdf => "xdf",
+            Self::Bids => "",
+            Self::Parquet => "parquet",
+            Self::Mcap => "mcap",
+        }
+    }
+}
+
 impl FormatArgs {
-    /// The format of an output.
+    /// The format given with `--format`, or else `to`, given with `--to`.
     ///
     /// # Errors
-    /// A usage error if its extension is unknown, or an option belongs to another format.
-    pub(super) fn of(&self, output: &Path) -> anyhow::Result<Format> {
-        let format = match self.format {
+    /// A usage error if both are given and differ.
+    pub(super) fn name(&self, to: Option<FormatName>) -> anyhow::Result<Option<FormatName>> {
+        match (self.format, to) {
+            (Some(format), Some(to)) if format != to => {
+                Err(UsageError("--format and --to name different formats: give one".to_owned())
+                    .into())
+            }
+            (format, to) => Ok(format.or(to)),
+        }
+    }
+
+    /// The format with this name, or else that of the extension of `output`.
+    ///
+    /// # Errors
+    /// A usage error if the extension is unknown, or an option belongs to another format.
+    pub(super) fn of(&self, name: Option<FormatName>, output: &Path) -> anyhow::Result<Format> {
+        let format = match name {
             None => paths::output_format(output)?,
             Some(FormatName::C3d) => Format::C3d,
             Some(FormatName::Trc) => Format::Trc,

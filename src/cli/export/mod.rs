@@ -1,141 +1,336 @@
-//! `export`: converts a take to a format of other tools.
+//! `export`: converts takes to formats of other tools.
 
 mod crop;
 mod format;
 mod spreadsheet;
 
 use std::{
-    io::{BufReader, BufWriter, Write},
+    io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write},
+    ops::Range,
     path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicU64},
+    sync::Arc,
     time::Duration,
 };
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::{self, NewFile, NewFolder, SparseFile},
+    files::{self, Kept, NewFile, NewFolder, SparseFile},
     parallel_frames::ParallelFrames,
-    threads,
 };
 use mocapd_service::units;
 use mocapd_take::{
-    TakeFrames, TakeMap,
+    TakeFrames,
     interchange::{Direction, Format, RotatedFrames, bids, npz},
     motion::{FrameSource, UpAxis},
     record::Ledger,
 };
+use serde::Serialize;
 
-use self::{crop::CroppedFrames, format::FormatArgs, spreadsheet::EscapedLabels};
-use super::{output::Progress, output::notify, paths, values::count};
+use self::{
+    crop::CroppedFrames,
+    format::{FormatArgs, FormatName},
+    spreadsheet::EscapedLabels,
+};
+use super::{
+    batch::{
+        self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Inputs, Job, outputs,
+    },
+    output::plain_path,
+    paths,
+    to::{self, TimeOrFormat},
+    values::{bytes, count},
+};
 
 /// Size of the output buffer: so large that the cost of system calls is negligible.
 const BUFFER_BYTES: usize = 1 << 20;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take
-    take: PathBuf,
+    /// Takes, or folders with takes; `-` reads a take from standard input
+    #[arg(required = true, value_name = "TAKE")]
+    takes: Vec<PathBuf>,
     /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf or, if built in, .parquet or .mcap; with
-    /// `--format bids` the folder to create. It must not exist
+    /// `--format bids` the folder to create. It must not exist. For several takes the folder to write into, with
+    /// `--to FORMAT`; a file there that has the same content is left as it is. `-` writes to standard output
+    /// [default: beside each take]
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
     #[command(flatten)]
     format: FormatArgs,
-    /// Rotate the take by 90 degrees so that this axis points up: x, y or z
+    /// Rotate the takes by 90 degrees so that this axis points up: x, y or z
     #[arg(long, value_name = "AXIS", value_parser = axis)]
     up: Option<UpAxis>,
     /// Export frames from this time on: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
-    /// Export frames before this time
-    #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
-    to: Option<Duration>,
+    /// Export frames before this time; or, if the value is the name of a format, the same as --format: --to c3d
+    #[arg(long, value_name = "TIME|FORMAT", allow_hyphen_values = true)]
+    to: Vec<TimeOrFormat<FormatName>>,
+    /// Print one JSON document, or one per line for several takes
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is the same for every take.
+struct ExportPlan<'a> {
+    args: &'a Args,
+    format: Format,
+    /// The end of the range of time.
+    end: Option<Duration>,
+    /// Whether outputs that exist are compared rather than refused, and their folders created.
+    is_folder: bool,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let format = args.format.of(&args.output)?;
+    let (end, to_format) = to::split(&args.to)?;
+    let name = args.format.name(to_format)?;
+    let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
+    let destination = Destination::of(args.output.as_deref(), &inputs)?;
+    let (format, paths_of_outputs) = plan_outputs(args, name, &destination, &inputs)?;
     format.check_built()?;
-    paths::check_output(&args.output)?;
-    let name = args.take.display();
-    let reading = || format!("cannot read {name}");
-    let file = SparseFile::open(&args.take)?;
-    let is_restored = |kind: &str| format.restores(kind);
-    let mut frames = TakeFrames::open_with(BufReader::new(file), is_restored, files::scratch)
-        .with_context(reading)?;
-    let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
-    let range = crop::range(frames.info(), n_sampled_rows, args.from, args.to)
-        .with_context(|| name.to_string())?;
-    if args.up.is_some() && frames.info().up == UpAxis::Unknown {
-        bail!(UsageError(format!(
-            "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
-        )));
-    }
-    let mut parallel =
-        ParallelFrames::start(&args.take, &frames, range.start, threads::default_workers())?;
-    let (mut left_out, mut not_rotated) = (Vec::new(), Vec::new());
-    let mut export = |source: &mut dyn FrameSource| {
-        let counter = Arc::new(AtomicU64::new(0));
-        let mut cropped = CroppedFrames::new(source, &range, Arc::clone(&counter));
-        left_out = format.leaves_out(cropped.info(), args.up.is_some());
-        let _progress = Progress::follow("exporting", &counter, cropped.info().n_frames);
-        let mut turned;
-        let frames: &mut dyn FrameSource = match args.up {
-            None => &mut cropped,
-            Some(up) => {
-                turned =
-                    RotatedFrames::new(&mut cropped, up)?.context("the take states no up axis")?;
-                not_rotated = turned.not_rotated();
-                &mut turned
-            }
-        };
-        if format == Format::Bids {
-            write_folder(frames, &args.format.names(&args.take)?, &args.output)
-        } else if args.format.for_spreadsheet {
-            write(&mut EscapedLabels::new(frames), format, &args.output)
-        } else {
-            write(frames, format, &args.output)
+    match &destination {
+        Destination::File(path) => paths::check_output(path)?,
+        Destination::Stdout if format == Format::Bids => {
+            bail!(UsageError("a BIDS data set is a folder: give -o FOLDER".to_owned()));
         }
+        Destination::Stdout => paths::check_stdout(args.json)?,
+        Destination::Folder(_) | Destination::Beside => {}
+    }
+    let is_folder = matches!(destination, Destination::Folder(_) | Destination::Beside);
+    let batch = Batch {
+        inputs: &inputs,
+        outputs: &paths_of_outputs,
+        json: args.json,
+        text_to_stderr: true,
+        threads: batch::thread_count(None),
+        doing: "exporting",
+        done: "exported",
     };
-    let done = match &mut parallel {
-        None => false,
-        Some(parallel) => match export(parallel) {
-            // The take turned out to be damaged: the sequential reader accounts for what is missing. The failed attempt
-            // left no file.
-            Err(_) if parallel.is_damaged() => false,
-            tried => tried.map(|()| true)?,
-        },
-    };
-    if !done {
-        frames.seek(range.start)?;
-        export(&mut frames)?;
-    }
-    if !left_out.is_empty() {
-        let output = args.output.display();
-        notify(&format!("{output}: not supported by the format: {}", left_out.join(", ")));
-    }
-    not_rotated.retain(|_| format == Format::C3d);
-    if !not_rotated.is_empty() {
-        notify(&format!("{}: not rotated: {}", args.output.display(), not_rotated.join(", ")));
-    }
-    report_losses(args, frames.map());
-    for problem in frames.problems() {
-        notify(&format!("{name}: {problem}"));
-    }
-    Ok(Outcome::of(!frames.problems().is_empty()))
+    let plan = ExportPlan { args, format, end, is_folder };
+    batch::run(&batch, |job| plan.export(job))
 }
 
-/// Reports how many frames the take lost while it was recorded.
-fn report_losses(args: &Args, take: &TakeMap) {
-    let n_lost = take.ledger.as_ref().map_or(0, Ledger::frames_lost);
-    if n_lost > 0 {
-        // Other programs cannot distinguish them from occluded markers.
-        notify(&format!(
-            "{}: {} lost while recording; in {} they are gaps, like occluded markers",
-            args.take.display(),
-            count(n_lost, "frame"),
-            args.output.display()
-        ));
+/// The format and the paths of the outputs.
+///
+/// # Errors
+/// A usage error if the format is neither given nor that of the output's extension.
+fn plan_outputs(
+    args: &Args,
+    name: Option<FormatName>,
+    destination: &Destination,
+    inputs: &Inputs,
+) -> anyhow::Result<(Format, Vec<PathBuf>)> {
+    if let Destination::File(path) = destination {
+        return Ok((args.format.of(name, path)?, vec![path.clone()]));
+    }
+    let Some(name) = name else {
+        bail!(UsageError("which format? give one with --to, such as --to c3d".to_owned()));
+    };
+    let extension = name.extension();
+    let format = args.format.of(Some(name), Path::new(extension))?;
+    Ok((format, destination.paths(inputs, extension)?))
+}
+
+/// The report of `export`, documented in docs/json.md.
+#[derive(Debug, Serialize)]
+struct ExportReport {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    take: PathBuf,
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    output: PathBuf,
+    /// Whether the output existed with the same content.
+    unchanged: bool,
+    frames: u64,
+    seconds: f64,
+    markers: usize,
+    rate_hz: f64,
+    output_bytes: u64,
+    /// Frames that the recording lost: gaps in the output.
+    frames_lost: u64,
+    /// Content of the take that the format cannot hold.
+    not_supported: Vec<String>,
+    /// With `--up`: content that was not rotated.
+    not_rotated: Vec<String>,
+    problems: Vec<String>,
+}
+
+/// What one attempt to write an output came to.
+struct Attempt {
+    frames: u64,
+    kept: Kept,
+    bytes: u64,
+    not_supported: Vec<String>,
+    not_rotated: Vec<String>,
+}
+
+impl ExportPlan<'_> {
+    fn export(&self, job: &Job<'_>) -> anyhow::Result<FileReport> {
+        let (args, format) = (self.args, self.format);
+        let name = job.input.name.display();
+        let output = job.output.context("no output was planned")?;
+        let reading = || format!("cannot read {name}");
+        let file = SparseFile::open(&job.input.path)?;
+        let bytes_read = file.len_bytes().with_context(reading)?;
+        let is_restored = |kind: &str| format.restores(kind);
+        let mut frames = TakeFrames::open_with(BufReader::new(file), is_restored, files::scratch)
+            .with_context(reading)?;
+        let n_sampled_rows = frames.map().n_sampled_rows.unwrap_or_default();
+        let range = crop::range(frames.info(), n_sampled_rows, args.from, self.end)
+            .with_context(|| name.to_string())?;
+        if args.up.is_some() && frames.info().up == UpAxis::Unknown {
+            bail!(UsageError(format!(
+                "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
+            )));
+        }
+        let mut parallel =
+            ParallelFrames::start(&job.input.path, &frames, range.start, job.threads)?;
+        let attempt = match &mut parallel {
+            None => None,
+            Some(parallel) => match self.attempt(parallel, &range, job, output) {
+                // The take turned out to be damaged: the sequential reader accounts for what is missing. The failed
+                // attempt left no file.
+                Err(_) if parallel.is_damaged() => None,
+                tried => Some(tried?),
+            },
+        };
+        let attempt = match attempt {
+            Some(attempt) => attempt,
+            None => {
+                frames.seek(range.start)?;
+                self.attempt(&mut frames, &range, job, output)?
+            }
+        };
+        let report = ExportReport::new(job, output, &frames, attempt);
+        report.notify(job);
+        Ok(FileReport {
+            data_lost: !report.problems.is_empty(),
+            text: String::new(),
+            line: report.line(),
+            json: job.json(&report)?,
+            figures: Figures {
+                frames: report.frames,
+                seconds: report.seconds,
+                bytes_read,
+                bytes_written: report.output_bytes,
+                is_unchanged: report.unchanged,
+            },
+        })
+    }
+
+    /// Writes the frames of `range` from `source`, which is at the first of them.
+    fn attempt(
+        &self,
+        source: &mut dyn FrameSource,
+        range: &Range<u64>,
+        job: &Job<'_>,
+        output: &Path,
+    ) -> anyhow::Result<Attempt> {
+        let phase = job.phase("exporting", range.end - range.start);
+        let mut cropped = CroppedFrames::new(source, range, Arc::clone(&phase.counter));
+        let n_frames = cropped.info().n_frames;
+        let not_supported = self.format.leaves_out(cropped.info(), self.args.up.is_some());
+        let mut not_rotated = Vec::new();
+        let mut rotated;
+        let frames: &mut dyn FrameSource = match self.args.up {
+            None => &mut cropped,
+            Some(up) => {
+                rotated =
+                    RotatedFrames::new(&mut cropped, up)?.context("the take states no up axis")?;
+                if self.format == Format::C3d {
+                    not_rotated = rotated.not_rotated();
+                }
+                &mut rotated
+            }
+        };
+        let (kept, bytes) = if self.args.format.for_spreadsheet {
+            self.write(&mut EscapedLabels::new(frames), job, output)?
+        } else {
+            self.write(frames, job, output)?
+        };
+        Ok(Attempt { frames: n_frames, kept, bytes, not_supported, not_rotated })
+    }
+
+    /// Writes an output whole or not at all. Returns whether it is new, and its size in bytes; 0 for a folder.
+    fn write(
+        &self,
+        frames: &mut dyn FrameSource,
+        job: &Job<'_>,
+        output: &Path,
+    ) -> anyhow::Result<(Kept, u64)> {
+        if self.format == Format::Bids {
+            write_folder(frames, &self.args.format.names(&job.input.relative)?, output)?;
+            return Ok((Kept::New, 0));
+        }
+        let (bytes, kept) = outputs::write_whole(output, self.is_folder, |out| {
+            write_frames(frames, self.format, &mut *out)?;
+            Ok(out.seek(SeekFrom::End(0))?)
+        })?;
+        Ok((kept, bytes))
+    }
+}
+
+impl ExportReport {
+    fn new<R: Read + Seek>(
+        job: &Job<'_>,
+        output: &Path,
+        frames: &TakeFrames<R>,
+        attempt: Attempt,
+    ) -> Self {
+        let (take, info) = (frames.map(), frames.info());
+        Self {
+            take: job.input.name.clone(),
+            output: output.to_owned(),
+            unchanged: attempt.kept == Kept::Unchanged,
+            frames: attempt.frames,
+            seconds: attempt.frames as f64 / info.rate_hz,
+            markers: info.markers.len(),
+            rate_hz: info.rate_hz,
+            output_bytes: attempt.bytes,
+            frames_lost: take.ledger.as_ref().map_or(0, Ledger::frames_lost),
+            not_supported: attempt.not_supported,
+            not_rotated: attempt.not_rotated,
+            problems: frames.problems().iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    /// Reports what the output lacks.
+    fn notify(&self, job: &Job<'_>) {
+        let output = self.output.display();
+        if !self.not_supported.is_empty() {
+            job.notify_of(
+                &self.output,
+                &format!("not supported by the format: {}", self.not_supported.join(", ")),
+            );
+        }
+        if !self.not_rotated.is_empty() {
+            job.notify_of(&self.output, &format!("not rotated: {}", self.not_rotated.join(", ")));
+        }
+        if self.frames_lost > 0 {
+            // Other programs cannot distinguish them from occluded markers.
+            let lost = count(self.frames_lost, "frame");
+            job.notify(&format!(
+                "{lost} lost while recording; in {output} they are gaps, like occluded markers"
+            ));
+        }
+        self.problems.iter().for_each(|problem| job.notify(problem));
+    }
+
+    fn line(&self) -> String {
+        let size = if self.output_bytes > 0 {
+            format!(", {}", bytes(self.output_bytes))
+        } else {
+            String::new()
+        };
+        format!(
+            "{}: {} of {}{size}{}\n",
+            plain_path(&self.output),
+            count(self.frames, "frame"),
+            count(self.markers as u64, "marker"),
+            if self.unchanged { "; unchanged" } else { "" },
+        )
     }
 }
 
@@ -154,17 +349,24 @@ pub(super) fn write(
     format: Format,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let mut output = NewFile::create(path)?;
-    let mut out = BufWriter::with_capacity(BUFFER_BYTES, &mut output);
-    let writing = || format!("cannot write {}", path.display());
-    let written = match format {
-        Format::Npz => npz::write(frames, &mut out),
-        _ => format.write(frames, &mut out),
-    };
-    written.with_context(writing)?;
-    out.flush().with_context(writing)?;
-    drop(out);
-    output.keep()
+    let mut file = NewFile::create(path)?;
+    write_frames(frames, format, &mut file)
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    file.keep()
+}
+
+/// Writes all frames to an output.
+fn write_frames(
+    frames: &mut dyn FrameSource,
+    format: Format,
+    out: impl Write + Seek,
+) -> anyhow::Result<()> {
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
+    match format {
+        Format::Npz => npz::write(frames, &mut out)?,
+        _ => format.write(frames, &mut out)?,
+    }
+    Ok(out.flush()?)
 }
 
 /// Writes a folder atomically: under its name there is the whole folder or none.

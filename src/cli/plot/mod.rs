@@ -4,19 +4,28 @@ mod pose;
 mod sizes;
 mod trajectory;
 
-use std::path::{Path, PathBuf};
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
+use anyhow::{Context, bail};
 use clap::Subcommand;
-use mocapd::outcome::Outcome;
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::files::Kept;
 use mocapd_report::{
     decoded::DecodedTake,
     plot::{QualityPlot, png, quality},
 };
+use serde::Serialize;
 
 use crate::cli::{
-    motion_files::{Original, file_name, read_original, read_take, write_new},
-    output::notify,
-    paths::{self, ends_in},
+    batch::{self, Batch, Destination, Figures, FileKinds, FileReport, InputArgs, Job, outputs},
+    motion_files::{Original, file_name, read_original, read_picture_source, write_new},
+    output::plain_path,
+    paths::{self, InputFormatName, ends_in},
+    to::{self, TimeOrFormat},
 };
 
 #[derive(Debug, Subcommand)]
@@ -28,7 +37,7 @@ pub(crate) enum Plot {
     /// Plot the size of the take against the tolerance, by resampler, one panel per take or file
     Sizes(sizes::Args),
     /// Plot each marker's gaps, noise and, with --against, error
-    Quality(Pictured),
+    Quality(PictureArgs),
 }
 
 pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
@@ -63,60 +72,191 @@ pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If it cannot be read.
-fn original(take: &Path, decoded: &DecodedTake, path: &Path) -> anyhow::Result<Original> {
-    let (motion, settings) = read_original(take, path)?;
-    let (name, take) = (path.display(), take.display());
+fn original(job: &Job<'_>, decoded: &DecodedTake, path: &Path) -> anyhow::Result<Original> {
+    let (motion, settings) = read_original(&job.input.path, path)?;
+    let take = job.input.name.display();
     if motion.info.labels() != decoded.motion.info.labels() {
-        notify(&format!("{name}: its labels differ from those of {take}"));
+        job.notify_of(path, &format!("its labels differ from those of {take}"));
     }
     let (n, n_decoded) = (motion.n_frames(), decoded.motion.n_frames());
     if n != n_decoded {
-        notify(&format!(
-            "{name} has {n} frames, {take} has {n_decoded}: plotted from the first frame of each"
-        ));
+        let lengths = format!("has {n} frames, {take} has {n_decoded}");
+        job.notify_of(path, &format!("{lengths}: plotted from the first frame of each"));
     }
     Ok((motion, settings))
 }
 
-/// `DataLost` for the plot of a damaged take: it shows only what could be read.
-pub(super) fn outcome(decoded: &DecodedTake) -> Outcome {
-    Outcome::of(!decoded.problems.is_empty())
-}
-
 /// The arguments that every plot of one take has.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Pictured {
-    /// The take
-    take: PathBuf,
-    /// The plot to write, .svg or .png; it must not exist
+pub(crate) struct PictureArgs {
+    /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; `-` reads standard input, with --format
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// The plot to write, .svg or .png, which must not exist; or the folder for the plots of several files, with --to;
+    /// `-` writes to standard output [default: beside each file]
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
+    /// Format of the plots: svg or png [default: by the extension of the output, else svg]; for a trajectory also, as a
+    /// time, the end of the plot: plot frames before it
+    #[arg(long, value_name = "FORMAT|TIME", allow_hyphen_values = true)]
+    to: Vec<TimeOrFormat<PictureFormat>>,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Format of standard input
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<InputFormatName>,
     /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
+    /// Print one JSON document, or one per line for several files
+    #[arg(long)]
+    json: bool,
 }
 
-impl Pictured {
-    /// Checks the output path and reads the take and its original, with the settings of an original that is a take.
-    ///
-    /// # Errors
-    /// If one of them cannot be read, or the plot cannot be created.
-    fn read(&self) -> anyhow::Result<(DecodedTake, Option<Original>)> {
-        check_output(&self.output)?;
-        let decoded = read_take(&self.take)?;
-        let original = self.against.as_ref().map(|path| original(&self.take, &decoded, path));
-        Ok((decoded, original.transpose()?))
+/// A format of pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum PictureFormat {
+    Svg,
+    Png,
+}
+
+impl PictureFormat {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Svg => "svg",
+            Self::Png => "png",
+        }
+    }
+
+    fn of(path: &Path) -> Option<Self> {
+        let formats = [Self::Svg, Self::Png];
+        formats.into_iter().find(|format| ends_in(path, format.extension()))
     }
 }
 
-fn draw_quality(args: &Pictured) -> anyhow::Result<Outcome> {
-    let (decoded, original) = args.read()?;
-    let spec = QualityPlot {
-        name: &file_name(&args.take),
-        take: &decoded,
-        original: original.as_ref().map(|(motion, _)| motion),
-        original_settings: original.as_ref().and_then(|(_, settings)| *settings),
-    };
-    write(&args.output, &quality(&spec)?)?;
-    Ok(outcome(&decoded))
+/// A file to plot, read into memory.
+pub(crate) struct Picture<'a> {
+    /// The work on the file.
+    pub(crate) job: &'a Job<'a>,
+    /// Its name in the plot.
+    pub(crate) name: String,
+    /// Its content. A motion file has no knots.
+    pub(crate) take: DecodedTake,
+    /// Its original, with the settings of an original that is a take.
+    pub(crate) original: Option<Original>,
+    /// The time given with `--to`.
+    pub(crate) end: Option<Duration>,
+}
+
+/// What a plot is of: all of the time, or a range.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum TimeSpan {
+    All,
+    Range,
+}
+
+/// The report of a plot, documented in docs/json.md.
+#[derive(Debug, Serialize)]
+struct PlotReport {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    file: PathBuf,
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    output: PathBuf,
+    /// Whether the output existed with the same content.
+    unchanged: bool,
+    problems: Vec<String>,
+}
+
+impl PictureArgs {
+    /// Plots every file: `draw` makes the SVG of one.
+    ///
+    /// # Errors
+    /// A usage error, or for a single file why it cannot be plotted.
+    fn run(
+        &self,
+        span: TimeSpan,
+        draw: impl Fn(&Picture<'_>) -> anyhow::Result<String> + Sync,
+    ) -> anyhow::Result<Outcome> {
+        let (end, to) = to::split(&self.to)?;
+        if end.is_some() && span == TimeSpan::All {
+            bail!(UsageError(
+                "--to is the format of this plot, svg or png: omit the time".to_owned()
+            ));
+        }
+        let format = self.format.map(Into::into);
+        let inputs = batch::inputs::find(&self.files, &self.input, FileKinds::Both, format)?;
+        if self.against.is_some() && !inputs.is_single {
+            bail!(UsageError("--against is for one take: plot the others without it".to_owned()));
+        }
+        let destination = Destination::of(self.output.as_deref(), &inputs)?;
+        match &destination {
+            Destination::File(path) => check_output(path)?,
+            Destination::Stdout => paths::check_stdout(self.json)?,
+            Destination::Folder(_) | Destination::Beside => {}
+        }
+        let by_extension = self.output.as_deref().and_then(PictureFormat::of);
+        let picture = to.or(by_extension).unwrap_or(PictureFormat::Svg);
+        let paths_of_outputs = destination.paths(&inputs, picture.extension())?;
+        let in_folder = matches!(destination, Destination::Folder(_) | Destination::Beside);
+        let batch = Batch {
+            inputs: &inputs,
+            outputs: &paths_of_outputs,
+            json: self.json,
+            text_to_stderr: true,
+            threads: batch::thread_count(None),
+            doing: "plotting",
+            done: "plotted",
+        };
+        batch::run(&batch, |job| self.plot(job, (picture, end), in_folder, &draw))
+    }
+
+    fn plot(
+        &self,
+        job: &Job<'_>,
+        (format, end): (PictureFormat, Option<Duration>),
+        in_folder: bool,
+        draw: &impl Fn(&Picture<'_>) -> anyhow::Result<String>,
+    ) -> anyhow::Result<FileReport> {
+        let output = job.output.context("no output was planned")?;
+        let (take, bytes_read) = read_picture_source(job)?;
+        let original = self.against.as_ref().map(|path| original(job, &take, path)).transpose()?;
+        let picture = Picture { job, name: file_name(&job.input.name), take, original, end };
+        let svg = draw(&picture)?;
+        let bytes = if format == PictureFormat::Png { png(&svg)? } else { svg.into_bytes() };
+        let ((), kept) = outputs::write_whole(output, in_folder, |out| Ok(out.write_all(&bytes)?))?;
+        let take = &picture.take;
+        let report = PlotReport {
+            file: job.input.name.clone(),
+            output: output.to_owned(),
+            unchanged: kept == Kept::Unchanged,
+            problems: take.problems.iter().map(ToString::to_string).collect(),
+        };
+        let frames = take.motion.n_frames() as u64;
+        Ok(FileReport {
+            // The plot of a damaged take shows only what could be read.
+            data_lost: !take.problems.is_empty(),
+            line: format!("{}\n", plain_path(output)),
+            json: job.json(&report)?,
+            figures: Figures {
+                frames,
+                seconds: frames as f64 / take.motion.info.rate_hz,
+                bytes_read,
+                bytes_written: bytes.len() as u64,
+                is_unchanged: report.unchanged,
+            },
+            ..FileReport::default()
+        })
+    }
+}
+
+fn draw_quality(args: &PictureArgs) -> anyhow::Result<Outcome> {
+    args.run(TimeSpan::All, |picture| {
+        let original = picture.original.as_ref();
+        Ok(quality(&QualityPlot {
+            name: &picture.name,
+            take: &picture.take,
+            original: original.map(|(motion, _)| motion),
+            original_settings: original.and_then(|(_, settings)| *settings),
+        })?)
+    })
 }

@@ -19,8 +19,8 @@ use mocapd_take::{
     record::Subject,
 };
 
-use super::Pictured;
-use crate::cli::{limbs, motion_files::file_name, output::notify, plot};
+use super::{Picture, PictureArgs, TimeSpan};
+use crate::cli::limbs;
 
 /// Number of stick figures without `--at`.
 const MOMENTS: usize = 8;
@@ -28,7 +28,7 @@ const MOMENTS: usize = 8;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    pictured: Pictured,
+    picture: PictureArgs,
     /// Times of the stick figures, up to 12 [default: eight, evenly spread]
     #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
     at: Vec<Duration>,
@@ -41,8 +41,11 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let (decoded, original) = args.pictured.read()?;
-    let original = original.map(|(motion, _)| motion);
+    args.picture.run(TimeSpan::All, |picture| draw(args, picture))
+}
+
+fn draw(args: &Args, picture: &Picture<'_>) -> anyhow::Result<String> {
+    let decoded = &picture.take;
     let motion = &decoded.motion;
     let n_frames = motion.n_frames();
     let mut rows = Vec::with_capacity(args.at.len());
@@ -70,26 +73,24 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
     if limbs.is_empty() && skeleton.is_some() && bones.is_empty() {
-        notify("no bone of the skeleton has a marker at both ends: no lines are drawn");
+        picture.job.notify("no bone of the skeleton has a marker at both ends: no lines are drawn");
     }
     let faces = Faces::of(motion, &labels, &rows);
     let up = up(motion);
     if let Some(why) = faces.missing(motion) {
-        notify(why);
+        picture.job.notify(why);
     }
-    let spec = PosePlot {
-        name: &file_name(&args.pictured.take),
-        take: &decoded,
-        original: original.as_ref(),
+    Ok(pose(&PosePlot {
+        name: &picture.name,
+        take: decoded,
+        original: picture.original.as_ref().map(|(motion, _)| motion),
         rows: &rows,
         bones: &bones,
         limbs: &limbs,
         faces: &faces.lines,
         front: faces.front,
         up,
-    };
-    plot::write(&args.pictured.output, &pose(&spec)?)?;
-    Ok(plot::outcome(&decoded))
+    })?)
 }
 
 /// The rows of the default stick figures.

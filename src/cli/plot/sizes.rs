@@ -8,17 +8,19 @@ use std::{
     },
 };
 
-use mocapd::outcome::{Outcome, UsageError};
+use anyhow::bail;
+use mocapd::outcome::Outcome;
 use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
 use mocapd_report::plot::{SizeLine, SizePanel, sizes};
 use mocapd_take::motion::{Motion, is_gap};
 
-use crate::cli::plot;
 use crate::cli::{
+    batch::{self, FileKinds, InputArgs},
     motion_files::{file_name, read_samples},
     original::header_of,
     output::Progress,
+    plot,
     values::{self, count},
 };
 
@@ -33,9 +35,11 @@ const RESAMPLERS: [ResamplerKind; 3] =
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Up to six takes, or .c3d, .trc, .tsv or .csv files
+    /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; each is a panel
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
     /// The plot to write, .svg or .png; it must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -46,9 +50,9 @@ pub(crate) struct Args {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     plot::check_output(&args.output)?;
-    if args.files.len() > 6 {
-        let n = args.files.len();
-        return Err(UsageError(format!("{n} files are too many: give at most 6")).into());
+    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, None)?;
+    if let Some(unreadable) = inputs.unreadable.first() {
+        bail!("{unreadable}");
     }
     let mut tolerances_mm: Vec<f64> = args.tolerances.iter().map(|t| t.mm()).collect();
     if tolerances_mm.is_empty() {
@@ -57,8 +61,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     tolerances_mm.sort_by(f64::total_cmp);
     tolerances_mm.dedup();
     let mut panels = Vec::new();
-    for path in &args.files {
-        panels.push(panel(path, &tolerances_mm)?);
+    for input in &inputs.files {
+        panels.push(panel(&input.path, &tolerances_mm)?);
     }
     plot::write(&args.output, &sizes(&panels)?)?;
     Ok(Outcome::Done)

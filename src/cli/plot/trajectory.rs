@@ -11,48 +11,44 @@ use mocapd_report::{
 use mocapd_service::units;
 use mocapd_take::{interchange::column_labels, motion::frame_at};
 
-use super::{Pictured, pose::up};
-use crate::cli::{motion_files::file_name, plot};
+use super::{Picture, PictureArgs, TimeSpan, pose::up};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    pictured: Pictured,
+    picture: PictureArgs,
     /// Label of the marker [default: the marker with the longest path]
     #[arg(long, value_name = "LABEL")]
     marker: Option<String>,
     /// Plot frames from this time on: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
-    /// Plot frames before this time
-    #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
-    to: Option<Duration>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let (decoded, original) = args.pictured.read()?;
-    let original = original.map(|(motion, _)| motion);
+    args.picture.run(TimeSpan::Range, |picture| draw(args, picture))
+}
+
+fn draw(args: &Args, picture: &Picture<'_>) -> anyhow::Result<String> {
+    let decoded = &picture.take;
     let motion = &decoded.motion;
     let (n_frames, rate_hz) = (motion.n_frames(), motion.info.rate_hz);
     let row = |time: Duration| usize::try_from(frame_at(time, rate_hz)).unwrap_or(usize::MAX);
-    let rows = (args.from.map_or(0, row), args.to.map_or(n_frames, row));
+    let rows = (args.from.map_or(0, row), picture.end.map_or(n_frames, row));
     if rows.0 >= rows.1.min(n_frames) {
         let length_s = n_frames as f64 / rate_hz;
         anyhow::bail!(UsageError(format!(
             "no frames between --from and --to: the take has {n_frames} frames, {length_s:.3} s"
         )));
     }
-    let marker = marker(&decoded, args.marker.as_deref())?;
-    let spec = TrajectoryPlot {
-        name: &file_name(&args.pictured.take),
-        take: &decoded,
-        original: original.as_ref(),
-        marker,
+    Ok(trajectory(&TrajectoryPlot {
+        name: &picture.name,
+        take: decoded,
+        original: picture.original.as_ref().map(|(motion, _)| motion),
+        marker: marker(decoded, args.marker.as_deref())?,
         rows,
         up: up(motion),
-    };
-    plot::write(&args.pictured.output, &trajectory(&spec)?)?;
-    Ok(plot::outcome(&decoded))
+    })?)
 }
 
 /// The column of the marker with this label, or of the one with the longest path.

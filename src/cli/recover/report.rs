@@ -1,12 +1,14 @@
 //! The report of `recover`, as JSON (docs/json.md) and as text.
 
-use std::{fmt::Write, path::PathBuf};
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+};
 
 use mocapd_acquire::ledger::LedgerDocument;
 use mocapd_take::recovery::{ChunkKindCount, RecoveryScan};
 use serde::Serialize;
 
-use super::Args;
 use crate::cli::{
     damage::{self, DamageReport},
     output::plain,
@@ -24,7 +26,7 @@ pub(super) struct RecoverReport {
     pub(super) problems: Vec<String>,
     chunks: Vec<ChunkReport>,
     frames: u64,
-    frames_recovered: u64,
+    pub(super) frames_recovered: u64,
     frames_damaged: u64,
     samples: u64,
     damage: Vec<DamageReport>,
@@ -51,7 +53,7 @@ struct RecoveredMarkerReport {
 
 impl RecoverReport {
     pub(super) fn new(
-        args: &Args,
+        [take, output]: [&Path; 2],
         scan: &RecoveryScan,
         problems: Vec<String>,
         take_bytes: u64,
@@ -70,8 +72,8 @@ impl RecoverReport {
             frames_damaged: found.rows_damaged,
         });
         Self {
-            take: args.take.clone(),
-            output: args.output.clone(),
+            take: take.to_owned(),
+            output: output.to_owned(),
             lost: scan.lost_anything(),
             finished: scan.finished,
             problems,
@@ -89,8 +91,9 @@ impl RecoverReport {
         }
     }
 
-    pub(super) fn text(&self) -> String {
-        let mut out = format!(
+    /// The report in one line.
+    pub(super) fn line(&self) -> String {
+        format!(
             "{}: {} of {}, {}, {} of the {} read\n",
             plain(&self.output.display().to_string()),
             count(self.frames_recovered, "frame"),
@@ -98,7 +101,12 @@ impl RecoverReport {
             count(self.samples, "sample"),
             bytes(self.take_bytes.saturating_sub(self.discarded_bytes)),
             bytes(self.take_bytes),
-        );
+        )
+    }
+
+    /// The whole report.
+    pub(super) fn text(&self) -> String {
+        let mut out = self.line();
         writeln!(out, "{:<15} {:>10} {:>10}", "chunks", "recovered", "discarded").ok();
         for ChunkReport { kind, recovered, discarded } in &self.chunks {
             let (recovered, discarded) = (thousands(*recovered), thousands(*discarded));

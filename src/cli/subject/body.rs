@@ -58,7 +58,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if n_scans > SCANS_MAX {
         bail!(UsageError(format!("{n_scans} scans are too many: give at most {SCANS_MAX}")));
     }
-    let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
+    let to_stdout = args.output.as_deref().is_some_and(paths::is_dash);
     let output = args.output.as_deref().filter(|_| !to_stdout);
     output.map(paths::check_output).transpose()?;
     args.picture.as_deref().map(plot::check_output).transpose()?;

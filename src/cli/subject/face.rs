@@ -51,7 +51,7 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
+    let to_stdout = args.output.as_deref().is_some_and(paths::is_dash);
     let output = args.output.as_ref().filter(|_| !to_stdout);
     for path in [output, args.obj.as_ref(), args.overlay.as_ref()].into_iter().flatten() {
         paths::check_output(path)?;

@@ -45,7 +45,7 @@ impl From<&Ambiguity> for AmbiguityReport {
 ///
 /// # Errors
 /// If one of the two cannot be read, or they have no frame in common.
-pub(super) fn against(
+pub(crate) fn against(
     take: &Path,
     original: &Path,
     tolerance_mm: f64,

@@ -1,8 +1,9 @@
-//! `verify`: checks that a take is intact and consistent, and compares it with an original.
+//! `verify`: checks that takes are intact and consistent, and compares them with originals.
 
 mod against;
 mod derivatives;
 mod limbs;
+mod motion_file;
 
 use std::{
     io::BufReader,
@@ -10,10 +11,10 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::outcome::Outcome;
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     clock::LineDeviation,
-    files::SparseFile,
+    files::{CountingFile, SparseFile},
     health::TakeHealth,
     inspect::Summary,
     verdict::{Finding, Verdict},
@@ -22,24 +23,31 @@ use mocapd_service::units;
 use mocapd_take::record::Ledger;
 use serde::Serialize;
 
-pub(super) use self::against::AgainstReport;
+pub(super) use self::against::{AgainstReport, against};
 use self::{
-    against::against,
     derivatives::{DerivativesReport, derivatives},
     limbs::{LimbsReport, limbs_of},
 };
 use super::{
+    batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
     damage::{self, DamageReport},
-    output::{notify, plain, plain_path, print, print_json},
-    paths,
+    output::{plain, plain_path},
+    paths::{self, InputFormat, InputFormatName},
     values::count,
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take
-    take: PathBuf,
-    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
+    /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; `-` reads standard input, with --format
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Format of standard input
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<InputFormatName>,
+    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take; or a folder in which each take has an original
+    /// of its name
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
     /// With --against, also report errors of velocities and accelerations, low-passed at this cutoff: 6Hz
@@ -48,7 +56,7 @@ pub(crate) struct Args {
     /// Compare limb lengths with a skeleton.json, or with the take's own skeleton, and find swapped labels
     #[arg(long, value_name = "FILE", num_args = 0..=1)]
     skeleton: Option<Option<PathBuf>>,
-    /// Print one JSON document
+    /// Print one JSON document, or one per line for several files
     #[arg(long)]
     json: bool,
 }
@@ -84,47 +92,108 @@ struct VerifiedMarkerReport {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let reading = || format!("cannot read {}", args.take.display());
-    if let Some(original) = args.against.as_ref().filter(|path| !paths::is_take(path)) {
+    let is_file = |path: &&PathBuf| !path.is_dir() && !paths::is_take(path);
+    if let Some(original) = args.against.as_ref().filter(is_file) {
         paths::input_format(original)?;
     }
-    let summary =
-        Summary::read(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
+    let format = args.format.map(Into::into);
+    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, format)?;
+    let batch = Batch {
+        inputs: &inputs,
+        outputs: &[],
+        json: args.json,
+        text_to_stderr: false,
+        threads: batch::thread_count(None),
+        doing: "verifying",
+        done: "verified",
+    };
+    batch::run(&batch, |job| match job.input.format()? {
+        InputFormat::Take => verify(args, job),
+        InputFormat::MotionFile(_) if args.against.is_some() || args.skeleton.is_some() => {
+            let name = job.input.name.display();
+            bail!(UsageError(format!(
+                "{name} is not a take: --against and --skeleton are for takes; import it first"
+            )))
+        }
+        InputFormat::MotionFile(_) => motion_file::verify(job),
+    })
+}
+
+fn verify(args: &Args, job: &Job<'_>) -> anyhow::Result<FileReport> {
+    let (take, name) = (&job.input.path, job.input.name.display());
+    let reading = || format!("cannot read {name}");
+    let file = SparseFile::open(take)?;
+    let bytes_read = file.len_bytes().with_context(reading)?;
+    let phase = job.phase("verifying", bytes_read);
+    let file = CountingFile::new(file, &phase.counter);
+    let summary = Summary::read(BufReader::new(file)).with_context(reading)?;
+    drop(phase);
     let verdict = Verdict::of(&summary);
     // A ledger that does not close is reported with details below.
     let is_printed = |finding: &&Finding<'_>| !matches!(finding, Finding::LedgerOpen);
     let printed: Vec<String> =
         verdict.problems.iter().filter(is_printed).map(ToString::to_string).collect();
-    let mut report = VerifyReport::new(&args.take, &summary, verdict);
-    if let Some(original) = &args.against {
-        report.against = Some(against(&args.take, original, summary.take.header.tolerance_mm)?);
+    let mut report = VerifyReport::new(&job.input.name, &summary, verdict);
+    let original = args.against.as_ref().map(|original| original_of(original, job)).transpose()?;
+    if let Some(original) = &original {
+        report.against = Some(against(take, original, summary.take.header.tolerance_mm)?);
         if let Some(cutoff_hz) = args.cutoff {
-            report.derivatives = Some(derivatives(&args.take, original, cutoff_hz)?);
+            report.derivatives = Some(derivatives(take, original, cutoff_hz)?);
         }
     }
     if let Some(skeleton) = &args.skeleton {
-        report.limbs = Some(limbs_of(&args.take, skeleton.as_deref())?);
+        report.limbs = Some(limbs_of(take, skeleton.as_deref())?);
     }
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(&report.text())?;
-        for problem in printed {
-            notify(&format!("{}: {problem}", args.take.display()));
-        }
+    if !job.is_json {
+        printed.iter().for_each(|problem| job.notify(problem));
     }
-    damage::notify_losses(&args.take, &summary, !args.json);
-    if let Some(original) = &args.against
-        && !report.against.as_ref().is_some_and(AgainstReport::is_within)
-    {
-        bail!("{} differs from {}", args.take.display(), original.display());
-    }
-    if let Some(contradiction) = report.contradictions.first() {
-        bail!("{} contradicts itself: {contradiction}", args.take.display());
+    for message in damage::losses(&job.input.name, &summary, !job.is_json) {
+        job.notify(&message);
     }
     // With swapped labels every sample is there, but some under the wrong label: reported like lost data.
     let swapped = report.limbs.as_ref().is_some_and(|limbs| !limbs.is_consistent());
-    Ok(Outcome::of(report.health != TakeHealth::Complete || !report.intact || swapped))
+    Ok(FileReport {
+        failure: report.failure(original.as_deref()),
+        data_lost: report.health != TakeHealth::Complete || !report.intact || swapped,
+        text: report.text(),
+        line: report.line(),
+        json: job.json(&report)?,
+        figures: Figures {
+            frames: report.frames,
+            seconds: report.frames as f64 / summary.take.header.rate_hz,
+            bytes_read,
+            ..Figures::default()
+        },
+    })
+}
+
+/// The original of a take: the file given with `--against`, or the file of the take's name in that folder.
+///
+/// # Errors
+/// If the folder has no such file, or several.
+fn original_of(against: &Path, job: &Job<'_>) -> anyhow::Result<PathBuf> {
+    if !against.is_dir() {
+        return Ok(against.to_owned());
+    }
+    let stem = against.join(&job.input.relative);
+    let candidates = ["c3d", "trc", "tsv", "csv", "take"].map(|ending| stem.with_extension(ending));
+    let found: Vec<PathBuf> = candidates.into_iter().filter(|path| path.is_file()).collect();
+    match <[PathBuf; 1]>::try_from(found) {
+        Ok([original]) => Ok(original),
+        Err(found) if found.is_empty() => bail!(
+            "{} has no original: expected {} with .c3d, .trc, .tsv, .csv or .take",
+            job.input.name.display(),
+            stem.with_extension("").display()
+        ),
+        Err(found) => {
+            let found: Vec<String> = found.iter().map(|path| path.display().to_string()).collect();
+            bail!(
+                "{} has several originals: {}; give one with --against FILE",
+                job.input.name.display(),
+                found.join(", ")
+            )
+        }
+    }
 }
 
 impl VerifyReport {
@@ -158,16 +227,34 @@ impl VerifyReport {
         }
     }
 
-    fn text(&self) -> String {
+    /// Why the check failed, if a comparison or the take itself shows that it is wrong.
+    fn failure(&self, original: Option<&Path>) -> Option<String> {
+        let take = self.take.display();
+        if let Some(original) = original
+            && !self.against.as_ref().is_some_and(AgainstReport::is_within)
+        {
+            return Some(format!("{take} differs from {}", original.display()));
+        }
+        let contradiction = self.contradictions.first()?;
+        Some(format!("{take} contradicts itself: {contradiction}"))
+    }
+
+    /// The report in one line.
+    fn line(&self) -> String {
         let state = if self.intact { "intact" } else { "NOT INTACT" };
         let ending = self.ending.map_or_else(String::new, |ending| format!(" ({ending})"));
-        let mut out = format!(
+        format!(
             "{}: {state}, {}{ending}, {}, {}; checked every checksum, block and ledger\n",
             plain_path(&self.take),
             self.health.name(),
             count(self.frames, "frame"),
             count(self.samples, "sample")
-        );
+        )
+    }
+
+    /// The whole report.
+    fn text(&self) -> String {
+        let mut out = self.line();
         if let Some(LineDeviation { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
             out += &format!(
                 "clock line refitted to the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"

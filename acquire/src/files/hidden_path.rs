@@ -1,0 +1,64 @@
+//! The temporary names of files and folders that are not complete yet, so that a program that is interrupted can remove
+//! them.
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
+};
+
+/// The hidden paths of this process.
+static HIDDEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Attempts to remove a folder in which other threads may still create files.
+const ATTEMPTS: u32 = 10;
+
+fn hidden() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    HIDDEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A hidden file or folder, which is removed when this is dropped. Once it has its final name, nothing is at the hidden
+/// path, or a second link to the kept file.
+#[derive(Debug)]
+pub(super) struct HiddenPath(PathBuf);
+
+impl HiddenPath {
+    pub(super) fn new(path: PathBuf) -> Self {
+        hidden().insert(path.clone());
+        Self(path)
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for HiddenPath {
+    fn drop(&mut self) {
+        remove(&self.0);
+        hidden().remove(&self.0);
+    }
+}
+
+/// Removes a file, or a folder with its content.
+fn remove(path: &Path) {
+    if fs::remove_file(path).is_err() {
+        fs::remove_dir_all(path).ok();
+    }
+}
+
+/// Removes every incomplete output, for a process that is about to end. Until then no other can be created: the thread
+/// that tries waits.
+pub fn remove_incomplete_outputs() {
+    let paths = hidden();
+    for path in paths.iter() {
+        for _ in 0..ATTEMPTS {
+            if path.symlink_metadata().is_err() {
+                break;
+            }
+            remove(path);
+        }
+    }
+    std::mem::forget(paths);
+}
