@@ -167,6 +167,7 @@ impl ImportPlan<'_> {
                 bytes_written: written.file_bytes,
                 is_unchanged,
             },
+            ..FileReport::default()
         })
     }
 

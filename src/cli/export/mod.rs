@@ -217,6 +217,7 @@ impl ExportPlan<'_> {
                 bytes_written: report.output_bytes,
                 is_unchanged: report.unchanged,
             },
+            ..FileReport::default()
         })
     }
 

@@ -1,5 +1,6 @@
-//! `info`: shows what is in a take.
+//! `info`: shows what is in takes and motion files.
 
+mod motion_file;
 mod report;
 mod subject;
 mod text;
@@ -8,12 +9,20 @@ use std::{io::BufReader, path::PathBuf};
 
 use anyhow::Context;
 use mocapd::outcome::Outcome;
-use mocapd_acquire::{files::SparseFile, health::TakeHealth, inspect::Summary};
+use mocapd_acquire::{
+    files::{CountingFile, SparseFile},
+    health::TakeHealth,
+    inspect::Summary,
+};
 
-use self::{report::InfoReport, text::text};
+use self::{
+    report::InfoReport,
+    text::{line, text},
+};
 use super::{
+    batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
     damage,
-    output::{notify, print, print_json},
+    paths::{InputFormat, InputFormatName},
 };
 
 /// Widest label column of a table, in characters; a longer label shifts its own line.
@@ -21,27 +30,63 @@ const LABEL_COLUMNS_MAX: usize = 64;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take
-    take: PathBuf,
-    /// Print one JSON document
+    /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; `-` reads standard input, with --format
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Format of standard input
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<InputFormatName>,
+    /// Print one JSON document, or one per line for several files
     #[arg(long)]
     json: bool,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let reading = || format!("cannot read {}", args.take.display());
-    let file = SparseFile::open(&args.take)?;
+    let format = args.format.map(Into::into);
+    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, format)?;
+    let batch = Batch {
+        inputs: &inputs,
+        outputs: &[],
+        json: args.json,
+        text_to_stderr: false,
+        threads: batch::thread_count(None),
+        doing: "reading",
+        done: "read",
+    };
+    batch::run(&batch, |job| match job.input.format()? {
+        InputFormat::Take => take_info(job),
+        InputFormat::MotionFile(_) => motion_file::info(job),
+    })
+}
+
+fn take_info(job: &Job<'_>) -> anyhow::Result<FileReport> {
+    let reading = || format!("cannot read {}", job.input.name.display());
+    let file = SparseFile::open(&job.input.path)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
-    let summary = Summary::read(BufReader::new(file)).with_context(reading)?;
-    let report = InfoReport::new(&args.take, &summary, file_bytes);
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(&text(&report))?;
-        for problem in &report.problems {
-            notify(&format!("{}: {problem}", args.take.display()));
-        }
+    let phase = job.phase("reading", file_bytes);
+    let file = BufReader::new(CountingFile::new(file, &phase.counter));
+    let summary = Summary::read(file).with_context(reading)?;
+    drop(phase);
+    let report = InfoReport::new(&job.input.name, &summary, file_bytes);
+    if !job.is_json {
+        report.problems.iter().for_each(|problem| job.notify(problem));
     }
-    damage::notify_losses(&args.take, &summary, !args.json);
-    Ok(Outcome::of(report.health != TakeHealth::Complete || !report.problems.is_empty()))
+    for message in damage::losses(&job.input.name, &summary, !job.is_json) {
+        job.notify(&message);
+    }
+    Ok(FileReport {
+        data_lost: report.health != TakeHealth::Complete || !report.problems.is_empty(),
+        text: text(&report),
+        line: line(&report),
+        json: job.json(&report)?,
+        figures: Figures {
+            frames: report.frames,
+            seconds: report.seconds,
+            bytes_read: file_bytes,
+            ..Figures::default()
+        },
+        ..FileReport::default()
+    })
 }

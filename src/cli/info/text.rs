@@ -8,9 +8,24 @@ use super::{LABEL_COLUMNS_MAX, report::InfoReport};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
-    output::plain,
-    values::{bytes, count, frames_of, thousands},
+    output::{plain, plain_path},
+    values::{bytes, count, frames_of, length_of_time, rate, thousands},
 };
+
+/// The report in one line.
+pub(super) fn line(report: &InfoReport) -> String {
+    format!(
+        "{}: {}, {}, {} of {} at {}, {} ({:.1}:1)\n",
+        plain_path(&report.take),
+        report.health.name(),
+        length_of_time(report.seconds),
+        frames_of(report.frames_recorded().unwrap_or(report.frames), report.frames),
+        count(report.markers as u64, "marker"),
+        rate(report.rate_hz),
+        bytes(report.file_bytes),
+        report.ratio,
+    )
+}
 
 /// The whole report: a list of facts, the ledger, the clock and a table of the markers.
 pub(super) fn text(report: &InfoReport) -> String {

@@ -5,7 +5,6 @@ mod sizes;
 mod trajectory;
 
 use std::{
-    io::Write,
     path::{Path, PathBuf},
     time::Duration,
 };

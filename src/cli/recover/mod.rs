@@ -93,5 +93,6 @@ fn recover(job: &Job<'_>, is_folder: bool) -> anyhow::Result<FileReport> {
             bytes_written: written,
             is_unchanged: kept == Kept::Unchanged,
         },
+        ..FileReport::default()
     })
 }
