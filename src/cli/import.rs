@@ -31,8 +31,7 @@ use super::{
     output::{plain, plain_path},
     paths::{self, InputFormatName},
     subject::SubjectArgs,
-    values::{CodecArgs, SizeReport, count, thousands, tolerance_mm},
-    verify::AgainstReport,
+    values::{CodecArgs, SizeReport, count, rate, thousands, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
@@ -115,6 +114,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         threads: batch::thread_count(args.threads),
         doing: "importing",
         done: "imported",
+        is_compression: true,
     };
     batch::run(&batch, |job| plan.import(job))
 }
@@ -154,7 +154,10 @@ impl ImportPlan<'_> {
         }
         let mut report = ImportReport::new(output, &motion, codec, &written, foreign_dropped);
         (report.file, report.unchanged) = (name.clone(), is_unchanged);
-        report.against = args.verify.then(|| compare(output, job)).transpose()?;
+        if args.verify {
+            compare(output, job)?;
+            report.verified = true;
+        }
         Ok(FileReport {
             data_lost: motion.info.source.frames_missing > 0,
             text: report.text(),
@@ -213,7 +216,7 @@ fn existing(path: &Path, header: &Header) -> anyhow::Result<Option<TakeAccount>>
 ///
 /// # Errors
 /// If a sample is not within the tolerance, or a gap differs.
-fn compare(output: &Path, job: &Job<'_>) -> anyhow::Result<AgainstReport> {
+fn compare(output: &Path, job: &Job<'_>) -> anyhow::Result<()> {
     let tolerance_mm = TakeEnds::read(&mut files::open(output)?)?.header.tolerance_mm;
     let report = super::verify::against(output, &job.input.path, tolerance_mm)?;
     ensure!(
@@ -223,7 +226,7 @@ fn compare(output: &Path, job: &Job<'_>) -> anyhow::Result<AgainstReport> {
         job.input.name.display(),
         report.text(tolerance_mm).trim_end()
     );
-    Ok(report)
+    Ok(())
 }
 
 /// Refuses a tolerance that would destroy the motion if the unit of the file, unstated or implausible, is not the one
@@ -274,8 +277,8 @@ pub(super) struct ImportReport {
     samples_missing: u64,
     foreign_dropped: Vec<String>,
     warnings: Vec<String>,
-    /// With `--verify`: the comparison of the take with its source.
-    against: Option<AgainstReport>,
+    /// Whether the take was compared with its source, with `--verify`: a difference is an error.
+    verified: bool,
 }
 
 impl ImportReport {
@@ -301,7 +304,7 @@ impl ImportReport {
             samples_missing: (motion.positions_mm.len() as u64).saturating_sub(written.samples),
             foreign_dropped,
             warnings: info.source.warnings.clone(),
-            against: None,
+            verified: false,
         }
     }
 
@@ -311,13 +314,13 @@ impl ImportReport {
             n => format!(" ({} samples missing)", thousands(n)),
         };
         let unchanged = if self.unchanged { "; unchanged, imported before" } else { "" };
-        let verified = if self.against.is_some() { "; compared with the source" } else { "" };
+        let verified = if self.verified { "; compared with the source" } else { "" };
         format!(
-            "{}: {} of {}{gaps} at {} Hz, {}{unchanged}{verified}\n",
+            "{}: {} of {}{gaps} at {}, {}{unchanged}{verified}\n",
             plain_path(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
-            self.rate_hz,
+            rate(self.rate_hz),
             self.size.text(),
         )
     }

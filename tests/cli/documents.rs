@@ -9,7 +9,8 @@ use std::{
 use mocapd_take::{
     chunk::{self, ChunkParse, types},
     index::Footer,
-    record::{Record, Subject},
+    motion::MotionEvent,
+    record::{EventKind, Record, Subject},
 };
 use serde_json::Value;
 
@@ -379,4 +380,47 @@ fn the_exit_codes_are_those_of_the_help() {
         cells.next()?.parse::<u8>().ok()
     });
     assert_eq!(codes.collect::<Vec<_>>(), [0, 1, 2, 3]);
+}
+
+#[test]
+fn motion_files_exports_plots_and_several_files() {
+    let folder = Folder::new();
+    folder.run(&["demo", "--seconds", "1s", "--out", "demo"]).with_code(0);
+    let take = "demo/jump-001.take";
+    let json = |args: &[&str]| folder.run(&[args, &["--json"][..]].concat()).json();
+    let mut motion = jump(1, 60.0, 1.0);
+    motion.info.events.push(MotionEvent {
+        frame: 3,
+        kind: EventKind::Mark,
+        text: "start".to_owned(),
+    });
+    folder.write_motion("marked.c3d", &motion);
+    let c3d = folder.read("demo/jump-001.c3d");
+    folder.write("cut.c3d", &c3d[..c3d.len() / 2]);
+    let files = ["demo/jump-001.trc", "marked.c3d", "cut.c3d"];
+    check("`mocapd info` of a motion file", &files.map(|file| json(&["info", file])));
+    check("`mocapd verify` of a motion file", &files.map(|file| json(&["verify", file])));
+
+    let bytes = folder.read(take);
+    folder.write("damaged.take", &bytes[..bytes.len() - 1]);
+    folder.run(&["import", "marked.c3d", "-o", "marked.take"]).with_code(0);
+    let exports = [
+        json(&["export", take, "-o", "jump.tsv"]),
+        json(&["export", "marked.take", "-o", "marked.c3d.c3d", "--up", "y"]),
+        json(&["export", "damaged.take", "-o", "damaged.csv"]),
+    ];
+    check("`mocapd export`", &exports);
+    let plots = [
+        json(&["plot", "quality", take, "-o", "jump.svg"]),
+        json(&["plot", "pose", "damaged.take", "-o", "damaged.svg"]),
+    ];
+    check("`mocapd plot`", &plots);
+
+    folder.write("broken.c3d", b"");
+    let ran = folder.run(&["info", "broken.c3d", "marked.c3d", "--json"]).with_code(1);
+    let lines: Vec<Value> =
+        ran.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 2, "{}", ran.stdout);
+    check("Several files", &lines[..1]);
+    assert_eq!(lines[1], json(&["info", "marked.c3d"]));
 }

@@ -81,6 +81,8 @@ pub(crate) struct Batch<'a> {
     pub(crate) doing: &'static str,
     /// What was done, for the table: `imported`.
     pub(crate) done: &'static str,
+    /// Whether the table has the ratio of bytes read to bytes written.
+    pub(crate) is_compression: bool,
 }
 
 /// The work on one file: its paths, its share of the threads, and where its messages and its progress go.
@@ -209,7 +211,7 @@ pub(crate) fn run(
     })?;
     drop(display);
     if !batch.json {
-        print(&table.text(batch.done))?;
+        print(&table.text(batch.done, batch.is_compression))?;
     }
     Ok(table.outcome())
 }

@@ -50,8 +50,9 @@ impl Table {
         if self.failed.files > 0 { Outcome::Failed } else { Outcome::of(self.lossy.files > 0) }
     }
 
-    /// The table as text; `done` is what was done, such as `imported`.
-    pub(super) fn text(&self, done: &str) -> String {
+    /// The table as text; `done` is what was done, such as `imported`. With `has_ratio` it has the ratio
+    /// of bytes read to bytes written.
+    pub(super) fn text(&self, done: &str, has_ratio: bool) -> String {
         let rows = [
             (done, &self.done),
             ("unchanged", &self.unchanged),
@@ -61,7 +62,8 @@ impl Table {
         let writes = rows.iter().any(|(_, row)| row.sums.bytes_written > 0);
         let mut out =
             format!("{:<12}{:>8}{:>14}{:>14}{:>11}", "", "files", "frames", "length", "read");
-        out += if writes { "    written   ratio\n" } else { "\n" };
+        out += if writes { "    written" } else { "" };
+        out += if writes && has_ratio { "   ratio\n" } else { "\n" };
         for (name, Row { files, sums }) in
             rows.into_iter().filter(|(name, row)| row.files > 0 || *name == done)
         {
@@ -71,8 +73,11 @@ impl Table {
                 write!(out, "{frames:>14}{length:>14}{:>11}", bytes(sums.bytes_read)).ok();
             }
             if sums.bytes_written > 0 {
-                let ratio = sums.bytes_read as f64 / sums.bytes_written as f64;
-                write!(out, "{:>11}{ratio:>8.1}", bytes(sums.bytes_written)).ok();
+                write!(out, "{:>11}", bytes(sums.bytes_written)).ok();
+                if has_ratio {
+                    let ratio = sums.bytes_read as f64 / sums.bytes_written as f64;
+                    write!(out, "{ratio:>8.1}").ok();
+                }
             }
             out.push('\n');
         }
@@ -115,7 +120,7 @@ mod tests {
         table.add_failure();
         assert_eq!(table.outcome(), Outcome::Failed);
         assert_eq!(
-            table.text("imported"),
+            table.text("imported", true),
             "               files        frames        length       read    written   ratio\n\
              imported           3         1 800        30.0 s   108.0 kB    3 600 B    30.0\n\
              unchanged          1           600        10.0 s    36.0 kB    1 200 B    30.0\n\

@@ -108,6 +108,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         threads: batch::thread_count(None),
         doing: "exporting",
         done: "exported",
+        is_compression: false,
     };
     let plan = ExportPlan { args, format, end, is_folder };
     batch::run(&batch, |job| plan.export(job))

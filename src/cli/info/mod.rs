@@ -54,6 +54,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         threads: batch::thread_count(None),
         doing: "reading",
         done: "read",
+        is_compression: false,
     };
     batch::run(&batch, |job| match job.input.format()? {
         InputFormat::Take => take_info(job),

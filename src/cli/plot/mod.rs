@@ -205,6 +205,7 @@ impl PictureArgs {
             threads: batch::thread_count(None),
             doing: "plotting",
             done: "plotted",
+            is_compression: false,
         };
         batch::run(&batch, |job| self.plot(job, (picture, end), in_folder, &draw))
     }

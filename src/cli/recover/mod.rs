@@ -51,6 +51,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         threads: batch::thread_count(None),
         doing: "recovering",
         done: "recovered",
+        is_compression: false,
     };
     batch::run(&batch, |job| recover(job, is_folder))
 }

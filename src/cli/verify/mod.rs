@@ -106,6 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         threads: batch::thread_count(None),
         doing: "verifying",
         done: "verified",
+        is_compression: false,
     };
     batch::run(&batch, |job| match job.input.format()? {
         InputFormat::Take => verify(args, job),
