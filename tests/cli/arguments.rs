@@ -168,9 +168,9 @@ fn invalid_devices() {
 fn errors_of_clap_are_one_line() {
     let folder = folder();
     refused_with(&folder, &["frob"], &["frob", "--help"]);
-    refused_with(&folder, &["import"], &["--output <TAKE>", "<FILE>", "--help"]);
+    refused_with(&folder, &["import"], &["<FILE>", "--help"]);
     refused_with(&folder, &["info", "jump.take", "--jsn"], &["--jsn", "--json"]);
-    refused_with(&folder, &["info", "jump.take", "again.take"], &["again.take"]);
+    refused_with(&folder, &["devices", "again.take"], &["again.take"]);
     // Without arguments the program prints its usage.
     for args in [&[][..], &["bench"]] {
         assert!(folder.run(args).with_code(2).stderr.contains("Usage: mocapd"), "{args:?}");

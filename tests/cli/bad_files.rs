@@ -1,7 +1,6 @@
 //! Invalid input files: the error says what is wrong and where, and nothing is written.
 
 use mocapd_acquire::files::FileError;
-use mocapd_drivers::plain_file::NotAFile;
 use mocapd_take::{NotATake, TakeError};
 
 use super::{Folder, unprivileged};
@@ -14,24 +13,19 @@ fn missing_files_and_folders_are_refused() {
     std::fs::create_dir(folder.path("folder.take")).unwrap();
     let csv = |name| ["import", name, "-o", "new.take"];
     let absent = |name: &str| FileError::NotFound(name.into()).to_string();
-    let no_file = |name: &str| FileError::NotAFile(name.into(), NotAFile::Folder).to_string();
     assert_eq!(folder.refuses(&csv("none.csv"), 1), absent("none.csv"));
-    assert_eq!(folder.refuses(&csv("folder.csv"), 1), no_file("folder.csv"));
-    for (file, line) in
-        [("none.take", absent("none.take")), ("folder.take", no_file("folder.take"))]
-    {
-        assert_eq!(folder.refuses(&["info", file], 1), line);
-        assert_eq!(folder.refuses(&["info", file, "--json"], 1), line);
-        assert_eq!(folder.refuses(&["verify", file], 1), line);
-        assert_eq!(folder.refuses(&["export", file, "-o", "new.csv"], 1), line);
+    assert_mentions(&folder.refuses(&csv("folder.csv"), 2), &["folder.csv", ".c3d", "--recursive"]);
+    for args in [&["info"][..], &["info", "--json"], &["verify"], &["export", "-o", "new.csv"]] {
+        let refuses = |name, code| folder.refuses(&[args, &[name][..]].concat(), code);
+        assert_eq!(refuses("none.take", 1), absent("none.take"));
+        assert_mentions(&refuses("folder.take", 2), &["folder.take"]);
     }
     folder.write_motion("jump.csv", &jump(1, 60.0, 0.5));
     folder.run(&csv("jump.csv")).with_code(0);
     let against = |file| ["verify", "new.take", "--against", file];
     assert_eq!(folder.refuses(&against("none.csv"), 1), absent("none.csv"));
     assert_eq!(folder.refuses(&against("none.take"), 1), absent("none.take"));
-    assert_eq!(folder.refuses(&against("folder.csv"), 1), no_file("folder.csv"));
-    assert_eq!(folder.refuses(&against("folder.take"), 1), no_file("folder.take"));
+    assert_mentions(&folder.refuses(&against("folder.csv"), 1), &["folder.csv/new", ".c3d"]);
 }
 
 #[test]

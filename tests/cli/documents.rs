@@ -406,7 +406,7 @@ fn motion_files_exports_plots_and_several_files() {
     folder.run(&["import", "marked.c3d", "-o", "marked.take"]).with_code(0);
     let exports = [
         json(&["export", take, "-o", "jump.tsv"]),
-        json(&["export", "marked.take", "-o", "marked.c3d.c3d", "--up", "y"]),
+        json(&["export", "marked.take", "-o", "turned.c3d", "--up", "y"]),
         json(&["export", "damaged.take", "-o", "damaged.csv"]),
     ];
     check("`mocapd export`", &exports);

@@ -90,14 +90,17 @@ fn every_command_takes_a_folder() {
         &["info", "takes", "-r"][..],
         &["verify", "takes", "-r", "--against", "in"],
         &["export", "takes", "-r", "-o", "c3d", "--to", "c3d"],
-        &["export", "takes", "-r", "--to", "csv", "--from", "0.5s", "--to", "0.8s"],
+        &["export", "takes", "-r", "--to", "npz"],
+        &["export", "takes", "-r", "--to", "trc", "--from", "0.5s", "--to", "0.8s", "-o", "parts/"],
         &["recover", "takes", "-r", "-o", "recovered"],
         &["plot", "trajectory", "takes", "-r", "-o", "plots", "--to", "png"],
         &["plot", "quality", "in", "takes", "-o", "quality"],
         &["plot", "sizes", "in", "takes", "-r", "-o", "sizes.svg", "--tolerances", "5mm"],
     ] {
         let ran = folder.run(command).with_code(0);
-        assert_eq!(ran.stderr, "", "{command:?}");
+        let unexpected =
+            ran.stderr.lines().find(|line| !line.contains("not supported by the format"));
+        assert_eq!(unexpected, None, "{command:?}");
     }
     for output in [
         "c3d/0.c3d",

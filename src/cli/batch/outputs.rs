@@ -11,6 +11,7 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::files::{self, Kept, NewFile, folder_of};
+use mocapd_take::interchange::Format;
 
 use super::inputs::{Input, Inputs};
 use crate::cli::{output as stdout, paths};
@@ -44,7 +45,9 @@ impl Destination {
             }
             return Ok(Self::Stdout);
         }
-        let is_folder = output.as_os_str().as_bytes().ends_with(b"/") || output.is_dir();
+        let has_ending = paths::is_take(output) || Format::from_extension(output).is_some();
+        let is_folder =
+            output.as_os_str().as_bytes().ends_with(b"/") || (output.is_dir() && !has_ending);
         if inputs.is_single && !is_folder {
             return Ok(Self::File(output.to_owned()));
         }
@@ -76,7 +79,9 @@ impl Destination {
                 )),
                 Self::Beside => with_ending(&input.path, extension),
             };
-            if paths::are_one(&output, &input.path) {
+            // A single output is not written where anything exists.
+            let is_named = matches!(self, Self::File(_) | Self::Stdout);
+            if !is_named && paths::are_one(&output, &input.path) {
                 bail!(UsageError(format!(
                     "{} would be written over its source: give another folder with -o FOLDER/",
                     output.display()

@@ -88,7 +88,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let (end, to_format) = to::split(&args.to)?;
     let name = args.format.name(to_format)?;
     let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
-    let destination = Destination::of(args.output.as_deref(), &inputs)?;
+    let destination = match &args.output {
+        // The folder of a data set, not one to put it into.
+        Some(path)
+            if name == Some(FormatName::Bids) && inputs.is_single && !paths::is_dash(path) =>
+        {
+            Destination::File(path.clone())
+        }
+        output => Destination::of(output.as_deref(), &inputs)?,
+    };
     let (format, paths_of_outputs) = plan_outputs(args, name, &destination, &inputs)?;
     format.check_built()?;
     match &destination {
