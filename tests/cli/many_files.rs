@@ -94,7 +94,7 @@ fn every_command_takes_a_folder() {
         &["export", "takes", "-r", "--to", "trc", "--from", "0.5s", "--to", "0.8s", "-o", "parts/"],
         &["recover", "takes", "-r", "-o", "recovered"],
         &["plot", "trajectory", "takes", "-r", "-o", "plots", "--to", "png"],
-        &["plot", "quality", "in", "takes", "-o", "quality"],
+        &["plot", "quality", "in", "-o", "quality"],
         &["plot", "sizes", "in", "takes", "-r", "-o", "sizes.svg", "--tolerances", "5mm"],
     ] {
         let ran = folder.run(command).with_code(0);
