@@ -168,7 +168,7 @@ impl<'a> AnalogSamples<'a> {
                     block.extend(stored.iter().zip(&self.channels).map(|(&sample, channel)| {
                         let stored = c3d::sample_value(width, sample, self.is_unsigned);
                         channel.value(f64::from(stored))
-                    }))
+                    }));
                 }
                 None => block.extend(std::iter::repeat_n(f64::NAN, self.channels.len())),
             }
