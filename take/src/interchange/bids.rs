@@ -183,8 +183,8 @@ pub fn write(
     }
     let participants = format!("participant_id\nsub-{}\n", names.subject());
     for (path, content) in [
-        ("dataset_description.json", dataset_json(names)?),
-        ("README.md", readme(names, &info).into_bytes()),
+        ("dataset_description.json", dataset_json()?),
+        ("README.md", readme().into_bytes()),
         ("participants.tsv", participants.into_bytes()),
         ("participants.json", participants_json()?),
     ] {
@@ -259,30 +259,26 @@ fn number(value: f64) -> Value {
     if value.fract() == 0.0 { json!(value as u64) } else { json!(value) }
 }
 
-fn dataset_json(names: &BidsLabels) -> io::Result<Vec<u8>> {
+fn dataset_json() -> io::Result<Vec<u8>> {
     let version = env!("CARGO_PKG_VERSION");
     let generator = json!({ "Name": "mocapd", "Version": version, "Description": "mocapd export" });
     json([
-        ("Name", format!("Optical motion capture: {}", names.task()).into()),
+        ("Name", "Optical motion capture".into()),
         ("BIDSVersion", BIDS_VERSION.into()),
         ("DatasetType", "raw".into()),
         ("GeneratedBy", json!([generator])),
     ])
 }
 
-fn readme(names: &BidsLabels, info: &MotionInfo) -> String {
+/// Nothing of a single recording: others are added to the dataset.
+fn readme() -> String {
     format!(
-        "# Optical motion capture: {}\n\n\
-         One recording of subject {}: {} markers, {} frames at {} Hz.\n\
+        "# Optical motion capture\n\n\
+         Trajectories of markers, a recording in each `motion` folder.\n\
          Positions are in millimetres; `{MISSING}` marks samples in which a marker was not seen.\n\n\
-         Exported by mocapd {} from a take.\n\
+         Exported by mocapd {} from takes.\n\
          Please add here who was recorded, how, and on what terms the data may be used, \
          and add the authors and the licence to `dataset_description.json`.\n",
-        names.task(),
-        names.subject(),
-        info.markers.len(),
-        info.n_frames,
-        info.rate_hz,
         env!("CARGO_PKG_VERSION"),
     )
 }
