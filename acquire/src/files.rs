@@ -1,9 +1,11 @@
 //! Files that never overwrite others: a live take has its own name from the start, other files get theirs when
 //! complete.
 
+mod dataset;
 mod file_state;
 mod hidden_path;
 mod new_file;
+mod staging;
 mod take_file;
 
 use std::{
@@ -28,9 +30,10 @@ use rustix::{
 use serde::{Serialize, Serializer};
 
 pub use self::{
+    dataset::{DatasetError, NewRecording},
     file_state::{DisplacedFile, FileState, SettledFile},
     hidden_path::remove_incomplete_outputs,
-    new_file::{Kept, NewFile, NewFolder},
+    new_file::{Kept, NewFile},
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
 

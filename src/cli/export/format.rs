@@ -1,8 +1,12 @@
 //! The format of an export, and its options.
 
-use mocapd::outcome::UsageError;
-use mocapd_take::interchange::{Format, bids};
 use std::path::Path;
+
+use mocapd::outcome::UsageError;
+use mocapd_take::{
+    foreign::force_plates::Baseline,
+    interchange::{Format, bids},
+};
 
 use crate::cli::paths;
 
@@ -21,9 +25,19 @@ pub(super) struct FormatArgs {
     /// For parquet: one row per frame, with three columns per marker, instead of one row per sample
     #[arg(long)]
     wide: bool,
+    /// For mot: subtract from each channel of a force plate its mean over the frames that the C3D file states as
+    /// unloaded (FORCE_PLATFORM:ZERO)
+    #[arg(long)]
+    subtract_baseline: bool,
     /// For bids: label of the subject, letters and digits [default: 01]
     #[arg(long, value_name = "LABEL")]
     subject: Option<String>,
+    /// For bids: label of the session, letters and digits, if the subject has several
+    #[arg(long, value_name = "LABEL")]
+    session: Option<String>,
+    /// For bids: number of the run, if the subject has several of the task
+    #[arg(long, value_name = "NUMBER")]
+    run: Option<String>,
     /// For bids: label of the task, letters and digits [default: those of the take's name]
     #[arg(long, value_name = "LABEL")]
     task: Option<String>,
@@ -39,6 +53,7 @@ pub(super) enum FormatName {
     Npz,
     Xdf,
     Bids,
+    Mot,
     Parquet,
     Mcap,
 }
@@ -61,6 +76,7 @@ impl FormatName {
             Self::Npz => "npz",
             Self::Xdf => "xdf",
             Self::Bids => "",
+            Self::Mot => "mot",
             Self::Parquet => "parquet",
             Self::Mcap => "mcap",
         }
@@ -96,12 +112,19 @@ impl FormatArgs {
             Some(FormatName::Npz) => Format::Npz,
             Some(FormatName::Xdf) => Format::Xdf,
             Some(FormatName::Bids) => Format::Bids,
+            Some(FormatName::Mot) => Format::Mot,
             Some(FormatName::Parquet) => Format::Parquet,
             Some(FormatName::Mcap) => Format::Mcap,
         };
         let usage = |message: &str| Err(UsageError(message.to_owned()).into());
-        if format != Format::Bids && (self.subject.is_some() || self.task.is_some()) {
-            return usage("--subject and --task are for --format bids: omit them");
+        let labels = [&self.subject, &self.session, &self.run, &self.task];
+        if format != Format::Bids && labels.into_iter().any(Option::is_some) {
+            return usage(
+                "--subject, --session, --task and --run are for --format bids: omit them",
+            );
+        }
+        if self.subtract_baseline && format != Format::Mot {
+            return usage("--subtract-baseline is for .mot: omit it");
         }
         if self.for_spreadsheet && format != Format::Csv {
             return usage("--for-spreadsheet is for csv: omit it");
@@ -117,6 +140,11 @@ impl FormatArgs {
         }
     }
 
+    /// What is subtracted from the channels of force plates.
+    pub(super) fn baseline(&self) -> Baseline {
+        if self.subtract_baseline { Baseline::Subtracted } else { Baseline::AsStored }
+    }
+
     /// The labels in the file names of a BIDS dataset.
     ///
     /// # Errors
@@ -125,6 +153,8 @@ impl FormatArgs {
         let stem = take.file_stem().unwrap_or_default().to_string_lossy();
         let task = self.task.clone().unwrap_or_else(|| bids::BidsLabels::task_of(&stem));
         let subject = self.subject.as_deref().unwrap_or("01");
-        bids::BidsLabels::new(subject, &task).map_err(|error| UsageError(error.to_string()).into())
+        let (session, run) = (self.session.as_deref(), self.run.as_deref());
+        bids::BidsLabels::new(subject, session, &task, run)
+            .map_err(|error| UsageError(error.to_string()).into())
     }
 }

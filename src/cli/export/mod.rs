@@ -8,20 +8,20 @@ use std::{
     io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write},
     ops::Range,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::{self, Kept, NewFile, NewFolder, SparseFile},
+    files::{self, Kept, NewRecording, SparseFile},
     parallel_frames::ParallelFrames,
 };
 use mocapd_service::units;
 use mocapd_take::{
     TakeFrames,
-    interchange::{Direction, Format, RotatedFrames, bids, npz},
+    interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz},
     motion::{FrameSource, UpAxis},
     record::Ledger,
 };
@@ -50,17 +50,17 @@ pub(crate) struct Args {
     /// Takes, or folders with takes; `-` reads a take from standard input
     #[arg(required = true, value_name = "TAKE")]
     takes: Vec<PathBuf>,
-    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf or, if built in, .parquet or .mcap; with
-    /// `--format bids` the folder to create. It must not exist. For several takes the folder to write into, with
-    /// `--to FORMAT`; a file there that has the same content is left as it is. `-` writes to standard output
-    /// [default: beside each take]
+    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates) or, if built in, .parquet or
+    /// .mcap. It must not exist. For several takes the folder to write into, with `--to FORMAT`; a file there that has
+    /// the same content is left as it is. With `--to bids` the data set to create or to add to. `-` writes to standard
+    /// output [default: beside each take]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
     input: InputArgs,
     #[command(flatten)]
     format: FormatArgs,
-    /// Rotate the takes by 90 degrees so that this axis points up: x, y or z
+    /// Rotate the takes by 90 degrees so that this axis points up: x, y or z [default: for mot y, else as in the take]
     #[arg(long, value_name = "AXIS", value_parser = axis)]
     up: Option<UpAxis>,
     /// Export frames from this time on: 10s, 500ms, 2min
@@ -82,6 +82,8 @@ struct ExportPlan<'a> {
     end: Option<Duration>,
     /// Whether outputs that exist are compared rather than refused, and their folders created.
     is_folder: bool,
+    /// Held while a recording is added to a data set, one at a time.
+    dataset: Mutex<()>,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
@@ -89,17 +91,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let name = args.format.name(to_format)?;
     let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
     let destination = match &args.output {
-        // The folder of a data set, not one to put it into.
-        Some(path)
-            if name == Some(FormatName::Bids) && inputs.is_single && !paths::is_dash(path) =>
-        {
+        // All takes become one data set, which is a folder.
+        Some(path) if name == Some(FormatName::Bids) && !paths::is_dash(path) => {
             Destination::File(path.clone())
+        }
+        None if name == Some(FormatName::Bids) => {
+            bail!(UsageError("name the BIDS data set, a folder: give -o FOLDER".to_owned()));
         }
         output => Destination::of(output.as_deref(), &inputs)?,
     };
     let (format, paths_of_outputs) = plan_outputs(args, name, &destination, &inputs)?;
     format.check_built()?;
     match &destination {
+        Destination::File(path) if format == Format::Bids => {
+            // Before a take is read.
+            if let ([input], true) = (inputs.files.as_slice(), inputs.is_single) {
+                drop(NewRecording::begin(path, &args.format.names(&input.relative)?)?);
+            }
+        }
         Destination::File(path) => paths::check_output(path)?,
         Destination::Stdout if format == Format::Bids => {
             bail!(UsageError("a BIDS data set is a folder: give -o FOLDER".to_owned()));
@@ -118,7 +127,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         done: "exported",
         is_compression: false,
     };
-    let plan = ExportPlan { args, format, end, is_folder };
+    let plan = ExportPlan { args, format, end, is_folder, dataset: Mutex::new(()) };
     batch::run(&batch, |job| plan.export(job))
 }
 
@@ -133,7 +142,7 @@ fn plan_outputs(
     inputs: &Inputs,
 ) -> anyhow::Result<(Format, Vec<PathBuf>)> {
     if let Destination::File(path) = destination {
-        return Ok((args.format.of(name, path)?, vec![path.clone()]));
+        return Ok((args.format.of(name, path)?, vec![path.clone(); inputs.files.len()]));
     }
     let Some(name) = name else {
         bail!(UsageError("which format? give one with --to, such as --to c3d".to_owned()));
@@ -173,6 +182,16 @@ struct Attempt {
     bytes: u64,
     not_supported: Vec<String>,
     not_rotated: Vec<String>,
+    /// Remarks on the content of the output.
+    remarks: Vec<String>,
+}
+
+/// What became of an output.
+struct Written {
+    kept: Kept,
+    /// Its size; 0 for a folder.
+    bytes: u64,
+    remarks: Vec<String>,
 }
 
 impl ExportPlan<'_> {
@@ -194,6 +213,7 @@ impl ExportPlan<'_> {
                 "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
             )));
         }
+        let of_take = frames.info().up;
         let mut parallel =
             ParallelFrames::start(&job.input.path, &frames, range.start, job.threads)?;
         let attempt = match &mut parallel {
@@ -205,13 +225,15 @@ impl ExportPlan<'_> {
                 tried => Some(tried?),
             },
         };
-        let attempt = match attempt {
+        let mut attempt = match attempt {
             Some(attempt) => attempt,
             None => {
                 frames.seek(range.start)?;
                 self.attempt(&mut frames, &range, job, output)?
             }
         };
+        attempt.remarks.extend(remark_on_axes(format, of_take, args.up));
+        attempt.remarks.iter().for_each(|remark| job.notify_of(output, remark));
         let report = ExportReport::new(job, output, &frames, attempt);
         report.notify(job);
         Ok(FileReport {
@@ -241,10 +263,12 @@ impl ExportPlan<'_> {
         let phase = job.phase("exporting", range.end - range.start);
         let mut cropped = CroppedFrames::new(source, range, Arc::clone(&phase.counter));
         let n_frames = cropped.info().n_frames;
-        let not_supported = self.format.leaves_out(cropped.info(), self.args.up.is_some());
+        let is_turned = self.format == Format::Mot && cropped.info().up != UpAxis::Unknown;
+        let up = self.args.up.or(is_turned.then_some(UpAxis::Y));
+        let not_supported = self.format.leaves_out(cropped.info(), up.is_some());
         let mut not_rotated = Vec::new();
         let mut rotated;
-        let frames: &mut dyn FrameSource = match self.args.up {
+        let frames: &mut dyn FrameSource = match up {
             None => &mut cropped,
             Some(up) => {
                 rotated =
@@ -255,30 +279,53 @@ impl ExportPlan<'_> {
                 &mut rotated
             }
         };
-        let (kept, bytes) = if self.args.format.for_spreadsheet {
+        let written = if self.args.format.for_spreadsheet {
             self.write(&mut EscapedLabels::new(frames), job, output)?
         } else {
             self.write(frames, job, output)?
         };
-        Ok(Attempt { frames: n_frames, kept, bytes, not_supported, not_rotated })
+        let Written { kept, bytes, remarks } = written;
+        Ok(Attempt { frames: n_frames, kept, bytes, not_supported, not_rotated, remarks })
     }
 
-    /// Writes an output whole or not at all. Returns whether it is new, and its size in bytes; 0 for a folder.
+    /// Writes an output whole or not at all.
     fn write(
         &self,
         frames: &mut dyn FrameSource,
         job: &Job<'_>,
         output: &Path,
-    ) -> anyhow::Result<(Kept, u64)> {
+    ) -> anyhow::Result<Written> {
         if self.format == Format::Bids {
+            let _one_at_a_time = self.dataset.lock();
             write_folder(frames, &self.args.format.names(&job.input.relative)?, output)?;
-            return Ok((Kept::New, 0));
+            return Ok(Written { kept: Kept::New, bytes: 0, remarks: Vec::new() });
         }
-        let (bytes, kept) = outputs::write_whole(output, self.is_folder, |out| {
-            write_frames(frames, self.format, &mut *out)?;
-            Ok(out.seek(SeekFrom::End(0))?)
+        let ((bytes, remarks), kept) = outputs::write_whole(output, self.is_folder, |out| {
+            let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
+            let remarks = if self.format == Format::Mot {
+                mot::write(frames, &mut buffered, self.args.format.baseline())?
+            } else {
+                write_frames(frames, self.format, &mut buffered)?;
+                Vec::new()
+            };
+            buffered.flush()?;
+            drop(buffered);
+            Ok((out.seek(SeekFrom::End(0))?, remarks))
         })?;
-        Ok((kept, bytes))
+        Ok(Written { kept, bytes, remarks })
+    }
+}
+
+/// A remark on the axes of an export whose format demands an axis that the user did not give.
+fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Option<String> {
+    match of_take.name() {
+        _ if format != Format::Mot || given.is_some() || of_take == UpAxis::Y => None,
+        Some(axis) => Some(format!(
+            "rotated from {axis} up to y up, as OpenSim expects: export the markers with --up y"
+        )),
+        None => Some(
+            "the take states no up axis, so its axes were kept; OpenSim expects y up".to_owned(),
+        ),
     }
 }
 
@@ -359,33 +406,33 @@ pub(super) fn write(
     format: Format,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let mut file = NewFile::create(path)?;
-    write_frames(frames, format, &mut file)
-        .with_context(|| format!("cannot write {}", path.display()))?;
-    file.keep()
+    outputs::write_whole(path, false, |out| {
+        let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
+        write_frames(frames, format, &mut out)?;
+        Ok(out.flush()?)
+    })?;
+    Ok(())
 }
 
 /// Writes all frames to an output.
 fn write_frames(
     frames: &mut dyn FrameSource,
     format: Format,
-    out: impl Write + Seek,
-) -> anyhow::Result<()> {
-    let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
+    out: &mut (impl Write + Seek),
+) -> Result<(), InterchangeError> {
     match format {
-        Format::Npz => npz::write(frames, &mut out)?,
-        _ => format.write(frames, &mut out)?,
+        Format::Npz => npz::write(frames, out),
+        _ => format.write(frames, out),
     }
-    Ok(out.flush()?)
 }
 
-/// Writes a folder atomically: under its name there is the whole folder or none.
+/// Writes a data set, or adds a recording to one: all of its files or none.
 fn write_folder(
     frames: &mut dyn FrameSource,
     names: &bids::BidsLabels,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let mut output = NewFolder::create(path)?;
+    let mut output = NewRecording::begin(path, names)?;
     let writing = || format!("cannot write {}", path.display());
     bids::write(frames, names, &mut output).with_context(writing)?;
     output.keep()

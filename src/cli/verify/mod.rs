@@ -151,11 +151,13 @@ fn verify(args: &Args, job: &Job<'_>) -> anyhow::Result<FileReport> {
     for message in damage::losses(&job.input.name, &summary, !job.is_json) {
         job.notify(&message);
     }
-    // With swapped labels every sample is there, but some under the wrong label: reported like lost data.
-    let swapped = report.limbs.as_ref().is_some_and(|limbs| !limbs.is_consistent());
+    // With swapped labels or bones that do not fit, every sample is there, but some have the wrong label, or a wrong
+    // position: reported like lost data.
+    let misfits = report.limbs.as_ref().map(LimbsReport::contradictions).unwrap_or_default();
+    misfits.iter().for_each(|misfit| job.notify(misfit));
     Ok(FileReport {
         failure: report.failure(original.as_deref()),
-        data_lost: report.health != TakeHealth::Complete || !report.intact || swapped,
+        data_lost: report.health != TakeHealth::Complete || !report.intact || !misfits.is_empty(),
         text: report.text(),
         line: report.line(),
         json: job.json(&report)?,
