@@ -14,6 +14,7 @@ mod faults;
 mod folder;
 mod full_disk;
 mod imports;
+mod manual;
 mod ndi;
 mod outputs;
 mod plots;

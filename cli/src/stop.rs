@@ -6,11 +6,11 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
+    thread::Builder,
     time::{Duration, Instant},
 };
 
 use anyhow::Context;
-use mocapd_acquire::threads;
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM},
     flag,
@@ -42,9 +42,12 @@ fn is_ignored(status: &str, signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-/// A flag that the first of these signals sets. A second one ends the process at once, unless it comes within
-/// [`SAME_SIGNAL_WITHIN`].
-pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+/// A flag that the first of the signals sets that end a program. A second one ends the process at once, unless it comes
+/// within half a second.
+///
+/// # Errors
+/// If the system refuses the handlers or their thread.
+pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     let watching = || "cannot watch for Ctrl-C";
@@ -53,7 +56,7 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
         flag::register(signal, Arc::clone(&stop)).with_context(watching)?;
     }
     let mut signals = Signals::new(signals).with_context(watching)?;
-    threads::spawn("mocapd-signal", move || {
+    let watch = move || {
         let mut first: Option<Instant> = None;
         for _ in signals.forever() {
             stopped.store(true, Ordering::Relaxed);
@@ -61,7 +64,8 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
                 signal_hook::low_level::exit(EXIT_FAILED);
             }
         }
-    })?;
+    };
+    Builder::new().name("mocapd-signal".to_owned()).spawn(watch).with_context(watching)?;
     Ok(stop)
 }
 
