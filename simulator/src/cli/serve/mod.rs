@@ -89,13 +89,13 @@ pub(super) struct ServeArgs {
     #[arg(long, value_name = "TIME", value_parser = duration_above_zero, allow_hyphen_values = true)]
     seconds: Option<Duration>,
     /// With --generate: number of markers
-    #[arg(long, value_name = "N", requires = "generate")]
+    #[arg(long, value_name = "N")]
     markers: Option<usize>,
     /// With --generate: standard deviation of the noise on each axis: 0.05mm, 100um [default: 0.05mm]
-    #[arg(long, value_name = "LENGTH", requires = "generate", value_parser = length_mm, allow_hyphen_values = true)]
+    #[arg(long, value_name = "LENGTH", value_parser = length_mm, allow_hyphen_values = true)]
     noise: Option<f64>,
     /// With --generate: fraction of the samples that is occluded, 0 to 0.9
-    #[arg(long, value_name = "FRACTION", requires = "generate", allow_hyphen_values = true)]
+    #[arg(long, value_name = "FRACTION", allow_hyphen_values = true)]
     occlusion: Option<f64>,
     /// Exit after one run, once the host has read everything
     #[arg(long, conflicts_with = "looping")]
@@ -123,6 +123,21 @@ impl ServeArgs {
                 self.line.pty = Some(None);
                 Ok(())
             }
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses options of generated motions without one.
+    fn check_generated(&self) -> Result<(), Failure> {
+        let options = [
+            ("--markers", self.markers.is_some()),
+            ("--noise", self.noise.is_some()),
+            ("--occlusion", self.occlusion.is_some()),
+        ];
+        match options.iter().find(|(_, is_set)| *is_set && self.generate.is_none()) {
+            Some((option, _)) => Err(Failure::usage_message(format!(
+                "{option} applies to generated motions only: give --generate jump and no file"
+            ))),
             None => Ok(()),
         }
     }
@@ -166,6 +181,7 @@ enum WireFormat {
 
 pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     args.find_take()?;
+    args.check_generated()?;
     let args = &args;
     let log = input::log(args)?;
     let (mut device, description): (Box<dyn LineDevice>, String) = match &log {
