@@ -133,17 +133,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let args = ManArgs { command: Vec::new(), out: Some(folder.path().to_owned()) };
         assert_eq!(pages(&args, program()).unwrap(), "");
-        for (file, names) in [
-            ("rig.1", &[][..]),
-            ("rig-plot.1", &["plot"]),
-            ("rig-plot-pose.1", &["plot", "pose"]),
-        ] {
+        for (file, names) in
+            [("rig.1", &[][..]), ("rig-plot.1", &["plot"]), ("rig-plot-pose.1", &["plot", "pose"])]
+        {
             let written = fs::read_to_string(folder.path().join(file)).unwrap();
             assert_eq!(written, printed(names).unwrap(), "{file}");
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
-        let nowhere =
-            ManArgs { command: Vec::new(), out: Some(folder.path().join("none")) };
+        let nowhere = ManArgs { command: Vec::new(), out: Some(folder.path().join("none")) };
         let error = format!("{:#}", pages(&nowhere, program()).unwrap_err());
         assert!(error.contains("cannot write manual pages to"), "{error}");
     }

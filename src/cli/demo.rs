@@ -15,7 +15,8 @@ use std::{
 use anyhow::{Context, anyhow, ensure};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files, inspect::Summary, pipeline::check_disk_space, record::Recorded, rig::Rig, setting, threads,
+    files, inspect::Summary, pipeline::check_disk_space, record::Recorded, rig::Rig, setting,
+    threads,
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};

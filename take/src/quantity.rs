@@ -221,10 +221,7 @@ mod tests {
         }
         assert_eq!(frequency_hz("0.5Hz"), Ok(0.5));
         let refused = |text| duration(text).unwrap_err();
-        assert_eq!(
-            refused("soon"),
-            "'soon' does not begin with a number: give something like 10s"
-        );
+        assert_eq!(refused("soon"), "'soon' does not begin with a number: give something like 10s");
         assert_eq!(refused("2 weeks"), "'weeks' is not a unit of time: use ms, s, min or h");
     }
 }

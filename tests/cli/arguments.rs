@@ -200,7 +200,9 @@ fn a_device_is_named_and_never_selected() {
 #[test]
 fn a_plot_of_poses_has_at_most_twelve() {
     let folder = folder();
-    let plot = |times: &str| ["plot", "pose", "jump.take", "-o", "new.svg", "--at", times].map(str::to_owned);
+    let plot = |times: &str| {
+        ["plot", "pose", "jump.take", "-o", "new.svg", "--at", times].map(str::to_owned)
+    };
     let thirteen = vec!["0.1s"; 13].join(",");
     let args = plot(&thirteen);
     let args: Vec<&str> = args.iter().map(String::as_str).collect();

@@ -75,7 +75,10 @@ fn a_full_disk_has_a_remedy() {
     let lines: Vec<&str> = lines.lines().collect();
     assert_eq!(lines.len(), 5, "{lines:?}");
     for line in &lines[..4] {
-        assert_mentions(line, &["disk/new", "(os error 28): free some space or choose another folder"]);
+        assert_mentions(
+            line,
+            &["disk/new", "(os error 28): free some space or choose another folder"],
+        );
     }
     assert_mentions(lines[4], &["disk/demo", "--out", "free some space"]);
     assert!(!lines[4].contains("--keep-free"), "demo has no such option: {}", lines[4]);

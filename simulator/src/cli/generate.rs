@@ -21,7 +21,7 @@ use serde::Serialize;
 use super::Failure;
 use super::files::NewFolder;
 use super::output::{print, print_json};
-use super::progress::Progress;
+use super::progress::ProgressDisplay;
 
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {
@@ -80,7 +80,7 @@ fn write(
     stop: &AtomicBool,
 ) -> anyhow::Result<GenerateReport> {
     let files = generated(set)?;
-    let mut progress = Progress::new("generating", u64::from(args.jumps));
+    let mut progress = ProgressDisplay::new("generating", u64::from(args.jumps));
     let mut report = GenerateReport {
         folder: args.out.to_string_lossy().into_owned(),
         jumps: 0,

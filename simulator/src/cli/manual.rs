@@ -45,8 +45,10 @@ mod tests {
         let out = folder.path().to_str().unwrap();
         crate::cli::run(Cli::parse_from(["mocapd-sim", "man", "--out", out])).unwrap();
         let command = Cli::command();
-        let mut names: Vec<_> =
-            command.get_subcommands().map(|sub| format!("mocapd-sim-{}.1", sub.get_name())).collect();
+        let mut names: Vec<_> = command
+            .get_subcommands()
+            .map(|sub| format!("mocapd-sim-{}.1", sub.get_name()))
+            .collect();
         names.push("mocapd-sim.1".to_owned());
         names.sort();
         let found = fs::read_dir(folder.path()).unwrap();

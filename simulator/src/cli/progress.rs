@@ -10,7 +10,7 @@ const APPEARS_AFTER: Duration = Duration::from_secs(1);
 
 /// A bar on stderr with the percentage and the time left, like those of `mocapd`. Nothing where stderr is no terminal.
 #[derive(Debug)]
-pub(super) struct Progress {
+pub(super) struct ProgressDisplay {
     message: &'static str,
     total: u64,
     begun: Instant,
@@ -18,7 +18,7 @@ pub(super) struct Progress {
     bar: Option<ProgressBar>,
 }
 
-impl Progress {
+impl ProgressDisplay {
     pub(super) fn new(message: &'static str, total: u64) -> Self {
         let is_shown = io::stderr().is_terminal();
         Self { message, total, begun: Instant::now(), is_shown, bar: None }
@@ -42,7 +42,7 @@ impl Progress {
     }
 }
 
-impl Drop for Progress {
+impl Drop for ProgressDisplay {
     fn drop(&mut self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

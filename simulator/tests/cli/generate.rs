@@ -30,7 +30,10 @@ fn a_data_set_of_jumps() {
     let done = generate(&["--jumps", "3", "--rate", "30Hz"]);
     assert_eq!(done.status.code(), Some(0));
     let text = String::from_utf8(done.stdout).unwrap();
-    assert!(text.contains("3 jumps by 2 subjects") && text.contains("15 markers at 30 Hz"), "{text}");
+    assert!(
+        text.contains("3 jumps by 2 subjects") && text.contains("15 markers at 30 Hz"),
+        "{text}"
+    );
     assert!(done.stderr.is_empty(), "a pipe shows no progress");
     let mut names: Vec<String> = std::fs::read_dir(&out)
         .unwrap()
@@ -110,7 +113,8 @@ fn the_report_is_documented() {
     command.args(["generate", "--jumps", "1", "--subjects", "1", "--json", "--out"]).arg(&out);
     let output = command.output().unwrap();
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let on_disk = |entry: std::io::Result<std::fs::DirEntry>| entry.unwrap().metadata().unwrap().len();
+    let on_disk =
+        |entry: std::io::Result<std::fs::DirEntry>| entry.unwrap().metadata().unwrap().len();
     let bytes: u64 = std::fs::read_dir(&out).unwrap().map(on_disk).sum();
     assert_eq!((&report["jumps"], &report["file_bytes"]), (&1.into(), &bytes.into()), "{report}");
     let page = include_str!("../../../docs/json.md");

@@ -14,7 +14,8 @@ struct Files {
 impl Files {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let rows: String = (0..30).map(|i| format!("{},{i},0,0,0,{i},0\n", f64::from(i) / 60.0)).collect();
+        let rows: String =
+            (0..30).map(|i| format!("{},{i},0,0,0,{i},0\n", f64::from(i) / 60.0)).collect();
         let csv = format!("time,a_x,a_y,a_z,b_x,b_y,b_z\n{rows}");
         std::fs::write(folder.path().join("jump.csv"), csv).unwrap();
         let log = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog");
@@ -28,7 +29,8 @@ impl Files {
 
     /// The arguments with JUMP, LOG and LINK replaced by paths.
     fn arguments(&self, words: &str) -> Vec<String> {
-        let replaced = words.replace("JUMP", &self.path("jump.csv")).replace("LOG", &self.path("log"));
+        let replaced =
+            words.replace("JUMP", &self.path("jump.csv")).replace("LOG", &self.path("log"));
         replaced.replace("LINK", &self.path("rig")).split(' ').map(str::to_owned).collect()
     }
 }
@@ -133,7 +135,10 @@ fn json_has_the_path_and_what_was_sent() {
     for (name, value) in report.as_object().unwrap() {
         assert!(documented(name), "{name} is not in docs/json.md");
         for inner in value.as_object().into_iter().flat_map(serde_json::Map::keys) {
-            assert!(documented(&format!("{name}.{inner}")), "{name}.{inner} is not in docs/json.md");
+            assert!(
+                documented(&format!("{name}.{inner}")),
+                "{name}.{inner} is not in docs/json.md"
+            );
         }
     }
 }

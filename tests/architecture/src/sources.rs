@@ -99,10 +99,7 @@ const RULES: &[Rule] = &[
     Rule {
         invariant: "only files.rs, which never overwrites one, and the simulator create files",
         words: &["File::create", "File::create_new", "OpenOptions", "fs::write(", "fs::rename("],
-        allowed: &[
-            "acquire/src/files",
-            "simulator/src/cli/files.rs",
-        ],
+        allowed: &["acquire/src/files", "simulator/src/cli/files.rs"],
     },
     Rule {
         invariant: "only one module names the ring buffer crate, which could be replaced",

@@ -203,7 +203,8 @@ pub(super) fn run(mut args: ServeArgs) -> Result<(), Failure> {
     } else {
         print(&format!("{name}\n"))?;
     }
-    let options = ServeOptions { baud: args.baud, batch: args.batch(), once: args.once, log: frames };
+    let options =
+        ServeOptions { baud: args.baud, batch: args.batch(), once: args.once, log: frames };
     let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
     if device.is_gone() {
         notify(

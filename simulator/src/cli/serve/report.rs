@@ -19,14 +19,14 @@ pub(super) struct SentReport {
     runs: u64,
     bytes_sent: u64,
     /// `None` for a log, whose frames are not decoded.
-    frames: Option<FrameReport>,
+    frames: Option<FrameTotals>,
     faults: Option<FaultReport>,
     #[serde(skip)]
     faults_text: Option<String>,
 }
 
 #[derive(Debug, Serialize)]
-struct FrameReport {
+struct FrameTotals {
     produced: u64,
     sent: u64,
     dropped: u64,
@@ -60,7 +60,7 @@ struct KindReport {
 
 impl SentReport {
     pub(super) fn new(sent: &SentLog, has_frames: bool) -> Self {
-        let frames = FrameReport {
+        let frames = FrameTotals {
             produced: sent.total.frames_produced,
             sent: sent.frames_sent,
             dropped: sent.total.frames_dropped,
@@ -82,7 +82,7 @@ impl SentReport {
         let Some(frames) = &self.frames else {
             return format!("{runs}: {} bytes of the log sent", self.bytes_sent);
         };
-        let FrameReport { produced, sent, dropped, not_sent, unasked } = frames;
+        let FrameTotals { produced, sent, dropped, not_sent, unasked } = frames;
         let why = match protocol {
             DeviceProtocol::Dvmc => "queue full",
             DeviceProtocol::Ndi => "not fetched before the next",
@@ -93,9 +93,7 @@ impl SentReport {
             self.bytes_sent
         );
         if protocol == DeviceProtocol::Ndi {
-            text.push_str(&format!(
-                ", {unasked} after the last request (unknown to any recorder)"
-            ));
+            text.push_str(&format!(", {unasked} after the last request (unknown to any recorder)"));
         }
         if let Some(faults) = &self.faults_text {
             text = format!("{text}\n{faults}");
