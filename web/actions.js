@@ -1,7 +1,7 @@
 // The buttons and their results. A button shows that its command is pending until the service answers.
 
 import { ServiceError, sendCommand } from "./api.js";
-import { byId, setAttribute, setText } from "./dom.js";
+import { byId, limitBytes, setAttribute, setText } from "./dom.js";
 import { count, elapsed, nextName, plural, rounded } from "./format.js";
 
 const PROGRESS = {
@@ -44,6 +44,7 @@ export class Actions {
 
   constructor(onDone) {
     this.onDone = onDone;
+    ["name", "notes", "mark-text"].forEach((id) => limitBytes(byId(id)));
     byId("arm").addEventListener("click", () => this.#arm());
     byId("record").addEventListener("click", () => this.#record());
     byId("mark-form").addEventListener("submit", (event) => {

@@ -1,5 +1,7 @@
 // Creates elements and updates them; the page is changed only where a value changed.
 
+import { cutToBytes } from "./format.js";
+
 export const byId = (id) => document.getElementById(id);
 
 /** An element with attributes and children: `h("td", { class: "n" }, "12")`. */
@@ -25,6 +27,17 @@ export function setAttribute(element, name, value) {
 
 export function setHidden(element, isHidden) {
   if (element.hidden !== isHidden) element.hidden = isHidden;
+}
+
+/** Cuts what is typed into a text field to its `data-bytes-max`: the service limits texts by their bytes. */
+export function limitBytes(field) {
+  const limit = (event) => {
+    if (event.isComposing) return;
+    const text = cutToBytes(field.value, Number(field.dataset.bytesMax));
+    if (text !== field.value) field.value = text;
+  };
+  field.addEventListener("input", limit);
+  field.addEventListener("compositionend", limit);
 }
 
 /** The page's colours for a canvas, by the names of their custom properties. */

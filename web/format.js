@@ -94,3 +94,8 @@ export function percentile(values, share) {
   const sorted = Float64Array.from(values).sort();
   return sorted[Math.max(0, Math.ceil(share * sorted.length) - 1)];
 }
+
+/** The longest beginning of a text that has at most so many bytes in UTF-8, cut between characters. */
+export function cutToBytes(text, bytesMax) {
+  return text.slice(0, new TextEncoder().encodeInto(text, new Uint8Array(bytesMax)).read);
+}

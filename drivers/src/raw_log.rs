@@ -101,10 +101,10 @@ pub fn put_record(record: &Record<'_>, out: &mut Vec<u8>) {
 #[non_exhaustive]
 pub enum RawLogError {
     /// The file does not start with [`MAGIC`].
-    #[error("not a raw log; record one with `mocapd record --raw`")]
+    #[error("not a raw log: record one with `mocapd record --raw`")]
     NotALog,
     /// The log has another format version.
-    #[error("raw log version {found}, but this build reads version {VERSION}; use a newer build")]
+    #[error("raw log version {found}, but this build reads version {VERSION}: use a newer build")]
     Version {
         /// Version in the file.
         found: u8,

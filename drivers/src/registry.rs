@@ -128,14 +128,14 @@ pub struct OpenedDevice {
 #[non_exhaustive]
 pub enum OpenError {
     /// No family has the name in `?driver=NAME`.
-    #[error("unknown driver '{name}'; use one of {}", family_names())]
+    #[error("unknown driver '{name}': use one of {}", family_names())]
     UnknownDriver {
         /// Name in the URI.
         name: String,
     },
     /// No family claims the device.
     #[error(
-        "no driver recognises {location}; name one with ?driver=NAME, one of {}",
+        "no driver recognises {location}: name one with ?driver=NAME, one of {}",
         family_names()
     )]
     Unclaimed {

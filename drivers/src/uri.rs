@@ -35,7 +35,7 @@ pub struct DeviceUri {
 /// Error of parsing a device URI.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "invalid device URI '{text}': {reason}; write serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed"
+    "invalid device URI '{text}': {reason}: write serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed"
 )]
 pub struct UriError {
     text: String,

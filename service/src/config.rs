@@ -26,7 +26,6 @@ use mocapd_drivers::{
     registry::{AttachedDevice, Claim},
     uri::DeviceUri,
 };
-use rustix::fs::{Access, access};
 use serde_json::Value as Json;
 
 use self::keys::{KEYS, SECTIONS};
@@ -225,7 +224,7 @@ impl Config {
         (!folder.as_os_str().is_empty() && !folder.exists()).then_some(folder)
     }
 
-    /// Checks that this user can write to the takes' folder, or create it.
+    /// Tries whether this user can write to the takes' folder, or create it.
     ///
     /// # Errors
     /// It is not writable; the message says what to do.
@@ -234,7 +233,8 @@ impl Config {
         let there = directory.ancestors().find(|folder| folder.exists());
         // A relative path without an existing folder is in the current one.
         let there = there.filter(|there| !there.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        access(there, Access::WRITE_OK | Access::EXEC_OK).with_context(|| {
+        // A file without a name, which is gone at once: it finds a read-only or full disk, too.
+        tempfile::tempfile_in(there).map(drop).with_context(|| {
             format!(
                 "cannot write to the takes' folder {}: make it writable for the service's user, or set another take.directory",
                 directory.display()

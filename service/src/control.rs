@@ -17,6 +17,12 @@ use super::{
     },
 };
 
+/// Longest text of a mark or of notes, in bytes: a line of the take's events.
+pub const TEXT_BYTES_MAX: usize = 1024;
+
+/// Most seconds of pre-roll in a request: more than `arm.pre_roll` can hold, and no typing error.
+pub const SECONDS_MAX: f64 = 3600.0;
+
 /// The service as the HTTP API, the triggers and the signal handlers see it.
 ///
 /// Calls that change something wait for their effect, at most some seconds, and must be made from threads that may
@@ -110,10 +116,10 @@ pub struct Start {
     /// Name of the take, without `.take`; by default the configuration names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Stored in the take as its first event.
+    /// Stored in the take as its first event, at most 1024 bytes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
-    /// Seconds of pre-roll to include, or as many as are held; by default as configured.
+    /// Seconds of pre-roll to include, at most 3600, or as many as are held; by default as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pre_roll_s: Option<f64>,
 }
@@ -142,7 +148,7 @@ pub struct SaveLast {
     /// Name of the take, without `.take`; by default the configuration names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Seconds to save; if more than are held, all of them are saved.
+    /// Seconds to save, at most 3600; if more than are held, all of them are saved.
     pub seconds: f64,
 }
 

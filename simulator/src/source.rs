@@ -13,7 +13,7 @@ use mocapd_take::motion::Motion;
 #[non_exhaustive]
 pub enum SourceError {
     /// The file's extension is that of no known format.
-    #[error("{}: unknown extension, expected .take, .c3d, .trc, .tsv or .csv", path.display())]
+    #[error("{}: unknown file extension: use .take, .c3d, .trc, .tsv or .csv", path.display())]
     Extension {
         /// The file.
         path: PathBuf,
@@ -121,7 +121,7 @@ mod tests {
         let error = read(Path::new("/nowhere/jump.xyz")).unwrap_err().to_string();
         assert_eq!(
             error,
-            "/nowhere/jump.xyz: unknown extension, expected .take, .c3d, .trc, .tsv or .csv"
+            "/nowhere/jump.xyz: unknown file extension: use .take, .c3d, .trc, .tsv or .csv"
         );
         for extension in ["take", "TAKE", "c3d", "trc", "tsv", "csv"] {
             let error = read(Path::new(&format!("/nowhere/jump.{extension}"))).unwrap_err();

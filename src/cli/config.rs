@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_service::{
     config::{self, CONFIG_PATH, Config, ConfigError, ConfigProblem, Overrides, SourceLocation},
@@ -71,7 +70,7 @@ pub(crate) fn run(command: &ConfigCommand) -> anyhow::Result<Outcome> {
 }
 
 fn check(args: &CheckArgs) -> anyhow::Result<Outcome> {
-    match Config::load(&args.file, &Overrides::default()) {
+    match Config::check(&args.file, &Overrides::default()) {
         Ok(config) => report_valid(args, &config),
         Err(error @ ConfigError::Refused { .. }) => report_invalid(args, &error),
         Err(error) => Err(error.into()),
@@ -80,7 +79,6 @@ fn check(args: &CheckArgs) -> anyhow::Result<Outcome> {
 
 fn report_valid(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
     let mut notes = config.warnings();
-    config.subject.load().context("[subject]")?;
     if let Some(file) = &config.http.token_file {
         notes.extend(token_note(file)?);
     }

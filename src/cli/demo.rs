@@ -14,7 +14,10 @@ use std::{
 
 use anyhow::{Context, anyhow, ensure};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{files, inspect::Summary, record::Recorded, rig::Rig, threads};
+use mocapd_acquire::{
+    files, inspect::Summary, pipeline::check_disk_space, record::Recorded, rig::Rig, setting,
+    threads,
+};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
 use mocapd_service::units;
@@ -74,6 +77,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let take = free_name(&args.out);
+    check_disk_space(&take, 0).map_err(|error| {
+        let message = setting::message(&error, |_| "name another folder with --out".to_owned());
+        anyhow::Error::msg(message)
+    })?;
     let codec = Settings { kind: ResamplerKind::Dense, tolerance: args.tolerance };
     let stop = stop_on_signal()?;
 

@@ -1,43 +1,47 @@
-//! Shell completions and manual pages for packages, generated from the definition of the command line.
+//! `completions` and `man`: shell completions and manual pages.
 
-use std::path::PathBuf;
-
-use anyhow::Context;
 use clap::CommandFactory;
-use clap_complete::Shell;
-use mocapd::outcome::Outcome;
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_cli::manual::{self, CompletionsArgs, ManArgs, UnknownCommand};
 
 use super::{Cli, output::print_exact};
 
-#[derive(Debug, clap::Args)]
-pub(crate) struct Completions {
-    /// The shell to complete for
-    shell: Shell,
-}
+pub(super) const COMPLETIONS_EXAMPLES: &str = "\
+Install it, for new shells:
+  mocapd completions bash >~/.local/share/bash-completion/completions/mocapd
+  mocapd completions fish >~/.config/fish/completions/mocapd.fish
+  mocapd completions zsh >DIR/_mocapd     DIR is a folder in $fpath
 
-#[derive(Debug, clap::Args)]
-pub(crate) struct Pages {
-    /// Folder for the pages; it must exist
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-}
+The Debian package has done this.";
 
-pub(crate) fn completions(args: &Completions) -> anyhow::Result<Outcome> {
-    let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "mocapd", &mut text);
-    print_exact(&String::from_utf8_lossy(&text))?;
+pub(super) const MAN_EXAMPLES: &str = "\
+Examples:
+  mocapd man import | man -l -
+  mocapd man plot pose | man -l -
+  mocapd man --out ~/.local/share/man/man1     then: man mocapd-import
+
+The Debian package has installed the pages.";
+
+pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
+    print_exact(&manual::completions(args, Cli::command()))?;
     Ok(Outcome::Done)
 }
 
-pub(crate) fn pages(args: &Pages) -> anyhow::Result<Outcome> {
-    clap_mangen::generate_to(Cli::command(), &args.out)
-        .with_context(|| format!("cannot write manual pages to {}", args.out.display()))?;
+pub(crate) fn pages(args: &ManArgs) -> anyhow::Result<Outcome> {
+    let page = manual::pages(args, Cli::command()).map_err(|error| match error.downcast_ref() {
+        Some(unknown @ UnknownCommand { .. }) => UsageError(unknown.to_string()).into(),
+        None => error,
+    })?;
+    print_exact(&page)?;
     Ok(Outcome::Done)
 }
 
 #[cfg(test)]
 mod tests {
     use std::{fs, path::Path};
+
+    use clap::Parser;
+    use mocapd_cli::usage::one_line;
 
     use super::*;
 
@@ -59,10 +63,17 @@ mod tests {
         }
     }
 
+    fn refused(args: &[&str]) -> String {
+        let args = ["mocapd"].iter().chain(args);
+        one_line(&Cli::try_parse_from(args).unwrap_err())
+    }
+
     #[test]
     fn every_subcommand_has_a_page_with_all_its_options() {
         let folder = tempfile::tempdir().unwrap();
-        pages(&Pages { out: folder.path().to_owned() }).unwrap();
+        let out = folder.path().to_str().unwrap();
+        let cli = Cli::try_parse_from(["mocapd", "man", "--out", out]).unwrap();
+        crate::cli::run(cli).unwrap();
         let mut expected = Vec::new();
         page_names(&Cli::command(), "mocapd", &mut expected);
         assert!(expected.len() > 10, "{expected:?}");
@@ -70,20 +81,29 @@ mod tests {
             check(&folder.path().join(format!("{name}.1")), command);
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), expected.len(), "and no other");
-        let nowhere = Pages { out: folder.path().join("none") };
-        let error = format!("{:#}", pages(&nowhere).unwrap_err());
-        assert!(error.contains("cannot write manual pages"), "{error}");
     }
 
     #[test]
     fn shells_complete_every_subcommand() {
-        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
-            let mut text = Vec::new();
-            clap_complete::generate(shell, &mut Cli::command(), "mocapd", &mut text);
-            let text = String::from_utf8(text).unwrap();
+        for shell in ["bash", "zsh", "fish"] {
+            let cli = Cli::try_parse_from(["mocapd", "completions", shell]).unwrap();
+            let crate::cli::Command::Completions(args) = cli.command else { panic!("{shell}") };
+            let text = manual::completions(&args, Cli::command());
             for sub in Cli::command().get_subcommands().filter(|sub| !sub.is_hide_set()) {
                 assert!(text.contains(sub.get_name()), "{shell}: {}", sub.get_name());
             }
         }
+    }
+
+    #[test]
+    fn the_messages_about_arguments_are_one_line() {
+        assert_eq!(
+            refused(&["info", "a.take", "--jsn"]),
+            "unexpected argument '--jsn' found; tip: a similar argument exists: '--json'; try --help"
+        );
+        assert_eq!(
+            refused(&["import", "a.csv", "-o", "a.take", "--tolerance", "0"]),
+            "invalid value '0' for '--tolerance <LENGTH>': a tolerance of 0 keeps every bit: use --lossless"
+        );
     }
 }

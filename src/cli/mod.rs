@@ -25,16 +25,19 @@ mod plot;
 mod record;
 mod recover;
 mod run;
-mod stop;
 mod study;
 mod subject;
 mod to;
-mod usage;
 mod values;
 mod verify;
 
-use clap::{Parser, Subcommand, error::ErrorKind};
+use clap::{Parser, Subcommand};
 use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::files;
+use mocapd_cli::{
+    manual::{CompletionsArgs, ManArgs},
+    stop, usage,
+};
 
 pub(crate) use output::notify;
 
@@ -90,12 +93,12 @@ enum Command {
     /// Benchmark the resamplers and the recording pipeline on this machine
     #[command(subcommand)]
     Bench(bench::Bench),
-    /// Print a shell completion script
-    #[command(hide = true)]
-    Completions(manual::Completions),
-    /// Write the manual pages, replacing existing ones
-    #[command(hide = true)]
-    Man(manual::Pages),
+    /// Print the script that completes commands and options in a shell
+    #[command(after_help = manual::COMPLETIONS_EXAMPLES)]
+    Completions(CompletionsArgs),
+    /// Print the manual page of a command, or write all pages into a folder
+    #[command(after_help = manual::MAN_EXAMPLES)]
+    Man(ManArgs),
 }
 
 impl Command {
@@ -110,18 +113,13 @@ impl Command {
 
 /// Parses the arguments; prints help and version and exits if asked to.
 pub(crate) fn parse() -> anyhow::Result<Cli> {
-    Cli::try_parse().map_err(|error| match error.kind() {
-        ErrorKind::DisplayHelp
-        | ErrorKind::DisplayVersion
-        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
-        _ => UsageError(usage::one_line(&error)).into(),
-    })
+    usage::parse().map_err(|message| UsageError(message).into())
 }
 
 /// Runs the command that was given.
 pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
     if !cli.command.stops_in_order() {
-        stop::end_on_signal()?;
+        stop::end_on_signal(files::remove_incomplete_outputs)?;
     }
     match cli.command {
         Command::Demo(args) => demo::run(&args),

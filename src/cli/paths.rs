@@ -94,13 +94,16 @@ pub(super) fn is_take(path: &Path) -> bool {
 /// Checks that a take can be created at `path`, before a device is opened or a file is read.
 ///
 /// # Errors
-/// A usage error if it has the extension of another format; the errors of [`check_output`].
+/// A usage error if it does not have the extension of a take; the errors of [`check_output`].
 pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
     if Format::from_extension(path).is_some() {
         anyhow::bail!(UsageError(format!(
             "{}: the output is a take: use .take; `mocapd export` converts takes to other formats",
             path.display()
         )));
+    }
+    if !is_take(path) && !is_dash(path) {
+        return Err(unknown_ending(path, ".take"));
     }
     check_output(path)
 }

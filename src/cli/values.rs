@@ -13,6 +13,8 @@ use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
 use serde::Serialize;
 
+pub(crate) use mocapd_cli::numbers::{bytes, count, count_of, thousands};
+
 /// Parses a tolerance.
 ///
 /// # Errors
@@ -26,10 +28,7 @@ pub(super) fn tolerance(text: &str) -> Result<Tolerance, String> {
 /// # Errors
 /// What is wrong, and what to type instead.
 pub(super) fn length(text: &str) -> Result<Duration, String> {
-    match units::duration(text)? {
-        Duration::ZERO => Err(format!("'{text}' is zero: give a length of time such as 10s")),
-        length => Ok(length),
-    }
+    units::duration_above_zero(text)
 }
 
 /// Parses the length of a stretch.
@@ -56,45 +55,12 @@ pub(super) fn sync(text: &str) -> Result<Duration, String> {
     Err(format!("a sync interval of '{text}' is out of range: give 0s to 60s"))
 }
 
-/// A number with its digits in groups of three: `12 345 678`.
-pub(crate) fn thousands(n: u64) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(' ');
-        }
-        out.push(digit);
-    }
-    out
-}
-
-/// A count with its noun, plural with s: `1 marker`, `12 345 markers`.
-pub(crate) fn count(n: u64, what: &str) -> String {
-    count_of(n, [what, &format!("{what}s")])
-}
-
-/// A count with a noun of irregular plural: `1 vertex`, `2 vertices`.
-pub(crate) fn count_of(n: u64, [one, several]: [&str; 2]) -> String {
-    format!("{} {}", thousands(n), if n == 1 { one } else { several })
-}
-
 /// `12 345 frames`, or `300 of 12 345 frames` if some rows are empty.
 pub(crate) fn frames_of(recorded: u64, rows: u64) -> String {
     if recorded < rows {
         format!("{} of {}", thousands(recorded), count(rows, "frame"))
     } else {
         count(rows, "frame")
-    }
-}
-
-/// A number of bytes with its unit: `1.3 MB`.
-pub(crate) fn bytes(n: u64) -> String {
-    match n {
-        0..10_000 => format!("{} B", thousands(n)),
-        10_000..1_000_000 => format!("{:.1} kB", n as f64 / 1e3),
-        1_000_000..1_000_000_000 => format!("{:.1} MB", n as f64 / 1e6),
-        _ => format!("{:.2} GB", n as f64 / 1e9),
     }
 }
 
@@ -227,14 +193,8 @@ mod tests_of_numbers {
 
     #[test]
     fn numbers_for_people() {
-        assert_eq!(thousands(0), "0");
-        assert_eq!(thousands(1_234_567), "1 234 567");
-        assert_eq!(count(1, "marker"), "1 marker");
-        assert_eq!(count(1200, "frame"), "1 200 frames");
         assert_eq!(frames_of(1200, 1200), "1 200 frames");
         assert_eq!(frames_of(300, 1200), "300 of 1 200 frames");
-        assert_eq!(bytes(999), "999 B");
-        assert_eq!(bytes(1_250_000), "1.2 MB");
         assert_eq!(length_of_time(9.54), "9.5 s");
         assert_eq!(length_of_time(725.2), "12 min 5 s");
         assert_eq!(length_of_time(10_931.0), "3 h 2 min");

@@ -35,6 +35,28 @@ pub fn visible_lines(text: &str) -> Cow<'_, str> {
     escaped(text, |c| c != '\n' && is_unsafe(c))
 }
 
+/// Equivalent JSON without terminal control characters: those in strings become `\uXXXX`, a surrogate pair above
+/// U+FFFF. Outside strings only white space can be one: tabs and carriage returns become spaces.
+#[must_use]
+pub fn visible_json(text: &str) -> Cow<'_, str> {
+    let is_escaped = |c: char| c != '\n' && is_unsafe(c);
+    if !text.contains(is_escaped) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match c {
+            '\t' | '\r' => out.push(' '),
+            c if is_escaped(c) => {
+                let mut units = [0; 2];
+                out.extend(c.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")));
+            }
+            c => out.push(c),
+        }
+    }
+    Cow::Owned(out)
+}
+
 fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     if !text.contains(&is_escaped) {
         return Cow::Borrowed(text);
@@ -143,5 +165,21 @@ mod tests {
             prop_assert!(!cell.contains(is_unsafe), "{:?}", cell);
             prop_assert_eq!(from_cell(&cell), text);
         }
+    }
+
+    #[test]
+    fn json_is_safe_to_show_and_means_the_same() {
+        let mut every: Vec<char> = (0..=0x2100).filter_map(char::from_u32).collect();
+        every.extend((0xe000..=0xffff).chain(0x1_f600..0x1_f610).filter_map(char::from_u32));
+        every.extend((0xe_0000..=0xe_0100).filter_map(char::from_u32));
+        let text: String = every.into_iter().collect();
+        let value = serde_json::json!({ "a": [text.clone(), 1.5], (text): null });
+        for json in [value.to_string(), serde_json::to_string_pretty(&value).unwrap()] {
+            let shown = visible_json(&json);
+            assert!(!shown.contains(|c| c != '\n' && is_unsafe(c)));
+            assert_eq!(serde_json::from_str::<serde_json::Value>(&shown).unwrap(), value);
+        }
+        assert_eq!(visible_json("\"\u{9b}\u{202e}\u{e0001}\""), "\"\\u009b\\u202e\\udb40\\udc01\"");
+        assert_eq!(visible_json("{\r\n\t\"a\": 1}"), "{ \n \"a\": 1}");
     }
 }

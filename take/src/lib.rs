@@ -16,6 +16,7 @@ pub mod map;
 pub mod motion;
 pub mod motion_encoder;
 pub mod phase;
+pub mod quantity;
 pub mod reader;
 pub mod record;
 pub mod recovery;

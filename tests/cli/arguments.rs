@@ -176,3 +176,38 @@ fn errors_of_clap_are_one_line() {
         assert!(folder.run(args).with_code(2).stderr.contains("Usage: mocapd"), "{args:?}");
     }
 }
+
+#[test]
+fn a_take_is_named_take() {
+    let folder = folder();
+    for name in ["new.foo", "new", "new.take.bak"] {
+        for command in [
+            &["import", "jump.csv"][..],
+            &["recover", "jump.take"],
+            &["record", "-d", "serial:/dev/null"],
+        ] {
+            refused_with(&folder, &[command, &["-o", name]].concat(), &[name, "use .take"]);
+        }
+    }
+}
+
+#[test]
+fn a_device_is_named_and_never_selected() {
+    let record = ["record", "-d", "auto", "-o", "new.take"];
+    refused_with(&folder(), &record, &["auto", "mocapd devices", "serial:/dev/ttyUSB0"]);
+}
+
+#[test]
+fn a_plot_of_poses_has_at_most_twelve() {
+    let folder = folder();
+    let plot = |times: &str| {
+        ["plot", "pose", "jump.take", "-o", "new.svg", "--at", times].map(str::to_owned)
+    };
+    let thirteen = vec!["0.1s"; 13].join(",");
+    let args = plot(&thirteen);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    refused_with(&folder, &args, &["--at", "13", "12"]);
+    let args = plot(&thirteen["0.1s,".len()..]);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    folder.run(&args).with_code(0);
+}

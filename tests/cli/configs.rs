@@ -81,3 +81,50 @@ fn notes_and_token_files() {
     assert_mentions(&ran.stderr, &["http.listen", "0.0.0.0:7060", "token"]);
     assert!(!ran.stderr.contains("0123456789abcdef"));
 }
+
+#[test]
+fn unreadable_subject_files_are_listed_beside_the_other_errors() {
+    let folder = Folder::new();
+    let subject = "[subject]\nskeleton = 's.json'\nface = 'f.json'\nface_markers = 'm.json'\n";
+    folder.write("left.toml", format!("{subject}[arm]\npre_rol = '10s'\n"));
+    let ran = folder.run(&["config", "check", "left.toml"]).with_code(2);
+    let lines: Vec<_> = ran.stderr.lines().collect();
+    assert_eq!(lines.len(), 5, "{}", ran.stderr);
+    for (line, facts) in [
+        (lines[0], ["line 2, column 12", "subject.skeleton: s.json does not exist"]),
+        (lines[1], ["line 3, column 8", "subject.face: f.json does not exist"]),
+        (lines[2], ["line 4, column 16", "subject.face_markers: m.json does not exist"]),
+        (lines[3], ["line 6, column 1", "pre_rol"]),
+        (lines[4], ["left.toml is invalid", "4"]),
+    ] {
+        assert_mentions(line, &facts);
+    }
+    folder.write("left.toml", "[subject]\nskeleton = 's.json'\n");
+    let json = folder.run(&["config", "check", "left.toml", "--json"]).with_code(2).json();
+    assert_eq!(json["problems"][0]["key"], "subject.skeleton");
+    // A mapping without a face is a problem of the mapping.
+    folder.write("m.json", super::subjects::MARKERS);
+    folder.write("left.toml", "[subject]\nface_markers = 'm.json'\n");
+    assert_mentions(
+        &folder.refuses(&["config", "check", "left.toml"], 2),
+        &["subject.face_markers: m.json", "give both"],
+    );
+}
+
+#[test]
+fn a_takes_folder_that_cannot_be_written_is_noted() {
+    let folder = Folder::new();
+    for directory in ["left.toml", "left.toml/takes"] {
+        let config = format!("[http]\nsocket = 'rig.sock'\n[take]\ndirectory = '{directory}'\n");
+        folder.write("left.toml", config);
+        let ran = folder.run(&["config", "check", "left.toml"]).with_code(0);
+        assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
+        assert_mentions(
+            &ran.stderr,
+            &["note: cannot write to the takes' folder", directory, "take.directory"],
+        );
+    }
+    folder.write("left.toml", "[http]\nsocket = 'rig.sock'\n[take]\ndirectory = 'new'\n");
+    assert_eq!(folder.run(&["config", "check", "left.toml"]).with_code(0).stderr, "");
+    assert!(!folder.path("new").exists(), "a check creates nothing");
+}

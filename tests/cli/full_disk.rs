@@ -54,6 +54,37 @@ fn a_take_is_closed_before_the_disk_is_full_and_the_next_is_refused() {
     assert_mentions(line, &["disk/b.take", "4 MB", "--keep-free"]);
 }
 
+/// Every message about a full disk says what to do, whatever was being written.
+#[test]
+fn a_full_disk_has_a_remedy() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &crowd(40, 120.0, 5.0));
+    folder.run(&["import", "jump.csv", "-o", "jump.take", "--lossless"]).with_code(0);
+    let script = "
+        for line in 'import jump.csv -o disk/new.take --lossless' 'export jump.take -o disk/new.csv' \
+                    'export jump.take -o disk/new --format bids' 'recover jump.take -o disk/new.take'; do
+            $mocapd $line 2>>err
+            echo $? >>codes
+        done
+        $mocapd demo --out disk/demo 2>>err
+        echo $? >>codes
+        ls -A disk";
+    let Some(ran) = on_small_disk(&folder, 64 << 10, "", script) else { return };
+    let lines = folder.text("err");
+    assert_eq!(folder.text("codes"), "1\n".repeat(5), "{lines}");
+    let lines: Vec<&str> = lines.lines().collect();
+    assert_eq!(lines.len(), 5, "{lines:?}");
+    for line in &lines[..4] {
+        assert_mentions(
+            line,
+            &["disk/new", "(os error 28): free some space or choose another folder"],
+        );
+    }
+    assert_mentions(lines[4], &["disk/demo", "--out", "free some space"]);
+    assert!(!lines[4].contains("--keep-free"), "demo has no such option: {}", lines[4]);
+    assert_eq!(ran.stdout.trim(), "demo", "nothing is left half written");
+}
+
 #[test]
 fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
     let (folder, device) = (Folder::new(), device());

@@ -17,6 +17,7 @@ mod forces;
 mod full_disk;
 mod gaps;
 mod imports;
+mod manual;
 mod many_files;
 mod ndi;
 mod outputs;

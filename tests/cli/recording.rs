@@ -158,7 +158,7 @@ fn a_device_that_comes_back_is_recorded_again() {
     recorder.wait_for_message("60 s");
     // Another device at the same path is not mistaken for it.
     let other = Simulated::endless_at(&link, "SIM0002", motion.clone());
-    recorder.wait_for_message("SIM0002");
+    recorder.wait_for_message("SIM0002, but the take needs");
     let sent = other.unplug();
     assert_eq!(sent.starts, 0, "the other device was started");
     let device = Simulated::endless_at(&link, "SIM0001", motion);

@@ -39,6 +39,7 @@ NOT_RUN = [
     (r".*", r"export PATH=", "the programs are found already"),
     (r".*", r"(venv/bin/)?pip |python3? -m (venv|pip)|MOCAPD=\S+ python", "the step of the Python package"),
     (r"docs/getting-started.md", r"python3 -c 'import mocapd", "needs the Python package; its tests read takes so"),
+    (r"docs/getting-started.md", r"mkdir -p ~|for program in", "writes into the home folder; tests/cli/manual.rs runs the commands"),
     (r"docs/getting-started.md", r"mocapd bench pipeline", "measures for minutes"),
     (r"systemd/README.md", r".*", "changes the machine; the emulated machine does"),
     (r"docs/hardware-in-the-loop.md", r".*", "needs a Raspberry Pi"),

@@ -41,6 +41,29 @@ fn what_is_in_the_source_exists_and_what_the_system_needs_is_there() {
 }
 
 #[test]
+fn completions_and_pages_of_both_programs_are_in_it() {
+    let assets = assets();
+    let into = |source: &str| assets.iter().find(|asset| asset.0 == source).map(|asset| &*asset.1);
+    let made = |file: &str| format!("target/release/package/{file}");
+    for program in ["mocapd", "mocapd-sim"] {
+        let bash = format!("usr/share/bash-completion/completions/{program}");
+        assert_eq!(into(&made(&format!("completions/{program}.bash"))), Some(bash.as_str()));
+    }
+    for (files, folder) in [
+        ("man/*.1.gz", "usr/share/man/man1/"),
+        ("completions/_*", "usr/share/zsh/vendor-completions/"),
+        ("completions/*.fish", "usr/share/fish/vendor_completions.d/"),
+    ] {
+        assert_eq!(into(&made(files)), Some(folder));
+    }
+    let build = text("systemd/deb/build");
+    let (_, each) = build.split_once("for program in mocapd mocapd-sim; do").expect("both");
+    for made in ["man --out", "completions bash", "completions zsh", "completions fish"] {
+        assert!(each.contains(made), "{made}");
+    }
+}
+
+#[test]
 fn its_version_is_the_program_s() {
     let changelog = text("systemd/deb/changelog");
     let version = format!("mocapd ({}-1)", env!("CARGO_PKG_VERSION"));

@@ -555,7 +555,7 @@ impl Rig {
         options: &ReadOptions<'_>,
     ) -> Result<bool, TransportError> {
         if (&now.model, &now.serial) != (&self.hello.model, &self.hello.serial) {
-            (options.notify)(&format!("another device answers, {} {}", now.model, now.serial));
+            (options.notify)(&self.another_device(now));
             return Ok(false);
         }
         reader.restarts += 1;

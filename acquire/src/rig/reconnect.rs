@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use mocapd_drivers::{
+    device::Hello,
     registry,
     transport::{Transport, TransportError, usb::UsbWatch},
 };
@@ -126,6 +127,15 @@ impl Rig {
         }
     }
 
+    /// The message that the device which identified itself, `now`, is not that of the take.
+    pub(super) fn another_device(&self, now: &Hello) -> String {
+        let was = &self.hello;
+        format!(
+            "another device answers, {} {}, but the take needs {} {}: plug that one in",
+            now.model, now.serial, was.model, was.serial
+        )
+    }
+
     /// Checks that it is the same device, restores its rate and starts it.
     fn rejoin(
         &mut self,
@@ -140,11 +150,8 @@ impl Rig {
         let was = &self.hello;
         ensure!(
             (&now.model, &now.serial) == (&was.model, &was.serial),
-            "another device answers, {} {}, but the take needs {} {}: plug that one in",
-            now.model,
-            now.serial,
-            was.model,
-            was.serial
+            "{}",
+            self.another_device(&now)
         );
         if now.rate_millihertz != was.rate_millihertz {
             self.try_set_rate(self.rate_hz(), &|| cancel(reader))?;

@@ -39,9 +39,9 @@ wire_struct!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_m
 fn hello_error(hello: &Hello) -> Option<&'static str> {
     let rates_millihertz = hello.rate_min_millihertz..=hello.rate_max_millihertz;
     if hello.tick_hz == 0 {
-        Some("tick_hz is 0; give the ticks per second of the device clock")
+        Some("tick_hz is 0: give the ticks per second of the device clock")
     } else if hello.rate_millihertz == 0 {
-        Some("rate_millihertz is 0; give the frame rate of the next Start")
+        Some("rate_millihertz is 0: give the frame rate of the next Start")
     } else if !rates_millihertz.contains(&hello.rate_millihertz) {
         Some("rate_millihertz is not within rate_min_millihertz..=rate_max_millihertz")
     } else if hello.up_axis > 3 {

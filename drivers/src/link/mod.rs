@@ -94,7 +94,7 @@ const _: () = assert!(MARKERS_MESSAGE_BYTES_MAX >= ENVELOPE_BYTES + 2 + 3 * (4 +
 #[non_exhaustive]
 pub enum EncodeError {
     /// The frame or table has too many markers.
-    #[error("{found} markers exceed the link's limit of {max}; send fewer")]
+    #[error("{found} markers exceed the link's limit of {max}: send fewer")]
     TooManyMarkers {
         /// Markers in the frame or table.
         found: usize,
@@ -103,7 +103,7 @@ pub enum EncodeError {
     },
     /// A frame lists an id twice, or not in ascending order.
     #[error(
-        "marker {id} follows marker {previous}; sort a frame's markers by id, without duplicates"
+        "marker {id} follows marker {previous}: sort a frame's markers by id, without duplicates"
     )]
     IdsNotAscending {
         /// Id before it.

@@ -195,11 +195,11 @@ impl NdiHost {
                 format!("append @{baud} to the port in the device URI")
             }
             Some(_) => {
-                "neither the system nor the line supports a higher baud rate; use another adapter, show fewer \
+                "neither the system nor the line supports a higher baud rate: use another adapter, show fewer \
                  markers, or lower its frame rate"
                     .to_owned()
             }
-            None => "no baud rate suffices; show fewer markers, or lower its frame rate".to_owned(),
+            None => "no baud rate suffices: show fewer markers, or lower its frame rate".to_owned(),
         };
         let load = [(tools, "tool"), (strays, "stray marker")].into_iter().filter(|(n, _)| *n > 0);
         let load: Vec<_> = load.map(|(n, what)| plural(n, what)).collect();

@@ -83,14 +83,14 @@ pub trait Transport: Send + Debug {
 pub enum TransportError {
     /// No such device.
     #[error(
-        "{device} does not exist; plug the device in, or list what is attached with `mocapd devices`"
+        "{device} does not exist: plug the device in, or list what is attached with `mocapd devices`"
     )]
     NotFound {
         /// Path, or USB ids and serial number.
         device: String,
     },
     /// Another program has the device open.
-    #[error("{device} is in use{}; close the other program", holder.as_ref().map_or_else(String::new, |holder| format!(" by {holder}")))]
+    #[error("{device} is in use{}: close the other program", holder.as_ref().map_or_else(String::new, |holder| format!(" by {holder}")))]
     Busy {
         /// Path, or USB ids and serial number.
         device: String,
@@ -116,7 +116,7 @@ pub enum TransportError {
     Refused(String),
     /// The device is present but accepts no bytes.
     #[error(
-        "{device} does not accept commands; check that it is the right device, and switch it off and on again"
+        "{device} does not accept commands: check that it is the right device, and switch it off and on again"
     )]
     Stuck {
         /// Path, or USB ids and serial number.

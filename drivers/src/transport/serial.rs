@@ -190,7 +190,7 @@ fn has_physical_baud(path: &Path) -> Result<bool, TransportError> {
 
 fn not_a_serial_port(device: &str) -> TransportError {
     TransportError::Unsupported(format!(
-        "{device} is not a serial port; give a device such as /dev/ttyUSB0, or a link to one"
+        "{device} is not a serial port: give a device such as /dev/ttyUSB0, or a link to one"
     ))
 }
 

@@ -12,7 +12,7 @@ mod trajectory;
 
 pub use self::{
     canvas::png,
-    pose::{PosePlot, pose},
+    pose::{MOMENTS_MAX, PosePlot, pose},
     quality::{MarkerQuality, QualityPlot, quality},
     sizes::{SizeLine, SizePanel, sizes},
     study::by_phase,

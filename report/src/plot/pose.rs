@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Most stick figures side by side.
-const MOMENTS_MAX: usize = 12;
+pub const MOMENTS_MAX: usize = 12;
 
 /// Most markers drawn per stick figure: more are an unreadable cloud, and make a large file.
 const MARKERS_MAX: usize = 500;

@@ -81,6 +81,23 @@ impl Config {
     /// # Errors
     /// The file cannot be read, or it has problems: all of them.
     pub fn load(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
+        Self::read_file(file, overrides, |_| Vec::new())
+    }
+
+    /// Reads a configuration file as [`load`](Self::load) does, and the subject's files that it names, whose problems are
+    /// reported beside all others.
+    ///
+    /// # Errors
+    /// The file cannot be read, or it has problems: all of them.
+    pub fn check(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
+        Self::read_file(file, overrides, |config| config.subject.problems())
+    }
+
+    fn read_file(
+        file: &Path,
+        overrides: &Overrides,
+        check: impl FnOnce(&Self) -> Vec<(&'static str, String)>,
+    ) -> Result<Self, ConfigError> {
         let unreadable = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => ConfigError::NotFound(file.to_owned()),
             _ => ConfigError::Unreadable { file: file.to_owned(), error },
@@ -89,7 +106,7 @@ impl Config {
         let mut bytes = Vec::new();
         opened.take(CONFIG_BYTES_MAX as u64 + 1).read_to_end(&mut bytes).map_err(unreadable)?;
         let name = file.display().to_string();
-        Self::parse(&name, &bytes, &Environment::of_process(file), overrides)
+        Self::parse_and_check(&name, &bytes, &Environment::of_process(file), overrides, check)
     }
 
     /// Parses a configuration; errors call it `name`.
@@ -101,6 +118,17 @@ impl Config {
         bytes: &[u8],
         environment: &Environment,
         overrides: &Overrides,
+    ) -> Result<Self, ConfigError> {
+        Self::parse_and_check(name, bytes, environment, overrides, |_| Vec::new())
+    }
+
+    /// Parses a configuration; `check` returns further problems by key.
+    fn parse_and_check(
+        name: &str,
+        bytes: &[u8],
+        environment: &Environment,
+        overrides: &Overrides,
+        check: impl FnOnce(&Self) -> Vec<(&'static str, String)>,
     ) -> Result<Self, ConfigError> {
         let text = text(bytes).map_err(|problem| refused(name, vec![problem]))?;
         let (document, errors) = DeTable::parse_recoverable(text);
@@ -135,6 +163,9 @@ impl Config {
         reader.codec(&mut config);
         reader.pre_roll(&config);
         reader.listen(&config);
+        for (path, message) in check(&config) {
+            reader.refuse(path, message);
+        }
         if reader.problems.is_empty() { Ok(config) } else { Err(refused(name, reader.problems)) }
     }
 

@@ -22,7 +22,10 @@ use super::{
 };
 use crate::{
     config::message_with_keys,
-    control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
+    control::{
+        FirstFrame, Marked, Refusal, RefusalKind, SECONDS_MAX, SaveLast, Start, Started, Stopped,
+        TEXT_BYTES_MAX,
+    },
     notify,
     status::ServiceEventKind,
 };
@@ -44,9 +47,6 @@ const EXTEND_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Longest wait until the reader has placed a mark.
 const MARK_TIMEOUT: Duration = Duration::from_secs(1);
-
-/// Longest text of a mark or of notes, in bytes.
-const TEXT_BYTES_MAX: usize = 1024;
 
 /// Names to try for a take without a name.
 const NAMES_MAX: u32 = 10_000;
@@ -434,7 +434,6 @@ fn pre_roll_remark(requested: Duration, before_request_s: f64) -> Option<String>
 }
 
 fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {
-    const SECONDS_MAX: f64 = 3600.0;
     if (0.0..=SECONDS_MAX).contains(&value) {
         return Ok(Duration::from_secs_f64(value));
     }

@@ -11,7 +11,16 @@ pub(super) fn normalised(name: &str) -> Result<&str, Refusal> {
     while let Some(shorter) = strip_extension(name) {
         name = shorter;
     }
-    check(name)
+    let name = check(name)?;
+    // A file that ends so exists already, perhaps: only a new one is refused.
+    if name.ends_with('.') {
+        return Err(Refusal::new(RefusalKind::Invalid, wrong_ends(name)));
+    }
+    Ok(name)
+}
+
+fn wrong_ends(name: &str) -> String {
+    format!("name {name:?}: remove '.', '-', ' ' at its start, '.', ' ' at its end")
 }
 
 /// The name without the extension `.take`, in any case; `None` if it has another or none.
@@ -27,9 +36,7 @@ pub(super) fn check(name: &str) -> Result<&str, Refusal> {
         return invalid(format!("a take name has 1 to {NAME_BYTES_MAX} bytes, not {}", name.len()));
     }
     if name.starts_with(['.', '-', ' ']) || name.ends_with(' ') {
-        return invalid(format!(
-            "name {name:?}: remove '.', '-', ' ' at its start, ' ' at its end"
-        ));
+        return invalid(wrong_ends(name));
     }
     if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
         return invalid(format!("a take name cannot contain {wrong:?}, as it is a file name"));
@@ -49,7 +56,9 @@ mod tests {
         for (sent, name) in [("x.take", "x"), ("x.take.TAKE", "x"), ("x.taken", "x.taken")] {
             assert_eq!(normalised(sent).unwrap(), name);
         }
-        assert_eq!(check("x.take").unwrap(), "x.take");
+        for existing in ["x.take", "x."] {
+            assert_eq!(check(existing).unwrap(), existing);
+        }
         let long = "x".repeat(201);
         for bad in [
             "",
@@ -61,6 +70,8 @@ mod tests {
             "a\\b",
             ".x",
             "-x",
+            "x.",
+            "x..take",
             "a\0b",
             "c:",
             "what?",

@@ -72,6 +72,10 @@ pub(super) fn paths() -> impl Iterator<Item = String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        config::NAME_BYTES_MAX,
+        control::{SECONDS_MAX, TEXT_BYTES_MAX},
+    };
 
     #[test]
     fn every_file_of_the_folder_is_served_as_what_it_is() {
@@ -85,5 +89,20 @@ mod tests {
         assert_eq!(served, files, "touch service/src/http/assets.rs after a file was added");
         assert!(WEB.dirs().next().is_none() && WEB.files().all(|file| content_type(file) != BYTES));
         assert!(paths().any(|path| path == "/") && !paths().any(|path| path.contains("index")));
+    }
+
+    #[test]
+    fn the_limits_of_the_page_are_those_of_the_service() {
+        let page = WEB.get_file(PAGE).unwrap().contents_utf8().unwrap();
+        for (id, attribute, limit) in [
+            ("name", "data-bytes-max", NAME_BYTES_MAX),
+            ("notes", "data-bytes-max", TEXT_BYTES_MAX),
+            ("mark-text", "data-bytes-max", TEXT_BYTES_MAX),
+            ("save-seconds", "max", SECONDS_MAX as usize),
+        ] {
+            let field = page.lines().find(|line| line.contains(&format!("<input id=\"{id}\"")));
+            let expected = format!(" {attribute}=\"{limit}\"");
+            assert!(field.is_some_and(|field| field.contains(&expected)), "{id}: {field:?}");
+        }
     }
 }

@@ -68,6 +68,30 @@ impl SubjectFiles {
         }
         Ok((!subject.is_empty()).then_some(subject))
     }
+
+    /// What is wrong with each file, by its key in the configuration.
+    pub(crate) fn problems(&self) -> Vec<(&'static str, String)> {
+        let mut found = Vec::new();
+        let mut check = |key: &'static str, files: &Self| match files.load() {
+            Ok(_) => true,
+            Err(error) => {
+                found.push((key, format!("{key}: {error:#}")));
+                false
+            }
+        };
+        let Self { skeleton, face, face_markers, .. } = self.clone();
+        check("subject.skeleton", &Self { skeleton, ..Self::default() });
+        let has_face = check("subject.face", &Self { face: face.clone(), ..Self::default() });
+        // The mapping is checked against the face, whose own problem has been reported.
+        if has_face {
+            check("subject.face_markers", &Self { face, face_markers, ..Self::default() });
+        } else if let Some(path) = face_markers
+            && let Err(error) = read(&path, Mapping::from_json)
+        {
+            found.push(("subject.face_markers", format!("subject.face_markers: {error:#}")));
+        }
+        found
+    }
 }
 
 /// Parses a document.

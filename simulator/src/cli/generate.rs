@@ -1,66 +1,183 @@
 //! `mocapd-sim generate`: writes a data set of jumps.
 
 use std::fmt::Write as _;
-use std::fs::{self, File};
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread::Builder;
+use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, anyhow};
 use clap::Args;
-use mocapd_simulator::generator::{JumpSet, JumpSpec, SetJump};
+use mocapd_cli::numbers::{bytes, count};
+use mocapd_cli::stop::stop_on_signal;
+use mocapd_simulator::generator::{GenerateError, JumpSet, JumpSpec, SetJump};
+use mocapd_take::escape::visible;
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::MotionFrames;
+use mocapd_take::quantity::{length_mm, rate_hz};
+use serde::Serialize;
 
-use super::{Failure, length_mm};
+use super::Failure;
+use super::files::NewFolder;
+use super::output::{print, print_json};
+use super::progress::ProgressDisplay;
 
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {
-    /// New folder for the C3D files and phases.csv
+    /// Folder for the C3D files and phases.csv; it must not exist
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
-    /// Number of subjects, each with its own body and style.
+    /// Number of subjects, each with its own body and style
     #[arg(long, value_name = "N", default_value_t = 10)]
     subjects: u32,
-    /// Total number of jumps, divided evenly among the subjects.
+    /// Number of jumps, divided evenly among the subjects
     #[arg(long, value_name = "N", default_value_t = 326)]
     jumps: u32,
-    /// Frames per second.
-    #[arg(long, value_name = "HZ", default_value_t = 60.0)]
+    /// Frame rate of the files: 240, 240Hz, 1kHz
+    #[arg(long, value_name = "HZ", default_value = "60Hz", value_parser = rate_hz, allow_hyphen_values = true)]
     rate: f64,
-    /// Seed of subjects, movements and noise.
+    /// Seed of subjects, movements and noise
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Standard deviation of the noise on each axis [default: 0.05mm].
-    #[arg(long, value_name = "LENGTH", value_parser = length_mm)]
+    /// Standard deviation of the noise on each axis: 0.05mm, 100um [default: 0.05mm]
+    #[arg(long, value_name = "LENGTH", value_parser = length_mm, allow_hyphen_values = true)]
     noise: Option<f64>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
+
+/// Jumps that are generated and wait to be written: one, while the next is being generated.
+const WAITING_MAX: usize = 1;
+
+/// Time between two looks at Ctrl-C, which is to be answered within 0.3 s.
+const STEP: Duration = Duration::from_millis(50);
 
 pub(super) fn run(args: &GenerateArgs) -> Result<(), Failure> {
     let mut spec = JumpSpec::new(args.seed, args.rate);
     spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
     let set = JumpSet::new(spec, args.subjects, args.jumps).map_err(Failure::usage)?;
-    // A trial run: a refused value must not leave an empty folder behind.
-    spec.generate().map_err(Failure::usage)?;
-    fs::create_dir(&args.out)
-        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
-    let mut phases = "file,phase,first_frame\n".to_owned();
-    for jump in set.jumps() {
-        let SetJump { subject, trial, jump } = jump.map_err(Failure::usage)?;
-        let name = format!("subject-{subject:02}-jump-{trial:02}.c3d");
-        for (phase, first_frame) in &jump.phases {
-            writeln!(phases, "{name},{},{first_frame}", phase.name())?;
-        }
-        write(&args.out.join(&name), |out| {
-            Ok(Format::C3d.write(&mut MotionFrames::new(&jump.motion), out)?)
-        })?;
+    let folder = NewFolder::create(&args.out)?;
+    let stop = stop_on_signal()?;
+    let report = write(&set, args, &folder, &stop).map_err(|error| {
+        if error.is::<GenerateError>() { Failure::usage(error) } else { error.into() }
+    })?;
+    folder.keep()?;
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.text())?;
     }
-    write(&args.out.join("phases.csv"), |out| Ok(out.write_all(phases.as_bytes())?))?;
     Ok(())
 }
 
-fn write(path: &Path, content: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
-    let writing = || format!("cannot write {}", path.display());
-    let mut out = BufWriter::new(File::create_new(path).with_context(writing)?);
-    content(&mut out).with_context(writing)?;
-    out.flush().with_context(writing)
+/// Writes the files as another thread generates them, so that Ctrl-C is answered however long a jump takes.
+fn write(
+    set: &JumpSet,
+    args: &GenerateArgs,
+    folder: &NewFolder,
+    stop: &AtomicBool,
+) -> anyhow::Result<GenerateReport> {
+    let files = generated(set)?;
+    let mut progress = ProgressDisplay::new("generating", u64::from(args.jumps));
+    let mut report = GenerateReport {
+        folder: args.out.to_string_lossy().into_owned(),
+        jumps: 0,
+        subjects: args.subjects,
+        rate_hz: args.rate,
+        markers: set.spec.n_markers,
+        frames: 0,
+        file_bytes: 0,
+    };
+    let mut phases = "file,phase,first_frame\n".to_owned();
+    loop {
+        if stop.load(Ordering::Relaxed) {
+            return Err(anyhow!("interrupted: {} was not written", args.out.display()));
+        }
+        match files.recv_timeout(STEP) {
+            Ok(file) => {
+                let file = file?;
+                folder.write(&file.name, &file.content)?;
+                phases.push_str(&file.phases);
+                report.jumps += 1;
+                report.frames += file.n_frames;
+                report.file_bytes += file.content.len() as u64;
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        progress.update(report.jumps);
+    }
+    if report.jumps < u64::from(args.jumps) {
+        return Err(anyhow!("the generator failed: please report this bug"));
+    }
+    folder.write("phases.csv", phases.as_bytes())?;
+    report.file_bytes += phases.len() as u64;
+    Ok(report)
+}
+
+/// A generated C3D file.
+struct JumpFile {
+    name: String,
+    content: Vec<u8>,
+    /// Its rows of phases.csv.
+    phases: String,
+    n_frames: u64,
+}
+
+/// The files of a set, generated by a thread that ends when nobody receives them any more.
+fn generated(set: &JumpSet) -> anyhow::Result<Receiver<anyhow::Result<JumpFile>>> {
+    let (sender, files) = sync_channel(WAITING_MAX);
+    let set = *set;
+    let generate = move || {
+        for jump in set.jumps() {
+            let file = jump.map_err(anyhow::Error::from).and_then(|jump| encode(&jump));
+            if sender.send(file).is_err() {
+                return;
+            }
+        }
+    };
+    let started = Builder::new().name("mocapd-generate".to_owned()).spawn(generate);
+    started.context("cannot start the thread that generates")?;
+    Ok(files)
+}
+
+fn encode(jump: &SetJump) -> anyhow::Result<JumpFile> {
+    let SetJump { subject, trial, jump } = jump;
+    let name = format!("subject-{subject:02}-jump-{trial:02}.c3d");
+    let mut phases = String::new();
+    for (phase, first_frame) in &jump.phases {
+        writeln!(phases, "{name},{},{first_frame}", phase.name())?;
+    }
+    let mut content = Vec::new();
+    Format::C3d.write(&mut MotionFrames::new(&jump.motion), &mut content)?;
+    Ok(JumpFile { name, content, phases, n_frames: jump.motion.info.n_frames })
+}
+
+/// What was written, documented in docs/json.md.
+#[derive(Debug, Serialize)]
+struct GenerateReport {
+    folder: String,
+    jumps: u64,
+    subjects: u32,
+    rate_hz: f64,
+    markers: usize,
+    frames: u64,
+    file_bytes: u64,
+}
+
+impl GenerateReport {
+    fn text(&self) -> String {
+        format!(
+            "{}: {} by {}, {} of {} at {} Hz, {}\n",
+            visible(&self.folder),
+            count(self.jumps, "jump"),
+            count(self.subjects.into(), "subject"),
+            count(self.frames, "frame"),
+            count(self.markers as u64, "marker"),
+            self.rate_hz,
+            bytes(self.file_bytes)
+        )
+    }
 }

@@ -10,7 +10,7 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_report::{
     labels,
-    plot::{PosePlot, pose},
+    plot::{MOMENTS_MAX, PosePlot, pose},
     up::Up,
 };
 use mocapd_service::{live::FacePose, subject::FaceOverlay, units};
@@ -41,6 +41,9 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    if args.at.len() > MOMENTS_MAX {
+        bail!(UsageError(format!("--at has {} times: give at most {MOMENTS_MAX}", args.at.len())));
+    }
     args.picture.run(TimeSpan::All, |picture| draw(args, picture))
 }
 

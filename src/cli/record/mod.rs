@@ -65,8 +65,18 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// Parses the device, of which there is no default as in the service: a user names the one to record.
+fn device(text: &str) -> anyhow::Result<DeviceUri> {
+    if text == "auto" {
+        let message = "--device auto: only the service selects a device (device.uri = \"auto\"): \
+                       give the one to record, as `mocapd devices` lists it, such as serial:/dev/ttyUSB0";
+        return Err(UsageError(message.to_owned()).into());
+    }
+    Ok(text.parse().map_err(|error| UsageError(format!("{error}")))?)
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let uri: DeviceUri = args.device.parse().map_err(|error| UsageError(format!("{error}")))?;
+    let uri = device(&args.device)?;
     let codec = args.codec.live_settings()?;
     paths::check_take_output(&args.output)?;
     if let Some(raw) = &args.raw {

@@ -18,12 +18,13 @@ const RULES: &[Rule] = &[
         allowed: &["src/cli/demo", "src/cli/bench", "simulator/src/"],
     },
     Rule {
-        invariant: "only threads.rs and the import path of acquire, and mocapd-sim, start threads",
+        invariant: "only threads.rs and the import path of acquire, and the programs, start threads",
         words: &["thread::Builder", "thread::{Builder", "thread::scope"],
         allowed: &[
             "acquire/src/threads.rs",
             "acquire/src/pipeline/offline.rs",
-            "simulator/src/cli/serve/stop.rs",
+            "cli/src/stop.rs",
+            "simulator/src/cli/generate.rs",
         ],
     },
     Rule {
@@ -32,7 +33,7 @@ const RULES: &[Rule] = &[
         allowed: &[],
     },
     Rule {
-        invariant: "only acquire, the service, src/, simulated lines and transports read clocks",
+        invariant: "only acquire, the service, the programs, simulated lines and transports read clocks",
         words: &[
             "Instant::now",
             "SystemTime::now",
@@ -46,14 +47,15 @@ const RULES: &[Rule] = &[
             "src/",
             "simulator/src/line/",
             "simulator/src/gadget/",
-            "simulator/src/cli/serve/stop.rs",
+            "cli/src/stop.rs",
+            "simulator/src/cli/progress.rs",
             "drivers/src/transport/",
         ],
     },
     Rule {
         invariant: "only the command lines print: results to stdout, messages to stderr",
         words: &["println!", "print!(", "eprintln!", "eprint!(", "io::stdout", "io::stderr"],
-        allowed: &["src/cli/", "simulator/src/main.rs", "simulator/src/cli/"],
+        allowed: &["src/cli/", "simulator/src/cli/"],
     },
     Rule {
         invariant: "only main.rs ends the process",
@@ -87,6 +89,7 @@ const RULES: &[Rule] = &[
             "service/src/",
             "src/",
             "drivers/src/plain_file.rs",
+            "cli/src/stop.rs",
             "simulator/src/cli/",
             "simulator/src/pty/",
             "simulator/src/gadget/",
@@ -96,11 +99,7 @@ const RULES: &[Rule] = &[
     Rule {
         invariant: "only files.rs, which never overwrites one, and the simulator create files",
         words: &["File::create", "File::create_new", "OpenOptions", "fs::write(", "fs::rename("],
-        allowed: &[
-            "acquire/src/files",
-            "simulator/src/cli/serve/mod.rs",
-            "simulator/src/cli/generate.rs",
-        ],
+        allowed: &["acquire/src/files", "simulator/src/cli/files.rs"],
     },
     Rule {
         invariant: "only one module names the ring buffer crate, which could be replaced",

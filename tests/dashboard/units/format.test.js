@@ -1,4 +1,4 @@
-import { bytes, count, duration, elapsed, microseconds, nextName, percent, percentile, plural, rounded, timeZone } from "/format.js";
+import { bytes, count, cutToBytes, duration, elapsed, microseconds, nextName, percent, percentile, plural, rounded, timeZone } from "/format.js";
 import { equal, isTrue, test } from "./harness.js";
 
 test("counts have groups of three", () => {
@@ -41,4 +41,9 @@ test("the time zone has its offset, and its name if known", () => {
   equal(timeZone(0, "UTC"), "Times are in this browser's time zone: UTC");
   equal(timeZone(60, "Europe/Berlin"), "Times are in this browser's time zone: UTC+01:00 (Europe/Berlin)");
   equal(timeZone(-210, undefined), "Times are in this browser's time zone: UTC−03:30");
+});
+
+test("a text is cut to bytes, between characters", () => {
+  equal(["jump", "jumps", "Müller", "歩く人", "😀😀"].map((text) => cutToBytes(text, 4)), ["jump", "jump", "Mül", "歩", "😀"]);
+  equal(cutToBytes("", 4), "");
 });

@@ -70,7 +70,7 @@ impl Attached {
 
     fn stall_error(&self) -> TransportError {
         TransportError::Unsupported(format!(
-            "{} stalls again each time it is cleared; unplug it, plug it in again, and check its firmware",
+            "{} stalls again each time it is cleared: unplug it, plug it in again, and check its firmware",
             self.name
         ))
     }
@@ -159,7 +159,7 @@ impl Transport for UsbTransport {
 /// Invalid descriptors are the device's fault, and neither permission nor patience helps.
 fn invalid(device: &UsbDevice, found: &str) -> TransportError {
     TransportError::Unsupported(format!(
-        "{} is not a device that mocapd can read: {found}; check that it is the right one, and its firmware",
+        "{} is not a device that mocapd can read: {found}: check that it is the right one, and its firmware",
         device.location()
     ))
 }

@@ -101,10 +101,10 @@ fn select(name: String, serial: Option<&str>, list: &[UsbDevice]) -> Result<usiz
             device: format!("{name} (attached with these ids: {names})"),
         }),
         (Some(_), Some(_)) if serial.is_some() => Err(TransportError::Unsupported(format!(
-            "more than one device is {name}; unplug all but one"
+            "more than one device is {name}: unplug all but one"
         ))),
         (Some(_), Some(_)) => Err(TransportError::Unsupported(format!(
-            "more than one device is {name}; add a serial number: {names}"
+            "more than one device is {name}: add a serial number: {names}"
         ))),
     }
 }

@@ -8,8 +8,8 @@ use mocapd_simulator::faults::{FaultyDevice, Script};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
 use mocapd_take::motion::Motion;
 
-use super::{DeviceProtocol, ServeArgs, WireFormat, log_line};
-use crate::cli::Failure;
+use super::{DeviceProtocol, ServeArgs, WireFormat};
+use crate::cli::{Failure, notify};
 
 /// The device, and its description.
 pub(super) fn device(
@@ -17,7 +17,7 @@ pub(super) fn device(
     motion: Motion,
     script: Option<Arc<Script>>,
 ) -> Result<(Box<dyn LineDevice>, String), Failure> {
-    let usage = |message: &str| Err(Failure::usage(anyhow::anyhow!("{message}")));
+    let usage = |message: &str| Err(Failure::usage_message(message));
     let n_markers = motion.info.markers.len();
     let (device, rate_millihertz): (Box<dyn LineDevice>, u32) = match args.protocol {
         DeviceProtocol::Dvmc if !args.tool.is_empty() || args.no_bx2 => {
@@ -32,7 +32,7 @@ pub(super) fn device(
         DeviceProtocol::Dvmc => {
             let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
             let device = Device::new(motion, settings).map_err(refused)?;
-            device.warnings().iter().for_each(|warning| log_line(warning));
+            device.warnings().iter().for_each(|warning| notify(warning));
             let rate_millihertz = device.hello().rate_millihertz;
             match script {
                 Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_millihertz),
@@ -46,7 +46,7 @@ pub(super) fn device(
         }
         DeviceProtocol::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
-            device.warnings().iter().for_each(|warning| log_line(warning));
+            device.warnings().iter().for_each(|warning| notify(warning));
             let rate_millihertz = device.rate_millihertz();
             (Box::new(device), rate_millihertz)
         }

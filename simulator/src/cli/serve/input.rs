@@ -3,9 +3,9 @@
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context;
-use mocapd_drivers::plain_file::{self, NotAFile};
 use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
@@ -14,8 +14,8 @@ use mocapd_simulator::log_device::{LogDevice, LogDeviceError};
 use mocapd_simulator::source::{self, Generated, SourceError, is_motion};
 use mocapd_take::motion::Motion;
 
-use super::{DeviceProtocol, ServeArgs, log_line};
-use crate::cli::Failure;
+use super::{DeviceProtocol, ServeArgs};
+use crate::cli::{Failure, files, notify};
 
 /// Default rate of a generated motion: the most common one of optical systems.
 const GENERATED_RATE_HZ: f64 = 120.0;
@@ -26,7 +26,8 @@ const MEAN_GAP_S: f64 = 0.2;
 pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     if let Some(Generated { seed }) = args.generate {
         let rate_hz = args.rate.unwrap_or(GENERATED_RATE_HZ);
-        let mut spec = JumpSpec { seconds: args.seconds, ..JumpSpec::new(seed, rate_hz) };
+        let seconds = args.seconds.as_ref().map(Duration::as_secs_f64);
+        let mut spec = JumpSpec { seconds, ..JumpSpec::new(seed, rate_hz) };
         spec.n_markers = args.markers.unwrap_or(spec.n_markers);
         spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
         spec.occlusion =
@@ -36,13 +37,14 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
     let path = args.take.as_deref().unwrap_or(Path::new(""));
     let (mut motion, warnings) = source::read(path).map_err(|error| match error {
         SourceError::Extension { .. } => Failure::usage(error),
+        SourceError::Read { path, source } => files::cannot_read(&path, source).into(),
         _ => Failure::from(error),
     })?;
     for warning in warnings {
-        log_line(&format!("{}: {warning}", path.display()));
+        notify(&format!("{}: {warning}", path.display()));
     }
     if let Some(seconds) = args.seconds {
-        source::keep_first(&mut motion, seconds);
+        source::keep_first(&mut motion, seconds.as_secs_f64());
     }
     Ok(motion)
 }
@@ -51,7 +53,7 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
 pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     let Some(path) = &args.faults else { return Ok(None) };
     let cannot_read = || format!("cannot read {}", path.display());
-    let file = plain_file::open(path).with_context(cannot_read)?;
+    let file = files::open(path)?;
     let mut text = String::new();
     // One byte more than allowed, to detect a file that is too long.
     let at_most = SCRIPT_BYTES_MAX as u64 + 1;
@@ -59,8 +61,8 @@ pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     let name = path.display().to_string();
     let script = Script::parse(&name, &text).map_err(Failure::usage)?;
     if script.unplugs() && !args.line.has_stable_name() {
-        let message = "the script unplugs the device, which needs a stable name: use --pty=LINK";
-        return Err(Failure::usage(anyhow::anyhow!("{}: {message}", path.display())));
+        let message = "the script unplugs the device, which needs a stable name: use --pty PATH";
+        return Err(Failure::usage_message(format!("{}: {message}", path.display())));
     }
     Ok(Some(Arc::new(script)))
 }
@@ -74,14 +76,11 @@ const MAGIC_BYTES_ALIKE: usize = 4;
 /// Reads the file if it is a raw log; `None` if it is something else.
 pub(super) fn log(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
     let Some(path) = &args.take else { return Ok(None) };
-    let mut file = match plain_file::open(path) {
-        Ok(file) => file,
-        Err(error) => match NotAFile::why(&error) {
-            Some(what) => return Err(anyhow::anyhow!("{} is {what}", path.display()).into()),
-            // Reading it as a motion will report the error.
-            None => return Ok(None),
-        },
-    };
+    if !is_motion(path) && !path.exists() {
+        // Reading it as a motion reports the extension.
+        return Ok(None);
+    }
+    let mut file = files::open(path)?;
     let cannot_read = || format!("cannot read {}", path.display());
     let mut head = Vec::new();
     file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut head).with_context(cannot_read)?;
@@ -112,7 +111,7 @@ fn unknown_file(path: &Path, head: &[u8]) -> Failure {
             MAGIC.len()
         )
         .into(),
-        _ => Failure::usage(anyhow::anyhow!(
+        _ => Failure::usage_message(format!(
             "{path}: expected a motion (.take, .c3d, .trc, .tsv or .csv) or a log of `mocapd record --raw`"
         )),
     }
@@ -132,7 +131,7 @@ fn refuse_motion_options(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
         ("--no-bx2", args.no_bx2),
     ];
     match options.iter().find(|(_, is_set)| *is_set) {
-        Some((option, _)) => Err(Failure::usage(anyhow::anyhow!(
+        Some((option, _)) => Err(Failure::usage_message(format!(
             "{option} applies to motions only: {} is a raw log, which is replayed unchanged",
             path.display()
         ))),
@@ -153,9 +152,9 @@ pub(super) fn log_device(
     })?;
     if device.unplugs() && !args.line.has_stable_name() {
         let message =
-            "the cable is pulled in this log, so the device needs a stable name: use --pty=LINK";
-        return Err(Failure::usage(anyhow::anyhow!("{name}: {message}")));
+            "the cable is pulled in this log, so the device needs a stable name: use --pty PATH";
+        return Err(Failure::usage_message(format!("{name}: {message}")));
     }
-    device.problems().iter().for_each(|problem| log_line(&problem.to_string()));
+    device.problems().iter().for_each(|problem| notify(&problem.to_string()));
     Ok((Box::new(device), "replaying a raw log, Ctrl-C to stop".to_owned()))
 }

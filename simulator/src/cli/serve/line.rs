@@ -5,27 +5,38 @@ use std::path::PathBuf;
 use clap::Args;
 use mocapd_simulator::line::Line;
 use mocapd_simulator::pty::{PtyError, PtyLine};
+use mocapd_simulator::source::is_motion;
 
 use crate::cli::Failure;
 
 /// The line between device and host.
 #[derive(Debug, Args)]
 pub(super) struct LineArgs {
-    /// Serve on a pty; with LINK, create a symbolic link to it as its stable name.
-    #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required_unless_present_any = ["usb_gadget", "usb_serial"])]
-    pty: Option<Option<PathBuf>>,
-    /// Act as a USB device with bulk endpoints; needs root and a USB device controller.
+    /// Serve on a pty; with PATH, create a symbolic link to it there, as its stable name
+    ///
+    /// `--pty PATH` and `--pty=PATH` are the same. A motion or a log is never the link: `--pty jump.c3d` plays
+    /// jump.c3d on a pty without a link.
+    #[arg(long, value_name = "PATH", num_args = 0..=1, required_unless_present_any = ["usb_gadget", "usb_serial"])]
+    pub(super) pty: Option<Option<PathBuf>>,
+    /// Act as a USB device with bulk endpoints; needs root and a USB device controller
     #[arg(long, conflicts_with_all = ["pty", "baud"])]
     usb_gadget: bool,
-    /// Act as a USB serial port (CDC-ACM); needs root and a USB device controller.
+    /// Act as a USB serial port (CDC-ACM); needs root and a USB device controller
     #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
     usb_serial: bool,
-    /// Name of the USB device controller in /sys/class/udc; by default the first free one.
+    /// Name of the USB device controller in /sys/class/udc [default: the first free one]
     #[arg(long, value_name = "NAME", conflicts_with = "pty")]
     udc: Option<String>,
 }
 
 impl LineArgs {
+    /// The value of `--pty`, if it is a file to play: it has the extension of a motion, or is a file already.
+    pub(super) fn file_after_pty(&self) -> Option<PathBuf> {
+        let path = self.pty.as_ref()?.as_ref()?;
+        // A link to a pty is no regular file, dead or alive.
+        (is_motion(path) || path.is_file()).then(|| path.clone())
+    }
+
     /// Whether a host finds the device again after its cable was pulled and plugged in.
     pub(super) fn has_stable_name(&self) -> bool {
         matches!(self.pty, Some(Some(_)))

@@ -63,7 +63,13 @@ pub(crate) fn units() -> Measurement {
 }
 
 pub(crate) fn manual() -> Measurement {
-    let help = ok("mocapd", &["--help"])?;
+    let pages = pages_and_completions("mocapd")? + pages_and_completions("mocapd-sim")?;
+    Ok(format!("{pages} pages, and three shells know their commands"))
+}
+
+/// Checks that every command of a program has a page and is completed; returns how many there are.
+fn pages_and_completions(program: &str) -> anyhow::Result<usize> {
+    let help = ok(program, &["--help"])?;
     let commands: Vec<_> = help
         .lines()
         .skip_while(|line| !line.starts_with("Commands:"))
@@ -74,23 +80,26 @@ pub(crate) fn manual() -> Measurement {
         .filter_map(|line| line.split_whitespace().next())
         .filter(|&name| name != "help")
         .collect();
-    ensure!(commands.len() > 5, "{help}");
+    for expected in ["completions", "man"] {
+        ensure!(commands.contains(&expected), "{help}");
+    }
     for name in &commands {
-        let page = format!("/usr/share/man/man1/mocapd-{name}.1.gz");
+        let page = format!("/usr/share/man/man1/{program}-{name}.1.gz");
         ensure!(Path::new(&page).exists(), "no {page}");
     }
     for file in [
-        "bash-completion/completions/mocapd",
-        "zsh/vendor-completions/_mocapd",
-        "fish/vendor_completions.d/mocapd.fish",
+        format!("bash-completion/completions/{program}"),
+        format!("zsh/vendor-completions/_{program}"),
+        format!("fish/vendor_completions.d/{program}.fish"),
     ] {
-        let text = fs::read_to_string(Path::new("/usr/share").join(file)).context(file)?;
+        let path = Path::new("/usr/share").join(&file);
+        let text = fs::read_to_string(path).with_context(|| file.clone())?;
         for name in &commands {
             ensure!(text.contains(name), "{file} knows no {name}");
         }
     }
-    ok("bash", &["-n", "/usr/share/bash-completion/completions/mocapd"])?;
-    Ok(format!("{} pages, and three shells know them", commands.len()))
+    ok("bash", &["-n", &format!("/usr/share/bash-completion/completions/{program}")])?;
+    Ok(commands.len())
 }
 
 pub(crate) fn doctor() -> Measurement {

@@ -6,11 +6,11 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
+    thread::Builder,
     time::{Duration, Instant},
 };
 
 use anyhow::Context;
-use mocapd_acquire::{files, threads};
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM},
     flag,
@@ -43,9 +43,12 @@ fn is_ignored(status: &str, signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-/// A flag that the first of these signals sets. A second one ends the process at once, unless it comes within
-/// [`SAME_SIGNAL_WITHIN`].
-pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+/// A flag that the first of the signals sets that end a program. A second one ends the process at once, unless it comes
+/// within half a second.
+///
+/// # Errors
+/// If the system refuses the handlers or their thread.
+pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     let watching = || "cannot watch for Ctrl-C";
@@ -54,7 +57,7 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
         flag::register(signal, Arc::clone(&stop)).with_context(watching)?;
     }
     let mut signals = Signals::new(signals).with_context(watching)?;
-    threads::spawn("mocapd-signal", move || {
+    let watch = move || {
         let mut first: Option<Instant> = None;
         for _ in signals.forever() {
             stopped.store(true, Ordering::Relaxed);
@@ -62,25 +65,27 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
                 low_level::exit(EXIT_FAILED);
             }
         }
-    })?;
+    };
+    Builder::new().name("mocapd-signal".to_owned()).spawn(watch).with_context(watching)?;
     Ok(stop)
 }
 
-/// Lets the first of these signals end the program at once, as it does without a handler, but removes incomplete outputs
-/// first.
+/// Lets the first of these signals end the program at once, as it does without a handler, after `clean_up`.
 ///
 /// # Errors
-/// If the system refuses a signal handler or a thread.
-pub(crate) fn end_on_signal() -> anyhow::Result<()> {
-    let mut signals = Signals::new(ending_signals()).context("cannot watch for Ctrl-C")?;
-    threads::spawn("mocapd-signal", move || {
+/// If the system refuses the handlers or their thread.
+pub fn end_on_signal(clean_up: impl Fn() + Send + 'static) -> anyhow::Result<()> {
+    let watching = || "cannot watch for Ctrl-C";
+    let mut signals = Signals::new(ending_signals()).with_context(watching)?;
+    let watch = move || {
         for signal in signals.forever() {
-            files::remove_incomplete_outputs();
+            clean_up();
             // The shell sees that the signal ended the program.
             low_level::emulate_default_handler(signal).ok();
             low_level::exit(EXIT_FAILED);
         }
-    })?;
+    };
+    Builder::new().name("mocapd-signal".to_owned()).spawn(watch).with_context(watching)?;
     Ok(())
 }
 

@@ -1,9 +1,26 @@
 //! clap's error messages in one line.
 
-use clap::error::{Error, ErrorKind};
+use clap::{
+    Parser,
+    error::{Error, ErrorKind},
+};
+
+/// Parses the arguments of the program; prints help and version and exits if asked to.
+///
+/// # Errors
+/// What is wrong with the arguments, in one line that ends with what to do.
+pub fn parse<P: Parser>() -> Result<P, String> {
+    P::try_parse().map_err(|error| match error.kind() {
+        ErrorKind::DisplayHelp
+        | ErrorKind::DisplayVersion
+        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
+        _ => one_line(&error),
+    })
+}
 
 /// Joins the paragraphs of an error message of clap into one line that ends with what to do.
-pub(super) fn one_line(error: &Error) -> String {
+#[must_use]
+pub fn one_line(error: &Error) -> String {
     let message = error.render().to_string();
     let mut out = String::new();
     for line in message.lines().map(str::trim).filter(|line| !line.is_empty()) {
@@ -31,14 +48,26 @@ pub(super) fn one_line(error: &Error) -> String {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
-
     use super::*;
-    use crate::cli::Cli;
+
+    #[derive(Debug, Parser)]
+    #[command(name = "rig")]
+    enum Rig {
+        /// Imports
+        Import {
+            file: String,
+            #[arg(short, long, value_name = "TAKE")]
+            output: String,
+            #[arg(long, value_name = "N")]
+            threads: Option<u16>,
+            #[arg(long)]
+            json: bool,
+        },
+    }
 
     fn message_of(args: &[&str]) -> String {
-        let args = ["mocapd"].iter().chain(args);
-        one_line(&Cli::try_parse_from(args).unwrap_err())
+        let args = ["rig"].iter().chain(args);
+        one_line(&Rig::try_parse_from(args).unwrap_err())
     }
 
     #[test]
@@ -50,12 +79,12 @@ mod tests {
             ),
             (&["frob"], "unrecognized subcommand 'frob'; try --help"),
             (
-                &["info", "a.take", "--jsn"],
+                &["import", "a.csv", "--jsn"],
                 "unexpected argument '--jsn' found; tip: a similar argument exists: '--json'; try --help",
             ),
             (
-                &["import", "a.csv", "-o", "a.take", "--tolerance", "0"],
-                "invalid value '0' for '--tolerance <LENGTH>': a tolerance of 0 keeps every bit: use --lossless",
+                &["import", "a.csv", "-o", "a.take", "--threads", "x"],
+                "invalid value 'x' for '--threads <N>': invalid digit found in string",
             ),
         ] {
             assert_eq!(message_of(args), expected);

@@ -1,0 +1,38 @@
+//! The message of an error that ends a program.
+
+use anyhow::Error;
+
+/// How the system's errors for a full disk and an exhausted quota end, on every platform with these numbers.
+const NO_SPACE: [&str; 2] = ["(os error 28)", "(os error 122)"];
+
+/// An error and its causes in one line. For a full disk it ends with what to do, whatever was being written.
+#[must_use]
+pub fn message(error: &Error) -> String {
+    let message = format!("{error:#}");
+    // Errors of many libraries carry the system's; each of them prints it last.
+    if NO_SPACE.iter().any(|ending| message.trim_end().ends_with(ending)) {
+        return format!("{message}: free some space or choose another folder");
+    }
+    message
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use anyhow::{Context, anyhow};
+
+    use super::*;
+
+    #[test]
+    fn a_full_disk_has_a_remedy_and_other_errors_stay() {
+        for (code, remedy) in [(28, ": free some space or choose another folder"), (13, "")] {
+            let error = io::Error::from_raw_os_error(code);
+            let expected = format!("cannot write a.c3d: {error}{remedy}");
+            let error = Err::<(), _>(error).context("cannot write a.c3d").unwrap_err();
+            assert_eq!(message(&error), expected);
+        }
+        let with_remedy = anyhow!("no space for a file (os error 28): set TMPDIR");
+        assert_eq!(message(&with_remedy), with_remedy.to_string());
+    }
+}

@@ -1,0 +1,67 @@
+//! `completions` and `man`.
+
+use std::process::Command;
+
+use super::Folder;
+use crate::support::assert_mentions;
+
+#[test]
+fn the_help_shows_both_with_examples() {
+    let folder = Folder::new();
+    assert_mentions(&folder.run(&["--help"]).with_code(0).stdout, &["completions", "man "]);
+    for (command, facts) in [
+        ("completions", ["mocapd completions bash >", "fish", "zsh"]),
+        ("man", ["mocapd man import | man -l -", "mocapd man --out", "mocapd man plot pose"]),
+    ] {
+        assert_mentions(&folder.run(&[command, "--help"]).with_code(0).stdout, &facts);
+    }
+}
+
+#[test]
+fn a_page_is_printed_or_all_are_written() {
+    let folder = Folder::new();
+    let import = folder.run(&["man", "import"]).with_code(0).stdout;
+    assert_mentions(&import, &[".TH mocapd-import 1", "tolerance"]);
+    let pose = folder.run(&["man", "plot", "pose"]).with_code(0).stdout;
+    assert_mentions(&pose, &[".TH mocapd-plot-pose 1"]);
+    assert_mentions(&folder.run(&["man"]).with_code(0).stdout, &[".TH mocapd 1"]);
+
+    std::fs::create_dir(folder.path("man1")).unwrap();
+    // As after an upgrade: a page is replaced.
+    folder.write("man1/mocapd-import.1", "old");
+    assert_eq!(folder.run(&["man", "--out", "man1"]).with_code(0).stdout, "");
+    assert_eq!(folder.text("man1/mocapd-import.1"), import);
+    assert_eq!(folder.text("man1/mocapd-plot-pose.1"), pose);
+}
+
+#[test]
+fn what_is_refused() {
+    let folder = Folder::new();
+    let line = folder.refuses(&["man", "frob"], 2);
+    assert_mentions(&line, &["'mocapd' has no command 'frob'", "import", "export"]);
+    let line = folder.refuses(&["man", "plot", "frob"], 2);
+    assert_mentions(&line, &["'mocapd plot' has no command 'frob'", "trajectory", "pose"]);
+    // A hidden command has no page.
+    folder.refuses(&["man", "bench", "device"], 2);
+    folder.refuses(&["man", "import", "--out", "."], 2);
+    assert_mentions(&folder.refuses(&["man", "--out", "none"], 1), &["none"]);
+    assert_mentions(&folder.refuses(&["completions", "cmd"], 2), &["bash", "fish", "zsh"]);
+}
+
+#[test]
+fn bash_completes_commands_and_options() {
+    let folder = Folder::new();
+    folder.write("mocapd.bash", folder.run(&["completions", "bash"]).with_code(0).stdout);
+    let completed = |words: &str| {
+        let script = format!(
+            "source ./mocapd.bash; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
+             _mocapd mocapd \"${{COMP_WORDS[COMP_CWORD]}}\"; echo \"${{COMPREPLY[@]}}\""
+        );
+        let mut bash = Command::new("bash");
+        let output = bash.args(["-c", &script]).current_dir(folder.path("")).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap().trim().to_owned()
+    };
+    assert_eq!(completed("mocapd imp"), "import");
+    assert_eq!(completed("mocapd import --tol"), "--tolerance");
+}
