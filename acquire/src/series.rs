@@ -20,7 +20,7 @@ use mocapd_take::{
 };
 
 pub use self::{collect::SeriesTake, names::TakeNames};
-use self::collect::{CollectedTakes, StartedTake, collect};
+use self::collect::{StartedTake, collect};
 use crate::{
     files::{FileState, NameTaken, SettledFile, TakeFile},
     header,

@@ -298,9 +298,16 @@ fn record_and_import() {
         let args = [&["record", "-d", &uri, "-o", take, "--json"], more].concat();
         folder.run(&args).with_code(0).json()
     };
+    let mut divided = record("parts.take", &["--split", "1s"]);
+    // The ledger of a take has the fields of the recording's, which are documented once.
+    let ledger_fields: Vec<_> = paths_of(&divided["ledger"]).into_keys().collect();
+    for part in divided["parts"].as_array_mut().unwrap() {
+        let ledger = std::mem::replace(&mut part["ledger"], Value::Object(serde_json::Map::new()));
+        assert_eq!(paths_of(&ledger).into_keys().collect::<Vec<_>>(), ledger_fields);
+    }
     check(
         "`mocapd record`",
-        &[record("jump.take", &["--raw", "jump.rawlog"]), record("other.take", &[])],
+        &[record("jump.take", &["--raw", "jump.rawlog"]), record("other.take", &[]), divided],
     );
 
     folder.write_motion("jump.csv", &motion);
