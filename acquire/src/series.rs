@@ -19,8 +19,8 @@ use mocapd_take::{
     record::{Header, Ledger, Subject},
 };
 
-pub use self::{collect::SeriesTake, names::TakeNames};
 use self::collect::{StartedTake, collect};
+pub use self::{collect::SeriesTake, names::TakeNames};
 use crate::{
     files::{FileState, NameTaken, SettledFile, TakeFile},
     header,
@@ -133,13 +133,11 @@ pub fn record_series(
 }
 
 /// The recording as a whole.
-fn total(
-    takes: &[SeriesTake],
-    recording: ReaderOutcome,
-    rate_hz: f64,
-    markers: usize,
-) -> Recorded {
-    let mut written = TakeAccount { ledger: Ledger { finished: true, ..Ledger::default() }, ..TakeAccount::default() };
+fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: usize) -> Recorded {
+    let mut written = TakeAccount {
+        ledger: Ledger { finished: true, ..Ledger::default() },
+        ..TakeAccount::default()
+    };
     let mut clock_lines = BTreeMap::new();
     for take in takes {
         let part = &take.written;
@@ -154,7 +152,8 @@ fn total(
         clock_lines.extend(part.clock_lines.iter().copied());
     }
     written.clock_lines = clock_lines.into_iter().collect();
-    let displaced = takes.iter().map(|take| &take.file).find(|file| file.state != FileState::InPlace);
+    let displaced =
+        takes.iter().map(|take| &take.file).find(|file| file.state != FileState::InPlace);
     let file = displaced.map_or_else(SettledFile::default, |file| SettledFile {
         state: file.state,
         ..SettledFile::default()
@@ -239,7 +238,10 @@ impl Series {
                 }
             }
         }
-        bail!("no free name for the next take, up to {}", self.names.path(self.next_number).display())
+        bail!(
+            "no free name for the next take, up to {}",
+            self.names.path(self.next_number).display()
+        )
     }
 
     fn header(&self, first_row: u64) -> anyhow::Result<Header> {

@@ -305,6 +305,10 @@ fn record_and_import() {
         let ledger = std::mem::replace(&mut part["ledger"], Value::Object(serde_json::Map::new()));
         assert_eq!(paths_of(&ledger).into_keys().collect::<Vec<_>>(), ledger_fields);
     }
+    let shown = section("`mocapd record`").split("```json\n").nth(2).unwrap();
+    let shown: Value = serde_json::from_str(shown.split("```").next().unwrap()).unwrap();
+    let real = serde_json::json!({ "split": divided["split"], "parts": divided["parts"] });
+    assert!(paths_of(&shown).into_keys().eq(paths_of(&real).into_keys()), "{real:#}");
     check(
         "`mocapd record`",
         &[record("jump.take", &["--raw", "jump.rawlog"]), record("other.take", &[]), divided],

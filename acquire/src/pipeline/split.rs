@@ -4,8 +4,9 @@
 //! found the take long enough. It sends a boundary behind the last row of the take, and the next stretch is a key. When
 //! the writer reaches the boundary, it ends the take and begins the next one.
 //!
-//! That costs the disk a new file and a few syncs, and no frame: up to 32 s of encoded stretches wait meanwhile
-//! (`ENCODED_STRETCHES` in `plan.rs`), as when a disk stalls.
+//! That costs the disk a new file and a few syncs, and no frame: meanwhile encoded stretches wait as when a disk stalls,
+//! 64 of them (`ENCODED_STRETCHES` in `plan.rs`). Two a second last 32 s. A take adds a boundary and a short stretch, so
+//! with takes of one second they last 16 s.
 
 use std::fmt;
 

@@ -39,7 +39,9 @@ pub(super) fn split(text: &str) -> Result<SplitValue, String> {
         return value(TakeLength::Bytes(bytes));
     }
     if !text.ends_with(char::is_alphabetic) {
-        return Err(format!("'{text}' has no unit: give a time such as 10s, or a size such as 500MB"));
+        return Err(format!(
+            "'{text}' has no unit: give a time such as 10s, or a size such as 500MB"
+        ));
     }
     let time = units::duration(text)
         .map_err(|error| format!("{error}, or a size in B, kB, MB, GB, MiB or GiB"))?;

@@ -311,7 +311,8 @@ mod tests {
                 assert_eq!(a.not_received + b.not_received, whole.not_received);
                 assert_eq!(a.ring_full + b.ring_full, whole.ring_full);
                 assert_eq!(a.in_outages + b.in_outages, whole.in_outages);
-                let rows = |pending: &mut PendingLoss| pending.drain().map(|run| run.0).sum::<u64>();
+                let rows =
+                    |pending: &mut PendingLoss| pending.drain().map(|run| run.0).sum::<u64>();
                 assert_eq!((rows(&mut first), rows(&mut rest)), (at.min(all), all - at.min(all)));
             }
         }

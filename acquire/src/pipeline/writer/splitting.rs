@@ -109,8 +109,7 @@ impl Writer {
     fn begin_next(&mut self, first_row: u64) -> bool {
         let progress = &self.progress;
         // The reader is ending the recording.
-        let ends =
-            progress.disk_full.load(Ordering::Relaxed) || progress.file_state().ends_take();
+        let ends = progress.disk_full.load(Ordering::Relaxed) || progress.file_state().ends_take();
         let (Some(split), Some(_), false) = (&mut self.split, &self.live, ends) else {
             return false;
         };
