@@ -17,7 +17,7 @@ use mocapd_acquire::{
 };
 use mocapd_take::{
     motion::{Motion, is_gap},
-    record::{EndingKind, Event, EventKind},
+    record::{EndingKind, Event, EventKind, Header},
 };
 
 use super::takes::{arrival_ns, feed_all, header};
@@ -61,7 +61,7 @@ type Started = (u64, Receiver<TakeResult>);
 
 /// Creates takes in memory: one for each disk, and then `None`, which is an error.
 struct Takes {
-    motion: Motion,
+    header: Header,
     n_created: usize,
     disk: Box<dyn FnMut(usize) -> Option<Disk> + Send>,
     started: Sender<Started>,
@@ -72,12 +72,10 @@ impl TakeSeries for Takes {
         let number = self.n_created;
         let Some(disk) = (self.disk)(number) else { bail!("no place for take {number}") };
         self.n_created += 1;
-        let mut header = header(&self.motion);
-        header.channels = config(&self.motion, dense(1.0)).channels;
         let (ended, result) = bounded(1);
         self.started.send((first_row, result)).unwrap();
         let name = format!("number {number}");
-        Ok(NextTake { take: NewTake::new(disk, header), name, ended, notice: None })
+        Ok(NextTake { take: NewTake::new(disk, self.header.clone()), name, ended, notice: None })
     }
 }
 
@@ -94,8 +92,10 @@ fn divide(
     disk: impl FnMut(usize) -> Option<Disk> + Send + 'static,
 ) -> (Intake, Divided) {
     let (started_in, started) = unbounded();
-    let takes =
-        Takes { motion: motion.clone(), n_created: 0, disk: Box::new(disk), started: started_in };
+    let mut header = header(motion);
+    header.set_codec(&config.codec);
+    header.channels.clone_from(&config.channels);
+    let takes = Takes { header, n_created: 0, disk: Box::new(disk), started: started_in };
     let split = Split { at, takes: Box::new(takes) };
     let (intake, pipeline) = Pipeline::start_series(config, split).unwrap();
     (intake, Divided { pipeline, started })
@@ -439,16 +439,9 @@ fn a_marker_that_appears_at_a_seam_is_in_the_table_of_the_next_take() {
     let motion = crowd(50, 100.0, 6.0);
     let mut config = config(&motion, dense(1.0));
     config.channels.truncate(100);
-    let few = Motion {
-        info: mocapd_take::motion::MotionInfo {
-            markers: motion.info.markers[..100].to_vec(),
-            ..motion.info.clone()
-        },
-        ..motion.clone()
-    };
     for fails in [false, true] {
         let disk = move |number| if fails && number == 1 { None } else { in_memory(number) };
-        let (mut intake, divided) = divide(&few, &config, rows_at(200), disk);
+        let (mut intake, divided) = divide(&motion, &config, rows_at(200), disk);
         for seq in 0..390 {
             while intake.is_full() {
                 std::thread::yield_now();

@@ -55,9 +55,9 @@ pub struct PipelineProgress {
     pub takes_begun: AtomicU32,
     /// The writer found the take long enough: divide the recording at the end of the open stretch.
     pub(super) split_is_due: AtomicBool,
-    /// Messages of the writer to the user, and how many there were.
+    /// Messages of the writer to the user, and whether there are any.
     notices: Mutex<Vec<String>>,
-    n_notices: AtomicU32,
+    has_notices: AtomicBool,
     /// The state of the take's file as a code, and details of it.
     file_state: AtomicU8,
     displaced: Mutex<Option<DisplacedFile>>,
@@ -108,17 +108,19 @@ impl PipelineProgress {
         let mut notices = lock(&self.notices);
         if notices.len() < NOTICES_MAX {
             notices.push(text);
-            self.n_notices.fetch_add(1, Ordering::Release);
+            self.has_notices.store(true, Ordering::Release);
         }
     }
 
     /// Takes the messages for the user. One load when there is none.
     #[must_use]
     pub fn take_notices(&self) -> Vec<String> {
-        if self.n_notices.swap(0, Ordering::Acquire) == 0 {
+        if !self.has_notices.load(Ordering::Acquire) {
             return Vec::new();
         }
-        std::mem::take(&mut *lock(&self.notices))
+        let mut notices = lock(&self.notices);
+        self.has_notices.store(false, Ordering::Relaxed);
+        std::mem::take(&mut *notices)
     }
 }
 
