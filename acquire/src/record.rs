@@ -26,7 +26,8 @@ use crate::{
 /// What to record, and how to report progress.
 #[expect(missing_debug_implementations, reason = "closures have none")]
 pub struct RecordOptions<'a> {
-    /// Path of the take. The file has its final name from the first byte.
+    /// Path of the take. The file has its final name from the first byte. A recording that is divided into several makes
+    /// their names from it ([`TakeNames`](crate::series::TakeNames)).
     pub take: &'a Path,
     /// Resampler and tolerance.
     pub codec: Settings,
@@ -46,6 +47,21 @@ pub struct RecordOptions<'a> {
     pub how_to_set: fn(Setting) -> String,
     /// Called once the pipeline runs, with its live counters.
     pub started: &'a mut dyn FnMut(&Arc<PipelineProgress>),
+}
+
+impl RecordOptions<'_> {
+    /// What the reader needs of them.
+    pub(crate) fn read_options(&self, rate_hz: f64) -> ReadOptions<'_> {
+        ReadOptions {
+            stop: self.stop,
+            rows_max: self.length.map(|length| frame_at(length, rate_hz)),
+            length: self.length,
+            single_take: true,
+            notify: self.notify,
+            how_to_end: self.how_to_end,
+            how_to_set: self.how_to_set,
+        }
+    }
 }
 
 /// A finished recording.
@@ -83,17 +99,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     let opened = Pipeline::start(&config, take);
     let outcome = opened.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
-        let rows_max = options.length.map(|length| frame_at(length, rate_hz));
-        let read = ReadOptions {
-            stop: options.stop,
-            rows_max,
-            length: options.length,
-            single_take: true,
-            notify: options.notify,
-            how_to_end: options.how_to_end,
-            how_to_set: options.how_to_set,
-        };
-        let recording = rig.read(intake, &read);
+        let recording = rig.read(intake, &options.read_options(rate_hz));
         (recording, pipeline.finish())
     });
     let name = options.take.display();
@@ -117,23 +123,26 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         }
         Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
-                let why = match recording.ending {
-                    EndingKind::DeviceGone => "the device was disconnected before its first frame",
-                    EndingKind::DiskFull => "the disk is full: free some space",
-                    EndingKind::Stopped | EndingKind::Length => {
-                        "it was stopped before the first frame arrived"
-                    }
-                    _ => "the device sent no frame: check that it is capturing",
-                };
-                return Err(remove_empty(anyhow!("nothing was recorded: {why}")));
+                return Err(remove_empty(nothing_recorded(recording.ending)));
             }
             Ok(Recorded { written, recording, file: file.settle(), rate_hz, markers })
         }
     }
 }
 
+/// The error of a recording that ended before its first frame.
+pub(crate) fn nothing_recorded(ending: EndingKind) -> anyhow::Error {
+    let why = match ending {
+        EndingKind::DeviceGone => "the device was disconnected before its first frame",
+        EndingKind::DiskFull => "the disk is full: free some space",
+        EndingKind::Stopped | EndingKind::Length => "it was stopped before the first frame arrived",
+        _ => "the device sent no frame: check that it is capturing",
+    };
+    anyhow!("nothing was recorded: {why}")
+}
+
 /// Adds to an error where the unfinished take is, and saves a copy if the file was removed.
-fn explain_early_end(
+pub(crate) fn explain_early_end(
     take: &Path,
     error: anyhow::Error,
     file: Option<&mut (dyn TakeOutput + 'static)>,

@@ -82,6 +82,23 @@ fn rates_and_lengths() {
             value_refused(&folder, command, "--seconds", time, facts);
         }
     }
+    for (split, facts) in [
+        ("10", &["10s", "500MB"][..]),
+        ("999ms", &["1s"]),
+        ("0s", &["1s"]),
+        ("999kB", &["1MB"]),
+        ("-1s", &["10s"]),
+        ("-1MB", &["2GiB"]),
+        ("1 floppy", &["floppy", "ms", "s", "min", "h", "MB", "GiB"]),
+    ] {
+        value_refused(&folder, &record, "--split", split, facts);
+    }
+    let stretch = [&record[..], &["--split", "2s", "--stretch", "2500ms"]].concat();
+    refused_with(&folder, &stretch, &["--split", "2s", "--stretch", "2.5s"]);
+    for output in ["-", "."] {
+        let args = ["record", "-d", "serial:/dev/null", "-o", output, "--split", "10s"];
+        refused_with(&folder, &args, &["--split", "--output", output]);
+    }
     let export = ["export", "jump.take", "-o", "new.csv"];
     value_refused(&folder, &export, "--from", "-1s", &["10s"]);
     let demo = ["demo", "--out", "new", "--seconds", "8000h"];

@@ -124,11 +124,27 @@ pub(crate) struct Recorder {
 impl Recorder {
     /// Starts recording into `take`, and waits until a frame is on disk.
     pub(crate) fn start(folder: &Folder, device: &Simulated, take: &str, more: &[&str]) -> Self {
-        let uri = device.uri();
-        let args = [&["record", "-d", &uri, "-o", take], more].concat();
-        let mut recorder = Self { child: folder.command(&args).spawn().unwrap() };
+        let mut recorder = Self::spawn(folder, device, take, more);
         recorder.wait_for_frames(&folder.path(take), 0);
         recorder
+    }
+
+    /// Starts recording into `NAME-001.take` and further ones, and waits until a frame is on disk.
+    pub(crate) fn start_series(
+        folder: &Folder,
+        device: &Simulated,
+        name: &str,
+        more: &[&str],
+    ) -> Self {
+        let mut recorder = Self::spawn(folder, device, &format!("{name}.take"), more);
+        recorder.wait_for_frames(&folder.path(&format!("{name}-001.take")), 0);
+        recorder
+    }
+
+    fn spawn(folder: &Folder, device: &Simulated, output: &str, more: &[&str]) -> Self {
+        let uri = device.uri();
+        let args = [&["record", "-d", &uri, "-o", output], more].concat();
+        Self { child: folder.command(&args).spawn().unwrap() }
     }
 
     /// Waits until more frames than these are on disk.

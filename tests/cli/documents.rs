@@ -317,9 +317,20 @@ fn record_and_import() {
         let args = [&["record", "-d", &uri, "-o", take, "--json"], more].concat();
         folder.run(&args).with_code(0).json()
     };
+    let mut divided = record("parts.take", &["--split", "1s"]);
+    // The ledger of a take has the fields of the recording's, which are documented once.
+    let ledger_fields: Vec<_> = paths_of(&divided["ledger"]).into_keys().collect();
+    for part in divided["parts"].as_array_mut().unwrap() {
+        let ledger = std::mem::replace(&mut part["ledger"], Value::Object(serde_json::Map::new()));
+        assert_eq!(paths_of(&ledger).into_keys().collect::<Vec<_>>(), ledger_fields);
+    }
+    let shown = section("`mocapd record`").split("```json\n").nth(2).unwrap();
+    let shown: Value = serde_json::from_str(shown.split("```").next().unwrap()).unwrap();
+    let real = serde_json::json!({ "split": divided["split"], "parts": divided["parts"] });
+    assert!(paths_of(&shown).into_keys().eq(paths_of(&real).into_keys()), "{real:#}");
     check(
         "`mocapd record`",
-        &[record("jump.take", &["--raw", "jump.rawlog"]), record("other.take", &[])],
+        &[record("jump.take", &["--raw", "jump.rawlog"]), record("other.take", &[]), divided],
     );
 
     folder.write_motion("jump.csv", &motion);

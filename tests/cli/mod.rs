@@ -28,6 +28,7 @@ mod recording;
 mod recoveries;
 mod reloads;
 pub(crate) mod service;
+mod splits;
 mod studies;
 pub(crate) mod subjects;
 mod troubled;

@@ -10,6 +10,7 @@ mod loss;
 mod lossy_disk;
 mod outage;
 mod overload;
+mod splits;
 mod takes;
 mod takes_outage;
 

@@ -148,6 +148,13 @@ pub(super) struct Reply {
     pub(super) ended: Sender<TakeResult>,
 }
 
+impl Reply {
+    /// For a take of a series, of which nobody waits for the first row.
+    pub(super) fn of_series(ended: Sender<TakeResult>) -> Self {
+        Self { first: bounded(1).0, ended }
+    }
+}
+
 pub(super) fn reply_channel() -> (Reply, TakeHandle) {
     // One message each.
     let ((first, first_out), (ended, ended_out)) = (bounded(1), bounded(1));

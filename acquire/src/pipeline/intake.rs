@@ -4,6 +4,7 @@ mod clock;
 mod frame_counter;
 mod losses;
 mod rows;
+mod splits;
 
 use std::sync::{Arc, atomic::Ordering};
 
@@ -17,9 +18,10 @@ use self::{
     clock::ClockTracker,
     frame_counter::FrameCounter,
     losses::{PendingLoss, SilenceMonitor},
+    splits::SplitSchedule,
 };
 use super::{
-    Counts, PipelineConfig, PipelineProgress,
+    Counts, PipelineConfig, PipelineProgress, SplitAt,
     commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
     messages::{Control, FrameTimes, ToWriter},
     plan::Plan,
@@ -70,6 +72,7 @@ pub struct Intake {
     /// Rows between keys at present.
     key_every: u64,
     next_key_row: u64,
+    splits: SplitSchedule,
     /// Arrival of the open stretch's first row, in host nanoseconds, and the longest time it may stay open.
     open_since_ns: u64,
     open_ns_max: u64,
@@ -148,6 +151,7 @@ impl Intake {
             armed_key_rows: plan.armed_key_rows,
             key_every: if plan.pre_roll.is_some() { plan.armed_key_rows } else { plan.key_rows },
             next_key_row: 0,
+            splits: SplitSchedule::Never,
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
             open_first: FrameTimes::default(),
@@ -165,6 +169,11 @@ impl Intake {
             commands,
             tap,
         })
+    }
+
+    /// Divides the recording into takes, from its first frame on.
+    pub(super) fn split_at(&mut self, at: SplitAt) {
+        self.splits = SplitSchedule::new(at);
     }
 
     /// Accepts a frame; `arrival_ns` is the host's monotonic time of its last byte.
@@ -202,6 +211,7 @@ impl Intake {
             self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
             return;
         }
+        self.split_before_frame();
         if self.open_rows == 0 {
             self.open_since_ns = arrival_ns;
             self.open_first = FrameTimes { device_ticks, arrival_ns };
@@ -272,6 +282,8 @@ impl Intake {
     fn split_after_outage(&mut self, now_ns: u64) {
         match self.deferred_begin.take() {
             Some(begin) => self.cut(begin, now_ns),
+            // A take that ends in the absence has a part of its rows.
+            None if self.splits.is_due(self.next_row + self.pending.rows()) => {}
             None if self.pending.rows() > 0 => {
                 self.close_stretch();
                 self.close_pending();

@@ -32,6 +32,8 @@ pub(super) struct StretchEnd {
     pub(super) n_channels: usize,
     /// It is the last one.
     pub(super) last: bool,
+    /// A boundary at which the recording is divided: the next take begins with the row after it.
+    pub(super) splits: bool,
 }
 
 /// Work for a group. The timeline's group also gets the counters at the end of the stretch.

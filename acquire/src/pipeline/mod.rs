@@ -21,6 +21,7 @@ mod plan;
 mod pool;
 mod progress;
 mod ring;
+mod split;
 mod writer;
 
 use std::sync::Arc;
@@ -40,6 +41,7 @@ pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{PipelineProgress, TakeProgress, lock};
 pub use ring::{PreviewFrame, PreviewReceiver};
+pub use split::{NextTake, Split, SplitAt, TakeSeries};
 
 use self::{
     group::Group,
@@ -81,8 +83,32 @@ impl Pipeline {
         let (reply, handle) = commands::reply_channel();
         let header = take.header.clone();
         let take = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every)?;
-        let (intake, mut pipeline, _) = Self::run(config, &header, Some(take), None)?;
+        let (intake, mut pipeline, _) = Self::run(config, &header, Some((take, None)), None)?;
         pipeline.take = Some(handle);
+        Ok((intake, pipeline))
+    }
+
+    /// Starts a pipeline whose frames go into takes that follow each other. Their results go where each
+    /// [`NextTake::ended`] leads; [`join`](Self::join) waits for the last.
+    ///
+    /// # Errors
+    /// As for [`start`](Self::start). [`NothingRecorded`] when the first header cannot be written: the take's result
+    /// says why.
+    pub fn start_series(
+        config: &PipelineConfig,
+        mut split: Split,
+    ) -> anyhow::Result<(Intake, Self)> {
+        let NextTake { take, ended, .. } = split.takes.next_take(0)?;
+        let (header, reply) = (take.header.clone(), commands::Reply::of_series(ended));
+        let begun = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every);
+        let take = begun.map_err(|error| {
+            reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
+            NothingRecorded
+        })?;
+        let at = split.at;
+        let (mut intake, pipeline, _) =
+            Self::run(config, &header, Some((take, Some(split))), None)?;
+        intake.split_at(at);
         Ok((intake, pipeline))
     }
 
@@ -102,7 +128,7 @@ impl Pipeline {
     fn run(
         config: &PipelineConfig,
         header: &Header,
-        take: Option<LiveTake>,
+        take: Option<(LiveTake, Option<Split>)>,
         visibility: Option<VisibilityCounters>,
     ) -> anyhow::Result<(Intake, Self, ArmedHandles)> {
         let plan = Plan::new(config)?;
@@ -137,8 +163,8 @@ impl Pipeline {
         let intake = Intake::new(config, &plan, ends)?;
         let mut writer =
             Writer::new(&plan, parts, from_reader, buffers_back, pool.wakes(), &progress);
-        if let Some(take) = take {
-            writer.set_single_take(take);
+        if let Some((take, split)) = take {
+            writer.set_single_take(take, split);
         }
         let guard = pool::FailOnPanic(Arc::clone(&progress));
         let writer = threads::spawn("mocapd-write", move || {

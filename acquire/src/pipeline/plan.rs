@@ -118,7 +118,8 @@ const MEMORY_BYTES: usize = 2 << 30;
 const ARMED_KEY_EVERY: Duration = Duration::from_secs(1);
 
 /// Boundaries in transit to the writer. Each caller waits for its reply before it sends the next, or gives up after
-/// seconds.
+/// seconds. A recording that is divided into takes has no callers: a recorded row follows each of its boundaries, and for
+/// each row there are two items of the timeline ([`Plan::spans_max`]).
 const BOUNDARIES_MAX: usize = 16;
 
 /// Timeline items per row: one for the row and one for a run of loss before it. Besides these there is room for

@@ -51,6 +51,13 @@ pub struct PipelineProgress {
     pub pre_roll_ms: AtomicU64,
     /// The pre-roll is shorter than configured because it reached its memory limit.
     pub pre_roll_is_cut: AtomicBool,
+    /// Takes begun by a recording that is divided; 0 for one that is not.
+    pub takes_begun: AtomicU32,
+    /// The writer found the take long enough: divide the recording at the end of the open stretch.
+    pub(super) split_is_due: AtomicBool,
+    /// Messages of the writer to the user, and whether there are any.
+    notices: Mutex<Vec<String>>,
+    has_notices: AtomicBool,
     /// The state of the take's file as a code, and details of it.
     file_state: AtomicU8,
     displaced: Mutex<Option<DisplacedFile>>,
@@ -89,6 +96,31 @@ impl PipelineProgress {
     #[must_use]
     pub fn file_changes(&self) -> u32 {
         self.file_changes.load(Ordering::Acquire)
+    }
+}
+
+/// Messages that wait for the reader, which takes them many times a second; more would say the same.
+const NOTICES_MAX: usize = 32;
+
+impl PipelineProgress {
+    /// Leaves a message for the user.
+    pub(super) fn add_notice(&self, text: String) {
+        let mut notices = lock(&self.notices);
+        if notices.len() < NOTICES_MAX {
+            notices.push(text);
+            self.has_notices.store(true, Ordering::Release);
+        }
+    }
+
+    /// Takes the messages for the user. One load when there is none.
+    #[must_use]
+    pub fn take_notices(&self) -> Vec<String> {
+        if !self.has_notices.load(Ordering::Acquire) {
+            return Vec::new();
+        }
+        let mut notices = lock(&self.notices);
+        self.has_notices.store(false, Ordering::Relaxed);
+        std::mem::take(&mut *notices)
     }
 }
 

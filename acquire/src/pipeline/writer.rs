@@ -3,6 +3,7 @@
 mod clocks;
 mod live;
 mod pre_roll;
+mod splitting;
 
 use std::{
     collections::VecDeque,
@@ -15,9 +16,9 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
 pub(super) use self::live::LiveTake;
-use self::{clocks::ClockWriter, pre_roll::PreRollBuffer};
+use self::{clocks::ClockWriter, pre_roll::PreRollBuffer, splitting::SplitState};
 use super::{
-    Counts, NewTake, PipelineProgress, TakeFailed,
+    Counts, NewTake, PipelineProgress, Split, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
@@ -59,8 +60,10 @@ pub(super) struct Writer {
     sync_every: Duration,
     pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
-    /// The pipeline serves a single take, and fails with it.
+    /// The pipeline serves a single take, or those of a recording that is divided, and fails with it.
     single_take: bool,
+    /// How the recording is divided, if it is.
+    split: Option<SplitState>,
 }
 
 impl Writer {
@@ -92,14 +95,17 @@ impl Writer {
             pre_roll: plan.pre_roll.map(PreRollBuffer::new),
             live: None,
             single_take: false,
+            split: None,
         }
     }
 
-    /// Writes this take alone, from the first stretch on.
-    pub(super) fn set_single_take(&mut self, mut take: LiveTake) {
+    /// Writes this take alone, from the first stretch on, or divides it.
+    pub(super) fn set_single_take(&mut self, mut take: LiveTake, split: Option<Split>) {
         take.reserve(self.payload.capacity());
         self.live = Some(take);
         self.single_take = true;
+        self.split = split.map(SplitState::new);
+        self.progress.takes_begun.store(self.split.iter().len() as u32, Ordering::Relaxed);
     }
 
     /// Runs until the last stretch. After an error it still accepts the parts, so that the reader and the workers can
@@ -143,6 +149,7 @@ impl Writer {
                 self.process_front();
                 self.return_buffers();
                 if last {
+                    self.apply_held_events(u64::MAX);
                     if let Some(take) = self.live.take() {
                         let ending = self.ending();
                         take.end(&self.counts, &mut self.clocks, ending);
@@ -177,9 +184,15 @@ impl Writer {
         }
         let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
-        self.apply_control(stretch);
+        let n_channels_before = self.table.len();
+        self.apply_control(stretch, &end);
         match self.command_at(stretch) {
-            None => self.put_stretch(stretch, &end, &report, before),
+            None => {
+                self.put_stretch(stretch, &end, &report, before);
+                if end.splits {
+                    self.split(end.span.first_row, n_channels_before);
+                }
+            }
             Some(command) => {
                 self.observe();
                 self.execute(command, &end);
@@ -210,6 +223,7 @@ impl Writer {
         self.observe();
         self.payload = payload;
         self.publish_pre_roll();
+        self.ask_for_split();
     }
 
     /// Writes what was observed of the clocks up to the last stretch: to the take, and to what the next take needs.
@@ -222,8 +236,9 @@ impl Writer {
         }
     }
 
-    /// Applies the channels and events that precede stretch `stretch`.
-    fn apply_control(&mut self, stretch: u64) {
+    /// Applies the channels and events that precede stretch `stretch`, except those for the next take of a recording
+    /// that is divided.
+    fn apply_control(&mut self, stretch: u64, end: &StretchEnd) {
         while let Some((at, item)) = self.waiting.take().or_else(|| self.control.try_recv().ok()) {
             if at > stretch {
                 self.waiting = Some((at, item));
@@ -232,11 +247,15 @@ impl Writer {
             match item {
                 Control::Channel(new) => {
                     let channel = new.into_channel();
-                    self.with_take(|take, _| take.channel(&channel));
+                    // The next take has it in its header.
+                    if !end.splits {
+                        self.with_take(|take, _| take.channel(&channel));
+                    }
                     lock(&self.progress.channels).push(channel.clone());
                     self.table.push((stretch, channel));
                 }
                 Control::Event(event) => {
+                    let Some(event) = self.hold_event(event, end) else { continue };
                     self.with_take(|take, _| take.event(&event));
                     if let Some(buffer) = &mut self.pre_roll {
                         buffer.event(at, event);

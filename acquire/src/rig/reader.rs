@@ -130,6 +130,7 @@ impl Rig {
         let is_past = |due_ns: u64| monotonic_ns() > due_ns.saturating_add(GRACE_NS);
         let is_over = |reader: &Reader<'_>| {
             report_file_change(reader.intake.progress(), options, &reported);
+            reader.intake.progress().take_notices().iter().for_each(|text| (options.notify)(text));
             options.stop.load(Ordering::Relaxed)
                 || take_ending(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)

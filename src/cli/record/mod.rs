@@ -2,20 +2,30 @@
 
 mod raw;
 mod report;
+mod series;
+mod split;
 mod watch;
 
 use std::{path::PathBuf, time::Duration};
 
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{files::FileState, raw_log::RawLog, rig::Rig};
+use mocapd_acquire::{
+    files::{FileState, SettledFile},
+    raw_log::RawLog,
+    record::Recorded,
+    rig::Rig,
+    series::{RecordedSeries, SeriesTake},
+};
 use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
 use mocapd_service::units;
 use mocapd_take::record::EndingKind;
+use serde::Serialize;
 
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, RecordReport},
     watch::{Limits, record_and_watch},
 };
+use self::{series::SeriesReport, split::SplitValue, watch::record_series_and_watch};
 use super::{
     output::{notify, print, print_json},
     paths,
@@ -38,6 +48,10 @@ pub(crate) struct Args {
     /// Stop after this time: 10s, 500ms, 2min [default: at the end of a replay, or on Ctrl-C]
     #[arg(long, value_name = "TIME", value_parser = values::length, allow_hyphen_values = true)]
     seconds: Option<Duration>,
+    /// Begin a new take after each length of time or size, without losing a frame: 10s, 30min, 500MB, 2GiB, from 1s or
+    /// 1MB on; -o run.take writes run-001.take, run-002.take and so on
+    #[arg(long, value_name = "TIME|SIZE", value_parser = split::split, allow_hyphen_values = true)]
+    split: Option<SplitValue>,
     /// Set the device to this frame rate: 240, 240Hz, 1kHz; it keeps the rate afterwards
     #[arg(long, value_name = "HZ", value_parser = units::rate_hz, allow_hyphen_values = true)]
     rate: Option<f64>,
@@ -78,9 +92,12 @@ fn device(text: &str) -> anyhow::Result<DeviceUri> {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let uri = device(&args.device)?;
     let codec = args.codec.live_settings()?;
-    paths::check_take_output(&args.output)?;
+    let options = |split: &SplitValue| split.options(&args.output, args.seconds, args.stretch);
+    let series = args.split.as_ref().map(options).transpose()?;
+    let first = series.as_ref().map_or_else(|| args.output.clone(), |series| series.names.path(1));
+    paths::check_take_output(&first)?;
     if let Some(raw) = &args.raw {
-        if paths::are_one(raw, &args.output) {
+        if paths::are_one(raw, &first) {
             return Err(UsageError("--raw and --output name the same file".to_owned()).into());
         }
         paths::check_output(raw)?;
@@ -88,7 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let subject = args.subject.load()?;
     let stop = stop_on_signal()?;
     let raw = args.raw.as_deref();
-    let (recorded, log) = raw::with_log(raw, &args.output, args.sync, |log| {
+    let ((recorded, takes), log) = raw::with_log(raw, &first, args.sync, |log| {
         let opened = Rig::open_logged(&uri, log.map(RawLog::tap));
         let mut rig = opened.map_err(|error| match error.downcast_ref() {
             Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),
@@ -99,21 +116,41 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         rig.wait_for_replug(args.reconnect);
         rig.limit_loss(args.stretch, args.sync);
-        let same_disk = log.filter(|log| paths::are_on_one_disk(log.path(), &args.output));
+        let same_disk = log.filter(|log| paths::are_on_one_disk(log.path(), &first));
         let limits = Limits {
             length: args.seconds,
             keep_free_bytes: args.keep_free,
             raw_log_bytes: same_disk.map(RawLog::file_bytes),
             subject,
         };
-        record_and_watch(rig, &args.output, codec, &limits, &stop)
+        let Some(series) = &series else {
+            let recorded = record_and_watch(rig, &args.output, codec, &limits, &stop)?;
+            return Ok((recorded, Vec::new()));
+        };
+        let recorded = record_series_and_watch(rig, &args.output, series, codec, &limits, &stop)?;
+        let RecordedSeries { takes, total } = recorded;
+        Ok((total, takes))
     })?;
     let report = RecordReport::new(&args.output, &recorded, &codec).with_log(log);
-    if args.json {
-        print_json(&report)?;
+    if let Some(series) = &series {
+        let report = SeriesReport::new(&report, series, &takes);
+        print_report(args.json, &report, || report.text())?;
     } else {
-        print(&report.text())?;
+        print_report(args.json, &report, || report.text())?;
     }
+    Ok(outcome(&recorded, &report, &takes))
+}
+
+fn print_report(
+    json: bool,
+    report: &impl Serialize,
+    text: impl FnOnce() -> String,
+) -> anyhow::Result<()> {
+    if json { print_json(report) } else { print(&text()) }
+}
+
+/// Reports what went wrong on stderr. `takes`: those of a recording that was divided.
+fn outcome(recorded: &Recorded, report: &RecordReport, takes: &[SeriesTake]) -> Outcome {
     let disconnected = recorded.recording.ending == EndingKind::DeviceGone;
     if disconnected {
         notify("the device was disconnected: the take ends there");
@@ -122,9 +159,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if is_full {
         notify(&report.disk_full());
     }
-    if let Some(notice) = recorded.file.message() {
-        notify(&notice);
-    }
+    let files = std::iter::once(&recorded.file).chain(takes.iter().map(|take| &take.file));
+    files.filter_map(SettledFile::message).for_each(|notice| notify(&notice));
     if let Some(outages) = report.outages.text() {
         notify(&outages);
     }
@@ -138,5 +174,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let had_outage = disconnected || recorded.recording.outages > 0;
     let is_displaced = recorded.file.state != FileState::InPlace;
     let lost_anything = ledger.lost_anything() || !ledger.closes() || report.log_lost();
-    Ok(Outcome::of(lost_anything || had_outage || is_full || is_displaced))
+    Outcome::of(lost_anything || had_outage || is_full || is_displaced)
 }

@@ -29,7 +29,7 @@ pub(crate) struct RecordReport {
     markers: usize,
     #[serde(skip)]
     markers_appeared: u64,
-    rate_hz: f64,
+    pub(super) rate_hz: f64,
     #[serde(flatten)]
     size: SizeReport,
     ring_latency_us: LatencyReport,
@@ -137,9 +137,13 @@ impl RecordReport {
     }
 
     pub(crate) fn text(&self) -> String {
+        self.text_of(&plain_path(&self.take))
+    }
+
+    /// The text, with a name for what was recorded.
+    pub(super) fn text_of(&self, name: &str) -> String {
         format!(
-            "{}: {} of {} at {} Hz, {}\n{}{}{}",
-            plain_path(&self.take),
+            "{name}: {} of {} at {} Hz, {}\n{}{}{}",
             frames_of(self.frames, self.ledger.frames_sent),
             self.markers_text(),
             self.rate_hz,

@@ -10,8 +10,10 @@ use std::{
 };
 
 use mocapd_acquire::{
+    pipeline::PipelineProgress,
     record::{RecordOptions, Recorded, record},
     rig::Rig,
+    series::{RecordedSeries, SeriesOptions, record_series},
     setting::{self, Setting, SettingRefused},
 };
 use mocapd_codec::Settings;
@@ -44,8 +46,33 @@ pub(crate) fn record_and_watch(
     limits: &Limits,
     stop: &AtomicBool,
 ) -> anyhow::Result<Recorded> {
+    watched(rig, take, codec, limits, stop, record)
+}
+
+/// Records `rig` to a series of takes and shows the progress on stderr.
+pub(super) fn record_series_and_watch(
+    rig: Rig,
+    output: &Path,
+    series: &SeriesOptions,
+    codec: Settings,
+    limits: &Limits,
+    stop: &AtomicBool,
+) -> anyhow::Result<RecordedSeries> {
+    let record = |rig, options: &mut RecordOptions<'_>| record_series(rig, options, series);
+    watched(rig, output, codec, limits, stop, record)
+}
+
+/// Runs a recording with a status display.
+fn watched<T>(
+    rig: Rig,
+    take: &Path,
+    codec: Settings,
+    limits: &Limits,
+    stop: &AtomicBool,
+    record: impl FnOnce(Rig, &mut RecordOptions<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
     let mut display = None;
-    let mut started = |progress: &Arc<mocapd_acquire::pipeline::PipelineProgress>| {
+    let mut started = |progress: &Arc<PipelineProgress>| {
         let progress = Arc::clone(progress);
         if let Some(bytes) = &limits.raw_log_bytes {
             // This cannot fail: the pipeline is new, so the cell is empty.
@@ -54,7 +81,8 @@ pub(crate) fn record_and_watch(
         display = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
             format!(
-                "recording: {} frames, {} lost, {} on disk{}{}",
+                "recording{}: {} frames, {} lost, {} on disk{}{}",
+                part(progress.takes_begun.load(Ordering::Relaxed)),
                 thousands(get(&progress.frames)),
                 thousands(get(&progress.lost)),
                 bytes(get(&progress.file_bytes)),
@@ -103,6 +131,11 @@ fn with_option(setting: Setting) -> String {
     }
 }
 
+/// The number of the take that is being written, if the recording is divided.
+fn part(takes_begun: u32) -> String {
+    if takes_begun == 0 { String::new() } else { format!(" part {takes_begun}") }
+}
+
 /// How long the free disk space lasts at the current rate, in hours and minutes; empty while unknown.
 fn disk_left(left_s: u64) -> String {
     const LONG_H: u64 = 1000;
@@ -115,7 +148,7 @@ fn disk_left(left_s: u64) -> String {
 }
 
 /// Drift and jitter of the device's clock; empty while unknown.
-fn clock(progress: &mocapd_acquire::pipeline::PipelineProgress) -> String {
+fn clock(progress: &PipelineProgress) -> String {
     let p99_us = progress.jitter_p99_us.load(Ordering::Relaxed);
     if p99_us == 0 {
         return String::new();

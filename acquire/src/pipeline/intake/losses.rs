@@ -222,6 +222,43 @@ impl PendingLoss {
         self.counted
     }
 
+    /// Removes the first `rows` rows, and returns them.
+    pub(super) fn split_off_first(&mut self, rows: u64) -> Self {
+        let all = std::mem::take(self);
+        let (mut first, mut left) = (Self::default(), rows);
+        for &(n_rows, causes) in &all.runs[..all.n_runs] {
+            let n_first = n_rows.min(left);
+            left -= n_first;
+            first.add(n_first, causes);
+            self.add(n_rows - n_first, causes);
+        }
+        // Runs of several causes do not say which row has which: every counter is divided so that both sums are exact.
+        let mut missing = self.rows;
+        let counters = |pending: &Self| {
+            let PendingRows { not_received, ring_full, in_outages } = pending.counted;
+            [not_received, ring_full, in_outages]
+        };
+        let mut rest = counters(self);
+        for (rest, all) in rest.iter_mut().zip(counters(&all)) {
+            *rest = (*rest).min(all);
+            missing -= *rest;
+        }
+        for (rest, all) in rest.iter_mut().zip(counters(&all)) {
+            let more = missing.min(all - *rest);
+            *rest += more;
+            missing -= more;
+        }
+        let of = |[not_received, ring_full, in_outages]: [u64; 3]| PendingRows {
+            not_received,
+            ring_full,
+            in_outages,
+        };
+        let [a, b, c] = counters(&all);
+        first.counted = of([a - rest[0], b - rest[1], c - rest[2]]);
+        self.counted = of(rest);
+        first
+    }
+
     /// Removes the runs, oldest first.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, LossCauses)> + use<> {
         let runs = std::mem::take(&mut self.runs);
@@ -247,5 +284,37 @@ mod tests {
         assert_eq!(runs.iter().map(|run| run.0).sum::<u64>(), 120);
         assert_eq!(runs[7].1, LossCauses::NOT_RECEIVED.union(LossCauses::RING_FULL));
         assert_eq!((pending.rows(), pending.n_runs), (0, 0));
+    }
+    #[test]
+    fn divided_losses_have_the_same_sums() {
+        let causes = [
+            LossCauses::NOT_RECEIVED,
+            LossCauses::RING_FULL,
+            LossCauses::DISCONNECTED,
+            LossCauses::NOT_RECEIVED.union(LossCauses::DISCONNECTED),
+        ];
+        // Few runs, and more than are kept apart.
+        for n_runs in [1, 3, 40] {
+            let build = || {
+                let mut pending = PendingLoss::default();
+                (0..n_runs).for_each(|i| pending.add(1 + i % 3, causes[i as usize % 4]));
+                pending
+            };
+            let all = build().rows();
+            for at in 0..=all + 1 {
+                let (mut rest, whole) = (build(), build().counted);
+                let mut first = rest.split_off_first(at);
+                assert_eq!((first.rows(), rest.rows()), (at.min(all), all - at.min(all)));
+                let (a, b) = (first.counted(), rest.counted());
+                let sum = |n: PendingRows| n.not_received + n.ring_full + n.in_outages;
+                assert_eq!((sum(a), sum(b)), (first.rows(), rest.rows()), "{n_runs}, {at}");
+                assert_eq!(a.not_received + b.not_received, whole.not_received);
+                assert_eq!(a.ring_full + b.ring_full, whole.ring_full);
+                assert_eq!(a.in_outages + b.in_outages, whole.in_outages);
+                let rows =
+                    |pending: &mut PendingLoss| pending.drain().map(|run| run.0).sum::<u64>();
+                assert_eq!((rows(&mut first), rows(&mut rest)), (at.min(all), all - at.min(all)));
+            }
+        }
     }
 }

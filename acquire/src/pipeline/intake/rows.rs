@@ -11,7 +11,7 @@ use mocapd_take::{
     timeline::RowTime,
 };
 
-use super::{Intake, NO_SLOT};
+use super::{Intake, NO_SLOT, losses::PendingLoss};
 use crate::pipeline::{
     messages::{Control, NewChannel, StretchEnd},
     plan::RUNS_MAX,
@@ -38,8 +38,9 @@ impl Intake {
             let active = &self.rings[..self.n_channels];
             self.rows_free = active.iter().map(RingProducer::vacant).min().unwrap_or(usize::MAX);
         }
-        // The pending runs, this row, and the runs that may be pending at the end.
-        self.rows_free >= rows && self.timeline.vacant() > 2 * RUNS_MAX
+        // The pending runs, one of which may be divided between two takes, this row, and the runs that may be pending
+        // at the end.
+        self.rows_free >= rows && self.timeline.vacant() > 2 * RUNS_MAX + 1
     }
 
     pub(super) fn push_row(&mut self, time: RowTime) {
@@ -75,8 +76,19 @@ impl Intake {
     }
 
     pub(super) fn push_pending(&mut self) {
-        self.next_row += self.pending.rows();
-        for (rows, causes) in self.pending.drain() {
+        let mut pending = std::mem::take(&mut self.pending);
+        self.push_lost(&mut pending);
+    }
+
+    /// Puts the first `rows` of the pending rows into the ring.
+    fn push_pending_up_to(&mut self, rows: u64) {
+        let mut first = self.pending.split_off_first(rows);
+        self.push_lost(&mut first);
+    }
+
+    fn push_lost(&mut self, lost: &mut PendingLoss) {
+        self.next_row += lost.rows();
+        for (rows, causes) in lost.drain() {
             self.timeline.push(TimelineItem::Lost { rows, causes });
         }
         self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
@@ -115,8 +127,26 @@ impl Intake {
 
     /// Sends a boundary between two stretches, the way of stretches.
     pub(super) fn end_boundary(&mut self) {
+        self.send(self.boundary());
+    }
+
+    fn boundary(&self) -> StretchEnd {
         let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
-        self.send(self.end_of(span, false));
+        self.end_of(span, false)
+    }
+
+    /// Divides the recording before this frame, for which there is room, if a take ends here. Rows lost before it
+    /// belong to the take that has their place.
+    pub(super) fn split_before_frame(&mut self) {
+        let row = self.next_row + self.pending.rows();
+        let is_asked = self.open_rows == 0 && self.progress.split_is_due.load(Ordering::Relaxed);
+        let Some(first_row) = self.splits.take_due(row, is_asked) else { return };
+        self.progress.split_is_due.store(false, Ordering::Relaxed);
+        self.close_stretch();
+        self.push_pending_up_to(first_row.saturating_sub(self.next_row));
+        self.send(StretchEnd { splits: true, ..self.boundary() });
+        self.next_key_row = self.next_row;
+        self.open_limit = self.first_stretch_rows;
     }
 
     fn end_of(&self, span: Span, last: bool) -> StretchEnd {
@@ -126,6 +156,7 @@ impl Intake {
             last_arrival_ns: self.last_arrival_ns,
             n_channels: self.n_channels,
             last,
+            splits: false,
         }
     }
 

@@ -257,11 +257,19 @@ impl LiveTake {
         TakeFailed { error, output: Some(self.take.abandon()) }
     }
 
-    /// Closes the take with the counters at its end.
-    pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
+    /// Closes the take with the counters at its end. Returns whether that succeeded.
+    pub(super) fn end(
+        mut self,
+        counts: &Counts,
+        clocks: &mut ClockWriter,
+        ending: TakeEnding,
+    ) -> bool {
         self.counts = counts.since(&self.base);
         let ended = self.reply.ended.clone();
-        ended.try_send(self.finish(clocks, ending)).ok();
+        let result = self.finish(clocks, ending);
+        let is_closed = result.is_ok();
+        ended.try_send(result).ok();
+        is_closed
     }
 
     fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeResult {

@@ -1,0 +1,70 @@
+//! Dividing a recording into takes that follow each other, with each frame in exactly one of them.
+//!
+//! The reader decides where: at a row, or, for a limit of bytes, at the first end of a stretch after the writer has
+//! found the take long enough. It sends a boundary behind the last row of the take, and the next stretch is a key. When
+//! the writer reaches the boundary, it ends the take and begins the next one.
+//!
+//! That costs the disk a new file and a few syncs, and no frame: meanwhile encoded stretches wait as when a disk stalls,
+//! 64 of them (`ENCODED_STRETCHES` in `plan.rs`). Two a second last 32 s. A take adds a boundary and a short stretch, so
+//! with takes of one second they last 16 s.
+
+use std::fmt;
+
+use crossbeam_channel::Sender;
+
+use super::{NewTake, TakeResult};
+
+/// When a take of a divided recording is long enough.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SplitAt {
+    /// At each multiple of a number of rows, lost ones included. If no frame came between two of them, the take goes on
+    /// to the next: no take is without a frame.
+    Rows {
+        /// Rows of a take, at least those of a stretch.
+        rows: u64,
+        /// From this row on, nothing is divided: the recording ends there, and frames that come until the device has
+        /// stopped belong to the last take.
+        end_row: Option<u64>,
+    },
+    /// At the first end of a stretch at which the file has this many bytes. The stretches in work at that moment still
+    /// belong to it: usually one.
+    Bytes(u64),
+}
+
+/// A take of a divided recording.
+#[derive(Debug)]
+pub struct NextTake {
+    /// The take.
+    pub take: NewTake,
+    /// Its name, which the ending of the take before it states.
+    pub name: String,
+    /// Receives its result; has room for it.
+    pub ended: Sender<TakeResult>,
+    /// A message for the user about it.
+    pub notice: Option<String>,
+}
+
+/// Creates the takes of a divided recording, in order.
+pub trait TakeSeries: Send {
+    /// Creates the take that begins at this row of the recording. Runs on the writer's thread: it may wait for the disk,
+    /// but for nothing else.
+    ///
+    /// # Errors
+    /// When its file cannot be created. The take before it then goes on, and the next one is tried when that is due.
+    fn next_take(&mut self, first_row: u64) -> anyhow::Result<NextTake>;
+}
+
+impl fmt::Debug for dyn TakeSeries {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("TakeSeries")
+    }
+}
+
+/// How to divide a recording.
+#[derive(Debug)]
+pub struct Split {
+    /// When a take is long enough.
+    pub at: SplitAt,
+    /// Creates the takes.
+    pub takes: Box<dyn TakeSeries>,
+}

@@ -1,0 +1,154 @@
+//! Divides a recording: ends the open take at a boundary and begins the next one.
+
+use std::sync::atomic::Ordering;
+
+use anyhow::anyhow;
+use mocapd_take::record::{EndingKind, Event, TakeEnding};
+
+use super::{LiveTake, Writer};
+use crate::{
+    files::FileState,
+    pipeline::{
+        NextTake, Split, SplitAt, TakeFailed, TakeSeries, commands::Reply, messages::StretchEnd,
+        plan::CONTROL_MAX,
+    },
+};
+
+/// Events that wait for the next take: as many as may wait for the writer. More go into the open take.
+const HELD_EVENTS_MAX: usize = CONTROL_MAX;
+
+/// How a recording is divided, and where the writer is.
+#[derive(Debug)]
+pub(super) struct SplitState {
+    at: SplitAt,
+    takes: Box<dyn TakeSeries>,
+    /// The row at which the open take ends, if it ends at a row and no frames are lost there.
+    end_row: u64,
+    /// The length at which the open take ends, if it ends at a length.
+    end_bytes: u64,
+    /// The reader was asked to end it.
+    is_asked: bool,
+    /// Events from `end_row` on. They came before the boundary, but belong to the next take.
+    held_events: Vec<Event>,
+}
+
+impl SplitState {
+    pub(super) fn new(split: Split) -> Self {
+        let (at, takes) = (split.at, split.takes);
+        let mut new =
+            Self { at, takes, end_row: 0, end_bytes: 0, is_asked: false, held_events: Vec::new() };
+        new.begin(0, 0);
+        new
+    }
+
+    /// The open take begins, or goes on, at this row and byte.
+    fn begin(&mut self, row: u64, byte: u64) {
+        self.is_asked = false;
+        (self.end_row, self.end_bytes) = match self.at {
+            SplitAt::Rows { rows, .. } => (row.saturating_add(rows), u64::MAX),
+            SplitAt::Bytes(bytes) => (u64::MAX, byte.saturating_add(bytes)),
+        };
+    }
+}
+
+impl Writer {
+    /// Asks the reader to end the take that was just written to, if it is long enough.
+    pub(super) fn ask_for_split(&mut self) {
+        let Some(split) = &mut self.split else { return };
+        let written = self.progress.file_bytes.load(Ordering::Relaxed);
+        if written >= split.end_bytes && !split.is_asked {
+            split.is_asked = true;
+            self.progress.split_is_due.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Keeps an event that belongs to the next take, or returns it.
+    pub(super) fn hold_event(&mut self, event: Event, end: &StretchEnd) -> Option<Event> {
+        let Some(split) = &mut self.split else { return Some(event) };
+        let is_at_boundary = end.splits && event.row >= end.span.first_row;
+        let is_next = event.row >= split.end_row || is_at_boundary;
+        if !is_next || split.held_events.len() >= HELD_EVENTS_MAX {
+            return Some(event);
+        }
+        split.held_events.push(event);
+        None
+    }
+
+    /// Writes the events that were kept, up to a row, to the open take.
+    pub(super) fn apply_held_events(&mut self, end_row: u64) {
+        let Some(split) = &mut self.split else { return };
+        let (now, later) = std::mem::take(&mut split.held_events)
+            .into_iter()
+            .partition::<Vec<_>, _>(|event| event.row < end_row);
+        split.held_events = later;
+        for event in now {
+            self.with_take(|take, _| take.event(&event));
+        }
+    }
+
+    /// Divides the recording before `first_row`. If the next take cannot begin, the open one goes on; it then gets the
+    /// channels behind the first `n_channels`, which appeared at this boundary.
+    pub(super) fn split(&mut self, first_row: u64, n_channels: usize) {
+        self.apply_held_events(first_row);
+        if !self.begin_next(first_row) {
+            let written = self.progress.file_bytes.load(Ordering::Relaxed);
+            if let Some(split) = &mut self.split {
+                split.begin(first_row, written);
+            }
+            let appeared: Vec<_> = self.table.iter().skip(n_channels).cloned().collect();
+            for (_, channel) in appeared {
+                self.with_take(|take, _| take.channel(&channel));
+            }
+        }
+        self.apply_held_events(u64::MAX);
+    }
+
+    /// Begins the next take, then closes the open one: the header shows whether the disk still takes a new file, and
+    /// what was reserved for the open take is released before the next one reserves. Returns `false` if the open take
+    /// goes on.
+    fn begin_next(&mut self, first_row: u64) -> bool {
+        let progress = &self.progress;
+        // The reader is ending the recording.
+        let ends = progress.disk_full.load(Ordering::Relaxed) || progress.file_state().ends_take();
+        let (Some(split), Some(_), false) = (&mut self.split, &self.live, ends) else {
+            return false;
+        };
+        let goes_on = "the recording goes on in the take before it";
+        let NextTake { mut take, name, ended, notice } = match split.takes.next_take(first_row) {
+            Ok(next) => next,
+            Err(error) => {
+                progress.add_notice(format!("{error:#}; {goes_on}"));
+                return false;
+            }
+        };
+        take.header.channels = self.table.iter().map(|(_, channel)| channel.clone()).collect();
+        let (reply, base) = (Reply::of_series(ended), self.counts.in_rows());
+        let mut next = match LiveTake::begin(take, &reply, base, first_row, self.sync_every) {
+            Ok(next) => next,
+            Err(error) => {
+                progress.add_notice(format!("{name}: {error:#}; {goes_on}"));
+                reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
+                return false;
+            }
+        };
+        next.reserve(self.payload.capacity());
+        let Some(open) = self.live.take() else { return false };
+        let ending = TakeEnding::new(EndingKind::Length, format!("continued in {name}"));
+        let is_closed = open.end(&base, &mut self.clocks, ending);
+        split.begin(first_row, 0);
+        self.clocks.begin();
+        progress.set_file_state(FileState::InPlace, None);
+        progress.takes_begun.fetch_add(1, Ordering::Relaxed);
+        notice.into_iter().for_each(|notice| progress.add_notice(notice));
+        if is_closed {
+            next.poll_disk(progress);
+            next.publish(progress);
+            self.live = Some(next);
+        } else {
+            // As for any write that fails.
+            progress.failed.store(true, Ordering::Relaxed);
+            next.fail(anyhow!("the take before it could not be closed"));
+        }
+        true
+    }
+}

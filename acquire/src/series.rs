@@ -1,0 +1,282 @@
+//! Records to a series of takes: a recording that is divided by time or by size.
+//!
+//! Each take is complete by itself. Its header states the series, and which rows of the recording it has.
+
+mod collect;
+mod names;
+
+use std::{
+    collections::BTreeMap,
+    path::PathBuf,
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
+
+use anyhow::bail;
+use crossbeam_channel::{Sender, bounded};
+use mocapd_take::{
+    motion::frame_at,
+    record::{Header, Ledger, Subject},
+};
+
+use self::collect::{StartedTake, collect};
+pub use self::{collect::SeriesTake, names::TakeNames};
+use crate::{
+    files::{FileState, NameTaken, SettledFile, TakeFile},
+    header,
+    pipeline::{
+        NewTake, NextTake, Pipeline, Split, SplitAt, TakeAccount, TakeSeries, check_disk_space,
+    },
+    record::{RecordOptions, Recorded, nothing_recorded},
+    rig::{ReaderOutcome, Rig},
+    threads,
+};
+
+/// Key of the setting in a take's header that states the requested length of a take, as it was written.
+pub const SPLIT_SETTING: &str = "split";
+
+/// Key of the setting that states the id of the series' first take, in hexadecimal.
+pub const SERIES_SETTING: &str = "series";
+
+/// Key of the setting that states the number of the take in the series, from 1.
+pub const PART_SETTING: &str = "part";
+
+/// Key of the setting that states which row of the recording is row 0 of the take.
+pub const FIRST_FRAME_SETTING: &str = "part_first_frame";
+
+/// Takes whose files are still to be settled. That takes no time unless a removed take is being copied; the writer then
+/// waits with the take after these, as for a slow disk.
+const UNSETTLED_MAX: usize = 8;
+
+/// Names that are tried for a take, each of which costs a system call: more than other recordings leave in a folder.
+const NAMES_TRIED_MAX: u64 = 10_000;
+
+/// When a take of a series is long enough.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TakeLength {
+    /// After this time, as a number of frames at the device's rate.
+    Time(Duration),
+    /// At the first end of a stretch at which the file has this many bytes.
+    Bytes(u64),
+}
+
+/// How to divide a recording.
+#[derive(Debug, Clone)]
+pub struct SeriesOptions {
+    /// When a take is long enough.
+    pub length: TakeLength,
+    /// The same as it was requested, for the header.
+    pub length_text: String,
+    /// The names of the takes.
+    pub names: TakeNames,
+}
+
+/// A finished recording of several takes.
+#[derive(Debug)]
+pub struct RecordedSeries {
+    /// The takes in order; at least one.
+    pub takes: Vec<SeriesTake>,
+    /// The recording as a whole: what its takes count, added up; clock, disk and file of the last take.
+    pub total: Recorded,
+}
+
+/// Records until the device ends, the length is reached, or `stop` is set.
+///
+/// # Errors
+/// When nothing was recorded (no file is left then), or a take could not be written to its end. The takes before it are
+/// complete.
+pub fn record_series(
+    rig: Rig,
+    options: &mut RecordOptions<'_>,
+    series: &SeriesOptions,
+) -> anyhow::Result<RecordedSeries> {
+    check_disk_space(&series.names.path(1), options.keep_free_bytes)?;
+    let config = rig.pipeline_config(options.codec);
+    let header = rig.take_header(&config)?;
+    let (rate_hz, markers) = (config.rate_hz, config.channels.len());
+    let at = match series.length {
+        TakeLength::Time(time) => SplitAt::Rows {
+            rows: frame_at(time, rate_hz).max(u64::from(config.stretch_rows())),
+            end_row: options.length.map(|length| frame_at(length, rate_hz)),
+        },
+        TakeLength::Bytes(bytes) => SplitAt::Bytes(bytes),
+    };
+    let (started_in, started) = bounded(UNSETTLED_MAX);
+    let collector = threads::spawn("mocapd-takes", move || collect(&started))?;
+    let takes = Box::new(Series::new(header, options, series, started_in));
+    let run = Pipeline::start_series(&config, Split { at, takes }).map(|(intake, pipeline)| {
+        let progress = Arc::clone(pipeline.progress());
+        (options.started)(&progress);
+        let recording = rig.read(intake, &options.read_options(rate_hz));
+        let joined = pipeline.join();
+        progress.take_notices().iter().for_each(|text| (options.notify)(text));
+        (recording, joined, progress.failed.load(Ordering::Relaxed))
+    });
+    // The series is gone with the writer: its takes have all ended.
+    let mut collected = threads::join(collector)?;
+    let (recording, joined, has_failed) = match run {
+        Ok(run) => run,
+        Err(error) => return Err(collected.discard(error)),
+    };
+    // A take that could not begin is no failure when the one before it went on.
+    let failure = collected.failure.take().filter(|_| has_failed).or(joined.err());
+    let recording = match (failure, recording) {
+        (Some(error), _) | (None, Err(error)) => return Err(collected.explain(error)),
+        (None, Ok(recording)) => recording,
+    };
+    if collected.takes.is_empty() {
+        return Err(collected.explain(nothing_recorded(recording.ending)));
+    }
+    let takes = collected.takes;
+    let total = total(&takes, recording, rate_hz, markers);
+    Ok(RecordedSeries { takes, total })
+}
+
+/// The recording as a whole.
+fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: usize) -> Recorded {
+    let mut written = TakeAccount {
+        ledger: Ledger { finished: true, ..Ledger::default() },
+        ..TakeAccount::default()
+    };
+    let mut clock_lines = BTreeMap::new();
+    for take in takes {
+        let part = &take.written;
+        add_ledger(&mut written.ledger, &part.ledger, take);
+        written.file_bytes += part.file_bytes;
+        written.samples += part.samples;
+        written.kept += part.kept;
+        written.max_error_mm = written.max_error_mm.max(part.max_error_mm);
+        (written.clock, written.disk) = (part.clock, part.disk);
+        written.ending.clone_from(&part.ending);
+        // The line of a segment that goes on is better known in the next take.
+        clock_lines.extend(part.clock_lines.iter().copied());
+    }
+    written.clock_lines = clock_lines.into_iter().collect();
+    let displaced =
+        takes.iter().map(|take| &take.file).find(|file| file.state != FileState::InPlace);
+    let file = displaced.map_or_else(SettledFile::default, |file| SettledFile {
+        state: file.state,
+        ..SettledFile::default()
+    });
+    Recorded { written, recording, file, rate_hz, markers }
+}
+
+fn add_ledger(sum: &mut Ledger, part: &Ledger, take: &SeriesTake) {
+    sum.finished &= part.finished;
+    for (sum, part) in [
+        (&mut sum.frames_sent, part.frames_sent),
+        (&mut sum.recorded, part.recorded),
+        (&mut sum.lost_on_link, part.lost_on_link),
+        (&mut sum.dropped_by_device, part.dropped_by_device),
+        (&mut sum.lost_ring_full, part.lost_ring_full),
+        (&mut sum.lost_other, part.lost_other),
+        (&mut sum.duplicates, part.duplicates),
+        (&mut sum.unknown_after_disconnect, part.unknown_after_disconnect),
+        (&mut sum.samples_announced, part.samples_announced),
+        (&mut sum.samples_present, part.samples_present),
+        (&mut sum.samples_occluded, part.samples_occluded),
+        (&mut sum.samples_not_finite, part.samples_not_finite),
+        (&mut sum.markers_dropped, part.markers_dropped),
+        (&mut sum.link_bytes, part.link_bytes),
+        (&mut sum.link_bytes_skipped, part.link_bytes_skipped),
+        (&mut sum.link_messages, part.link_messages),
+        (&mut sum.link_messages_damaged, part.link_messages_damaged),
+        (&mut sum.link_messages_unknown, part.link_messages_unknown),
+    ] {
+        *sum += part;
+    }
+    let named = |text: &String| format!("{}: {text}", take.path.display());
+    sum.contradictions.extend(part.contradictions.iter().map(named));
+    sum.clock = part.clock;
+}
+
+/// Creates the takes of a series. Belongs to the writer.
+struct Series {
+    names: TakeNames,
+    /// The header of the first take, with the settings that all takes have.
+    header: Header,
+    subject: Option<Arc<Subject>>,
+    keep_free_bytes: u64,
+    next_part: u64,
+    /// The number in the next name, which differs from `next_part` after names that were taken.
+    next_number: u64,
+    started: Sender<StartedTake>,
+}
+
+impl Series {
+    fn new(
+        mut header: Header,
+        options: &RecordOptions<'_>,
+        series: &SeriesOptions,
+        started: Sender<StartedTake>,
+    ) -> Self {
+        header.settings.push((SPLIT_SETTING.to_owned(), series.length_text.clone()));
+        header.settings.push((SERIES_SETTING.to_owned(), header.take_id_text()));
+        Self {
+            names: series.names.clone(),
+            header,
+            subject: options.subject.cloned().map(Arc::new),
+            keep_free_bytes: options.keep_free_bytes,
+            next_part: 1,
+            next_number: 1,
+            started,
+        }
+    }
+
+    /// Creates the file of the next take, under the next free name. The first take has the first name.
+    fn create_file(&mut self) -> anyhow::Result<(TakeFile, PathBuf)> {
+        for _ in 0..NAMES_TRIED_MAX {
+            let path = self.names.path(self.next_number);
+            match TakeFile::create(&path) {
+                Err(error) if self.next_part > 1 && error.is::<NameTaken>() => {
+                    self.next_number += 1;
+                }
+                created => {
+                    let file = created?;
+                    self.next_number += 1;
+                    return Ok((file, path));
+                }
+            }
+        }
+        bail!(
+            "no free name for the next take, up to {}",
+            self.names.path(self.next_number).display()
+        )
+    }
+
+    fn header(&self, first_row: u64) -> anyhow::Result<Header> {
+        let mut header = self.header.clone();
+        if self.next_part > 1 {
+            header.take_id = header::new_take_id()?;
+        }
+        let since_first_ms = first_row as f64 / header.rate_hz * 1e3;
+        header.created_unix_ms = header.created_unix_ms.saturating_add(since_first_ms as i64);
+        header.settings.push((PART_SETTING.to_owned(), self.next_part.to_string()));
+        header.settings.push((FIRST_FRAME_SETTING.to_owned(), first_row.to_string()));
+        Ok(header)
+    }
+}
+
+impl TakeSeries for Series {
+    fn next_take(&mut self, first_row: u64) -> anyhow::Result<NextTake> {
+        let header = self.header(first_row)?;
+        let wanted = self.names.path(self.next_number);
+        let (file, path) = self.create_file()?;
+        let notice = (path != wanted).then(|| {
+            let (wanted, path) = (wanted.display(), path.display());
+            format!("{wanted} exists already: the recording continues in {path}")
+        });
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let (ended, result) = bounded(1);
+        let (part, id) = (self.next_part, file.id());
+        self.next_part += 1;
+        let take = NewTake {
+            subject: self.subject.clone(),
+            keep_free_bytes: self.keep_free_bytes,
+            ..NewTake::new(file, header)
+        };
+        // The collector ends after this series.
+        self.started.send(StartedTake { path, id, part, first_row, result }).ok();
+        Ok(NextTake { take, name, ended, notice })
+    }
+}
