@@ -64,7 +64,7 @@ impl SplitValue {
         length: Option<Duration>,
         stretch: Duration,
     ) -> anyhow::Result<SeriesOptions> {
-        if paths::is_stdout(output) || output.is_dir() {
+        if paths::is_dash(output) || output.is_dir() {
             let output = output.display();
             return Err(UsageError(format!(
                 "--split needs a name to number, such as run.take, but --output is {output}"
