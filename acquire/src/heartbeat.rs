@@ -203,10 +203,19 @@ impl Watchdog {
     }
 }
 
+/// Makes threads hang on command, to test the watchdog and stalls: SIGUSR2 hangs them, SIGUSR1 resumes them. Does nothing
+/// without the feature `fault-hooks`, which no installed program has.
+///
+/// # Errors
+/// When the system refuses a signal handler.
+pub fn install_fault_hooks() -> anyhow::Result<()> {
+    #[cfg(feature = "fault-hooks")]
+    fault_hooks::install()?;
+    Ok(())
+}
+
 #[cfg(feature = "fault-hooks")]
-pub mod fault_hooks {
-    //! Threads that hang on command, to test the watchdog and stalls. Only in builds with the feature `fault-hooks`.
-    //!
+mod fault_hooks {
     //! SIGUSR2 hangs the thread named in `MOCAPD_HANG` (`reader`, `worker` or `writer`), or all of them when that is
     //! not set. SIGUSR1 resumes them.
 
@@ -233,10 +242,7 @@ pub mod fault_hooks {
     static TARGET: OnceLock<String> = OnceLock::new();
 
     /// Installs the handlers of both signals.
-    ///
-    /// # Errors
-    /// When the system refuses a signal handler.
-    pub fn install() -> anyhow::Result<()> {
+    pub(super) fn install() -> anyhow::Result<()> {
         TARGET.get_or_init(|| std::env::var("MOCAPD_HANG").unwrap_or_default());
         for (signal, hangs) in [(SIGUSR2, 1), (SIGUSR1, 0)] {
             let flag = Arc::clone(HANGS.get_or_init(Arc::default));
@@ -245,7 +251,7 @@ pub mod fault_hooks {
         Ok(())
     }
 
-    pub(crate) fn hang_if_requested(role: Option<ThreadRole>) {
+    pub(super) fn hang_if_requested(role: Option<ThreadRole>) {
         let hangs = || HANGS.get().is_some_and(|hangs| hangs.load(Ordering::Relaxed) != 0);
         let is_targeted = |role: ThreadRole| {
             let target = TARGET.get().map_or("", String::as_str);

@@ -64,8 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         ConfigError::Refused { .. } => UsageError(error.to_string()).into(),
         error => anyhow::Error::from(error),
     })?;
-    #[cfg(feature = "fault-hooks")]
-    mocapd_acquire::heartbeat::fault_hooks::install()?;
+    mocapd_acquire::heartbeat::install_fault_hooks()?;
     // Handlers are installed before anything starts, so that no signal is missed.
     let signals = signals()?;
     create_directory(&config)?;

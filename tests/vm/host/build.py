@@ -38,7 +38,7 @@ def hanging(folder: Path) -> Path:
     """
     if os.environ.get("MOCAPD_HANGING"):
         return Path(os.environ["MOCAPD_HANGING"])
-    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "full,fault-hooks") if path.name == "mocapd")
+    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "fault-hooks") if path.name == "mocapd")
     return Path(shutil.copy2(program, folder / "mocapd-hanging"))
 
 

@@ -34,9 +34,12 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("bad: lies in its descriptors", bad::lies),
     ("bad: vanishes inside a transfer", bad::vanishes),
     ("bad: answers late", bad::answers_late),
-    ("speed: the transport alone", speed::transport),
+    ("speed: the transport and a bare loop", speed::transport),
     ("speed: the whole pipeline", speed::pipeline),
 ];
 
 /// Scenarios that run only when named.
-pub(crate) const LONG: &[(&str, Scenario)] = &[("speed: the heaviest load", speed::heaviest_load)];
+pub(crate) const LONG: &[(&str, Scenario)] = &[
+    ("speed: the transport alone", speed::transport_alone),
+    ("speed: the heaviest load", speed::heaviest_load),
+];

@@ -24,8 +24,10 @@ use crate::{
     simulator::Simulator,
 };
 
-/// Least throughput of the transport, as a fraction of a bare loop's.
+/// Least throughput of the transport, as a fraction of a bare loop's, on a machine that does nothing else, and beside
+/// other work, which takes turns away from either.
 const PART_MIN: f64 = 0.9;
+const PART_MIN_BESIDE_OTHERS: f64 = 0.6;
 
 /// The two are measured alternately, many times and briefly, so that other load affects both. If the median is too low,
 /// more turns are measured.
@@ -75,9 +77,18 @@ fn our_transport(serial: &str, length: Duration) -> anyhow::Result<f64> {
 }
 
 pub(crate) fn transport() -> Measurement {
+    compared_with_a_bare_loop(PART_MIN_BESIDE_OTHERS)
+}
+
+/// Needs the whole machine.
+pub(crate) fn transport_alone() -> Measurement {
+    compared_with_a_bare_loop(PART_MIN)
+}
+
+fn compared_with_a_bare_loop(part_min: f64) -> Measurement {
     let device = MisbehavingDevice::start("SPEED1", pouring)?;
     let (mut theirs, mut mine, mut parts) = (0.0, 0.0, Vec::new());
-    while parts.len() < TURNS || (parts.len() < TURNS_MAX && median(&mut parts) < PART_MIN) {
+    while parts.len() < TURNS || (parts.len() < TURNS_MAX && median(&mut parts) < part_min) {
         for turn in 0..TURNS {
             // Alternate the order.
             let early = if turn % 2 == 0 { Some(bare_loop("SPEED1", TURN)?) } else { None };
@@ -96,7 +107,7 @@ pub(crate) fn transport() -> Measurement {
         theirs / turns / 1e6,
         part * 100.0
     );
-    ensure!(part >= PART_MIN, "{summary}");
+    ensure!(part >= part_min, "{summary}");
     Ok(summary)
 }
 
@@ -107,6 +118,9 @@ fn median(values: &mut [f64]) -> f64 {
 
 /// Markers and frames per second that must be recorded without a lost frame.
 const LEAST: (u32, u32) = (64, 240);
+
+/// Several times what rings (2 s) and the device's queue (1 s) can hold back.
+const STEADY: Duration = Duration::from_secs(20);
 const WHOLE: Duration = Duration::from_secs(60);
 
 /// Heavier loads, in order.
@@ -147,7 +161,7 @@ fn at_load((markers, rate): (u32, u32), length: Duration) -> anyhow::Result<Sust
 }
 
 pub(crate) fn pipeline() -> Measurement {
-    let Sustained { is_whole, summary } = at_load(LEAST, WHOLE)?;
+    let Sustained { is_whole, summary } = at_load(LEAST, STEADY)?;
     ensure!(is_whole, "{summary}");
     Ok(summary)
 }
