@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Union
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
 import numpy.typing as npt
 
-from ._native import TakeFile
 from ._ranges import check_size, index_range
+
+if TYPE_CHECKING:
+    from ._native import AnalogFields, TakeFile
 
 Values = npt.NDArray[np.float64]
 ChannelKey = Union[str, int]
@@ -24,16 +26,14 @@ class Analog:
     A value is (sample - OFFSET) * SCALE * GEN_SCALE of the C3D file's ANALOG group.
     """
 
-    def __init__(self, file: TakeFile) -> None:
+    def __init__(self, file: TakeFile, found: AnalogFields) -> None:
         self._file = file
-        found = file.analog()
         self.rate_hz: float = found["rate_hz"]
         """Samples a second of each channel; 0 without channels."""
         self.samples_per_frame: int = found["samples_per_frame"]
         """Samples of each channel in a frame of the take; 0 without channels."""
         self.n_samples: int = found["n_samples"]
-        """Samples of each channel within the take."""
-        self._first_sample: int = found["first_sample"]
+        """Samples of each channel: those of all frames. NaN stands for samples that the file does not have."""
         self.channels: tuple[AnalogChannel, ...] = tuple(
             AnalogChannel(self, index, **channel) for index, channel in enumerate(found["channels"])
         )
@@ -48,18 +48,15 @@ class Analog:
         return tuple(channel.name for channel in self.channels)
 
     @property
-    def first_s(self) -> float:
-        """Time of the first sample, in seconds from the first frame; 0 unless the samples begin later."""
-        return self._first_sample / self.rate_hz if self.rate_hz else 0.0
-
-    @property
     def duration_s(self) -> float:
         """Duration of the samples, in seconds."""
         return self.n_samples / self.rate_hz if self.rate_hz else 0.0
 
     @property
     def time_s(self) -> Values:
-        """The times of all samples, in seconds from the first frame: those of frame f begin at f / frame rate."""
+        """The times of all samples, in seconds from the first frame: sample / rate. The first sample of a frame has
+        the frame's time.
+        """
         return self._times(0, self.n_samples)
 
     @cached_property
@@ -110,10 +107,10 @@ class Analog:
         return name in self.names
 
     def _range(self, start_s: float | None, stop_s: float | None) -> tuple[int, int]:
-        return index_range(start_s, stop_s, self.rate_hz, self.n_samples, self.first_s)
+        return index_range(start_s, stop_s, self.rate_hz, self.n_samples)
 
     def _times(self, first: int, stop: int) -> Values:
-        return np.arange(self._first_sample + first, self._first_sample + stop) / (self.rate_hz or 1.0)
+        return np.arange(first, stop) / (self.rate_hz or 1.0)
 
     def _read(self, first: int, stop: int, indices: list[int]) -> Values:
         check_size(stop - first, len(indices), f"samples of {len(indices)} channels")

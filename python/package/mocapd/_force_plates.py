@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from ._analog import AnalogChannel, Values
+from ._analog import Analog, AnalogChannel, Values
 from ._ranges import check_size
 
-if TYPE_CHECKING:
-    from ._take import Take
-
 # Force, moment, centre of pressure and free moment, three axes each.
-_COLUMNS = 12
+_LOAD_VALUES = 12
 
 
 @dataclass(frozen=True)
 class PlateLoads:
-    """The loads on a force plate, in the laboratory's axes: arrays with a row for each analog sample.
+    """The loads of a force plate, in the laboratory's axes: arrays with a row for each analog sample, NaN where the file
+    has no sample.
 
-    Of a plate whose loads cannot be computed, all are NaN; :attr:`ForcePlate.problem` says why.
+    They are reactions, what the plate does to the subject: standing on a plate gives a force that points up.
     """
 
     time_s: Values
@@ -33,9 +31,11 @@ class PlateLoads:
     moment_nm: Values
     """The moment about the centre of the plate's surface, in newton metres: [samples, 3]."""
     cop_mm: Values
-    """The centre of pressure on the plate's surface, in millimetres: [samples, 3]; NaN for an unloaded plate."""
+    """The centre of pressure on the plate's surface, in millimetres: [samples, 3]; NaN if the force normal to the plate
+    is below 20 N."""
     free_moment_nm: Values
-    """The moment about the centre of pressure, in newton metres: [samples, 3]; NaN where that is NaN."""
+    """The moment about the centre of pressure, which is normal to the plate, in newton metres: [samples, 3]; NaN without
+    a centre of pressure."""
 
 
 class ForcePlate:
@@ -43,37 +43,38 @@ class ForcePlate:
 
     def __init__(
         self,
-        take: Take,
-        number: int,
+        analog: Analog,
+        index: int,
+        path: str,
         *,
+        number: int,
         type: int,
         corners_mm: npt.NDArray[np.float64],
         origin_mm: npt.NDArray[np.float64],
         channels: list[int],
         calibration: npt.NDArray[np.float64] | None,
-        problem: str | None,
     ) -> None:
-        self._take = take
+        self._analog = analog
+        self._index = index
+        self._path = path
         self.number = number
         """Its number in the file, from 1."""
         self.type = type
-        """The type of its output as the C3D format defines it: 1 to 4, or another number."""
+        """The type of its output as the C3D format defines it, 1 to 4."""
         self.corners_mm = corners_mm
-        """Its corners in the laboratory: float64 [4, 3], in the plate's quadrants +x +y, -x +y, -x -y, +x -y. NaN if
-        the file does not state them."""
+        """Its corners in the laboratory, in millimetres: float64 [4, 3]. In the plate's own axes they are in the
+        quadrants +x +y, -x +y, -x -y, +x -y."""
         self.origin_mm = origin_mm
-        """ORIGIN of the C3D file, float64 [3]. Types 2 and 4: from the origin of the plate's axes to the centre of its
-        surface, in the plate's axes. Type 1: only z counts. Type 3: distances of the sensors from the centre in x
-        and y, and z."""
-        self.channels: tuple[AnalogChannel, ...] = tuple(take.analog.channels[index] for index in channels)
-        """Its analog channels, in the order that its type defines."""
+        """FORCE_PLATFORM:ORIGIN in the plate's own axes, in millimetres: float64 [3]. Of types 2 and 4 it leads from the
+        origin of the sensors to the centre of the surface; of type 3, x and y are half the distances of the sensors, and
+        z is the height of their origin above the surface."""
+        self.channels: tuple[AnalogChannel, ...] = tuple(analog.channels[channel] for channel in channels)
+        """Its analog channels, in the order that its type defines: six, or eight of type 3."""
         self.calibration = calibration
-        """The calibration matrix, float64 [6, 6]; None if the file has none."""
-        self.problem = problem
-        """Why its loads cannot be computed; None if they can."""
+        """Of type 4: the matrix that turns its channels into newtons and newton metres, float64 [6, 6]."""
 
     def __repr__(self) -> str:
-        return f"<mocapd.ForcePlate {self.number} of {self._take.path!r}: type {self.type}>"
+        return f"<mocapd.ForcePlate {self.number} of {self._path!r}: type {self.type}>"
 
     def read(self, start_s: float | None = None, stop_s: float | None = None) -> PlateLoads:
         """The loads from ``start_s`` to before ``stop_s``, in seconds from the first frame.
@@ -85,43 +86,48 @@ class ForcePlate:
         ValueError
             For a negative time or NaN, an end before the start, too many samples, or a take that is closed.
         """
-        analog = self._take.analog
-        first, stop = analog._range(start_s, stop_s)
-        check_size(stop - first, _COLUMNS, "samples of a force plate")
-        out = np.full((stop - first, _COLUMNS), np.nan)
-        if self.problem is None:
-            self._take._file.read_force_plate(out, first, self.number - 1)
-        else:
-            self._take._warn([f"force plate {self.number}: {self.problem}"])
-        force, moment, cop, free = (out[:, column : column + 3] for column in range(0, _COLUMNS, 3))
-        return PlateLoads(analog._times(first, stop), force, moment, cop, free)
+        return read_loads([self], start_s, stop_s)[0]
 
     @cached_property
     def loads(self) -> PlateLoads:
-        """All loads. Computed once and cached, 104 bytes per analog sample; :meth:`read` computes a part."""
+        """All loads. Computed once and cached, 104 bytes per sample; :meth:`read` computes a part."""
         return self.read()
 
     @property
     def force_n(self) -> Values:
-        """The force in newtons, in the laboratory's axes: [samples, 3]."""
+        """All forces, in newtons, in the laboratory's axes: [samples, 3]."""
         return self.loads.force_n
 
     @property
     def moment_nm(self) -> Values:
-        """The moment about the centre of the plate's surface, in newton metres: [samples, 3]."""
+        """All moments about the centre of the plate's surface, in newton metres: [samples, 3]."""
         return self.loads.moment_nm
 
     @property
     def cop_mm(self) -> Values:
-        """The centre of pressure, in millimetres: [samples, 3]; NaN for an unloaded plate."""
+        """All centres of pressure, in millimetres: [samples, 3]; NaN if the normal force is below 20 N."""
         return self.loads.cop_mm
 
     @property
     def free_moment_nm(self) -> Values:
-        """The moment about the centre of pressure, in newton metres: [samples, 3]."""
+        """All moments about the centre of pressure, in newton metres: [samples, 3]."""
         return self.loads.free_moment_nm
 
     @property
     def time_s(self) -> Values:
-        """The times of the analog samples, in seconds from the first frame."""
-        return self._take.analog.time_s
+        """The times of the samples, in seconds from the first frame."""
+        return self._analog.time_s
+
+
+def read_loads(plates: Sequence[ForcePlate], start_s: float | None, stop_s: float | None) -> list[PlateLoads]:
+    """The loads of several plates of one take, whose samples are decoded once."""
+    if not plates:
+        return []
+    analog = plates[0]._analog
+    first, stop = analog._range(start_s, stop_s)
+    width = _LOAD_VALUES * len(plates)
+    check_size(stop - first, width, f"samples of {len(plates)} force plates")
+    out = np.empty((stop - first, width))
+    analog._file.read_loads(out, first, [plate._index for plate in plates])
+    time_s = analog._times(first, stop)
+    return [PlateLoads(time_s, *np.split(loads, 4, axis=1)) for loads in np.split(out, len(plates), axis=1)]

@@ -12,10 +12,8 @@ class TakeError(Exception): ...
 class Parameter(TypedDict):
     group: str
     name: str
-    kind: int
     dimensions: list[int]
-    data: bytes
-    texts: list[str] | None
+    values: list[str] | npt.NDArray[Any]
 
 @type_check_only
 class AnalogChannelFields(TypedDict):
@@ -30,17 +28,17 @@ class AnalogFields(TypedDict):
     rate_hz: float
     samples_per_frame: int
     n_samples: int
-    first_sample: int
     channels: list[AnalogChannelFields]
+    warnings: list[str]
 
 @type_check_only
 class ForcePlateFields(TypedDict):
+    number: int
     type: int
     corners_mm: npt.NDArray[np.float64]
     origin_mm: npt.NDArray[np.float64]
     channels: list[int]
     calibration: npt.NDArray[np.float64] | None
-    problem: str | None
 
 @final
 class TakeFile:
@@ -81,8 +79,8 @@ class TakeFile:
     def parameters(self) -> list[Parameter]: ...
     def analog(self) -> AnalogFields: ...
     def read_analog(self, out: npt.NDArray[np.float64], first: int, channels: list[int]) -> None: ...
-    def force_plates(self) -> list[ForcePlateFields]: ...
-    def read_force_plate(self, out: npt.NDArray[np.float64], first: int, plate: int) -> None: ...
+    def force_plates(self) -> tuple[list[ForcePlateFields], list[str]]: ...
+    def read_loads(self, out: npt.NDArray[np.float64], first: int, plates: list[int]) -> None: ...
 
 @type_check_only
 class EncodeOptions(TypedDict):

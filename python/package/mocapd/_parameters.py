@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Union
 
-import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
@@ -12,9 +11,6 @@ if TYPE_CHECKING:
 
 ParameterValue = Union[str, list[str], int, float, npt.NDArray[Any]]
 Metadata = dict[str, dict[str, ParameterValue]]
-
-# By the type code of a parameter (docs/foreign.md): bytes, 16-bit integers, floats.
-_TYPES = {1: "u1", 2: "<i2", 4: "<f4"}
 
 
 def metadata(parameters: list[Parameter]) -> Metadata:
@@ -27,13 +23,11 @@ def metadata(parameters: list[Parameter]) -> Metadata:
 
 
 def _value(parameter: Parameter) -> ParameterValue:
-    dimensions = parameter["dimensions"]
-    texts = parameter["texts"]
-    if texts is not None:
+    dimensions, values = parameter["dimensions"], parameter["values"]
+    if isinstance(values, list):
         # The first dimension is the length of a text.
-        return texts if len(dimensions) > 1 else "".join(texts)
-    values = np.frombuffer(parameter["data"], dtype=_TYPES[parameter["kind"]])
-    if not dimensions:
-        return values[0].item() if values.size else values.copy()
-    # The first dimension is the fastest.
-    return values.reshape(dimensions, order="F").copy()
+        return values if len(dimensions) > 1 else "".join(values)
+    if not dimensions and values.size == 1:
+        value: int | float = values[0].item()
+        return value
+    return values.reshape(dimensions, order="F")

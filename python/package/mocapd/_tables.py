@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ._force_plates import read_loads
+from ._native import TakeError
 from ._ranges import unique_names
 
 if TYPE_CHECKING:
@@ -123,9 +125,9 @@ def _force_plates(
     columns = pandas.MultiIndex.from_product(
         [[plate.number for plate in plates], quantities, "xyz"], names=["plate", "quantity", "axis"]
     )
-    time_s = take.analog.times(start_s, stop_s) if plates else np.empty(0)
-    loads = [plate.read(start_s, stop_s) for plate in plates]
+    loads = read_loads(plates, start_s, stop_s)
     values = [getattr(load, quantity) for load in loads for quantity in quantities]
+    time_s = loads[0].time_s if loads else np.empty(0)
     frame = pandas.DataFrame(
         np.concatenate(values, axis=1) if values else np.empty((0, 0)),
         index=pandas.Index(time_s, name="time_s"),
@@ -147,16 +149,17 @@ def _events(pandas: ModuleType, take: Take) -> pandas.DataFrame:
 
 def _subject(pandas: ModuleType, take: Take) -> pandas.DataFrame:
     skeleton = (take.subject.skeleton if take.subject else None) or {}
-    fields = {"parent": str, "child": str, "length_mm": float, "uncertainty_mm": float, "spread_mm": float, "scans": "Int64"}
-    bones = skeleton.get("bones", [])
-    columns = {name: [bone.get(name) for bone in bones] for name in fields}
-    names = pandas.Index([bone.get("name") for bone in bones], name="bone", dtype=str)
-    frame = pandas.DataFrame(columns, index=names).astype(fields)
-    frame.attrs = {
-        "units": "mm",
-        "name": take.subject.name if take.subject else None,
-        "stature_mm": skeleton.get("stature_mm"),
-    }
+    bones = skeleton.get("bones") or []
+    texts, numbers = ("parent", "child"), ("length_mm", "uncertainty_mm", "spread_mm")
+    try:
+        names = pandas.Index([bone["name"] for bone in bones], name="bone", dtype=str)
+        columns = {field: [bone.get(field) for bone in bones] for field in (*texts, *numbers, "scans")}
+        types = dict.fromkeys(texts, str) | dict.fromkeys(numbers, float) | {"scans": "Int64"}
+        frame = pandas.DataFrame(columns, index=names).astype(types)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise TakeError(f"{take.path}: the bones of the subject's skeleton are invalid: {error!r}") from error
+    name = take.subject.name if take.subject else None
+    frame.attrs = {"units": "mm", "name": name, "stature_mm": skeleton.get("stature_mm")}
     return frame
 
 

@@ -32,7 +32,7 @@ _TIMES_AS_SAMPLES = 4
 
 
 class TakeWarning(UserWarning):
-    """Part of a take is missing or damaged; the message says which."""
+    """Part of a take is missing or damaged, or can be read in several ways; the message says which."""
 
 
 def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
@@ -78,7 +78,7 @@ class Take:
         self.finished: bool = self._file.finished
         """Whether the take is complete; otherwise it was cut off."""
         self.problems: list[str] = []
-        """What is missing or damaged in the part read so far."""
+        """What is missing or damaged in the part read so far, and what the imported file leaves open."""
         self._warn(self._file.problems)
         if self._file.cut_off is not None:
             self._warn_cut_off(self._file.cut_off)
@@ -193,23 +193,31 @@ class Take:
     def analog(self) -> Analog:
         """The analog channels of an imported C3D file, in physical units. Without any, it has the length 0.
 
+        What the file leaves open, such as a missing scale, is a :class:`TakeWarning`.
+
         Raises
         ------
         TakeError
             If this part of the take is damaged.
         """
-        return Analog(self._file)
+        fields = self._file.analog()
+        self._warn(fields["warnings"])
+        return Analog(self._file, fields)
 
     @cached_property
     def force_plates(self) -> tuple[ForcePlate, ...]:
         """The force plates of an imported C3D file, in their order in the file. Empty if there are none.
 
+        A plate that cannot be used, for example one of an unknown type, is left out with a :class:`TakeWarning`.
+
         Raises
         ------
         TakeError
             If this part of the take is damaged.
         """
-        return tuple(ForcePlate(self, number, **plate) for number, plate in enumerate(self._file.force_plates(), 1))
+        plates, problems = self._file.force_plates()
+        self._warn(problems)
+        return tuple(ForcePlate(self.analog, index, self.path, **plate) for index, plate in enumerate(plates))
 
     # -- positions -----------------------------------------------------------------------------------------
 
