@@ -1,6 +1,8 @@
 //! FOREIGN: parts of an imported file that a take does not model, kept for export to the same format.
 
+pub mod analog;
 pub mod content;
+pub mod force_plates;
 
 use std::{
     io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},

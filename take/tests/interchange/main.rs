@@ -5,6 +5,7 @@
 mod c3d;
 mod c3d_file;
 mod events;
+mod forces;
 mod given_back;
 mod hostile;
 mod round_trip;

@@ -23,7 +23,7 @@ fn unordered(value: u32) -> u32 {
 }
 
 /// The value of a sample of `width` bytes: a float mapped by [`ordered`] (4 bytes), or an integer (2 bytes).
-pub(super) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
+pub(crate) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
     match width {
         4 => f32::from_bits(unordered(sample)),
         _ if is_unsigned => sample as f32,

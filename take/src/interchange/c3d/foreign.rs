@@ -30,8 +30,8 @@ const BLOCK_BYTES: usize = 1 << 20;
 /// Most bytes of the parameters. A C3D file has at most 255 blocks of 512 bytes; a rotation adds little.
 const PARAMETERS_BYTES_MAX: u64 = 1 << 20;
 
-const PARAMETERS: &str = "c3d/parameters";
-const ANALOG: &str = "c3d/analog";
+pub(crate) const PARAMETERS: &str = "c3d/parameters";
+pub(crate) const ANALOG: &str = "c3d/analog";
 const RESIDUALS: &str = "c3d/residuals";
 pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
 
@@ -172,15 +172,15 @@ fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
 
 /// The header of a block of columns.
 #[derive(Debug)]
-pub(super) struct SampleHeader {
+pub(crate) struct SampleHeader {
     /// Bytes of a sample: 2 or 4.
-    pub(super) width: usize,
+    pub(crate) width: usize,
     /// Number of channels, markers or points.
-    pub(super) n_signals: usize,
+    pub(crate) n_signals: usize,
     /// Samples of a signal in a frame.
-    pub(super) ratio: usize,
+    pub(crate) ratio: usize,
     first_frame: u64,
-    n_frames: usize,
+    pub(crate) n_frames: usize,
 }
 
 impl SampleHeader {
@@ -209,8 +209,8 @@ impl SampleHeader {
 
 /// The columns of samples in a foreign part, read frame by frame.
 #[derive(Debug)]
-pub(super) struct PartSamples<'a> {
-    pub(super) header: SampleHeader,
+pub(crate) struct PartSamples<'a> {
+    pub(crate) header: SampleHeader,
     /// Indices of the points; empty except for model outputs.
     pub(super) points: Vec<usize>,
     columns: ColumnReader<'a>,
@@ -244,7 +244,7 @@ impl<'a> PartSamples<'a> {
     }
 
     /// The analog samples from a frame on.
-    pub(super) fn analog(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
+    pub(crate) fn analog(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, ANALOG, 1, false, first_frame)?;
         Ok(kept.filter(|kept| kept.header.ratio > 0))
     }
@@ -262,7 +262,7 @@ impl<'a> PartSamples<'a> {
     }
 
     /// Advances to the next frame. Returns whether the part may have samples of it.
-    pub(super) fn begin_frame(&mut self) -> bool {
+    pub(crate) fn begin_frame(&mut self) -> bool {
         if self.frames_ahead > 0 {
             self.frames_ahead -= 1;
             return false;
@@ -276,13 +276,13 @@ impl<'a> PartSamples<'a> {
     }
 
     /// The next sample of every column, in the integers of the column encoding.
-    pub(super) fn next(&mut self) -> io::Result<Option<&[u32]>> {
+    pub(crate) fn next(&mut self) -> io::Result<Option<&[u32]>> {
         self.columns.next()
     }
 }
 
 /// The kept header fields and parameters.
-pub(super) fn kept_parameters(foreign: &[Foreign]) -> io::Result<Option<(C3dHeader, Parameters)>> {
+pub(crate) fn kept_parameters(foreign: &[Foreign]) -> io::Result<Option<(C3dHeader, Parameters)>> {
     let part = foreign.iter().find(|part| part.kind == PARAMETERS);
     let data = part.map(|part| part.data.to_vec(PARAMETERS_BYTES_MAX)).transpose()?.flatten();
     Ok(data.and_then(|data| parse_parameters(&data)))

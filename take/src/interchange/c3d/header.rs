@@ -9,7 +9,7 @@ pub(super) const MAX_EVENTS: usize = 18;
 
 /// An event of the header.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct HeaderEvent {
+pub(crate) struct HeaderEvent {
     /// Seconds from the start of the trial.
     pub(super) time_s: f32,
     /// The display flag as stored.
@@ -20,7 +20,7 @@ pub(super) struct HeaderEvent {
 
 /// The header.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct C3dHeader {
+pub(crate) struct C3dHeader {
     /// First block of the parameter section, counted from 1.
     pub(super) parameter_block: u8,
     /// Points in a frame.

@@ -4,8 +4,10 @@
 //! holds, more frames than 16 bits count, and files with a partly damaged parameter section. The writer produces Intel
 //! files with float samples in millimetres.
 
+mod analog;
 mod columns;
 mod events;
+mod force_platform;
 mod foreign;
 mod frames;
 mod gap_coordinates;
@@ -18,8 +20,13 @@ mod write;
 
 use super::InterchangeError;
 
+pub(crate) use analog::{channels as analog_channels, is_unsigned as is_analog_unsigned};
+pub(crate) use columns::value as sample_value;
 pub(super) use events::EVENTS_MAX;
+pub(crate) use force_platform::plates as force_plates;
+pub(crate) use foreign::{ANALOG, PARAMETERS, PartSamples, kept_parameters};
 pub(super) use foreign::{MODEL_OUTPUTS, rotate};
+pub(crate) use parameters::Parameters;
 pub(super) use read::read;
 pub(super) use write::write;
 

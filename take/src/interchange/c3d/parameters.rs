@@ -44,7 +44,7 @@ pub(super) struct Parameter {
 
 /// The parameter section.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(super) struct Parameters {
+pub(crate) struct Parameters {
     /// Groups in file order.
     pub(super) groups: Vec<ParameterGroup>,
     /// Parameters of all groups in file order.
@@ -147,6 +147,12 @@ impl Parameters {
             texts.extend(parameter.texts());
         }
         texts
+    }
+
+    /// A parameter and its continuations: NAME, NAME2, NAME3...
+    pub(super) fn list(&self, group: &str, name: &str) -> Vec<&Parameter> {
+        let more = (2..=u8::MAX).map(|number| self.get(group, &format!("{name}{number}")));
+        std::iter::once(self.get(group, name)).chain(more).map_while(|found| found).collect()
     }
 
     /// Parses the records of a section up to the first invalid one. `section` begins at the first record.

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use super::{
+    analog::{self, ANALOG, is_unsigned},
     columns, events,
     foreign::{PartSamples, kept_parameters},
     frames::is_missing,
@@ -15,8 +16,6 @@ use crate::{
     motion::{FrameSource, GAP, Marker, MotionInfo, Position, UpAxis, is_gap},
 };
 
-/// Name of the group of analog channels.
-const ANALOG: &str = "ANALOG";
 /// The parameter section's processor code for Intel.
 const INTEL: u8 = 84;
 
@@ -200,11 +199,6 @@ fn set_no_analog(parameters: &mut Parameters) {
     }
 }
 
-/// Whether analog samples are unsigned integers.
-fn is_unsigned(parameters: &Parameters) -> bool {
-    parameters.text(ANALOG, "FORMAT").is_some_and(|text| text.eq_ignore_ascii_case("UNSIGNED"))
-}
-
 /// Completes the ANALOG group for `n_channels` channels with `ratio` samples in a frame each. Returns the offsets that
 /// must be subtracted from the samples of each channel because a 16-bit integer cannot hold them; empty if there are
 /// none.
@@ -221,19 +215,19 @@ fn complete_analog(
         parameters.set_float(ANALOG, "GEN_SCALE", value as f32);
     }
     if !has_floats(parameters.get(ANALOG, "SCALE"), n_channels.min(255)) {
-        let known = parameters.get(ANALOG, "SCALE").or(parameters.get(ANALOG, "SCALES"));
-        let known = known.map(Parameter::numbers).unwrap_or_default();
+        let known = analog::scales(parameters);
         let scales: Vec<f32> =
             (0..n_channels).map(|i| known.get(i).map_or(1.0, |&scale| scale as f32)).collect();
         parameters.set_float_list(ANALOG, "SCALE", &scales);
     }
-    for (name, prefix) in [("LABELS", Some("A")), ("UNITS", None), ("DESCRIPTIONS", None)] {
+    for name in ["LABELS", "UNITS", "DESCRIPTIONS"] {
         let mut texts = parameters.texts(ANALOG, name);
         if texts.len() >= n_channels {
             continue;
         }
         for index in texts.len()..n_channels {
-            texts.push(prefix.map_or_else(String::new, |prefix| format!("{prefix}{}", index + 1)));
+            let is_label = name == "LABELS";
+            texts.push(if is_label { analog::unlabelled_name(index) } else { String::new() });
         }
         // Fails, and leaves the list as it is, only for a text of Latin-1 that exceeds 255 bytes as UTF-8.
         parameters.set_texts(ANALOG, name, &texts).unwrap_or_default();
@@ -267,13 +261,7 @@ fn set_rate(parameters: &mut Parameters, ratio: usize, rate_hz: f64) {
 fn set_offsets(parameters: &mut Parameters, n_channels: usize) -> Vec<f64> {
     let is_unsigned = is_unsigned(parameters);
     let offset = parameters.get(ANALOG, "OFFSET");
-    let kept = offset.or(parameters.get(ANALOG, "OFFSETS"));
-    let as_signed = |word: u16| if is_unsigned { f64::from(word) } else { f64::from(word as i16) };
-    let known: Vec<f64> = match kept {
-        Some(p) if p.kind == 2 => p.integers().into_iter().map(as_signed).collect(),
-        Some(p) => p.numbers(),
-        None => Vec::new(),
-    };
+    let known = analog::offsets(parameters);
     if offset.is_some_and(|p| p.kind == 2 && p.integers().len() >= n_channels.min(255)) {
         return Vec::new();
     }
