@@ -106,7 +106,10 @@ pub(crate) fn read_analog(
 ) -> Result<()> {
     let ratio = analog(kept)?.map_or(0, |analog| analog.samples_per_frame());
     let (part, rows_before) = part(kept, samples, ratio);
-    let Some(mut analog) = analog(&part)? else { return Ok(out.fill(f64::NAN)) };
+    let Some(mut analog) = analog(&part)? else {
+        out.fill(f64::NAN);
+        return Ok(());
+    };
     let n_channels = analog.channels().len();
     let mut out = RowFiller::new(out, channels.len(), rows_before);
     let mut block = Vec::new();
@@ -135,7 +138,10 @@ pub(crate) fn read_loads(
     let ratio = analog(kept)?.map_or(0, |analog| analog.samples_per_frame());
     let (part, rows_before) = part(kept, samples, ratio);
     let loads = PlateLoads::open(&part, Baseline::AsStored).map_err(as_damage)?;
-    let Some(mut loads) = loads else { return Ok(out.fill(f64::NAN)) };
+    let Some(mut loads) = loads else {
+        out.fill(f64::NAN);
+        return Ok(());
+    };
     let n_plates = loads.plates().plates.len();
     let mut out = RowFiller::new(out, plates.len() * LOAD_VALUES, rows_before);
     let mut block = Vec::new();

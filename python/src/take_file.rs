@@ -7,9 +7,7 @@ use std::{
 };
 
 use mocapd_take::{TakeMap, damage::Problem, motion::MotionInfo, timeline::LossCauses};
-use numpy::{
-    IntoPyArray, PyArray1, PyReadwriteArray2, PyReadwriteArray3, PyUntypedArrayMethods,
-};
+use numpy::{IntoPyArray, PyArray1, PyReadwriteArray2, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
     types::{PyBytes, PyDict, PyList},
@@ -51,6 +49,9 @@ type TimesOut<'py> =
 
 /// For each column: samples, gaps, knots, the largest stated error in millimetres, and the rows of the knots.
 type ScanOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
+
+/// The name of a subject, and the documents by their kinds.
+type SubjectOut<'py> = (String, Vec<(String, Bound<'py, PyBytes>)>);
 
 #[pymethods]
 impl TakeFile {
@@ -197,11 +198,11 @@ impl TakeFile {
         open.map(drop).map_err(|closed| closed.into_py_err(py, self.path.as_deref()))
     }
 
-    /// The subject: its name, and its documents by kind.
-    fn subject<'py>(&self, py: Python<'py>) -> Option<(String, Vec<(String, Bound<'py, PyBytes>)>)> {
+    /// The subject, if the take states it.
+    fn subject<'py>(&self, py: Python<'py>) -> Option<SubjectOut<'py>> {
         let subject = self.map.subject.as_ref()?;
         let documents = subject.documents.iter();
-        let documents = documents.map(|document| (document.kind.clone(), PyBytes::new(py, &document.data)));
+        let documents = documents.map(|found| (found.kind.clone(), PyBytes::new(py, &found.data)));
         Some((subject.name.clone(), documents.collect()))
     }
 
@@ -251,7 +252,9 @@ impl TakeFile {
     ) -> PyResult<()> {
         let samples = first..first.saturating_add(out.shape()[0] as u64);
         if out.shape()[1] != plates.len() * LOAD_VALUES {
-            return Err(Failure::Value("the array must be [samples, 12 for each plate]".into()).into());
+            return Err(
+                Failure::Value("the array must be [samples, 12 for each plate]".into()).into()
+            );
         }
         let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
         let kept = self.kept(py, KeptParts::All)?;
@@ -286,7 +289,7 @@ impl TakeFile {
     fn kept(&self, py: Python<'_>, parts: KeptParts) -> PyResult<Arc<MotionInfo>> {
         let open = self.state();
         let open = open.map_err(|closed| closed.into_py_err(py, self.path.as_deref()))?;
-        if let Some((found, kept)) = open.kept.filter(|(found, _)| *found >= parts) {
+        if let Some((_, kept)) = open.kept.filter(|(found, _)| *found >= parts) {
             return Ok(kept);
         }
         let kept = Arc::new(self.run(py, |source| foreign::read_kept(source, parts))?);

@@ -3,6 +3,7 @@
 pub mod analog;
 pub mod content;
 pub mod force_plates;
+pub mod parameters;
 
 use std::{
     io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},
