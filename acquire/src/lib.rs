@@ -6,6 +6,7 @@
 
 pub mod clock;
 pub mod files;
+pub mod gaps;
 pub mod header;
 pub mod health;
 pub mod heartbeat;

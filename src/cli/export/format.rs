@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use mocapd::outcome::UsageError;
-use mocapd_take::interchange::{Format, bids};
+use mocapd_take::{
+    foreign::force_plates::Baseline,
+    interchange::{Format, bids},
+};
 
 use crate::cli::paths;
 
@@ -22,6 +25,10 @@ pub(super) struct FormatArgs {
     /// For parquet: one row per frame, with three columns per marker, instead of one row per sample
     #[arg(long)]
     wide: bool,
+    /// For mot: subtract from each channel of a force plate its mean over the frames that the C3D file states as
+    /// unloaded (FORCE_PLATFORM:ZERO)
+    #[arg(long)]
+    subtract_baseline: bool,
     /// For bids: label of the subject, letters and digits [default: 01]
     #[arg(long, value_name = "LABEL")]
     subject: Option<String>,
@@ -40,6 +47,7 @@ enum FormatName {
     Npz,
     Xdf,
     Bids,
+    Mot,
     Parquet,
     Mcap,
 }
@@ -66,12 +74,16 @@ impl FormatArgs {
             Some(FormatName::Npz) => Format::Npz,
             Some(FormatName::Xdf) => Format::Xdf,
             Some(FormatName::Bids) => Format::Bids,
+            Some(FormatName::Mot) => Format::Mot,
             Some(FormatName::Parquet) => Format::Parquet,
             Some(FormatName::Mcap) => Format::Mcap,
         };
         let usage = |message: &str| Err(UsageError(message.to_owned()).into());
         if format != Format::Bids && (self.subject.is_some() || self.task.is_some()) {
             return usage("--subject and --task are for --format bids: omit them");
+        }
+        if self.subtract_baseline && format != Format::Mot {
+            return usage("--subtract-baseline is for .mot: omit it");
         }
         if self.for_spreadsheet && format != Format::Csv {
             return usage("--for-spreadsheet is for csv: omit it");
@@ -85,6 +97,11 @@ impl FormatArgs {
             (_, CsvLayout::Long) => usage("--layout long is for csv: omit it"),
             (format, CsvLayout::Wide) => Ok(format),
         }
+    }
+
+    /// What is subtracted from the channels of force plates.
+    pub(super) fn baseline(&self) -> Baseline {
+        if self.subtract_baseline { Baseline::Subtracted } else { Baseline::AsStored }
     }
 
     /// The labels in the file names of a BIDS dataset.

@@ -21,7 +21,8 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_take::{
     TakeFrames, TakeMap,
-    interchange::{Direction, Format, RotatedFrames, bids, npz},
+    foreign::force_plates::Baseline,
+    interchange::{Direction, Format, InterchangeError, RotatedFrames, bids, mot, npz},
     motion::{FrameSource, UpAxis},
     record::Ledger,
 };
@@ -36,13 +37,13 @@ const BUFFER_BYTES: usize = 1 << 20;
 pub(crate) struct Args {
     /// The take
     take: PathBuf,
-    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf or, if built in, .parquet or .mcap; with
-    /// `--format bids` the folder to create. It must not exist
+    /// The file to write: .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf, .mot (force plates) or, if built in, .parquet or
+    /// .mcap. It must not exist. With `--format bids` the folder to create, or a data set to add to
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     format: FormatArgs,
-    /// Rotate the take by 90 degrees so that this axis points up: x, y or z
+    /// Rotate the take by 90 degrees so that this axis points up: x, y or z [default: for mot y, else as in the take]
     #[arg(long, value_name = "AXIS", value_parser = axis)]
     up: Option<UpAxis>,
     /// Export frames from this time on: 10s, 500ms, 2min
@@ -71,16 +72,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             "{name} states no up axis, so --up cannot rotate it: import its file again with --up"
         )));
     }
+    let of_take = frames.info().up;
+    let is_turned = format == Format::Mot && of_take != UpAxis::Unknown;
+    let up = args.up.or(is_turned.then_some(UpAxis::Y));
     let mut parallel =
         ParallelFrames::start(&args.take, &frames, range.start, threads::default_workers())?;
-    let (mut left_out, mut not_rotated) = (Vec::new(), Vec::new());
+    let (mut left_out, mut not_rotated, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
     let mut export = |source: &mut dyn FrameSource| {
         let counter = Arc::new(AtomicU64::new(0));
         let mut cropped = CroppedFrames::new(source, &range, Arc::clone(&counter));
-        left_out = format.leaves_out(cropped.info(), args.up.is_some());
+        left_out = format.leaves_out(cropped.info(), up.is_some());
         let _progress = Progress::follow("exporting", &counter, cropped.info().n_frames);
         let mut turned;
-        let frames: &mut dyn FrameSource = match args.up {
+        let frames: &mut dyn FrameSource = match up {
             None => &mut cropped,
             Some(up) => {
                 turned =
@@ -93,6 +97,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             write_folder(frames, &args.format.names(&args.take)?, &args.output)
         } else if args.format.for_spreadsheet {
             write(&mut EscapedLabels::new(frames), format, &args.output)
+        } else if format == Format::Mot {
+            remarks = write_loads(frames, args.format.baseline(), &args.output)?;
+            Ok(())
         } else {
             write(frames, format, &args.output)
         }
@@ -114,6 +121,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let output = args.output.display();
         notify(&format!("{output}: not supported by the format: {}", left_out.join(", ")));
     }
+    remarks.extend(remark_on_axes(format, of_take, args.up));
+    for remark in remarks {
+        notify(&format!("{}: {remark}", args.output.display()));
+    }
     not_rotated.retain(|_| format == Format::C3d);
     if !not_rotated.is_empty() {
         notify(&format!("{}: not rotated: {}", args.output.display(), not_rotated.join(", ")));
@@ -123,6 +134,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         notify(&format!("{name}: {problem}"));
     }
     Ok(Outcome::of(!frames.problems().is_empty()))
+}
+
+/// A remark on the axes of an export whose format demands an axis that the user did not give.
+fn remark_on_axes(format: Format, of_take: UpAxis, given: Option<UpAxis>) -> Option<String> {
+    match of_take.name() {
+        _ if format != Format::Mot || given.is_some() || of_take == UpAxis::Y => None,
+        Some(axis) => Some(format!(
+            "rotated from {axis} up to y up, as OpenSim expects: export the markers with --up y"
+        )),
+        None => Some(
+            "the take states no up axis, so its axes were kept; OpenSim expects y up".to_owned(),
+        ),
+    }
 }
 
 /// Reports how many frames the take lost while it was recorded.
@@ -154,17 +178,33 @@ pub(super) fn write(
     format: Format,
     path: &Path,
 ) -> anyhow::Result<()> {
+    write_whole(path, |out| match format {
+        Format::Npz => npz::write(frames, out),
+        _ => format.write(frames, out),
+    })
+}
+
+/// Writes the loads of force plates like [`write`]. Returns remarks on them.
+fn write_loads(
+    frames: &mut dyn FrameSource,
+    baseline: Baseline,
+    path: &Path,
+) -> anyhow::Result<Vec<String>> {
+    write_whole(path, |out| mot::write(frames, out, baseline))
+}
+
+fn write_whole<T>(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&mut NewFile>) -> Result<T, InterchangeError>,
+) -> anyhow::Result<T> {
     let mut output = NewFile::create(path)?;
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, &mut output);
     let writing = || format!("cannot write {}", path.display());
-    let written = match format {
-        Format::Npz => npz::write(frames, &mut out),
-        _ => format.write(frames, &mut out),
-    };
-    written.with_context(writing)?;
+    let written = write(&mut out).with_context(writing)?;
     out.flush().with_context(writing)?;
     drop(out);
-    output.keep()
+    output.keep()?;
+    Ok(written)
 }
 
 /// Writes a folder atomically: under its name there is the whole folder or none.

@@ -54,7 +54,6 @@ pub struct AnalogSamples<'a> {
     stored: PartSamples<'a>,
     is_unsigned: bool,
     rate_hz: f64,
-    n_frames: u64,
     frames_left: u64,
     warnings: Vec<String>,
 }
@@ -68,15 +67,29 @@ impl<'a> AnalogSamples<'a> {
     /// scratch file cannot be read.
     pub fn open(info: &'a MotionInfo) -> Result<Option<Self>, TakeError> {
         let parameters = parameters(info)?;
-        Self::over(info, parameters.as_ref(), info.source.first_frame, info.n_frames)
+        let samples = Self::from_frame(info, parameters.as_ref(), info.source.first_frame)?;
+        Ok(samples.map(|samples| Self { frames_left: info.n_frames, ..samples }))
     }
 
-    /// Starts at the frame with number `first_frame`.
-    pub(super) fn over(
+    /// The samples that are kept of the frames with numbers `first` to `last`.
+    pub(super) fn kept(
+        info: &'a MotionInfo,
+        parameters: Option<&Parameters>,
+        first: u64,
+        last: u64,
+    ) -> Result<Option<Self>, TakeError> {
+        let Some(samples) = Self::from_frame(info, parameters, first)? else { return Ok(None) };
+        let header = &samples.stored.header;
+        let end = header.first_frame.saturating_add(header.n_frames as u64);
+        let frames_left = last.saturating_add(1).min(end).saturating_sub(first);
+        Ok(Some(Self { frames_left, ..samples }))
+    }
+
+    /// Starts at the frame with number `first_frame`, without frames to read.
+    fn from_frame(
         info: &'a MotionInfo,
         parameters: Option<&Parameters>,
         first_frame: u64,
-        n_frames: u64,
     ) -> Result<Option<Self>, TakeError> {
         let Some(part) = info.foreign.iter().find(|part| part.kind == c3d::ANALOG) else {
             return Ok(None);
@@ -97,8 +110,7 @@ impl<'a> AnalogSamples<'a> {
             channels: c3d::analog_channels(parameters, stored.header.n_signals, &mut warnings),
             is_unsigned: c3d::is_analog_unsigned(parameters),
             rate_hz: info.rate_hz * stored.header.ratio as f64,
-            n_frames,
-            frames_left: n_frames,
+            frames_left: 0,
             stored,
             warnings,
         }))
@@ -120,12 +132,6 @@ impl<'a> AnalogSamples<'a> {
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
-    }
-
-    /// Number of frames from the first on.
-    #[must_use]
-    pub fn n_frames(&self) -> u64 {
-        self.n_frames
     }
 
     /// What the parameters leave open, and how it was read, one sentence each.
@@ -162,7 +168,7 @@ impl<'a> AnalogSamples<'a> {
                     block.extend(stored.iter().zip(&self.channels).map(|(&sample, channel)| {
                         let stored = c3d::sample_value(width, sample, self.is_unsigned);
                         channel.value(f64::from(stored))
-                    }))
+                    }));
                 }
                 None => block.extend(std::iter::repeat_n(f64::NAN, self.channels.len())),
             }

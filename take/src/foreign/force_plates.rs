@@ -357,8 +357,7 @@ fn means(info: &MotionInfo, frames: Option<(u64, u64)>) -> Result<Vec<f64>, Take
         ));
     };
     let parameters = analog::parameters(info)?;
-    let n_frames = last - first + 1;
-    let samples = AnalogSamples::over(info, parameters.as_ref(), first, n_frames)?;
+    let samples = AnalogSamples::kept(info, parameters.as_ref(), first, last)?;
     let n_channels = samples.as_ref().map_or(0, |samples| samples.channels().len());
     let mut sums = vec![(0.0, 0_u64); n_channels];
     let mut block = Vec::new();

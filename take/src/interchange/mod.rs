@@ -1,5 +1,6 @@
 //! Import and export of the field's file formats: C3D, TRC, QTM TSV and CSV in both directions; `NumPy` archives, XDF
-//! and BIDS for export, and with the feature `full` also Parquet and MCAP.
+//! and BIDS for export, and with the feature `full` also Parquet and MCAP; `OpenSim`'s `.mot` for the export of force
+//! plates.
 //!
 //! An importer turns the bytes of a whole file into a [`Motion`] in millimetres: it multiplies each coordinate as
 //! stored or printed by one factor in f64 and rounds once to f32. It reads a faulty file where that is possible and
@@ -11,6 +12,7 @@ use std::io::{self, Write};
 
 use crate::{
     ambiguity::Notes,
+    foreign::{self, force_plates::Baseline},
     motion::{FrameSource, GAP, Motion, MotionInfo, Position, UpAxis, is_gap},
 };
 
@@ -21,6 +23,7 @@ mod csv;
 mod mcap;
 #[cfg(feature = "full")]
 mod metadata;
+pub mod mot;
 pub mod npz;
 mod origin;
 #[cfg(feature = "full")]
@@ -69,6 +72,8 @@ pub enum Format {
     Xdf,
     /// A folder in the Brain Imaging Data Structure; export only, by [`bids::write`].
     Bids,
+    /// `OpenSim`'s motion file, with the loads of force plates; export only, with remarks by [`mot::write`].
+    Mot,
 }
 
 /// What files of a format can hold besides trajectories.
@@ -129,6 +134,7 @@ impl Format {
             "mcap" => Self::Mcap,
             "npz" => Self::Npz,
             "xdf" => Self::Xdf,
+            "mot" => Self::Mot,
             _ => return None,
         })
     }
@@ -171,7 +177,13 @@ impl Format {
             Self::Trc => trc::read(bytes, options),
             Self::Tsv => tsv::read(bytes, options),
             Self::Csv | Self::CsvLong => csv::read(bytes, options),
-            Self::Npz | Self::Xdf | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
+            Self::Npz
+            | Self::Xdf
+            | Self::Bids
+            | Self::Mot
+            | Self::Parquet
+            | Self::ParquetWide
+            | Self::Mcap => {
                 unsupported("this format is export only: import c3d, trc, tsv or csv")
             }
         }
@@ -183,7 +195,7 @@ impl Format {
             Self::C3d => (Some("c3d/"), true, c3d::EVENTS_MAX),
             Self::Trc => (Some("trc/"), false, 0),
             Self::Tsv => (Some("tsv/"), false, usize::MAX),
-            Self::Csv | Self::CsvLong => (None, false, 0),
+            Self::Csv | Self::CsvLong | Self::Mot => (None, false, 0),
             Self::Xdf => (None, false, usize::MAX),
             Self::Parquet | Self::ParquetWide | Self::Mcap | Self::Npz | Self::Bids => {
                 (None, true, usize::MAX)
@@ -192,9 +204,13 @@ impl Format {
         Capabilities { foreign, up_axis, events_max }
     }
 
-    /// Whether an export to this format restores foreign parts of a kind: those that an import of it kept.
+    /// Whether an export to this format needs foreign parts of a kind: those that an import of it kept, or the analog
+    /// samples of force plates.
     #[must_use]
     pub fn restores(self, kind: &str) -> bool {
+        if self == Self::Mot {
+            return foreign::analog::is_needed(kind);
+        }
         self.capabilities().foreign.is_some_and(|format| kind.starts_with(format))
     }
 
@@ -208,6 +224,9 @@ impl Format {
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
         if let (false, Some(axis)) = (self.capabilities().up_axis || up_is_chosen, info.up.name()) {
             left_out.push(format!("the up axis ({axis})"));
+        }
+        if self == Self::Mot {
+            left_out.extend(mot::left_out(info));
         }
         let events = info.events.len().saturating_sub(self.capabilities().events_max);
         left_out.extend((events > 0).then(|| counted(events as u64, "event")));
@@ -237,6 +256,7 @@ impl Format {
             #[cfg(not(feature = "full"))]
             Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
             Self::Xdf => xdf::write(frames, out),
+            Self::Mot => mot::write(frames, out, Baseline::default()).map(drop),
             Self::Npz => unsupported("npz needs an output that can seek: use npz::write"),
             Self::Bids => unsupported("bids is a folder, not a file: use bids::write"),
         }

@@ -7,8 +7,8 @@ use mocapd_take::{
         content::Content,
         force_plates::{Baseline, ForcePlates, LOADED_N, PlateLoad, PlateLoads},
     },
-    interchange::Format,
-    motion::Motion,
+    interchange::{Format, RotatedFrames, mot},
+    motion::{Motion, MotionFrames, UpAxis},
 };
 use mocapd_testkit::random::Random;
 
@@ -475,4 +475,117 @@ fn arbitrary_parameters_are_never_a_panic() {
             while loads.next_block(&mut block).expect("memory") > 0 {}
         }
     }
+}
+
+/// The cells of a motion file for OpenSim, after its header: the names, and the numbers of each row.
+fn table(text: &str) -> (Vec<&str>, Vec<Vec<f64>>) {
+    let (_, table) = text.split_once("\nendheader\n").expect("a header");
+    let mut lines = table.lines();
+    let names = lines.next().expect("names").split('\t').collect();
+    let numbers =
+        |line: &str| line.split('\t').map(|cell| cell.parse().expect("a number")).collect();
+    (names, lines.map(numbers).collect())
+}
+
+/// Three frames of two instants: loaded, and unloaded in the last frame. z is up.
+fn loaded_and_not() -> Motion {
+    let channels = [as_f32(FORCE_N), as_f32(about_sensors().map(|m| m * 1000.0))].concat();
+    let mut analog = channels.repeat(4);
+    analog.extend(channels.iter().map(|v| v / 100.0).collect::<Vec<_>>().repeat(2));
+    let mut file = file(Order::Intel, -1.0, (6, 2), &analog);
+    file.floats(2, "SCALE", &[1.0; 6]);
+    file.words(2, "OFFSET", &[0; 6]);
+    add_plate(&mut file, 2, ORIGIN_MM, [0, 0]);
+    file.texts(1, "Y_SCREEN", &["+Z"]);
+    let motion = read(&file);
+    assert_eq!(motion.info.up, UpAxis::Z);
+    motion
+}
+
+#[test]
+fn a_mot_has_the_loads_in_newtons_and_metres() {
+    let motion = loaded_and_not();
+    let mut out = Vec::new();
+    let remarks = mot::write(&mut MotionFrames::new(&motion), &mut out, Baseline::AsStored);
+    assert_eq!(remarks.expect("plates"), [""; 0]);
+    let text = String::from_utf8(out).expect("text");
+    let header =
+        "ground_reaction_forces\nversion=1\nnRows=6\nnColumns=10\ninDegrees=no\nendheader\n";
+    assert!(text.starts_with(header), "{text}");
+    let (names, rows) = table(&text);
+    let expected_names = "time ground_force_1_vx ground_force_1_vy ground_force_1_vz ground_force_1_px ground_force_1_py \
+        ground_force_1_pz ground_torque_1_x ground_torque_1_y ground_torque_1_z";
+    assert_eq!(names, expected_names.split_whitespace().collect::<Vec<_>>());
+    let wanted = expected(FORCE_N, about_centre(), POINT_M, FREE_NM);
+    let metres = wanted.cop_mm.map(|v| v / 1000.0);
+    let wanted = [wanted.force_n, metres, wanted.free_moment_nm].concat();
+    for (i, row) in rows.iter().enumerate() {
+        assert_eq!(row[0], i as f64 / 200.0);
+        let is_loaded = i < 4;
+        for (found, wanted) in row[1..].iter().zip(&wanted) {
+            let wanted = if is_loaded { *wanted } else { 0.0 };
+            assert!((found - wanted).abs() <= 1e-4 * wanted.abs().max(1.0), "{i}: {row:?}");
+        }
+    }
+    assert_eq!(rows.len(), 6);
+    assert!(!text.contains("-0\t") && !text.contains("NaN"), "{text}");
+}
+
+#[test]
+fn a_mot_is_rotated_with_the_markers() {
+    let motion = loaded_and_not();
+    let mut frames = MotionFrames::new(&motion);
+    let mut turned =
+        RotatedFrames::new(&mut frames, UpAxis::Y).expect("memory").expect("a known axis");
+    let mut out = Vec::new();
+    mot::write(&mut turned, &mut out, Baseline::AsStored).expect("plates");
+    let (_, rows) = table(std::str::from_utf8(&out).expect("text"));
+    let wanted = expected(FORCE_N, about_centre(), POINT_M, FREE_NM);
+    // z up to y up: (x, y, z) becomes (x, z, -y).
+    for (from, vector, unit) in
+        [(1, wanted.force_n, 1.0), (4, wanted.cop_mm, 1e-3), (7, wanted.free_moment_nm, 1.0)]
+    {
+        let [x, y, z] = vector.map(|v| v * unit);
+        for (found, wanted) in rows[0][from..from + 3].iter().zip([x, z, -y]) {
+            assert!((found - wanted).abs() <= 1e-4 * wanted.abs().max(1.0), "{:?}", rows[0]);
+        }
+    }
+    assert!(rows[0][2] > 700.0, "a person who stands is pushed up");
+}
+
+#[test]
+fn a_mot_remarks_what_it_cannot_know() {
+    // The action on the plate instead of the reaction.
+    let reversed = as_f32(FORCE_N.map(|v| -v));
+    let channels = [reversed, as_f32(about_sensors().map(|m| -m * 1000.0))].concat();
+    let mut file = file(Order::Intel, -1.0, (6, 1), &channels.repeat(3));
+    add_plate(&mut file, 2, ORIGIN_MM, [0, 0]);
+    file.texts(1, "Y_SCREEN", &["+Z"]);
+    let write = |motion: &Motion| {
+        mot::write(&mut MotionFrames::new(motion), &mut Vec::new(), Baseline::AsStored)
+            .expect("plates")
+            .join("\n")
+    };
+    assert!(write(&read(&file)).contains("force plate 1 point down"));
+    // Frames without analog samples.
+    let mut longer = loaded_and_not();
+    longer.info.n_frames += 2;
+    let last = longer.positions_mm.clone();
+    longer.positions_mm.extend_from_slice(&last[..2 * longer.info.markers.len()]);
+    assert!(write(&longer).contains("no values in 4 samples"));
+}
+
+#[test]
+fn a_mot_of_a_take_without_plates_is_refused() {
+    let bare = read(&file(Order::Intel, -1.0, (6, 1), &[1.0; 12]));
+    let mut unusable = file(Order::Intel, -1.0, (6, 1), &[1.0; 12]);
+    unusable.records.extend(unusable.group(3, "FORCE_PLATFORM"));
+    unusable.words(3, "TYPE", &[7]);
+    for (motion, reason) in [(bare, "no force plates"), (read(&unusable), "type 7")] {
+        let error = Format::Mot.write(&mut MotionFrames::new(&motion), &mut Vec::new());
+        let message = error.expect_err("no plates").to_string();
+        assert!(message.contains(reason), "{message}");
+    }
+    let left_out = Format::Mot.leaves_out(&loaded_and_not().info, true).join(", ");
+    assert_eq!(left_out, "1 marker");
 }

@@ -232,7 +232,7 @@ fn long_takes_and_none_at_all() {
 
 #[test]
 fn what_is_written_only_says_so() {
-    for format in [Format::Npz, Format::Xdf, Format::Bids] {
+    for format in [Format::Npz, Format::Xdf, Format::Bids, Format::Mot] {
         assert!(!format.is_read());
         let error = format.read(b"PK").expect_err("written only");
         assert!(matches!(error, InterchangeError::Unsupported(_)), "{error:?}");

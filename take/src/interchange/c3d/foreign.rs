@@ -179,7 +179,9 @@ pub(crate) struct SampleHeader {
     pub(crate) n_signals: usize,
     /// Samples of a signal in a frame.
     pub(crate) ratio: usize,
-    first_frame: u64,
+    /// Number of the first frame.
+    pub(crate) first_frame: u64,
+    /// Number of frames.
     pub(crate) n_frames: usize,
 }
 

@@ -1,0 +1,180 @@
+//! `OpenSim`'s motion file (`.mot`) with the loads of force plates, as its external loads read them.
+//!
+//! The layout is that of `OpenSim`'s documentation ("Motion (.mot) Files", "Preparing Force Data") and of the ground
+//! reaction forces in its own examples: a header of `name`, `version`, `nRows`, `nColumns` and `inDegrees`, a line
+//! `endheader`, and a table between tabs. `docs/formats.md` describes the columns.
+
+use std::io::Write;
+
+use super::{InterchangeError, Result, check_frame_count, counted, write_frames};
+use crate::{
+    TakeError,
+    foreign::{
+        analog::AnalogSamples,
+        force_plates::{Baseline, ForcePlates, PlateLoad, PlateLoads},
+    },
+    motion::{FrameSource, MotionInfo},
+};
+
+/// Columns of a plate: force, point and torque.
+const COLUMNS: [&str; 3] = ["ground_force_{}_v", "ground_force_{}_p", "ground_torque_{}_"];
+
+/// Writes a whole file: the loads of all usable plates at the analog rate, in newtons, metres and newton metres, in the
+/// axes of the take. Times count from the first frame. Returns remarks for the user, one sentence each.
+///
+/// A plate is unloaded below [`LOADED_N`](crate::foreign::force_plates::LOADED_N): there is no centre of pressure then,
+/// and all its columns are 0, because `OpenSim` would apply the rest of the force at the wrong place. Its splines turn
+/// a single NaN into a column of them, so a sample that is missing is 0 as well.
+///
+/// # Errors
+/// `Unsupported` if the take has no force plates that can be used, or no baseline; `Io` if reading or writing fails.
+pub fn write(
+    frames: &mut dyn FrameSource,
+    out: &mut dyn Write,
+    baseline: Baseline,
+) -> Result<Vec<String>> {
+    let info = frames.info().clone();
+    let opened = PlateLoads::open(&info, baseline).map_err(of_take)?;
+    let usable = opened.filter(|loads| !loads.plates().plates.is_empty());
+    let Some(mut loads) = usable else { return Err(no_plates(&info)) };
+    let mut remarks = loads.plates().warnings.clone();
+    let numbers: Vec<usize> = loads.plates().plates.iter().map(|plate| plate.number).collect();
+    let (ratio, rate_hz) = (loads.samples_per_frame(), loads.rate_hz());
+    let per_frame = ratio * numbers.len();
+    let header = header(info.n_frames.saturating_mul(ratio as u64), &numbers);
+    let mut block = Vec::new();
+    let mut next = 0;
+    let mut counts = vec![LoadCounts::default(); numbers.len()];
+    let n_written = write_frames(frames, out, header, |lines, frame, _| {
+        if next >= block.len() {
+            loads.next_block(&mut block)?;
+            next = 0;
+        }
+        let of_frame = block.get(next..next + per_frame).unwrap_or(&[]);
+        next += per_frame;
+        for (sample, loads) in of_frame.chunks_exact(numbers.len()).enumerate() {
+            let index = frame * ratio as u64 + sample as u64;
+            write!(lines, "{}", index as f64 / rate_hz)?;
+            for (load, counts) in loads.iter().zip(&mut counts) {
+                counts.add(load, &info);
+                put_load(lines, load)?;
+            }
+            lines.push(b'\n');
+        }
+        Ok(())
+    })?;
+    check_frame_count(info.n_frames, n_written)?;
+    remarks
+        .extend(numbers.iter().zip(&counts).flat_map(|(number, counts)| counts.remarks(*number)));
+    Ok(remarks)
+}
+
+/// The header and the line of column names.
+fn header(n_rows: u64, plates: &[usize]) -> Vec<u8> {
+    let n_columns = 1 + 9 * plates.len();
+    let mut text = format!(
+        "ground_reaction_forces\nversion=1\nnRows={n_rows}\nnColumns={n_columns}\ninDegrees=no\nendheader\ntime"
+    );
+    for number in plates {
+        for column in COLUMNS {
+            for axis in ["x", "y", "z"] {
+                text += &format!("\t{}{axis}", column.replace("{}", &number.to_string()));
+            }
+        }
+    }
+    text.push('\n');
+    text.into_bytes()
+}
+
+/// Appends the nine cells of a load.
+fn put_load(out: &mut Vec<u8>, load: &PlateLoad) -> std::io::Result<()> {
+    let is_loaded = load.cop_mm.iter().all(|v| v.is_finite());
+    let [force, point, torque] = if is_loaded {
+        [load.force_n, load.cop_mm.map(|v| v / 1000.0), load.free_moment_nm]
+    } else {
+        [[0.0; 3]; 3]
+    };
+    for value in [force, point, torque].into_iter().flatten() {
+        // Analog samples are float32 or 16-bit integers. Adding 0 turns -0 into 0.
+        write!(out, "\t{}", value as f32 + 0.0)?;
+    }
+    Ok(())
+}
+
+/// What the loads of a plate were.
+#[derive(Debug, Clone, Default)]
+struct LoadCounts {
+    missing: u64,
+    up: u64,
+    down: u64,
+}
+
+impl LoadCounts {
+    fn add(&mut self, load: &PlateLoad, info: &MotionInfo) {
+        if load.force_n.iter().any(|v| !v.is_finite()) {
+            self.missing += 1;
+        } else if load.cop_mm.iter().all(|v| v.is_finite()) {
+            let vertical = info.up.index().and_then(|axis| load.force_n.get(axis));
+            let vertical_n = vertical.copied().unwrap_or_default();
+            self.up += u64::from(vertical_n > 0.0);
+            self.down += u64::from(vertical_n < 0.0);
+        }
+    }
+
+    fn remarks(&self, number: usize) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if self.missing > 0 {
+            remarks.push(format!(
+                "Force plate {number} has no values in {} samples, which were written as 0.",
+                self.missing
+            ));
+        }
+        if self.down > self.up {
+            remarks.push(format!(
+                "Most forces of force plate {number} point down: the file may state what the subject does to the \
+                 plate; OpenSim needs the opposite."
+            ));
+        }
+        remarks
+    }
+}
+
+/// What a file of the plates leaves out, as text for the user: markers, other analog channels, plates that cannot be
+/// used.
+pub(super) fn left_out(info: &MotionInfo) -> Vec<String> {
+    let mut left_out = vec![counted(info.markers.len() as u64, "marker")];
+    let Ok(Some(plates)) = ForcePlates::of(info) else { return left_out };
+    let n_channels = AnalogSamples::open(info).ok().flatten().map_or(0, |s| s.channels().len());
+    let n_used: usize = plates.plates.iter().map(|plate| plate.channels.len()).sum();
+    if let Some(others) = n_channels.checked_sub(n_used).filter(|&others| others > 0) {
+        left_out.push(counted(others as u64, "other analog channel"));
+    }
+    let unusable = plates.unusable.iter();
+    left_out
+        .extend(unusable.map(|plate| format!("force plate {} ({})", plate.number, plate.reason)));
+    left_out
+}
+
+/// The error for a take without usable plates.
+fn no_plates(info: &MotionInfo) -> InterchangeError {
+    let unusable = ForcePlates::of(info).ok().flatten().map(|plates| plates.unusable);
+    let reasons: Vec<String> = unusable
+        .unwrap_or_default()
+        .iter()
+        .map(|plate| format!("force plate {}: {}", plate.number, plate.reason))
+        .collect();
+    InterchangeError::Unsupported(if reasons.is_empty() {
+        "the take has no force plates: .mot needs those of an imported C3D file with analog channels (imported without \
+         --drop-foreign)"
+            .to_owned()
+    } else {
+        format!("no force plate can be used: {}", reasons.join("; "))
+    })
+}
+
+fn of_take(error: TakeError) -> InterchangeError {
+    match error {
+        TakeError::Io(error) => error.into(),
+        other => InterchangeError::Unsupported(other.to_string()),
+    }
+}
