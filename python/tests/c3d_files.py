@@ -10,7 +10,7 @@ sys.path.append(str(Path(__file__).parents[2] / "tests" / "oracle"))
 
 from foreign_c3d import FLOATS, INTEL, floats, group, parameter, texts, word, words  # noqa: E402
 
-POINT, ANALOG, FORCE_PLATFORM = 1, 2, 3
+POINT, ANALOG, FORCE_PLATFORM, EVENT = 1, 2, 3, 4
 
 
 def array(number, name, values):
@@ -71,6 +71,13 @@ def channel_records(n_channels, *, labels=None, units=None, scales=None, offsets
     records += texts(ANALOG, "DESCRIPTIONS", descriptions) + floats(ANALOG, "GEN_SCALE", [gen_scale])
     records += array(ANALOG, "SCALE", np.ones(n_channels) if scales is None else scales)
     return records + words(ANALOG, "OFFSET", offsets) + more
+
+
+def event_records(times_s, contexts, labels):
+    """The EVENT group; times count from frame number 1."""
+    records = group(EVENT, "EVENT") + word(EVENT, "USED", len(times_s))
+    records += texts(EVENT, "CONTEXTS", contexts) + texts(EVENT, "LABELS", labels)
+    return records + array(EVENT, "TIMES", np.stack([np.zeros(len(times_s)), times_s]))
 
 
 class Plate:

@@ -123,7 +123,7 @@ def _force_plates(
     plates = take.force_plates
     quantities = ("force_n", "moment_nm", "cop_mm", "free_moment_nm")
     columns = pandas.MultiIndex.from_product(
-        [[plate.number for plate in plates], quantities, "xyz"], names=["plate", "quantity", "axis"]
+        [[plate.number for plate in plates], quantities, list("xyz")], names=["plate", "quantity", "axis"]
     )
     loads = read_loads(plates, start_s, stop_s)
     values = [getattr(load, quantity) for load in loads for quantity in quantities]
