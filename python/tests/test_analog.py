@@ -1,5 +1,8 @@
 """Analog channels and parameters of imported C3D files, compared with what was written and with ezc3d."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -104,6 +107,25 @@ def test_a_long_file_is_read_in_parts(imported):
     np.testing.assert_array_equal(take.analog.read(channels=[6, 0]), samples[:, [6, 0]])
     np.testing.assert_array_equal(take.analog.read(299.0), samples[299_000:])
     np.testing.assert_array_equal(take.analog.values, samples)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is measured in KiB on Linux")
+def test_a_part_needs_little_memory(imported):
+    """The samples, 20 MB, are never in memory as a whole."""
+    samples = np.cumsum(np.random.default_rng(3).normal(0, 3, (80_000, 64)), axis=0).astype(np.float32)
+    take = imported(c3d_file(walk(8000), samples, RATIO, channel_records(64)))
+    code = (
+        "import mocapd, resource, sys\n"
+        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024\n"
+        "mocapd.open(sys.argv[1]).read(1, 2)\n"
+        "before = peak()\n"
+        "part = mocapd.open(sys.argv[1]).analog.read(70, 71, ['C63'])\n"
+        "print(part.sum(), peak() - before)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code, take.path], capture_output=True, text=True, check=True)
+    total, grown_mib = map(float, ran.stdout.split())
+    assert total == pytest.approx(float(samples[70_000:71_000, 63].sum(dtype=np.float64)))
+    assert grown_mib < 12
 
 
 def test_channels_with_one_name_are_distinguished_by_index(imported):
