@@ -28,6 +28,7 @@ pub(crate) use force_platform::plates as force_plates;
 pub(crate) use foreign::{ANALOG, PARAMETERS, PartSamples, kept_parameters};
 pub(super) use foreign::{MODEL_OUTPUTS, rotate};
 pub(crate) use parameter_values::parameter_values;
+pub use parameter_values::{C3dParameter, C3dValues};
 pub(crate) use parameters::Parameters;
 pub(super) use read::read;
 pub(super) use write::write;

@@ -4,10 +4,43 @@ use super::{
     analog::is_unsigned,
     parameters::{Parameter, Parameters},
 };
-use crate::{
-    foreign::parameters::{C3dParameter, C3dValues},
-    interchange::text::decode,
-};
+use crate::interchange::text::decode;
+
+/// A parameter of a C3D file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct C3dParameter {
+    /// Its group, as written; empty if the file does not define the group.
+    pub group: String,
+    /// Its name, as written.
+    pub name: String,
+    /// Free text; may be empty.
+    pub description: String,
+    /// Its dimensions as the file has them, the fastest first; of texts, the first is their length. None for a scalar.
+    pub dimensions: Vec<u8>,
+    /// Its values in the order of the file.
+    pub values: C3dValues,
+}
+
+/// The values of a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub enum C3dValues {
+    /// Texts, without the spaces that fill them up.
+    Texts(Vec<String>),
+    /// Bytes.
+    Bytes(Vec<u8>),
+    /// 16-bit integers. Counts, frame numbers and the offsets of unsigned samples are unsigned, others signed.
+    Integers(Vec<i32>),
+    /// Floats.
+    Floats(Vec<f32>),
+}
+
+impl C3dParameter {
+    /// Whether it has this group and name, ignoring case.
+    #[must_use]
+    pub fn is(&self, group: &str, name: &str) -> bool {
+        self.group.eq_ignore_ascii_case(group) && self.name.eq_ignore_ascii_case(name)
+    }
+}
 
 /// Integers that the user guide defines as unsigned: counts, block numbers, and frame numbers of which they are halves.
 const UNSIGNED: [(&str, &str); 7] = [
