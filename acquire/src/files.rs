@@ -1,8 +1,10 @@
 //! Files that never overwrite others: a live take has its own name from the start, other files get theirs when
 //! complete.
 
+mod dataset;
 mod file_state;
 mod new_file;
+mod staging;
 mod take_file;
 
 use std::{
@@ -24,8 +26,9 @@ use rustix::{
 use serde::{Serialize, Serializer};
 
 pub use self::{
+    dataset::{DatasetError, NewRecording},
     file_state::{DisplacedFile, FileState, SettledFile},
-    new_file::{NewFile, NewFolder},
+    new_file::NewFile,
     take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
 

@@ -139,44 +139,68 @@ pub struct GapSummary {
     pub markers: Vec<MarkerGaps>,
 }
 
-/// Reads a take and passes each gap to `each`, in the order of the rows in which they end, by column within a row.
-/// Adds the rows as they are read to `counter`. The take is read twice: the first time for its channel table, without
-/// decoding it.
-///
-/// # Errors
-/// `NotATake`, `Unsupported`, `Io`, and any error of `each`.
-pub fn read(
-    input: &mut (impl Read + Seek),
-    counter: &AtomicU64,
-    each: impl FnMut(&Gap) -> Result<(), TakeError>,
-) -> Result<GapSummary, TakeError> {
-    input.seek(SeekFrom::Start(0))?;
-    let mut announced_at = Vec::new();
-    let mut n_rows = 0;
-    let undecoded = TakeTraversal::new(&mut *input, Decode::Groups(Vec::new()));
-    let mut take = undecoded
-        .run(|found, progress| {
+/// A take whose gaps can be read.
+#[derive(Debug)]
+pub struct GapReader<R> {
+    input: R,
+    take: TakeMap,
+    /// By column, the row from which on the marker is announced.
+    announced_at: Vec<u64>,
+}
+
+impl<R: Read + Seek> GapReader<R> {
+    /// Reads the take once, without decoding it, for its channel table.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`.
+    pub fn open(mut input: R) -> Result<Self, TakeError> {
+        input.seek(SeekFrom::Start(0))?;
+        let mut announced_at = Vec::new();
+        let mut n_rows = 0;
+        let undecoded = TakeTraversal::new(&mut input, Decode::Groups(Vec::new()));
+        let progress = undecoded.run(|found, progress| {
             if let Some(lost) = found.lost_entries {
                 let at = lost.first.min(announced_at.len());
                 announced_at.splice(at..at, std::iter::repeat_n(n_rows, lost.inserted));
             }
-            // A header announces from the first row on, further entries from the next one.
-            let from = if matches!(found.event, TakeEvent::Header(_)) { 0 } else { n_rows };
+            // The header announces from the first row on, further entries from the next one.
+            let is_header = matches!(found.event, TakeEvent::Header(_));
+            let from = if is_header { 0 } else { n_rows };
             announced_at.resize(progress.channels().len(), from);
             n_rows = progress.n_rows();
             Ok(())
-        })?
-        .take;
-    announced_at.resize(take.channels.len(), 0);
-    let mut tracker = GapTracker::new(announced_at, each);
-    let mut stretches = TakeTraversal::from_map(&mut *input, &take, Decode::All)?;
-    while let Some(span) = stretches.next_stretch()? {
-        tracker.add_stretch(span, stretches.timeline(), stretches.rows())?;
-        counter.store(tracker.next_row, Ordering::Relaxed);
+        })?;
+        announced_at.resize(progress.take.channels.len(), 0);
+        Ok(Self { input, take: progress.take, announced_at })
     }
-    take.problems.extend(stretches.take_problems());
-    let markers = tracker.finish(take.n_rows)?;
-    Ok(GapSummary { take, markers })
+
+    /// The take without its samples.
+    #[must_use]
+    pub fn take(&self) -> &TakeMap {
+        &self.take
+    }
+
+    /// Decodes the take and passes each gap to `each`, in the order of the rows in which they end, by column within a
+    /// row. Stores the number of rows read so far in `counter`.
+    ///
+    /// # Errors
+    /// `Unsupported`, `Io`, and any error of `each`.
+    pub fn read(
+        self,
+        counter: &AtomicU64,
+        each: impl FnMut(&Gap) -> Result<(), TakeError>,
+    ) -> Result<GapSummary, TakeError> {
+        let Self { mut input, mut take, announced_at } = self;
+        let mut tracker = GapTracker::new(announced_at, each);
+        let mut stretches = TakeTraversal::from_map(&mut input, &take, Decode::All)?;
+        while let Some(span) = stretches.next_stretch()? {
+            tracker.add_stretch(span, stretches.timeline(), stretches.rows())?;
+            counter.store(tracker.next_row, Ordering::Relaxed);
+        }
+        take.problems.extend(stretches.take_problems());
+        let markers = tracker.finish(take.n_rows)?;
+        Ok(GapSummary { take, markers })
+    }
 }
 
 /// Follows the gaps of all markers from row to row.
@@ -204,11 +228,11 @@ impl<F: FnMut(&Gap) -> Result<(), TakeError>> GapTracker<F> {
     }
 
     /// Adds the rows of a stretch, those that its time line states as lost, and those before it that no stretch has.
-    fn add_stretch<'a>(
+    fn add_stretch(
         &mut self,
         span: Span,
         timeline: Option<&Timeline>,
-        rows: impl Iterator<Item = Option<&'a DecodedRows>>,
+        rows: impl Iterator<Item = Option<&DecodedRows>>,
     ) -> Result<(), TakeError> {
         let from = timeline.map_or(span.first_row, |timeline| timeline.first_row);
         self.lose_to(from, GapCause::Damaged.into());

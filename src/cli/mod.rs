@@ -10,6 +10,7 @@ mod demo;
 mod devices;
 mod doctor;
 mod export;
+mod gaps;
 mod import;
 mod info;
 mod ledger;
@@ -63,6 +64,8 @@ enum Command {
     Export(export::Args),
     /// Show what is in a take: header, sizes, ledger, and the samples, gaps, knots and error of each marker
     Info(info::Args),
+    /// Show the gaps of each marker, and write each gap with its cause to a CSV file
+    Gaps(gaps::Args),
     /// Check a take: every checksum and block, the ledger, and with --against every sample
     Verify(verify::Args),
     /// Write a new take from what can be read of a truncated or damaged one
@@ -113,6 +116,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Import(args) => import::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Gaps(args) => gaps::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Plot(plot) => plot::run(&plot),

@@ -2,6 +2,7 @@
 
 pub mod analog;
 pub mod content;
+pub(crate) mod force_plate;
 pub mod force_plates;
 pub mod parameters;
 

@@ -240,6 +240,24 @@ fn info_and_verify() {
 }
 
 #[test]
+fn gaps() {
+    let folder = Folder::new();
+    // One gap, and later a damaged stretch.
+    let mut motion = jump(1, 120.0, 30.0);
+    for row in 30..42 {
+        motion.positions_mm[row * 15] = mocapd_take::motion::GAP;
+    }
+    folder.write_motion("jump.csv", &motion);
+    folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
+    let mut bytes = folder.read("jump.take");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0xff;
+    folder.write("hurt.take", bytes);
+    let gaps = |take: &str| folder.run(&["gaps", take, "--json"]).json();
+    check("`mocapd gaps`", &[gaps("jump.take"), gaps("hurt.take")]);
+}
+
+#[test]
 fn doctor() {
     let folder = Folder::new();
     let examined = folder.run(&["doctor", "--keep-free", "0", "--json"]);

@@ -1,16 +1,15 @@
-//! Files and folders that get their names only when they are complete.
+//! Files that get their names only when they are complete.
 
 use std::{
     ffi::{OsStr, OsString},
     fs::{self, File, OpenOptions},
-    io::{self, BufWriter, Seek, SeekFrom, Write},
+    io::{self, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     thread::JoinHandle,
 };
 
 use anyhow::{Context, bail};
 use crossbeam_channel::{Sender, TrySendError, bounded};
-use mocapd_take::interchange::bids::DatasetFolder;
 use rustix::{
     fs::{Advice, AtFlags, CWD, Mode, OFlags, RenameFlags, fadvise, linkat, openat, renameat_with},
     io::Errno,
@@ -113,80 +112,7 @@ impl Drop for NewFile {
     }
 }
 
-/// A folder that gets its name only when it is complete. Dropping it earlier removes it with its content.
-#[derive(Debug)]
-pub struct NewFolder {
-    /// Its temporary name.
-    hidden: Option<PathBuf>,
-    path: PathBuf,
-    files: Vec<PathBuf>,
-}
-
-impl NewFolder {
-    /// Creates a hidden folder in the folder of `path`.
-    ///
-    /// # Errors
-    /// When `path` exists, or nothing can be created there.
-    pub fn create(path: &Path) -> anyhow::Result<Self> {
-        if path.symlink_metadata().is_ok() {
-            return Err(name_taken(path));
-        }
-        let Some(name) = path.file_name() else { bail!("{} is not a folder name", path.display()) };
-        let hidden = path.with_file_name(hidden_name(name));
-        fs::create_dir(&hidden).map_err(|error| cannot_create(path, &error))?;
-        Ok(Self { hidden: Some(hidden), path: path.to_owned(), files: Vec::new() })
-    }
-
-    /// Gives the folder its name, once its content is on disk. What appeared there meanwhile is not overwritten.
-    ///
-    /// # Errors
-    /// When something of that name appeared, or the disk fails.
-    pub fn keep(mut self) -> anyhow::Result<()> {
-        let writing = || format!("cannot write {}", self.path.display());
-        let Some(hidden) = &self.hidden else { return Ok(()) };
-        for file in &self.files {
-            File::open(file).and_then(|file| file.sync_all()).with_context(writing)?;
-            sync_name(file);
-        }
-        match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
-            Ok(()) => {}
-            Err(Errno::EXIST) => return Err(name_taken(&self.path)),
-            // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
-            Err(Errno::INVAL | Errno::NOSYS) if self.path.symlink_metadata().is_err() => {
-                fs::rename(hidden, &self.path).with_context(writing)?;
-            }
-            Err(error) => {
-                return Err(error).with_context(|| format!("cannot name {}", self.path.display()));
-            }
-        }
-        sync_name(&self.path);
-        self.hidden = None;
-        Ok(())
-    }
-}
-
-impl DatasetFolder for NewFolder {
-    fn file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>> {
-        let hidden = self.hidden.as_ref().ok_or(io::ErrorKind::NotFound)?;
-        let path = hidden.join(path);
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder)?;
-        }
-        let file = OpenOptions::new().write(true).create_new(true).open(&path)?;
-        self.files.push(path);
-        Ok(Box::new(BufWriter::new(file)))
-    }
-}
-
-impl Drop for NewFolder {
-    fn drop(&mut self) {
-        if let Some(hidden) = &self.hidden {
-            fs::remove_dir_all(hidden).ok();
-        }
-    }
-}
-
-/// The temporary name of an incomplete file or folder.
+/// The temporary name of an incomplete file.
 fn hidden_name(name: &OsStr) -> OsString {
     let mut hidden = OsString::from(".");
     hidden.push(name);
@@ -195,7 +121,7 @@ fn hidden_name(name: &OsStr) -> OsString {
 }
 
 /// Creates an unnamed file in the folder of `path`; `None` where the file system has none.
-fn unnamed_file(path: &Path) -> anyhow::Result<Option<File>> {
+pub(super) fn unnamed_file(path: &Path) -> anyhow::Result<Option<File>> {
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
     match openat(CWD, folder_of(path), flags, Mode::from_raw_mode(0o666)) {
         Ok(file) => {
@@ -309,34 +235,6 @@ mod tests {
         assert!(NewFile::create(&path).unwrap_err().is::<NameTaken>());
         assert!(late.keep().unwrap_err().is::<NameTaken>());
         assert_eq!(fs::read(&path).unwrap(), b"mine");
-    }
-
-    #[test]
-    fn a_folder_appears_whole_or_not_at_all() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("set");
-        let mut dropped = NewFolder::create(&path).unwrap();
-        dropped.file("a/b").unwrap().write_all(b"half").unwrap();
-        drop(dropped);
-        assert_eq!(dir.path().read_dir().unwrap().count(), 0);
-
-        let mut kept = NewFolder::create(&path).unwrap();
-        kept.file("a/b").unwrap().write_all(b"whole").unwrap();
-        assert!(kept.file("a/b").is_err());
-        kept.keep().unwrap();
-        assert_eq!(fs::read(path.join("a/b")).unwrap(), b"whole");
-        assert_eq!(dir.path().read_dir().unwrap().count(), 1);
-        assert!(NewFolder::create(&path).unwrap_err().is::<NameTaken>());
-    }
-
-    #[test]
-    fn a_folder_that_appeared_meanwhile_stays() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("set");
-        let late = NewFolder::create(&path).unwrap();
-        fs::create_dir(&path).unwrap();
-        assert!(late.keep().unwrap_err().is::<NameTaken>());
-        assert_eq!(dir.path().read_dir().unwrap().count(), 1);
     }
 
     #[test]

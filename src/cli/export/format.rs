@@ -32,6 +32,12 @@ pub(super) struct FormatArgs {
     /// For bids: label of the subject, letters and digits [default: 01]
     #[arg(long, value_name = "LABEL")]
     subject: Option<String>,
+    /// For bids: label of the session, letters and digits, if the subject has several
+    #[arg(long, value_name = "LABEL")]
+    session: Option<String>,
+    /// For bids: number of the run, if the subject has several of the task
+    #[arg(long, value_name = "NUMBER")]
+    run: Option<String>,
     /// For bids: label of the task, letters and digits [default: those of the take's name]
     #[arg(long, value_name = "LABEL")]
     task: Option<String>,
@@ -79,8 +85,11 @@ impl FormatArgs {
             Some(FormatName::Mcap) => Format::Mcap,
         };
         let usage = |message: &str| Err(UsageError(message.to_owned()).into());
-        if format != Format::Bids && (self.subject.is_some() || self.task.is_some()) {
-            return usage("--subject and --task are for --format bids: omit them");
+        let labels = [&self.subject, &self.session, &self.run, &self.task];
+        if format != Format::Bids && labels.into_iter().any(Option::is_some) {
+            return usage(
+                "--subject, --session, --task and --run are for --format bids: omit them",
+            );
         }
         if self.subtract_baseline && format != Format::Mot {
             return usage("--subtract-baseline is for .mot: omit it");
@@ -112,6 +121,8 @@ impl FormatArgs {
         let stem = take.file_stem().unwrap_or_default().to_string_lossy();
         let task = self.task.clone().unwrap_or_else(|| bids::BidsLabels::task_of(&stem));
         let subject = self.subject.as_deref().unwrap_or("01");
-        bids::BidsLabels::new(subject, &task).map_err(|error| UsageError(error.to_string()).into())
+        let (session, run) = (self.session.as_deref(), self.run.as_deref());
+        bids::BidsLabels::new(subject, session, &task, run)
+            .map_err(|error| UsageError(error.to_string()).into())
     }
 }

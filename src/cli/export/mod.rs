@@ -14,7 +14,7 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
-    files::{self, NewFile, NewFolder, SparseFile},
+    files::{self, NewFile, NewRecording, SparseFile},
     parallel_frames::ParallelFrames,
     threads,
 };
@@ -57,7 +57,13 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.format.of(&args.output)?;
     format.check_built()?;
-    paths::check_output(&args.output)?;
+    match format {
+        // Before the take is read.
+        Format::Bids if !paths::is_stdout(&args.output) => {
+            drop(NewRecording::begin(&args.output, &args.format.names(&args.take)?)?)
+        }
+        _ => paths::check_output(&args.output)?,
+    }
     let name = args.take.display();
     let reading = || format!("cannot read {name}");
     let file = SparseFile::open(&args.take)?;
@@ -207,13 +213,13 @@ fn write_whole<T>(
     Ok(written)
 }
 
-/// Writes a folder atomically: under its name there is the whole folder or none.
+/// Writes a data set, or adds a recording to one: all of its files or none.
 fn write_folder(
     frames: &mut dyn FrameSource,
     names: &bids::BidsLabels,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let mut output = NewFolder::create(path)?;
+    let mut output = NewRecording::begin(path, names)?;
     let writing = || format!("cannot write {}", path.display());
     bids::write(frames, names, &mut output).with_context(writing)?;
     output.keep()

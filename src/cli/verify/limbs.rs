@@ -142,9 +142,33 @@ impl LimbsReport {
         }
     }
 
-    /// Whether no labels are swapped.
-    pub(super) fn is_consistent(&self) -> bool {
-        self.swaps.is_empty()
+    /// What contradicts the skeleton, as text for people: swapped labels, and bones that do not fit the take.
+    pub(super) fn contradictions(&self) -> Vec<String> {
+        let swaps = self.swaps.len() as u64;
+        let mut found: Vec<String> =
+            (swaps > 0).then(|| format!("labels are swapped {}", count(swaps, "time"))).into_iter().collect();
+        let names = |is_listed: &dyn Fn(&BoneReport) -> bool| {
+            let listed = self.bones.iter().filter(|bone| is_listed(bone));
+            listed.map(|bone| bone.name.as_str()).collect::<Vec<_>>()
+        };
+        let off = names(&|bone| bone.off);
+        if !off.is_empty() {
+            let all = self.bones.len();
+            found.push(format!(
+                "{} of {all} bones of the skeleton do not fit the take, which differs in length: {}",
+                off.len(),
+                off.join(", ")
+            ));
+        }
+        let unsteady = names(&|bone| self.outside.iter().any(|outside| outside.bone == bone.name));
+        if !unsteady.is_empty() {
+            found.push(format!(
+                "implausible lengths, but no swap of labels, {}: {}",
+                count(self.outside.len() as u64, "time"),
+                unsteady.join(", ")
+            ));
+        }
+        found
     }
 
     /// A table of the limbs, and the swapped labels.

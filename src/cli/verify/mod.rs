@@ -122,9 +122,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(contradiction) = report.contradictions.first() {
         bail!("{} contradicts itself: {contradiction}", args.take.display());
     }
-    // With swapped labels every sample is there, but some under the wrong label: reported like lost data.
-    let swapped = report.limbs.as_ref().is_some_and(|limbs| !limbs.is_consistent());
-    Ok(Outcome::of(report.health != TakeHealth::Complete || !report.intact || swapped))
+    // With swapped labels or bones that do not fit, every sample is there, but some have the wrong label, or a wrong
+    // position: reported like lost data.
+    let misfits = report.limbs.as_ref().map(LimbsReport::contradictions).unwrap_or_default();
+    for misfit in &misfits {
+        notify(&format!("{}: {misfit}", args.take.display()));
+    }
+    let is_complete = report.health == TakeHealth::Complete && report.intact;
+    Ok(Outcome::of(!is_complete || !misfits.is_empty()))
 }
 
 impl VerifyReport {

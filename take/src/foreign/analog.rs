@@ -7,6 +7,7 @@
 
 use std::io;
 
+pub use crate::interchange::c3d::AnalogChannel;
 use crate::{
     TakeError,
     interchange::c3d::{self, Parameters, PartSamples},
@@ -16,29 +17,6 @@ use crate::{
 /// Values of a block, unless a single frame has more: half a MiB. A block is then decoded in a fraction of a
 /// millisecond, and fits in the processor's cache.
 const BLOCK_VALUES: usize = 1 << 16;
-
-/// A scalar signal at the analog rate: a component of a force plate, an electrode of an EMG, a switch.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AnalogChannel {
-    /// Its label; `A1`, `A2`... by number if it has none. Labels may repeat.
-    pub name: String,
-    /// The unit of its values, as written; may be empty.
-    pub unit: String,
-    /// A description; may be empty.
-    pub description: String,
-    /// Physical units per unit of the stored samples: SCALE times `GEN_SCALE`.
-    pub scale: f64,
-    /// The stored sample whose value is 0.
-    pub offset: f64,
-}
-
-impl AnalogChannel {
-    /// The value of a stored sample.
-    #[must_use]
-    pub fn value(&self, stored: f64) -> f64 {
-        (stored - self.offset) * self.scale
-    }
-}
 
 /// Whether analog samples and force plates need the content of foreign parts of a kind. Pass this to
 /// [`TakeFrames::open_with`](crate::TakeFrames::open_with).

@@ -1,13 +1,14 @@
-//! A dataset of one recording in the Brain Imaging Data Structure (bids-specification.readthedocs.io, "Motion").
+//! A recording in a dataset of the Brain Imaging Data Structure (bids-specification.readthedocs.io, "Motion").
 //!
 //! ```text
-//! dataset_description.json  README.md  participants.tsv  participants.json
+//! dataset_description.json  README.md  participants.tsv  participants.json      of the whole dataset
 //! sub-01/motion/sub-01_task-walk_tracksys-optical_motion.tsv    one column a coordinate, no header
 //!                                                 _motion.json
 //!                                                 _channels.tsv description of each column
 //!                                                 _channels.json
 //!                                                 _events.tsv   if there are events
 //!                                                 _events.json
+//! sub-01/ses-2/motion/sub-01_ses-2_task-walk_tracksys-optical_run-1_motion.tsv  with a session and a run
 //! ```
 
 use std::io::{self, Write};
@@ -27,27 +28,52 @@ const BIDS_VERSION: &str = "1.10.0";
 /// The mark for a missing value.
 const MISSING: &str = "n/a";
 
-/// The labels of subject and task in file names: ASCII letters and digits.
+/// The parts of the names of a recording's files.
+const SUFFIXES: [&str; 6] =
+    ["motion.tsv", "motion.json", "channels.tsv", "channels.json", "events.tsv", "events.json"];
+
+/// The labels in the names of a recording's files: ASCII letters and digits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BidsLabels {
     subject: String,
+    session: Option<String>,
     task: String,
+    run: Option<String>,
 }
 
 impl BidsLabels {
-    /// Checks both labels.
+    /// Checks the labels. A session and a run are needed only if the subject has several.
     ///
     /// # Errors
-    /// `Unsupported` if a label is empty or has characters other than ASCII letters and digits.
-    pub fn new(subject: &str, task: &str) -> Result<Self> {
-        for (what, name) in [("subject", subject), ("task", task)] {
+    /// `Unsupported` if a label is empty or has characters other than ASCII letters and digits, or a run is no number.
+    pub fn new(
+        subject: &str,
+        session: Option<&str>,
+        task: &str,
+        run: Option<&str>,
+    ) -> Result<Self> {
+        let all = [("subject", Some(subject)), ("session", session), ("task", Some(task))];
+        for (what, name) in all {
+            let Some(name) = name else { continue };
             if name.is_empty() || !name.bytes().all(|b| b.is_ascii_alphanumeric()) {
                 return Err(InterchangeError::Unsupported(format!(
                     "the {what} `{name}` cannot be part of a BIDS file name: use letters a to z and digits"
                 )));
             }
         }
-        Ok(Self { subject: subject.to_owned(), task: task.to_owned() })
+        if let Some(run) =
+            run.filter(|run| run.is_empty() || !run.bytes().all(|b| b.is_ascii_digit()))
+        {
+            return Err(InterchangeError::Unsupported(format!(
+                "the run `{run}` is not a number: use digits, such as 1 or 01"
+            )));
+        }
+        Ok(Self {
+            subject: subject.to_owned(),
+            session: session.map(str::to_owned),
+            task: task.to_owned(),
+            run: run.map(str::to_owned),
+        })
     }
 
     /// A task label from a take's name: its ASCII letters and digits, at most 64, or `recording` if it has none.
@@ -69,23 +95,79 @@ impl BidsLabels {
         &self.task
     }
 
+    /// The paths that the files of a recording with these labels have in a dataset.
+    pub fn paths(&self) -> impl Iterator<Item = String> {
+        SUFFIXES.into_iter().map(|suffix| self.path(suffix))
+    }
+
     /// The path of a file of the recording.
     fn path(&self, suffix: &str) -> String {
-        let Self { subject, task } = self;
-        format!("sub-{subject}/motion/sub-{subject}_task-{task}_tracksys-optical_{suffix}")
+        let Self { subject, session, task, run } = self;
+        let (folder, session) = match session {
+            Some(session) => (format!("ses-{session}/"), format!("_ses-{session}")),
+            None => (String::new(), String::new()),
+        };
+        let run = run.as_ref().map_or_else(String::new, |run| format!("_run-{run}"));
+        format!(
+            "sub-{subject}/{folder}motion/sub-{subject}{session}_task-{task}_tracksys-optical{run}_{suffix}"
+        )
     }
 }
 
-/// Creates the files of a dataset.
+/// Creates the files of a recording in a dataset.
 pub trait DatasetFolder {
     /// Creates a new file; `path` is relative, with `/` between folders.
     ///
     /// # Errors
     /// Those of creating the file.
     fn file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>>;
+
+    /// Creates a file that describes the whole dataset. A dataset that exists keeps its own files; its
+    /// `participants.tsv` gets a [row](participant_row).
+    ///
+    /// # Errors
+    /// Those of creating the file.
+    fn common_file(&mut self, path: &str) -> io::Result<Box<dyn Write + '_>>;
 }
 
-/// Writes a dataset. Positions are in millimetres, a missing sample is three `n/a`, and the onsets of events are in
+/// Checks that the content of `dataset_description.json` is that of a dataset of recordings.
+///
+/// # Errors
+/// Why it is not.
+pub fn check_description(content: &[u8]) -> Result<(), String> {
+    let document: Value = serde_json::from_slice(content).map_err(|error| error.to_string())?;
+    if !document.get("BIDSVersion").is_some_and(Value::is_string) {
+        return Err("it states no BIDSVersion".to_owned());
+    }
+    match document.get("DatasetType").and_then(Value::as_str) {
+        None | Some("raw") => Ok(()),
+        Some(other) => Err(format!("its DatasetType is `{other}`, expected `raw`")),
+    }
+}
+
+/// What to append to a `participants.tsv` for a subject, in the table's own columns and line ends; `None` if the subject
+/// has a row.
+///
+/// # Errors
+/// `Unsupported` if the table has no column `participant_id`.
+pub fn participant_row(table: &str, subject: &str) -> Result<Option<String>> {
+    let id = format!("sub-{subject}");
+    let mut lines = table.strip_prefix('\u{feff}').unwrap_or(table).lines();
+    let names: Vec<&str> = lines.next().unwrap_or_default().split('\t').map(str::trim).collect();
+    let Some(column) = names.iter().position(|&name| name == "participant_id") else {
+        return unsupported("expected a table with a column participant_id, found none");
+    };
+    if lines.any(|line| line.split('\t').nth(column).is_some_and(|cell| cell.trim() == id)) {
+        return Ok(None);
+    }
+    let end = if table.contains("\r\n") { "\r\n" } else { "\n" };
+    let cells: Vec<&str> =
+        (0..names.len()).map(|i| if i == column { id.as_str() } else { MISSING }).collect();
+    let before = if table.ends_with('\n') { "" } else { end };
+    Ok(Some(format!("{before}{}{end}", cells.join("\t"))))
+}
+
+/// Writes a recording, and the files of a new dataset around it. Positions are in millimetres, a missing sample is three `n/a`, and the onsets of events are in
 /// seconds from the first frame.
 ///
 /// # Errors
@@ -99,15 +181,22 @@ pub fn write(
     if info.markers.is_empty() {
         return unsupported("BIDS needs at least one channel, but the take has no markers");
     }
+    let participants = format!("participant_id\nsub-{}\n", names.subject());
+    for (path, content) in [
+        ("dataset_description.json", dataset_json()?),
+        ("README.md", readme().into_bytes()),
+        ("participants.tsv", participants.into_bytes()),
+        ("participants.json", participants_json()?),
+    ] {
+        let mut file = folder.common_file(path)?;
+        file.write_all(&content)?;
+        file.flush()?;
+    }
     let mut put = |path: &str, content: &[u8]| {
         let mut file = folder.file(path)?;
         file.write_all(content)?;
         file.flush()
     };
-    put("dataset_description.json", &dataset_json(names)?)?;
-    put("README.md", readme(names, &info).as_bytes())?;
-    put("participants.tsv", format!("participant_id\nsub-{}\n", names.subject()).as_bytes())?;
-    put("participants.json", &participants_json()?)?;
     put(&names.path("motion.json"), &motion_json(names, &info)?)?;
     put(&names.path("channels.tsv"), channels_tsv(&info).as_bytes())?;
     put(&names.path("channels.json"), &channels_json(&info)?)?;
@@ -170,30 +259,26 @@ fn number(value: f64) -> Value {
     if value.fract() == 0.0 { json!(value as u64) } else { json!(value) }
 }
 
-fn dataset_json(names: &BidsLabels) -> io::Result<Vec<u8>> {
+fn dataset_json() -> io::Result<Vec<u8>> {
     let version = env!("CARGO_PKG_VERSION");
     let generator = json!({ "Name": "mocapd", "Version": version, "Description": "mocapd export" });
     json([
-        ("Name", format!("Optical motion capture: {}", names.task()).into()),
+        ("Name", "Optical motion capture".into()),
         ("BIDSVersion", BIDS_VERSION.into()),
         ("DatasetType", "raw".into()),
         ("GeneratedBy", json!([generator])),
     ])
 }
 
-fn readme(names: &BidsLabels, info: &MotionInfo) -> String {
+/// Nothing of a single recording: others are added to the dataset.
+fn readme() -> String {
     format!(
-        "# Optical motion capture: {}\n\n\
-         One recording of subject {}: {} markers, {} frames at {} Hz.\n\
+        "# Optical motion capture\n\n\
+         Trajectories of markers, a recording in each `motion` folder.\n\
          Positions are in millimetres; `{MISSING}` marks samples in which a marker was not seen.\n\n\
-         Exported by mocapd {} from a take.\n\
+         Exported by mocapd {} from takes.\n\
          Please add here who was recorded, how, and on what terms the data may be used, \
          and add the authors and the licence to `dataset_description.json`.\n",
-        names.task(),
-        names.subject(),
-        info.markers.len(),
-        info.n_frames,
-        info.rate_hz,
         env!("CARGO_PKG_VERSION"),
     )
 }
@@ -263,18 +348,57 @@ mod tests {
 
     #[test]
     fn names_are_letters_and_digits() {
-        let names = BidsLabels::new("01", "walk2").unwrap();
+        let path =
+            |session, run| BidsLabels::new("01", session, "walk2", run).unwrap().path("motion.tsv");
+        assert_eq!(path(None, None), "sub-01/motion/sub-01_task-walk2_tracksys-optical_motion.tsv");
         assert_eq!(
-            names.path("motion.tsv"),
-            "sub-01/motion/sub-01_task-walk2_tracksys-optical_motion.tsv"
+            path(Some("pre"), Some("02")),
+            "sub-01/ses-pre/motion/sub-01_ses-pre_task-walk2_tracksys-optical_run-02_motion.tsv"
         );
-        for (subject, task) in
-            [("", "a"), ("a", ""), ("a b", "c"), ("../a", "c"), ("a", "gehen_\u{e4}")]
-        {
-            assert!(BidsLabels::new(subject, task).is_err(), "{subject} {task}");
+        for (subject, session, task, run) in [
+            ("", None, "a", None),
+            ("a", None, "", None),
+            ("a b", None, "c", None),
+            ("../a", None, "c", None),
+            ("a", None, "gehen_\u{e4}", None),
+            ("a", Some(""), "b", None),
+            ("a", Some("1/2"), "b", None),
+            ("a", None, "b", Some("")),
+            ("a", None, "b", Some("one")),
+        ] {
+            let labels = BidsLabels::new(subject, session, task, run);
+            assert!(labels.is_err(), "{subject} {session:?} {task} {run:?}");
         }
         assert_eq!(BidsLabels::task_of("squat_jump-47m 120hz"), "squatjump47m120hz");
         assert_eq!(BidsLabels::task_of("\u{e4}"), "recording");
+    }
+
+    #[test]
+    fn a_new_subject_gets_a_row_in_the_tables_own_form() {
+        for (table, row) in [
+            ("participant_id\nsub-01\n", Some("sub-02\n")),
+            ("participant_id\nsub-02\n", None),
+            ("participant_id\tage\nsub-02\t33", None),
+            ("participant_id\tage\r\nsub-01\t33\r\n", Some("sub-02\tn/a\r\n")),
+            ("\u{feff}age\tparticipant_id\n7\tsub-021", Some("\nn/a\tsub-02\n")),
+            ("participant_id\n", Some("sub-02\n")),
+        ] {
+            assert_eq!(participant_row(table, "02").unwrap().as_deref(), row, "{table:?}");
+        }
+        for table in ["", "id\nsub-01\n"] {
+            assert!(participant_row(table, "02").is_err(), "{table:?}");
+        }
+    }
+
+    #[test]
+    fn a_description_is_that_of_recordings() {
+        let is_ok = |text: &str| check_description(text.as_bytes()).is_ok();
+        assert!(is_ok(r#"{"Name": "a", "BIDSVersion": "1.8.0"}"#));
+        assert!(is_ok(r#"{"BIDSVersion": "1.8.0", "DatasetType": "raw"}"#));
+        for text in ["", "[]", "{}", r#"{"BIDSVersion": 1}"#] {
+            assert!(!is_ok(text), "{text}");
+        }
+        assert!(!is_ok(r#"{"BIDSVersion": "1.8.0", "DatasetType": "derivative"}"#));
     }
 
     #[test]

@@ -39,6 +39,7 @@ mod units;
 mod xdf;
 mod zip;
 
+pub use csv::quote as csv_cell;
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
 pub use text::column_labels;

@@ -477,7 +477,7 @@ fn arbitrary_parameters_are_never_a_panic() {
     }
 }
 
-/// The cells of a motion file for OpenSim, after its header: the names, and the numbers of each row.
+/// The cells of a motion file for `OpenSim`, after its header: the names, and the numbers of each row.
 fn table(text: &str) -> (Vec<&str>, Vec<Vec<f64>>) {
     let (_, table) = text.split_once("\nendheader\n").expect("a header");
     let mut lines = table.lines();

@@ -188,12 +188,16 @@ impl bids::DatasetFolder for Files {
     fn file(&mut self, path: &str) -> std::io::Result<Box<dyn Write + '_>> {
         Ok(Box::new(self.0.entry(path.to_owned()).or_default()))
     }
+
+    fn common_file(&mut self, path: &str) -> std::io::Result<Box<dyn Write + '_>> {
+        self.file(path)
+    }
 }
 
 #[test]
 fn a_bids_folder_has_a_column_a_coordinate() {
     let source = motion(300, 50);
-    let names = bids::BidsLabels::new("7", "jump").expect("letters and digits");
+    let names = bids::BidsLabels::new("7", None, "jump", None).expect("letters and digits");
     let mut files = Files::default();
     bids::write(&mut MotionFrames::new(&source), &names, &mut files).expect("memory");
     let text = |path: &str| String::from_utf8(files.0[path].clone()).expect("text");
@@ -223,7 +227,7 @@ fn long_takes_and_none_at_all() {
         let source = motion(n_markers, n_frames);
         assert_eq!(members(&npz(&source)).len(), 12);
         assert!(chunks(&write(Format::Xdf, &source)).len() >= 5);
-        let names = bids::BidsLabels::new("7", "jump").expect("letters and digits");
+        let names = bids::BidsLabels::new("7", None, "jump", None).expect("letters and digits");
         let mut files = Files::default();
         let written = bids::write(&mut MotionFrames::new(&source), &names, &mut files);
         assert_eq!(written.is_ok(), n_markers > 0);

@@ -1,10 +1,33 @@
 //! The ANALOG group: what the stored samples of each channel stand for.
 
 use super::parameters::{Parameter, Parameters};
-use crate::{foreign::analog::AnalogChannel, interchange::counted};
+use crate::interchange::counted;
 
 /// Name of the group.
 pub(super) const ANALOG: &str = "ANALOG";
+
+/// A scalar signal at the analog rate: a component of a force plate, an electrode of an EMG, a switch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnalogChannel {
+    /// Its label; `A1`, `A2`... by number if it has none. Labels may repeat.
+    pub name: String,
+    /// The unit of its values, as written; may be empty.
+    pub unit: String,
+    /// A description; may be empty.
+    pub description: String,
+    /// Physical units per unit of the stored samples: SCALE times `GEN_SCALE`.
+    pub scale: f64,
+    /// The stored sample whose value is 0.
+    pub offset: f64,
+}
+
+impl AnalogChannel {
+    /// The value of a stored sample.
+    #[must_use]
+    pub fn value(&self, stored: f64) -> f64 {
+        (stored - self.offset) * self.scale
+    }
+}
 
 /// Whether analog samples are unsigned integers.
 pub(crate) fn is_unsigned(parameters: &Parameters) -> bool {

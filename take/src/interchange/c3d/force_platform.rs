@@ -1,11 +1,11 @@
 //! The `FORCE_PLATFORM` group: the force plates of a file.
 
-use super::parameters::{Parameter, Parameters};
+use super::{
+    analog::AnalogChannel,
+    parameters::{Parameter, Parameters},
+};
 use crate::{
-    foreign::{
-        analog::AnalogChannel,
-        force_plates::{ForcePlate, ForcePlates, PlateGeometry, PlateType, UnusablePlate},
-    },
+    foreign::force_plate::{ForcePlate, ForcePlates, PlateGeometry, PlateType, UnusablePlate},
     interchange::units::LengthUnit,
 };
 

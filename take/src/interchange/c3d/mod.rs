@@ -21,6 +21,7 @@ mod write;
 
 use super::InterchangeError;
 
+pub use analog::AnalogChannel;
 pub(crate) use analog::{channels as analog_channels, is_unsigned as is_analog_unsigned};
 pub(crate) use columns::value as sample_value;
 pub(super) use events::EVENTS_MAX;

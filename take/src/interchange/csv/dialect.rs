@@ -53,7 +53,8 @@ impl<'a> Iterator for LineCells<'a> {
 
 /// A text as a cell. Quotes protect separators, quotes, outer spaces and a leading `#`; escapes ([`crate::escape`])
 /// stand for characters that would break the line.
-pub(super) fn quote(text: &str) -> Cow<'_, str> {
+#[must_use]
+pub fn quote(text: &str) -> Cow<'_, str> {
     let text = to_cell(text);
     if text.contains([',', '"']) || text.trim() != text.as_ref() || text.starts_with('#') {
         return Cow::Owned(format!("\"{}\"", text.replace('"', "\"\"")));

@@ -6,6 +6,8 @@ pub(super) mod long;
 mod motive;
 pub(super) mod wide;
 
+pub use dialect::quote;
+
 use super::{InterchangeError, ReadOptions, Result, text};
 use crate::motion::Motion;
 

@@ -1,0 +1,300 @@
+//! `gaps`: the gaps of each marker, as a summary, and one by one as CSV.
+
+use std::{
+    fmt::Write as _,
+    io::{self, BufReader, BufWriter, Write as _},
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::AtomicU64},
+};
+
+use anyhow::{Context, bail};
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::{
+    files::{NewFile, SparseFile},
+    gaps::{Gap, GapCause, GapReader, GapSummary, MarkerGaps},
+};
+use mocapd_take::{
+    TakeMap,
+    interchange::{column_labels, csv_cell},
+    motion::MotionInfo,
+};
+use serde::Serialize;
+
+use super::{
+    output::{Progress, notify, plain, plain_path, print, print_exact, print_json},
+    paths,
+    values::{count, thousands},
+};
+
+/// The columns of the CSV.
+const CSV_HEADER: &str = "marker,first_frame,frames,start_s,seconds,cause\n";
+/// Bytes of CSV that are printed at once.
+const PRINTED_BYTES: usize = 1 << 16;
+/// Widest label column of the table, in characters; a longer label shifts its own line.
+const LABEL_COLUMNS_MAX: usize = 64;
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The take
+    take: PathBuf,
+    /// Write one row per gap to this CSV file, which must not exist; `-` for standard output
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct GapsReport {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    take: PathBuf,
+    frames: u64,
+    rate_hz: f64,
+    seconds: f64,
+    gaps: u64,
+    samples: u64,
+    samples_missing: u64,
+    causes: Vec<CauseReport>,
+    markers: Vec<MarkerGapsReport>,
+    problems: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct MarkerGapsReport {
+    label: String,
+    samples: u64,
+    seen_percent: f64,
+    gaps: u64,
+    frames_missing: u64,
+    longest: Option<LongestGapReport>,
+    causes: Vec<CauseReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct LongestGapReport {
+    from_frame: u64,
+    frames: u64,
+    from_s: f64,
+    seconds: f64,
+}
+
+/// Missing samples with a cause.
+#[derive(Debug, Serialize)]
+struct CauseReport {
+    cause: &'static str,
+    samples: u64,
+}
+
+/// Where the rows of the CSV go.
+enum CsvOutput {
+    Nowhere,
+    Stdout(String),
+    File(BufWriter<NewFile>),
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let mut csv = CsvOutput::create(args)?;
+    let name = args.take.display();
+    let reading = || format!("cannot read {name}");
+    let reader =
+        GapReader::open(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
+    let rows = GapRows::new(reader.take());
+    let counter = Arc::new(AtomicU64::new(0));
+    let progress = Progress::follow("reading", &counter, reader.take().n_rows);
+    csv.put(CSV_HEADER)?;
+    let found = reader
+        .read(&counter, |gap| Ok(csv.put(&rows.row(gap)).map_err(io::Error::other)?))
+        .with_context(reading)?;
+    drop(progress);
+    let is_printed = matches!(csv, CsvOutput::Stdout(_));
+    csv.finish()?;
+    let report = GapsReport::new(&args.take, &found, &rows.labels);
+    if args.json {
+        print_json(&report)?;
+    } else if !is_printed {
+        print(&report.text(rows.first_frame))?;
+    }
+    for problem in &report.problems {
+        notify(&format!("{name}: {problem}"));
+    }
+    Ok(Outcome::of(!report.problems.is_empty()))
+}
+
+impl CsvOutput {
+    fn create(args: &Args) -> anyhow::Result<Self> {
+        Ok(match &args.output {
+            None => Self::Nowhere,
+            Some(path) if paths::is_stdout(path) && args.json => {
+                let message = "standard output cannot have both the CSV and the JSON document: give -o a file";
+                bail!(UsageError(message.to_owned()))
+            }
+            Some(path) if paths::is_stdout(path) => Self::Stdout(String::new()),
+            Some(path) if !paths::ends_in(path, "csv") => {
+                return Err(paths::unknown_ending(path, ".csv"));
+            }
+            Some(path) => Self::File(BufWriter::new(NewFile::create(path)?)),
+        })
+    }
+
+    fn put(&mut self, text: &str) -> anyhow::Result<()> {
+        match self {
+            Self::Nowhere => {}
+            Self::Stdout(buffer) => {
+                buffer.push_str(text);
+                if buffer.len() >= PRINTED_BYTES {
+                    print_exact(buffer)?;
+                    buffer.clear();
+                }
+            }
+            Self::File(file) => {
+                file.write_all(text.as_bytes()).context("cannot write the CSV file")?
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        match self {
+            Self::Nowhere => Ok(()),
+            Self::Stdout(buffer) => print_exact(&buffer),
+            Self::File(file) => {
+                let file = file.into_inner().map_err(io::IntoInnerError::into_error);
+                file.context("cannot write the CSV file")?.keep()
+            }
+        }
+    }
+}
+
+/// The rows of the CSV: labels and frame numbers are those of an export to CSV.
+struct GapRows {
+    labels: Vec<String>,
+    first_frame: u64,
+    rate_hz: f64,
+}
+
+impl GapRows {
+    fn new(take: &TakeMap) -> Self {
+        let markers = take.channels.iter().map(Into::into).collect();
+        let info = MotionInfo { markers, ..MotionInfo::default() };
+        let source = take.header.source.as_ref();
+        Self {
+            labels: column_labels(&info),
+            first_frame: source.map_or(1, |source| source.first_frame),
+            rate_hz: take.header.rate_hz,
+        }
+    }
+
+    fn row(&self, gap: &Gap) -> String {
+        let causes: Vec<&str> = gap.causes.iter().map(GapCause::name).collect();
+        format!(
+            "{},{},{},{:.6},{:.6},{}\n",
+            self.labels.get(gap.column).map(|label| csv_cell(label)).unwrap_or_default(),
+            self.first_frame.saturating_add(gap.first_row),
+            gap.rows,
+            gap.first_row as f64 / self.rate_hz,
+            gap.rows as f64 / self.rate_hz,
+            causes.join(" + ")
+        )
+    }
+}
+
+impl GapsReport {
+    fn new(take: &Path, found: &GapSummary, labels: &[String]) -> Self {
+        let (frames, rate_hz) = (found.take.n_rows, found.take.header.rate_hz);
+        let marker = |(of, label): (&MarkerGaps, &String)| MarkerGapsReport {
+            label: label.clone(),
+            samples: of.samples,
+            seen_percent: percent(of.samples, frames),
+            gaps: of.gaps,
+            frames_missing: of.rows,
+            longest: of.longest.map(|gap| LongestGapReport {
+                from_frame: gap.first_row,
+                frames: gap.rows,
+                from_s: gap.first_row as f64 / rate_hz,
+                seconds: gap.rows as f64 / rate_hz,
+            }),
+            causes: CauseReport::all(|cause| of.rows_by_cause.get(cause as usize).copied()),
+        };
+        let sum = |of: fn(&MarkerGaps) -> u64| found.markers.iter().map(of).sum();
+        let of_cause = |cause: GapCause| {
+            found.markers.iter().map(|of| of.rows_by_cause.get(cause as usize).copied()).sum()
+        };
+        Self {
+            take: take.to_owned(),
+            frames,
+            rate_hz,
+            seconds: frames as f64 / rate_hz,
+            gaps: sum(|of| of.gaps),
+            samples: sum(|of| of.samples),
+            samples_missing: sum(|of| of.rows),
+            causes: CauseReport::all(of_cause),
+            markers: found.markers.iter().zip(labels).map(marker).collect(),
+            problems: found.take.problems.iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    /// Totals, and a table of the markers. Frames are numbered from `first_frame`, as in exports.
+    fn text(&self, first_frame: u64) -> String {
+        let Self { frames, rate_hz, seconds, .. } = self;
+        let all = self.samples.saturating_add(self.samples_missing);
+        let causes: Vec<String> = self.causes.iter().map(CauseReport::text).collect();
+        let causes =
+            if causes.is_empty() { String::new() } else { format!(": {}", causes.join(", ")) };
+        let mut out = format!(
+            "{}: {} of {} at {rate_hz} Hz, {seconds:.3} s\n{}, {} of {} missing{causes}\n",
+            plain_path(&self.take),
+            count(*frames, "frame"),
+            count(self.markers.len() as u64, "marker"),
+            count(self.gaps, "gap"),
+            thousands(self.samples_missing),
+            count(all, "sample")
+        );
+        let widths = self.markers.iter().map(|marker| plain(&marker.label).chars().count());
+        let width = widths.max().unwrap_or(0).clamp(6, LABEL_COLUMNS_MAX);
+        writeln!(
+            out,
+            "{:<width$} {:>8} {:>8} {:>10} {:>10} {:>10} {:>12}",
+            "marker", "seen %", "gaps", "missing", "longest", "longest s", "at frame"
+        )
+        .ok();
+        for marker in &self.markers {
+            let (gaps, missing) = (thousands(marker.gaps), thousands(marker.frames_missing));
+            let longest = marker.longest.as_ref().map_or_else(
+                || format!("{:>10} {:>10} {:>12}", "-", "-", "-"),
+                |LongestGapReport { from_frame, frames, seconds, .. }| {
+                    let at = thousands(first_frame.saturating_add(*from_frame));
+                    format!("{:>10} {seconds:>10.3} {at:>12}", thousands(*frames))
+                },
+            );
+            let label = plain(&marker.label);
+            writeln!(
+                out,
+                "{label:<width$} {:>8.2} {gaps:>8} {missing:>10} {longest}",
+                marker.seen_percent
+            )
+            .ok();
+        }
+        out
+    }
+}
+
+impl CauseReport {
+    /// The causes of any samples.
+    fn all(samples: impl Fn(GapCause) -> Option<u64>) -> Vec<Self> {
+        let report = |cause: GapCause| {
+            let samples = samples(cause).filter(|&samples| samples > 0)?;
+            Some(Self { cause: cause.name(), samples })
+        };
+        GapCause::ALL.into_iter().filter_map(report).collect()
+    }
+
+    fn text(&self) -> String {
+        format!("{} {}", thousands(self.samples), self.cause)
+    }
+}
+
+/// A part in percent; 100 of nothing.
+fn percent(part: u64, whole: u64) -> f64 {
+    if whole == 0 { 100.0 } else { 100.0 * part as f64 / whole as f64 }
+}
