@@ -133,9 +133,11 @@ pub(crate) fn parameters(py: Python<'_>, all: Vec<C3dParameter>) -> PyResult<Bou
     Ok(out)
 }
 
+/// The channels of a take of `n_frames` frames.
 pub(crate) fn analog<'py>(
     py: Python<'py>,
     analog: Option<&AnalogSamples<'_>>,
+    n_frames: u64,
 ) -> PyResult<Bound<'py, PyDict>> {
     let channels = PyList::empty(py);
     for channel in analog.map_or(&[][..], AnalogSamples::channels) {
@@ -148,7 +150,6 @@ pub(crate) fn analog<'py>(
         channels.append(dict)?;
     }
     let ratio = analog.map_or(0, AnalogSamples::samples_per_frame);
-    let n_frames = analog.map_or(0, AnalogSamples::n_frames);
     let out = PyDict::new(py);
     out.set_item("channels", channels)?;
     out.set_item("samples_per_frame", ratio)?;

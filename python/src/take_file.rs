@@ -216,7 +216,7 @@ impl TakeFile {
     fn analog<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let kept = self.kept(py, KeptParts::All)?;
         let found = self.run(py, |_| foreign::analog(&kept))?;
-        records::analog(py, found.as_ref())
+        records::analog(py, found.as_ref(), kept.n_frames)
     }
 
     /// The force plates that can be used, each as a dict, and what was wrong with them and the others.

@@ -2,12 +2,16 @@
 
 import subprocess
 import sys
+import warnings
+import zlib
 
 import numpy as np
 import pytest
 
 import mocapd
-from c3d_files import ANALOG, array, c3d_file, channel_records, floats, texts, walk
+from c3d_files import ANALOG, array, c3d_file, channel_records, floats, plate_records, texts, walk
+from test_force_plates import step
+from test_limits import chunk, varint
 
 FRAMES, RATIO, CHANNELS = 60, 10, 3
 SCALES, OFFSETS, GEN_SCALE = [0.5, 0.25, -2.0], [100, 0, -7], 0.01
@@ -207,3 +211,67 @@ def test_damage_is_an_error_or_a_warning(imported, tmp_path):
     with pytest.warns(mocapd.TakeWarning):
         take = mocapd.open(tmp_path / "cut.take")
     np.testing.assert_array_equal(take.analog.values, expected)
+
+
+def chunks_of(data):
+    """The chunks of a take: type and payload."""
+    at, found = 8, []
+    while at < len(data):
+        kind, length, shift = data[at], 0, 0
+        at += 1
+        while True:
+            length |= (data[at] & 0x7F) << shift
+            shift += 7
+            at += 1
+            if data[at - 1] < 0x80:
+                break
+        found.append((kind, data[at : at + length]))
+        at += length + 4
+    return found
+
+
+FOREIGN, INDEX = 0x89, 0x8A
+
+
+@pytest.mark.parametrize("part", [b"c3d/analog", b"c3d/parameters"])
+def test_any_content_of_a_part_is_read_or_a_take_error(imported, tmp_path, part):
+    """Content that no importer writes, in chunks that are intact."""
+    plate = step(2)
+    group = channel_records(6, units=["N"] * 3 + ["Nmm"] * 3) + plate_records([plate])
+    take = imported(c3d_file(walk(40), plate.channels(), 10, group))
+    expected = take.force_plates[0].force_n
+    with open(take.path, "rb") as file:
+        data = file.read()
+    chunks = chunks_of(data)
+    (original,) = (payload for kind, payload in chunks if kind == FOREIGN and payload[1:].startswith(part))
+    # Kind and length precede the deflated content.
+    start = 1 + len(part)
+    deflated_at = next(at for at in range(start, start + 9) if original[at] < 0x80) + 1
+    content = zlib.decompress(original[deflated_at:], wbits=-15)
+    random = np.random.default_rng(17)
+    read = refused = 0
+    for number in range(150):
+        changed = bytearray(content)
+        for _ in range(int(random.integers(1, 4)) if number else 0):
+            changed[int(random.integers(0, min(len(changed), 700)))] = int(random.choice([0, 1, 6, 127, 128, 255]))
+        changed = changed[: int(random.integers(0, len(changed)))] if number % 10 == 9 else changed
+        deflate = zlib.compressobj(wbits=-15)
+        payload = original[:start] + varint(len(changed)) + deflate.compress(bytes(changed)) + deflate.flush()
+        parts = [(kind, payload if body == original else body) for kind, body in chunks]
+        # Without its index, whose offsets are others now, the take is one that was cut off.
+        parts = parts[: next(at for at, (kind, _) in enumerate(parts) if kind == INDEX)]
+        (tmp_path / "changed.take").write_bytes(data[:8] + b"".join(chunk(*one) for one in parts))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                other = mocapd.open(tmp_path / "changed.take")
+                found = [plate.force_n for plate in other.force_plates]
+                assert other.analog.values.shape == (other.analog.n_samples, len(other.analog))
+                assert isinstance(other.metadata, dict)
+                read += 1
+            except mocapd.TakeError as error:
+                assert "changed.take" in str(error)
+                refused += 1
+        if number == 0:
+            np.testing.assert_array_equal(found[0], expected)
+    assert read > 10 and refused > 10

@@ -1,5 +1,9 @@
 """Loads on force plates of imported C3D files: known loads, and those that ezc3d computes."""
 
+import os
+import warnings
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -73,6 +77,30 @@ def test_ezc3d_finds_the_same_loads(imported, tmp_path, kind):
         # ezc3d gives moments in newton millimetres; of type 1 with the opposite sign.
         sign = -1 if kind == 1 else 1
         np.testing.assert_allclose(sign * 1000 * plate.moment_nm, other["moment"].T, atol=1)
+
+
+@pytest.mark.skipif(not os.environ.get("MOCAPD_TAKES"), reason="the environment variable MOCAPD_TAKES is not set")
+def test_ezc3d_finds_the_same_loads_in_recorded_files(imported):
+    ezc3d = pytest.importorskip("ezc3d")
+    compared = 0
+    for path in sorted(Path(os.environ["MOCAPD_TAKES"]).glob("*.c3d")):
+        take = imported(path.read_bytes())
+        with warnings.catch_warnings():
+            # Several files have ORIGIN with the sign of early documentation.
+            warnings.filterwarnings("ignore", "(?s).*ORIGIN of force plate", mocapd.TakeWarning)
+            plates = take.force_plates
+        if not plates:
+            continue
+        theirs = ezc3d.c3d(str(path), extract_forceplat_data=True)["data"]
+        np.testing.assert_allclose(take.analog.values, theirs["analogs"][0].T, rtol=1e-6)
+        factor = take.header.source.factor_to_mm
+        for plate, other in zip(plates, theirs["platform"], strict=True):
+            np.testing.assert_allclose(plate.force_n, other["force"].T, atol=1e-2)
+            loaded = np.isfinite(plate.cop_mm[:, 0])
+            cop_mm = factor * other["center_of_pressure"].T
+            np.testing.assert_allclose(plate.cop_mm[loaded], cop_mm[loaded], atol=1e-1)
+            compared += loaded.any()
+    assert compared > 0
 
 
 def test_plates_of_several_types_in_one_file(imported):

@@ -41,6 +41,8 @@ def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
     Decodes nothing yet, and reads little of a complete take, whatever its length. A take that was cut off, for
     example by a crash of the recorder, opens with a :class:`TakeWarning` about the missing part.
 
+    ``with mocapd.open(path) as take:`` closes the file at the end of the block.
+
     Parameters
     ----------
     path
@@ -59,7 +61,10 @@ def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
 
 
 class Take:
-    """An open take: marker trajectories, frame times, events and the ledger.
+    """An open take: marker trajectories, frame times, events and the ledger; and what an import has besides.
+
+    It holds the file open until it is closed: by :meth:`close`, at the end of a ``with`` block, or because nothing refers
+    to it any more.
 
     ``take[100:200]`` are the positions of frames 100 to 199, [frames, markers, 3]; ``take["LKNE"]`` is a marker;
     ``take[100:200, "LKNE"]`` are the positions of that marker, [frames, 3].
