@@ -33,6 +33,13 @@ struct CachedRows {
 pub(crate) struct DecodeCache(Mutex<Option<CachedRows>>);
 
 impl DecodeCache {
+    /// Frees the rows, unless another thread is reading them.
+    pub(crate) fn clear(&self) {
+        if let Ok(mut kept) = self.0.try_lock() {
+            *kept = None;
+        }
+    }
+
     /// Reads like [`read`], from the cache if it has the rows and columns.
     pub(crate) fn read(
         &self,

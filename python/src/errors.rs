@@ -24,6 +24,10 @@ pub(crate) type Result<T, E = Failure> = std::result::Result<T, E>;
 pub(crate) enum Failure {
     Take(mocapd_take::TakeError),
     Value(String),
+    /// Part of a take is damaged, with what cannot be read for it.
+    Damaged(String),
+    /// The take is closed.
+    Closed,
     /// Not a plain file: `errno` and the reason.
     NotAFile(i32, &'static str),
     /// A panic.
@@ -67,6 +71,10 @@ impl Failure {
             | Self::Take(InvalidArgument(message) | Codec(CodecError::InvalidArgument(message))) => {
                 PyValueError::new_err(message)
             }
+            Self::Damaged(message) => TakeError::new_err(named(&message)),
+            Self::Closed => PyValueError::new_err(named(
+                "the take is closed: read inside the `with` block, or open it again with mocapd.open",
+            )),
             Self::NotAFile(code, why) => os_error(code, why.to_owned(), path),
             Self::Take(Io(error)) => match error.raw_os_error() {
                 Some(code) => {

@@ -1,9 +1,13 @@
 //! `TakeFile`: the native object behind `mocapd.Take`.
 
-use std::{ops::Range, path::PathBuf};
+use std::{
+    ops::Range,
+    path::PathBuf,
+    sync::{Arc, PoisonError, RwLock},
+};
 
-use mocapd_take::{TakeMap, damage::Problem, timeline::LossCauses};
-use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
+use mocapd_take::{TakeMap, damage::Problem, motion::MotionInfo, timeline::LossCauses};
+use numpy::{IntoPyArray, PyArray1, PyReadwriteArray2, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
     types::{PyBytes, PyDict, PyList},
@@ -14,6 +18,8 @@ use crate::{
     cache::DecodeCache,
     decode::DecodeRequest,
     errors::Failure,
+    foreign::{self, KeptParts, LOAD_VALUES},
+    records,
     scan::scan,
     source::Source,
     times::{Times, lost, times},
@@ -22,10 +28,19 @@ use crate::{
 /// An open take, addressed by rows and columns.
 #[pyclass(frozen, module = "mocapd._native")]
 pub(crate) struct TakeFile {
-    source: Source,
+    /// `None` once closed. Threads that read hold the file open until they are done.
+    open: RwLock<Option<OpenTake>>,
     path: Option<PathBuf>,
     map: TakeMap,
     cache: DecodeCache,
+}
+
+/// What closing a take frees.
+#[derive(Clone)]
+struct OpenTake {
+    source: Source,
+    /// The parts of an import that were read, and which they are.
+    kept: Option<(KeptParts, Arc<MotionInfo>)>,
 }
 
 /// Device ticks, arrival times in nanoseconds, and whether each row was recorded.
@@ -34,6 +49,9 @@ type TimesOut<'py> =
 
 /// For each column: samples, gaps, knots, the largest stated error in millimetres, and the rows of the knots.
 type ScanOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
+
+/// The name of a subject, and the documents by their kinds.
+type SubjectOut<'py> = (String, Vec<(String, Bound<'py, PyBytes>)>);
 
 #[pymethods]
 impl TakeFile {
@@ -81,40 +99,22 @@ impl TakeFile {
 
     /// The header as a dict.
     fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let header = &self.map.header;
-        let out = PyDict::new(py);
-        out.set_item("software", &header.software)?;
-        out.set_item("take_id", PyBytes::new(py, &header.take_id))?;
-        out.set_item("created_unix_ms", header.created_unix_ms)?;
-        out.set_item("resampler", &header.resampler)?;
-        out.set_item("tolerance_mm", header.tolerance_mm)?;
-        out.set_item("rate_hz", header.rate_hz)?;
-        out.set_item("up_axis", header.up_axis.name())?;
-        out.set_item("settings", header.settings.to_vec())?;
-        let device = header.device.as_ref().map(|device| {
-            let dict = PyDict::new(py);
-            dict.set_item("driver", &device.driver)?;
-            dict.set_item("uri", &device.uri)?;
-            dict.set_item("model", &device.model)?;
-            dict.set_item("serial", &device.serial)?;
-            dict.set_item("firmware", &device.firmware)?;
-            dict.set_item("tick_hz", device.tick_hz)?;
-            dict.set_item("low_latency", device.low_latency)?;
-            Ok::<_, PyErr>(dict)
-        });
-        out.set_item("device", device.transpose()?)?;
-        let source = header.source.as_ref().map(|source| {
-            let dict = PyDict::new(py);
-            dict.set_item("format", &source.format)?;
-            dict.set_item("file", &source.file)?;
-            dict.set_item("unit", &source.unit)?;
-            dict.set_item("factor_to_mm", source.factor)?;
-            dict.set_item("first_frame", source.first_frame)?;
-            dict.set_item("warnings", &source.warnings)?;
-            Ok::<_, PyErr>(dict)
-        });
-        out.set_item("source", source.transpose()?)?;
-        Ok(out)
+        records::header(py, &self.map.header)
+    }
+
+    /// The last ledger as a dict, or None.
+    fn ledger<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        self.map.ledger.as_ref().map(|ledger| records::ledger(py, ledger)).transpose()
+    }
+
+    /// The events, each as a dict.
+    fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        records::events(py, &self.map.events)
+    }
+
+    /// The clock lines, each as a dict: linear maps from the device's clock to the host's.
+    fn clock_lines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        records::clock_lines(py, &self.map.clock_lines)
     }
 
     /// For each channel whether the device or file gave it its name.
@@ -122,73 +122,10 @@ impl TakeFile {
         self.map.channels.iter().map(|channel| channel.labelled).collect()
     }
 
-    /// The last ledger as a dict, or None.
-    fn ledger<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let Some(ledger) = &self.map.ledger else { return Ok(None) };
-        let out = PyDict::new(py);
-        out.set_item("finished", ledger.finished)?;
-        for (name, count) in [
-            ("frames_sent", ledger.frames_sent),
-            ("recorded", ledger.recorded),
-            ("lost_on_link", ledger.lost_on_link),
-            ("dropped_by_device", ledger.dropped_by_device),
-            ("lost_ring_full", ledger.lost_ring_full),
-            ("lost_other", ledger.lost_other),
-            ("duplicates", ledger.duplicates),
-            ("unknown_after_disconnect", ledger.unknown_after_disconnect),
-            ("samples_announced", ledger.samples_announced),
-            ("samples_present", ledger.samples_present),
-            ("samples_occluded", ledger.samples_occluded),
-            ("samples_not_finite", ledger.samples_not_finite),
-            ("markers_dropped", ledger.markers_dropped),
-            ("link_bytes", ledger.link_bytes),
-            ("link_bytes_skipped", ledger.link_bytes_skipped),
-            ("link_messages", ledger.link_messages),
-            ("link_messages_damaged", ledger.link_messages_damaged),
-            ("link_messages_unknown", ledger.link_messages_unknown),
-        ] {
-            out.set_item(name, count)?;
-        }
-        out.set_item("contradictions", &ledger.contradictions)?;
-        out.set_item("closes", ledger.closes())?;
-        Ok(Some(out))
-    }
-
     /// How the recording ended, as (kind, detail); None if the take does not state it.
     fn ending(&self) -> Option<(String, String)> {
         let ending = self.map.ending.as_ref()?;
         Some((ending.kind.name().to_owned(), ending.detail.clone()))
-    }
-
-    /// The events, each as a dict.
-    fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let out = PyList::empty(py);
-        for event in &self.map.events {
-            let dict = PyDict::new(py);
-            dict.set_item("kind", event.kind.name())?;
-            dict.set_item("frame", event.row)?;
-            dict.set_item("device_ticks", event.device_ticks)?;
-            dict.set_item("host_ns", event.host_ns)?;
-            dict.set_item("input", event.input)?;
-            dict.set_item("text", &event.text)?;
-            out.append(dict)?;
-        }
-        Ok(out)
-    }
-
-    /// The clock lines, each as a dict: linear maps from the device's clock to the host's.
-    fn clock_lines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let out = PyList::empty(py);
-        for (segment, line) in &self.map.clock_lines {
-            let dict = PyDict::new(py);
-            dict.set_item("segment", segment)?;
-            dict.set_item("device_ticks", line.device_ticks)?;
-            dict.set_item("host_ns", line.host_ns)?;
-            dict.set_item("drift_ppm", line.drift_ppb as f64 / 1e3)?;
-            dict.set_item("bound_us", line.bound.map(|bound| bound.offset_us))?;
-            out.append(dict)?;
-        }
-        Ok(out)
     }
 
     /// Fills `out`, float32 [rows, columns, 3], with positions in millimetres from row `first` on, NaN for missing
@@ -207,9 +144,7 @@ impl TakeFile {
         }
         let rows = self.rows(first, first.saturating_add(n_rows))?;
         self.check_columns(&columns)?;
-        let out = out
-            .as_slice_mut()
-            .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
+        let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
         self.run(py, |source| self.cache.read(self.request(source, &columns, threads), &rows, out))
     }
 
@@ -245,6 +180,90 @@ impl TakeFile {
         let found = self.run(py, |source| lost(source, &self.map))?;
         Ok(found.into_iter().map(|(first, n, causes)| (first, n, cause_text(causes))).collect())
     }
+
+    #[getter]
+    fn closed(&self) -> bool {
+        self.source().is_err()
+    }
+
+    /// Closes the file, and frees what is cached of it.
+    fn close(&self) {
+        *self.open.write().unwrap_or_else(PoisonError::into_inner) = None;
+        self.cache.clear();
+    }
+
+    /// Fails if the file is closed.
+    fn check_open(&self, py: Python<'_>) -> PyResult<()> {
+        let open = self.source();
+        open.map(drop).map_err(|closed| closed.into_py_err(py, self.path.as_deref()))
+    }
+
+    /// The subject, if the take states it.
+    fn subject<'py>(&self, py: Python<'py>) -> Option<SubjectOut<'py>> {
+        let subject = self.map.subject.as_ref()?;
+        let documents = subject.documents.iter();
+        let documents = documents.map(|found| (found.kind.clone(), PyBytes::new(py, &found.data)));
+        Some((subject.name.clone(), documents.collect()))
+    }
+
+    /// The parameters of an imported C3D file, each as a dict.
+    fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let kept = self.kept(py, KeptParts::Parameters)?;
+        records::parameters(py, self.run(py, |_| foreign::parameters(&kept))?)
+    }
+
+    /// The analog channels, as a dict.
+    fn analog<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let kept = self.kept(py, KeptParts::All)?;
+        let found = self.run(py, |_| foreign::analog(&kept))?;
+        records::analog(py, found.as_ref(), kept.n_frames)
+    }
+
+    /// The force plates that can be used, each as a dict, and what was wrong with them and the others.
+    fn force_plates<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyList>, Vec<String>)> {
+        let kept = self.kept(py, KeptParts::All)?;
+        records::force_plates(py, &self.run(py, |_| foreign::force_plates(&kept))?)
+    }
+
+    /// Fills `out`, float64 [samples, channels], with physical values from sample `first` on.
+    fn read_analog(
+        &self,
+        py: Python<'_>,
+        mut out: PyReadwriteArray2<'_, f64>,
+        first: u64,
+        channels: Vec<usize>,
+    ) -> PyResult<()> {
+        let samples = first..first.saturating_add(out.shape()[0] as u64);
+        if out.shape()[1] != channels.len() {
+            return Err(Failure::Value("the array must be [samples, channels]".into()).into());
+        }
+        let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
+        let kept = self.kept(py, KeptParts::All)?;
+        self.run(py, |source| foreign::read_analog(&kept, source, &samples, &channels, out))
+    }
+
+    /// Fills `out`, float64 [samples, 12 for each plate], with loads from sample `first` on.
+    fn read_loads(
+        &self,
+        py: Python<'_>,
+        mut out: PyReadwriteArray2<'_, f64>,
+        first: u64,
+        plates: Vec<usize>,
+    ) -> PyResult<()> {
+        let samples = first..first.saturating_add(out.shape()[0] as u64);
+        if out.shape()[1] != plates.len() * LOAD_VALUES {
+            return Err(
+                Failure::Value("the array must be [samples, 12 for each plate]".into()).into()
+            );
+        }
+        let out = out.as_slice_mut().map_err(|_| not_contiguous())?;
+        let kept = self.kept(py, KeptParts::All)?;
+        self.run(py, |source| foreign::read_loads(&kept, source, &samples, &plates, out))
+    }
+}
+
+fn not_contiguous() -> Failure {
+    Failure::Value("the array must be contiguous, in C order".into())
 }
 
 impl TakeFile {
@@ -252,7 +271,32 @@ impl TakeFile {
         let map = run_detached(py, path.as_deref(), |cancel| {
             Ok(TakeMap::open(&mut source.with_cancel(cancel).reader())?)
         })?;
-        Ok(Self { source, path, map, cache: DecodeCache::default() })
+        let open = RwLock::new(Some(OpenTake { source, kept: None }));
+        Ok(Self { open, path, map, cache: DecodeCache::default() })
+    }
+
+    fn state(&self) -> Result<OpenTake, Failure> {
+        let open = self.open.read().unwrap_or_else(PoisonError::into_inner);
+        open.clone().ok_or(Failure::Closed)
+    }
+
+    /// The file, which stays open while it is used.
+    fn source(&self) -> Result<Source, Failure> {
+        self.state().map(|open| open.source)
+    }
+
+    /// The parts of an import, read at the first request.
+    fn kept(&self, py: Python<'_>, parts: KeptParts) -> PyResult<Arc<MotionInfo>> {
+        let open = self.state();
+        let open = open.map_err(|closed| closed.into_py_err(py, self.path.as_deref()))?;
+        if let Some((_, kept)) = open.kept.filter(|(found, _)| *found >= parts) {
+            return Ok(kept);
+        }
+        let kept = Arc::new(self.run(py, |source| foreign::read_kept(source, parts))?);
+        if let Some(open) = &mut *self.open.write().unwrap_or_else(PoisonError::into_inner) {
+            open.kept = Some((parts, Arc::clone(&kept)));
+        }
+        Ok(kept)
     }
 
     fn run<T: Send>(
@@ -260,7 +304,8 @@ impl TakeFile {
         py: Python<'_>,
         work: impl FnOnce(&Source) -> Result<T, Failure> + Send,
     ) -> PyResult<T> {
-        run_detached(py, self.path.as_deref(), |cancel| work(&self.source.with_cancel(cancel)))
+        let source = self.source();
+        run_detached(py, self.path.as_deref(), |cancel| work(&source?.with_cancel(cancel)))
     }
 
     fn request<'a>(

@@ -61,6 +61,20 @@ def recorded(program, tmp_path_factory):
     return folder / "out" / "jump-001.take"
 
 
+@pytest.fixture
+def imported(program, tmp_path):
+    """Imports the bytes of a C3D file, which stays as ``a.c3d``, and opens the take."""
+    takes = []
+
+    def imported(data, *options):
+        (tmp_path / "a.c3d").write_bytes(data)
+        takes.append(tmp_path / f"{len(takes)}.take")
+        run(program, "import", tmp_path / "a.c3d", "-o", takes[-1], "--lossless", *options)
+        return mocapd.open(takes[-1])
+
+    return imported
+
+
 def run(*command):
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True)
     assert done.returncode in (0, 3), done.stderr

@@ -26,5 +26,23 @@ def test_the_package_is_typed_strictly(tmp_path):
         "size: int = mocapd.write_take('b.take', take.positions, take.labels, take.rate_hz)\n"
         "again = mocapd.decompress(mocapd.compress(take.read(1, 2, ['a']), 0.5))\n"
         "x: float = float(again[0, 0, 0])\n"
+        "with mocapd.open('a.take') as take:\n"
+        "    emg: float = float(take.analog['EMG1'].values[0])\n"
+        "    unit: str = take.analog.channels[0].unit\n"
+        "    plate: mocapd.ForcePlate = take.force_plates[0]\n"
+        "    force_n: float = float(plate.read(1, 2).force_n[0, 2])\n"
+        "    skeleton = take.subject.skeleton if take.subject else None\n"
+        "    used = take.metadata['POINT']['USED']\n"
+        "    rows: int = len(take.to_pandas('analog', 1, 2, ['EMG1'])) + len(take.to_pandas(1, 2, layout='long'))\n"
+        "    columns = take.to_pandas('force_plates', 1).columns, take.to_pandas('events').columns\n"
     )
     run("mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), str(use))
+
+
+@pytest.mark.parametrize("wrong", ["to_pandas('forces')", "to_pandas('events', 1, 2)", "to_pandas(layout='tidy')"])
+def test_calls_that_fail_are_type_errors(tmp_path, wrong):
+    use = tmp_path / "use.py"
+    use.write_text(f"import mocapd\nmocapd.open('a.take').{wrong}\n")
+    command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), str(use)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 1 and "call-overload" in done.stdout, done.stdout

@@ -4,6 +4,7 @@ pub mod analog;
 pub mod content;
 pub(crate) mod force_plate;
 pub mod force_plates;
+pub mod parameters;
 
 use std::{
     io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},

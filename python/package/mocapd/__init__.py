@@ -8,28 +8,42 @@
 
 Positions are float32 millimetres, right-handed, in the axes of the device or the imported file. Every sample is within
 ``take.header.tolerance_mm`` of the recorded one (Euclidean distance in 3D): the encoder verified each of them.
+
+>>> with mocapd.open("walk.take") as take:          # imported from a C3D file
+...     emg = take.analog["EMG1"].values            # in its unit, at its own rate
+...     plate = take.force_plates[0]
+...     plate.force_n, plate.cop_mm                 # in the laboratory's axes
 """
 
 from importlib.metadata import version
 
+from ._analog import Analog, AnalogChannel
 from ._arrays import compress, decompress, write_take
+from ._force_plates import ForcePlate, PlateLoads
+from ._marker import Marker, MarkerSummary
 from ._native import TakeError
 from ._records import ClockLine, Device, Ending, Event, Header, Ledger, LostFrames, Source, Times
-from ._take import Marker, MarkerSummary, Take, TakeWarning, open
+from ._subject import Subject
+from ._take import Take, TakeWarning, open
 
 __version__ = version("mocapd")
 
 __all__ = [
+    "Analog",
+    "AnalogChannel",
     "ClockLine",
     "Device",
     "Ending",
     "Event",
+    "ForcePlate",
     "Header",
     "Ledger",
     "LostFrames",
     "Marker",
     "MarkerSummary",
+    "PlateLoads",
     "Source",
+    "Subject",
     "Take",
     "TakeError",
     "TakeWarning",

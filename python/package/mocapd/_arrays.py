@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._native import TakeError, TakeFile, encode
+from ._ranges import SAMPLES_MAX
 
 if TYPE_CHECKING:
     from ._native import EncodeOptions
@@ -21,9 +22,6 @@ _NOMINAL_HZ = 100.0
 
 # From time lapse to ballistics; `mocapd import` has the same limits.
 _RATES_HZ = (0.001, 1e6)
-
-# Most samples to read at once: 12 GiB. A few bytes of a damaged take can claim years of lost frames.
-SAMPLES_MAX = 1 << 30
 
 _UP_AXES = {None: 0, "x": 1, "y": 2, "z": 3}
 

@@ -8,6 +8,38 @@ __all__ = ["TakeError", "TakeFile", "encode"]
 
 class TakeError(Exception): ...
 
+@type_check_only
+class Parameter(TypedDict):
+    group: str
+    name: str
+    dimensions: list[int]
+    values: list[str] | npt.NDArray[Any]
+
+@type_check_only
+class AnalogChannelFields(TypedDict):
+    name: str
+    unit: str
+    description: str
+    scale: float
+    offset: float
+
+@type_check_only
+class AnalogFields(TypedDict):
+    rate_hz: float
+    samples_per_frame: int
+    n_samples: int
+    channels: list[AnalogChannelFields]
+    warnings: list[str]
+
+@type_check_only
+class ForcePlateFields(TypedDict):
+    number: int
+    type: int
+    corners_mm: npt.NDArray[np.float64]
+    origin_mm: npt.NDArray[np.float64]
+    channels: list[int]
+    calibration: npt.NDArray[np.float64] | None
+
 @final
 class TakeFile:
     def __new__(cls, path: str | os.PathLike[str]) -> TakeFile: ...
@@ -39,6 +71,16 @@ class TakeFile:
         self, first: int, stop: int
     ) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.uint64], npt.NDArray[np.bool_]]: ...
     def lost(self) -> list[tuple[int, int, str]]: ...
+    @property
+    def closed(self) -> bool: ...
+    def close(self) -> None: ...
+    def check_open(self) -> None: ...
+    def subject(self) -> tuple[str, list[tuple[str, bytes]]] | None: ...
+    def parameters(self) -> list[Parameter]: ...
+    def analog(self) -> AnalogFields: ...
+    def read_analog(self, out: npt.NDArray[np.float64], first: int, channels: list[int]) -> None: ...
+    def force_plates(self) -> tuple[list[ForcePlateFields], list[str]]: ...
+    def read_loads(self, out: npt.NDArray[np.float64], first: int, plates: list[int]) -> None: ...
 
 @type_check_only
 class EncodeOptions(TypedDict):

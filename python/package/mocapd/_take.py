@@ -2,51 +2,37 @@
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Union
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from ._arrays import SAMPLES_MAX, thread_count
+from . import _tables
+from ._analog import Analog
+from ._arrays import thread_count
+from ._force_plates import ForcePlate
+from ._marker import Marker, MarkerKey, Markers, MarkerSummary, Positions
 from ._native import TakeFile
+from ._parameters import Metadata, metadata
+from ._ranges import check_order, check_size, index_at, unique_names
 from ._records import ClockLine, Ending, Event, Header, Ledger, LostFrames, Times
+from ._subject import Subject
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-Positions = npt.NDArray[np.float32]
-MarkerKey = Union[str, int]
-
 # The times of a frame take as much memory as this number of samples.
 _TIMES_AS_SAMPLES = 4
 
-# The package is installed from its folder: no registry has it.
-_NEEDS = "{0} needs {1}: pip install {1}, or pip install './python[{1}]' in mocapd's folder"
-
 
 class TakeWarning(UserWarning):
-    """Part of a take is missing or damaged; the message says which."""
-
-
-@dataclass(frozen=True)
-class MarkerSummary:
-    """The counts of one marker over a whole take."""
-
-    label: str
-    n_samples: int
-    n_gaps: int
-    """Runs of consecutive frames without a sample, including those at start and end."""
-    n_knots: int
-    """Kept samples; the others are interpolated between them."""
-    max_error_mm: float
-    """The largest error that the take states for blocks with samples of this marker."""
+    """Part of a take is missing or damaged, or can be read in several ways; the message says which."""
 
 
 def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
@@ -54,6 +40,8 @@ def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
 
     Decodes nothing yet, and reads little of a complete take, whatever its length. A take that was cut off, for
     example by a crash of the recorder, opens with a :class:`TakeWarning` about the missing part.
+
+    ``with mocapd.open(path) as take:`` closes the file at the end of the block.
 
     Parameters
     ----------
@@ -73,7 +61,10 @@ def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
 
 
 class Take:
-    """An open take: marker trajectories, frame times, events and the ledger.
+    """An open take: marker trajectories, frame times, events and the ledger; and what an import has besides.
+
+    It holds the file open until it is closed: by :meth:`close`, at the end of a ``with`` block, or because nothing refers
+    to it any more.
 
     ``take[100:200]`` are the positions of frames 100 to 199, [frames, markers, 3]; ``take["LKNE"]`` is a marker;
     ``take[100:200, "LKNE"]`` are the positions of that marker, [frames, 3].
@@ -92,7 +83,7 @@ class Take:
         self.finished: bool = self._file.finished
         """Whether the take is complete; otherwise it was cut off."""
         self.problems: list[str] = []
-        """What is missing or damaged in the part read so far."""
+        """What is missing or damaged in the part read so far, and what the imported file leaves open."""
         self._warn(self._file.problems)
         if self._file.cut_off is not None:
             self._warn_cut_off(self._file.cut_off)
@@ -129,10 +120,10 @@ class Take:
 
     def __repr__(self) -> str:
         within = f"within {self.header.tolerance_mm:g} mm" if self.header.tolerance_mm else "every bit"
-        cut = "" if self.finished else ", cut off"
+        state = ("" if self.finished else ", cut off") + (", closed" if self.closed else "")
         return (
             f"<mocapd.Take {self.path!r}: {self.n_frames} frames at {self.rate_hz:g} Hz, "
-            f"{self.n_markers} markers, {within}{cut}>"
+            f"{self.n_markers} markers, {within}{state}>"
         )
 
     @cached_property
@@ -158,6 +149,81 @@ class Take:
         """Maps from the device's clock to the host's, one for each run of the device's clock; empty for an import."""
         return tuple(ClockLine(**line) for line in self._file.clock_lines())
 
+    # -- open and closed -----------------------------------------------------------------------------------
+
+    def __enter__(self) -> Take:
+        self._file.check_open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the file. The header, the labels and arrays that were read stay; reading more is a ValueError.
+
+        A take that is not closed stays open until nothing refers to it.
+        """
+        self._file.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the file is closed."""
+        return self._file.closed
+
+    # -- content besides positions -------------------------------------------------------------------------
+
+    @cached_property
+    def subject(self) -> Subject | None:
+        """The captured person or object: name, skeleton and face; None if the take does not state it."""
+        return Subject._of(self._file.subject(), self.path)
+
+    @cached_property
+    def metadata(self) -> Metadata:
+        """The groups of parameters of an imported C3D file: ``take.metadata["POINT"]["UNITS"]``. Empty for others.
+
+        Names are in upper case. A text is a str, a list of texts a list; a number is an int or a float, more are an
+        array with the dimensions of the C3D file (``CORNERS`` of two plates has the shape 3, 4, 2). Values are those
+        of the file, in its units.
+
+        Raises
+        ------
+        TakeError
+            If this part of the take is damaged.
+        """
+        return metadata(self._file.parameters())
+
+    @cached_property
+    def analog(self) -> Analog:
+        """The analog channels of an imported C3D file, in physical units. Without any, it has the length 0.
+
+        What the file leaves open, such as a missing scale, is a :class:`TakeWarning`.
+
+        Raises
+        ------
+        TakeError
+            If this part of the take is damaged.
+        """
+        fields = self._file.analog()
+        self._warn(fields["warnings"])
+        return Analog(self._file, fields)
+
+    @cached_property
+    def force_plates(self) -> tuple[ForcePlate, ...]:
+        """The force plates of an imported C3D file, in their order in the file. Empty if there are none.
+
+        A plate that cannot be used, for example one of an unknown type, is left out with a :class:`TakeWarning`.
+
+        Raises
+        ------
+        TakeError
+            If this part of the take is damaged.
+        """
+        plates, problems = self._file.force_plates()
+        self._warn(problems)
+        return tuple(ForcePlate(self.analog, index, self.path, **plate) for index, plate in enumerate(plates))
+
     # -- positions -----------------------------------------------------------------------------------------
 
     @cached_property
@@ -172,7 +238,7 @@ class Take:
         self,
         start_s: float | None = None,
         stop_s: float | None = None,
-        markers: Sequence[MarkerKey] | MarkerKey | None = None,
+        markers: Markers = None,
         *,
         start_frame: int | None = None,
         stop_frame: int | None = None,
@@ -244,13 +310,12 @@ class Take:
         columns = list(range(self.n_markers))
         found, problems = self._file.scan(columns, False, self._threads)
         self._warn(problems)
-        out: dict[str, MarkerSummary] = {}
-        for column, (label, (samples, gaps, knots, error_mm, _)) in enumerate(zip(self.labels, found)):
-            name = f"{label}#{column}" if label in out else label
-            out[name] = MarkerSummary(label, samples, gaps, knots, error_mm)
-        return out
+        return {
+            name: MarkerSummary(label, samples, gaps, knots, error_mm)
+            for name, label, (samples, gaps, knots, error_mm, _) in zip(unique_names(self.labels), self.labels, found)
+        }
 
-    def knots(self, markers: Sequence[MarkerKey] | MarkerKey | None = None) -> list[npt.NDArray[np.int64]]:
+    def knots(self, markers: Markers = None) -> list[npt.NDArray[np.int64]]:
         """For each marker, the frames of its kept samples, which ``mocapd info`` counts as knots."""
         found, problems = self._file.scan(self._columns(markers), True, self._threads)
         self._warn(problems)
@@ -266,7 +331,7 @@ class Take:
         """
         first, stop = self._range(start_s, stop_s)
         # Five arrays of eight bytes a frame.
-        self._check_size(stop - first, _TIMES_AS_SAMPLES)
+        check_size(stop - first, _TIMES_AS_SAMPLES, "times")
         frame = np.arange(first, stop, dtype=np.int64)
         nominal_s = frame / self.rate_hz
         device = self.header.device
@@ -285,10 +350,7 @@ class Take:
     # -- conversion to other libraries ---------------------------------------------------------------------
 
     def to_xarray(
-        self,
-        start_s: float | None = None,
-        stop_s: float | None = None,
-        markers: Sequence[MarkerKey] | MarkerKey | None = None,
+        self, start_s: float | None = None, stop_s: float | None = None, markers: Markers = None
     ) -> xarray.DataArray:
         """Positions as an ``xarray.DataArray`` with the dimensions time (seconds), marker and axis.
 
@@ -297,62 +359,96 @@ class Take:
         ImportError
             If xarray is not installed; ``pip install './python[xarray]'`` installs it.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise ImportError(_NEEDS.format("to_xarray()", "xarray")) from error
-        values, columns, time_s = self._part(start_s, stop_s, markers)
-        attributes = {"units": "mm", "rate_hz": self.rate_hz, "tolerance_mm": self.header.tolerance_mm}
-        return xarray.DataArray(
-            values,
-            dims=("time", "marker", "axis"),
-            coords={
-                "time": ("time", time_s, {"units": "s"}),
-                "marker": [self.labels[column] for column in columns],
-                "axis": list("xyz"),
-            },
-            name="position",
-            attrs=attributes,
-        )
+        return _tables.to_xarray(self, start_s, stop_s, markers)
 
+    @overload
     def to_pandas(
         self,
         start_s: float | None = None,
         stop_s: float | None = None,
-        markers: Sequence[MarkerKey] | MarkerKey | None = None,
-    ) -> pandas.DataFrame:
-        """Positions as a ``pandas.DataFrame``: one row per frame, indexed by time in seconds, with columns (marker,
-        axis) in millimetres.
+        markers: Markers = None,
+        *,
+        layout: Literal["wide", "long"] = "wide",
+    ) -> pandas.DataFrame: ...
+
+    @overload
+    def to_pandas(
+        self,
+        content: Literal["positions"],
+        /,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        markers: Markers = None,
+        *,
+        layout: Literal["wide", "long"] = "wide",
+    ) -> pandas.DataFrame: ...
+
+    @overload
+    def to_pandas(
+        self,
+        content: Literal["analog"],
+        /,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        channels: Sequence[str | int] | str | int | None = None,
+    ) -> pandas.DataFrame: ...
+
+    @overload
+    def to_pandas(
+        self, content: Literal["force_plates"], /, start_s: float | None = None, stop_s: float | None = None
+    ) -> pandas.DataFrame: ...
+
+    @overload
+    def to_pandas(self, content: Literal["events", "subject"], /) -> pandas.DataFrame: ...
+
+    def to_pandas(self, *part: Any, **options: Any) -> pandas.DataFrame:
+        """Positions, or another part of the take, as a ``pandas.DataFrame``.
+
+        ``to_pandas(start_s, stop_s, markers, layout="wide")`` and ``to_pandas("positions", ...)``
+            One row per frame, indexed by ``time_s``, seconds from the first frame; columns (marker, axis), in
+            millimetres, NaN for missing samples. With ``layout="long"`` one row per sample that is there, with the
+            columns ``frame``, ``marker``, ``x``, ``y``, ``z``.
+        ``to_pandas("analog", start_s, stop_s, channels)``
+            One row per analog sample, indexed by ``time_s``; a column for each channel, in its unit.
+        ``to_pandas("force_plates", start_s, stop_s)``
+            One row per analog sample, indexed by ``time_s``; columns (plate, quantity, axis), where quantity is
+            ``force_n``, ``moment_nm``, ``cop_mm`` or ``free_moment_nm`` as in :class:`PlateLoads`.
+        ``to_pandas("events")``
+            One row per event: ``time_s``, ``frame``, ``kind``, ``text``, ``input``, ``device_ticks``, ``host_ns``.
+        ``to_pandas("subject")``
+            One row per bone of the subject's skeleton, indexed by its name: ``parent``, ``child``, ``length_mm``,
+            ``uncertainty_mm``, ``spread_mm``, ``scans``.
+
+        ``frame.attrs`` states units and axes. If the take does not have what was asked for, the frame is empty.
 
         Raises
         ------
         ImportError
             If pandas is not installed; ``pip install './python[pandas]'`` installs it.
+        KeyError
+            If a marker or channel is not in the take.
+        TakeError
+            If that part of the take is damaged.
+        ValueError
+            For another content or layout, a negative time or NaN, an end before the start, or too many samples.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise ImportError(_NEEDS.format("to_pandas()", "pandas")) from error
-        values, columns, time_s = self._part(start_s, stop_s, markers)
-        names = [(self.labels[column], axis) for column in columns for axis in "xyz"]
-        return pandas.DataFrame(
-            values.reshape(len(values), -1),
-            index=pandas.Index(time_s, name="time_s"),
-            columns=pandas.MultiIndex.from_tuples(names, names=["marker", "axis"]),
-        )
+        content = "positions"
+        if part and isinstance(part[0], str):
+            content, *part = part
+        return _tables.to_pandas(self, content, *part, **options)
 
     # -- helpers -------------------------------------------------------------------------------------------
 
     def _part(
-        self, start_s: float | None, stop_s: float | None, markers: Sequence[MarkerKey] | MarkerKey | None
+        self, start_s: float | None, stop_s: float | None, markers: Markers
     ) -> tuple[Positions, list[int], npt.NDArray[np.float64]]:
         first, stop = self._range(start_s, stop_s)
         columns = self._columns(markers)
         return self._read(first, stop, columns), columns, np.arange(first, stop) / self.rate_hz
 
     def _read(self, first: int, stop: int, columns: list[int]) -> Positions:
-        self._check_size(stop - first, len(columns))
-        if "positions" in self.__dict__:
+        check_size(stop - first, len(columns), f"frames of {len(columns)} markers")
+        if "positions" in self.__dict__ and not self.closed:
             return self.positions[first:stop, columns]
         out = np.empty((stop - first, len(columns), 3), dtype=np.float32)
         self._warn(self._file.read_into(out, first, columns, self._threads))
@@ -379,15 +475,8 @@ class Take:
         stop = self._frame(stop_s, stop_frame, self.n_frames)
         # Ends beyond the take are cut off to its length, so they are compared as given, too.
         for start, end in ((start_s, stop_s), (start_frame, stop_frame), (first, stop)):
-            if start is not None and end is not None and end < start:
-                raise ValueError(f"the part from {start} to {end} ends before it starts")
+            check_order(start, end)
         return first, stop
-
-    def _check_size(self, n_frames: int, n_markers: int) -> None:
-        if n_frames * max(n_markers, 1) > SAMPLES_MAX:
-            raise ValueError(
-                f"{n_frames} frames of {n_markers} markers are too many to read at once: give start_s and stop_s"
-            )
 
     def _frame(self, time_s: float | None, frame: int | None, default: int) -> int:
         if time_s is not None and frame is not None:
@@ -398,13 +487,7 @@ class Take:
             return min(int(frame), self.n_frames)
         if time_s is None:
             return default
-        if not time_s >= 0:
-            raise ValueError(f"time {time_s} s: times are seconds from the first frame, 0 or more")
-        # The first frame at or after the time; a time within rounding errors of a frame's is that frame's.
-        at = min(time_s * self.rate_hz, float(self.n_frames))
-        nearest = round(at)
-        found = nearest if abs(at - nearest) <= 1e-9 * max(at, 1.0) else math.ceil(at)
-        return min(found, self.n_frames)
+        return index_at(time_s, self.rate_hz, self.n_frames)
 
     def _slice(self, key: object) -> slice:
         if isinstance(key, slice):
@@ -416,7 +499,7 @@ class Take:
             raise TypeError(f"take[{key}]: for one frame use take[{key}:{key + 1}], for a marker take.marker({key})")
         raise TypeError(f"take[{key!r}]: use a label, a slice of frames, or both")
 
-    def _columns(self, markers: Sequence[MarkerKey] | MarkerKey | None) -> list[int]:
+    def _columns(self, markers: Markers) -> list[int]:
         if markers is None:
             return list(range(self.n_markers))
         if isinstance(markers, (str, int, np.integer)):
@@ -434,49 +517,3 @@ class Take:
         if found:
             raise KeyError(f"{len(found)} markers have the label {marker!r}: use one of their columns, {found}")
         raise KeyError(f"no marker has the label {marker!r}; the labels are {', '.join(self.labels[:20])}...")
-
-
-class Marker:
-    """One marker of a take; ``marker[100:200]`` are its positions in frames 100 to 199, [frames, 3]."""
-
-    def __init__(self, take: Take, column: int) -> None:
-        self.take = take
-        self.column = column
-        self.label: str = take.labels[column]
-
-    def __repr__(self) -> str:
-        return f"<mocapd.Marker {self.label!r} of {self.take.path!r}>"
-
-    @cached_property
-    def positions(self) -> Positions:
-        """All positions of the marker: float32 [frames, 3], millimetres, NaN for missing samples."""
-        return self.read()
-
-    def read(self, start_s: float | None = None, stop_s: float | None = None) -> Positions:
-        """Positions of the marker from ``start_s`` to before ``stop_s``: float32 [frames, 3], millimetres."""
-        return self.take.read(start_s, stop_s, self.column)[:, 0]
-
-    def __getitem__(self, frames: slice) -> Positions:
-        found = self.take[frames, self.column]
-        assert isinstance(found, np.ndarray)
-        return found
-
-    @cached_property
-    def knots(self) -> npt.NDArray[np.int64]:
-        """The frames of the kept samples; the other samples are interpolated between them."""
-        return self.take.knots(self.column)[0]
-
-    @property
-    def n_knots(self) -> int:
-        """Number of kept samples."""
-        return len(self.knots)
-
-    @property
-    def knot_times_s(self) -> npt.NDArray[np.float64]:
-        """The times of the kept samples, in seconds from the first frame."""
-        return self.knots / self.take.rate_hz
-
-    @property
-    def max_error_mm(self) -> float:
-        """The largest error that the take states for blocks with samples of this marker."""
-        return list(self.take.summary.values())[self.column].max_error_mm
