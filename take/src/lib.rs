@@ -19,6 +19,7 @@ pub mod phase;
 pub mod reader;
 pub mod record;
 pub mod recovery;
+pub mod statistics;
 pub mod stretch;
 mod table;
 pub mod timeline;

@@ -1,14 +1,19 @@
 //! SUMMARY: what a reader can learn from the end of a take without reading all of it. It consists of tagged sections;
 //! readers skip the unknown ones.
 
-use std::fmt;
+use std::{
+    fmt,
+    io::{Read, Write},
+};
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
+use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
-use super::Record;
+use super::{Header, LIMIT_BYTES, Record, statistics};
 use crate::{
     TakeError,
     chunk::types,
+    statistics::TakeStatistics,
     varint::{self, Cursor},
 };
 
@@ -24,6 +29,15 @@ const VERSION: u16 = 1;
 
 /// The section that holds a [`TakeEnding`].
 const ENDING_TAG: u64 = 1;
+
+/// The section that holds a copy of the header with the complete channel table.
+const HEADER_TAG: u64 = 2;
+
+/// The only version of that section.
+const HEADER_SECTION_VERSION: u16 = 1;
+
+/// The section that holds [`TakeStatistics`].
+const STATISTICS_TAG: u64 = 3;
 
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -169,10 +183,14 @@ impl Decode<()> for TakeEnding {
 }
 
 /// The known sections of a summary.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SummaryRecord {
     /// How the take ended; `None` if not stated.
     pub ending: Option<TakeEnding>,
+    /// The header, with the complete channel table of the take; `None` if not stated.
+    pub header: Option<Box<Header>>,
+    /// The statistics of the take; `None` if not stated.
+    pub statistics: Option<TakeStatistics>,
 }
 
 impl SummaryRecord {
@@ -184,6 +202,12 @@ impl SummaryRecord {
         let mut out = VERSION.to_le_bytes().to_vec();
         if let Some(ending) = &self.ending {
             put_section(&mut out, ENDING_TAG, &ending.to_payload()?);
+        }
+        if let Some(header) = &self.header {
+            put_section(&mut out, HEADER_TAG, &header_section(header)?);
+        }
+        if let Some(statistics) = &self.statistics {
+            put_section(&mut out, STATISTICS_TAG, &statistics::to_section(statistics)?);
         }
         if out.len() > SUMMARY_BYTES_MAX {
             return Err(TakeError::InvalidArgument(format!(
@@ -216,20 +240,72 @@ impl SummaryRecord {
             let (Some(tag), Some(section)) = (cursor.varint(), cursor.prefixed()) else {
                 return Err(corrupt("its sections do not fit it"));
             };
-            if tag != ENDING_TAG {
-                continue;
+            let is_twice = match tag {
+                ENDING_TAG => summary.ending.is_some(),
+                HEADER_TAG => summary.header.is_some(),
+                STATISTICS_TAG => summary.statistics.is_some(),
+                _ => continue,
+            };
+            if is_twice {
+                return Err(corrupt("it has a section twice"));
             }
-            if summary.ending.is_some() {
-                return Err(corrupt("it states the ending twice"));
-            }
-            match TakeEnding::from_payload(section, offset) {
+            match summary.set_section(tag, section, offset) {
                 // A newer version counts as an unknown section.
                 Err(TakeError::Unsupported { .. }) => {}
-                read => summary.ending = Some(read?),
+                read => read?,
             }
         }
         Ok(summary)
     }
+
+    /// Decodes a section with a known tag.
+    fn set_section(&mut self, tag: u64, section: &[u8], offset: u64) -> Result<(), TakeError> {
+        match tag {
+            ENDING_TAG => self.ending = Some(TakeEnding::from_payload(section, offset)?),
+            HEADER_TAG => self.header = Some(Box::new(header_of_section(section, offset)?)),
+            _ => self.statistics = Some(statistics::of_section(section, offset)?),
+        }
+        Ok(())
+    }
+}
+
+/// Splits the version off the front of a section, and rejects all but `supported`.
+pub(super) fn section_content<'a>(
+    section: &'a [u8],
+    what: &'static str,
+    supported: u16,
+    offset: u64,
+) -> Result<&'a [u8], TakeError> {
+    let Some((version, content)) = section.split_first_chunk::<2>() else {
+        return Err(TakeError::corrupt(what, offset, "shorter than its version"));
+    };
+    match u16::from_le_bytes(*version) {
+        found if found == supported => Ok(content),
+        found => Err(TakeError::Unsupported { what, found, supported }),
+    }
+}
+
+/// The content of the section with a header.
+fn header_section(header: &Header) -> Result<Vec<u8>, TakeError> {
+    let out = HEADER_SECTION_VERSION.to_le_bytes().to_vec();
+    let mut deflate = DeflateEncoder::new(out, Compression::best());
+    deflate.write_all(&header.to_payload()?)?;
+    Ok(deflate.finish()?)
+}
+
+/// Decodes the content of the section with a header, in bounded memory.
+fn header_of_section(section: &[u8], offset: u64) -> Result<Header, TakeError> {
+    const WHAT: &str = "header copy";
+    /// Longest payload of a header: its version and a record at its limit.
+    const PAYLOAD_BYTES_MAX: u64 = 2 + LIMIT_BYTES as u64;
+    let deflated = section_content(section, WHAT, HEADER_SECTION_VERSION, offset)?;
+    let mut inflated = DeflateDecoder::new(deflated).take(PAYLOAD_BYTES_MAX + 1);
+    let mut payload = Vec::new();
+    let is_whole = inflated.read_to_end(&mut payload).is_ok();
+    if !is_whole || inflated.limit() == 0 || !inflated.into_inner().into_inner().is_empty() {
+        return Err(TakeError::corrupt(WHAT, offset, "invalid DEFLATE data"));
+    }
+    Header::from_payload(&payload, offset)
 }
 
 fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
@@ -242,7 +318,8 @@ mod tests {
     use super::*;
 
     fn of(kind: EndingKind, detail: &str) -> SummaryRecord {
-        SummaryRecord { ending: Some(TakeEnding::new(kind, detail.to_owned())) }
+        let ending = Some(TakeEnding::new(kind, detail.to_owned()));
+        SummaryRecord { ending, ..SummaryRecord::default() }
     }
 
     #[test]
@@ -267,7 +344,7 @@ mod tests {
         let mut payload = VERSION.to_le_bytes().to_vec();
         put_section(&mut payload, 900, b"from a later version");
         put_section(&mut payload, ENDING_TAG, &[1, 0, 5, 0]);
-        put_section(&mut payload, 2, b"");
+        put_section(&mut payload, 4, b"");
         assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of(EndingKind::DiskFull, ""));
         // A truncated payload is an error or has fewer sections; it never states another ending.
         for cut in 0..payload.len() {
