@@ -27,7 +27,7 @@ use super::{
     output::{Progress, notify, plain, plain_path, print, print_json},
     paths,
     subject::SubjectArgs,
-    values::{CodecArgs, SizeReport, count, thousands, tolerance_mm},
+    values::{CodecArgs, SizeReport, count, rate, thousands, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
@@ -80,6 +80,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let unseen = unused_part_notes(subject.as_ref(), &motion.info.labels());
     unseen.iter().for_each(|warning| about_file(warning));
+    header.set_source_bytes(bytes.len() as u64);
     header.set_import_id(&bytes, subject.as_ref())?;
     motion.info.subject = subject;
     drop(bytes);
@@ -190,11 +191,11 @@ impl ImportReport {
             n => format!(" ({} samples missing)", thousands(n)),
         };
         format!(
-            "{}: {} of {}{gaps} at {} Hz, {}\n",
+            "{}: {} of {}{gaps} at {}, {}\n",
             plain_path(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
-            self.rate_hz,
+            rate(self.rate_hz),
             self.size.text(),
         )
     }
