@@ -10,6 +10,7 @@ mod loss;
 mod lossy_disk;
 mod outage;
 mod overload;
+mod statistics;
 mod takes;
 mod takes_outage;
 

@@ -97,7 +97,7 @@ fn a_label_as_long_as_a_book_is_shown() {
         ),
     );
     folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
-    let ran = folder.run(&["info", "a.take"]).with_code(0);
+    let ran = folder.run(&["info", "a.take", "--markers"]).with_code(0);
     assert!(ran.stdout.contains(&label));
 }
 

@@ -315,7 +315,13 @@ fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
+    use crate::{
+        record::{Channel, ImportSource},
+        statistics::ChannelStatistics,
+    };
 
     fn of(kind: EndingKind, detail: &str) -> SummaryRecord {
         let ending = Some(TakeEnding::new(kind, detail.to_owned()));
@@ -331,12 +337,107 @@ mod tests {
                 assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), summary);
             }
         }
+        let bytes = example("A SUMMARY of a take whose disk was full");
+        assert_eq!(of(EndingKind::DiskFull, "ok").to_payload().unwrap(), bytes);
+    }
+
+    /// The bytes of the example in the document that begins with this sentence.
+    fn example(sentence: &str) -> Vec<u8> {
         let document = include_str!("../../../docs/take-format.md");
-        let (_, example) = document.split_once("A SUMMARY of a take whose disk was full").unwrap();
+        let (_, example) = document.split_once(sentence).unwrap();
         let bytes = example.lines().skip(2).map_while(|line| line.strip_prefix("    "));
         let hex = bytes.flat_map(|line| line.split("   ").next().unwrap_or("").split_whitespace());
-        let bytes: Vec<u8> = hex.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
-        assert_eq!(of(EndingKind::DiskFull, "ok").to_payload().unwrap(), bytes);
+        hex.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+    }
+
+    /// The summary of the second example in the document.
+    fn of_import() -> SummaryRecord {
+        let channel = |(marker_id, label): (u16, &str)| Channel {
+            marker_id,
+            label: label.to_owned(),
+            labelled: true,
+        };
+        let mut header = Header {
+            software: "mocapd 0.1.0".to_owned(),
+            resampler: "dense".to_owned(),
+            codec_version: 6,
+            tolerance_mm: 0.5,
+            rate_hz: 120.0,
+            source: Some(ImportSource {
+                format: "csv".to_owned(),
+                file: "heels.csv".to_owned(),
+                factor: 1.0,
+                ..ImportSource::default()
+            }),
+            channels: [(0, "LHEE"), (1, "RHEE")].map(channel).to_vec(),
+            stretch_rows: 1200,
+            ..Header::default()
+        };
+        header.set_source_bytes(5678);
+        let channel = |(samples, gaps, knots)| ChannelStatistics { samples, gaps, knots, error_step: 63 };
+        let statistics = TakeStatistics {
+            channels: [(120, 0, 17), (104, 2, 21)].map(channel).to_vec(),
+            rows_with_samples: 120,
+            key_rows: 35,
+            samples_in_key_rows: 66,
+        };
+        let (header, statistics) = (Some(Box::new(header)), Some(statistics));
+        SummaryRecord { ending: None, header, statistics }
+    }
+
+    #[test]
+    fn the_example_of_an_import_decodes() {
+        let (payload, written) = (example("A SUMMARY of an import"), of_import().to_payload().unwrap());
+        assert_eq!(payload, written, "{written:02X?}");
+        assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of_import());
+    }
+
+    /// Sections with matching checksums whose content is wrong.
+    #[test]
+    fn forged_sections_are_damage_and_cost_no_memory() {
+        let whole = of_import();
+        let whole_payload = whole.to_payload().unwrap();
+        let mut random = Random::new(5);
+        for round in 0..20_000 {
+            let mut payload = whole_payload.clone();
+            for _ in 0..1 + round % 3 {
+                let at = 2 + random.below(payload.len() - 2);
+                payload[at] = random.byte();
+            }
+            // An error, or figures with which nothing overflows.
+            let Ok(read) = SummaryRecord::from_payload(&payload, 0) else { continue };
+            let Some(statistics) = read.statistics else { continue };
+            assert!(statistics.samples() <= u64::MAX / 12 && statistics.channels.len() <= 1 << 16);
+            assert!(statistics.samples() >= statistics.knots());
+        }
+        let section = |tag, content: &[u8]| {
+            let mut payload = VERSION.to_le_bytes().to_vec();
+            put_section(&mut payload, tag, content);
+            SummaryRecord::from_payload(&payload, 0)
+        };
+        let statistics = |figures: &[u8]| section(STATISTICS_TAG, &[&[1, 0], figures].concat());
+        // No channels, no rows; 65 536 of them; one more; nothing after the number; more rows than any take has.
+        assert!(statistics(&[0, 0]).unwrap().statistics.is_some());
+        assert!(statistics(&[0x80, 0x80, 4, 0]).is_ok_and(|read| read.statistics.is_some()));
+        for figures in [&[0x81, 0x80, 4, 0][..], &[5], &[], &[0, 0x81, 0x80, 0x80, 0x80, 0x80, 0x80, 4]] {
+            assert!(matches!(statistics(figures), Err(TakeError::Corrupt { .. })), "{figures:?}");
+        }
+        // A bomb: zeros without end; a copy that is cut; bytes after it.
+        let deflated = |bytes: &[u8]| {
+            let mut deflate = DeflateEncoder::new(vec![1, 0], Compression::best());
+            deflate.write_all(bytes).unwrap();
+            deflate.finish().unwrap()
+        };
+        let header = whole.header.unwrap().to_payload().unwrap();
+        let (bomb, copy) = (deflated(&vec![0; 64 << 20]), deflated(&header));
+        assert!(section(HEADER_TAG, &copy).is_ok());
+        for content in [&bomb[..], &copy[..copy.len() - 3], &[&copy[..], &[0]].concat(), &deflated(&header[..9])] {
+            assert!(matches!(section(HEADER_TAG, content), Err(TakeError::Corrupt { .. })));
+        }
+        // Sections of later versions are skipped.
+        for tag in [HEADER_TAG, STATISTICS_TAG] {
+            assert_eq!(section(tag, &[2, 0, 9, 9]).unwrap(), SummaryRecord::default());
+        }
     }
 
     #[test]
