@@ -1,10 +1,13 @@
-//! Reads a whole take and summarises it: the numbers of `info` and `verify`.
+//! Summarises a take: the numbers of `info` and `verify`.
+
+use std::io::{Seek, SeekFrom};
 
 use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal,
     index::{Footer, IndexEntry},
     reader::{TakeBytes, TakeInput},
-    record::Ledger,
+    record::{Channel, Header, Ledger, SummaryRecord},
+    statistics::{ChannelStatistics, StretchTally, TakeStatistics, TakeTally},
     stretch::Stretch,
     timeline::{LossCauses, Timeline},
     traversal::{Decode, LocatedEvent, Progress},
@@ -30,7 +33,6 @@ pub struct ChannelSummary {
     /// Rows lost because the take is damaged, or was when it was recovered: the marker was announced, but it is
     /// unknown whether it was visible.
     pub rows_damaged: u64,
-    in_gap: bool,
 }
 
 /// Summary of a whole take.
@@ -40,46 +42,130 @@ pub struct Summary {
     pub take: TakeMap,
     /// By channel.
     pub per_channel: Vec<ChannelSummary>,
+    /// The figures that only the samples give.
+    pub statistics: TakeStatistics,
     /// The final state of the clocks, as stored in the take.
     pub clock: ClockStatus,
     /// Disconnections of the device, and the rows missing for them.
     pub outages: (u32, u64),
-    /// Stretches decoded.
+    /// Stretches read.
     pub stretches: u64,
     /// Bytes by purpose.
     pub bytes: TakeBytes,
-    /// Rows with at least one sample: T of (Shi et al. 2012).
-    pub rows_with_samples: u64,
-    /// Rows with at least one kept sample: K.
-    pub key_rows: u64,
-    /// Samples present in those rows: the sum of |K in `P_i`|.
-    pub samples_in_key_rows: u64,
     in_outage: bool,
     line_refit: LineRefit,
     claims: ClaimChecker,
-    /// Rows up to the last event, including lost ones, and up to the last stretch with rows.
-    rows: u64,
-    end_of_stretches: u64,
+    /// `None` if nothing is decoded.
+    tally: Option<TakeTally>,
 }
 
 impl Summary {
-    /// Reads and decodes the whole take.
+    /// Reads and decodes the whole take, and compares the statistics that it states with its samples.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
-        let mut summary = Self::default();
+        let decoding = Self { tally: Some(TakeTally::default()), ..Self::default() };
+        let (mut summary, rows_damaged) = decoding.traverse(input, Decode::All)?;
+        let tally = summary.tally.take().unwrap_or_default();
+        summary.statistics = tally.finish(summary.take.n_rows);
+        if !summary.take.damaged {
+            summary.compare_statistics();
+        }
+        summary.fill_channels(rows_damaged);
+        Ok(summary)
+    }
+
+    /// Reads the whole take and checks every CRC, but takes the statistics that the take states in place of decoding its
+    /// samples. [Decodes](Self::read) a take that states none, and one in which anything is damaged, missing or
+    /// contradictory.
+    ///
+    /// # Errors
+    /// Those of [`read`](Self::read).
+    pub fn read_stated(input: impl TakeInput) -> Result<Self, TakeError> {
+        let mut input = input.input();
+        let (mut summary, rows_damaged) = Self::default().traverse(&mut input, Decode::Nothing)?;
+        if let Some(stated) = summary.usable_statistics() {
+            summary.statistics = stated;
+            summary.fill_channels(rows_damaged);
+            return Ok(summary);
+        }
+        input.seek(SeekFrom::Start(0))?;
+        Self::read(&mut input)
+    }
+
+    /// Reads the take to its end. Returns also the rows lost to damage, by channel.
+    fn traverse(
+        mut self,
+        input: impl TakeInput,
+        decode: Decode,
+    ) -> Result<(Self, Vec<u64>), TakeError> {
         let Progress { take, rows_damaged, .. } =
-            TakeTraversal::new(input, Decode::All).run(|found, progress| {
-                summary.on_event(found, progress);
+            TakeTraversal::new(input, decode).run(|found, progress| {
+                self.on_event(found, progress);
                 Ok(())
             })?;
-        summary.skip_rows_to(take.n_rows);
-        for (channel, rows) in summary.per_channel.iter_mut().zip(rows_damaged) {
-            channel.rows_damaged = rows;
+        self.take = take;
+        Ok((self, rows_damaged))
+    }
+
+    /// The statistics that an undecoded take states, if nothing in it is damaged or contradicts them.
+    fn usable_statistics(&self) -> Option<TakeStatistics> {
+        let take = &self.take;
+        let is_intact = take.finished && !take.damaged && take.problems.is_empty();
+        let statistics = take.statistics.as_ref().filter(|_| is_intact)?;
+        let ledger = take.ledger.as_ref()?;
+        let is_consistent = self.claims.contradictions.is_empty()
+            && statistics.channels.len() == take.channels.len()
+            && statistics.samples() == ledger.samples_present
+            && Some(statistics.rows_with_samples) <= take.n_sampled_rows;
+        is_consistent.then(|| statistics.clone())
+    }
+
+    /// Compares the statistics that the take states with those of its samples.
+    fn compare_statistics(&mut self) {
+        let Some(stated) = &self.take.statistics else { return };
+        let found = &self.statistics;
+        if stated == found {
+            return;
         }
-        summary.take = take;
-        Ok(summary)
+        let pairs = stated.channels.iter().zip(&found.channels).zip(&self.take.channels);
+        let sentence = match pairs.into_iter().find(|((stated, found), _)| stated != found) {
+            Some(((stated, found), channel)) => format!(
+                "the summary states {} of {}, but the take holds {}",
+                figures(stated),
+                channel.label,
+                figures(found)
+            ),
+            None if stated.channels.len() != found.channels.len() => format!(
+                "the summary states figures of {} markers, but the take has {}",
+                stated.channels.len(),
+                found.channels.len()
+            ),
+            None => format!(
+                "the summary states {} frames with samples, {} of them with a kept one, and {} samples in these, but the take holds {}, {} and {}",
+                stated.rows_with_samples,
+                stated.key_rows,
+                stated.samples_in_key_rows,
+                found.rows_with_samples,
+                found.key_rows,
+                found.samples_in_key_rows
+            ),
+        };
+        self.claims.report(sentence);
+    }
+
+    fn fill_channels(&mut self, rows_damaged: Vec<u64>) {
+        let tolerance = self.take.header.codec().map(|codec| codec.tolerance);
+        let summary = |(channel, rows_damaged): (&ChannelStatistics, u64)| ChannelSummary {
+            samples: channel.samples,
+            gaps: channel.gaps,
+            knots: channel.knots,
+            // The header was used to decode, or to check, the take.
+            max_error_mm: tolerance.as_ref().map_or(0.0, |t| t.stated_mm(channel.error_step)),
+            rows_damaged,
+        };
+        self.per_channel = self.statistics.channels.iter().zip(rows_damaged).map(summary).collect();
     }
 
     /// Statements of the take about itself that its own data contradicts, one sentence each, in bytes that are intact.
@@ -118,13 +204,7 @@ impl Summary {
     /// Samples present.
     #[must_use]
     pub fn samples(&self) -> u64 {
-        self.per_channel.iter().map(|channel| channel.samples).sum()
-    }
-
-    /// Samples kept as knots.
-    #[must_use]
-    pub fn knots(&self) -> u64 {
-        self.per_channel.iter().map(|channel| channel.knots).sum()
+        self.statistics.samples()
     }
 
     /// The largest error that any block states, in millimetres.
@@ -139,43 +219,30 @@ impl Summary {
         12 * self.samples()
     }
 
-    /// SR1 of (Shi et al. 2012, eq. 7), counted over samples present; without gaps |T| / |K|.
-    #[must_use]
-    pub fn sr1(&self) -> Option<f64> {
-        ratio(self.samples() + self.rows_with_samples, self.samples_in_key_rows + self.key_rows)
-    }
-
-    /// SR2 of (Shi et al. 2012, eq. 8), counted over samples present.
-    #[must_use]
-    pub fn sr2(&self) -> Option<f64> {
-        ratio(self.samples() + self.rows_with_samples, 2 * self.knots())
-    }
-
     fn on_event(&mut self, found: &LocatedEvent<'_>, progress: &Progress) {
         let is_damaged = progress.take.damaged;
-        // A marker that appears later had a gap until then.
-        let in_gap = self.rows > 0;
-        let unseen = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
-        if let Some(lost_entries) = found.lost_entries {
-            let at = lost_entries.first.min(self.per_channel.len());
-            let new = std::iter::repeat_n(unseen.clone(), lost_entries.inserted);
-            self.per_channel.splice(at..at, new);
+        if let Some(tally) = &mut self.tally {
+            tally.follow_table(found.lost_entries, progress.channels().len());
         }
-        self.per_channel.resize(progress.channels().len(), unseen);
         match &found.event {
-            TakeEvent::Header(header) => self.claims.tolerance_mm = header.tolerance_mm,
             TakeEvent::Stretch(stretch) => {
                 if let Some(timeline) = &stretch.timeline {
                     self.add_outages(timeline);
                 }
                 if !found.is_refused && stretch.span.n_rows > 0 {
-                    self.add_stretch(stretch, progress);
+                    self.stretches += 1;
+                    self.claims.stretch(stretch, progress.channels().len());
+                    if let Some(tally) = &mut self.tally {
+                        let decoded = StretchTally::of_decoded(stretch, progress.rows());
+                        tally.add(stretch.span, &decoded);
+                    }
                 }
             }
             TakeEvent::Ledger(ledger) => {
                 self.claims.ledger_offset = found.offset;
                 if !is_damaged {
-                    self.claims.ledger(ledger, self.samples());
+                    let samples = self.tally.as_ref().map(TakeTally::samples);
+                    self.claims.ledger(ledger, samples);
                 }
             }
             TakeEvent::Clock(clock) => {
@@ -193,6 +260,9 @@ impl Summary {
                     stored: probes + points,
                 };
             }
+            TakeEvent::Summary(summary) if !is_damaged => {
+                self.claims.summary(summary, &progress.take.header, progress.channels());
+            }
             TakeEvent::Index(entries) => {
                 self.claims.index_offset = found.offset;
                 if !is_damaged {
@@ -202,60 +272,6 @@ impl Summary {
             TakeEvent::Footer(footer) if !is_damaged => self.claims.footer(footer),
             TakeEvent::End { bytes, .. } => self.bytes = *bytes,
             _ => {}
-        }
-        self.rows = progress.n_rows();
-    }
-
-    /// Counts rows up to `row` that no stretch contains: gaps in every channel.
-    fn skip_rows_to(&mut self, row: u64) {
-        if row > self.end_of_stretches {
-            self.add_empty_stretch();
-            self.end_of_stretches = row;
-        }
-    }
-
-    /// Counts a stretch in which no marker was seen.
-    fn add_empty_stretch(&mut self) {
-        for channel in &mut self.per_channel {
-            channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
-        }
-    }
-
-    fn add_stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
-        let span = stretch.span;
-        self.skip_rows_to(span.first_row);
-        self.claims.stretch(stretch, progress.channels().len());
-        self.stretches += 1;
-        self.end_of_stretches = span.end_row();
-        let n_rows = span.n_rows as usize;
-        if stretch.blocks.iter().all(|block| block.is_empty()) {
-            self.add_empty_stretch();
-            return;
-        }
-        let mut present_in = vec![0_u32; n_rows];
-        let mut kept_in = vec![false; n_rows];
-        let rows = progress.rows().chain(std::iter::repeat(None));
-        for (channel, rows) in self.per_channel.iter_mut().zip(rows) {
-            let Some(rows) = rows.filter(|rows| rows.has_samples()) else {
-                channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
-                continue;
-            };
-            channel.max_error_mm = channel.max_error_mm.max(rows.max_error_mm);
-            self.claims.block(span.first_row, rows.max_error_mm);
-            for row in 0..n_rows {
-                let present = rows.present[row];
-                channel.gaps += u64::from(!present && !channel.in_gap);
-                channel.in_gap = !present;
-                channel.samples += u64::from(present);
-                channel.knots += u64::from(present && rows.kept[row]);
-                present_in[row] += u32::from(present);
-                kept_in[row] |= present && rows.kept[row];
-            }
-        }
-        for (present, kept) in present_in.into_iter().zip(kept_in) {
-            self.rows_with_samples += u64::from(present > 0);
-            self.key_rows += u64::from(kept);
-            self.samples_in_key_rows += if kept { u64::from(present) } else { 0 };
         }
     }
 
@@ -269,14 +285,18 @@ impl Summary {
     }
 }
 
-fn ratio(over: u64, under: u64) -> Option<f64> {
-    (under > 0).then(|| over as f64 / under as f64)
+/// The figures of a marker in a sentence.
+fn figures(of: &ChannelStatistics) -> String {
+    let ChannelStatistics { samples, gaps, knots, error_step } = of;
+    format!(
+        "{samples} samples, {gaps} gaps, {knots} kept samples and an error of {error_step}/63 of the tolerance"
+    )
 }
 
 /// Ratio of the samples' float32 bytes to bytes on disk.
 #[must_use]
 pub fn size_ratio(samples: u64, file_bytes: u64) -> f64 {
-    ratio(12 * samples, file_bytes).unwrap_or(0.0)
+    if file_bytes == 0 { 0.0 } else { (12 * samples) as f64 / file_bytes as f64 }
 }
 
 /// Most contradictions to keep; one is enough to distrust a take.
@@ -285,7 +305,6 @@ const CONTRADICTIONS_MAX: usize = 20;
 /// Compares a take's statements about itself with its content, counting what ledgers count.
 #[derive(Debug, Default)]
 struct ClaimChecker {
-    tolerance_mm: f64,
     recorded: u64,
     announced: u64,
     lost: u64,
@@ -319,22 +338,23 @@ impl ClaimChecker {
         }
     }
 
-    /// Checks the error stated by a block with samples.
-    fn block(&mut self, first_row: u64, max_error_mm: f64) {
-        if max_error_mm > self.tolerance_mm {
-            self.report(format!(
-                "a block of the stretch from frame {first_row} states an error of {max_error_mm} mm, above the tolerance of {} mm",
-                self.tolerance_mm
-            ));
+    /// Checks the copy of the header, whose channel table is the complete one.
+    fn summary(&mut self, summary: &SummaryRecord, header: &Header, channels: &[Channel]) {
+        let Some(copy) = &summary.header else { return };
+        let is_copy = copy.channels == channels
+            && Header { channels: Vec::new(), ..(**copy).clone() }
+                == Header { channels: Vec::new(), ..header.clone() };
+        if !is_copy {
+            self.report("the copy of the header in the summary differs from the header".to_owned());
         }
     }
 
-    /// Checks a ledger against the `samples` found before it. A ledger is true for what precedes it, all of which must
-    /// have been read.
-    fn ledger(&mut self, ledger: &Ledger, samples: u64) {
+    /// Checks a ledger against the `samples` found before it, if they were decoded. A ledger is true for what precedes
+    /// it, all of which must have been read.
+    fn ledger(&mut self, ledger: &Ledger, samples: Option<u64>) {
         for (what, stated, found) in [
             ("recorded frames", ledger.recorded, self.recorded),
-            ("samples", ledger.samples_present, samples),
+            ("samples", ledger.samples_present, samples.unwrap_or(ledger.samples_present)),
             ("announced samples", ledger.samples_announced, self.announced),
         ] {
             if stated != found {

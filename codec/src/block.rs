@@ -116,6 +116,13 @@ fn run_length(present: &[bool], state: bool) -> usize {
     same + rest.iter().position(|&p| p != state).unwrap_or(rest.len())
 }
 
+/// Marks the rows of `marked`, in addition to those that it has.
+pub(crate) fn mark(marked: &mut [bool], rows: &[bool]) {
+    for (marked, row) in marked.iter_mut().zip(rows) {
+        *marked |= row;
+    }
+}
+
 /// What an encoder proved about one channel of the block it just wrote.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
@@ -130,9 +137,10 @@ pub struct BlockReport {
 }
 
 impl BlockReport {
-    /// Reports that every sample is stored exactly.
-    pub(crate) fn keep_all(&mut self) {
+    /// Reports that every sample of the channel is stored exactly, and marks the rows that have one.
+    pub(crate) fn keep_all(&mut self, rows: Rows<'_>, kept_rows: &mut [bool]) {
         (self.kept, self.max_error_mm) = (self.samples, 0.0);
+        mark(kept_rows, rows.present());
     }
 }
 
@@ -165,6 +173,9 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
     ) -> std::result::Result<(), CodecError>;
+
+    /// By row of the last block: whether it keeps a sample of any channel. Meaningless after an error.
+    fn kept_rows(&self) -> &[bool];
 }
 
 /// Decodes the blocks of one group of channels, in order, starting at a key block.

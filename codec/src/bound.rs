@@ -11,6 +11,8 @@ impl Tolerance {
     pub const MIN_MM: f64 = 1e-4;
     /// The largest tolerance: anything beyond a kilometre is a typing error.
     pub const MAX_MM: f64 = 1e6;
+    /// The step of a block that states the whole tolerance as its error.
+    pub const STEPS: u8 = STATED_STEPS;
 
     /// The tolerance of `mm` millimetres.
     ///
@@ -31,6 +33,13 @@ impl Tolerance {
     #[must_use]
     pub fn mm(self) -> f64 {
         self.0
+    }
+
+    /// The error bound in millimetres that a block states with [`stated_error_step`](crate::stated_error_step): up to
+    /// [`STEPS`](Self::STEPS), a step is a fraction of the tolerance.
+    #[must_use]
+    pub fn stated_mm(self, step: u8) -> f64 {
+        stated_mm(step, self.0)
     }
 }
 

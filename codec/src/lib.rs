@@ -60,7 +60,7 @@ pub use bound::Tolerance;
 pub use coding::range;
 #[cfg(feature = "training")]
 pub use dense::training;
-pub use frame::stated_channels;
+pub use frame::{stated_channels, stated_error_step};
 pub use settings::{ResamplerKind, Settings};
 pub use spline::SplineVariant;
 

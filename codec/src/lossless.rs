@@ -48,12 +48,13 @@ impl PayloadEncoder for Lossless {
         channels: &[Rows<'_>],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
     ) -> Result<()> {
         self.grow(channels.len());
         let channels = channels.iter().zip(&mut self.histories).zip(reports);
         for ((rows, history), report) in channels.filter(|(_, report)| report.samples > 0) {
             self.raw.write(*rows, history, out);
-            report.keep_all();
+            report.keep_all(*rows, kept_rows);
         }
         Ok(())
     }

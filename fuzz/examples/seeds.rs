@@ -19,7 +19,8 @@ use mocapd_take::{
     chunk::{self, ChunkParse},
     interchange::Format,
     motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
-    record::{Channel, Device, EndingKind, Event, EventKind, Header, Ledger, SummaryRecord},
+    record::{Channel, Device, EndingKind, Event, EventKind, Header, Ledger},
+    statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
 };
@@ -372,10 +373,12 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
         let mut payload = Vec::new();
         front.put(span, &timeline, &shared, number % 2 == 0, &mut payload);
         put_block(&block, number % 2 == 0, &mut payload);
-        writer.stretch(span, &payload).expect("a stretch");
+        let tally = BlockTally::of_encoded(&block, &rows, &reports, encoder.kept_rows());
+        writer.stretch(span, &payload, &StretchTally::of(&tally)).expect("a stretch");
         first_row = span.end_row();
     }
     // Takes without a device are imports, which have no ending.
     let ending = timed.then(|| EndingKind::DiskFull.into());
-    writer.finish_with(&Ledger::default(), &SummaryRecord { ending }).expect("a ledger").0
+    writer.close(&Ledger::default(), ending).expect("a ledger");
+    writer.abandon()
 }

@@ -39,7 +39,7 @@ use super::{
     output::{notify, plain_path, print},
     record::{Limits, RecordReport, record_and_watch},
     stop::stop_on_signal,
-    values::{self, bytes, count, thousands},
+    values::{self, bytes, count, rate, thousands},
     verify::AgainstReport,
 };
 
@@ -87,10 +87,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let device = Device::new(Arc::clone(&motion), DeviceSettings::default())?;
     let simulated = SimulatedDevice::start(device)?;
     print(&format!(
-        "1. a simulated device of {} at {} Hz, {seconds} s of a standing long jump, on {}\n\
+        "1. a simulated device of {} at {}, {seconds} s of a standing long jump, on {}\n\
          2. recording it over that line, each marker resampled within {} mm ...\n",
         count(motion.info.markers.len() as u64, "marker"),
-        args.rate,
+        rate(args.rate),
         simulated.path.display(),
         args.tolerance.mm(),
     ))?;
@@ -130,7 +130,7 @@ fn show_take(take: &Path) -> anyhow::Result<()> {
     let gaps: u64 = summary.per_channel.iter().map(|channel| channel.gaps).sum();
     print(&format!(
         "3. in the take: {} of {} kept, in {} per marker; {} in the trajectories\n",
-        thousands(summary.knots()),
+        thousands(summary.statistics.knots()),
         count(summary.samples(), "sample"),
         count(summary.stretches, "block"),
         count(gaps, "gap")

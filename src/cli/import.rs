@@ -138,6 +138,7 @@ impl ImportPlan<'_> {
         }
         let unseen = unused_part_notes(self.subject.as_ref(), &motion.info.labels());
         unseen.iter().for_each(|warning| job.notify(warning));
+        header.set_source_bytes(bytes.len() as u64);
         header.set_import_id(&bytes, self.subject.as_ref())?;
         motion.info.subject.clone_from(&self.subject);
         let bytes_read = bytes.len() as u64;
@@ -198,14 +199,14 @@ impl ImportPlan<'_> {
 fn existing(path: &Path, header: &Header) -> anyhow::Result<Option<TakeAccount>> {
     let Ok(file) = SparseFile::open(path) else { return Ok(None) };
     let file_bytes = file.len_bytes()?;
-    let Ok(summary) = Summary::read(BufReader::new(file)) else { return Ok(None) };
+    let Ok(summary) = Summary::read_stated(BufReader::new(file)) else { return Ok(None) };
     if summary.take.header.take_id != header.take_id || summary.health() != TakeHealth::Complete {
         return Ok(None);
     }
     Ok(Some(TakeAccount {
         file_bytes,
         samples: summary.samples(),
-        kept: summary.knots(),
+        kept: summary.statistics.knots(),
         max_error_mm: summary.max_error_mm(),
         ledger: summary.take.ledger.unwrap_or_default(),
         ..TakeAccount::default()

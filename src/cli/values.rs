@@ -74,11 +74,15 @@ pub(crate) fn length_of_time(seconds: f64) -> String {
     }
 }
 
-/// A rate with its unit, without digits that only a conversion to binary added: `59.94 Hz`.
+/// A rate with its unit: `59.94 Hz`. Files state rates as float32, which have more digits in double precision.
 pub(crate) fn rate(hz: f64) -> String {
-    // Six digits tell 59.94 from 60000/1001.
-    let digits = format!("{hz:.6}");
-    format!("{} Hz", digits.trim_end_matches('0').trim_end_matches('.'))
+    let single = hz as f32;
+    if f64::from(single) == hz {
+        return format!("{single} Hz");
+    }
+    // No clock of a device is exact to a millionth of a hertz.
+    let text = format!("{hz:.6}");
+    format!("{} Hz", text.trim_end_matches('0').trim_end_matches('.'))
 }
 
 /// The default tolerance: 5 to 15 times the noise of an optical rig, with files 2.5 times smaller than at 0.1 mm.
@@ -198,5 +202,17 @@ mod tests_of_numbers {
         assert_eq!(length_of_time(9.54), "9.5 s");
         assert_eq!(length_of_time(725.2), "12 min 5 s");
         assert_eq!(length_of_time(10_931.0), "3 h 2 min");
+        assert_eq!(bytes(999), "999 B");
+        assert_eq!(bytes(1_250_000), "1.2 MB");
+        for (hz, text) in [
+            (240.0, "240 Hz"),
+            (59.94, "59.94 Hz"),
+            (f64::from(59.94_f32), "59.94 Hz"),
+            (f64::from(119.880_12_f32), "119.88012 Hz"),
+            (120_000.0 / 1001.0, "119.88012 Hz"),
+            (0.5, "0.5 Hz"),
+        ] {
+            assert_eq!(rate(hz), text);
+        }
     }
 }

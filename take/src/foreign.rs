@@ -84,6 +84,12 @@ impl ForeignPart {
         })
     }
 
+    /// Size of the deflated content in the take.
+    #[must_use]
+    pub fn deflated_bytes(&self) -> u64 {
+        self.deflated_bytes
+    }
+
     /// File offset of the deflated content.
     pub(crate) fn deflated_at(&self) -> u64 {
         self.deflated_at

@@ -6,7 +6,10 @@ use std::io::{Read, Seek, SeekFrom};
 use crate::{
     NotATake, TakeError,
     chunk::{self, ChunkParse, MAGIC, types},
-    record::{Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding},
+    record::{
+        Channel, Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding,
+    },
+    statistics::TakeStatistics,
     varint,
 };
 
@@ -148,6 +151,10 @@ pub struct TakeEnd {
     pub ledger: Option<Ledger>,
     /// How the take ended, if it states that.
     pub ending: Option<TakeEnding>,
+    /// The complete channel table, if the take repeats it at its end.
+    pub channels: Option<Vec<Channel>>,
+    /// The statistics of the take, if it states them.
+    pub statistics: Option<TakeStatistics>,
 }
 
 impl TakeEnds {
@@ -179,7 +186,7 @@ impl TakeEnd {
         let mut bytes = [0; Footer::CHUNK_BYTES];
         input.read_exact(&mut bytes)?;
         let Some(footer) = Footer::from_chunk(&bytes) else { return Ok(None) };
-        let mut end = Self { footer, ledger: None, ending: None };
+        let mut end = Self { footer, ledger: None, ending: None, channels: None, statistics: None };
         let ledger_at = footer.ledger_offset;
         // No chunk follows a footer, and no file is long enough for every 64-bit offset.
         if ledger_at >= at {
@@ -194,7 +201,9 @@ impl TakeEnd {
             let limit = SUMMARY_CHUNK_BYTES_MAX;
             let chunk = Chunk::read(input, summary_at, types::SUMMARY, limit)?;
             let summary = |c: Chunk| SummaryRecord::from_payload(&c.payload, summary_at).ok();
-            end.ending = chunk.and_then(summary).and_then(|summary| summary.ending);
+            let summary = chunk.and_then(summary).unwrap_or_default();
+            (end.ending, end.statistics) = (summary.ending, summary.statistics);
+            end.channels = summary.header.map(|header| header.channels);
         }
         Ok(Some(end))
     }
@@ -280,10 +289,11 @@ mod tests {
     }
 
     fn take(n_channels: u16, contradictions: usize, ending: Option<TakeEnding>) -> Vec<u8> {
-        let take = TakeWriter::new(Vec::new(), &header(n_channels)).unwrap();
+        let mut take = TakeWriter::new(Vec::new(), &header(n_channels)).unwrap();
         let contradictions = vec!["x".repeat(1000); contradictions];
         let ledger = Ledger { finished: true, contradictions, ..Ledger::default() };
-        take.finish_with(&ledger, &SummaryRecord { ending }).unwrap().0
+        take.close(&ledger, ending).unwrap();
+        take.abandon()
     }
 
     #[test]
@@ -297,6 +307,8 @@ mod tests {
                 let end = ends.end.unwrap();
                 assert_eq!(end.ledger.unwrap().contradictions.len(), contradictions);
                 assert_eq!(end.ending, ending);
+                assert_eq!(end.channels.unwrap(), ends.header.channels);
+                assert_eq!(end.statistics.unwrap().channels.len(), ends.header.channels.len());
             }
         }
     }
@@ -317,6 +329,7 @@ mod tests {
             let expected = whole.end.clone().unwrap();
             assert!(end.ledger.is_none() || end.ledger == expected.ledger, "{at}");
             assert!(end.ending.is_none() || end.ending == expected.ending, "{at}");
+            assert!(end.statistics.is_none() || end.statistics == expected.statistics, "{at}");
         }
     }
 
@@ -349,7 +362,9 @@ mod tests {
             let footer = Footer { index_offset: u64::MAX, ledger_offset, n_rows: 0 };
             chunk::put(&mut changed, types::FOOTER, &footer.to_payload()).unwrap();
             let ends = TakeEnds::read(&mut SignedOffsetFile(Cursor::new(changed))).unwrap();
-            assert_eq!(ends.end, Some(TakeEnd { footer, ledger: None, ending: None }));
+            let end = ends.end.unwrap();
+            assert_eq!((end.footer, end.ledger, end.ending), (footer, None, None));
+            assert_eq!((end.channels, end.statistics), (None, None));
         }
     }
 }

@@ -20,6 +20,7 @@ pub mod quantity;
 pub mod reader;
 pub mod record;
 pub mod recovery;
+pub mod statistics;
 pub mod stretch;
 mod table;
 pub mod timeline;

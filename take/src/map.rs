@@ -10,6 +10,7 @@ use crate::{
     foreign::ForeignPart,
     index::IndexEntry,
     record::{Channel, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
+    statistics::TakeStatistics,
 };
 
 /// Everything in a take but its samples.
@@ -37,6 +38,8 @@ pub struct TakeMap {
     pub ledger: Option<Ledger>,
     /// How the take ended, if stated: not by earlier versions, imports, or takes that were cut off.
     pub ending: Option<TakeEnding>,
+    /// The statistics that the take states: not takes of earlier versions, and those that were cut off.
+    pub statistics: Option<TakeStatistics>,
     /// The last fitted clock line of each segment of the device's clock that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,
     /// The parts that an importer kept; empty if the stretches were not read.
@@ -83,7 +86,9 @@ impl TakeMap {
                 }
             }
             TakeEvent::Foreign(part) => self.foreign.push(part),
-            TakeEvent::Summary(summary) => self.ending = summary.ending,
+            TakeEvent::Summary(summary) => {
+                (self.ending, self.statistics) = (summary.ending, summary.statistics);
+            }
             _ => {}
         }
     }

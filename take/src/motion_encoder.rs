@@ -13,6 +13,7 @@ use crate::{
     TakeError, TakeWriter,
     motion::{Marker, Motion, MotionEvent, is_gap},
     record::{Channel, Event, Header, Ledger},
+    statistics::{BlockTally, StretchTally},
     stretch::{
         CHANNELS_MAX, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, StretchHeaderWriter,
         put_block,
@@ -62,6 +63,7 @@ pub struct EncodePart {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EncodedPart {
     block: Vec<u8>,
+    tally: BlockTally,
     /// One report per marker.
     pub reports: Vec<BlockReport>,
 }
@@ -142,8 +144,9 @@ impl PartEncoder<'_> {
         if part.n_markers > 0 {
             coded.reports.resize(part.n_markers, BlockReport::default());
             let channels = self.columns.rows()?;
-            let EncodedPart { block, reports } = &mut coded;
+            let EncodedPart { block, tally, reports } = &mut coded;
             self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
+            *tally = BlockTally::of_encoded(block, &channels, reports, self.encoder.kept_rows());
         }
         Ok(coded)
     }
@@ -156,6 +159,7 @@ pub struct MotionWriter<'a, W> {
     take: TakeWriter<W>,
     front: StretchHeaderWriter,
     payload: Vec<u8>,
+    tally: BlockTally,
     n_samples: u64,
 }
 
@@ -174,7 +178,8 @@ impl<'a, W: Write> MotionWriter<'a, W> {
             take.event(&Event { kind, row, device_ticks: 0, host_ns: 0, input: 0, text })?;
         }
         let front = StretchHeaderWriter::new(header.stretch_rows);
-        Ok(Self { plan, take, front, payload: Vec::new(), n_samples: 0 })
+        let (payload, tally) = (Vec::new(), BlockTally::default());
+        Ok(Self { plan, take, front, payload, tally, n_samples: 0 })
     }
 
     /// Writes the next part, in the order of [`EncodePlan::parts`].
@@ -189,13 +194,15 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         let span = Span { first_row, n_rows, key: true, number };
         if part.first_marker == 0 {
             self.payload.clear();
+            self.tally.restart(part.n_rows);
             let shared = &self.plan.shared;
             self.front.put(span, &Timeline::default(), shared, alone, &mut self.payload);
         }
         put_block(&coded.block, alone, &mut self.payload);
+        self.tally.append(&coded.tally);
         self.n_samples += coded.reports.iter().map(|report| u64::from(report.samples)).sum::<u64>();
         if part.first_marker + part.n_markers == n_markers {
-            self.take.stretch(span, &self.payload)?;
+            self.take.stretch(span, &self.payload, &StretchTally::of(&self.tally))?;
         }
         Ok(())
     }

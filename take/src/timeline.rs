@@ -6,7 +6,10 @@ mod predict;
 mod tests;
 
 pub use self::coder::TimelineEncoder;
-pub(crate) use self::coder::{TimelineDecoder, take_times};
+pub(crate) use self::{
+    coder::{TimelineDecoder, take_times},
+    predict::ResidualModel,
+};
 
 /// Causes of lost rows; a set, because a run of lost rows can have several.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -35,6 +35,8 @@ pub enum Decode {
     /// The groups of channels with these numbers, or none. Groups are coded independently of each other; channels of
     /// other groups have no samples.
     Groups(Vec<usize>),
+    /// No block, nor the times of rows, nor foreign parts: every CRC is checked, and every record read.
+    Nothing,
 }
 
 /// An element of a take that the traversal has reached.
@@ -142,6 +144,7 @@ impl Progress {
         self.decoder = Some(match &self.decode {
             Decode::All => StretchDecoder::new(settings),
             Decode::Groups(groups) => StretchDecoder::with_groups(settings, groups.clone()),
+            Decode::Nothing => StretchDecoder::with_groups(settings, Vec::new()),
         });
         Ok(())
     }
@@ -314,7 +317,11 @@ impl<R: Read + Seek> TakeTraversal<R> {
     }
 
     fn with(input: R, progress: Progress) -> Self {
-        let (reader, at) = (TakeReader::new(), MAGIC.len() as u64);
+        let reader = match progress.decode {
+            Decode::Nothing => TakeReader::skipping_content(),
+            Decode::All | Decode::Groups(_) => TakeReader::new(),
+        };
+        let at = MAGIC.len() as u64;
         Self { input, reader, at, progress, current: None, ended: false }
     }
 

@@ -10,7 +10,11 @@ use crate::{
     foreign,
     index::{Footer, IndexEntry, index_payload},
     motion::Foreign,
-    record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
+    record::{
+        Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord,
+        TakeEnding,
+    },
+    statistics::{StretchTally, TakeTally},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
 
@@ -30,6 +34,9 @@ pub struct TakeWriter<W> {
     index: Vec<IndexEntry>,
     n_rows: u64,
     ledger_offset: u64,
+    /// The header, with the complete channel table.
+    header: Header,
+    tally: TakeTally,
 }
 
 impl<W: Write> TakeWriter<W> {
@@ -52,7 +59,10 @@ impl<W: Write> TakeWriter<W> {
             index: Vec::new(),
             n_rows: 0,
             ledger_offset: 0,
+            header: header.clone(),
+            tally: TakeTally::default(),
         };
+        writer.tally.announce(header.channels.len());
         writer.scratch.extend_from_slice(&chunk::MAGIC);
         chunk::put(&mut writer.scratch, Header::KIND, &header.to_payload()?)?;
         writer.flush_scratch()?;
@@ -72,15 +82,30 @@ impl<W: Write> TakeWriter<W> {
     /// # Errors
     /// `Io`, `InvalidArgument`.
     pub fn channels(&mut self, channels: &[Channel]) -> Result<(), TakeError> {
-        self.record(&MoreChannels(channels.to_vec()))
+        self.record(&MoreChannels(channels.to_vec()))?;
+        self.header.channels.extend_from_slice(channels);
+        self.tally.announce(self.header.channels.len());
+        Ok(())
     }
 
     /// Writes a stretch, with a payload made by [`StretchHeaderWriter`](crate::stretch::StretchHeaderWriter) and
-    /// [`put_block`](crate::stretch::put_block).
+    /// [`put_block`](crate::stretch::put_block), and adds its `tally` to the statistics of the take.
     ///
     /// # Errors
     /// `Io`; `InvalidArgument` when it has more rows than a reader accepts, or too many rows were lost before it.
-    pub fn stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
+    pub fn stretch(
+        &mut self,
+        span: Span,
+        payload: &[u8],
+        tally: &StretchTally,
+    ) -> Result<(), TakeError> {
+        self.copy_stretch(span, payload)?;
+        self.tally.add(span, tally);
+        Ok(())
+    }
+
+    /// Writes a stretch of another take, whose statistics the caller passes at the end.
+    pub(crate) fn copy_stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
         self.add_span(span)?;
         self.chunk(types::STRETCH, payload)
     }
@@ -134,37 +159,34 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(types::FOREIGN, &foreign::to_payload(part)?)
     }
 
-    /// Writes the last ledger, index and footer, and flushes. Returns the output and the number of bytes written.
+    /// [Closes](Self::close) the take without stating how it ended. Returns the output and the number of bytes written.
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
-    pub fn finish(self, ledger: &Ledger) -> Result<(W, u64), TakeError> {
-        self.finish_with(ledger, &SummaryRecord::default())
-    }
-
-    /// Writes the last ledger, a SUMMARY unless it is empty, index and footer, and flushes. Returns the output and the
-    /// number of bytes written.
-    ///
-    /// # Errors
-    /// Those of [`finish`](Self::finish).
-    pub fn finish_with(
-        mut self,
-        ledger: &Ledger,
-        summary: &SummaryRecord,
-    ) -> Result<(W, u64), TakeError> {
-        self.close(ledger, summary)?;
+    pub fn finish(mut self, ledger: &Ledger) -> Result<(W, u64), TakeError> {
+        self.close(ledger, None)?;
         Ok((self.out, self.offset))
     }
 
-    /// Closes the take like [`finish_with`](Self::finish_with), and keeps the output. Nothing more may be written.
+    /// Writes the last ledger, the summary with the `ending`, index and footer, and flushes. Nothing more may be
+    /// written.
     ///
     /// # Errors
-    /// Those of [`finish`](Self::finish).
-    pub fn close(&mut self, ledger: &Ledger, summary: &SummaryRecord) -> Result<(), TakeError> {
+    /// `Io`, `InvalidArgument`.
+    pub fn close(&mut self, ledger: &Ledger, ending: Option<TakeEnding>) -> Result<(), TakeError> {
+        let header = Some(Box::new(std::mem::take(&mut self.header)));
+        let statistics = Some(std::mem::take(&mut self.tally).finish(self.n_rows));
+        self.close_with(ledger, &SummaryRecord { ending, header, statistics })
+    }
+
+    /// Closes the take like [`close`](Self::close), with another summary.
+    pub(crate) fn close_with(
+        &mut self,
+        ledger: &Ledger,
+        summary: &SummaryRecord,
+    ) -> Result<(), TakeError> {
         self.ledger(ledger)?;
-        if *summary != SummaryRecord::default() {
-            self.chunk(types::SUMMARY, &summary.to_payload()?)?;
-        }
+        self.chunk(types::SUMMARY, &summary.to_payload()?)?;
         let index_offset = self.offset;
         self.chunk(types::INDEX, &index_payload(&self.index))?;
         let footer =
@@ -174,7 +196,7 @@ impl<W: Write> TakeWriter<W> {
         Ok(())
     }
 
-    /// Returns the output without closing the take; the file remains a take that was cut off.
+    /// Returns the output. A take that was not closed remains one that was cut off.
     #[must_use]
     pub fn abandon(self) -> W {
         self.out
@@ -223,7 +245,7 @@ impl<W: Write> TakeWriter<W> {
         self.chunk(R::KIND, &record.to_payload()?)
     }
 
-    /// Writes a chunk that is not a stretch, or one whose span was added.
+    /// Writes a chunk that is not a stretch, or one whose span was added. A channel table is not followed.
     pub(crate) fn chunk(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
         self.scratch.clear();
         chunk::put(&mut self.scratch, kind, payload)?;

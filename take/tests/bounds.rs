@@ -15,6 +15,7 @@ use mocapd_take::{
     reader::read_events,
     record::{Channel, Device, Header, Ledger},
     recovery::RecoveryScan,
+    statistics::StretchTally,
     stretch::{LIVE_ROWS_MAX, ROWS_MAX, Span, Stretch, StretchDecoder, StretchSizes, rows_max},
     traversal::Decode,
 };
@@ -198,7 +199,7 @@ fn a_writer_refuses_what_no_reader_accepts() {
         let mut writer = TakeWriter::new(Vec::new(), &header(kind)).unwrap();
         let mut write = |first_row, n_rows: u64| {
             let span = Span { first_row, n_rows: n_rows as u32, key: true, number: 0 };
-            writer.stretch(span, &held(0, first_row, n_rows, &[]))
+            writer.stretch(span, &held(0, first_row, n_rows, &[]), &StretchTally::default())
         };
         write(0, LIVE_ROWS_MAX).unwrap();
         assert!(refused(write(LIVE_ROWS_MAX, LIVE_ROWS_MAX + 1)).contains("131073"));
@@ -317,7 +318,8 @@ fn a_take_of_what_is_allowed_is_read_back() {
     let take = {
         let mut writer = TakeWriter::new(Vec::new(), &header("dense")).unwrap();
         let span = Span { first_row: 0, n_rows: LIVE_ROWS_MAX as u32, key: true, number: 0 };
-        writer.stretch(span, &held(0, 0, LIVE_ROWS_MAX, &[0x7f, 1])).unwrap();
+        let payload = held(0, 0, LIVE_ROWS_MAX, &[0x7f, 1]);
+        writer.stretch(span, &payload, &StretchTally::default()).unwrap();
         writer.finish(&Ledger::default()).unwrap().0
     };
     let mut frames = frames(&take);

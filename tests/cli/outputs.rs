@@ -9,6 +9,7 @@ use std::{
 
 use mocapd_acquire::files::{FileError, NameTaken};
 use mocapd_simulator::generator::JumpSpec;
+use mocapd_take::motion::GAP;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::{Folder, unprivileged};
@@ -119,12 +120,40 @@ fn labels_do_not_control_the_terminal() {
         "# rate=60\n\x1b[31mhead\x07_x,\x1b[31mhead\x07_y,\x1b[31mhead\x07_z\n1,2,3\n1,2,3\n",
     );
     folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
-    let info = folder.run(&["info", "a.take"]).with_code(0).stdout;
+    let info = folder.run(&["info", "a.take", "--markers"]).with_code(0).stdout;
     assert!(info.contains("[31mhead"), "{info}");
     assert!(!info.contains(['\x1b', '\x07']), "{info:?}");
     // JSON escapes them, and keeps them.
     let report = folder.run(&["info", "a.take", "--json"]).with_code(0).json();
     assert_eq!(report["channels"][0]["label"], "\x1b[31mhead\x07");
+}
+
+#[test]
+fn info_is_a_summary_unless_markers_are_asked_for() {
+    let folder = Folder::new();
+    // The rate is a float32 in the file, as in every C3D.
+    let mut motion = jump(1, f64::from(59.94_f32), 2.0);
+    motion.positions_mm[2 * motion.info.markers.len() + 3] = GAP;
+    folder.write_motion("a.c3d", &motion);
+    folder.run(&["import", "a.c3d", "-o", "a.take"]).with_code(0);
+    let report = folder.run(&["info", "a.take", "--json"]).with_code(0).json();
+    let short = folder.run(&["info", "a.take"]).with_code(0).stdout;
+    let long = folder.run(&["info", "a.take", "--markers"]).with_code(0).stdout;
+    assert!(long.starts_with(&short), "{short}{long}");
+    let n_markers = motion.info.markers.len();
+    assert_eq!(long.lines().count(), short.lines().count() + 1 + n_markers);
+    assert_mentions(&short, &["59.94 Hz", &format!("{n_markers} of {n_markers} markers seen")]);
+    for figure in ["SR1", "SR2", "59.939"] {
+        assert!(!long.contains(figure), "{long}");
+    }
+    assert!(report["sr1"].as_f64().is_some() && report["sr2"].as_f64().is_some());
+    // The sizes of the file that was imported, and of the parts of the take.
+    let source_bytes = folder.read("a.c3d").len() as u64;
+    assert_eq!(report["source"]["bytes"], source_bytes);
+    assert_mentions(&short, &["in the imported file", "for trajectories", "for the rest"]);
+    let parts = report["foreign_parts"].as_array().unwrap().iter();
+    let stored: u64 = parts.map(|part| part["stored_bytes"].as_u64().unwrap()).sum();
+    assert!(stored > 0 && stored < report["bytes"]["foreign"].as_u64().unwrap(), "{report}");
 }
 
 /// Interrupted while coding, as by Ctrl-C: the output is open, but has no name yet. (If a shell runs a test in the

@@ -11,6 +11,7 @@ mod lossy_disk;
 mod outage;
 mod overload;
 mod splits;
+mod statistics;
 mod takes;
 mod takes_outage;
 

@@ -4,6 +4,7 @@ use mocapd_take::{
     TakeWriter,
     damage::{LedgerTotals, Problem},
     record::{CODEC_VERSION, Channel, Header, Ledger},
+    statistics::StretchTally,
     stretch::{CHANNELS_MAX, Span},
 };
 
@@ -56,7 +57,8 @@ fn a_stretch_of_millions_of_runs_without_rows_costs_no_memory() {
     payload.extend(n_runs.map(|byte| byte as u8));
     payload.resize(payload.len() + RUNS as usize, 0);
     let span = Span { first_row: 0, n_rows: 0, key: true, number: 0 };
-    assert_survived(&take(|take| take.stretch(span, &payload).unwrap()));
+    let tally = StretchTally::default();
+    assert_survived(&take(|take| take.stretch(span, &payload, &tally).unwrap()));
 }
 
 #[test]
@@ -95,7 +97,7 @@ fn a_label_as_long_as_a_book_is_shown() {
         ),
     );
     folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
-    let ran = folder.run(&["info", "a.take"]).with_code(0);
+    let ran = folder.run(&["info", "a.take", "--markers"]).with_code(0);
     assert!(ran.stdout.contains(&label));
 }
 
@@ -104,7 +106,7 @@ fn a_ledger_with_more_frames_than_the_take_is_counted_again() {
     let folder = Folder::new();
     let mut writer = TakeWriter::new(Vec::new(), &header()).unwrap();
     let span = Span { first_row: 0, n_rows: 0, key: true, number: 0 };
-    writer.stretch(span, &[1 | 4, 1 | 2 | 4, 0, 0, 0]).unwrap();
+    writer.stretch(span, &[1 | 4, 1 | 2 | 4, 0, 0, 0], &StretchTally::default()).unwrap();
     let n = 388;
     let ledger = Ledger { finished: true, frames_sent: n, recorded: n, ..Ledger::default() };
     folder.write("a.take", writer.finish(&ledger).unwrap().0);

@@ -11,6 +11,8 @@ use mocapd_take::{
     reader::read_events,
     record::Ledger,
     recovery::RecoveryScan,
+    statistics::StretchTally,
+    stretch::StretchDecoder,
 };
 
 use crate::{
@@ -31,11 +33,19 @@ fn payload(take: &[u8], place: std::ops::Range<usize>) -> &[u8] {
 
 /// The take's stretches again, with another ledger behind the second one and at the end.
 fn with_ledgers(take: &[u8], early: Option<&Ledger>, last: impl Fn(Ledger) -> Ledger) -> Vec<u8> {
-    let (mut header, mut spans, mut ledger) = (None, Vec::new(), Ledger::default());
+    let (mut header, mut decoder, mut spans) = (None, None, Vec::new());
+    let mut ledger = Ledger::default();
     read_events(take, |event| {
         match event {
-            TakeEvent::Header(found) => header = Some(found),
-            TakeEvent::Stretch(stretch) => spans.push(stretch.span),
+            TakeEvent::Header(found) => {
+                decoder = Some(StretchDecoder::new(found.codec()?));
+                header = Some(found);
+            }
+            TakeEvent::Stretch(stretch) => {
+                let decoder = decoder.as_mut().unwrap();
+                decoder.decode(&stretch)?;
+                spans.push((stretch.span, StretchTally::of_decoded(&stretch, decoder.rows())));
+            }
             TakeEvent::Ledger(found) => ledger = *found,
             _ => {}
         }
@@ -44,8 +54,8 @@ fn with_ledgers(take: &[u8], early: Option<&Ledger>, last: impl Fn(Ledger) -> Le
     .unwrap();
     let mut writer = TakeWriter::new(Vec::new(), &header.unwrap()).unwrap();
     let stretches = places(take).into_iter().filter(|(kind, _)| *kind == types::STRETCH);
-    for (number, ((_, place), span)) in stretches.zip(spans).enumerate() {
-        writer.stretch(span, payload(take, place)).unwrap();
+    for (number, ((_, place), (span, tally))) in stretches.zip(spans).enumerate() {
+        writer.stretch(span, payload(take, place), &tally).unwrap();
         if let Some(early) = early.filter(|_| number == 1) {
             writer.ledger(early).unwrap();
         }

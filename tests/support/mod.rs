@@ -168,6 +168,7 @@ pub(crate) fn record(
     let (written, take) = pipeline.finish().unwrap();
     let summary = Summary::read(&take[..]).unwrap();
     assert_eq!((summary.take.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    assert_eq!(summary.take.statistics.as_ref(), Some(&summary.statistics));
     (written, take, counts)
 }
 

@@ -9,12 +9,13 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::{BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows};
 use mocapd_take::{
     record::Header,
+    statistics::BlockTally,
     stretch::{StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
 };
 
 use super::{
-    messages::{EncodeJob, Part, PartReport, StretchEnd},
+    messages::{EncodeJob, Part, PartBuffer, PartReport, StretchEnd},
     plan::Plan,
     ring::{RingConsumer, RingProducer, Sample, TimelineItem, ring},
 };
@@ -29,8 +30,8 @@ pub(super) struct Group {
     pub(super) jobs_in: Sender<EncodeJob>,
     parts: Sender<Part>,
     /// Free buffers; the writer returns them.
-    pub(super) buffers: Receiver<Vec<u8>>,
-    pub(super) buffers_back: Sender<Vec<u8>>,
+    pub(super) buffers: Receiver<PartBuffer>,
+    pub(super) buffers_back: Sender<PartBuffer>,
 }
 
 #[derive(Debug)]
@@ -109,8 +110,14 @@ impl Group {
     ) -> Self {
         let (jobs_in, jobs) = bounded(plan.spans_max());
         let (buffers_back, buffers) = bounded(plan.buffers_per_group());
+        let (n_slots, n_rows) = match coder {
+            GroupCoder::Channels(_) => (plan.slots_of(index).len(), plan.stretch_rows as usize),
+            GroupCoder::Timeline(_) => (0, 0),
+        };
         for _ in 0..plan.buffers_per_group() {
-            drop(buffers_back.try_send(Vec::with_capacity(part_bytes)));
+            let bytes = Vec::with_capacity(part_bytes);
+            let tally = BlockTally::with_capacity(n_slots, n_rows);
+            drop(buffers_back.try_send(PartBuffer { bytes, tally }));
         }
         Self { index, coder, jobs, jobs_in, parts: parts.clone(), buffers, buffers_back }
     }
@@ -119,21 +126,21 @@ impl Group {
     pub(super) fn run_jobs(&mut self, heartbeat: &HeartbeatHandle) {
         while !self.jobs.is_empty() {
             heartbeat.beat();
-            let Ok(mut bytes) = self.buffers.try_recv() else { return };
+            let Ok(mut buffer) = self.buffers.try_recv() else { return };
             let Ok(job) = self.jobs.try_recv() else {
-                drop(self.buffers_back.try_send(bytes));
+                drop(self.buffers_back.try_send(buffer));
                 return;
             };
-            bytes.clear();
+            buffer.clear();
             let report = match &mut self.coder {
-                GroupCoder::Channels(channels) => channels.encode(&job.end, &mut bytes),
+                GroupCoder::Channels(channels) => channels.encode(&job.end, &mut buffer),
                 GroupCoder::Timeline(coder) => {
-                    coder.encode(&job.end, &mut bytes);
+                    coder.encode(&job.end, &mut buffer.bytes);
                     PartReport::default()
                 }
             };
             let (stretch, end, counts) = (job.stretch, job.end, job.counts);
-            let part = Part { stretch, end, group: self.index, bytes, report, counts };
+            let part = Part { stretch, end, group: self.index, buffer, report, counts };
             // Never full: it has a place for every buffer there is. Closed when the writer is gone.
             if self.parts.try_send(part).is_err() {
                 return;
@@ -144,7 +151,7 @@ impl Group {
 
 impl ChannelCoder {
     /// Encodes the active channels as one block.
-    fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) -> PartReport {
+    fn encode(&mut self, end: &StretchEnd, out: &mut PartBuffer) -> PartReport {
         let n_rows = end.span.n_rows as usize;
         let n_channels = end.n_channels.saturating_sub(self.first_slot).min(self.slots.len());
         if n_rows == 0 || n_channels == 0 {
@@ -165,18 +172,23 @@ impl ChannelCoder {
         }
         self.block.clear();
         let key = end.span.key;
-        let report = self.encode_rows(n_channels, key).unwrap_or_else(|_| {
+        let report = self.encode_rows(n_channels, key, &mut out.tally).unwrap_or_else(|_| {
             // The decoder will see a stretch without samples, and the encoder's state must match.
             self.block.clear();
             self.slots[..n_channels].iter_mut().for_each(|slot| slot.present.fill(false));
-            drop(self.encode_rows(n_channels, key));
+            drop(self.encode_rows(n_channels, key, &mut out.tally));
             PartReport { refused: 1, ..PartReport::default() }
         });
-        put_block(&self.block, end.n_channels <= GROUP_CHANNELS, out);
+        put_block(&self.block, end.n_channels <= GROUP_CHANNELS, &mut out.bytes);
         report
     }
 
-    fn encode_rows(&mut self, n_channels: usize, key: bool) -> Result<PartReport, CodecError> {
+    fn encode_rows(
+        &mut self,
+        n_channels: usize,
+        key: bool,
+        tally: &mut BlockTally,
+    ) -> Result<PartReport, CodecError> {
         let mut rows = [Rows::default(); GROUP_CHANNELS];
         for (rows, slot) in rows.iter_mut().zip(&self.slots[..n_channels]) {
             *rows = Rows::new(&slot.positions, &slot.present)?;
@@ -184,6 +196,8 @@ impl ChannelCoder {
         let mut reports = [BlockReport::default(); GROUP_CHANNELS];
         let (rows, reports) = (&rows[..n_channels], &mut reports[..n_channels]);
         self.encoder.encode(rows, &[], key, &mut self.block, reports)?;
+        tally.restart(rows.first().map_or(0, Rows::len));
+        tally.add_encoded(&self.block, rows, reports, self.encoder.kept_rows());
         let mut report = PartReport::default();
         reports.iter().for_each(|channel| report.add_channel(channel));
         Ok(report)

@@ -4,6 +4,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::BlockReport;
 use mocapd_take::{
     record::{Channel, Event},
+    statistics::{BlockTally, StretchTally},
     stretch::Span,
 };
 
@@ -51,12 +52,27 @@ pub(super) struct Part {
     pub(super) end: StretchEnd,
     /// The group's index; the timeline's group is the last.
     pub(super) group: usize,
-    /// The group's block with its length, or the stretch's front with its timeline. The buffer returns to the group
-    /// when it has been written.
-    pub(super) bytes: Vec<u8>,
+    /// It returns to the group when it has been written.
+    pub(super) buffer: PartBuffer,
     pub(super) report: PartReport,
     /// Only from the timeline's group.
     pub(super) counts: Option<Counts>,
+}
+
+/// The memory of a part.
+#[derive(Debug)]
+pub(super) struct PartBuffer {
+    /// The group's block with its length, or the stretch's front with its timeline.
+    pub(super) bytes: Vec<u8>,
+    /// What the block holds; empty for the timeline's group.
+    pub(super) tally: BlockTally,
+}
+
+impl PartBuffer {
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        self.tally.restart(0);
+    }
 }
 
 /// What the encoders of a part measured.
@@ -82,6 +98,13 @@ impl PartReport {
         self.max_error_mm = self.max_error_mm.max(other.max_error_mm);
         self.refused += other.refused;
     }
+}
+
+/// What a whole stretch holds.
+#[derive(Debug, Clone, Default)]
+pub(super) struct StretchReport {
+    pub(super) parts: PartReport,
+    pub(super) tally: StretchTally,
 }
 
 /// A message from the reader to the writer, beside the samples.

@@ -18,7 +18,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use super::{
     Counts, PipelineProgress,
     group::Group,
-    messages::{EncodeJob, StretchEnd},
+    messages::{EncodeJob, PartBuffer, StretchEnd},
     plan::Plan,
 };
 use crate::{
@@ -32,7 +32,7 @@ struct ParkedGroup {
     park: Sender<Group>,
     unpark: Receiver<Group>,
     jobs: Receiver<EncodeJob>,
-    buffers: Receiver<Vec<u8>>,
+    buffers: Receiver<PartBuffer>,
     /// A wake-up for this group is queued.
     woken: AtomicBool,
 }

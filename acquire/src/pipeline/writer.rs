@@ -13,7 +13,10 @@ use std::{
 
 use anyhow::{bail, ensure};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use mocapd_take::record::{Channel, EndingKind, TakeEnding};
+use mocapd_take::{
+    record::{Channel, EndingKind, TakeEnding},
+    statistics::{BlockTally, StretchTally},
+};
 
 pub(super) use self::live::LiveTake;
 use self::{clocks::ClockWriter, pre_roll::PreRollBuffer, splitting::SplitState};
@@ -21,7 +24,7 @@ use super::{
     Counts, NewTake, PipelineProgress, Split, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
-    messages::{Control, FromReader, Part, PartReport, StretchEnd},
+    messages::{Control, FromReader, Part, PartBuffer, PartReport, StretchEnd, StretchReport},
     plan::Plan,
     pool::WakeQueue,
 };
@@ -48,11 +51,14 @@ pub(super) struct Writer {
     clocks: ClockWriter,
     /// Received from `control`; its stretch is not written yet.
     waiting: Option<(u64, Control)>,
-    buffers_back: Vec<Sender<Vec<u8>>>,
+    buffers_back: Vec<Sender<PartBuffer>>,
     wakes: WakeQueue,
     progress: Arc<PipelineProgress>,
     assembler: StretchAssembler,
     payload: Vec<u8>,
+    /// What the stretch in `payload` holds, and all its channels while it is assembled.
+    report: StretchReport,
+    tally: BlockTally,
     /// The counters at the end of the last stretch.
     counts: Counts,
     /// All channels so far, each with the number of the stretch that may be the first to contain it.
@@ -71,7 +77,7 @@ impl Writer {
         plan: &Plan,
         parts: Receiver<Part>,
         from_reader: FromReader,
-        buffers_back: Vec<Sender<Vec<u8>>>,
+        buffers_back: Vec<Sender<PartBuffer>>,
         wakes: WakeQueue,
         progress: &Arc<PipelineProgress>,
     ) -> Self {
@@ -89,6 +95,11 @@ impl Writer {
             progress: Arc::clone(progress),
             assembler: StretchAssembler::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
+            report: StretchReport {
+                parts: PartReport::default(),
+                tally: StretchTally::with_capacity(plan.n_slots),
+            },
+            tally: BlockTally::with_capacity(plan.n_slots, plan.stretch_rows as usize),
             counts: Counts::default(),
             table,
             sync_every: plan.sync_every,
@@ -175,20 +186,23 @@ impl Writer {
         let Some(front) = self.assembler.front() else { return };
         let Some((timeline, blocks)) = front.parts() else { return };
         let (stretch, end) = (front.stretch, front.end);
-        let mut report = PartReport::default();
+        self.report.parts = PartReport::default();
+        self.tally.restart(end.span.n_rows as usize);
         self.payload.clear();
-        self.payload.extend_from_slice(&timeline.bytes);
+        self.payload.extend_from_slice(&timeline.buffer.bytes);
         for part in blocks {
-            self.payload.extend_from_slice(&part.bytes);
-            report.add(&part.report);
+            self.payload.extend_from_slice(&part.buffer.bytes);
+            self.report.parts.add(&part.report);
+            self.tally.append(&part.buffer.tally);
         }
+        self.report.tally.set(&self.tally);
         let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
         let n_channels_before = self.table.len();
         self.apply_control(stretch, &end);
         match self.command_at(stretch) {
             None => {
-                self.put_stretch(stretch, &end, &report, before);
+                self.put_stretch(stretch, &end, before);
                 if end.splits {
                     self.split(end.span.first_row, n_channels_before);
                 }
@@ -204,16 +218,17 @@ impl Writer {
         self.publish_clock();
     }
 
-    fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, report: &PartReport, before: Counts) {
+    fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, before: Counts) {
         let (counts, progress) = (self.counts, Arc::clone(&self.progress));
         let payload = std::mem::take(&mut self.payload);
+        let report = std::mem::take(&mut self.report);
         if let Some(buffer) = &mut self.pre_roll
             && !payload.is_empty()
         {
-            buffer.push(stretch, end, &payload, *report, (before, counts));
+            buffer.push(stretch, end, &payload, &report, (before, counts));
         }
         self.with_take(|take, clocks| {
-            take.stretch(end.span, end.first, &payload, report, &counts)?;
+            take.stretch(end.span, end.first, &payload, &report, &counts)?;
             if !end.last {
                 take.ledger_and_sync(clocks, &progress)?;
             }
@@ -221,7 +236,7 @@ impl Writer {
             Ok(())
         });
         self.observe();
-        self.payload = payload;
+        (self.payload, self.report) = (payload, report);
         self.publish_pre_roll();
         self.ask_for_split();
     }
@@ -305,7 +320,7 @@ impl Writer {
     fn return_buffers(&mut self) {
         let Self { assembler, buffers_back, wakes, .. } = self;
         assembler.pop_front(|part| {
-            drop(buffers_back[part.group].try_send(part.bytes));
+            drop(buffers_back[part.group].try_send(part.buffer));
             wakes.wake(part.group);
         });
     }

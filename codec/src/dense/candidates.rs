@@ -19,6 +19,7 @@ pub(super) struct RowEncoder<'a, 'r> {
     grid: Grid,
     pub(super) coder: RangeEncoder<'a>,
     pub(super) reports: &'r mut [BlockReport],
+    pub(super) kept_rows: &'r mut [bool],
     /// The largest square in mm^2 whose root is within the tolerance, and the largest squared error so far by channel.
     max_square: f64,
     squares: [f64; GROUP_CHANNELS],
@@ -35,12 +36,14 @@ impl<'a, 'r> RowEncoder<'a, 'r> {
         grid: Grid,
         coder: RangeEncoder<'a>,
         reports: &'r mut [BlockReport],
+        kept_rows: &'r mut [bool],
     ) -> Self {
         Self {
             channels,
             grid,
             coder,
             reports,
+            kept_rows,
             max_square: largest_square(grid.tolerance_mm()),
             squares: [0.0; GROUP_CHANNELS],
             samples: [[0.0; PADDED_ROWS]; 3],
@@ -200,6 +203,11 @@ impl<'a> RowCodec for RowEncoder<'a, '_> {
             *most = most.max(*square);
         }
         self.reports[batch.channel].kept += kept.count_ones();
+        let mut kept = kept;
+        while kept != 0 {
+            self.kept_rows[batch.row(kept.trailing_zeros() as usize)] = true;
+            kept &= kept - 1;
+        }
     }
 }
 

@@ -35,13 +35,14 @@ impl PayloadEncoder for Dense {
         channels: &[Rows<'_>],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
     ) -> Result<()> {
         let start = out.len();
         // A larger block is stored as a whole.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
         let coder = RangeEncoder::new(out, limit);
-        let mut codec = RowEncoder::new(channels, self.grid, coder, reports);
+        let mut codec = RowEncoder::new(channels, self.grid, coder, reports, kept_rows);
         codec.coder.split(P_CODED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
         for (channel, rows) in channels.iter().enumerate() {
@@ -54,13 +55,13 @@ impl PayloadEncoder for Dense {
                 present[channel] = Some(rows.present());
             } else {
                 store(&mut codec.coder, *rows);
-                codec.reports[channel].keep_all();
+                codec.reports[channel].keep_all(*rows, codec.kept_rows);
             }
         }
         let coded = self.block(&mut codec, n_rows, &present[..channels.len()]);
         if !codec.finish() || coded.is_err() {
             out.truncate(start);
-            self.store_all(channels, out, reports);
+            self.store_all(channels, out, reports, kept_rows);
         }
         Ok(())
     }
@@ -68,13 +69,19 @@ impl PayloadEncoder for Dense {
 
 impl Dense {
     /// Stores a block as a whole, sample by sample, where coding would take more bytes; resets all state.
-    fn store_all(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &mut [BlockReport]) {
+    fn store_all(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) {
         self.reset();
         let mut coder = RangeEncoder::new(out, usize::MAX);
         coder.split(P_CODED, true);
         for (rows, report) in channels.iter().zip(reports) {
             store(&mut coder, *rows);
-            report.keep_all();
+            report.keep_all(*rows, kept_rows);
         }
         let finished = coder.finish();
         debug_assert!(finished, "there is no limit");
@@ -115,7 +122,8 @@ pub fn tally<'a>(
         let mut reports = rows.iter().map(report).collect::<Result<Vec<_>>>()?;
         encoder.reset();
         let mut out = Vec::new();
-        encoder.encode(&rows, &mut out, &mut reports)?;
+        let mut kept_rows = vec![false; last - first];
+        encoder.encode(&rows, &mut out, &mut reports, &mut kept_rows)?;
         bytes += out.len();
     }
     let mut tally = encoder.channels.model.tally;

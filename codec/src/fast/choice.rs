@@ -252,6 +252,10 @@ pub(super) struct RunEncoder<'a> {
     targets: &'a mut Targets,
     residuals: &'a mut Residuals,
     ops: &'a mut Ops,
+    /// By row of the block: whether its sample is kept.
+    kept_rows: &'a mut [bool],
+    /// The row of the block that follows row 0 of the run.
+    after_zero: usize,
     /// Number of rows of the run after row 0.
     n: usize,
     at: usize,
@@ -268,16 +272,49 @@ impl<'a> RunEncoder<'a> {
         targets: &'a mut Targets,
         residuals: &'a mut Residuals,
         ops: &'a mut Ops,
+        kept_rows: &'a mut [bool],
     ) -> Self {
-        let (n, at, kept, worst) = (0, 0, 0, 0);
-        Self { quantiser, targets, residuals, ops, n, at, out_of_range: false, kept, worst }
+        Self {
+            quantiser,
+            targets,
+            residuals,
+            ops,
+            kept_rows,
+            after_zero: 0,
+            n: 0,
+            at: 0,
+            out_of_range: false,
+            kept: 0,
+            worst: 0,
+        }
     }
 
-    /// Begins a run. Its first sample is row 0 where `origin` is 1, else row 1.
+    /// Begins the run from row `start` of the block on. Its first sample is row 0 where `origin` is 1, else row 1.
     #[inline(always)]
-    pub(super) fn begin(&mut self, samples: &[Position], origin: usize) {
+    pub(super) fn begin(&mut self, start: usize, samples: &[Position], origin: usize) {
         self.targets.lay_out(samples, origin);
         self.n = samples.len() - origin;
+        self.after_zero = start + origin;
+    }
+
+    /// Counts and marks the kept rows among the first `n` of a level.
+    #[inline(always)]
+    fn count_kept(&mut self, rows: LevelRows, n: usize) {
+        for (many, sums) in self.residuals.sums[..n].chunks(8).enumerate() {
+            // Most rows are not kept.
+            if sums.iter().fold(0, |any, sum| any | sum) == 0 {
+                continue;
+            }
+            for (i, sum) in sums.iter().enumerate() {
+                let row = self.after_zero + rows.row(8 * many + i) - 1;
+                if *sum != 0
+                    && let Some(kept) = self.kept_rows.get_mut(row)
+                {
+                    *kept = true;
+                    self.kept += 1;
+                }
+            }
+        }
     }
 
     /// The largest error so far, in millimetres.
@@ -401,6 +438,6 @@ impl RunCodec for RunEncoder<'_> {
         *activity = recent;
         // The last anchor may lie beyond the samples.
         let n = n - usize::from(n > 0 && rows.row(n - 1) > self.n);
-        self.kept += self.residuals.sums[..n].iter().filter(|sum| **sum != 0).count() as u32;
+        self.count_kept(rows, n);
     }
 }

@@ -7,7 +7,7 @@ use super::{
     walk::{self, Channel, RunPoints},
 };
 use crate::{
-    BlockReport, Result, Rows,
+    BlockReport, Result, Rows, block,
     coding::{
         columns::{Histories, Raw},
         isa::Kernel,
@@ -22,6 +22,8 @@ pub(super) struct EncodeBuffers {
     residuals: Residuals,
     ops: Ops,
     bytes: Vec<u8>,
+    /// By row of the block: whether the channel keeps its sample.
+    kept_rows: Vec<bool>,
     padded_len: usize,
 }
 
@@ -33,6 +35,7 @@ impl EncodeBuffers {
             self.residuals.grow(padded_len);
             self.ops.grow(padded_len);
             self.bytes.resize(self.ops.max_bytes() + 8, 0);
+            self.kept_rows.resize(padded_len, false);
         }
     }
 }
@@ -63,19 +66,20 @@ impl Kernel for EncodeChannel<'_> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         let Self { channel, rows, points, buffers, tolerance_mm, .. } = self;
-        let EncodeBuffers { targets, residuals, ops, bytes, .. } = buffers;
+        let EncodeBuffers { targets, residuals, ops, bytes, kept_rows, .. } = buffers;
+        kept_rows[..rows.len()].fill(false);
         ops.clear();
         let quantiser = Quantiser::new(tolerance_mm, self.step);
         let cap = walk::error_cap(tolerance_mm);
-        let mut codec = RunEncoder::new(quantiser, targets, residuals, ops);
+        let mut codec = RunEncoder::new(quantiser, targets, residuals, ops, kept_rows);
         let mut end = 0;
         for run in rows.runs() {
             if run.start != 0 {
                 channel.known = 0;
             }
             end = run.end;
-            let samples = &rows.positions()[run];
-            codec.begin(samples, usize::from(channel.known == 0));
+            let samples = &rows.positions()[run.clone()];
+            codec.begin(run.start, samples, usize::from(channel.known == 0));
             walk::run(&mut codec, channel, points, samples.len(), cap).ok()?;
             if codec.out_of_range {
                 return None;
@@ -146,6 +150,7 @@ impl PayloadEncoder for Fast {
         channels: &[Rows<'_>],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
     ) -> Result<()> {
         self.prepare(channels.len(), channels.first().map_or(0, Rows::len));
         let start = out.len();
@@ -160,10 +165,11 @@ impl PayloadEncoder for Fast {
             }
             if self.channel(i, *rows, report, &mut writer, out) {
                 coded = true;
+                block::mark(kept_rows, &self.encode_buffers.kept_rows);
             } else {
                 self.modes[i] = Mode::RAW;
                 self.channels[i].known = 0;
-                report.keep_all();
+                report.keep_all(*rows, kept_rows);
             }
         }
         let Self { modes, raw, .. } = self;

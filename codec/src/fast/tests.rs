@@ -52,13 +52,17 @@ impl Pair {
             return (Vec::new(), blank(group));
         }
         let mut payload = vec![7; 3];
-        self.encoder.encode(&rows, &mut payload, &mut reports).unwrap();
+        let n_rows = group.iter().map(Vec::len).max().unwrap_or(0);
+        let mut kept_rows = vec![false; n_rows];
+        self.encoder.encode(&rows, &mut payload, &mut reports, &mut kept_rows).unwrap();
         assert_eq!(payload[..3], [7; 3]);
         let payload = payload.split_off(3);
-        let n_rows = group.iter().map(Vec::len).max().unwrap_or(0);
         assert!(payload.len() <= Fast::max_payload_bytes(group.len(), n_rows));
         let mut decoded = blank(group);
         self.decoder.decode(&payload, &mut decoded).unwrap();
+        for (row, kept) in kept_rows.into_iter().enumerate() {
+            assert_eq!(decoded.iter().any(|rows| rows.kept[row]), kept, "row {row}");
+        }
         for ((track, rows), report) in group.iter().zip(&decoded).zip(&reports) {
             let mut worst = 0.0_f64;
             for (sample, back) in track.iter().zip(&rows.positions) {

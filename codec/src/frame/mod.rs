@@ -54,14 +54,16 @@ pub(crate) trait PayloadEncoder: Payload {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize;
 
     /// Appends the payload of a block with at least one sample, all of them finite. Completes `reports`, one per
-    /// channel, in which the frame has set `samples`. Every reported error is within the tolerance: samples that
-    /// cannot be coded within it are stored exactly. Except after [`reset`](Payload::reset), there are never fewer
-    /// channels than in the payload before; new ones are appended.
+    /// channel, in which the frame has set `samples`, and sets those of `kept_rows`, one per row, in which any sample
+    /// is kept. Every reported error is within the tolerance: samples that cannot be coded within it are stored
+    /// exactly. Except after [`reset`](Payload::reset), there are never fewer channels than in the payload before; new
+    /// ones are appended.
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
     ) -> Result<()>;
 }
 
@@ -88,6 +90,12 @@ pub fn stated_channels(block: &[u8]) -> Option<usize> {
     }
     let n = Bytes::new(rest).varint("the number of channels").ok()?;
     usize::try_from(n).ok().filter(|n| (1..=GROUP_CHANNELS).contains(n))
+}
+
+/// The step in which a block states its error: the error is [`Tolerance::stated_mm`] of it. 0 for an empty block.
+#[must_use]
+pub fn stated_error_step(block: &[u8]) -> u8 {
+    block.first().map_or(0, |head| head & STATED_STEPS)
 }
 
 /// Counts the samples present; fails when one is not finite.
@@ -149,6 +157,8 @@ impl<P: Payload> FrameState<P> {
 #[derive(Debug)]
 pub(crate) struct FramedEncoder<E> {
     state: FrameState<E>,
+    /// By row of the last block: whether any sample is kept.
+    kept_rows: Vec<bool>,
     /// A decoder with which debug builds check every block.
     #[cfg(debug_assertions)]
     verifier: (FramedDecoder<E>, Vec<DecodedRows>),
@@ -159,6 +169,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
     pub(crate) fn new(payload: impl Fn(Tolerance) -> E, tolerance: Tolerance) -> Self {
         Self {
             state: FrameState::new(payload(tolerance), tolerance),
+            kept_rows: Vec::new(),
             #[cfg(debug_assertions)]
             verifier: (FramedDecoder::new(payload(tolerance), tolerance), Vec::new()),
         }
@@ -228,7 +239,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
                 "{error}: pass the result of Settings::plan for the same {n_rows} rows"
             ))
         })?;
-        self.state.payload.encode(channels, out, reports)?;
+        self.state.payload.encode(channels, out, reports, &mut self.kept_rows)?;
         let max_error_mm = reports.iter().map(|report| report.max_error_mm).fold(0.0, f64::max);
         let step = bound::stated_step(max_error_mm, self.state.tolerance.mm());
         debug_assert!(step.is_some() && !(E::EXACT && step != Some(0)), "{max_error_mm} mm");
@@ -249,6 +260,9 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         let (verifier, decoded) = &mut self.verifier;
         let outcome = verifier.decode(block, shared, channels[0].len(), key, decoded);
         debug_assert!(outcome.is_ok(), "an encoded block does not decode: {outcome:?}");
+        for (row, kept) in self.kept_rows.iter().enumerate() {
+            debug_assert_eq!(decoded.iter().any(|rows| rows.kept[row]), *kept, "row {row}");
+        }
         for (i, (rows, report)) in channels.iter().zip(reports).enumerate() {
             let Some(decoded) = decoded.get(i) else {
                 debug_assert_eq!(report.samples, 0, "channel {i} is left out");
@@ -267,6 +281,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
 impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.state.payload.prepare(n_channels, n_rows);
+        self.kept_rows.reserve(n_rows.saturating_sub(self.kept_rows.len()));
         #[cfg(debug_assertions)]
         {
             let (verifier, decoded) = &mut self.verifier;
@@ -291,6 +306,8 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
             return Err(CodecError::OutOfStep);
         }
         let start = out.len();
+        self.kept_rows.clear();
+        self.kept_rows.resize(channels[0].len(), false);
         if n_sampled == 0 {
             self.state.skip_empty();
         } else {
@@ -305,6 +322,10 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         #[cfg(debug_assertions)]
         self.check(&out[start..], channels, shared, key, reports);
         Ok(())
+    }
+
+    fn kept_rows(&self) -> &[bool] {
+        &self.kept_rows
     }
 }
 

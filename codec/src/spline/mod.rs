@@ -76,6 +76,7 @@ impl Spline {
         rows: Rows<'_>,
         out: &mut Vec<u8>,
         report: &mut BlockReport,
+        kept_rows: &mut [bool],
     ) -> Result<bool> {
         for run in rows.runs() {
             let samples = &rows.positions()[run.clone()];
@@ -85,7 +86,7 @@ impl Spline {
                     write_times(&self.fit, samples.len(), out);
                 }
                 Times::Shared(keys) => {
-                    self.fit.start(key_times::kept_rows(&keys[run]));
+                    self.fit.start(key_times::kept_rows(&keys[run.clone()]));
                     self.fit.measure(samples);
                 }
             }
@@ -96,6 +97,7 @@ impl Spline {
                 out.extend_from_slice(&value.to_le_bytes());
             }
             report.kept += self.fit.rows().len() as u32;
+            self.fit.rows().for_each(|row| kept_rows[run.start + row] = true);
             report.max_error_mm = report.max_error_mm.max(self.fit.max_error_mm);
         }
         Ok(true)
@@ -187,18 +189,19 @@ impl PayloadEncoder for Spline {
         channels: &[Rows<'_>],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
     ) -> Result<()> {
         for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
             let start = out.len();
             out.push(CODED);
-            let is_within = self.write(*rows, out, report)?;
+            let is_within = self.write(*rows, out, report, kept_rows)?;
             // Not where raw samples would merely be smaller: the knots are the subject of study. A plan made from other
             // samples may miss the tolerance; raw samples keep the bound.
             if !is_within || out.len() - start - 1 > max_bytes(report.samples as usize) {
                 out.truncate(start);
                 out.push(RAW);
                 self.raw.write(*rows, &mut Histories::default(), out);
-                report.keep_all();
+                report.keep_all(*rows, kept_rows);
             }
         }
         Ok(())

@@ -173,6 +173,8 @@ fn summarise(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
     }
     summary.health = TakeHealth::of_ends(&ends);
     if let Some(end) = &ends.end {
+        // With those that appeared during the recording.
+        summary.markers = end.channels.as_ref().map_or(summary.markers, Vec::len);
         summary.seconds = end.footer.n_rows as f64 / header.rate_hz;
         if let Some(ending) = &end.ending {
             summary.ending = Some(ending.kind);

@@ -271,12 +271,12 @@ impl FileReport {
     /// The heading of its table.
     fn head(&self) -> String {
         format!(
-            "{}: {} markers, {} frames at {} Hz, {} bytes of float32\n\
+            "{}: {} markers, {} frames at {}, {} bytes of float32\n\
              {:20} {:>9} {:>10} {:>8} {:>7} {:>12} {:>10} {:>10}\n",
             plain(&self.file),
             self.markers,
             self.frames,
-            self.rate_hz,
+            values::rate(self.rate_hz),
             self.raw_bytes,
             "resampler",
             "tolerance",
@@ -305,7 +305,7 @@ impl Measured {
             tolerance_mm: values::tolerance_mm(codec),
             bytes,
             block_bytes: summary.bytes.blocks + summary.bytes.lengths + summary.bytes.time_line,
-            kept: summary.knots(),
+            kept: summary.statistics.knots(),
             ratio: size_ratio(summary.samples(), bytes),
             bits_per_scalar: bytes as f64 * 8.0 / (3 * summary.samples()).max(1) as f64,
             max_error_mm,

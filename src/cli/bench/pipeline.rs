@@ -311,7 +311,7 @@ impl PipelineBenchReport {
         let unbalanced = self.pty.iter().filter(|run| !run.ledger_closes).count();
         let alone = &self.in_process;
         format!(
-            "{} markers at {} Hz, {} s, {} {} mm, {} cores; medians of {} runs\n\
+            "{} markers at {}, {} s, {} {} mm, {} cores; medians of {} runs\n\
              over a pty to disk\n\
              \x20 frames lost                   {:>9}   of {sent} sent; ledgers that do not close: {unbalanced}\n\
              \x20 record, processor             {:>9.1} % of one core; reference: {:.1} % for reading the line alone\n\
@@ -322,7 +322,7 @@ impl PipelineBenchReport {
              in one process, no pty, {:.1} MB of frames\n\
              \x20 speed                         {:>9.1} times real time; reference: {:.1} GB/s for copying the frames; {} frames lost\n",
             self.markers,
-            self.rate_hz,
+            values::rate(self.rate_hz),
             self.seconds,
             self.resampler,
             self.tolerance_mm,

@@ -13,7 +13,7 @@ use mocapd_take::record::EndingKind;
 use crate::cli::{
     ledger::losses,
     output::plain,
-    values::{bytes, count, frames_of, thousands},
+    values::{bytes, count, frames_of, rate, thousands},
 };
 
 pub(super) fn state(state: State) -> &'static str {
@@ -35,7 +35,7 @@ pub(super) fn status(status: &Status) -> String {
     let device = &status.device;
     let named = format!("{} {}", device.model, device.serial);
     let named = if named.trim().is_empty() { &device.uri } else { named.trim() };
-    let rate = format!("{} at {} Hz", count(device.markers as u64, "marker"), device.rate_hz);
+    let rate = format!("{} at {}", count(device.markers as u64, "marker"), rate(device.rate_hz));
     let known = if device.rate_hz > 0.0 { format!(", {rate}") } else { String::new() };
     writeln!(out, "  device    {}: {}{known}", plain(named), device.presence).ok();
     if let Some(obstacle) = &device.obstacle {

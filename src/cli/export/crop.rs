@@ -99,6 +99,7 @@ mod tests {
     use mocapd_take::{
         TakeFrames, TakeWriter,
         record::{Header, Ledger},
+        statistics::StretchTally,
         stretch::{Span, StretchHeaderWriter},
         timeline::Timeline,
     };
@@ -133,7 +134,7 @@ mod tests {
             let span = Span { first_row, n_rows: 600, key: true, number };
             let mut payload = Vec::new();
             front.put(span, &Timeline::default(), &[], true, &mut payload);
-            take.stretch(span, &payload).unwrap();
+            take.stretch(span, &payload, &StretchTally::default()).unwrap();
         }
         take.finish(&Ledger::default()).unwrap().0
     }

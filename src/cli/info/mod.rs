@@ -38,6 +38,9 @@ pub(crate) struct Args {
     /// Format of standard input
     #[arg(long, value_name = "FORMAT")]
     format: Option<InputFormatName>,
+    /// List the markers: samples, gaps, kept samples and the largest error of each; --json always does
+    #[arg(long)]
+    markers: bool,
     /// Print one JSON document, or one per line for several files
     #[arg(long)]
     json: bool,
@@ -57,18 +60,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         is_compression: false,
     };
     batch::run(&batch, |job| match job.input.format()? {
-        InputFormat::Take => take_info(job),
+        InputFormat::Take => take_info(job, args.markers),
         InputFormat::MotionFile(_) => motion_file::info(job),
     })
 }
 
-fn take_info(job: &Job<'_>) -> anyhow::Result<FileReport> {
+/// Reads a take. Its samples are decoded only if it does not state their statistics, or if anything in it is damaged.
+///
+/// # Errors
+/// When it cannot be read, or is not a take.
+fn take_info(job: &Job<'_>, all_markers: bool) -> anyhow::Result<FileReport> {
     let reading = || format!("cannot read {}", job.input.name.display());
     let file = SparseFile::open(&job.input.path)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     let phase = job.phase("reading", file_bytes);
     let file = BufReader::new(CountingFile::new(file, &phase.counter));
-    let summary = Summary::read(file).with_context(reading)?;
+    let summary = Summary::read_stated(file).with_context(reading)?;
     drop(phase);
     let report = InfoReport::new(&job.input.name, &summary, file_bytes);
     if !job.is_json {
@@ -79,7 +86,7 @@ fn take_info(job: &Job<'_>) -> anyhow::Result<FileReport> {
     }
     Ok(FileReport {
         data_lost: report.health != TakeHealth::Complete || !report.problems.is_empty(),
-        text: text(&report),
+        text: text(&report, all_markers),
         line: line(&report),
         json: job.json(&report)?,
         figures: Figures {

@@ -64,6 +64,8 @@ pub(super) struct InfoReport {
 pub(super) struct ImportSourceReport {
     #[serde(flatten)]
     pub(super) file: ImportSource,
+    /// Size of the file.
+    pub(super) bytes: Option<u64>,
     /// The value of `import --unit`, if given.
     pub(super) unit_given: Option<String>,
     /// The value of `import --up`, if given.
@@ -74,6 +76,7 @@ pub(super) struct ImportSourceReport {
 pub(super) struct ForeignReport {
     pub(super) kind: String,
     pub(super) bytes: u64,
+    pub(super) stored_bytes: u64,
 }
 
 #[derive(Debug, Serialize)]
@@ -118,8 +121,11 @@ impl InfoReport {
             text: event.text.clone(),
         });
         let parts = summary.take.foreign.iter();
-        let foreign_parts =
-            parts.map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes });
+        let foreign_parts = parts.map(|part| ForeignReport {
+            kind: part.kind.clone(),
+            bytes: part.data_bytes,
+            stored_bytes: part.deflated_bytes(),
+        });
         let options = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
@@ -139,6 +145,7 @@ impl InfoReport {
             device: header.device.clone(),
             source: header.source.clone().map(|file| ImportSourceReport {
                 file,
+                bytes: header.source_bytes(),
                 unit_given: options.unit.map(|unit| unit.to_string()),
                 up_given: options.up.map(|up| up.to_string()),
             }),
@@ -155,8 +162,8 @@ impl InfoReport {
             ratio: size_ratio(summary.samples(), file_bytes),
             max_error_mm: summary.max_error_mm(),
             stretches: summary.stretches,
-            sr1: summary.sr1(),
-            sr2: summary.sr2(),
+            sr1: summary.statistics.sr1(),
+            sr2: summary.statistics.sr2(),
             ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
             clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),

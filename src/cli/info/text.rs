@@ -4,7 +4,10 @@ use std::fmt::Write;
 
 use mocapd_service::units;
 
-use super::{LABEL_COLUMNS_MAX, report::InfoReport};
+use super::{
+    LABEL_COLUMNS_MAX,
+    report::{ForeignReport, InfoReport},
+};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
@@ -27,8 +30,8 @@ pub(super) fn line(report: &InfoReport) -> String {
     )
 }
 
-/// The whole report: a list of facts, the ledger, the clock and a table of the markers.
-pub(super) fn text(report: &InfoReport) -> String {
+/// The report: a list of facts, the ledger, the clock, and with `all_markers` a table of the markers.
+pub(super) fn text(report: &InfoReport, all_markers: bool) -> String {
     let mut out = String::new();
     let mut line = |name: &str, value: &str| {
         writeln!(out, "{name:<10} {}", plain(value)).ok();
@@ -46,6 +49,8 @@ pub(super) fn text(report: &InfoReport) -> String {
         subject.lines(&mut line);
     }
     motion(report, &mut line);
+    markers(report, &mut line);
+    resampler(report, &mut line);
     size(report, &mut line);
     for lost in damage::lines(&report.damage) {
         line("lost", &lost);
@@ -68,7 +73,9 @@ pub(super) fn text(report: &InfoReport) -> String {
     let by_ledger = || report.ledger.as_ref().and_then(ledger::clock_text);
     let clock = report.clock.as_ref().map(ClockReport::text).or_else(by_ledger);
     out.push_str(&clock.unwrap_or_default());
-    markers(report, &mut out);
+    if all_markers {
+        marker_table(report, &mut out);
+    }
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
     out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
     out
@@ -124,14 +131,30 @@ fn motion(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let recorded = report.frames_recorded().unwrap_or(report.frames);
     let frames = frames_of(recorded, report.frames);
     let markers = count(report.markers as u64, "marker");
-    let (rate_hz, seconds) = (report.rate_hz, report.seconds);
-    line("motion", &format!("{frames} of {markers} at {rate_hz} Hz, {seconds:.3} s{up}"));
+    let (rate, seconds) = (rate(report.rate_hz), report.seconds);
+    line("motion", &format!("{frames} of {markers} at {rate}, {seconds:.3} s{up}"));
     let all = thousands(report.frames.saturating_mul(report.markers as u64));
     let gaps = count(report.channels.iter().map(|channel| channel.gaps).sum(), "gap");
     line("samples", &format!("{} of {all} present, {gaps}", thousands(report.samples)));
 }
 
-fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
+/// How many markers were seen, and which one least.
+fn markers(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
+    let seen = || report.channels.iter().filter(|channel| channel.samples > 0);
+    let all = count(report.markers as u64, "marker");
+    let mut out = format!("{} of {all} seen", thousands(seen().count() as u64));
+    // The first of equals, unless all are equal.
+    let most = seen().map(|channel| channel.samples).max().unwrap_or(0);
+    let fewer = seen().filter(|channel| channel.samples < most);
+    if let Some(least) = fewer.min_by_key(|channel| channel.samples) {
+        let share = 100.0 * least.samples as f64 / report.frames.max(1) as f64;
+        let (label, gaps) = (&least.label, count(least.gaps, "gap"));
+        out += &format!("; least {label}, in {share:.1} % of the frames, {gaps}");
+    }
+    line("markers", &out);
+}
+
+fn resampler(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
     let knots = count(report.channels.iter().map(|channel| channel.knots).sum(), "sample");
     let (tolerance_mm, error_mm) = (report.tolerance_mm, report.max_error_mm);
     let bound = if tolerance_mm > 0.0 {
@@ -140,20 +163,32 @@ fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
         "every bit kept".to_owned()
     };
     line("resampler", &format!("{}, {bound}", report.resampler));
-    let (raw, file) = (bytes(report.raw_bytes), bytes(report.file_bytes));
-    line("size", &format!("{raw} as float32, {file} on disk, {:.1}:1", report.ratio));
-    if !report.foreign_parts.is_empty() {
-        let blocks = report.bytes.blocks;
-        let ratio = report.raw_bytes as f64 / blocks.max(1) as f64;
-        let trajectories = format!("{} of it for trajectories, {ratio:.1}:1", bytes(blocks));
-        line("", &format!("{trajectories}; the rest is mostly the header and foreign data"));
-    }
-    if let (Some(sr1), Some(sr2)) = (report.sr1, report.sr2) {
-        line("SR1, SR2", &format!("{sr1:.2}, {sr2:.2} (Shi et al. 2012, eq. 7 and 8)"));
-    }
 }
 
-fn markers(report: &InfoReport, out: &mut String) {
+/// The kinds of foreign parts that hold samples, in place of descriptions.
+const SAMPLED: [&str; 2] = ["c3d/analog", "c3d/model-outputs"];
+
+fn size(report: &InfoReport, line: &mut impl FnMut(&str, &str)) {
+    let (raw, file) = (bytes(report.raw_bytes), bytes(report.file_bytes));
+    line("size", &format!("{raw} as float32, {file} on disk, {:.1}:1", report.ratio));
+    if let Some(source_bytes) = report.source.as_ref().and_then(|source| source.bytes) {
+        let ratio = source_bytes as f64 / report.file_bytes.max(1) as f64;
+        line("", &format!("{} in the imported file, {ratio:.1}:1", bytes(source_bytes)));
+    }
+    let trajectories = report.bytes.blocks;
+    let is_sampled = |part: &&ForeignReport| SAMPLED.contains(&&*part.kind);
+    let sampled: u64 =
+        report.foreign_parts.iter().filter(is_sampled).map(|part| part.stored_bytes).sum();
+    let rest = report.file_bytes.saturating_sub(trajectories + sampled);
+    let ratio = report.raw_bytes as f64 / trajectories.max(1) as f64;
+    let mut parts = format!("{} for trajectories, {ratio:.1}:1", bytes(trajectories));
+    if sampled > 0 {
+        parts += &format!("; {} for sampled data", bytes(sampled));
+    }
+    line("", &format!("{parts}; {} for the rest", bytes(rest)));
+}
+
+fn marker_table(report: &InfoReport, out: &mut String) {
     let label = |channel: &super::report::ChannelReport| {
         let note = if channel.labelled { "" } else { " (unlabelled)" };
         format!("{}{note}", plain(&channel.label))

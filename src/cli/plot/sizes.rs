@@ -21,7 +21,7 @@ use crate::cli::{
     original::header_of,
     output::Progress,
     plot,
-    values::{self, count},
+    values::{self, count, rate},
 };
 
 /// Default tolerances, mm.
@@ -76,10 +76,10 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
     let n_frames = motion.n_frames();
     let samples = motion.positions_mm.iter().filter(|&&at| !is_gap(at)).count();
     let mut caption = format!(
-        "{}, {}, {} Hz",
+        "{}, {}, {}",
         count(motion.info.markers.len() as u64, "marker"),
         count(n_frames as u64, "frame"),
-        (motion.info.rate_hz * 100.0).round() / 100.0
+        rate(motion.info.rate_hz)
     );
     if let Some(source) = source.filter(|source| !source.kind.is_lossless()) {
         caption += &format!("; source already coded at {} mm", source.tolerance.mm());

@@ -13,7 +13,7 @@ use crate::cli::{
     clock::ClockReport,
     ledger::{self, OutagesReport},
     output::plain_path,
-    values::{SizeReport, bytes, count, frames_of, thousands},
+    values::{SizeReport, bytes, count, frames_of, rate, thousands},
 };
 
 #[derive(Debug, Serialize)]
@@ -143,10 +143,10 @@ impl RecordReport {
     /// The text, with a name for what was recorded.
     pub(super) fn text_of(&self, name: &str) -> String {
         format!(
-            "{name}: {} of {} at {} Hz, {}\n{}{}{}",
+            "{name}: {} of {} at {}, {}\n{}{}{}",
             frames_of(self.frames, self.ledger.frames_sent),
             self.markers_text(),
-            self.rate_hz,
+            rate(self.rate_hz),
             self.size.text(),
             self.raw_log.as_ref().map(RawLogReport::text).unwrap_or_default(),
             ledger::text(&self.ledger),

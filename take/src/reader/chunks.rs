@@ -40,7 +40,10 @@ impl TakeReader {
                     Some(true) if kind == types::STRETCH && len <= stretch::BYTES_MAX => {
                         self.needed = len;
                     }
-                    Some(true) => self.long_chunk = Some(LongChunk::new(kind, offset, len)),
+                    Some(true) => {
+                        let inflates = !self.skips_content;
+                        self.long_chunk = Some(LongChunk::new(kind, offset, len, inflates));
+                    }
                 }
                 return None;
             }
@@ -88,7 +91,11 @@ impl TakeReader {
             if kind == types::HEADER {
                 let header = Header::from_payload(payload, offset)?;
                 header.check()?;
-                self.chain = Some(StretchChain::from_header(&header)?);
+                let mut chain = StretchChain::from_header(&header)?;
+                if self.skips_content {
+                    chain.skip_times();
+                }
+                self.chain = Some(chain);
                 self.bytes.header += len as u64;
                 self.n_channels = header.channels.len();
                 return Ok(TakeEvent::Header(Box::new(header)));
@@ -102,6 +109,9 @@ impl TakeReader {
                 let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
                 let place = (payload_at, payload.len() as u64);
                 ForeignPart::from_payload(payload, place, offset).and_then(|part| {
+                    if self.skips_content {
+                        return Ok(TakeEvent::Foreign(part));
+                    }
                     let mut inflation = InflateCheck::new(part.data_bytes);
                     let from = (part.deflated_at() - payload_at) as usize;
                     inflation.push(&payload[from..]);
@@ -187,13 +197,15 @@ pub(super) struct LongChunk {
     kind: u8,
     offset: u64,
     len: u64,
+    /// Whether the content of a FOREIGN chunk is checked.
+    inflates: bool,
     /// For a FOREIGN chunk: its header, once that was read, and the check of the content read so far.
-    part: Option<Result<(ForeignPart, InflateCheck), TakeError>>,
+    part: Option<Result<(ForeignPart, Option<InflateCheck>), TakeError>>,
 }
 
 impl LongChunk {
-    pub(super) fn new(kind: u8, offset: u64, len: u64) -> Self {
-        Self { kind, offset, len, part: None }
+    pub(super) fn new(kind: u8, offset: u64, len: u64, inflates: bool) -> Self {
+        Self { kind, offset, len, inflates, part: None }
     }
 
     fn end(&self) -> u64 {
@@ -212,11 +224,12 @@ impl LongChunk {
             let payload_at = self.offset + head_bytes as u64;
             let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
             let front = &bytes[head_bytes..];
+            let inflation = |part: &ForeignPart| InflateCheck::new(part.data_bytes);
             ForeignPart::from_payload(front, (payload_at, payload_bytes), self.offset)
-                .map(|part| (InflateCheck::new(part.data_bytes), part))
+                .map(|part| (self.inflates.then(|| inflation(&part)), part))
                 .map(|(inflation, part)| (part, inflation))
         });
-        if let Ok((part, inflation)) = part {
+        if let Ok((part, Some(inflation))) = part {
             let from = part.deflated_at().saturating_sub(at) as usize;
             let end = (self.offset + self.len - CRC_BYTES as u64).saturating_sub(at);
             let end = bytes.len().min(usize::try_from(end).unwrap_or(usize::MAX));
@@ -249,7 +262,7 @@ impl TakeReader {
         let Some(chunk) = self.long_chunk.take().filter(|chunk| chunk.end() == end) else {
             return Err(TakeError::NotATake(NotATake::Changed));
         };
-        let LongChunk { kind, offset, len, part } = chunk;
+        let LongChunk { kind, offset, len, part, .. } = chunk;
         let Some(chain) = self.chain.as_mut() else {
             self.bytes.other += len;
             let message = format!("a chunk of type {kind:02x} before the header");
@@ -257,7 +270,8 @@ impl TakeReader {
         };
         let event = match part {
             Some(part) => part.and_then(|(part, inflation)| {
-                inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
+                let checked = inflation.map_or(Ok(()), |inflation| inflation.finish(offset));
+                checked.map(|()| TakeEvent::Foreign(part))
             }),
             None if may_be_skipped(kind) => Ok(TakeEvent::Skipped { kind }),
             None => {

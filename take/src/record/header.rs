@@ -108,7 +108,23 @@ pub const CODEC_VERSION: u16 = 6;
 // Blocks are part of takes, so a new block version needs a new version here.
 const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
 
+/// The key in the settings of an import with the size of its file.
+const SOURCE_BYTES: &str = "source_bytes";
+
 impl Header {
+    /// Sets the size of the imported file in bytes.
+    pub fn set_source_bytes(&mut self, bytes: u64) {
+        self.settings.retain(|(key, _)| key != SOURCE_BYTES);
+        self.settings.push((SOURCE_BYTES.to_owned(), bytes.to_string()));
+    }
+
+    /// The size of the imported file in bytes; `None` in a recording, and in imports of earlier versions.
+    #[must_use]
+    pub fn source_bytes(&self) -> Option<u64> {
+        let (_, bytes) = self.settings.iter().find(|(key, _)| key == SOURCE_BYTES)?;
+        bytes.parse().ok()
+    }
+
     /// `take_id` as 32 hexadecimal digits.
     #[must_use]
     pub fn take_id_text(&self) -> String {

@@ -1,14 +1,19 @@
 //! SUMMARY: what a reader can learn from the end of a take without reading all of it. It consists of tagged sections;
 //! readers skip the unknown ones.
 
-use std::fmt;
+use std::{
+    fmt,
+    io::{Read, Write},
+};
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
+use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
-use super::Record;
+use super::{Header, LIMIT_BYTES, Record, statistics};
 use crate::{
     TakeError,
     chunk::types,
+    statistics::TakeStatistics,
     varint::{self, Cursor},
 };
 
@@ -24,6 +29,15 @@ const VERSION: u16 = 1;
 
 /// The section that holds a [`TakeEnding`].
 const ENDING_TAG: u64 = 1;
+
+/// The section that holds a copy of the header with the complete channel table.
+const HEADER_TAG: u64 = 2;
+
+/// The only version of that section.
+const HEADER_SECTION_VERSION: u16 = 1;
+
+/// The section that holds [`TakeStatistics`].
+const STATISTICS_TAG: u64 = 3;
 
 /// Why a take ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -169,10 +183,14 @@ impl Decode<()> for TakeEnding {
 }
 
 /// The known sections of a summary.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SummaryRecord {
     /// How the take ended; `None` if not stated.
     pub ending: Option<TakeEnding>,
+    /// The header, with the complete channel table of the take; `None` if not stated.
+    pub header: Option<Box<Header>>,
+    /// The statistics of the take; `None` if not stated.
+    pub statistics: Option<TakeStatistics>,
 }
 
 impl SummaryRecord {
@@ -184,6 +202,12 @@ impl SummaryRecord {
         let mut out = VERSION.to_le_bytes().to_vec();
         if let Some(ending) = &self.ending {
             put_section(&mut out, ENDING_TAG, &ending.to_payload()?);
+        }
+        if let Some(header) = &self.header {
+            put_section(&mut out, HEADER_TAG, &header_section(header)?);
+        }
+        if let Some(statistics) = &self.statistics {
+            put_section(&mut out, STATISTICS_TAG, &statistics::to_section(statistics)?);
         }
         if out.len() > SUMMARY_BYTES_MAX {
             return Err(TakeError::InvalidArgument(format!(
@@ -216,20 +240,72 @@ impl SummaryRecord {
             let (Some(tag), Some(section)) = (cursor.varint(), cursor.prefixed()) else {
                 return Err(corrupt("its sections do not fit it"));
             };
-            if tag != ENDING_TAG {
-                continue;
+            let is_twice = match tag {
+                ENDING_TAG => summary.ending.is_some(),
+                HEADER_TAG => summary.header.is_some(),
+                STATISTICS_TAG => summary.statistics.is_some(),
+                _ => continue,
+            };
+            if is_twice {
+                return Err(corrupt("it has a section twice"));
             }
-            if summary.ending.is_some() {
-                return Err(corrupt("it states the ending twice"));
-            }
-            match TakeEnding::from_payload(section, offset) {
+            match summary.set_section(tag, section, offset) {
                 // A newer version counts as an unknown section.
                 Err(TakeError::Unsupported { .. }) => {}
-                read => summary.ending = Some(read?),
+                read => read?,
             }
         }
         Ok(summary)
     }
+
+    /// Decodes a section with a known tag.
+    fn set_section(&mut self, tag: u64, section: &[u8], offset: u64) -> Result<(), TakeError> {
+        match tag {
+            ENDING_TAG => self.ending = Some(TakeEnding::from_payload(section, offset)?),
+            HEADER_TAG => self.header = Some(Box::new(header_of_section(section, offset)?)),
+            _ => self.statistics = Some(statistics::of_section(section, offset)?),
+        }
+        Ok(())
+    }
+}
+
+/// Splits the version off the front of a section, and rejects all but `supported`.
+pub(super) fn section_content<'a>(
+    section: &'a [u8],
+    what: &'static str,
+    supported: u16,
+    offset: u64,
+) -> Result<&'a [u8], TakeError> {
+    let Some((version, content)) = section.split_first_chunk::<2>() else {
+        return Err(TakeError::corrupt(what, offset, "shorter than its version"));
+    };
+    match u16::from_le_bytes(*version) {
+        found if found == supported => Ok(content),
+        found => Err(TakeError::Unsupported { what, found, supported }),
+    }
+}
+
+/// The content of the section with a header.
+fn header_section(header: &Header) -> Result<Vec<u8>, TakeError> {
+    let out = HEADER_SECTION_VERSION.to_le_bytes().to_vec();
+    let mut deflate = DeflateEncoder::new(out, Compression::best());
+    deflate.write_all(&header.to_payload()?)?;
+    Ok(deflate.finish()?)
+}
+
+/// Decodes the content of the section with a header, in bounded memory.
+fn header_of_section(section: &[u8], offset: u64) -> Result<Header, TakeError> {
+    const WHAT: &str = "header copy";
+    /// Longest payload of a header: its version and a record at its limit.
+    const PAYLOAD_BYTES_MAX: u64 = 2 + LIMIT_BYTES as u64;
+    let deflated = section_content(section, WHAT, HEADER_SECTION_VERSION, offset)?;
+    let mut inflated = DeflateDecoder::new(deflated).take(PAYLOAD_BYTES_MAX + 1);
+    let mut payload = Vec::new();
+    let is_whole = inflated.read_to_end(&mut payload).is_ok();
+    if !is_whole || inflated.limit() == 0 || !inflated.into_inner().into_inner().is_empty() {
+        return Err(TakeError::corrupt(WHAT, offset, "invalid DEFLATE data"));
+    }
+    Header::from_payload(&payload, offset)
 }
 
 fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
@@ -239,10 +315,17 @@ fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
+    use crate::{
+        record::{Channel, ImportSource},
+        statistics::ChannelStatistics,
+    };
 
     fn of(kind: EndingKind, detail: &str) -> SummaryRecord {
-        SummaryRecord { ending: Some(TakeEnding::new(kind, detail.to_owned())) }
+        let ending = Some(TakeEnding::new(kind, detail.to_owned()));
+        SummaryRecord { ending, ..SummaryRecord::default() }
     }
 
     #[test]
@@ -254,12 +337,116 @@ mod tests {
                 assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), summary);
             }
         }
+        let bytes = example("A SUMMARY of a take whose disk was full");
+        assert_eq!(of(EndingKind::DiskFull, "ok").to_payload().unwrap(), bytes);
+    }
+
+    /// The bytes of the example in the document that begins with this sentence.
+    fn example(sentence: &str) -> Vec<u8> {
         let document = include_str!("../../../docs/take-format.md");
-        let (_, example) = document.split_once("A SUMMARY of a take whose disk was full").unwrap();
+        let (_, example) = document.split_once(sentence).unwrap();
         let bytes = example.lines().skip(2).map_while(|line| line.strip_prefix("    "));
         let hex = bytes.flat_map(|line| line.split("   ").next().unwrap_or("").split_whitespace());
-        let bytes: Vec<u8> = hex.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
-        assert_eq!(of(EndingKind::DiskFull, "ok").to_payload().unwrap(), bytes);
+        hex.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+    }
+
+    /// The summary of the second example in the document.
+    fn of_import() -> SummaryRecord {
+        let channel = |(marker_id, label): (u16, &str)| Channel {
+            marker_id,
+            label: label.to_owned(),
+            labelled: true,
+        };
+        let mut header = Header {
+            software: "mocapd 0.1.0".to_owned(),
+            resampler: "dense".to_owned(),
+            codec_version: 6,
+            tolerance_mm: 0.5,
+            rate_hz: 120.0,
+            source: Some(ImportSource {
+                format: "csv".to_owned(),
+                file: "heels.csv".to_owned(),
+                factor: 1.0,
+                ..ImportSource::default()
+            }),
+            channels: [(0, "LHEE"), (1, "RHEE")].map(channel).to_vec(),
+            stretch_rows: 1200,
+            ..Header::default()
+        };
+        header.set_source_bytes(5678);
+        let channel =
+            |(samples, gaps, knots)| ChannelStatistics { samples, gaps, knots, error_step: 63 };
+        let statistics = TakeStatistics {
+            channels: [(120, 0, 17), (104, 2, 21)].map(channel).to_vec(),
+            rows_with_samples: 120,
+            key_rows: 35,
+            samples_in_key_rows: 66,
+        };
+        let (header, statistics) = (Some(Box::new(header)), Some(statistics));
+        SummaryRecord { ending: None, header, statistics }
+    }
+
+    #[test]
+    fn the_example_of_an_import_decodes() {
+        let (payload, written) =
+            (example("A SUMMARY of an import"), of_import().to_payload().unwrap());
+        assert_eq!(payload, written, "{written:02X?}");
+        assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of_import());
+    }
+
+    /// Sections with matching checksums whose content is wrong.
+    #[test]
+    fn forged_sections_are_damage_and_cost_no_memory() {
+        let whole = of_import();
+        let whole_payload = whole.to_payload().unwrap();
+        let mut random = Random::new(5);
+        for round in 0..20_000 {
+            let mut payload = whole_payload.clone();
+            for _ in 0..1 + round % 3 {
+                let at = 2 + random.below(payload.len() - 2);
+                payload[at] = random.byte();
+            }
+            // An error, or figures with which nothing overflows.
+            let Ok(read) = SummaryRecord::from_payload(&payload, 0) else { continue };
+            let Some(statistics) = read.statistics else { continue };
+            assert!(statistics.samples() <= u64::MAX / 12 && statistics.channels.len() <= 1 << 16);
+            assert!(statistics.samples() >= statistics.knots());
+        }
+        let section = |tag, content: &[u8]| {
+            let mut payload = VERSION.to_le_bytes().to_vec();
+            put_section(&mut payload, tag, content);
+            SummaryRecord::from_payload(&payload, 0)
+        };
+        let statistics = |figures: &[u8]| section(STATISTICS_TAG, &[&[1, 0], figures].concat());
+        // No channels, no rows; 65 536 of them; one more; nothing after the number; more rows than any take has.
+        assert!(statistics(&[0, 0]).unwrap().statistics.is_some());
+        assert!(statistics(&[0x80, 0x80, 4, 0]).is_ok_and(|read| read.statistics.is_some()));
+        for figures in
+            [&[0x81, 0x80, 4, 0][..], &[5], &[], &[0, 0x81, 0x80, 0x80, 0x80, 0x80, 0x80, 4]]
+        {
+            assert!(matches!(statistics(figures), Err(TakeError::Corrupt { .. })), "{figures:?}");
+        }
+        // A bomb: zeros without end; a copy that is cut; bytes after it.
+        let deflated = |bytes: &[u8]| {
+            let mut deflate = DeflateEncoder::new(vec![1, 0], Compression::best());
+            deflate.write_all(bytes).unwrap();
+            deflate.finish().unwrap()
+        };
+        let header = whole.header.unwrap().to_payload().unwrap();
+        let (bomb, copy) = (deflated(&vec![0; 64 << 20]), deflated(&header));
+        assert!(section(HEADER_TAG, &copy).is_ok());
+        for content in [
+            &bomb[..],
+            &copy[..copy.len() - 3],
+            &[&copy[..], &[0]].concat(),
+            &deflated(&header[..9]),
+        ] {
+            assert!(matches!(section(HEADER_TAG, content), Err(TakeError::Corrupt { .. })));
+        }
+        // Sections of later versions are skipped.
+        for tag in [HEADER_TAG, STATISTICS_TAG] {
+            assert_eq!(section(tag, &[2, 0, 9, 9]).unwrap(), SummaryRecord::default());
+        }
     }
 
     #[test]
@@ -267,7 +454,7 @@ mod tests {
         let mut payload = VERSION.to_le_bytes().to_vec();
         put_section(&mut payload, 900, b"from a later version");
         put_section(&mut payload, ENDING_TAG, &[1, 0, 5, 0]);
-        put_section(&mut payload, 2, b"");
+        put_section(&mut payload, 4, b"");
         assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of(EndingKind::DiskFull, ""));
         // A truncated payload is an error or has fewer sections; it never states another ending.
         for cut in 0..payload.len() {

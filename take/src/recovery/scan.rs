@@ -7,6 +7,7 @@ use crate::{
     damage::{DamageOrigin, LedgerTotals, LostRows, Problem},
     reader::TakeInput,
     record::{Channel, EndingKind, Header, Ledger, TakeEnding},
+    statistics::{StretchTally, TakeStatistics, TakeTally},
     stretch::{NUMBERS, Span, Stretch},
     traversal::{Decode, LocatedEvent, LostEntries, Progress, TakeTraversal},
 };
@@ -51,6 +52,8 @@ pub struct RecoveryScan {
     pub finished: bool,
     /// Bytes that are damaged or depend on damaged ones.
     pub discarded_bytes: u64,
+    /// The statistics of the new take.
+    pub statistics: TakeStatistics,
     pub(super) output: Vec<OutputChunk>,
     names_lost: bool,
     /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
@@ -114,8 +117,8 @@ struct RecoveryScanner {
     recovered: [u64; KINDS.len()],
     discarded: [u64; KINDS.len()],
     output: Vec<OutputChunk>,
-    tally: LedgerTally,
-    samples: Vec<u64>,
+    ledger: LedgerTally,
+    tally: TakeTally,
     /// Position in `output` at which channel table entries may be missing.
     missing_at: Option<usize>,
     end_row: u64,
@@ -132,7 +135,7 @@ impl RecoveryScanner {
         if let Some(lost_entries) = found.lost_entries {
             self.name_channels(lost_entries, progress.channels());
         }
-        self.samples.resize(progress.channels().len(), 0);
+        self.tally.follow_table(found.lost_entries, progress.channels().len());
         let (kind, action) = match &found.event {
             TakeEvent::Header(_) => (types::HEADER, ChunkAction::Rewrite),
             TakeEvent::Channels(_) => (types::CHANNELS, ChunkAction::Copy(None)),
@@ -152,8 +155,8 @@ impl RecoveryScanner {
             TakeEvent::Foreign(_) => (types::FOREIGN, ChunkAction::Copy(None)),
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
-                self.tally.mark_ledger();
-                let (frames, samples) = (self.tally.recorded(), self.samples.iter().sum());
+                self.ledger.mark_ledger();
+                let (frames, samples) = (self.ledger.recorded(), self.tally.samples());
                 let (stated, found) =
                     (LedgerTotals::from_ledger(ledger), LedgerTotals { frames, samples });
                 if stated != found && !ledger.finished && !progress.take.damaged {
@@ -222,22 +225,17 @@ impl RecoveryScanner {
             self.output.push(OutputChunk::Lost { first_row: self.end_row, rows, number });
         }
         self.next_number = (span.number + 1) % NUMBERS;
-        let mut samples = 0;
+        let before = self.tally.samples();
         if span.n_rows > 0 {
-            for (sum, rows) in self.samples.iter_mut().zip(progress.rows()) {
-                let present = rows.map_or(0, |rows| rows.present.iter().filter(|&&p| p).count());
-                *sum += present as u64;
-                samples += present as u64;
-            }
+            self.tally.add(span, &StretchTally::of_decoded(stretch, progress.rows()));
         }
-        self.tally.add_stretch(stretch, progress.channels().len(), samples);
+        let samples = self.tally.samples() - before;
+        self.ledger.add_stretch(stretch, progress.channels().len(), samples);
     }
 
     /// Inserts entries for the lost ones at the same place in the new take.
     fn name_channels(&mut self, lost_entries: LostEntries, channels: &[Channel]) {
         self.names_lost = true;
-        let first = lost_entries.first.min(self.samples.len());
-        self.samples.splice(first..first, std::iter::repeat_n(0, lost_entries.inserted));
         let at = self.missing_at.take().unwrap_or(self.output.len());
         if lost_entries.nameless > lost_entries.inserted {
             // Entries whose columns are unknown.
@@ -274,18 +272,22 @@ impl RecoveryScanner {
             let i = kind as usize;
             ChunkKindCount { kind, recovered: self.recovered[i], discarded: self.discarded[i] }
         };
-        let channel_count = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
+        let statistics = self.tally.finish(take.n_rows);
+        let per_channel = statistics.channels.iter().zip(rows_damaged);
+        let per_channel = per_channel
+            .map(|(channel, rows_damaged)| ChannelCount { samples: channel.samples, rows_damaged });
         let mut scan = RecoveryScan {
             header: take.header,
-            ledger: self.tally.close(take.ledger.as_ref(), &here),
+            ledger: self.ledger.close(take.ledger.as_ref(), &here),
             ending,
             kinds: KINDS.map(count),
             channels: take.channels,
-            per_channel: self.samples.into_iter().zip(rows_damaged).map(channel_count).collect(),
+            per_channel: per_channel.collect(),
+            statistics,
             problems,
             damage: take.damage,
             rows: take.n_rows,
-            recorded: self.tally.recorded(),
+            recorded: self.ledger.recorded(),
             finished: self.closed,
             discarded_bytes: self.discarded_bytes,
             output: self.output,

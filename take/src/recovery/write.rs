@@ -7,7 +7,7 @@ use crate::{
     TakeError,
     chunk::{self, CHUNK_HELD_MAX, ChunkParse},
     reader::repair_head,
-    record::{Event, EventKind, SummaryRecord},
+    record::{Event, EventKind, Header, SummaryRecord},
     stretch::{NUMBERS, ROWS_PASSED_MAX, Span, StretchHeaderWriter},
     timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
@@ -74,7 +74,7 @@ impl RecoveryScan {
                     input.by_ref().take(*len).read_to_end(&mut bytes)?;
                     let payload = payload(&mut bytes, *kind, *offset)?;
                     match span {
-                        Some(span) => take.stretch(*span, payload)?,
+                        Some(span) => take.copy_stretch(*span, payload)?,
                         None => take.chunk(*kind, payload)?,
                     }
                 }
@@ -87,10 +87,13 @@ impl RecoveryScan {
         if self.lost_anything() {
             take.event(&host_event(self.rows, format!("recovered {note}")))?;
         }
-        let summary = SummaryRecord { ending: self.ending.clone() };
-        let (mut output, written) = take.finish_with(&self.ledger, &summary)?;
-        output.flush()?;
-        Ok(written)
+        let summary = SummaryRecord {
+            ending: self.ending.clone(),
+            header: Some(Box::new(Header { channels: self.channels.clone(), ..header })),
+            statistics: Some(self.statistics.clone()),
+        };
+        take.close_with(&self.ledger, &summary)?;
+        Ok(take.bytes())
     }
 }
 
@@ -116,7 +119,7 @@ fn write_lost<W: Write>(
         let span = Span { first_row: to, n_rows: 0, key: true, number };
         let mut payload = Vec::new();
         headers.put(span, &timeline, &[], true, &mut payload);
-        take.stretch(span, &payload)?;
+        take.copy_stretch(span, &payload)?;
     }
     if rows > 0 {
         let frames = match rows {

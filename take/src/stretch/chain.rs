@@ -31,7 +31,8 @@ pub(crate) enum Placement<'a> {
 pub(crate) struct StretchChain {
     rows_max: u64,
     stretch_rows: u32,
-    times: TimelineDecoder,
+    /// `None` if times are not decoded.
+    times: Option<TimelineDecoder>,
     /// The row after the last stretch; after damage, its least possible value.
     next_row: u64,
     /// The number of the next stretch; `None` if reading began in the middle of the take.
@@ -53,11 +54,16 @@ impl StretchChain {
         Self {
             rows_max,
             stretch_rows,
-            times: TimelineDecoder::new(tick_hz),
+            times: Some(TimelineDecoder::new(tick_hz)),
             next_row: 0,
             next_number: Some(0),
             broken: true,
         }
+    }
+
+    /// Leaves the times of all rows undecoded.
+    pub(crate) fn skip_times(&mut self) {
+        self.times = None;
     }
 
     /// Continues at a key stretch that begins at `row`.
@@ -110,8 +116,8 @@ impl StretchChain {
         let end_row = from_row.checked_add(rows_passed).ok_or("its row numbers overflow")?;
         let timeline = |runs| Timeline { first_row: from_row, runs, times: Vec::new() };
         let mut timeline = header.runs.map(timeline);
-        if let Some(timeline) = &mut timeline {
-            self.times.decode(timeline, key, header.times).ok_or("its times are invalid")?;
+        if let (Some(timeline), Some(times)) = (&mut timeline, &mut self.times) {
+            times.decode(timeline, key, header.times).ok_or("its times are invalid")?;
         }
         self.next_row = end_row;
         self.next_number = Some((number + 1) % NUMBERS);

@@ -17,7 +17,7 @@ const CLASSES: [u32; 5] = [12, 48, 128, 320, 1024];
 
 /// An adaptive model of one kind of signed integer.
 #[derive(Debug)]
-pub(super) struct ResidualModel {
+pub(crate) struct ResidualModel {
     nonzero: [Bit; CONTEXTS],
     negative: [Bit; CONTEXTS],
     longer: [[Bit; LONGER]; CLASSES.len() + 1],
@@ -29,7 +29,7 @@ pub(super) struct ResidualModel {
 
 impl ResidualModel {
     /// `odds`: the initial probability, in 1/256, that a value after two zeros is not zero.
-    pub(super) fn new(odds: u8) -> Self {
+    pub(crate) fn new(odds: u8) -> Self {
         let mut nonzero = [Bit::expecting(128); CONTEXTS];
         nonzero[CONTEXTS / 2] = Bit::expecting(odds);
         Self {
@@ -44,7 +44,7 @@ impl ResidualModel {
     }
 
     /// Encodes `value` and returns it; with a decoder, ignores it and returns the decoded value.
-    pub(super) fn code(&mut self, coder: &mut impl BinaryCoder, value: i64) -> i64 {
+    pub(crate) fn code(&mut self, coder: &mut impl BinaryCoder, value: i64) -> i64 {
         let last = self.last.clamp(-LAST_MAX, LAST_MAX) + LAST_MAX;
         let before = self.before.clamp(-BEFORE_MAX, BEFORE_MAX) + BEFORE_MAX;
         let context = (last * (2 * BEFORE_MAX + 1) + before) as usize;

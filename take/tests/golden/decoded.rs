@@ -5,6 +5,7 @@ use mocapd_take::{
     TakeError, TakeEvent,
     reader::read_events,
     record::{Channel, Event, Ledger},
+    statistics::TakeStatistics,
     stretch::{Stretch, StretchDecoder},
     timeline::{LossCauses, RowTime},
 };
@@ -25,6 +26,8 @@ pub(crate) struct Decoded {
     pub(crate) stated_mm: f64,
     /// First row, rows, and whether it is a key.
     pub(crate) stretches: Vec<(u64, u32, bool)>,
+    /// As the take states them.
+    pub(crate) statistics: Option<TakeStatistics>,
 }
 
 impl Decoded {
@@ -50,6 +53,7 @@ impl Decoded {
                 }
                 TakeEvent::Event(event) => found.events.push(event),
                 TakeEvent::Ledger(ledger) => found.ledgers.push(*ledger),
+                TakeEvent::Summary(summary) => found.statistics = summary.statistics,
                 TakeEvent::Index(entries) => {
                     let keys = found.stretches.iter().filter(|stretch| stretch.2);
                     assert!(keys.map(|key| key.0).eq(entries.iter().map(|entry| entry.first_row)));

@@ -131,6 +131,23 @@ fn the_same_motion_gives_the_same_bytes() {
     }
 }
 
+/// Takes of this version as they were written before SUMMARY had statistics.
+#[test]
+fn takes_without_statistics_decode_alike() {
+    let goldens = goldens();
+    let expected = expected(&folder(&goldens, CODEC_VERSION));
+    for entry in std::fs::read_dir(goldens.join("earlier")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        let decoded = Decoded::read(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(decoded.statistics, None, "{name}");
+        assert_same(&decoded.to_text(), &expected[&name], CODEC_VERSION, &name);
+    }
+    for golden in GOLDENS {
+        assert!(Decoded::read(&stored(&golden)).unwrap().statistics.is_some(), "{}", golden.name);
+    }
+}
+
 /// Keeps a wrong take from becoming a golden one.
 #[test]
 fn the_takes_hold_what_they_were_made_of() {

@@ -4,6 +4,7 @@ use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::{
     TakeWriter,
     record::{ClockFit, Device, Event, EventKind, Header, Ledger},
+    statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::{Timeline, TimelineEncoder},
 };
@@ -65,12 +66,15 @@ impl Golden {
             front.put(span, timeline, &[], alone, &mut payload);
             let all: Vec<_> = columns.iter().map(|column| column.part(first..end)).collect();
             let parts = [&all[..early], &all[early..]];
+            let mut all = BlockTally::default();
+            all.restart(plan.n_rows as usize);
             for (encoder, rows) in groups.iter_mut().zip(parts).take(if alone { 1 } else { 2 }) {
-                let (block, n) = encode(encoder.as_mut(), rows, &[], plan.key);
+                let (block, tally, n) = encode(encoder.as_mut(), rows, &[], plan.key);
+                all.append(&tally);
                 put_block(&block, alone, &mut payload);
                 ledger.samples_present += n;
             }
-            take.stretch(span, &payload).unwrap();
+            take.stretch(span, &payload, &StretchTally::of(&all)).unwrap();
             add_counts(&mut ledger, timeline, if alone { early } else { self.n_markers });
             if i == 0 {
                 let contradictions = vec!["a counter that jumped".to_owned()];

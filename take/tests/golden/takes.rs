@@ -4,6 +4,7 @@ use mocapd_codec::{BlockEncoder, BlockReport, ResamplerKind, Rows, Settings, Tol
 use mocapd_take::{
     TakeWriter,
     record::{CODEC_VERSION, Channel, Header, ImportSource, Ledger},
+    statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
 };
@@ -124,11 +125,11 @@ impl Golden {
             };
             let rows: Vec<_> = columns.iter().map(|column| column.part(first..end)).collect();
             let shared = settings.plan(&rows).unwrap();
-            let (block, n) = encode(encoder.as_mut(), &rows, &shared, true);
+            let (block, tally, n) = encode(encoder.as_mut(), &rows, &shared, true);
             let mut payload = Vec::new();
             front.put(span, &Timeline::default(), &shared, true, &mut payload);
             put_block(&block, true, &mut payload);
-            take.stretch(span, &payload).unwrap();
+            take.stretch(span, &payload, &StretchTally::of(&tally)).unwrap();
             ledger.samples_present += n;
         }
         (ledger.frames_sent, ledger.recorded) = (n_rows as u64, n_rows as u64);
@@ -149,15 +150,16 @@ pub(crate) fn channel(column: usize) -> Channel {
     Channel { marker_id, label, labelled }
 }
 
-/// The block, and its number of samples.
+/// The block, what it holds, and its number of samples.
 pub(crate) fn encode(
     encoder: &mut dyn BlockEncoder,
     rows: &[Rows<'_>],
     shared: &[u8],
     key: bool,
-) -> (Vec<u8>, u64) {
+) -> (Vec<u8>, BlockTally, u64) {
     let mut block = Vec::new();
     let mut reports = vec![BlockReport::default(); rows.len()];
     encoder.encode(rows, shared, key, &mut block, &mut reports).unwrap();
-    (block, reports.iter().map(|report| u64::from(report.samples)).sum())
+    let tally = BlockTally::of_encoded(&block, rows, &reports, encoder.kept_rows());
+    (block, tally, reports.iter().map(|report| u64::from(report.samples)).sum())
 }

@@ -4,6 +4,7 @@ use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
     record::{Channel, Clock, ClockPoint, Device, Event, EventKind, Header, Ledger, Subject},
+    statistics::{BlockTally, StretchTally},
     stretch::{NUMBERS, Span, StretchHeaderWriter, put_block},
     timeline::{LossCauses, RowTime, Timeline, TimelineEncoder},
 };
@@ -110,13 +111,14 @@ pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
         let mut payload = Vec::new();
         front.put(span, &timeline, &[], true, &mut payload);
         put_block(&block, true, &mut payload);
-        writer.stretch(span, &payload).unwrap();
+        let reports = &reports[..n_channels];
+        let tally = BlockTally::of_encoded(&block, &coded, reports, encoder.kept_rows());
+        writer.stretch(span, &payload, &StretchTally::of(&tally)).unwrap();
         first_row = span.end_row();
         ledger.recorded += ROWS as u64;
         ledger.frames_sent = first_row;
         ledger.samples_announced += (ROWS * n_channels) as u64;
-        ledger.samples_present +=
-            reports[..n_channels].iter().map(|r| u64::from(r.samples)).sum::<u64>();
+        ledger.samples_present += reports.iter().map(|r| u64::from(r.samples)).sum::<u64>();
         ledger.samples_occluded = ledger.samples_announced - ledger.samples_present;
         if stretch % 20 == 10 {
             writer.ledger(&ledger).unwrap();

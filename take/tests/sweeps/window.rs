@@ -17,6 +17,7 @@ use mocapd_take::{
     reader::{feed, read_events},
     record::{Channel, Header, Ledger},
     recovery::RecoveryScan,
+    statistics::{BlockTally, StretchTally},
     stretch::{Span, StretchHeaderWriter, put_block},
     timeline::Timeline,
 };
@@ -351,7 +352,10 @@ fn long_stretches() -> (Vec<u8>, Vec<u64>) {
     let present = vec![true; ROWS];
     let rows = [Rows::new(&path, &present).unwrap(); CHANNELS];
     let (mut block, mut reports) = (Vec::new(), [BlockReport::default(); CHANNELS]);
-    settings.encoder().encode(&rows, &[], true, &mut block, &mut reports).unwrap();
+    let mut encoder = settings.encoder();
+    encoder.encode(&rows, &[], true, &mut block, &mut reports).unwrap();
+    let tally = BlockTally::of_encoded(&block, &rows, &reports, encoder.kept_rows());
+    let tally = StretchTally::of(&tally);
     let mut writer = TakeWriter::new(Vec::new(), &header).unwrap();
     let mut front = StretchHeaderWriter::new(ROWS as u32);
     let mut offsets = Vec::new();
@@ -362,7 +366,7 @@ fn long_stretches() -> (Vec<u8>, Vec<u64>) {
         front.put(span, &Timeline::default(), &[], true, &mut payload);
         put_block(&block, true, &mut payload);
         offsets.push(writer.bytes());
-        writer.stretch(span, &payload).unwrap();
+        writer.stretch(span, &payload, &tally).unwrap();
     }
     let n = 4 * ROWS as u64;
     let samples = n * CHANNELS as u64;

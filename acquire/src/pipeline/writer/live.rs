@@ -9,7 +9,7 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, ClockLine, EndingKind, Event, EventKind, Ledger, SummaryRecord, TakeEnding},
+    record::{Channel, ClockLine, EndingKind, Event, EventKind, Ledger, TakeEnding},
     stretch::{NUMBERS, Span, put_renumbered},
 };
 
@@ -23,7 +23,7 @@ use crate::{
         commands::Reply,
         disk::DiskReserve,
         lock,
-        messages::{FrameTimes, PartReport},
+        messages::{FrameTimes, PartReport, StretchReport},
     },
 };
 
@@ -120,14 +120,14 @@ impl LiveTake {
         span: Span,
         first: FrameTimes,
         payload: &[u8],
-        report: &PartReport,
+        report: &StretchReport,
         counts: &Counts,
     ) -> anyhow::Result<()> {
         if !self.has_stretches && !span.key {
             self.skip_to_key(span, counts);
             return Ok(());
         }
-        self.report.add(report);
+        self.report.add(&report.parts);
         self.counts = counts.since(&self.base);
         // The last stretch has no rows, and no front either when nothing was lost at the end.
         if payload.is_empty() {
@@ -140,7 +140,8 @@ impl LiveTake {
         self.shifted.clear();
         put_renumbered(payload, self.rows_before, number, &mut self.shifted).context(failure)?;
         let first_row = span.first_row.saturating_sub(self.rows_before);
-        self.take.stretch(Span { first_row, number, ..span }, &self.shifted).context(failure)?;
+        let span = Span { first_row, number, ..span };
+        self.take.stretch(span, &self.shifted, &report.tally).context(failure)?;
         if span.n_rows > 0 {
             let FrameTimes { device_ticks, arrival_ns } = first;
             let row = self.rows_before;
@@ -320,8 +321,7 @@ impl LiveTake {
             ));
         }
         let closing = "cannot close the take";
-        let summary = SummaryRecord { ending: Some(ending.clone()) };
-        self.take.close(&ledger, &summary).context(closing)?;
+        self.take.close(&ledger, Some(ending.clone())).context(closing)?;
         let file_bytes = self.take.bytes();
         self.take.get_mut().release(file_bytes).context(closing)?;
         self.take.get_mut().sync().context(closing)?;

@@ -6,7 +6,7 @@ use mocapd_take::{record::Event, stretch::Span};
 
 use crate::pipeline::{
     Counts, PreRollConfig,
-    messages::{FrameTimes, PartReport, StretchEnd},
+    messages::{FrameTimes, StretchEnd, StretchReport},
 };
 
 /// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
@@ -20,10 +20,17 @@ pub(super) struct PreRollStretch {
     pub(super) first: FrameTimes,
     pub(super) last_arrival_ns: u64,
     pub(super) payload: Box<[u8]>,
-    pub(super) report: PartReport,
+    pub(super) report: StretchReport,
     /// The counters before it, and at its end.
     pub(super) before: Counts,
     pub(super) after: Counts,
+}
+
+impl PreRollStretch {
+    /// Memory used by the stretch.
+    fn bytes(&self) -> usize {
+        self.payload.len() + self.report.tally.heap_bytes() + size_of::<Self>()
+    }
 }
 
 /// The newest stretches, beginning with a key stretch.
@@ -57,24 +64,25 @@ impl PreRollBuffer {
         stretch: u64,
         end: &StretchEnd,
         payload: &[u8],
-        report: PartReport,
+        report: &StretchReport,
         (before, after): (Counts, Counts),
     ) {
         // A decoder can start only at a key.
         if self.stretches.is_empty() && !end.span.key {
             return;
         }
-        self.bytes += bytes_of(payload);
-        self.stretches.push_back(PreRollStretch {
+        let kept = PreRollStretch {
             stretch,
             span: end.span,
             first: end.first,
             last_arrival_ns: end.last_arrival_ns,
             payload: payload.into(),
-            report,
+            report: report.clone(),
             before,
             after,
-        });
+        };
+        self.bytes += kept.bytes();
+        self.stretches.push_back(kept);
         self.trim(end.last_arrival_ns);
     }
 
@@ -160,11 +168,6 @@ impl PreRollBuffer {
     }
 
     fn drop_first(&mut self, n: usize) {
-        self.bytes -= self.stretches.drain(..n).map(|kept| bytes_of(&kept.payload)).sum::<usize>();
+        self.bytes -= self.stretches.drain(..n).map(|kept| kept.bytes()).sum::<usize>();
     }
-}
-
-/// Memory used by a stretch, in bytes.
-fn bytes_of(payload: &[u8]) -> usize {
-    payload.len() + size_of::<PreRollStretch>()
 }
