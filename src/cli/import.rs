@@ -1,29 +1,19 @@
 //! `import`: converts a motion file of another tool to a take.
 
-use std::{
-    io::BufWriter,
-    path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicU64},
-};
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{
-    files::NewFile,
-    pipeline::{TakeAccount, offline},
-    threads,
-};
+use mocapd_acquire::{pipeline::TakeAccount, threads};
 use mocapd_codec::Settings;
 use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     interchange::{Direction, LengthUnit, ReadOptions},
-    motion::{Ambiguity, Motion},
-    record::Header,
+    motion::{Ambiguity, MotionInfo},
 };
 use serde::Serialize;
 
 use super::{
-    original::{header_of, read_motion_and_bytes},
+    original::{Import, ImportProgress, ImportSettings},
     output::{Progress, notify, plain, plain_path, print, print_json},
     paths,
     subject::SubjectArgs,
@@ -62,40 +52,39 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.settings()?;
     paths::check_take_output(&args.output)?;
-    let subject = args.subject.load()?;
-    let options = ReadOptions { unit: args.unit, up: args.up };
-    let (mut motion, bytes) = read_motion_and_bytes(&args.file, &options)?;
-    check_unit(&motion, &args.file, tolerance_mm(&codec))?;
+    let settings = ImportSettings {
+        codec,
+        options: ReadOptions { unit: args.unit, up: args.up },
+        drops_foreign: args.drop_foreign,
+        subject: args.subject.load()?,
+        n_workers: args.threads.map_or_else(threads::default_workers, usize::from),
+    };
+    let counters = ImportProgress::default();
+    let import = Import::open(&args.file, &settings, &counters)?;
+    let info = import.info();
+    check_unit(info, &args.file, tolerance_mm(&codec))?;
     let about_file = |message: &str| notify(&format!("{}: {message}", args.file.display()));
-    motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
-    let mut foreign_dropped = Vec::new();
-    if args.drop_foreign && !motion.info.foreign.is_empty() {
-        foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
+    info.source.warnings.iter().for_each(|warning| about_file(warning));
+    let foreign_dropped = import.foreign_dropped.clone();
+    if !foreign_dropped.is_empty() {
         about_file(&format!("left out (--drop-foreign): {}", foreign_dropped.join(", ")));
     }
-    let mut header = header_of(&motion, &args.file, &codec);
-    header.settings.extend(options.settings());
-    if args.drop_foreign {
-        header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
-    }
-    let unseen = unused_part_notes(subject.as_ref(), &motion.info.labels());
+    let unseen = unused_part_notes(settings.subject.as_ref(), &info.labels());
     unseen.iter().for_each(|warning| about_file(warning));
-    header.set_import_id(&bytes, subject.as_ref())?;
-    motion.info.subject = subject;
-    drop(bytes);
-    let workers = args.threads.map_or_else(threads::default_workers, usize::from);
-    let written = write(&motion, &header, workers, &args.output)
-        .with_context(|| format!("cannot write {}", args.output.display()))?;
+    let n_samples = info.n_frames.saturating_mul(info.markers.len() as u64);
+    let progress = Progress::follow("resampling", &counters.samples, n_samples);
+    let (info, written) = import.write(&args.output)?;
+    drop(progress);
     if written.samples == 0 {
         about_file("no samples: the take holds only gaps");
     }
-    let report = ImportReport::new(&args.output, &motion, &codec, &written, foreign_dropped);
+    let report = ImportReport::new(&args.output, &info, &codec, &written, foreign_dropped);
     if args.json {
         print_json(&report)?;
     } else {
         print(&report.text())?;
     }
-    Ok(Outcome::of(motion.info.source.frames_missing > 0))
+    Ok(Outcome::of(info.source.frames_missing > 0))
 }
 
 /// Refuses a tolerance that would destroy the motion if the unit of the file, unstated or implausible, is not the one
@@ -103,9 +92,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 ///
 /// # Errors
 /// A usage error that recommends `--unit`.
-fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
+fn check_unit(info: &MotionInfo, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
     let is_destroyed = |found: &&Ambiguity| found.is_destroyed_by(tolerance_mm);
-    let found = motion.info.source.ambiguities.iter().find(is_destroyed);
+    let found = info.source.ambiguities.iter().find(is_destroyed);
     let why = match found {
         Some(Ambiguity::Unit { stated, span }) => {
             let unit = match stated.as_str() {
@@ -127,23 +116,6 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
     )))
 }
 
-fn write(
-    motion: &Motion,
-    header: &Header,
-    workers: usize,
-    to: &Path,
-) -> anyhow::Result<TakeAccount> {
-    let mut output = NewFile::create(to)?;
-    let counter = Arc::new(AtomicU64::new(0));
-    let progress = Progress::follow("resampling", &counter, motion.positions_mm.len() as u64);
-    let out = BufWriter::new(&mut output);
-    let (written, out) = offline::write_take(motion, header, workers, &counter, out)?;
-    drop(out);
-    drop(progress);
-    output.keep()?;
-    Ok(written)
-}
-
 #[derive(Debug, Serialize)]
 pub(super) struct ImportReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
@@ -163,13 +135,12 @@ pub(super) struct ImportReport {
 impl ImportReport {
     pub(super) fn new(
         take: &Path,
-        motion: &Motion,
+        info: &MotionInfo,
         codec: &Settings,
         written: &TakeAccount,
         foreign_dropped: Vec<String>,
     ) -> Self {
-        let info = &motion.info;
-        let frames = motion.n_frames() as u64;
+        let (frames, n_markers) = (info.n_frames, info.markers.len() as u64);
         Self {
             take: take.to_owned(),
             frames,
@@ -178,7 +149,7 @@ impl ImportReport {
             markers: info.markers.len(),
             rate_hz: info.rate_hz,
             size: SizeReport::new(written, codec),
-            samples_missing: (motion.positions_mm.len() as u64).saturating_sub(written.samples),
+            samples_missing: frames.saturating_mul(n_markers).saturating_sub(written.samples),
             foreign_dropped,
             warnings: info.source.warnings.clone(),
         }

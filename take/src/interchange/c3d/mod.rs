@@ -1,6 +1,6 @@
 //! C3D, the binary format of biomechanics (The C3D File Format: User Guide, Motion Lab Systems, 2021).
 //!
-//! The reader accepts Intel, DEC and MIPS files with integer or float samples, more points than one LABELS parameter
+//! The reader holds a few blocks of frames at a time, whatever the size of the file. It accepts Intel, DEC and MIPS files with integer or float samples, more points than one LABELS parameter
 //! holds, more frames than 16 bits count, and files with a partly damaged parameter section. The writer produces Intel
 //! files with float samples in millimetres.
 
@@ -20,7 +20,7 @@ use super::InterchangeError;
 
 pub(super) use events::EVENTS_MAX;
 pub(super) use foreign::{MODEL_OUTPUTS, rotate};
-pub(super) use read::read;
+pub(super) use read::{C3dFrames, open};
 pub(super) use write::write;
 
 /// Version of the layouts of the foreign parts (`docs/foreign.md`).
