@@ -213,7 +213,7 @@ impl InflateCheck {
 mod tests {
     use std::io::Cursor;
 
-    use super::*;
+    use super::{content::MemoryScratch, *};
 
     fn to_payload(part: &Foreign) -> Vec<u8> {
         let ForeignPayload { front, deflated } = ForeignPayload::of(part).unwrap();
@@ -243,6 +243,37 @@ mod tests {
                 assert!(read(&payload[..cut]).is_err(), "{cut} of {len}");
             }
         }
+    }
+
+    #[test]
+    fn a_part_is_deflated_alike_in_memory_and_in_a_scratch_file() {
+        let new_scratch = || Ok(Arc::new(MemoryScratch::default()) as Arc<dyn ScratchFile>);
+        let mut spool = Spool::new(new_scratch);
+        // The first content takes what may be in memory.
+        spool.zeros(8 << 20).unwrap();
+        let mut state = 7_u32;
+        for (len, smooth) in [(0, 0), (1, 0), (300_000, 1), (300_000, 200), (9 << 20, 1)] {
+            let byte = |i: u64| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                if i % smooth.max(1) == 0 { (state >> 24) as u8 } else { i as u8 / 16 }
+            };
+            let bytes: Vec<u8> = (0..len).map(byte).collect();
+            let spooled = spool.put(&mut &bytes[..], len).unwrap();
+            let part = |data| Foreign { kind: "c3d/analog".into(), data };
+            let in_memory = to_payload(&part(bytes.into()));
+            assert!(in_memory == to_payload(&part(spooled)), "{len} bytes, {smooth}");
+            assert!(
+                in_memory.len() as u64 <= deflated_bytes_max(len) + 16,
+                "{len} bytes, {smooth}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_part_longer_than_a_take_can_hold_is_refused_without_its_content() {
+        let part = Foreign { kind: "a".into(), data: Content::omitted(DATA_BYTES_MAX + 1) };
+        let error = ForeignPayload::of(&part).unwrap_err();
+        assert!(error.to_string().contains("import with --drop-foreign"), "{error}");
     }
 
     #[test]

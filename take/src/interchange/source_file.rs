@@ -248,8 +248,7 @@ mod tests {
             [|all| all[PAGE_BYTES + 5] ^= 1, |all| all.truncate(PAGE_BYTES), Vec::clear];
         for change in changes {
             let shared = Rc::new(RefCell::new(bytes(3 * PAGE_BYTES)));
-            let mut file =
-                SourceFile::new(Shared(Rc::clone(&shared), 0), Arc::default()).unwrap();
+            let mut file = SourceFile::new(Shared(Rc::clone(&shared), 0), Arc::default()).unwrap();
             assert_eq!(read_all(&mut file).unwrap(), 3 * PAGE_BYTES as u64);
             // What is appended is not read, and not missed.
             shared.borrow_mut().push(7);

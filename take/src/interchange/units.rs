@@ -385,7 +385,8 @@ mod tests {
 
     #[test]
     fn a_span_is_that_of_a_frame_or_of_a_path() {
-        let span = |positions: &[Position], n_markers| MotionExtent::of(positions, n_markers).span();
+        let span =
+            |positions: &[Position], n_markers| MotionExtent::of(positions, n_markers).span();
         let frame = |x: f32| [[x, 0.0, 0.0], [x, 1.8, 0.0], GAP];
         let walk: Vec<Position> = (0..2000).flat_map(|i| frame(i as f32)).collect();
         assert!((span(&walk, 3) - 1.8).abs() < 1e-6);

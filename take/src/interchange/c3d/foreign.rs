@@ -115,9 +115,8 @@ impl SampleParts {
         points: &Points,
         store: &mut PartStore<'_>,
     ) -> io::Result<Self> {
-        let analog = (layout.stride.analog_per_frame > 0)
-            .then(|| new_analog(layout, store))
-            .transpose()?;
+        let analog =
+            (layout.stride.analog_per_frame > 0).then(|| new_analog(layout, store)).transpose()?;
         let outputs = (!points.outputs.is_empty())
             .then(|| new_outputs(layout, &points.outputs, store))
             .transpose()?;

@@ -562,8 +562,9 @@ mod tests {
             expected.extend(number.to_le_bytes());
         }
         assert_eq!(bytes[..expected.len()], expected);
-        let words = ContentSlice::split_at(part_of(&samples).data.as_slice(), expected.len() as u64)
-            .map(|(_, words)| words.len());
+        let words =
+            ContentSlice::split_at(part_of(&samples).data.as_slice(), expected.len() as u64)
+                .map(|(_, words)| words.len());
         assert_eq!(words, Some(16 * n));
         let mut whole = Content::from(vec![0; 16 * n as usize]);
         let mut columns = [const { ColumnWriter::new(4) }; WORDS];

@@ -73,9 +73,7 @@ pub(crate) fn open(
 }
 
 /// Reads the header and the parameters.
-fn read_front(
-    source: &mut SourceFile<'_>,
-) -> Result<(Notes, ByteOrder, C3dHeader, Parameters)> {
+fn read_front(source: &mut SourceFile<'_>) -> Result<(Notes, ByteOrder, C3dHeader, Parameters)> {
     let mut first = [0; BLOCK];
     let n_read = source.read_some(0, &mut first)?;
     let first = first.get(..n_read).unwrap_or_default();
