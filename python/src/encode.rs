@@ -4,7 +4,7 @@ use std::thread;
 
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_take::{
-    motion::{Marker, Motion, MotionInfo, Position, UpAxis},
+    motion::{Marker, Motion, MotionFrames, MotionInfo, Position, UpAxis},
     motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter, channels, stretch_rows},
     record::{CODEC_VERSION, Header, ImportSource},
 };
@@ -75,7 +75,7 @@ pub(crate) fn encode<'py>(
         header.check()?;
         let values = motion.positions_mm.as_flattened().iter();
         let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
-        header.set_import_id(&bytes, None)?;
+        header.set_import_id(&bytes[..], None)?;
         drop(bytes);
         write(&motion, &header, threads, cancel)
     })?;
@@ -140,16 +140,21 @@ fn motion(
 
 /// Encodes as many parts at a time as there are threads. The bytes do not depend on the number of threads.
 fn write(motion: &Motion, header: &Header, threads: usize, cancel: &Cancel) -> Result<Vec<u8>> {
-    let plan = EncodePlan::new(motion, header)?;
-    let mut take = MotionWriter::new(&plan, header, Vec::new())?;
+    let mut frames = MotionFrames::new(motion);
+    let (plan, mut parts) = EncodePlan::new(&mut frames, header)?;
+    let mut take = MotionWriter::new(&plan, parts.info(), header, Vec::new())?;
     let mut encoders: Vec<_> = (0..threads.max(1)).map(|_| plan.encoder()).collect();
-    let parts: Vec<EncodePart> = plan.parts().collect();
-    for parts in parts.chunks(encoders.len()) {
+    loop {
+        let parts: Vec<EncodePart> =
+            parts.by_ref().take(encoders.len()).collect::<std::result::Result<_, _>>()?;
+        if parts.is_empty() {
+            return Ok(take.finish()?.1);
+        }
         cancel.check()?;
         let coded: Vec<EncodedPart> = thread::scope(|scope| {
-            let work = encoders.iter_mut().zip(parts);
+            let work = encoders.iter_mut().zip(&parts);
             let threads: Vec<_> = work
-                .map(|(encoder, &part)| {
+                .map(|(encoder, part)| {
                     thread::Builder::new().spawn_scoped(scope, move || encoder.encode(part))
                 })
                 .collect::<Result<_, _>>()?;
@@ -157,8 +162,7 @@ fn write(motion: &Motion, header: &Header, threads: usize, cancel: &Cancel) -> R
             done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??)).collect::<Result<_>>()
         })?;
         for (part, coded) in parts.iter().zip(&coded) {
-            take.push(*part, coded)?;
+            take.push(part, coded)?;
         }
     }
-    Ok(take.finish()?.1)
 }

@@ -1,6 +1,7 @@
 //! `import`: converts motion files of other tools to takes.
 
 use std::{
+    fs,
     io::{BufReader, BufWriter},
     path::{Path, PathBuf},
 };
@@ -11,23 +12,24 @@ use mocapd_acquire::{
     files::{self, SparseFile},
     health::TakeHealth,
     inspect::Summary,
-    pipeline::{TakeAccount, offline},
+    pipeline::TakeAccount,
 };
 use mocapd_codec::Settings;
 use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     TakeEnds,
     interchange::{Direction, LengthUnit, ReadOptions},
-    motion::{Ambiguity, Motion},
-    record::{Header, Subject},
+    motion::{Ambiguity, MotionInfo},
+    record::Header,
 };
 use serde::Serialize;
 
 use super::{
     batch::{
-        self, Batch, Destination, Figures, FileKinds, FileReport, Input, InputArgs, Job, outputs,
+        self, Batch, Destination, Figures, FileKinds, FileReport, Input, InputArgs, Job,
+        outputs::{self, SeekWrite},
     },
-    original::{header_of, read_motion_and_bytes},
+    original::{Import, ImportSettings},
     output::{plain, plain_path},
     paths::{self, InputFormatName},
     subject::SubjectArgs,
@@ -77,9 +79,7 @@ pub(crate) struct Args {
 /// What is the same for every file.
 struct ImportPlan<'a> {
     args: &'a Args,
-    codec: Settings,
-    subject: Option<Subject>,
-    options: ReadOptions,
+    settings: ImportSettings,
     is_folder: bool,
 }
 
@@ -101,9 +101,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let plan = ImportPlan {
         args,
-        codec,
-        subject: args.subject.load()?,
-        options: ReadOptions { unit: args.unit, up: args.up },
+        settings: ImportSettings {
+            codec,
+            options: ReadOptions { unit: args.unit, up: args.up },
+            drops_foreign: args.drop_foreign,
+            subject: args.subject.load()?,
+        },
         is_folder: matches!(destination, Destination::Folder(_)),
     };
     let batch = Batch {
@@ -121,46 +124,48 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 impl ImportPlan<'_> {
     fn import(&self, job: &Job<'_>) -> anyhow::Result<FileReport> {
-        let Self { args, codec, options, .. } = self;
-        let (mut motion, bytes) = read_motion_and_bytes(job.input, options)?;
+        let args = self.args;
+        let (codec, subject) = (self.settings.codec, self.settings.subject.as_ref());
         let name = &job.input.name;
-        check_unit(&motion, name, tolerance_mm(codec))?;
-        motion.info.source.warnings.iter().for_each(|warning| job.notify(warning));
-        let mut foreign_dropped = Vec::new();
-        if args.drop_foreign && !motion.info.foreign.is_empty() {
-            foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
+        let bytes_read = fs::metadata(&job.input.path).map_or(0, |found| found.len());
+        let reading = job.phase("reading", bytes_read);
+        let mut import = Import::open(job.input, &self.settings, &reading.counter)?;
+        let info = import.info();
+        check_unit(info, name, tolerance_mm(&codec))?;
+        info.source.warnings.iter().for_each(|warning| job.notify(warning));
+        let foreign_dropped = import.foreign_dropped.clone();
+        if !foreign_dropped.is_empty() {
             job.notify(&format!("left out (--drop-foreign): {}", foreign_dropped.join(", ")));
         }
-        let mut header = header_of(&motion, name, codec);
-        header.settings.extend(options.settings());
-        if args.drop_foreign {
-            header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
-        }
-        let unseen = unused_part_notes(self.subject.as_ref(), &motion.info.labels());
+        let unseen = unused_part_notes(subject, &info.labels());
         unseen.iter().for_each(|warning| job.notify(warning));
-        header.set_source_bytes(bytes.len() as u64);
-        header.set_import_id(&bytes, self.subject.as_ref())?;
-        motion.info.subject.clone_from(&self.subject);
-        let bytes_read = bytes.len() as u64;
-        drop(bytes);
+        let n_samples = info.n_frames.saturating_mul(info.markers.len() as u64);
+        let header = import.header()?;
+        drop(reading);
         let output = job.output.context("no output was planned")?;
         let before = existing(output, &header)?;
         let is_unchanged = before.is_some();
-        let written = match before {
-            Some(before) => before,
-            None => self.write(&motion, &header, job, output)?,
+        let (info, written) = match before {
+            Some(before) => (import.into_info(), before),
+            None => {
+                let phase = job.phase("resampling", n_samples);
+                let write = |out: &mut dyn SeekWrite| {
+                    import.write(&header, job.threads, &phase.counter, BufWriter::new(out), output)
+                };
+                outputs::write_whole(output, self.is_folder, write)?.0
+            }
         };
         if written.samples == 0 {
             job.notify("no samples: the take holds only gaps");
         }
-        let mut report = ImportReport::new(output, &motion, codec, &written, foreign_dropped);
+        let mut report = ImportReport::new(output, &info, &codec, &written, foreign_dropped);
         (report.file, report.unchanged) = (name.clone(), is_unchanged);
         if args.verify {
             compare(output, job)?;
             report.verified = true;
         }
         Ok(FileReport {
-            data_lost: motion.info.source.frames_missing > 0,
+            data_lost: info.source.frames_missing > 0,
             text: report.text(),
             line: report.text(),
             json: job.json(&report)?,
@@ -173,21 +178,6 @@ impl ImportPlan<'_> {
             },
             ..FileReport::default()
         })
-    }
-
-    fn write(
-        &self,
-        motion: &Motion,
-        header: &Header,
-        job: &Job<'_>,
-        output: &Path,
-    ) -> anyhow::Result<TakeAccount> {
-        let phase = job.phase("resampling", motion.positions_mm.len() as u64);
-        let (written, _) = outputs::write_whole(output, self.is_folder, |out| {
-            let out = BufWriter::new(out);
-            Ok(offline::write_take(motion, header, job.threads, &phase.counter, out)?.0)
-        })?;
-        Ok(written)
     }
 }
 
@@ -235,9 +225,9 @@ fn compare(output: &Path, job: &Job<'_>) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// A usage error that recommends `--unit`.
-fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
+fn check_unit(info: &MotionInfo, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
     let is_destroyed = |found: &&Ambiguity| found.is_destroyed_by(tolerance_mm);
-    let found = motion.info.source.ambiguities.iter().find(is_destroyed);
+    let found = info.source.ambiguities.iter().find(is_destroyed);
     let why = match found {
         Some(Ambiguity::Unit { stated, span }) => {
             let unit = match stated.as_str() {
@@ -285,13 +275,12 @@ pub(super) struct ImportReport {
 impl ImportReport {
     pub(super) fn new(
         take: &Path,
-        motion: &Motion,
+        info: &MotionInfo,
         codec: &Settings,
         written: &TakeAccount,
         foreign_dropped: Vec<String>,
     ) -> Self {
-        let info = &motion.info;
-        let frames = motion.n_frames() as u64;
+        let (frames, n_markers) = (info.n_frames, info.markers.len() as u64);
         Self {
             take: take.to_owned(),
             file: PathBuf::new(),
@@ -302,7 +291,7 @@ impl ImportReport {
             markers: info.markers.len(),
             rate_hz: info.rate_hz,
             size: SizeReport::new(written, codec),
-            samples_missing: (motion.positions_mm.len() as u64).saturating_sub(written.samples),
+            samples_missing: frames.saturating_mul(n_markers).saturating_sub(written.samples),
             foreign_dropped,
             warnings: info.source.warnings.clone(),
             verified: false,

@@ -1,6 +1,6 @@
 //! Reading takes and motion files whole into memory, for commands that analyse a motion, and writing their output.
 
-use std::{io::BufReader, path::Path};
+use std::{fs, io::BufReader, path::Path};
 
 use anyhow::Context;
 use mocapd_acquire::files::{CountingFile, NewFile, SparseFile};
@@ -14,7 +14,7 @@ use mocapd_take::{
 
 use super::{
     batch::Job,
-    original::{read_motion, read_motion_and_bytes, read_motion_with},
+    original::{read_input, read_motion, read_motion_with},
     output::notify,
     paths::{self, InputFormat},
 };
@@ -33,6 +33,17 @@ pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
     Ok(take)
 }
 
+/// Reads a motion file that a command was given, and returns its size in bytes, too.
+///
+/// # Errors
+/// If it cannot be read.
+pub(super) fn read_motion_input(job: &Job<'_>) -> anyhow::Result<(Motion, u64)> {
+    let n_bytes = fs::metadata(&job.input.path).map_or(0, |found| found.len());
+    let phase = job.phase("reading", n_bytes);
+    let motion = read_input(job.input, &ReadOptions::default(), &phase.counter)?;
+    Ok((motion, n_bytes))
+}
+
 /// Reads a take or a motion file that is to be plotted, and returns its size in bytes, too. No sample of a motion file is
 /// a knot.
 ///
@@ -40,10 +51,10 @@ pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
 /// If it cannot be read.
 pub(super) fn read_picture_source(job: &Job<'_>) -> anyhow::Result<(DecodedTake, u64)> {
     if let InputFormat::MotionFile(_) = job.input.format()? {
-        let (motion, bytes) = read_motion_and_bytes(job.input, &ReadOptions::default())?;
+        let (motion, n_bytes) = read_motion_input(job)?;
         let kept = vec![vec![false; motion.n_frames()]; motion.info.markers.len()];
         let take = DecodedTake { motion, kept, settings: None, problems: Vec::new() };
-        return Ok((take, bytes.len() as u64));
+        return Ok((take, n_bytes));
     }
     let file = SparseFile::open(&job.input.path)?;
     let n_bytes = file.len_bytes()?;

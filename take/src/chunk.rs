@@ -62,17 +62,23 @@ pub mod types {
 /// # Errors
 /// `InvalidArgument` when the payload is longer than [`PAYLOAD_BYTES_MAX`].
 pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
-    if payload.len() as u64 > PAYLOAD_BYTES_MAX {
-        return Err(TakeError::InvalidArgument(format!(
-            "a chunk of {} bytes is longer than a take can hold ({PAYLOAD_BYTES_MAX})",
-            payload.len()
-        )));
-    }
     let start = out.len();
-    out.push(kind);
-    varint::put_prefixed(out, payload);
+    put_head(out, kind, payload.len() as u64)?;
+    out.extend_from_slice(payload);
     let crc = crc32fast::hash(&out[start..]);
     out.extend_from_slice(&crc.to_le_bytes());
+    Ok(())
+}
+
+/// Appends type and length of a chunk, whose payload and CRC follow.
+pub(crate) fn put_head(out: &mut Vec<u8>, kind: u8, payload_bytes: u64) -> Result<(), TakeError> {
+    if payload_bytes > PAYLOAD_BYTES_MAX {
+        return Err(TakeError::InvalidArgument(format!(
+            "a chunk of {payload_bytes} bytes is longer than a take can hold ({PAYLOAD_BYTES_MAX})"
+        )));
+    }
+    out.push(kind);
+    varint::put(out, payload_bytes);
     Ok(())
 }
 

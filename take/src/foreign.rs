@@ -31,24 +31,44 @@ pub struct Foreign {
     pub data: Content,
 }
 
-/// Encodes the payload of a FOREIGN chunk.
-///
-/// # Errors
-/// `InvalidArgument` for content that is too long; `Io` if its scratch file cannot be read.
-pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
-    if foreign.data.len() > DATA_BYTES_MAX {
-        return Err(TakeError::InvalidArgument(format!(
-            "{} of {} bytes is longer than a take can hold; import with --drop-foreign",
-            foreign.kind,
-            foreign.data.len()
-        )));
+/// The payload of a FOREIGN chunk.
+#[derive(Debug)]
+pub(crate) struct ForeignPayload {
+    /// Kind and length of the content.
+    pub(crate) front: Vec<u8>,
+    /// The deflated content, stored where the content is.
+    pub(crate) deflated: Content,
+}
+
+impl ForeignPayload {
+    /// Encodes a part.
+    ///
+    /// # Errors
+    /// `InvalidArgument` for content that is too long; `Io` if its scratch file cannot be read or written.
+    pub(crate) fn of(part: &Foreign) -> Result<Self, TakeError> {
+        let len = part.data.len();
+        if len > DATA_BYTES_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "{} of {len} bytes is longer than a take can hold; import with --drop-foreign",
+                part.kind
+            )));
+        }
+        let mut front = Vec::new();
+        varint::put_prefixed(&mut front, part.kind.as_bytes());
+        varint::put(&mut front, len);
+        let deflated = part.data.converted(deflated_bytes_max(len), |out| {
+            let mut deflate = DeflateEncoder::new(out, Compression::best());
+            io::copy(&mut part.data.reader(), &mut deflate)?;
+            deflate.finish().map(|_| ())
+        })?;
+        Ok(Self { front, deflated })
     }
-    let mut out = Vec::new();
-    varint::put_prefixed(&mut out, foreign.kind.as_bytes());
-    varint::put(&mut out, foreign.data.len());
-    let mut deflate = DeflateEncoder::new(out, Compression::best());
-    io::copy(&mut foreign.data.reader(), &mut deflate)?;
-    Ok(deflate.finish()?)
+}
+
+/// Most bytes of deflated content: a block that does not compress is stored with five more bytes, and no block is
+/// shorter than 1 KiB but the last.
+fn deflated_bytes_max(len: u64) -> u64 {
+    len + 5 * (len / 1024) + 64
 }
 
 /// A foreign part of a take, not yet read. [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
@@ -203,7 +223,12 @@ impl InflateCheck {
 mod tests {
     use std::io::Cursor;
 
-    use super::*;
+    use super::{content::MemoryScratch, *};
+
+    fn to_payload(part: &Foreign) -> Vec<u8> {
+        let ForeignPayload { front, deflated } = ForeignPayload::of(part).unwrap();
+        [front, deflated.to_vec(u64::MAX).unwrap().unwrap()].concat()
+    }
 
     fn read(payload: &[u8]) -> Result<Foreign, TakeError> {
         let len = payload.len() as u64;
@@ -221,7 +246,7 @@ mod tests {
                 kind: "c3d/analog".into(),
                 data: (0..len).map(|i: u64| (i * i / 3) as u8).collect::<Vec<_>>().into(),
             };
-            let payload = to_payload(&part).unwrap();
+            let payload = to_payload(&part);
             assert!(may_begin_with(&payload));
             assert_eq!(read(&payload).unwrap(), part);
             for cut in (0..payload.len()).step_by(1 + payload.len() / 500) {
@@ -231,9 +256,40 @@ mod tests {
     }
 
     #[test]
+    fn a_part_is_deflated_alike_in_memory_and_in_a_scratch_file() {
+        let new_scratch = || Ok(Arc::new(MemoryScratch::default()) as Arc<dyn ScratchFile>);
+        let mut spool = Spool::new(new_scratch);
+        // The first content takes what may be in memory.
+        spool.zeros(8 << 20).unwrap();
+        let mut state = 7_u32;
+        for (len, smooth) in [(0, 0), (1, 0), (300_000, 1), (300_000, 200), (9 << 20, 1)] {
+            let byte = |i: u64| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                if i % smooth.max(1) == 0 { (state >> 24) as u8 } else { i as u8 / 16 }
+            };
+            let bytes: Vec<u8> = (0..len).map(byte).collect();
+            let spooled = spool.put(&mut &bytes[..], len).unwrap();
+            let part = |data| Foreign { kind: "c3d/analog".into(), data };
+            let in_memory = to_payload(&part(bytes.into()));
+            assert!(in_memory == to_payload(&part(spooled)), "{len} bytes, {smooth}");
+            assert!(
+                in_memory.len() as u64 <= deflated_bytes_max(len) + 16,
+                "{len} bytes, {smooth}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_part_longer_than_a_take_can_hold_is_refused_without_its_content() {
+        let part = Foreign { kind: "a".into(), data: Content::omitted(DATA_BYTES_MAX + 1) };
+        let error = ForeignPayload::of(&part).unwrap_err();
+        assert!(error.to_string().contains("import with --drop-foreign"), "{error}");
+    }
+
+    #[test]
     fn another_length_than_stated_is_an_error() {
         let part = Foreign { kind: "a".into(), data: vec![7; 300].into() };
-        let mut payload = to_payload(&part).unwrap();
+        let mut payload = to_payload(&part);
         assert_eq!(payload[2..4], [0xac, 0x02]);
         for stated in [0xab, 0xad] {
             payload[2] = stated;

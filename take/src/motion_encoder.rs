@@ -1,9 +1,10 @@
-//! Encodes trajectories in memory as a take: the second half of an import.
+//! Encodes frames as a take: the second half of an import.
 //!
 //! Every stretch is a key stretch, so each group of channels in each stretch is encoded independently, on any thread,
-//! and the bytes do not depend on the number of threads.
+//! and the bytes do not depend on the number of threads. One stretch is read at a time, except for a resampler that
+//! needs the whole take.
 
-use std::io::Write;
+use std::{collections::VecDeque, fmt, io::Write};
 
 use mocapd_codec::{
     BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows, Settings,
@@ -11,7 +12,7 @@ use mocapd_codec::{
 
 use crate::{
     TakeError, TakeWriter,
-    motion::{Marker, Motion, MotionEvent, is_gap},
+    motion::{FrameSource, GAP, Marker, MotionEvent, MotionInfo, is_gap},
     record::{Channel, Event, Header, Ledger},
     statistics::{BlockTally, StretchTally},
     stretch::{
@@ -46,8 +47,8 @@ pub fn channels(markers: &[Marker]) -> Vec<Channel> {
     markers.iter().enumerate().map(channel).collect()
 }
 
-/// One group of channels over one stretch: the unit that is encoded independently.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// One group of channels over one stretch, with its samples: the unit that is encoded independently.
+#[derive(Debug, Clone)]
 pub struct EncodePart {
     /// First row.
     pub first_row: usize,
@@ -57,6 +58,7 @@ pub struct EncodePart {
     pub first_marker: usize,
     /// Number of markers.
     pub n_markers: usize,
+    columns: ColumnBuffer,
 }
 
 /// An encoded block, and what the encoder reports of each of its channels.
@@ -70,22 +72,29 @@ pub struct EncodedPart {
 
 /// The settings and shared bytes that all parts of one motion are encoded with.
 #[derive(Debug)]
-pub struct EncodePlan<'a> {
-    motion: &'a Motion,
+pub struct EncodePlan {
+    n_rows: usize,
+    n_markers: usize,
     codec: Settings,
     stretch_rows: usize,
     shared: Vec<u8>,
 }
 
-impl<'a> EncodePlan<'a> {
-    /// Plans the encoding of `motion` with the settings in `header`.
+impl EncodePlan {
+    /// Plans the encoding of all frames of a source with the settings in `header`. Also returns the parts, which are
+    /// read one stretch at a time, in the order in which [`MotionWriter::push`] expects them.
     ///
     /// # Errors
     /// `InvalidArgument` for more markers than a take can have, or more samples than a stretch of that resampler can
-    /// hold; `Codec` when the codec rejects the input (`spline:exhaustive` on a long take).
-    pub fn new(motion: &'a Motion, header: &Header) -> Result<Self, TakeError> {
+    /// hold; `Codec` when the codec rejects the input (`spline:exhaustive` on a long take); `Io` when the source fails.
+    pub fn new<'f>(
+        frames: &'f mut dyn FrameSource,
+        header: &Header,
+    ) -> Result<(Self, EncodeParts<'f>), TakeError> {
         let codec = header.codec()?;
-        let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
+        let info = frames.info();
+        let n_markers = info.markers.len();
+        let n_rows = usize::try_from(info.n_frames).unwrap_or(usize::MAX);
         if n_markers > CHANNELS_MAX {
             return Err(TakeError::InvalidArgument(format!(
                 "a take has at most {CHANNELS_MAX} markers, but the motion has {n_markers}"
@@ -99,38 +108,112 @@ impl<'a> EncodePlan<'a> {
                 codec.kind
             )));
         }
-        let shared = shared(motion, &codec)?;
-        Ok(Self { motion, codec, stretch_rows, shared })
+        let mut parts =
+            EncodeParts { frames, n_rows, stretch_rows, next_row: 0, ready: VecDeque::new() };
+        let mut shared = Vec::new();
+        if !codec.kind.is_live() {
+            parts.read_stretch()?;
+            let columns: Result<Vec<_>, _> =
+                parts.ready.iter().map(|part| part.columns.rows()).collect();
+            shared = codec.plan(&columns?.concat())?;
+        }
+        Ok((Self { n_rows, n_markers, codec, stretch_rows, shared }, parts))
     }
 
-    /// The parts, in the order in which [`MotionWriter::push`] expects them.
-    pub fn parts(&self) -> impl Iterator<Item = EncodePart> + use<> {
-        let (n_rows, n_markers) = (self.motion.n_frames(), self.motion.info.markers.len());
-        let stretch_rows = self.stretch_rows;
-        (0..n_rows).step_by(stretch_rows).flat_map(move |first_row| {
-            // A take without markers still has its stretches.
-            (0..n_markers.max(1)).step_by(GROUP_CHANNELS).map(move |first_marker| EncodePart {
-                first_row,
-                n_rows: stretch_rows.min(n_rows - first_row),
-                first_marker,
-                n_markers: GROUP_CHANNELS.min(n_markers - first_marker),
-            })
-        })
+    /// Memory that the samples of a part take, in bytes.
+    #[must_use]
+    pub fn part_bytes(&self) -> usize {
+        let n_samples = self.stretch_rows.min(self.n_rows) * self.n_markers.min(GROUP_CHANNELS);
+        n_samples * (size_of::<Position>() + size_of::<bool>())
     }
 
     /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
-        PartEncoder { plan: self, encoder: self.codec.encoder(), columns: ColumnBuffer::default() }
+        PartEncoder { plan: self, encoder: self.codec.encoder() }
+    }
+}
+
+/// The parts of a motion, read from its frames.
+pub struct EncodeParts<'f> {
+    frames: &'f mut dyn FrameSource,
+    n_rows: usize,
+    stretch_rows: usize,
+    /// First row of the next stretch.
+    next_row: usize,
+    /// The parts of the last stretch that were not yet handed out.
+    ready: VecDeque<EncodePart>,
+}
+
+impl EncodeParts<'_> {
+    /// The description of the motion.
+    #[must_use]
+    pub fn info(&self) -> &MotionInfo {
+        self.frames.info()
+    }
+
+    /// Reads the next stretch, if there is one.
+    fn read_stretch(&mut self) -> Result<(), TakeError> {
+        let first_row = self.next_row;
+        let n_rows = self.stretch_rows.min(self.n_rows - first_row);
+        if n_rows == 0 {
+            return Ok(());
+        }
+        let n_all = self.frames.info().markers.len();
+        // A take without markers still has its stretches.
+        let groups = (0..n_all.max(1)).step_by(GROUP_CHANNELS).map(|first_marker| {
+            let n_markers = GROUP_CHANNELS.min(n_all - first_marker);
+            let columns = ColumnBuffer::new(n_markers, n_rows);
+            EncodePart { first_row, n_rows, first_marker, n_markers, columns }
+        });
+        self.ready = groups.collect();
+        let mut row = vec![GAP; n_all];
+        for index in 0..n_rows {
+            if !self.frames.next_frame(&mut row)? {
+                return Err(TakeError::InvalidArgument(format!(
+                    "expected {} frames, got {}: the source has fewer than it announces",
+                    self.n_rows,
+                    first_row + index
+                )));
+            }
+            for (part, positions) in self.ready.iter_mut().zip(row.chunks(GROUP_CHANNELS)) {
+                part.columns.push(positions);
+            }
+        }
+        self.next_row += n_rows;
+        Ok(())
+    }
+}
+
+impl Iterator for EncodeParts<'_> {
+    type Item = Result<EncodePart, TakeError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.ready.is_empty()
+            && let Err(error) = self.read_stretch()
+        {
+            // Nothing follows an error.
+            self.ready.clear();
+            self.next_row = self.n_rows;
+            return Some(Err(error));
+        }
+        self.ready.pop_front().map(Ok)
+    }
+}
+
+impl fmt::Debug for EncodeParts<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut debug = f.debug_struct("EncodeParts");
+        debug.field("n_rows", &self.n_rows).field("next_row", &self.next_row);
+        debug.finish_non_exhaustive()
     }
 }
 
 /// Encodes parts, in any order.
 #[derive(Debug)]
 pub struct PartEncoder<'a> {
-    plan: &'a EncodePlan<'a>,
+    plan: &'a EncodePlan,
     encoder: Box<dyn BlockEncoder>,
-    columns: ColumnBuffer,
 }
 
 impl PartEncoder<'_> {
@@ -138,12 +221,11 @@ impl PartEncoder<'_> {
     ///
     /// # Errors
     /// `Codec`.
-    pub fn encode(&mut self, part: EncodePart) -> Result<EncodedPart, TakeError> {
-        self.columns.fill(self.plan.motion, part);
+    pub fn encode(&mut self, part: &EncodePart) -> Result<EncodedPart, TakeError> {
         let mut coded = EncodedPart::default();
         if part.n_markers > 0 {
             coded.reports.resize(part.n_markers, BlockReport::default());
-            let channels = self.columns.rows()?;
+            let channels = part.columns.rows()?;
             let EncodedPart { block, tally, reports } = &mut coded;
             self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
             *tally = BlockTally::of_encoded(block, &channels, reports, self.encoder.kept_rows());
@@ -155,7 +237,7 @@ impl PartEncoder<'_> {
 /// Writes the encoded parts of a plan as a take.
 #[derive(Debug)]
 pub struct MotionWriter<'a, W> {
-    plan: &'a EncodePlan<'a>,
+    plan: &'a EncodePlan,
     take: TakeWriter<W>,
     front: StretchHeaderWriter,
     payload: Vec<u8>,
@@ -164,13 +246,17 @@ pub struct MotionWriter<'a, W> {
 }
 
 impl<'a, W: Write> MotionWriter<'a, W> {
-    /// Writes the header, the subject, the foreign parts and the events.
+    /// Writes the header, and of `info` the subject, the foreign parts and the events.
     ///
     /// # Errors
     /// Those of [`TakeWriter::new`], [`TakeWriter::subject`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
-    pub fn new(plan: &'a EncodePlan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
+    pub fn new(
+        plan: &'a EncodePlan,
+        info: &MotionInfo,
+        header: &Header,
+        out: W,
+    ) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
-        let info = &plan.motion.info;
         info.subject.iter().try_for_each(|subject| take.subject(subject))?;
         info.foreign.iter().try_for_each(|part| take.foreign(part))?;
         for MotionEvent { frame, kind, text } in &info.events {
@@ -182,12 +268,12 @@ impl<'a, W: Write> MotionWriter<'a, W> {
         Ok(Self { plan, take, front, payload, tally, n_samples: 0 })
     }
 
-    /// Writes the next part, in the order of [`EncodePlan::parts`].
+    /// Writes the next part, in the order of [`EncodeParts`].
     ///
     /// # Errors
     /// Those of [`TakeWriter::stretch`].
-    pub fn push(&mut self, part: EncodePart, coded: &EncodedPart) -> Result<(), TakeError> {
-        let n_markers = self.plan.motion.info.markers.len();
+    pub fn push(&mut self, part: &EncodePart, coded: &EncodedPart) -> Result<(), TakeError> {
+        let n_markers = self.plan.n_markers;
         let alone = n_markers <= GROUP_CHANNELS;
         let number = (part.first_row / self.plan.stretch_rows % usize::from(NUMBERS)) as u8;
         let (first_row, n_rows) = (part.first_row as u64, part.n_rows as u32);
@@ -212,8 +298,8 @@ impl<'a, W: Write> MotionWriter<'a, W> {
     /// # Errors
     /// Those of [`TakeWriter::finish`].
     pub fn finish(self) -> Result<(Ledger, W, u64), TakeError> {
-        let n_rows = self.plan.motion.n_frames() as u64;
-        let announced = n_rows * self.plan.motion.info.markers.len() as u64;
+        let n_rows = self.plan.n_rows as u64;
+        let announced = n_rows * self.plan.n_markers as u64;
         let ledger = Ledger {
             finished: true,
             frames_sent: n_rows,
@@ -228,31 +314,27 @@ impl<'a, W: Write> MotionWriter<'a, W> {
     }
 }
 
-/// Samples of one part, column by column; reused from part to part.
-#[derive(Debug, Default)]
+/// The samples of one part, column by column.
+#[derive(Debug, Clone, Default)]
 struct ColumnBuffer {
     positions: Vec<Vec<Position>>,
     present: Vec<Vec<bool>>,
 }
 
 impl ColumnBuffer {
-    /// Copies the samples of `part` out of `motion`.
-    fn fill(&mut self, motion: &Motion, part: EncodePart) {
-        self.positions.resize_with(part.n_markers, Vec::new);
-        self.present.resize_with(part.n_markers, Vec::new);
-        for (positions, present) in self.positions.iter_mut().zip(&mut self.present) {
-            positions.clear();
-            positions.reserve(part.n_rows);
-            present.clear();
-            present.reserve(part.n_rows);
+    fn new(n_markers: usize, n_rows: usize) -> Self {
+        Self {
+            positions: (0..n_markers).map(|_| Vec::with_capacity(n_rows)).collect(),
+            present: (0..n_markers).map(|_| Vec::with_capacity(n_rows)).collect(),
         }
-        for row in part.first_row..part.first_row + part.n_rows {
-            let markers = &motion.frame(row)[part.first_marker..][..part.n_markers];
-            let columns = self.positions.iter_mut().zip(&mut self.present);
-            for ((positions, present), &position) in columns.zip(markers) {
-                positions.push(position);
-                present.push(!is_gap(position));
-            }
+    }
+
+    /// Adds a row.
+    fn push(&mut self, row: &[Position]) {
+        let columns = self.positions.iter_mut().zip(&mut self.present);
+        for ((positions, present), &position) in columns.zip(row) {
+            positions.push(position);
+            present.push(!is_gap(position));
         }
     }
 
@@ -261,17 +343,4 @@ impl ColumnBuffer {
         let columns = self.positions.iter().zip(&self.present);
         columns.map(|(positions, present)| Rows::new(positions, present)).collect()
     }
-}
-
-/// The bytes that all channels of a take share; empty for live resamplers.
-fn shared(motion: &Motion, codec: &Settings) -> Result<Vec<u8>, CodecError> {
-    if codec.kind.is_live() {
-        return Ok(Vec::new());
-    }
-    let mut columns = ColumnBuffer::default();
-    let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
-    if n_markers > 0 {
-        columns.fill(motion, EncodePart { first_row: 0, n_rows, first_marker: 0, n_markers });
-    }
-    codec.plan(&columns.rows()?)
 }

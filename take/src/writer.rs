@@ -7,7 +7,7 @@ use crc32fast::Hasher;
 use crate::{
     TakeError, chunk,
     chunk::types,
-    foreign,
+    foreign::ForeignPayload,
     index::{Footer, IndexEntry, index_payload},
     motion::Foreign,
     record::{
@@ -156,7 +156,23 @@ impl<W: Write> TakeWriter<W> {
     /// # Errors
     /// `Io`, `InvalidArgument`.
     pub fn foreign(&mut self, part: &Foreign) -> Result<(), TakeError> {
-        self.chunk(types::FOREIGN, &foreign::to_payload(part)?)
+        let ForeignPayload { front, deflated } = ForeignPayload::of(part)?;
+        let payload_bytes = front.len() as u64 + deflated.len();
+        self.scratch.clear();
+        chunk::put_head(&mut self.scratch, types::FOREIGN, payload_bytes)?;
+        self.scratch.extend_from_slice(&front);
+        let mut crc = Hasher::new();
+        let mut deflated = deflated.reader();
+        loop {
+            let n = deflated.by_ref().take(COPIED_BYTES).read_to_end(&mut self.scratch)?;
+            crc.update(&self.scratch);
+            if n == 0 {
+                self.scratch.extend_from_slice(&crc.finalize().to_le_bytes());
+                return self.flush_scratch();
+            }
+            self.flush_scratch()?;
+            self.scratch.clear();
+        }
     }
 
     /// [Closes](Self::close) the take without stating how it ended. Returns the output and the number of bytes written.

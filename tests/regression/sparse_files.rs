@@ -167,14 +167,19 @@ fn file_with_analog_samples() -> C3dFile {
 }
 
 #[test]
-fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
+fn what_a_source_had_beside_markers_is_imported_and_exported_as_a_stream() {
     let folder = Folder::new();
     let file = file_with_analog_samples();
     let n_frames = file.frames.len();
     let n_words = n_frames * file.frames[0].len();
     folder.write("a.c3d", file.bytes());
     drop(file);
-    folder.run(&["import", "a.c3d", "-o", "a.take", "--lossless"]).with_code(0);
+    let (import, resident) = run(&folder, &["import", "a.c3d", "-o", "a.take", "--lossless"]);
+    assert_small("import with analog samples", resident);
+    import.with_code(0);
+    let (verify, resident) = run(&folder, &["verify", "a.take", "--against", "a.c3d", "--json"]);
+    assert_small("verify against a file with analog samples", resident);
+    assert_eq!(verify.with_code(0).json()["against"]["bits_differing"], 0);
     let source = words(&folder.read("a.c3d"), n_words);
     let (export, resident) = run(&folder, &["export", "a.take", "-o", "b.c3d"]);
     assert_small("export with analog samples", resident);
@@ -201,6 +206,35 @@ fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
     assert_eq!(part.len(), n_words - 50 * frame_words);
     assert!(analog(&part) == analog(&source[50 * frame_words..]), "analog samples differ");
     assert_ne!(part[..20], source[50 * frame_words..][..20]);
+}
+
+/// Trajectories alone, more than the program may hold, of more markers than a group has.
+#[test]
+fn trajectories_are_imported_and_compared_as_a_stream() {
+    const MARKERS: usize = 80;
+    let folder = Folder::new();
+    let n_frames = (3 * RESIDENT_MAX_BYTES as usize / 2).div_ceil(16 * MARKERS);
+    let frame = |frame: usize| {
+        let words = (0..MARKERS).flat_map(|marker| {
+            let turns = (frame + 7 * marker) as f32 / 300.0;
+            let missing = (frame + 31 * marker) % 500 < 20;
+            let at = [300.0 * turns.sin(), 400.0 * turns.cos(), 900.0 + 10.0 * turns.sin()];
+            if missing { [0.0, 0.0, 0.0, -1.0] } else { [at[0], at[1], at[2], 0.0] }
+        });
+        words.collect()
+    };
+    let mut file = C3dFile::new(MARKERS, (0..n_frames).map(frame).collect());
+    file.floats(1, "LONG_FRAMES", &[n_frames as f32]);
+    folder.write("a.c3d", file.bytes());
+    drop(file);
+    let import = ["import", "a.c3d", "-o", "a.take", "--resampler", "fast", "--threads", "2"];
+    let (import, resident) = run(&folder, &import);
+    assert_small("import of trajectories", resident);
+    import.with_code(0);
+    let (verify, resident) = run(&folder, &["verify", "a.take", "--against", "a.c3d", "--json"]);
+    assert_small("verify against trajectories", resident);
+    let against = &verify.with_code(0).json()["against"];
+    assert_eq!((&against["frames"], &against["frames_missing"]), (&n_frames.into(), &0.into()));
 }
 
 /// An intact header and a hole: it killed the service, again at each start.

@@ -1,8 +1,8 @@
-//! Encodes trajectories that are in memory on several threads: the import path.
+//! Encodes trajectories on several threads: the import path.
 
 use std::{
     collections::VecDeque,
-    io::Write,
+    io::{self, Write},
     panic::{AssertUnwindSafe, catch_unwind},
     sync::atomic::{AtomicU64, Ordering},
     thread::Builder,
@@ -12,7 +12,8 @@ use anyhow::Context;
 use crossbeam_channel::bounded;
 pub use mocapd_take::motion_encoder::stretch_rows;
 use mocapd_take::{
-    motion::Motion,
+    TakeError,
+    motion::{FrameSource, Motion, MotionFrames},
     motion_encoder::{EncodePart, EncodePlan, EncodedPart, MotionWriter},
     record::Header,
 };
@@ -20,10 +21,15 @@ use mocapd_take::{
 use super::{TakeAccount, messages::PartReport};
 use crate::threads::ResamplerFailed;
 
+/// The source of the frames could not be read: what failed is not the take.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub struct SourceFailed(pub io::Error);
+
 /// Encodes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
 ///
 /// # Errors
-/// When the codec refuses (`spline:exhaustive` on a long take), or writing fails.
+/// Those of [`write_frames`].
 pub fn write_take<W: Write>(
     motion: &Motion,
     header: &Header,
@@ -31,30 +37,71 @@ pub fn write_take<W: Write>(
     progress: &AtomicU64,
     out: W,
 ) -> anyhow::Result<(TakeAccount, W)> {
-    let plan = EncodePlan::new(motion, header)?;
-    let mut take = MotionWriter::new(&plan, header, out)
+    write_frames(&mut MotionFrames::new(motion), header, n_workers, progress, out)
+}
+
+/// Encodes all frames of a source with the settings in `header` and writes a whole take, in bounded memory unless the
+/// resampler needs the whole take at once. `progress` counts samples.
+///
+/// # Errors
+/// [`SourceFailed`] when the frames cannot be read; otherwise when the codec refuses (`spline:exhaustive` on a long
+/// take), or writing fails.
+pub fn write_frames<W: Write>(
+    frames: &mut dyn FrameSource,
+    header: &Header,
+    n_workers: usize,
+    progress: &AtomicU64,
+    out: W,
+) -> anyhow::Result<(TakeAccount, W)> {
+    let (plan, parts) = EncodePlan::new(frames, header).map_err(of_source)?;
+    let mut take = MotionWriter::new(&plan, parts.info(), header, out)
         .context("cannot write the take's header, or its data beside the trajectories")?;
     let mut report = PartReport::default();
     let worker = || {
         let mut encoder = plan.encoder();
         move |part: &EncodePart| {
-            let coded = encoder.encode(*part)?;
+            let coded = encoder.encode(part)?;
             progress.fetch_add((part.n_rows * part.n_markers) as u64, Ordering::Relaxed);
             Ok(coded)
         }
     };
-    in_order(plan.parts(), n_workers, worker, |part, coded: EncodedPart| {
+    let mut failed = None;
+    let parts = parts.map_while(|part| part.map_err(|error| failed = Some(error)).ok());
+    let n_workers = n_workers.max(1);
+    let queued_max = queued_parts_max(n_workers, plan.part_bytes());
+    in_order_within(queued_max, parts, n_workers, worker, |part, coded: EncodedPart| {
         coded.reports.iter().for_each(|channel| report.add_channel(channel));
-        take.push(*part, &coded).context("cannot write a stretch")
+        take.push(part, &coded).context("cannot write a stretch")
     })?;
+    if let Some(error) = failed {
+        return Err(of_source(error));
+    }
     let (ledger, out, file_bytes) = take.finish().context("cannot close the take")?;
     let PartReport { samples, kept, max_error_mm, .. } = report;
     Ok((TakeAccount { ledger, file_bytes, samples, kept, max_error_mm, ..Default::default() }, out))
 }
 
+/// An error of reading frames.
+fn of_source(error: TakeError) -> anyhow::Error {
+    match error {
+        TakeError::Io(error) => SourceFailed(error).into(),
+        other => other.into(),
+    }
+}
+
 /// Parts per worker that are handed out before the oldest of them is done: enough to keep workers busy while one part
 /// takes long, and the limit of what is in memory.
 const QUEUED_PER_WORKER: usize = 4;
+
+/// Memory for the samples of the parts that are handed out; each worker has one part in any case. Ten seconds of 64
+/// markers at 240 Hz take 2 MiB.
+const QUEUED_BYTES_MAX: usize = 64 << 20;
+
+/// Most parts of `part_bytes` bytes that are handed out.
+fn queued_parts_max(n_workers: usize, part_bytes: usize) -> usize {
+    let by_memory = QUEUED_BYTES_MAX / part_bytes.max(1);
+    by_memory.clamp(n_workers, QUEUED_PER_WORKER * n_workers)
+}
 
 /// Processes parts on `n_workers` threads, each with its own function from `worker`, and passes the
 /// results to `done` on this thread, in the order of the parts.
@@ -65,7 +112,7 @@ pub fn in_order<P, T, W>(
     parts: impl IntoIterator<Item = P>,
     n_workers: usize,
     worker: impl Fn() -> W + Sync,
-    mut done: impl FnMut(&P, T) -> anyhow::Result<()>,
+    done: impl FnMut(&P, T) -> anyhow::Result<()>,
 ) -> anyhow::Result<()>
 where
     P: Send,
@@ -73,7 +120,22 @@ where
     W: FnMut(&P) -> anyhow::Result<T>,
 {
     let n_workers = n_workers.max(1);
-    let queued_max = QUEUED_PER_WORKER * n_workers;
+    in_order_within(QUEUED_PER_WORKER * n_workers, parts, n_workers, worker, done)
+}
+
+/// Processes parts like [`in_order`], with at most `queued_max` handed out. Parts are taken when they are handed out.
+fn in_order_within<P, T, W>(
+    queued_max: usize,
+    parts: impl IntoIterator<Item = P>,
+    n_workers: usize,
+    worker: impl Fn() -> W + Sync,
+    mut done: impl FnMut(&P, T) -> anyhow::Result<()>,
+) -> anyhow::Result<()>
+where
+    P: Send,
+    T: Send,
+    W: FnMut(&P) -> anyhow::Result<T>,
+{
     let mut parts = parts.into_iter();
     let lost = || anyhow::Error::from(ResamplerFailed);
     std::thread::scope(|scope| {

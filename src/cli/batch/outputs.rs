@@ -124,14 +124,13 @@ pub(crate) fn write_whole<T>(
     if paths::is_dash(output) {
         let writing = "cannot write to standard output";
         let mut file = files::temporary()?;
-        let written = write(&mut file).context(writing)?;
+        let written = write(&mut file)?;
         stdout::copy_to_stdout(&file).context(writing)?;
         return Ok((written, Kept::New));
     }
-    let writing = || format!("cannot write {}", output.display());
     if !in_folder {
         let mut file = NewFile::create(output)?;
-        let written = write(&mut file).with_context(writing)?;
+        let written = write(&mut file)?;
         file.keep()?;
         return Ok((written, Kept::New));
     }
@@ -139,7 +138,7 @@ pub(crate) fn write_whole<T>(
     fs::create_dir_all(folder)
         .with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let mut file = NewFile::create_or_compare(output)?;
-    let written = write(&mut file).with_context(writing)?;
+    let written = write(&mut file)?;
     Ok((written, file.keep_or_compare()?))
 }
 

@@ -128,7 +128,7 @@ impl BenchInput<'_> {
 
 /// Encodes, decodes and compares, and measures both speeds `repeats` times, on one thread.
 fn measure(input: &BenchInput<'_>, codec: &Settings, repeats: u8) -> anyhow::Result<Measured> {
-    let header = header_of(input.motion, input.file, codec);
+    let header = header_of(&input.motion.info, input.file, codec);
     let mut take = Vec::new();
     let encode = median_time(repeats, || {
         take.clear();

@@ -300,15 +300,17 @@ impl ExportPlan<'_> {
             write_folder(frames, &self.args.format.names(&job.input.relative)?, output)?;
             return Ok(Written { kept: Kept::New, bytes: 0, remarks: Vec::new() });
         }
+        let writing = || format!("cannot write {}", output.display());
         let ((bytes, remarks), kept) = outputs::write_whole(output, self.is_folder, |out| {
             let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut *out);
             let remarks = if self.format == Format::Mot {
-                mot::write(frames, &mut buffered, self.args.format.baseline())?
+                mot::write(frames, &mut buffered, self.args.format.baseline())
+                    .with_context(writing)?
             } else {
-                write_frames(frames, self.format, &mut buffered)?;
+                write_frames(frames, self.format, &mut buffered).with_context(writing)?;
                 Vec::new()
             };
-            buffered.flush()?;
+            buffered.flush().with_context(writing)?;
             drop(buffered);
             Ok((out.seek(SeekFrom::End(0))?, remarks))
         })?;
@@ -406,10 +408,11 @@ pub(super) fn write(
     format: Format,
     path: &Path,
 ) -> anyhow::Result<()> {
+    let writing = || format!("cannot write {}", path.display());
     outputs::write_whole(path, false, |out| {
         let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
-        write_frames(frames, format, &mut out)?;
-        Ok(out.flush()?)
+        write_frames(frames, format, &mut out).with_context(writing)?;
+        out.flush().with_context(writing)
     })?;
     Ok(())
 }

@@ -2,16 +2,13 @@
 
 use std::{fmt::Write, path::PathBuf};
 
-use mocapd_take::{
-    interchange::ReadOptions,
-    motion::{Motion, is_gap},
-};
+use mocapd_take::motion::{Motion, is_gap};
 use serde::Serialize;
 
 use super::LABEL_COLUMNS_MAX;
 use crate::cli::{
     batch::{Figures, FileReport, Job},
-    original::read_motion_and_bytes,
+    motion_files::read_motion_input,
     output::{plain, plain_path},
     values::{bytes, count, length_of_time, rate, thousands},
 };
@@ -71,8 +68,8 @@ struct ChannelReport {
 /// # Errors
 /// If it cannot be read.
 pub(super) fn info(job: &Job<'_>) -> anyhow::Result<FileReport> {
-    let (motion, bytes) = read_motion_and_bytes(job.input, &ReadOptions::default())?;
-    let report = MotionFileReport::new(job, &motion, bytes.len() as u64);
+    let (motion, file_bytes) = read_motion_input(job)?;
+    let report = MotionFileReport::new(job, &motion, file_bytes);
     if !job.is_json {
         report.warnings.iter().for_each(|warning| job.notify(warning));
     }

@@ -223,7 +223,9 @@ impl PictureArgs {
         let picture = Picture { job, name: file_name(&job.input.name), take, original, end };
         let svg = draw(&picture)?;
         let bytes = if format == PictureFormat::Png { png(&svg)? } else { svg.into_bytes() };
-        let ((), kept) = outputs::write_whole(output, in_folder, |out| Ok(out.write_all(&bytes)?))?;
+        let ((), kept) = outputs::write_whole(output, in_folder, |out| {
+            out.write_all(&bytes).with_context(|| format!("cannot write {}", output.display()))
+        })?;
         let take = &picture.take;
         let report = PlotReport {
             file: job.input.name.clone(),

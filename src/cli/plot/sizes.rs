@@ -123,7 +123,7 @@ fn file_bytes(
     counter: &AtomicU64,
 ) -> anyhow::Result<u64> {
     let settings = Settings { kind, tolerance: Tolerance::from_mm(tolerance_mm)? };
-    let header = header_of(motion, path, &settings);
+    let header = header_of(&motion.info, path, &settings);
     let before = counter.load(Ordering::Relaxed);
     let workers = threads::default_workers();
     let (written, _) = offline::write_take(motion, &header, workers, counter, std::io::sink())?;

@@ -68,7 +68,8 @@ fn recover(job: &Job<'_>, is_folder: bool) -> anyhow::Result<FileReport> {
     let (mut input, repaired) = repair_start(counting).with_context(reading)?;
     let scan = RecoveryScan::read(&mut input).with_context(reading)?;
     let (written, kept) = outputs::write_whole(output, is_folder, |out| {
-        Ok(scan.write(&mut input, BufWriter::new(out), SOFTWARE)?)
+        scan.write(&mut input, BufWriter::new(out), SOFTWARE)
+            .with_context(|| format!("cannot write {}", output.display()))
     })?;
     drop(phase);
 

@@ -131,7 +131,7 @@ pub(super) struct InMemory;
 
 impl Coder for InMemory {
     fn take(&self, motion: &Motion, settings: &Settings) -> Result<Vec<u8>, String> {
-        let header = header_of(motion, Path::new("study"), settings);
+        let header = header_of(&motion.info, Path::new("study"), settings);
         let mut take = Vec::new();
         let written = offline::write_take(motion, &header, 1, &AtomicU64::new(0), &mut take);
         written.map_err(|error| format!("{error:#}"))?;

@@ -1,6 +1,6 @@
 //! `verify --against`: a take compared with its original, as JSON (docs/json.md) and as text.
 
-use std::{io::BufReader, path::Path};
+use std::{io::BufReader, path::Path, sync::Arc};
 
 use anyhow::Context;
 use mocapd_acquire::files::SparseFile;
@@ -8,12 +8,16 @@ use mocapd_take::{
     TakeFrames,
     compare::{Difference, compare},
     interchange::ReadOptions,
-    motion::{Ambiguity, MotionFrames},
+    motion::{Ambiguity, FrameSource},
 };
 use serde::Serialize;
 
 use crate::cli::{
-    motion_files::read_options, original::read_motion_with, output::plain, paths, values::count,
+    motion_files::read_options,
+    original::{MotionSource, open_motion},
+    output::plain,
+    paths,
+    values::count,
 };
 
 /// Most labels that the text lists; the JSON has all of them.
@@ -63,10 +67,11 @@ pub(crate) fn against(
         (compare(take_frames, original), exact)
     } else {
         let options = read_options(&take_frames);
-        let motion = read_motion_with(original, &options)?;
-        ambiguities.extend(motion.info.source.ambiguities.iter().map(AmbiguityReport::from));
+        let source = MotionSource::file(original)?;
+        let motion = open_motion(&source, &options, false, &Arc::default())?;
+        ambiguities.extend(motion.info().source.ambiguities.iter().map(AmbiguityReport::from));
         notes.extend(note_of(&options));
-        (compare(take_frames, MotionFrames::new(&motion)), true)
+        (compare(take_frames, motion), true)
     };
     let mut difference = difference.with_context(|| {
         format!("cannot compare {} with {}", take.display(), original.display())

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::cli::{
     batch::{Figures, FileReport, Job},
-    original::read_motion_and_bytes,
+    motion_files::read_motion_input,
     output::plain_path,
     values::{count, rate},
 };
@@ -35,7 +35,7 @@ struct MotionFileReport {
 /// # Errors
 /// If it cannot be read.
 pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
-    let (motion, bytes) = read_motion_and_bytes(job.input, &Default::default())?;
+    let (motion, file_bytes) = read_motion_input(job)?;
     let (info, frames) = (&motion.info, motion.n_frames() as u64);
     let report = MotionFileReport {
         file: job.input.name.clone(),
@@ -61,7 +61,7 @@ pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
         figures: Figures {
             frames,
             seconds: report.seconds,
-            bytes_read: bytes.len() as u64,
+            bytes_read: file_bytes,
             ..Figures::default()
         },
         ..FileReport::default()

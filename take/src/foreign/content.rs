@@ -2,11 +2,13 @@
 
 use std::{
     fmt::Debug,
-    io::{self, BufRead, BufReader, Read},
-    sync::{Arc, atomic::AtomicU64, atomic::Ordering},
+    io::{self, BufRead, BufReader, BufWriter, IntoInnerError, Read, Write},
+    sync::{Arc, Mutex, PoisonError, atomic::AtomicU64, atomic::Ordering},
 };
 
-/// Most bytes of all foreign parts of a take in memory; further parts go into a scratch file. Parameters and header
+use super::DATA_BYTES_MAX;
+
+/// Most bytes of all foreign parts of a take or file in memory; further parts go into a scratch file. Parameters and header
 /// lines, which every imported C3D or TRC file has, take a few kB; the analog data of a short trial takes a few
 /// hundred.
 const MEMORY_BYTES_MAX: u64 = 8 << 20;
@@ -42,15 +44,29 @@ enum Storage {
         from: u64,
         len: u64,
     },
+    /// `len` bytes that were not kept.
+    Omitted {
+        len: u64,
+    },
 }
 
 impl Content {
+    /// The content of a part that nobody wants to read, or that is too long to be kept: only its length is known.
+    pub(crate) fn omitted(len: u64) -> Self {
+        Self(Storage::Omitted { len })
+    }
+
+    /// Whether only the length is known.
+    pub(crate) fn is_omitted(&self) -> bool {
+        matches!(self.0, Storage::Omitted { .. })
+    }
+
     /// Number of bytes.
     #[must_use]
     pub fn len(&self) -> u64 {
         match &self.0 {
             Storage::Memory(bytes) => bytes.len() as u64,
-            Storage::Scratch { len, .. } => *len,
+            Storage::Scratch { len, .. } | Storage::Omitted { len } => *len,
         }
     }
 
@@ -76,7 +92,7 @@ impl Content {
     /// Fills `bytes` from byte `at` on.
     ///
     /// # Errors
-    /// `UnexpectedEof` beyond the end; those of the scratch file.
+    /// `UnexpectedEof` beyond the end; `Unsupported` if the bytes were not kept; those of the scratch file.
     pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
@@ -86,6 +102,7 @@ impl Content {
                 Ok(())
             }
             Storage::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
+            Storage::Omitted { .. } => Err(io::ErrorKind::Unsupported.into()),
         }
     }
 
@@ -102,7 +119,7 @@ impl Content {
     /// A copy that can be [overwritten](Self::write_at); a clone shares the bytes of a scratch file.
     pub(crate) fn copy(&self) -> io::Result<Self> {
         match &self.0 {
-            Storage::Memory(_) => Ok(self.clone()),
+            Storage::Memory(_) | Storage::Omitted { .. } => Ok(self.clone()),
             Storage::Scratch { scratch, len, .. } => scratch.put(&mut self.reader(), *len),
         }
     }
@@ -117,6 +134,36 @@ impl Content {
                 Ok(())
             }
             Storage::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),
+            Storage::Omitted { .. } => Ok(()),
+        }
+    }
+
+    /// Writes what `write` produces, at most `len_max` bytes, where these bytes are: into memory, or into the same
+    /// scratch file.
+    ///
+    /// # Errors
+    /// `Unsupported` if the bytes were not kept; those of `write` and of the scratch file.
+    pub(crate) fn converted(
+        &self,
+        len_max: u64,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> io::Result<Self> {
+        match &self.0 {
+            Storage::Memory(_) => {
+                let mut bytes = Vec::new();
+                write(&mut bytes)?;
+                Ok(bytes.into())
+            }
+            Storage::Scratch { scratch, .. } => {
+                let from = scratch.end.fetch_add(len_max, Ordering::Relaxed);
+                let end = from.saturating_add(len_max);
+                let region = ScratchRegion { scratch, at: from, end };
+                let mut buffered = BufWriter::with_capacity(BLOCK_BYTES, region);
+                write(&mut buffered)?;
+                let len = buffered.into_inner().map_err(IntoInnerError::into_error)?.at - from;
+                Ok(Self(Storage::Scratch { scratch: Arc::clone(scratch), from, len }))
+            }
+            Storage::Omitted { .. } => Err(io::ErrorKind::Unsupported.into()),
         }
     }
 }
@@ -146,6 +193,26 @@ impl PartialEq for Content {
                 let (a, b) = (&mut a[..n], &mut b[..n]);
                 self.read_at(at, a).is_ok() && other.read_at(at, b).is_ok() && a == b
             })
+    }
+}
+
+/// Writes a region of a scratch file from its beginning.
+struct ScratchRegion<'a> {
+    scratch: &'a Scratch,
+    at: u64,
+    end: u64,
+}
+
+impl Write for ScratchRegion<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n = (self.end - self.at).min(bytes.len() as u64) as usize;
+        self.scratch.file.write_at(self.at, &bytes[..n])?;
+        self.at += n as u64;
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
@@ -235,9 +302,41 @@ impl Scratch {
         }
         Ok(Content(Storage::Scratch { scratch: Arc::clone(self), from, len: written }))
     }
+
+    /// Reserves `len` zeros.
+    fn zeros(self: &Arc<Self>, len: u64) -> io::Result<Content> {
+        let from = self.end.fetch_add(len, Ordering::Relaxed);
+        if let Some(last) = len.checked_sub(1) {
+            // The file ends after them; the bytes before are a hole, which reads as zeros.
+            self.file.write_at(from + last, &[0])?;
+        }
+        Ok(Content(Storage::Scratch { scratch: Arc::clone(self), from, len }))
+    }
 }
 
-/// Stores the foreign parts of a take: the first ones in memory, the rest in a scratch file.
+/// A scratch file in memory, for callers that have the whole source in memory anyway.
+#[derive(Debug, Default)]
+pub(crate) struct MemoryScratch(Mutex<Vec<u8>>);
+
+impl ScratchFile for MemoryScratch {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        let file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let held = file.get(at as usize..).and_then(|held| held.get(..bytes.len()));
+        bytes.copy_from_slice(held.ok_or(io::ErrorKind::UnexpectedEof)?);
+        Ok(())
+    }
+
+    fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let end = at as usize + bytes.len();
+        let len = file.len().max(end);
+        file.resize(len, 0);
+        file[at as usize..end].copy_from_slice(bytes);
+        Ok(())
+    }
+}
+
+/// Stores the foreign parts of a take or file: the first ones in memory, the rest in a scratch file.
 #[derive(Debug)]
 pub(crate) struct Spool<F> {
     new_scratch: F,
@@ -255,14 +354,7 @@ impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
     pub(crate) fn put(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
         let memory_bytes = self.memory_bytes.saturating_add(len);
         if memory_bytes > MEMORY_BYTES_MAX {
-            let scratch = match &self.scratch {
-                Some(scratch) => scratch,
-                None => {
-                    let file = (self.new_scratch)()?;
-                    self.scratch.insert(Arc::new(Scratch { file, end: AtomicU64::new(0) }))
-                }
-            };
-            return scratch.put(input, len);
+            return self.scratch()?.put(input, len);
         }
         // Memory grows with the actual input; a few damaged bytes can claim any length.
         let mut bytes = Vec::new();
@@ -270,32 +362,59 @@ impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
         self.memory_bytes = memory_bytes;
         Ok(bytes.into())
     }
+
+    /// Reserves `len` zeros to [overwrite](Content::write_at). The caller has read about as many bytes.
+    pub(crate) fn zeros(&mut self, len: u64) -> io::Result<Content> {
+        let memory_bytes = self.memory_bytes.saturating_add(len);
+        if memory_bytes > MEMORY_BYTES_MAX {
+            return self.scratch()?.zeros(len);
+        }
+        self.memory_bytes = memory_bytes;
+        Ok(vec![0; len as usize].into())
+    }
+
+    fn scratch(&mut self) -> io::Result<&Arc<Scratch>> {
+        match &mut self.scratch {
+            Some(scratch) => Ok(scratch),
+            none => {
+                let file = (self.new_scratch)()?;
+                Ok(none.insert(Arc::new(Scratch { file, end: AtomicU64::new(0) })))
+            }
+        }
+    }
+}
+
+/// Creates a scratch file.
+pub(crate) type NewScratch<'a> = &'a dyn Fn() -> io::Result<Arc<dyn ScratchFile>>;
+
+/// Stores the foreign parts of a file that is imported.
+pub(crate) struct PartStore<'a> {
+    /// `None` if only the kinds and lengths are wanted.
+    spool: Option<Spool<NewScratch<'a>>>,
+}
+
+impl<'a> PartStore<'a> {
+    /// Keeps the content, or only kinds and lengths.
+    pub(crate) fn new(keeps: bool, new_scratch: NewScratch<'a>) -> Self {
+        Self { spool: keeps.then(|| Spool::new(new_scratch)) }
+    }
+
+    /// Reserves `len` zeros for a part, to [overwrite](Content::write_at). They are not kept if the part is not wanted,
+    /// or longer than a take can hold.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(crate) fn zeros(&mut self, len: u64) -> io::Result<Content> {
+        match &mut self.spool {
+            Some(spool) if len <= DATA_BYTES_MAX => spool.zeros(len),
+            _ => Ok(Content::omitted(len)),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
-
     use super::*;
-
-    #[derive(Debug, Default)]
-    struct MemoryScratch(Mutex<Vec<u8>>);
-
-    impl ScratchFile for MemoryScratch {
-        fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
-            bytes.copy_from_slice(&self.0.lock().unwrap()[at as usize..][..bytes.len()]);
-            Ok(())
-        }
-
-        fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
-            let mut file = self.0.lock().unwrap();
-            let end = at as usize + bytes.len();
-            let len = file.len().max(end);
-            file.resize(len, 0);
-            file[at as usize..end].copy_from_slice(bytes);
-            Ok(())
-        }
-    }
 
     fn memory_scratch() -> io::Result<Arc<dyn ScratchFile>> {
         Ok(Arc::new(MemoryScratch::default()))
@@ -333,6 +452,38 @@ mod tests {
             assert_eq!(content, bytes(300).into());
             assert_eq!(copy.to_vec(300).unwrap().unwrap()[298..], [1, 2]);
         }
+    }
+
+    #[test]
+    fn reserved_zeros_are_overwritten_and_converted_where_they_are() {
+        for memory_bytes in [0, MEMORY_BYTES_MAX] {
+            let mut spool = Spool { memory_bytes, ..Spool::new(memory_scratch) };
+            let mut first = spool.zeros(200_000).unwrap();
+            let second = spool.zeros(3).unwrap();
+            assert_eq!(first, vec![0; 200_000].into());
+            first.write_at(70_000, b"abc").unwrap();
+            assert!(first.write_at(199_998, b"abc").is_err());
+            assert_eq!(second, vec![0; 3].into());
+            let twice = |out: &mut dyn Write| {
+                (0..2).try_for_each(|_| io::copy(&mut first.reader(), out).map(|_| ()))
+            };
+            let converted = first.converted(400_000, twice).unwrap();
+            let bytes = converted.to_vec(400_000).unwrap().unwrap();
+            assert_eq!((bytes.len(), &bytes[270_000..270_004]), (400_000, &b"abc\0"[..]));
+            assert_eq!(bytes[..200_000], bytes[200_000..]);
+            if memory_bytes > 0 {
+                assert!(first.converted(399_999, twice).is_err());
+            }
+            assert_eq!(second, vec![0; 3].into());
+        }
+    }
+
+    #[test]
+    fn omitted_content_has_a_length_only() {
+        let mut omitted = Content::omitted(1 << 40);
+        assert_eq!(omitted.len(), 1 << 40);
+        assert!(omitted.read_at(7, &mut [0]).is_err() && omitted.clone() != omitted);
+        omitted.write_at(7, b"nowhere").unwrap();
     }
 
     #[test]

@@ -2,17 +2,21 @@
 //! and BIDS for export, and with the feature `full` also Parquet and MCAP; `OpenSim`'s `.mot` for the export of force
 //! plates.
 //!
-//! An importer turns the bytes of a whole file into a [`Motion`] in millimetres: it multiplies each coordinate as
-//! stored or printed by one factor in f64 and rounds once to f32. It reads a faulty file where that is possible and
-//! lists the faults in [`crate::motion::Source::warnings`]. Analog samples, residuals, parameters and everything else
-//! that is not a trajectory goes into [`crate::motion::Foreign`] (`docs/foreign.md`).
+//! An importer turns a file into frames in millimetres, one after another ([`MotionReader`]) or all of them as a
+//! [`Motion`]: it multiplies each coordinate as stored or printed by one factor in f64 and rounds once to f32. It reads
+//! a faulty file where that is possible and lists the faults in [`crate::motion::Source::warnings`]. Analog samples,
+//! residuals, parameters and everything else that is not a trajectory goes into [`crate::motion::Foreign`]
+//! (`docs/foreign.md`).
 //! An exporter streams: it writes each frame as the source delivers it.
 
-use std::io::{self, Write};
+use std::{
+    io::{self, Cursor, Write},
+    sync::Arc,
+};
 
 use crate::{
     ambiguity::Notes,
-    foreign::{self, force_plates::Baseline},
+    foreign::{self, content::MemoryScratch, force_plates::Baseline},
     motion::{FrameSource, GAP, Motion, MotionInfo, Position, UpAxis, is_gap},
 };
 
@@ -24,6 +28,7 @@ mod mcap;
 #[cfg(feature = "full")]
 mod metadata;
 pub mod mot;
+mod motion_reader;
 pub mod npz;
 mod origin;
 #[cfg(feature = "full")]
@@ -31,6 +36,7 @@ mod parquet;
 mod rotated;
 mod rotation;
 mod row_timing;
+mod source_file;
 mod table;
 mod text;
 mod trc;
@@ -40,6 +46,7 @@ mod xdf;
 mod zip;
 
 pub use csv::quote as csv_cell;
+pub use motion_reader::{MotionReader, ReaderSettings};
 pub use rotated::RotatedFrames;
 pub use rotation::Direction;
 pub use text::column_labels;
@@ -106,6 +113,9 @@ pub enum InterchangeError {
     /// The format cannot hold these trajectories, or this build cannot write it.
     #[error("{0}")]
     Unsupported(String),
+    /// Another program changed the file between two passes over it.
+    #[error("another program changed it during the read")]
+    Changed,
     /// Reading the source or writing the output failed.
     #[error(transparent)]
     Io(#[from] io::Error),
@@ -168,24 +178,19 @@ impl Format {
         self.read_with(bytes, &ReadOptions::default())
     }
 
-    /// Reads the bytes of a whole file with a unit or an up axis that overrides the file's own.
+    /// Reads the bytes of a whole file with a unit or an up axis that overrides the file's own. [`MotionReader`] reads
+    /// a file without holding it.
     ///
     /// # Errors
     /// `Malformed` if the file holds nothing usable; `Unsupported` for a format that is export only.
     pub fn read_with(self, bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
-        match self {
-            Self::C3d => c3d::read(bytes, options),
-            Self::Trc => trc::read(bytes, options),
-            Self::Tsv => tsv::read(bytes, options),
-            Self::Csv | Self::CsvLong => csv::read(bytes, options),
-            Self::Npz
-            | Self::Xdf
-            | Self::Bids
-            | Self::Mot
-            | Self::Parquet
-            | Self::ParquetWide
-            | Self::Mcap => unsupported("this format is export only: import c3d, trc, tsv or csv"),
-        }
+        let settings = ReaderSettings {
+            options: *options,
+            keeps_foreign: true,
+            new_scratch: &|| Ok(Arc::new(MemoryScratch::default())),
+            bytes_read: Arc::default(),
+        };
+        MotionReader::open(self, Cursor::new(bytes), &settings)?.into_motion()
     }
 
     /// What files of this format can hold. The match has no default arm, so that a new format must be added to it.

@@ -17,17 +17,10 @@ const STEPS: f64 = 10.0;
 /// own marker does not approach the origin. If the marker passes through the origin, the sample is a position.
 pub(super) fn missing(positions: &[Position], n_markers: usize) -> Vec<bool> {
     let mut missing = vec![false; positions.len()];
-    if !positions.contains(&ORIGIN) {
-        return missing;
-    }
-    let moves: Vec<bool> = (0..n_markers).map(|i| is_moving(positions, n_markers, i)).collect();
-    let n_moving = moves.iter().filter(|&&moves| moves).count();
-    for (marker, &moves) in moves.iter().enumerate() {
-        let others_move = n_moving > usize::from(moves);
-        // A single marker has no others to compare with: its own motion decides.
-        if others_move || (n_markers == 1 && moves) {
-            mark_missing(positions, n_markers, marker, &mut missing);
-        }
+    let mut scan = OriginScan::new(n_markers);
+    positions.chunks_exact(n_markers.max(1)).for_each(|row| scan.add_row(row));
+    for marker in scan.suspects() {
+        mark_missing(positions, n_markers, marker, &mut missing);
     }
     missing
 }
@@ -51,17 +44,161 @@ pub(super) fn replace_with_gaps(positions: &mut [Position], n_markers: usize) ->
 /// Notes samples at the origin in a format with its own mark for missing samples. Other readers take them for
 /// positions, so they stay positions, but the program that wrote the file may have meant missing samples.
 pub(super) fn note_samples_at_origin(positions: &[Position], n_markers: usize, notes: &mut Notes) {
-    let zeros = positions.iter().filter(|&&p| p == [0.0; 3]).count() as u64;
-    if zeros == 0 {
-        return;
+    let rows = || positions.chunks_exact(n_markers.max(1));
+    let mut scan = OriginScan::new(n_markers);
+    rows().for_each(|row| scan.add_row(row));
+    if scan.needs_steps() {
+        rows().for_each(|row| scan.add_steps(row));
     }
-    if missing(positions, n_markers).contains(&true) {
-        notes.ambiguous(Ambiguity::Origin { samples: zeros, gaps: false });
-    } else {
-        let present = positions.iter().filter(|&&p| !is_gap(p)).count();
-        notes.warnings.push(format!(
-            "At the origin and not marked as missing, kept as positions: {zeros} of {present} samples."
-        ));
+    scan.note(notes);
+}
+
+/// Finds the samples at the origin, row by row.
+///
+/// A marker's samples at the origin are missing ones, rather than positions, if it is there for two frames or more, or
+/// if it is far away before and after. What is far depends on the median of its steps; as only a comparison with it
+/// counts, the rows are read again to count the steps on either side.
+#[derive(Debug)]
+pub(super) struct OriginScan {
+    markers: Vec<MarkerScan>,
+    n_present: u64,
+    n_at_origin: u64,
+}
+
+/// What is known of a marker.
+#[derive(Debug, Clone, Copy, Default)]
+struct MarkerScan {
+    /// Its first position other than the origin.
+    first: Option<Position>,
+    /// Whether it has another one.
+    moves: bool,
+    last: Option<Position>,
+    /// Number of its last samples that are all at the origin.
+    run: u64,
+    /// Distance from the origin of its sample before that run.
+    before: Option<f64>,
+    is_long: bool,
+    /// Of its single samples at the origin, the largest distance to the nearer one of their neighbours; infinite if
+    /// there are none.
+    farthest_single: Option<f64>,
+    last_of_steps: Option<Position>,
+    n_steps: u64,
+    /// Steps so short that the farthest single sample is not within the marker's path.
+    n_short_steps: u64,
+}
+
+impl OriginScan {
+    pub(super) fn new(n_markers: usize) -> Self {
+        Self { markers: vec![MarkerScan::default(); n_markers], n_present: 0, n_at_origin: 0 }
+    }
+
+    /// Adds the positions of the next frame.
+    pub(super) fn add_row(&mut self, row: &[Position]) {
+        for (marker, &at) in self.markers.iter_mut().zip(row).filter(|(_, at)| !is_gap(**at)) {
+            self.n_present += 1;
+            self.n_at_origin += u64::from(at == ORIGIN);
+            marker.add(at);
+        }
+    }
+
+    /// The markers whose samples at the origin may be missing ones: others move, or a single one does itself.
+    pub(super) fn suspects(&self) -> impl Iterator<Item = usize> {
+        let n_moving = self.markers.iter().filter(|marker| marker.moves).count();
+        let is_single = self.markers.len() == 1;
+        let markers = self.markers.iter().enumerate();
+        markers.filter_map(move |(index, marker)| {
+            let others_move = n_moving > usize::from(marker.moves);
+            let is_suspect = others_move || (is_single && marker.moves);
+            (is_suspect && marker.is_at_origin()).then_some(index)
+        })
+    }
+
+    /// Whether [`note`](Self::note) depends on steps, for which all rows must be [added again](Self::add_steps).
+    pub(super) fn needs_steps(&self) -> bool {
+        let mut suspects = self.suspects().peekable();
+        suspects.peek().is_some() && !suspects.any(|marker| self.markers[marker].is_long)
+    }
+
+    /// Adds the positions of the next frame once more.
+    pub(super) fn add_steps(&mut self, row: &[Position]) {
+        for (marker, &at) in self.markers.iter_mut().zip(row).filter(|(_, at)| !is_gap(**at)) {
+            marker.add_step(at);
+        }
+    }
+
+    /// Notes the samples at the origin.
+    pub(super) fn note(&self, notes: &mut Notes) {
+        let (samples, n_present) = (self.n_at_origin, self.n_present);
+        if samples == 0 {
+            return;
+        }
+        if self.suspects().any(|marker| self.markers[marker].has_missing()) {
+            notes.ambiguous(Ambiguity::Origin { samples, gaps: false });
+        } else {
+            notes.warnings.push(format!(
+                "At the origin and not marked as missing, kept as positions: {samples} of {n_present} samples."
+            ));
+        }
+    }
+}
+
+impl MarkerScan {
+    fn is_at_origin(&self) -> bool {
+        self.run > 0 || self.is_long || self.farthest_single.is_some()
+    }
+
+    fn add(&mut self, at: Position) {
+        if at == ORIGIN {
+            if self.run == 0 {
+                self.before = self.last.map(|last| distance(last, ORIGIN));
+            }
+            self.run += 1;
+            self.is_long |= self.run > 1;
+        } else {
+            if self.run > 0 {
+                self.end_run(Some(distance(at, ORIGIN)));
+            }
+            match self.first {
+                None => self.first = Some(at),
+                Some(first) => self.moves |= at != first,
+            }
+        }
+        self.last = Some(at);
+    }
+
+    /// Ends a run at the origin. The sample after it is at the distance `after`.
+    fn end_run(&mut self, after: Option<f64>) {
+        if self.run == 1 {
+            let nearer = [self.before, after].into_iter().flatten().fold(f64::INFINITY, f64::min);
+            let before = self.farthest_single.unwrap_or(0.0);
+            self.farthest_single = Some(nearer.max(before));
+        }
+        self.run = 0;
+    }
+
+    /// The largest distance of a single sample at the origin to the nearer one of its neighbours.
+    fn farthest(&self) -> Option<f64> {
+        let mut ended = *self;
+        ended.end_run(None);
+        ended.farthest_single
+    }
+
+    fn add_step(&mut self, at: Position) {
+        let before = self.last_of_steps.replace(at);
+        if let (Some(before), Some(farthest)) = (before.filter(|&at| at != ORIGIN), self.farthest())
+            && at != ORIGIN
+        {
+            self.n_steps += 1;
+            self.n_short_steps += u64::from(farthest > STEPS * distance(before, at));
+        }
+    }
+
+    /// Whether some of its samples at the origin are missing ones: the same as [`mark_missing`], which marks them.
+    fn has_missing(&self) -> bool {
+        // The median, the upper one for an even count, is too short if at least as many steps are too short as come
+        // before it and itself.
+        let median_is_short = self.n_steps == 0 || self.n_short_steps > self.n_steps / 2;
+        self.is_long || self.farthest().is_some_and(|farthest| farthest > 0.0 && median_is_short)
     }
 }
 
@@ -73,13 +210,6 @@ fn samples(
 ) -> impl Iterator<Item = (usize, Position)> {
     let column = positions.iter().skip(marker).step_by(n_markers.max(1)).copied();
     column.enumerate().filter(|&(_, at)| !is_gap(at))
-}
-
-/// Whether a marker has two different positions other than the origin.
-fn is_moving(positions: &[Position], n_markers: usize, marker: usize) -> bool {
-    let mut elsewhere = samples(positions, n_markers, marker).filter(|(_, at)| *at != ORIGIN);
-    let first = elsewhere.next().map(|(_, at)| at);
-    elsewhere.any(|(_, at)| Some(at) != first)
 }
 
 /// Marks the samples of one marker that are missing: its runs at the origin, except single frames on its path.
@@ -146,6 +276,39 @@ mod tests {
         let mut path: Vec<Position> = (0..9).map(|i| [900.0 + i as f32, 0.0, 0.0]).collect();
         path[4] = ORIGIN;
         assert_eq!(replace_with_gaps(&mut path, 1), 1);
+    }
+
+    #[test]
+    fn a_scan_finds_missing_samples_where_they_are_marked() {
+        // Few different positions, so that samples at the origin, single ones and runs, are near and far.
+        let mut state = 1_u64;
+        let mut number = |n: u64| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 33) % n
+        };
+        let (mut n_missing, mut n_kept) = (0, 0);
+        for _ in 0..20_000 {
+            let n_markers = 1 + number(3) as usize;
+            let n_frames = number(9) as usize;
+            let far = [1.0, 9.0, 12.0, 500.0][number(4) as usize];
+            let mut position = |_| match number(6) {
+                0 => GAP,
+                1 => ORIGIN,
+                n => [far + n as f32 / 2.0, 0.0, 0.0],
+            };
+            let positions: Vec<Position> = (0..n_frames * n_markers).map(&mut position).collect();
+            let is_missing = missing(&positions, n_markers).contains(&true);
+            let mut notes = Notes::default();
+            note_samples_at_origin(&positions, n_markers, &mut notes);
+            let n_at_origin = positions.iter().filter(|&&at| at == ORIGIN).count() as u64;
+            let noted = Ambiguity::Origin { samples: n_at_origin, gaps: false };
+            let expected = if is_missing { vec![noted] } else { vec![] };
+            assert_eq!(notes.ambiguities, expected, "{n_markers}: {positions:?}");
+            assert_eq!(notes.warnings.len(), usize::from(n_at_origin > 0));
+            n_missing += u64::from(is_missing);
+            n_kept += u64::from(!is_missing && n_at_origin > 0);
+        }
+        assert!(n_missing > 1000 && n_kept > 1000, "{n_missing} and {n_kept}");
     }
 
     #[test]

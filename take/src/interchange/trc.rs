@@ -13,7 +13,7 @@ use super::{
     put_position,
     table::{CUT_OFF, Table},
     text::{self, Separator, column_labels, without_tabs},
-    units::{FileUnit, ToMillimetres},
+    units::{FileUnit, MotionExtent, ToMillimetres},
     write_frames,
 };
 use crate::{
@@ -65,7 +65,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     if samples > 0 {
         notes.ambiguous(Ambiguity::Origin { samples, gaps: true });
     }
-    unit.check(&positions_mm, width, &mut notes);
+    unit.check(&mut MotionExtent::of(&positions_mm, width), &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {

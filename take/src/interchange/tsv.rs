@@ -14,7 +14,7 @@ use super::{
     put_position,
     table::Table,
     text::{self, Separator, column_labels, kept_header, value_of, without_tabs},
-    units::{FileUnit, ToMillimetres},
+    units::{FileUnit, MotionExtent, ToMillimetres},
     write_frames,
 };
 use crate::{
@@ -66,7 +66,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut events = header.events(first_frame, n_frames);
     events.sort_by_key(|event| event.frame);
     let positions_mm = table.into_positions(width)?;
-    unit.check(&positions_mm, width, &mut notes);
+    unit.check(&mut MotionExtent::of(&positions_mm, width), &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {

@@ -152,23 +152,23 @@ impl FileUnit {
 
     /// Notes an ambiguity if the unit is unknown, or if the file states a unit that the extent of the motion
     /// contradicts.
-    pub(super) fn check(&self, positions: &[Position], n_markers: usize, notes: &mut Notes) {
+    pub(super) fn check(&self, extent: &mut MotionExtent, notes: &mut Notes) {
         if self.is_given {
             return;
         }
         let stated = self.stated.clone();
         if self.is_known {
-            if positions.len() < STATED_CHECKED_FRAMES_MIN * n_markers {
+            if extent.n_frames < STATED_CHECKED_FRAMES_MIN {
                 return;
             }
-            let span_mm = span(positions, n_markers).max(farthest(positions, n_markers));
+            let span_mm = extent.span().max(extent.farthest);
             let unit = Ambiguity::StatedUnit { stated, span_mm };
             if unit.is_in_doubt() {
                 notes.ambiguous(unit);
             }
             return;
         }
-        let unit = Ambiguity::Unit { stated, span: span(positions, n_markers) };
+        let unit = Ambiguity::Unit { stated, span: extent.span() };
         if !self.defaults_to_mm || unit.is_in_doubt() {
             notes.ambiguous(unit);
         }
@@ -200,47 +200,103 @@ const STATED_CHECKED_FRAMES_MIN: usize = 50;
 /// Most frames to measure, evenly spread over the file.
 const FRAMES_MEASURED: usize = 500;
 
-/// The frames to measure.
-fn measured(positions: &[Position], n_markers: usize) -> impl Iterator<Item = &[Position]> {
-    let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
-    let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
-    positions.chunks(n_markers.max(1)).step_by(step)
+/// The extent of a motion, measured in some of its frames.
+#[derive(Debug)]
+pub(super) struct MotionExtent {
+    n_frames: usize,
+    /// Frames from one that is measured to the next.
+    step: usize,
+    n_added: usize,
+    /// The extent of each measured frame with two samples or more.
+    spans: Vec<f64>,
+    path: Bounds,
+    /// The largest absolute coordinate.
+    farthest: f64,
 }
 
-/// The span of the markers: the largest extent of one frame's markers along an axis, as the median over frames. For a
-/// single marker, or if no frame has two, the extent of the whole path. 0 without samples.
-fn span(positions: &[Position], n_markers: usize) -> f64 {
-    let mut spans: Vec<f64> = measured(positions, n_markers)
-        .filter(|frame| frame.iter().filter(|&&at| !is_gap(at)).count() > 1)
-        .map(|frame| extent(frame.iter().copied()))
-        .collect();
-    let of_path = || extent(measured(positions, n_markers).flatten().copied());
-    median(&mut spans).unwrap_or_else(of_path)
+impl MotionExtent {
+    /// Prepares to measure a motion of `n_frames` frames.
+    pub(super) fn new(n_frames: usize) -> Self {
+        Self {
+            n_frames,
+            step: n_frames.div_ceil(FRAMES_MEASURED).max(1),
+            n_added: 0,
+            spans: Vec::new(),
+            path: Bounds::default(),
+            farthest: 0.0,
+        }
+    }
+
+    /// Measures a motion in memory.
+    pub(super) fn of(positions: &[Position], n_markers: usize) -> Self {
+        let rows = positions.chunks(n_markers.max(1));
+        let mut extent = Self::new(rows.len());
+        rows.for_each(|row| extent.add_row(row));
+        extent
+    }
+
+    /// Adds the positions of the next frame.
+    pub(super) fn add_row(&mut self, row: &[Position]) {
+        let is_measured = self.n_added.is_multiple_of(self.step);
+        self.n_added += 1;
+        if !is_measured {
+            return;
+        }
+        let mut frame = Bounds::default();
+        row.iter().filter(|&&at| !is_gap(at)).for_each(|&at| frame.add(at));
+        if frame.n_positions > 1 {
+            self.spans.push(frame.extent());
+        }
+        self.path.merge(&frame);
+        let coordinates = frame.low.into_iter().chain(frame.high).filter(|v| v.is_finite());
+        self.farthest = coordinates.map(f64::abs).fold(self.farthest, f64::max);
+    }
+
+    /// The span of the markers: the largest extent of one frame's markers along an axis, as the median over frames. For
+    /// a single marker, or if no frame has two, the extent of the whole path. 0 without samples.
+    fn span(&mut self) -> f64 {
+        median(&mut self.spans).unwrap_or_else(|| self.path.extent())
+    }
+}
+
+/// The bounds of positions along each axis.
+#[derive(Debug)]
+struct Bounds {
+    low: [f64; 3],
+    high: [f64; 3],
+    n_positions: usize,
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self { low: [f64::INFINITY; 3], high: [f64::NEG_INFINITY; 3], n_positions: 0 }
+    }
+}
+
+impl Bounds {
+    fn add(&mut self, position: Position) {
+        let position = position.map(f64::from);
+        self.merge(&Self { low: position, high: position, n_positions: 1 });
+    }
+
+    fn merge(&mut self, other: &Self) {
+        for axis in 0..3 {
+            self.low[axis] = self.low[axis].min(other.low[axis]);
+            self.high[axis] = self.high[axis].max(other.high[axis]);
+        }
+        self.n_positions += other.n_positions;
+    }
+
+    /// The largest extent along an axis; 0 without positions.
+    fn extent(&self) -> f64 {
+        self.low.iter().zip(self.high).map(|(low, high)| high - low).fold(0.0, f64::max)
+    }
 }
 
 /// The median (the upper one for an even count); `None` without values.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-/// The largest absolute coordinate.
-fn farthest(positions: &[Position], n_markers: usize) -> f64 {
-    let present = measured(positions, n_markers).flatten().filter(|&&at| !is_gap(at));
-    present.flatten().map(|&value| f64::from(value).abs()).fold(0.0, f64::max)
-}
-
-/// The largest extent along an axis.
-fn extent(positions: impl Iterator<Item = Position>) -> f64 {
-    let mut low = [f64::INFINITY; 3];
-    let mut high = [f64::NEG_INFINITY; 3];
-    for position in positions.filter(|&at| !is_gap(at)) {
-        for (axis, value) in position.into_iter().enumerate() {
-            low[axis] = low[axis].min(f64::from(value));
-            high[axis] = high[axis].max(f64::from(value));
-        }
-    }
-    low.iter().zip(high).map(|(low, high)| high - low).fold(0.0, f64::max)
 }
 
 /// Converts stored positions to millimetres: multiplies each coordinate by one factor in f64 and rounds once to f32.
@@ -329,6 +385,8 @@ mod tests {
 
     #[test]
     fn a_span_is_that_of_a_frame_or_of_a_path() {
+        let span =
+            |positions: &[Position], n_markers| MotionExtent::of(positions, n_markers).span();
         let frame = |x: f32| [[x, 0.0, 0.0], [x, 1.8, 0.0], GAP];
         let walk: Vec<Position> = (0..2000).flat_map(|i| frame(i as f32)).collect();
         assert!((span(&walk, 3) - 1.8).abs() < 1e-6);

@@ -1,5 +1,7 @@
 //! HEADER and CHANNELS: everything that a reader needs before the first stretch.
 
+use std::io::{ErrorKind, Read};
+
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
 use serde::Serialize;
@@ -243,14 +245,23 @@ impl Header {
     /// docs/take-format.md gives the steps.
     ///
     /// # Errors
-    /// `InvalidArgument` when the header is larger than a take can hold.
+    /// `InvalidArgument` when the header is larger than a take can hold; `Io` when `source` cannot be read.
     pub fn set_import_id(
         &mut self,
-        source: &[u8],
+        mut source: impl Read,
         subject: Option<&Subject>,
     ) -> Result<(), TakeError> {
         self.take_id = [0; 16];
-        let hash = Sha256::new().chain_update(self.to_payload()?).chain_update(source);
+        let mut hash = Sha256::new().chain_update(self.to_payload()?);
+        let mut bytes = vec![0; SOURCE_BLOCK_BYTES];
+        loop {
+            match source.read(&mut bytes) {
+                Ok(0) => break,
+                Ok(n) => hash.update(&bytes[..n]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
         let subject = subject.map_or(Ok(Vec::new()), Subject::to_payload)?;
         let hash = hash.chain_update(subject).finalize();
         self.take_id.iter_mut().zip(hash).for_each(|(byte, of_hash)| *byte = of_hash);
@@ -259,6 +270,9 @@ impl Header {
         Ok(())
     }
 }
+
+/// Bytes of a source that are hashed at a time.
+const SOURCE_BLOCK_BYTES: usize = 1 << 16;
 
 /// Most bytes that a label shares with the previous one: the largest value of a nibble.
 const MAX_SHARED: usize = 15;
@@ -397,7 +411,7 @@ mod tests {
         }
         let mut of_anna = header();
         let anna = Subject { name: "Anna".to_owned(), documents: Vec::new() };
-        of_anna.set_import_id(b"a", Some(&anna)).unwrap();
+        of_anna.set_import_id(&b"a"[..], Some(&anna)).unwrap();
         assert_ne!(of_anna.take_id, first);
     }
 

@@ -31,62 +31,55 @@ pub(crate) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
     }
 }
 
-/// Appends a column of samples of `width` bytes (2 or 4).
-pub(super) fn push(out: &mut Vec<u8>, width: usize, samples: impl ExactSizeIterator<Item = u32>) {
-    let n_samples = samples.len();
-    let start = out.len();
-    out.resize(start + width * n_samples, 0);
-    let mut previous = 0u32;
-    let (_, planes) = out.split_at_mut(start);
-    for (index, sample) in samples.enumerate() {
-        let zigzag = zigzag(previous, sample, width);
-        previous = sample;
-        let bytes = zigzag.to_be_bytes().into_iter().skip(size_of::<u32>() - width);
-        for (plane, byte) in bytes.enumerate() {
-            if let Some(place) = planes.get_mut(plane * n_samples + index) {
-                *place = byte;
-            }
-        }
-    }
-}
-
-/// Overwrites a column of 32-bit samples with another one of the same length, in batches of samples.
-#[derive(Debug)]
-pub(super) struct ColumnRewriter {
-    zigzags: Vec<u32>,
+/// Writes a column to its place in a part, piece by piece.
+#[derive(Debug, Clone)]
+pub(super) struct ColumnWriter {
+    width: usize,
     previous: u32,
     written: usize,
 }
 
-impl ColumnRewriter {
-    /// Samples in a batch.
-    const SAMPLES: usize = 1 << 12;
-
-    pub(super) const fn new() -> Self {
-        Self { zigzags: Vec::new(), previous: 0, written: 0 }
+impl ColumnWriter {
+    /// A column of samples of `width` bytes (2 or 4).
+    pub(super) const fn new(width: usize) -> Self {
+        Self { width, previous: 0, written: 0 }
     }
 
-    /// Adds a sample.
-    pub(super) fn push(&mut self, sample: u32) {
-        self.zigzags.push(zigzag(self.previous, sample, size_of::<u32>()));
-        self.previous = sample;
+    /// The sample that was written last.
+    pub(super) fn last(&self) -> Option<u32> {
+        (self.written > 0).then_some(self.previous)
     }
 
-    /// Whether the batch is full and must be written.
-    pub(super) fn is_full(&self) -> bool {
-        self.zigzags.len() >= Self::SAMPLES
-    }
-
-    /// Writes the batch to its place in a column of `length` samples that begins at byte `from`.
-    pub(super) fn write(&mut self, data: &mut Content, from: u64, length: usize) -> io::Result<()> {
-        for plane in 0..size_of::<u32>() {
-            let bytes = self.zigzags.iter().map(|zigzag| zigzag.to_be_bytes()[plane]);
-            let at = from + (plane * length + self.written) as u64;
-            data.write_at(at, &bytes.collect::<Vec<u8>>())?;
+    /// Writes the next samples. The column has `length` samples and begins at byte `from` of `data`.
+    pub(super) fn write(
+        &mut self,
+        data: &mut Content,
+        from: u64,
+        length: usize,
+        samples: impl ExactSizeIterator<Item = u32>,
+    ) -> io::Result<()> {
+        let n_samples = samples.len();
+        let mut planes = vec![0; self.width * n_samples];
+        for (index, sample) in samples.enumerate() {
+            let zigzag = zigzag(self.previous, sample, self.width);
+            self.previous = sample;
+            let bytes = zigzag.to_be_bytes().into_iter().skip(size_of::<u32>() - self.width);
+            for (plane, byte) in bytes.enumerate() {
+                if let Some(place) = planes.get_mut(plane * n_samples + index) {
+                    *place = byte;
+                }
+            }
         }
-        self.written += self.zigzags.len();
-        self.zigzags.clear();
+        for (plane, bytes) in planes.chunks_exact(n_samples.max(1)).enumerate() {
+            data.write_at(from + (plane * length + self.written) as u64, bytes)?;
+        }
+        self.written += n_samples;
         Ok(())
+    }
+
+    /// Repeats the last sample `n_samples` times: all bytes are zeros, as they are in a new part.
+    pub(super) fn repeat(&mut self, n_samples: usize) {
+        self.written += n_samples;
     }
 }
 
@@ -194,14 +187,46 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// Columns of samples of `width` bytes, written in pieces.
+    fn written(
+        width: usize,
+        n_rows: usize,
+        piece: usize,
+        sample: impl Fn(usize, usize) -> u32,
+        n_columns: usize,
+    ) -> Content {
+        let mut data = Content::from(vec![0; n_columns * width * n_rows]);
+        for column in 0..n_columns {
+            let mut writer = ColumnWriter::new(width);
+            let from = (column * width * n_rows) as u64;
+            for first in (0..n_rows).step_by(piece) {
+                let rows = first..n_rows.min(first + piece);
+                let samples = rows.map(|row| sample(column, row));
+                writer.write(&mut data, from, n_rows, samples).unwrap();
+            }
+        }
+        data
+    }
+
+    #[test]
+    fn a_repeated_sample_is_written_as_it_is() {
+        let samples = [7, 7, 7, 7, 9, 9];
+        let [mut whole, mut repeated] = [(); 2].map(|()| Content::from(vec![0; 24]));
+        ColumnWriter::new(4).write(&mut whole, 0, 6, samples.into_iter()).unwrap();
+        let mut writer = ColumnWriter::new(4);
+        assert_eq!(writer.last(), None);
+        writer.write(&mut repeated, 0, 6, std::iter::once(7)).unwrap();
+        writer.repeat(3);
+        writer.write(&mut repeated, 0, 6, std::iter::once(9)).unwrap();
+        assert_eq!(writer.last(), Some(9));
+        writer.repeat(1);
+        assert_eq!(repeated, whole);
+    }
+
     proptest! {
         #[test]
-        fn wide_columns_round_trip(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40), buffer_bytes in 0usize..100) {
-            let mut data = Vec::new();
-            for column in 0..3 {
-                push(&mut data, 4, rows.iter().map(|row| ordered(row[column])));
-            }
-            let data = Content::from(data);
+        fn wide_columns_round_trip(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40), piece in 1usize..50, buffer_bytes in 0usize..100) {
+            let data = written(4, rows.len(), piece, |column, row| ordered(rows[row][column]), 3);
             let mut columns = ColumnReader::new(data.as_slice(), 4, 3, rows.len(), buffer_bytes).expect("as long as announced");
             for row in &rows {
                 let found: Vec<u32> = columns.next().unwrap().expect("a row").iter().map(|&v| unordered(v)).collect();
@@ -211,12 +236,8 @@ mod tests {
         }
 
         #[test]
-        fn narrow_columns_round_trip(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), skip in 0usize..3, buffer_bytes in 0usize..100) {
-            let mut data = Vec::new();
-            for column in 0..2 {
-                push(&mut data, 2, rows.iter().map(|row| u32::from(row[column])));
-            }
-            let data = Content::from(data);
+        fn narrow_columns_round_trip(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), piece in 1usize..50, skip in 0usize..3, buffer_bytes in 0usize..100) {
+            let data = written(2, rows.len(), piece, |column, row| u32::from(rows[row][column]), 2);
             let mut columns = ColumnReader::new(data.as_slice(), 2, 2, rows.len(), buffer_bytes).expect("as long as announced");
             columns.skip(skip).unwrap();
             for row in rows.iter().skip(skip) {

@@ -13,14 +13,15 @@ use std::io;
 
 use super::{
     VERSION,
-    columns::{self, ColumnReader, ordered},
+    columns::{ColumnReader, ColumnWriter, ordered},
     frames::{Frames, Points},
     gap_coordinates,
     header::{ByteOrder, C3dHeader, HeaderEvent, MAX_EVENTS},
+    layout::Layout,
     parameters::{Parameters, encode_records},
 };
 use crate::{
-    foreign::content::ContentSlice,
+    foreign::content::{Content, ContentSlice, PartStore},
     interchange::rotation::Rotation,
     motion::{Foreign, Position, is_gap},
 };
@@ -35,35 +36,130 @@ pub(crate) const ANALOG: &str = "c3d/analog";
 const RESIDUALS: &str = "c3d/residuals";
 pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
 
-/// The foreign parts of a file, except for coordinates under gaps.
-pub(super) fn keep(
-    header: &C3dHeader,
-    parameters: &Parameters,
-    frames: &Frames<'_>,
-    points: &Points,
-    positions: &[Position],
-) -> Vec<Foreign> {
-    let parts = [
-        (PARAMETERS, Some(parameters_data(header, parameters))),
-        (ANALOG, (frames.layout.stride.analog_per_frame > 0).then(|| analog_data(frames))),
-        (RESIDUALS, residual_data(frames, points, positions)),
-        (MODEL_OUTPUTS, (!points.outputs.is_empty()).then(|| output_data(frames, points))),
-    ];
-    let kept = parts
-        .into_iter()
-        .filter_map(|(kind, data)| Some(Foreign { kind: kind.to_owned(), data: data?.into() }));
-    kept.collect()
-}
-
 /// The header of a block of columns over all frames of a file: version, width, number of signals, samples of a column
 /// in a frame, number of the first frame, number of frames.
-fn sample_header(frames: &Frames<'_>, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
+fn sample_header(layout: &Layout, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
     let mut data = vec![VERSION, width as u8];
     data.extend((n_signals as u32).to_le_bytes());
     data.extend((ratio as u32).to_le_bytes());
-    data.extend(frames.layout.first_frame.to_le_bytes());
-    data.extend((frames.layout.n_frames as u64).to_le_bytes());
+    data.extend(layout.first_frame.to_le_bytes());
+    data.extend((layout.n_frames as u64).to_le_bytes());
     data
+}
+
+/// A part of columns that is written block of frames by block of frames.
+#[derive(Debug)]
+struct ColumnsPart {
+    kind: &'static str,
+    data: Content,
+    /// Byte at which the columns begin.
+    from: u64,
+    width: usize,
+    /// Samples of a column.
+    length: usize,
+    columns: Vec<ColumnWriter>,
+}
+
+impl ColumnsPart {
+    /// A part of `n_columns` columns of `length` samples of `width` bytes, after `header`.
+    fn new(
+        kind: &'static str,
+        header: &[u8],
+        width: usize,
+        (n_columns, length): (usize, usize),
+        store: &mut PartStore<'_>,
+    ) -> io::Result<Self> {
+        let mut data = store.zeros((header.len() + n_columns * length * width) as u64)?;
+        data.write_at(0, header)?;
+        let columns = match data.is_omitted() {
+            true => Vec::new(),
+            false => vec![ColumnWriter::new(width); n_columns],
+        };
+        Ok(Self { kind, data, from: header.len() as u64, width, length, columns })
+    }
+
+    /// Writes the next `n` samples of every column: `sample(column, index)`. The closure of a column is made once, from
+    /// the last sample that was written.
+    fn push<S: FnMut(usize) -> u32>(
+        &mut self,
+        n: usize,
+        mut samples_of: impl FnMut(usize, Option<u32>) -> S,
+    ) -> io::Result<()> {
+        for (index, column) in self.columns.iter_mut().enumerate() {
+            let from = self.from + (index * self.length * self.width) as u64;
+            let samples = (0..n).map(samples_of(index, column.last()));
+            column.write(&mut self.data, from, self.length, samples)?;
+        }
+        Ok(())
+    }
+
+    fn into_foreign(self) -> Foreign {
+        Foreign { kind: self.kind.to_owned(), data: self.data }
+    }
+}
+
+/// The parts of a file that have samples for its frames, except for coordinates under gaps.
+#[derive(Debug)]
+pub(super) struct SampleParts {
+    analog: Option<ColumnsPart>,
+    /// `None` as long as all fourth words are 0.
+    residuals: Option<ColumnsPart>,
+    outputs: Option<ColumnsPart>,
+}
+
+impl SampleParts {
+    /// # Errors
+    /// Those of the scratch file.
+    pub(super) fn new(
+        layout: &Layout,
+        points: &Points,
+        store: &mut PartStore<'_>,
+    ) -> io::Result<Self> {
+        let analog =
+            (layout.stride.analog_per_frame > 0).then(|| new_analog(layout, store)).transpose()?;
+        let outputs = (!points.outputs.is_empty())
+            .then(|| new_outputs(layout, &points.outputs, store))
+            .transpose()?;
+        Ok(Self { analog, residuals: None, outputs })
+    }
+
+    /// Adds frames, the first of which is number `first`, with the positions of all markers in them.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(super) fn push(
+        &mut self,
+        (first, frames): (usize, &Frames<'_>),
+        points: &Points,
+        positions: &[Position],
+        store: &mut PartStore<'_>,
+    ) -> io::Result<()> {
+        if let Some(analog) = &mut self.analog {
+            push_analog(analog, frames)?;
+        }
+        if let Some(outputs) = &mut self.outputs {
+            push_outputs(outputs, frames, &points.outputs)?;
+        }
+        let words = FourthWords { frames, points, positions };
+        if self.residuals.is_none() && !words.are_zero() {
+            self.residuals = Some(new_residuals(frames.layout, points, first, store)?);
+        }
+        if let Some(residuals) = &mut self.residuals {
+            words.push_to(residuals)?;
+        }
+        Ok(())
+    }
+
+    /// The parts, in their order.
+    pub(super) fn into_foreign(self) -> impl Iterator<Item = Foreign> {
+        let parts = [self.analog, self.residuals, self.outputs];
+        parts.into_iter().flatten().map(ColumnsPart::into_foreign)
+    }
+}
+
+/// The part with the header and the parameters.
+pub(super) fn parameters_part(header: &C3dHeader, parameters: &Parameters) -> Foreign {
+    Foreign { kind: PARAMETERS.to_owned(), data: parameters_data(header, parameters).into() }
 }
 
 /// Rotates the parts that are positions in space: force plate corners and coordinates under gaps.
@@ -102,72 +198,110 @@ fn parameters_data(header: &C3dHeader, parameters: &Parameters) -> Vec<u8> {
     data
 }
 
-fn analog_data(frames: &Frames<'_>) -> Vec<u8> {
-    let layout = frames.layout;
+fn new_analog(layout: &Layout, store: &mut PartStore<'_>) -> io::Result<ColumnsPart> {
     let (n_channels, ratio) = (layout.n_channels(), layout.analog_ratio);
     let width = layout.stride.word_bytes();
-    let mut data = sample_header(frames, width, n_channels, ratio);
-    for channel in 0..n_channels {
-        let samples = (0..layout.n_frames * ratio).map(|sample| {
+    let header = sample_header(layout, width, n_channels, ratio);
+    ColumnsPart::new(ANALOG, &header, width, (n_channels, layout.n_frames * ratio), store)
+}
+
+fn push_analog(part: &mut ColumnsPart, frames: &Frames<'_>) -> io::Result<()> {
+    let layout = frames.layout;
+    let (n_channels, ratio) = (layout.n_channels(), layout.analog_ratio);
+    part.push(frames.len() * ratio, |channel, _| {
+        move |sample| {
             let word = 4 * layout.stride.n_points + sample % ratio * n_channels + channel;
             frames.column_word(sample / ratio, word)
-        });
-        columns::push(&mut data, width, samples);
-    }
-    data
-}
-
-/// The part of the fourth words; `None` if all are 0. A missing sample repeats the previous word, because that
-/// compresses best and no export reads it.
-fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -> Option<Vec<u8>> {
-    let layout = frames.layout;
-    let n_markers = points.markers.len();
-    let present = |frame: usize, marker: usize| {
-        positions.get(frame * n_markers + marker).is_some_and(|&p| !is_gap(p))
-    };
-    let fourth = |frame: usize, point: usize| frames.column_word(frame, 4 * point + 3);
-    let zero = if layout.stride.float { ordered(0) } else { 0 };
-    let is_zero = points.markers.iter().enumerate().all(|(marker, &(point, _))| {
-        (0..layout.n_frames).all(|frame| !present(frame, marker) || fourth(frame, point) == zero)
-    });
-    if is_zero {
-        return None;
-    }
-    let width = layout.stride.word_bytes();
-    let mut data = sample_header(frames, width, n_markers, 1);
-    for (marker, &(point, _)) in points.markers.iter().enumerate() {
-        let mut before = zero;
-        let words = (0..layout.n_frames).map(|frame| {
-            if present(frame, marker) {
-                before = fourth(frame, point);
-            }
-            before
-        });
-        columns::push(&mut data, width, words);
-    }
-    Some(data)
-}
-
-fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
-    let mut data = sample_header(frames, size_of::<f32>(), points.outputs.len(), 1);
-    for &point in &points.outputs {
-        data.extend((point as u32).to_le_bytes());
-    }
-    let scale = frames.scale();
-    for &point in &points.outputs {
-        for word in 4 * point..4 * point + 4 {
-            // The fourth word is not a coordinate: an integer becomes a float of the same value, without the scale
-            // factor.
-            let scale = if word % 4 == 3 { 1.0 } else { scale };
-            let samples = (0..frames.layout.n_frames).map(|frame| {
-                let stored = frames.word(frame, word);
-                let value = if scale == 1.0 { stored } else { (f64::from(stored) * scale) as f32 };
-                ordered(value.to_bits())
-            });
-            columns::push(&mut data, size_of::<f32>(), samples);
         }
+    })
+}
+
+/// The fourth words of the markers in some frames. A missing sample repeats the word before it, because that compresses
+/// best and no export reads it.
+struct FourthWords<'a> {
+    frames: &'a Frames<'a>,
+    points: &'a Points,
+    /// Of all markers in these frames.
+    positions: &'a [Position],
+}
+
+impl FourthWords<'_> {
+    /// The word of a sample that is present.
+    fn present(&self, frame: usize, marker: usize, point: usize) -> Option<u32> {
+        let position = self.positions.get(frame * self.points.markers.len() + marker);
+        let is_present = position.is_some_and(|&at| !is_gap(at));
+        is_present.then(|| self.frames.column_word(frame, 4 * point + 3))
     }
-    data
+
+    fn are_zero(&self) -> bool {
+        let zero = zero(self.frames.layout);
+        self.points.markers.iter().enumerate().all(|(marker, &(point, _))| {
+            let mut words = (0..self.frames.len()).map(|frame| self.present(frame, marker, point));
+            words.all(|word| word.is_none_or(|word| word == zero))
+        })
+    }
+
+    fn push_to(&self, part: &mut ColumnsPart) -> io::Result<()> {
+        part.push(self.frames.len(), |marker, last| {
+            let mut before = last.unwrap_or(zero(self.frames.layout));
+            let point = self.points.markers.get(marker).map_or(0, |&(point, _)| point);
+            move |frame| {
+                before = self.present(frame, marker, point).unwrap_or(before);
+                before
+            }
+        })
+    }
+}
+
+/// The word 0, as columns store it.
+fn zero(layout: &Layout) -> u32 {
+    if layout.stride.float { ordered(0) } else { 0 }
+}
+
+/// The part of the fourth words, of which those before frame `n_zeros` are 0.
+fn new_residuals(
+    layout: &Layout,
+    points: &Points,
+    n_zeros: usize,
+    store: &mut PartStore<'_>,
+) -> io::Result<ColumnsPart> {
+    let (width, n_markers) = (layout.stride.word_bytes(), points.markers.len());
+    let header = sample_header(layout, width, n_markers, 1);
+    let shape = (n_markers, layout.n_frames);
+    let mut part = ColumnsPart::new(RESIDUALS, &header, width, shape, store)?;
+    if n_zeros > 0 {
+        part.push(1, |_, _| move |_| zero(layout))?;
+        part.columns.iter_mut().for_each(|column| column.repeat(n_zeros - 1));
+    }
+    Ok(part)
+}
+
+fn new_outputs(
+    layout: &Layout,
+    points: &[usize],
+    store: &mut PartStore<'_>,
+) -> io::Result<ColumnsPart> {
+    let width = size_of::<f32>();
+    let mut header = sample_header(layout, width, points.len(), 1);
+    for &point in points {
+        header.extend((point as u32).to_le_bytes());
+    }
+    let shape = (4 * points.len(), layout.n_frames);
+    ColumnsPart::new(MODEL_OUTPUTS, &header, width, shape, store)
+}
+
+fn push_outputs(part: &mut ColumnsPart, frames: &Frames<'_>, points: &[usize]) -> io::Result<()> {
+    let scale = frames.layout.coordinate_scale();
+    part.push(frames.len(), |column, _| {
+        let word = 4 * points.get(column / 4).copied().unwrap_or(0) + column % 4;
+        // The fourth word is not a coordinate: an integer becomes a float of the same value, without the scale factor.
+        let scale = if column % 4 == 3 { 1.0 } else { scale };
+        move |frame| {
+            let stored = frames.word(frame, word);
+            let value = if scale == 1.0 { stored } else { (f64::from(stored) * scale) as f32 };
+            ordered(value.to_bits())
+        }
+    })
 }
 
 /// The header of a block of columns.

@@ -1,9 +1,9 @@
 //! Access to the frames of a file as stored, and the sorting of their points into markers and model outputs.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, io, ops::Range};
 
 use super::{columns::ordered, layout::Layout, parameters::Parameters};
-use crate::{motion::Marker, record::Channel};
+use crate::{interchange::source_file::SourceFile, motion::Marker, record::Channel};
 
 /// Parameters of POINT that list model outputs: results that are stored as points without being positions.
 const MODEL_OUTPUTS: [&str; 6] = ["ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"];
@@ -78,15 +78,61 @@ fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
         .collect()
 }
 
-/// The frames of a file as stored.
+/// Bytes of frames that are read at a time. A column of a scratch file is written in pieces of about 2 kB then if a
+/// frame has a thousand words.
+const BLOCK_BYTES: usize = 1 << 21;
+
+/// Reads successive frames.
+#[derive(Debug, Default)]
+pub(super) struct FrameBuffer {
+    bytes: Vec<u8>,
+}
+
+impl FrameBuffer {
+    /// The ranges of frames to read one after another, from frame `first` on.
+    pub(super) fn ranges_from(
+        layout: &Layout,
+        first: usize,
+    ) -> impl Iterator<Item = Range<usize>> + use<> {
+        let n_frames = layout.n_frames;
+        let n_block = (BLOCK_BYTES / layout.stride.frame_bytes().max(1)).max(1);
+        (first..n_frames).step_by(n_block).map(move |first| first..n_frames.min(first + n_block))
+    }
+
+    /// Reads a range of frames.
+    ///
+    /// # Errors
+    /// Those of the file.
+    pub(super) fn read<'b>(
+        &'b mut self,
+        source: &mut SourceFile<'_>,
+        layout: &'b Layout,
+        range: &Range<usize>,
+    ) -> io::Result<Frames<'b>> {
+        let frame_bytes = layout.stride.frame_bytes();
+        self.bytes.resize(range.len() * frame_bytes, 0);
+        let at = layout.stride.data_start + range.start * frame_bytes;
+        source.read_at(at as u64, &mut self.bytes)?;
+        Ok(Frames { bytes: &self.bytes, layout })
+    }
+
+    /// Frames that were read before.
+    pub(super) fn held<'b>(&'b self, layout: &'b Layout) -> Frames<'b> {
+        Frames { bytes: &self.bytes, layout }
+    }
+}
+
+/// Successive frames as stored, counted from the first of them.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Frames<'a> {
     bytes: &'a [u8],
     pub(super) layout: &'a Layout,
 }
 
 impl<'a> Frames<'a> {
-    pub(super) fn new(file: &'a [u8], layout: &'a Layout) -> Self {
-        Self { bytes: file.get(layout.stride.data_start..).unwrap_or(&[]), layout }
+    /// Number of frames.
+    pub(super) fn len(&self) -> usize {
+        self.bytes.len().checked_div(self.layout.stride.frame_bytes()).unwrap_or(0)
     }
 
     /// The words of a frame: four for each point, then the analog samples.
@@ -126,11 +172,6 @@ impl<'a> Frames<'a> {
         let sample = sample.unwrap_or(&[]);
         let [x, y, z, fourth] = [0, 1, 2, 3].map(|word| self.word_of(sample, word));
         ([x, y, z].map(f64::from), fourth)
-    }
-
-    /// The factor from stored coordinates to the file's unit.
-    pub(super) fn scale(&self) -> f64 {
-        if self.layout.stride.float { 1.0 } else { f64::from(self.layout.scale) }
     }
 }
 

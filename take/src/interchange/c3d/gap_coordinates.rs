@@ -8,12 +8,12 @@ use std::io::{self, Read};
 
 use super::{
     VERSION,
-    columns::{self, ColumnReader, ColumnRewriter, ordered},
+    columns::{self, ColumnReader, ColumnWriter, ordered},
 };
 use crate::{
     ambiguity::{Ambiguity, Notes},
     foreign::DATA_BYTES_MAX,
-    foreign::content::ContentSlice,
+    foreign::content::{Content, ContentSlice},
     interchange::rotation::Rotation,
     motion::{Foreign, Position},
 };
@@ -37,73 +37,201 @@ type PointWords = [f32; WORDS];
 /// A sample: frame counted from the first of the file, index of the marker, and words.
 type Sample = (usize, usize, PointWords);
 
-/// Coordinates under gaps, in any order.
-#[derive(Debug, Default)]
-pub(super) struct GapCoordinates(Vec<Sample>);
+/// Samples to write at a time, 1 MiB of them.
+const BATCH_SAMPLES: usize = 1 << 15;
 
-impl GapCoordinates {
-    /// Adds the coordinates and the fourth word of a missing sample.
-    pub(super) fn push(&mut self, frame: usize, marker: usize, [x, y, z]: Position, fourth: f32) {
-        self.0.push((frame, marker, [x, y, z, fourth]));
+/// Counts coordinates under gaps, frame by frame, from which the size of the part follows.
+#[derive(Debug)]
+pub(super) struct GapCounts(Vec<GapCount>);
+
+/// The coordinates of a marker.
+#[derive(Debug, Clone, Copy, Default)]
+struct GapCount {
+    n_samples: u64,
+    n_runs: u64,
+    /// The frame after the last one with coordinates.
+    end: usize,
+}
+
+impl GapCounts {
+    pub(super) fn new(n_markers: usize) -> Self {
+        Self(vec![GapCount::default(); n_markers])
+    }
+
+    /// Adds a sample; those of a marker in order of frames.
+    pub(super) fn add(&mut self, frame: usize, marker: usize) {
+        let Some(count) = self.0.get_mut(marker) else { return };
+        count.n_runs += u64::from(count.n_samples == 0 || count.end != frame);
+        count.n_samples += 1;
+        count.end = frame + 1;
     }
 
     /// Notes the number of samples as an ambiguity.
     pub(super) fn note(&self, notes: &mut Notes) {
-        if !self.0.is_empty() {
-            let samples = self.0.len() as u64;
+        let samples = self.0.iter().map(|count| count.n_samples).sum();
+        if samples > 0 {
             notes.ambiguous(Ambiguity::CoordinatesUnderGaps { samples });
         }
     }
 
-    /// The foreign part; `None` without samples, or, with a warning, if it would be too long for a take.
-    pub(super) fn into_foreign(
-        mut self,
-        first_frame: u64,
-        warnings: &mut Vec<String>,
-    ) -> Option<Foreign> {
-        if self.0.is_empty() {
-            return None;
-        }
-        self.0.sort_unstable_by_key(|&(frame, marker, _)| (marker, frame));
-        let n_bytes = self.n_bytes();
-        if n_bytes as u64 > DATA_BYTES_MAX {
+    /// Size of the part in bytes; `None` without samples, or, with a warning, if it would be too long for a take.
+    pub(super) fn part_bytes(&self, warnings: &mut Vec<String>) -> Option<u64> {
+        let markers = || self.0.iter().filter(|count| count.n_samples > 0);
+        markers().next()?;
+        let n_bytes = HEADER_BYTES as u64 + markers().map(GapCount::n_bytes).sum::<u64>();
+        if n_bytes > DATA_BYTES_MAX {
             warnings.push(format!(
                 "Coordinates under gaps left out: they need {n_bytes} bytes, and a foreign part holds {DATA_BYTES_MAX}."
             ));
             return None;
         }
-        Some(Foreign { kind: KIND.to_owned(), data: self.encode(first_frame).into() })
+        Some(n_bytes)
     }
+}
 
-    /// Size of the part in bytes. The samples must be sorted.
-    fn n_bytes(&self) -> usize {
-        let marker = |markers: &[Sample]| MARKER_BYTES + RUN_BYTES * runs(markers).count();
-        let markers: usize = self.0.chunk_by(is_same_marker).map(marker).sum();
-        HEADER_BYTES + markers + size_of::<PointWords>() * self.0.len()
+impl GapCount {
+    fn n_bytes(&self) -> u64 {
+        let words_bytes = size_of::<PointWords>() as u64 * self.n_samples;
+        MARKER_BYTES as u64 + RUN_BYTES as u64 * self.n_runs + words_bytes
     }
+}
 
-    /// Encodes the part. The samples must be sorted.
-    fn encode(&self, first_frame: u64) -> Vec<u8> {
-        let mut data = Vec::with_capacity(self.n_bytes());
-        data.push(VERSION);
-        data.extend(first_frame.to_le_bytes());
-        data.extend((self.0.chunk_by(is_same_marker).count() as u32).to_le_bytes());
-        for samples in self.0.chunk_by(is_same_marker) {
-            let marker = samples.first().map_or(0, |&(_, marker, _)| marker);
-            data.extend((marker as u32).to_le_bytes());
-            data.extend((runs(samples).count() as u64).to_le_bytes());
-            for run in runs(samples) {
-                data.extend((run.first().map_or(0, |&(frame, ..)| frame) as u64).to_le_bytes());
-                data.extend((run.len() as u64).to_le_bytes());
+/// Writes the samples that were counted, frame by frame, to their places in the part.
+#[derive(Debug)]
+pub(super) struct GapWriter {
+    data: Content,
+    /// `None` for a marker without samples.
+    markers: Vec<Option<MarkerWriter>>,
+    batch: Vec<Sample>,
+}
+
+/// The places of a marker's runs and words.
+#[derive(Debug)]
+struct MarkerWriter {
+    next_run: u64,
+    run: Option<GapRun>,
+    words: u64,
+    n_samples: usize,
+    columns: [ColumnWriter; WORDS],
+}
+
+impl GapWriter {
+    /// Writes the header of the part, and of each marker, to `data`, which is as long as the counts say.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(super) fn new(counts: &GapCounts, first_frame: u64, mut data: Content) -> io::Result<Self> {
+        let n_stored = counts.0.iter().filter(|count| count.n_samples > 0).count();
+        let mut header = vec![VERSION];
+        header.extend(first_frame.to_le_bytes());
+        header.extend((n_stored as u32).to_le_bytes());
+        data.write_at(0, &header)?;
+        let mut at = HEADER_BYTES as u64;
+        let mut markers = Vec::with_capacity(counts.0.len());
+        for (index, count) in counts.0.iter().enumerate() {
+            if count.n_samples == 0 {
+                markers.push(None);
+                continue;
             }
-            for word in 0..WORDS {
-                let column = samples.iter().map(|(_, _, words)| words.get(word).copied());
-                let column = column.map(|word| ordered(word.unwrap_or(0.0).to_bits()));
-                columns::push(&mut data, size_of::<f32>(), column);
+            let mut header = (index as u32).to_le_bytes().to_vec();
+            header.extend(count.n_runs.to_le_bytes());
+            data.write_at(at, &header)?;
+            let runs = at + MARKER_BYTES as u64;
+            markers.push(Some(MarkerWriter {
+                next_run: runs,
+                run: None,
+                words: runs + RUN_BYTES as u64 * count.n_runs,
+                n_samples: count.n_samples as usize,
+                columns: [const { ColumnWriter::new(size_of::<f32>()) }; WORDS],
+            }));
+            at += count.n_bytes();
+        }
+        Ok(Self { data, markers, batch: Vec::new() })
+    }
+
+    /// Adds the coordinates and the fourth word of a missing sample, in the order in which they were counted.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(super) fn push(
+        &mut self,
+        (frame, marker): (usize, usize),
+        [x, y, z]: Position,
+        fourth: f32,
+    ) -> io::Result<()> {
+        self.batch.push((frame, marker, [x, y, z, fourth]));
+        if self.batch.len() < BATCH_SAMPLES { Ok(()) } else { self.write_batch() }
+    }
+
+    fn write_batch(&mut self) -> io::Result<()> {
+        self.batch.sort_unstable_by_key(|&(frame, marker, _)| (marker, frame));
+        for samples in self.batch.chunk_by(is_same_marker) {
+            let marker = samples.first().and_then(|&(_, marker, _)| self.markers.get_mut(marker));
+            if let Some(Some(marker)) = marker {
+                marker.write(&mut self.data, samples)?;
             }
         }
-        data
+        self.batch.clear();
+        Ok(())
     }
+
+    /// The part.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(super) fn into_foreign(mut self) -> io::Result<Foreign> {
+        self.write_batch()?;
+        for marker in self.markers.iter_mut().flatten() {
+            if let Some(run) = marker.run {
+                self.data.write_at(marker.next_run, &run.to_bytes())?;
+            }
+        }
+        Ok(part(self.data))
+    }
+}
+
+/// The part with this content.
+pub(super) fn part(data: Content) -> Foreign {
+    Foreign { kind: KIND.to_owned(), data }
+}
+
+impl MarkerWriter {
+    /// Writes the next samples of the marker, in order of frames.
+    fn write(&mut self, data: &mut Content, samples: &[Sample]) -> io::Result<()> {
+        let mut ended = Vec::new();
+        for run in runs(samples) {
+            let first = run.first().map_or(0, |&(frame, ..)| frame as u64);
+            let n_frames = run.len() as u64;
+            match &mut self.run {
+                Some(open) if open.first + open.n_frames == first => open.n_frames += n_frames,
+                open => {
+                    let before = open.replace(GapRun { first, n_frames });
+                    ended.extend(before.iter().flat_map(GapRun::to_bytes));
+                }
+            }
+        }
+        data.write_at(self.next_run, &ended)?;
+        self.next_run += ended.len() as u64;
+        write_words(&mut self.columns, data, (self.words, self.n_samples), samples, |sample| {
+            sample.2
+        })
+    }
+}
+
+/// Writes the next words of a marker, whose columns begin at byte `from` and have `length` samples each.
+fn write_words<T>(
+    columns: &mut [ColumnWriter; WORDS],
+    data: &mut Content,
+    (from, length): (u64, usize),
+    samples: &[T],
+    words: impl Fn(&T) -> PointWords,
+) -> io::Result<()> {
+    for (word, column) in columns.iter_mut().enumerate() {
+        let from = from + (word * size_of::<f32>() * length) as u64;
+        let samples = samples.iter().map(|sample| ordered(words(sample)[word].to_bits()));
+        column.write(data, from, length, samples)?;
+    }
+    Ok(())
 }
 
 fn is_same_marker(a: &Sample, b: &Sample) -> bool {
@@ -262,6 +390,13 @@ impl GapRun {
         let word = |at: usize| u64::from_le_bytes(word(at).unwrap_or_default());
         Self { first: word(0), n_frames: word(8) }
     }
+
+    fn to_bytes(&self) -> [u8; RUN_BYTES] {
+        let mut bytes = [0; RUN_BYTES];
+        bytes[..8].copy_from_slice(&self.first.to_le_bytes());
+        bytes[8..].copy_from_slice(&self.n_frames.to_le_bytes());
+        bytes
+    }
 }
 
 /// The stored runs of a marker.
@@ -312,26 +447,23 @@ pub(super) fn rotated(
     rotation: Rotation,
 ) -> io::Result<Option<Foreign>> {
     let Some(stored) = PartCoordinates::parse(foreign, n_markers, 0)? else { return Ok(None) };
-    let Some(part) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
-    let mut data = part.data.copy()?;
+    let Some(found) = foreign.iter().find(|part| part.kind == KIND) else { return Ok(None) };
+    let mut data = found.data.copy()?;
     for mut marker in stored.markers {
-        let mut columns = [const { ColumnRewriter::new() }; WORDS];
-        let n_samples = marker.n_samples;
-        for sample in 0..n_samples {
+        let mut columns = [const { ColumnWriter::new(size_of::<f32>()) }; WORDS];
+        let place = (marker.words_offset, marker.n_samples);
+        let mut batch = Vec::new();
+        for sample in 0..marker.n_samples {
             let Some([x, y, z, fourth]) = marker.next()? else { return Ok(None) };
             let [x, y, z] = rotation.apply([x, y, z]);
-            for (column, word) in columns.iter_mut().zip([x, y, z, fourth]) {
-                column.push(ordered(word.to_bits()));
-            }
-            if columns[0].is_full() || sample + 1 == n_samples {
-                for (index, column) in columns.iter_mut().enumerate() {
-                    let from = marker.words_offset + (index * size_of::<f32>() * n_samples) as u64;
-                    column.write(&mut data, from, n_samples)?;
-                }
+            batch.push([x, y, z, fourth]);
+            if batch.len() == BATCH_SAMPLES || sample + 1 == marker.n_samples {
+                write_words(&mut columns, &mut data, place, &batch, |words| *words)?;
+                batch.clear();
             }
         }
     }
-    Ok(Some(Foreign { kind: KIND.to_owned(), data }))
+    Ok(Some(part(data)))
 }
 
 #[cfg(test)]
@@ -339,9 +471,16 @@ mod tests {
     use super::*;
     use crate::motion::UpAxis;
 
-    fn part(samples: &[Sample]) -> Foreign {
-        let part = GapCoordinates(samples.to_vec()).into_foreign(100, &mut Vec::new());
-        part.expect("samples, and not too many")
+    fn part_of(samples: &[Sample]) -> Foreign {
+        let mut counts = GapCounts::new(8);
+        samples.iter().for_each(|&(frame, marker, _)| counts.add(frame, marker));
+        let n_bytes = counts.part_bytes(&mut Vec::new()).expect("samples, and not too many");
+        let data = vec![0; n_bytes as usize].into();
+        let mut writer = GapWriter::new(&counts, 100, data).unwrap();
+        for &(frame, marker, [x, y, z, fourth]) in samples {
+            writer.push((frame, marker), [x, y, z], fourth).unwrap();
+        }
+        writer.into_foreign().unwrap()
     }
 
     fn sample(frame: usize, marker: usize) -> Sample {
@@ -352,7 +491,7 @@ mod tests {
     fn runs_are_restored_from_any_frame_on() {
         let samples = [(0, 4), (1, 4), (2, 4), (2, 7), (5, 4), (6, 7), (7, 7), (9, 4)];
         let samples = samples.map(|(frame, marker)| sample(frame, marker));
-        let foreign = [part(&samples)];
+        let foreign = [part_of(&samples)];
         for from in 95..115 {
             let mut stored = PartCoordinates::parse(&foreign, 8, from).unwrap().expect("a part");
             for number in from..115 {
@@ -366,7 +505,7 @@ mod tests {
 
     #[test]
     fn a_damaged_part_is_not_read() {
-        let whole = part(&[sample(0, 1), sample(1, 1), sample(5, 2)]);
+        let whole = part_of(&[sample(0, 1), sample(1, 1), sample(5, 2)]);
         let bytes = whole.data.to_vec(u64::MAX).unwrap().expect("few");
         for n_bytes in 0..bytes.len() {
             let cut = Foreign { data: bytes[..n_bytes].to_vec().into(), ..whole.clone() };
@@ -387,7 +526,7 @@ mod tests {
 
     #[test]
     fn a_part_of_more_markers_than_the_take_has_is_not_read() {
-        let foreign = [part(&[sample(0, 1), sample(0, 4)])];
+        let foreign = [part_of(&[sample(0, 1), sample(0, 4)])];
         assert!(PartCoordinates::parse(&foreign, 5, 0).unwrap().is_some());
         assert!(PartCoordinates::parse(&foreign, 4, 0).unwrap().is_none());
         assert!(PartCoordinates::parse(&foreign, 1, 0).unwrap().is_none());
@@ -404,14 +543,33 @@ mod tests {
                 (frame, marker, [x, y, z, fourth])
             })
             .collect();
-        assert_ne!(part(&samples), part(&rotated_samples));
-        let found = rotated(&[part(&samples)], 2, quarter).unwrap().expect("a part");
-        assert_eq!(found, part(&rotated_samples));
+        assert_ne!(part_of(&samples), part_of(&rotated_samples));
+        let found = rotated(&[part_of(&samples)], 2, quarter).unwrap().expect("a part");
+        assert_eq!(found, part_of(&rotated_samples));
     }
 
     #[test]
-    fn the_length_of_a_part_is_known_before_it_is_encoded() {
-        let all = GapCoordinates(vec![sample(0, 1), sample(1, 1), sample(5, 1), sample(5, 2)]);
-        assert_eq!(all.encode(1).len(), all.n_bytes());
+    fn a_part_has_the_documented_bytes_whatever_the_batches() {
+        // Marker 1 has a run across a batch and one after it.
+        let n = BATCH_SAMPLES as u64 + 7;
+        let samples: Vec<_> = (0..n).map(|i| sample((i + i / (n - 2)) as usize, 1)).collect();
+        let bytes = part_of(&samples).data.to_vec(u64::MAX).unwrap().expect("few");
+        let mut expected = vec![VERSION];
+        expected.extend(100_u64.to_le_bytes());
+        expected.extend(1_u32.to_le_bytes());
+        expected.extend(1_u32.to_le_bytes());
+        for number in [2, 0, n - 2, n - 1, 2] {
+            expected.extend(number.to_le_bytes());
+        }
+        assert_eq!(bytes[..expected.len()], expected);
+        let words =
+            ContentSlice::split_at(part_of(&samples).data.as_slice(), expected.len() as u64)
+                .map(|(_, words)| words.len());
+        assert_eq!(words, Some(16 * n));
+        let mut whole = Content::from(vec![0; 16 * n as usize]);
+        let mut columns = [const { ColumnWriter::new(4) }; WORDS];
+        write_words(&mut columns, &mut whole, (0, n as usize), &samples, |sample| sample.2)
+            .unwrap();
+        assert_eq!(Content::from(bytes[expected.len()..].to_vec()), whole);
     }
 }

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     ambiguity::{Ambiguity, FrameLayout, Notes},
-    interchange::{Result, counted},
+    interchange::{Result, counted, source_file::SourceFile},
 };
 
 /// Most analog samples in a frame: 255 channels with 4000 samples each, as of a microphone at one frame a second.
@@ -44,19 +44,25 @@ impl Layout {
         self.stride.analog_per_frame.checked_div(self.analog_ratio).unwrap_or(0)
     }
 
+    /// The factor from stored coordinates to the file's unit.
+    pub(super) fn coordinate_scale(&self) -> f64 {
+        if self.stride.float { 1.0 } else { f64::from(self.scale) }
+    }
+
     /// Determines the layout from header and parameters, and from the data where they disagree.
     ///
     /// # Errors
-    /// `Malformed` if the data section is outside of the file, or if no combination of the stated values fits the data.
+    /// `Malformed` if the data section is outside of the file, or if no combination of the stated values fits the data;
+    /// `Io` if the file cannot be read.
     pub(super) fn resolve(
         header: &C3dHeader,
         parameters: &Parameters,
         order: ByteOrder,
-        bytes: &[u8],
+        source: &mut SourceFile<'_>,
         notes: &mut Notes,
     ) -> Result<Self> {
-        let file = &FileBytes::new(bytes, order);
-        let starts = data_starts(header, parameters, bytes.len())?;
+        let file = &mut FileBytes::new(source, order)?;
+        let starts = data_starts(header, parameters, file.len)?;
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
         let stated = StatedLayout::of(header, parameters, rate_hz);
         let counts = FrameCounts::of(header, parameters);
@@ -87,7 +93,12 @@ impl Layout {
     }
 
     /// Sets the number of frames to those that are announced and present. Warns of missing frames and of surplus data.
-    fn set_frames(&mut self, file: &FileBytes<'_>, count: &FrameCount, warnings: &mut Vec<String>) {
+    fn set_frames(
+        &mut self,
+        file: &FileBytes<'_, '_>,
+        count: &FrameCount,
+        warnings: &mut Vec<String>,
+    ) {
         let announced = usize::try_from(count.n_frames).unwrap_or(usize::MAX);
         self.n_frames = file.present(&self.stride).min(announced);
         if (self.n_frames as u64) < count.n_frames {
@@ -97,9 +108,9 @@ impl Layout {
             return;
         }
         let end = self.stride.data_start + self.n_frames * self.stride.frame_bytes();
-        let left = file.bytes.get(end..).unwrap_or(&[]);
-        if self.n_frames > 0 && left.len() >= BLOCK && left.iter().any(|&byte| byte != 0) {
-            warnings.push(format!("{} bytes after the last frame were ignored.", left.len()));
+        let n_left = file.len.saturating_sub(end);
+        if self.n_frames > 0 && n_left >= BLOCK && file.filled > end {
+            warnings.push(format!("{n_left} bytes after the last frame were ignored."));
         }
     }
 }
@@ -164,20 +175,18 @@ impl<'a> StatedLayout<'a> {
     /// combinations that are stated.
     fn choose(
         &self,
-        file: &FileBytes<'_>,
+        file: &mut FileBytes<'_, '_>,
         starts: &[usize],
         counts: &FrameCounts<'_>,
     ) -> Result<(Stride, usize)> {
         let points: Vec<u64> =
             self.points_used.into_iter().chain([self.header.n_points.into()]).collect();
         let strides = stride::combine(&points, &self.analog(), &self.floats(), starts);
-        let candidate = |stride: Stride, n_frames: u64, is_stated: bool| {
-            StrideCandidate::new(file, stride, n_frames, is_stated)
-        };
-        let mut candidates: Vec<StrideCandidate> = strides
-            .iter()
-            .map(|&stride| candidate(stride, counts.for_stride(file, &stride).n_frames, true))
-            .collect();
+        let mut candidates: Vec<StrideCandidate> = Vec::new();
+        for &stride in &strides {
+            let n_frames = counts.for_stride(file, &stride).n_frames;
+            candidates.push(StrideCandidate::new(file, stride, n_frames, true)?);
+        }
         let n_stated = candidates.len();
         let only = candidates.first().copied().filter(|_| n_stated == 1);
         if let Some(only) = only.filter(StrideCandidate::is_acceptable) {
@@ -194,20 +203,24 @@ impl<'a> StatedLayout<'a> {
                     more.truncate(CANDIDATES_MAX);
                 }
             }
-            let more = more.into_iter().map(|(stride, n)| candidate(stride, n, false));
-            candidates.extend(more);
+            for (stride, n_frames) in more {
+                candidates.push(StrideCandidate::new(file, stride, n_frames, false)?);
+            }
             if self.channels_used.is_none_or(|used| used == 0) {
                 // A file without ANALOG:USED may have no analog samples, whatever its header states.
                 let none = strides.iter().map(|&stride| Stride { analog_per_frame: 0, ..stride });
-                let none = none.filter(|stride| !strides.contains(stride));
-                candidates.extend(none.map(|stride| {
-                    candidate(stride, counts.for_stride(file, &stride).n_frames, true)
-                }));
+                for stride in none.filter(|stride| !strides.contains(stride)) {
+                    let n_frames = counts.for_stride(file, &stride).n_frames;
+                    candidates.push(StrideCandidate::new(file, stride, n_frames, true)?);
+                }
             }
         }
-        let chosen = stride::choose(&candidates).filter(|best| {
-            cut_off.is_none_or(|only| best.is_much_smoother(&only) && best.begins_smoothly(file))
-        });
+        let mut chosen = stride::choose(&candidates);
+        if let Some((best, only)) = chosen.zip(cut_off)
+            && !(best.is_much_smoother(&only) && best.begins_smoothly(file)?)
+        {
+            chosen = None;
+        }
         match (chosen, strides.first()) {
             (Some(chosen), _) => {
                 let is_other = strides.first() != Some(&chosen.stride);
@@ -220,7 +233,7 @@ impl<'a> StatedLayout<'a> {
                     "{}; no combination of these fits the {} bytes of data or gives continuous motion: correct the \
                      header or the parameters, or export the file again",
                     self.describe(starts),
-                    file.bytes.len().saturating_sub(starts.first().copied().unwrap_or(0))
+                    file.len.saturating_sub(starts.first().copied().unwrap_or(0))
                 ),
             )),
         }
@@ -415,7 +428,7 @@ impl<'a> FrameCounts<'a> {
 
     /// The count for frames of a stride: the most trusted one that fits the data exactly, otherwise the most trusted
     /// one for which there is enough data, otherwise the most trusted one.
-    fn for_stride(&self, file: &FileBytes<'_>, stride: &Stride) -> FrameCount {
+    fn for_stride(&self, file: &FileBytes<'_, '_>, stride: &Stride) -> FrameCount {
         let fits = |wanted: &dyn Fn(SizeFit) -> bool| {
             self.stated.iter().find(|&&(_, n)| wanted(file.fit(stride, n)))
         };

@@ -5,7 +5,10 @@
 //! the data section except for the padding of the last block, and it is smooth if coordinates are continuous from frame
 //! to frame: a wrong stride reads another marker or another coordinate in every frame.
 
+use std::{io, ops::Range};
+
 use super::header::{BLOCK, ByteOrder};
+use crate::interchange::source_file::SourceFile;
 
 /// Most candidates to compare. The stated values give at most 2 * 2 * 2 * 8; the size of the file adds some for short
 /// files, in which several strides leave less than a block.
@@ -65,23 +68,27 @@ pub(super) enum SizeFit {
     Short,
 }
 
-/// The bytes of a file, with the end of its last byte that is not zero, computed once for all candidates.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct FileBytes<'a> {
-    pub(super) bytes: &'a [u8],
+/// The bytes of a file, with the end of its last byte that is not zero, found once for all candidates.
+#[derive(Debug)]
+pub(super) struct FileBytes<'s, 'a> {
+    source: &'s mut SourceFile<'a>,
     order: ByteOrder,
-    filled: usize,
+    /// Length of the file.
+    pub(super) len: usize,
+    /// The end of the last byte that is not zero.
+    pub(super) filled: usize,
 }
 
-impl<'a> FileBytes<'a> {
-    pub(super) fn new(bytes: &'a [u8], order: ByteOrder) -> Self {
-        let filled = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
-        Self { bytes, order, filled }
+impl<'s, 'a> FileBytes<'s, 'a> {
+    pub(super) fn new(source: &'s mut SourceFile<'a>, order: ByteOrder) -> io::Result<Self> {
+        let count = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
+        let (len, filled) = (count(source.len()), count(source.filled()?));
+        Ok(Self { source, order, len, filled })
     }
 
     /// Bytes from the start of the data section to the end of the file.
     pub(super) fn available(&self, stride: &Stride) -> usize {
-        self.bytes.len().saturating_sub(stride.data_start)
+        self.len.saturating_sub(stride.data_start)
     }
 
     /// Number of complete frames.
@@ -115,14 +122,19 @@ pub(super) struct StrideCandidate {
 }
 
 impl StrideCandidate {
-    pub(super) fn new(file: &FileBytes<'_>, stride: Stride, n_frames: u64, stated: bool) -> Self {
+    pub(super) fn new(
+        file: &mut FileBytes<'_, '_>,
+        stride: Stride,
+        n_frames: u64,
+        stated: bool,
+    ) -> io::Result<Self> {
         let n_read = file.present(&stride).min(usize::try_from(n_frames).unwrap_or(usize::MAX));
-        Self {
+        Ok(Self {
             stride,
             fit: file.fit(&stride, n_frames),
-            roughness: roughness(file, &stride, n_read),
+            roughness: roughness(file, &stride, n_read)?,
             is_stated: stated,
-        }
+        })
     }
 
     /// Whether its frames fill the data section.
@@ -167,9 +179,10 @@ impl StrideCandidate {
 
     /// Whether the first three frames are smooth. Every candidate reads the first frame as points, so a wrong stride
     /// that finds smooth analog samples everywhere else is rough here.
-    pub(super) fn begins_smoothly(&self, file: &FileBytes<'_>) -> bool {
-        let roughness = roughness(file, &self.stride, file.present(&self.stride).min(3));
-        roughness.is_some_and(|roughness| roughness <= ROUGHNESS_MAX)
+    pub(super) fn begins_smoothly(&self, file: &mut FileBytes<'_, '_>) -> io::Result<bool> {
+        let n_frames = file.present(&self.stride).min(3);
+        let roughness = roughness(file, &self.stride, n_frames)?;
+        Ok(roughness.is_some_and(|roughness| roughness <= ROUGHNESS_MAX))
     }
 
     /// The rank of the candidate, 0 being the best; `None` if it is not acceptable.
@@ -205,7 +218,7 @@ pub(super) fn choose(candidates: &[StrideCandidate]) -> Option<StrideCandidate> 
 /// Strides like `base`, with other numbers of analog samples, whose `n_frames` frames leave less than a block of the
 /// data section. The number of analog samples is a multiple of `n_channels`, if that is known.
 pub(super) fn by_size(
-    file: &FileBytes<'_>,
+    file: &FileBytes<'_, '_>,
     base: Stride,
     n_frames: u64,
     n_channels: Option<u64>,
@@ -249,39 +262,61 @@ pub(super) fn combine(
     all
 }
 
+/// A point of a frame: coordinates and fourth word.
+type PointWords = [f64; 4];
+
+/// The points in a range of frames, frame by frame: `points` of them, evenly spread; `None` at the origin.
+fn window(
+    file: &mut FileBytes<'_, '_>,
+    stride: &Stride,
+    frames: Range<usize>,
+    points: usize,
+) -> io::Result<Vec<Option<PointWords>>> {
+    let mut window = Vec::with_capacity(frames.len() * points);
+    let (order, width) = (file.order, stride.word_bytes());
+    let mut stored = [0; 4 * size_of::<f32>()];
+    for frame in frames {
+        for index in 0..points {
+            let point = index * stride.n_points.saturating_sub(1) / (points - 1).max(1);
+            let at = stride.data_start + frame * stride.frame_bytes() + 4 * point * width;
+            let n_read = file.source.read_some(at as u64, &mut stored[..4 * width])?;
+            let stored = &stored[..n_read];
+            let word = |word: usize| {
+                if stride.float {
+                    order.float_at(stored, word * width).map(f64::from)
+                } else {
+                    order.word_at(stored, word * width).map(|word| f64::from(word as i16))
+                }
+            };
+            let [x, y, z, fourth] = [0, 1, 2, 3].map(word);
+            let sample = x.zip(y).zip(z).zip(fourth).map(|(((x, y), z), fourth)| [x, y, z, fourth]);
+            window.push(sample.filter(|sample| sample[..3] != [0.0; 3]));
+        }
+    }
+    Ok(window)
+}
+
 /// The roughness of the motion read with a stride: the mean change of a coordinate's velocity from frame to frame as a
 /// share of the range of coordinates (0 for constant velocity, 1 for changes as large as the range), plus the share of
 /// invalid fourth words. `None` if no point has positions in three successive frames, or if all coordinates are equal.
-fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f64> {
-    let word = |frame: usize, word: usize| {
-        let at = stride.data_start + frame * stride.frame_bytes() + word * stride.word_bytes();
-        if stride.float {
-            file.order.float_at(file.bytes, at).map(f64::from)
-        } else {
-            file.order.word_at(file.bytes, at).map(|word| f64::from(word as i16))
-        }
-    };
+fn roughness(
+    file: &mut FileBytes<'_, '_>,
+    stride: &Stride,
+    n_frames: usize,
+) -> io::Result<Option<f64>> {
     let n_points = stride.n_points.min(POINTS);
-    let window = n_frames.min(WINDOW_FRAMES);
-    let n_windows = if n_frames > window { WINDOWS } else { 1 };
+    let n_window = n_frames.min(WINDOW_FRAMES);
+    let n_windows = if n_frames > n_window { WINDOWS } else { 1 };
     let is_invalid = |v: f64| v != 0.0 && !(COORDINATE_MIN..=COORDINATE_MAX).contains(&v.abs());
     let mut values = Vec::new();
     let mut changes = Vec::new();
     let (mut fourth_words, mut odd_words, mut odd_changes) = (0usize, 0usize, 0usize);
     for number in 0..n_windows {
-        let first = (n_frames - window) * number / (n_windows - 1).max(1);
+        let first = (n_frames - n_window) * number / (n_windows - 1).max(1);
+        let window = window(file, stride, first..first + n_window, n_points)?;
         for index in 0..n_points {
-            let point = index * stride.n_points.saturating_sub(1) / (n_points - 1).max(1);
-            let sample = |frame: usize| -> Option<[f64; 4]> {
-                let mut sample = [0.0; 4];
-                for (axis, value) in sample.iter_mut().enumerate() {
-                    *value = word(frame, 4 * point + axis)?;
-                }
-                (sample[..3] != [0.0; 3]).then_some(sample)
-            };
-            let mut before: [Option<[f64; 4]>; 2] = [None, None];
-            for frame in first..first + window {
-                let now = sample(frame);
+            let mut before: [Option<PointWords>; 2] = [None, None];
+            for &now in window.iter().skip(index).step_by(n_points) {
                 if let Some([x, y, z, fourth]) = now {
                     fourth_words += 1;
                     odd_words += usize::from(is_invalid(fourth) || (stride.float && fourth < -1.0));
@@ -303,15 +338,15 @@ fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f
     }
     let n_changes = changes.len() + odd_changes;
     if n_changes == 0 {
-        return None;
+        return Ok(None);
     }
     values.sort_by(f64::total_cmp);
     let share = |part: usize| values.get(part * values.len() / 20).copied().unwrap_or(0.0);
     let span = share(19) - share(1);
     if span <= 0.0 && odd_changes == 0 {
-        return None;
+        return Ok(None);
     }
     let rough = changes.iter().map(|change| (change / span.max(f64::MIN_POSITIVE)).min(1.0));
     let mean = (rough.sum::<f64>() + odd_changes as f64) / n_changes as f64;
-    Some(mean + odd_words as f64 / fourth_words.max(1) as f64)
+    Ok(Some(mean + odd_words as f64 / fourth_words.max(1) as f64))
 }

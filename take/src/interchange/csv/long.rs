@@ -15,7 +15,7 @@ use crate::{
         row_timing::{Rounding, rate_of},
         table::{self, CUT_OFF, MAX_POSITIONS_PER_BYTE, SampleCells, parse_sample},
         text::{self, Separator, column_labels, ends_mid_number},
-        units::{FileUnit, ToMillimetres},
+        units::{FileUnit, MotionExtent, ToMillimetres},
         write_frames,
     },
     motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, UpAxis, is_gap},
@@ -74,7 +74,7 @@ pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> R
             *place = position;
         }
     }
-    unit.check(&positions_mm, n_markers, &mut notes);
+    unit.check(&mut MotionExtent::of(&positions_mm, n_markers), &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {

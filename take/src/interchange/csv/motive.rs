@@ -18,7 +18,7 @@ use crate::{
         ReadOptions, Result, counted, origin,
         table::{CUT_OFF, Table},
         text::{self, Separator},
-        units::{FileUnit, ToMillimetres},
+        units::{FileUnit, MotionExtent, ToMillimetres},
     },
     motion::{Foreign, Marker, Motion, MotionInfo, UpAxis},
 };
@@ -53,7 +53,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let frames_missing = table.count_missing(announced, &mut notes.warnings);
     let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(0));
     let positions_mm = table.into_positions(columns.len())?;
-    unit.check(&positions_mm, columns.len(), &mut notes);
+    unit.check(&mut MotionExtent::of(&positions_mm, columns.len()), &mut notes);
     origin::note_samples_at_origin(&positions_mm, columns.len(), &mut notes);
     Ok(Motion {
         positions_mm,

@@ -14,7 +14,7 @@ use crate::{
         ReadOptions, Result, counted, origin, put_position,
         table::{CUT_OFF, Table},
         text::{self, Separator, column_labels},
-        units::{FileUnit, ToMillimetres},
+        units::{FileUnit, MotionExtent, ToMillimetres},
         write_frames,
     },
     motion::{Foreign, FrameSource, Motion, MotionInfo, UpAxis},
@@ -44,7 +44,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let frames_missing = table.count_missing(announced, &mut notes.warnings);
     let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(1));
     let positions_mm = table.into_positions(n_markers)?;
-    unit.check(&positions_mm, n_markers, &mut notes);
+    unit.check(&mut MotionExtent::of(&positions_mm, n_markers), &mut notes);
     origin::note_samples_at_origin(&positions_mm, n_markers, &mut notes);
     let markers = text::markers(&header.labels, n_markers);
     let foreign = Foreign { kind: HEADER.to_owned(), data: header.lines.into() };
