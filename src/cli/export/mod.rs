@@ -57,13 +57,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.format.of(&args.output)?;
     format.check_built()?;
-    match format {
-        // Before the take is read.
-        Format::Bids if !paths::is_stdout(&args.output) => {
-            drop(NewRecording::begin(&args.output, &args.format.names(&args.take)?)?)
-        }
-        _ => paths::check_output(&args.output)?,
-    }
+    check_output(args, format)?;
     let name = args.take.display();
     let reading = || format!("cannot read {name}");
     let file = SparseFile::open(&args.take)?;
@@ -84,7 +78,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut parallel =
         ParallelFrames::start(&args.take, &frames, range.start, threads::default_workers())?;
     let (mut left_out, mut not_rotated, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
-    let mut export = |source: &mut dyn FrameSource| {
+    let mut export = |source: &mut dyn FrameSource| -> anyhow::Result<()> {
         let counter = Arc::new(AtomicU64::new(0));
         let mut cropped = CroppedFrames::new(source, &range, Arc::clone(&counter));
         left_out = format.leaves_out(cropped.info(), up.is_some());
@@ -99,16 +93,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
                 &mut turned
             }
         };
-        if format == Format::Bids {
-            write_folder(frames, &args.format.names(&args.take)?, &args.output)
-        } else if args.format.for_spreadsheet {
-            write(&mut EscapedLabels::new(frames), format, &args.output)
-        } else if format == Format::Mot {
-            remarks = write_loads(frames, args.format.baseline(), &args.output)?;
-            Ok(())
-        } else {
-            write(frames, format, &args.output)
-        }
+        remarks = write_output(frames, format, args)?;
+        Ok(())
     };
     let done = match &mut parallel {
         None => false,
@@ -176,6 +162,32 @@ fn axis(text: &str) -> Result<UpAxis, String> {
         return Err(format!("expected x, y or z, found '{text}'"));
     }
     Ok(direction.axis())
+}
+
+/// Checks that the output can be created, before the take is read.
+fn check_output(args: &Args, format: Format) -> anyhow::Result<()> {
+    if format != Format::Bids || paths::is_stdout(&args.output) {
+        return paths::check_output(&args.output);
+    }
+    NewRecording::begin(&args.output, &args.format.names(&args.take)?).map(drop)
+}
+
+/// Writes the output in its format. Returns remarks on its content.
+fn write_output(
+    frames: &mut dyn FrameSource,
+    format: Format,
+    args: &Args,
+) -> anyhow::Result<Vec<String>> {
+    let output = &args.output;
+    match format {
+        Format::Bids => write_folder(frames, &args.format.names(&args.take)?, output)?,
+        Format::Mot => return write_loads(frames, args.format.baseline(), output),
+        _ if args.format.for_spreadsheet => {
+            write(&mut EscapedLabels::new(frames), format, output)?;
+        }
+        _ => write(frames, format, output)?,
+    }
+    Ok(Vec::new())
 }
 
 /// Writes a file atomically: under its name there is the whole file or none.

@@ -32,6 +32,7 @@ pub struct AnalogSamples<'a> {
     stored: PartSamples<'a>,
     is_unsigned: bool,
     rate_hz: f64,
+    n_frames: u64,
     frames_left: u64,
     warnings: Vec<String>,
 }
@@ -46,7 +47,7 @@ impl<'a> AnalogSamples<'a> {
     pub fn open(info: &'a MotionInfo) -> Result<Option<Self>, TakeError> {
         let parameters = parameters(info)?;
         let samples = Self::from_frame(info, parameters.as_ref(), info.source.first_frame)?;
-        Ok(samples.map(|samples| Self { frames_left: info.n_frames, ..samples }))
+        Ok(samples.map(|samples| samples.with_frames(info.n_frames)))
     }
 
     /// The samples that are kept of the frames with numbers `first` to `last`.
@@ -59,8 +60,12 @@ impl<'a> AnalogSamples<'a> {
         let Some(samples) = Self::from_frame(info, parameters, first)? else { return Ok(None) };
         let header = &samples.stored.header;
         let end = header.first_frame.saturating_add(header.n_frames as u64);
-        let frames_left = last.saturating_add(1).min(end).saturating_sub(first);
-        Ok(Some(Self { frames_left, ..samples }))
+        let n_frames = last.saturating_add(1).min(end).saturating_sub(first);
+        Ok(Some(samples.with_frames(n_frames)))
+    }
+
+    fn with_frames(self, n_frames: u64) -> Self {
+        Self { n_frames, frames_left: n_frames, ..self }
     }
 
     /// Starts at the frame with number `first_frame`, without frames to read.
@@ -88,6 +93,7 @@ impl<'a> AnalogSamples<'a> {
             channels: c3d::analog_channels(parameters, stored.header.n_signals, &mut warnings),
             is_unsigned: c3d::is_analog_unsigned(parameters),
             rate_hz: info.rate_hz * stored.header.ratio as f64,
+            n_frames: 0,
             frames_left: 0,
             stored,
             warnings,
@@ -110,6 +116,12 @@ impl<'a> AnalogSamples<'a> {
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
+    }
+
+    /// Number of frames from the first on.
+    #[must_use]
+    pub fn n_frames(&self) -> u64 {
+        self.n_frames
     }
 
     /// What the parameters leave open, and how it was read, one sentence each.
