@@ -274,4 +274,5 @@ def test_any_content_of_a_part_is_read_or_a_take_error(imported, tmp_path, part)
                 refused += 1
         if number == 0:
             np.testing.assert_array_equal(found[0], expected)
-    assert read > 10 and refused > 10
+    # Parameters are read up to the first invalid one.
+    assert read > 10 and refused > 0
