@@ -105,7 +105,8 @@ fn every_command_takes_a_folder() {
     for output in [
         "c3d/0.c3d",
         "c3d/day 2/1.c3d",
-        "takes/0.csv",
+        "takes/0.npz",
+        "parts/0.trc",
         "recovered/day 2/3.take",
         "plots/day 2/1.png",
     ] {
