@@ -288,7 +288,9 @@ impl Summary {
 /// The figures of a marker in a sentence.
 fn figures(of: &ChannelStatistics) -> String {
     let ChannelStatistics { samples, gaps, knots, error_step } = of;
-    format!("{samples} samples, {gaps} gaps, {knots} kept samples and an error of {error_step}/63 of the tolerance")
+    format!(
+        "{samples} samples, {gaps} gaps, {knots} kept samples and an error of {error_step}/63 of the tolerance"
+    )
 }
 
 /// Ratio of the samples' float32 bytes to bytes on disk.

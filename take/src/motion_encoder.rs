@@ -146,8 +146,7 @@ impl PartEncoder<'_> {
             let channels = self.columns.rows()?;
             let EncodedPart { block, tally, reports } = &mut coded;
             self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
-            *tally =
-                BlockTally::of_encoded(block, &channels, reports, self.encoder.kept_rows());
+            *tally = BlockTally::of_encoded(block, &channels, reports, self.encoder.kept_rows());
         }
         Ok(coded)
     }

@@ -125,6 +125,8 @@ pub struct TakeReader {
     has_footer: bool,
     complete: bool,
     ended: bool,
+    /// A damaged region was met.
+    had_damage: bool,
     /// Neither times nor foreign parts are decoded.
     skips_content: bool,
 }

@@ -199,8 +199,10 @@ impl BlockTally {
         }
     }
 
-    /// Adds the channels of the next group over the same rows.
+    /// Adds the channels of the next group over the same rows. A block can have fewer than its group.
     pub fn append(&mut self, next: &Self) {
+        let n_channels = self.channels.len().next_multiple_of(GROUP_CHANNELS);
+        self.channels.resize(n_channels, ChannelTally::UNSEEN);
         self.channels.extend_from_slice(&next.channels);
         for (sum, present) in self.present_in.iter_mut().zip(&next.present_in) {
             *sum += present;

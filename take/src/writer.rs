@@ -186,7 +186,10 @@ impl<W: Write> TakeWriter<W> {
         summary: &SummaryRecord,
     ) -> Result<(), TakeError> {
         self.ledger(ledger)?;
-        self.chunk(types::SUMMARY, &summary.to_payload()?)?;
+        // Where all channels together are more than a record can hold, a reader has to read them where they were announced.
+        let only_ending = || SummaryRecord { ending: summary.ending.clone(), ..Default::default() };
+        let payload = summary.to_payload().or_else(|_| only_ending().to_payload())?;
+        self.chunk(types::SUMMARY, &payload)?;
         let index_offset = self.offset;
         self.chunk(types::INDEX, &index_payload(&self.index))?;
         let footer =

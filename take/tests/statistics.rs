@@ -46,8 +46,14 @@ fn stated_and_counted(take: &[u8]) -> (TakeStatistics, TakeStatistics) {
                     rows.resize(stretch.span.first_row as usize, Vec::new());
                     rows.resize(stretch.span.end_row() as usize, Vec::new());
                     for decoded in decoder.rows() {
-                        for (i, row) in rows[stretch.span.first_row as usize..].iter_mut().enumerate() {
-                            row.push(decoded.filter(|rows| rows.present[i]).map(|rows| (rows.kept[i], rows.max_error_mm)));
+                        for (i, row) in
+                            rows[stretch.span.first_row as usize..].iter_mut().enumerate()
+                        {
+                            row.push(
+                                decoded
+                                    .filter(|rows| rows.present[i])
+                                    .map(|rows| (rows.kept[i], rows.max_error_mm)),
+                            );
                         }
                     }
                 }
@@ -166,7 +172,8 @@ fn an_import_states_what_decoding_gives() {
             assert_eq!(found.error_step() == 0, kind.is_lossless());
         }
     }
-    let settings = Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(1.0).unwrap() };
+    let settings =
+        Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(1.0).unwrap() };
     for (n_markers, n_frames) in [(0, 5), (3, 0)] {
         let mut empty = motion(3, n_frames, 30.0);
         if n_markers == 0 {
@@ -264,7 +271,8 @@ fn realistic_statistics(n: usize) -> TakeStatistics {
 
 #[test]
 fn it_takes_at_most_300_bytes_and_12_a_marker() {
-    let settings = Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(0.5).unwrap() };
+    let settings =
+        Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(0.5).unwrap() };
     let recording = Header {
         software: "mocapd 0.1.0".to_owned(),
         take_id: *b"\x1f\xa3\x07\x99\xc2\x5d\x40\x83\xbb\x61\x0e\xd8\x72\x9a\x34\xf0",

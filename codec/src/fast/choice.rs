@@ -307,7 +307,9 @@ impl<'a> RunEncoder<'a> {
             }
             for (i, sum) in sums.iter().enumerate() {
                 let row = self.after_zero + rows.row(8 * many + i) - 1;
-                if *sum != 0 && let Some(kept) = self.kept_rows.get_mut(row) {
+                if *sum != 0
+                    && let Some(kept) = self.kept_rows.get_mut(row)
+                {
                     *kept = true;
                     self.kept += 1;
                 }

@@ -49,7 +49,13 @@ impl TakeReader {
             }
             _ => {}
         }
-        match chunk::parse_at(&self.buffer, self.used, &mut self.prefixes) {
+        // After damage, chunks that begin and end anywhere are tried.
+        let parsed = if self.had_damage {
+            chunk::parse_at(&self.buffer, self.used, &mut self.prefixes)
+        } else {
+            chunk::parse(waiting)
+        };
+        match parsed {
             ChunkParse::Whole { len, .. } => {
                 self.used += len;
                 self.needed = 1;

@@ -78,6 +78,7 @@ impl TakeReader {
     /// with a damaged head is repaired and read next.
     fn end_damage(&mut self, at: usize) -> Option<TakeEvent<'static>> {
         let damage = self.damage.take()?;
+        self.had_damage = true;
         let offset = damage.offset;
         self.used = at;
         self.needed = 1;

@@ -36,7 +36,7 @@ pub(super) fn to_section(statistics: &TakeStatistics) -> Result<Vec<u8>, TakeErr
     varint::put(&mut out, statistics.rows_with_samples);
     let mut coder = RangeEncoder::new(&mut out, usize::MAX);
     let is_possible = code(&mut coder, &mut statistics.clone()).is_some();
-    if coder.finish() && is_possible {
+    if coder.finish() && is_possible && statistics.channels.len() <= CHANNELS_MAX {
         return Ok(out);
     }
     Err(TakeError::InvalidArgument("statistics that no take can have".to_owned()))

@@ -374,7 +374,8 @@ mod tests {
             ..Header::default()
         };
         header.set_source_bytes(5678);
-        let channel = |(samples, gaps, knots)| ChannelStatistics { samples, gaps, knots, error_step: 63 };
+        let channel =
+            |(samples, gaps, knots)| ChannelStatistics { samples, gaps, knots, error_step: 63 };
         let statistics = TakeStatistics {
             channels: [(120, 0, 17), (104, 2, 21)].map(channel).to_vec(),
             rows_with_samples: 120,
@@ -387,7 +388,8 @@ mod tests {
 
     #[test]
     fn the_example_of_an_import_decodes() {
-        let (payload, written) = (example("A SUMMARY of an import"), of_import().to_payload().unwrap());
+        let (payload, written) =
+            (example("A SUMMARY of an import"), of_import().to_payload().unwrap());
         assert_eq!(payload, written, "{written:02X?}");
         assert_eq!(SummaryRecord::from_payload(&payload, 0).unwrap(), of_import());
     }
@@ -419,7 +421,9 @@ mod tests {
         // No channels, no rows; 65 536 of them; one more; nothing after the number; more rows than any take has.
         assert!(statistics(&[0, 0]).unwrap().statistics.is_some());
         assert!(statistics(&[0x80, 0x80, 4, 0]).is_ok_and(|read| read.statistics.is_some()));
-        for figures in [&[0x81, 0x80, 4, 0][..], &[5], &[], &[0, 0x81, 0x80, 0x80, 0x80, 0x80, 0x80, 4]] {
+        for figures in
+            [&[0x81, 0x80, 4, 0][..], &[5], &[], &[0, 0x81, 0x80, 0x80, 0x80, 0x80, 0x80, 4]]
+        {
             assert!(matches!(statistics(figures), Err(TakeError::Corrupt { .. })), "{figures:?}");
         }
         // A bomb: zeros without end; a copy that is cut; bytes after it.
@@ -431,7 +435,12 @@ mod tests {
         let header = whole.header.unwrap().to_payload().unwrap();
         let (bomb, copy) = (deflated(&vec![0; 64 << 20]), deflated(&header));
         assert!(section(HEADER_TAG, &copy).is_ok());
-        for content in [&bomb[..], &copy[..copy.len() - 3], &[&copy[..], &[0]].concat(), &deflated(&header[..9])] {
+        for content in [
+            &bomb[..],
+            &copy[..copy.len() - 3],
+            &[&copy[..], &[0]].concat(),
+            &deflated(&header[..9]),
+        ] {
             assert!(matches!(section(HEADER_TAG, content), Err(TakeError::Corrupt { .. })));
         }
         // Sections of later versions are skipped.

@@ -123,27 +123,6 @@ def read_header(payload):
     return header
 
 
-ENDINGS = ["stopped", "length", "device ended", "device gone", "disk full", "service stopped", "saved", "cut off",
-           "truncated", "unmounted"]  # fmt: skip
-
-
-def read_summary(payload):
-    """How the take ended, as (name, detail); None if it is not recorded."""
-    cursor = Cursor(payload)
-    if int.from_bytes(cursor.take(2), "little") != 1:
-        return None
-    ending = None
-    while cursor.left():
-        tag, content = cursor.varint(), cursor.take(cursor.varint())
-        if tag != 1 or content[:2] != b"\x01\x00":
-            continue
-        record = Record(content, 1)
-        kind, detail = record.unsigned(), record.string()
-        record.finish()
-        ending = (ENDINGS[kind - 1] if 1 <= kind <= len(ENDINGS) else f"kind {kind}", detail)
-    return ending
-
-
 def read_channels(payload):
     record = Record(payload, 2)
     channels = record.channels()

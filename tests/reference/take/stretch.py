@@ -1,6 +1,7 @@
 """Stretches in order: their rows, times and blocks (docs/take-format.md, "STRETCH")."""
 
-from .container import CHANNELS, FOOTER, HEADER, STRETCH, SUMMARY, chunks, read_channels, read_header, read_summary
+from . import summary as summaries
+from .container import CHANNELS, FOOTER, HEADER, STRETCH, SUMMARY, chunks, read_channels, read_header
 from .cursor import Cursor
 from .dense import Dense
 from .errors import Corrupt
@@ -30,6 +31,7 @@ class Take:
         self.ending = None  # (name, detail), if recorded
         self.tracks = {}  # by channel: {row: (position, kept)}
         self.stated_mm = 0.0
+        self.stated_by_channel = {}  # the largest error of the blocks with samples of a channel, in mm
 
 
 class Stretches:
@@ -116,13 +118,17 @@ class Stretches:
                 for row, present in enumerate(channel.present):
                     if present:
                         track[first_row + row] = (channel.positions[row], channel.kept[row])
+                if any(channel.present):
+                    before = self.take.stated_by_channel.get(i * GROUP + j, 0.0)
+                    self.take.stated_by_channel[i * GROUP + j] = max(before, group.stated_mm)
             if block:
                 self.take.stated_mm = max(self.take.stated_mm, group.stated_mm)
 
 
 def read_take(data):
-    """Decodes the bytes of an undamaged take; one that ends after a complete chunk is read up to there."""
-    take, stretches = Take(), None
+    """Decodes the bytes of an undamaged take, and compares its summary with them; one that ends after a complete chunk is
+    read up to there."""
+    take, stretches, summary = Take(), None, summaries.Summary()
     for kind, payload in chunks(data):
         if kind == HEADER:
             take.header = read_header(payload)
@@ -135,9 +141,11 @@ def read_take(data):
         elif kind == STRETCH:
             stretches.read(payload)
         elif kind == SUMMARY:
-            take.ending = read_summary(payload)
+            summary = summaries.read_summary(payload, take.header.tolerance_mm)
+            take.ending = summary.ending
         elif kind == FOOTER:
             take.finished = True
     if take.header is None:
         raise Corrupt("a take without a header")
+    summaries.check(summary, take)
     return take

@@ -171,4 +171,3 @@ impl PreRollBuffer {
         self.bytes -= self.stretches.drain(..n).map(|kept| kept.bytes()).sum::<usize>();
     }
 }
-
