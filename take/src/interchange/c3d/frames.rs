@@ -78,9 +78,13 @@ fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
         .collect()
 }
 
-/// Bytes of frames that are read at a time. A column of a scratch file is written in pieces of about 2 kB then if a
-/// frame has a thousand words.
+/// Bytes of frames that are read at a time: they stay in the processor's cache, and a column of a scratch file is written
+/// in pieces of about 2 kB if a frame has a thousand words.
 const BLOCK_BYTES: usize = 1 << 21;
+/// Fewest frames that are read at a time, unless they have more than [`LARGE_BLOCK_BYTES`]: with fewer, a frame of
+/// hundreds of thousands of words would cost as many writes to its columns.
+const BLOCK_FRAMES_MIN: usize = 64;
+const LARGE_BLOCK_BYTES: usize = 1 << 25;
 
 /// Reads successive frames.
 #[derive(Debug, Default)]
@@ -95,7 +99,8 @@ impl FrameBuffer {
         first: usize,
     ) -> impl Iterator<Item = Range<usize>> + use<> {
         let n_frames = layout.n_frames;
-        let n_block = (BLOCK_BYTES / layout.stride.frame_bytes().max(1)).max(1);
+        let within = |n_bytes: usize| n_bytes / layout.stride.frame_bytes().max(1);
+        let n_block = within(BLOCK_BYTES).max(within(LARGE_BLOCK_BYTES).clamp(1, BLOCK_FRAMES_MIN));
         (first..n_frames).step_by(n_block).map(move |first| first..n_frames.min(first + n_block))
     }
 
