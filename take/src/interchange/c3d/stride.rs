@@ -51,9 +51,14 @@ impl Stride {
         if self.float { 4 } else { 2 }
     }
 
+    /// Words of a frame: four for each point, and the analog samples.
+    pub(super) fn frame_words(&self) -> usize {
+        4 * self.n_points + self.analog_per_frame
+    }
+
     /// Bytes of a frame.
     pub(super) fn frame_bytes(&self) -> usize {
-        (4 * self.n_points + self.analog_per_frame) * self.word_bytes()
+        self.frame_words() * self.word_bytes()
     }
 }
 
