@@ -194,7 +194,8 @@ impl<R: Read + Seek> GapReader<R> {
         let mut tracker = GapTracker::new(announced_at, each);
         let mut stretches = TakeTraversal::from_map(&mut input, &take, Decode::All)?;
         while let Some(span) = stretches.next_stretch()? {
-            tracker.add_stretch(span, stretches.timeline(), stretches.rows())?;
+            let rows: Vec<_> = stretches.rows().collect();
+            tracker.add_stretch(span, stretches.timeline(), &rows)?;
             counter.store(tracker.next_row, Ordering::Relaxed);
         }
         take.problems.extend(stretches.take_problems());
@@ -232,7 +233,7 @@ impl<F: FnMut(&Gap) -> Result<(), TakeError>> GapTracker<F> {
         &mut self,
         span: Span,
         timeline: Option<&Timeline>,
-        rows: impl Iterator<Item = Option<&DecodedRows>>,
+        rows: &[Option<&DecodedRows>],
     ) -> Result<(), TakeError> {
         let from = timeline.map_or(span.first_row, |timeline| timeline.first_row);
         self.lose_to(from, GapCause::Damaged.into());
@@ -247,7 +248,7 @@ impl<F: FnMut(&Gap) -> Result<(), TakeError>> GapTracker<F> {
             runs.push((span.first_row..span.end_row(), None));
             at = span.end_row();
         }
-        let rows = rows.chain(std::iter::repeat(None));
+        let rows = rows.iter().copied().chain(std::iter::repeat(None));
         for (column, (channel, rows)) in self.channels.iter_mut().zip(rows).enumerate() {
             let rows = rows.filter(|rows| rows.has_samples());
             for (run, lost) in &runs {
@@ -358,8 +359,6 @@ impl ChannelState {
 
 #[cfg(test)]
 mod tests {
-    use std::iter;
-
     use mocapd_take::timeline::RowRun;
 
     use super::*;
@@ -393,7 +392,7 @@ mod tests {
         });
         // Rows 0 to 9 of an import's stretch; the second marker is announced with row 5.
         let (a, b) = (rows("xx..xxxxx."), rows(".......xxx"));
-        tracker.add_stretch(span(0, 10), None, [Some(&a), Some(&b)].into_iter()).unwrap();
+        tracker.add_stretch(span(0, 10), None, &[Some(&a), Some(&b)]).unwrap();
         // Rows 10 and 11 are in no stretch. Rows 12 and 13 are lost, and so is row 15 within the stretch 14 to 17.
         let timeline = Timeline {
             first_row: 12,
@@ -406,7 +405,7 @@ mod tests {
             times: Vec::new(),
         };
         let a = rows("x.xx");
-        tracker.add_stretch(span(14, 4), Some(&timeline), [Some(&a), None].into_iter()).unwrap();
+        tracker.add_stretch(span(14, 4), Some(&timeline), &[Some(&a), None]).unwrap();
         // The take ends with a lost row.
         let markers = tracker.finish(19).unwrap();
         let gap = |column, first_row, rows, all: &[GapCause]| Gap {
@@ -441,7 +440,7 @@ mod tests {
             n += 1;
             Ok(())
         });
-        tracker.add_stretch(span(0, 7), None, iter::empty()).unwrap();
+        tracker.add_stretch(span(0, 7), None, &[]).unwrap();
         let markers = tracker.finish(7).unwrap();
         assert_eq!((n, markers[1].gaps, markers[1].rows_by_cause[0]), (2, 1, 7));
         assert!(GapTracker::new(vec![0], |_: &Gap| Ok(())).finish(0).unwrap()[0].longest.is_none());

@@ -1,6 +1,5 @@
 //! `export`: ranges of time, formats, events, and incompatible options.
 
-use mocapd_acquire::files::NameTaken;
 use mocapd_take::{interchange::Format, motion::MotionEvent, record::EventKind};
 
 use super::Folder;
@@ -144,7 +143,7 @@ fn formats_by_name() {
     folder.run(&bids).with_code(0);
     let motion = folder.text("set/sub-7/motion/sub-7_task-jump_tracksys-optical_motion.tsv");
     assert_eq!(motion.lines().count(), 100);
-    assert_eq!(folder.refuses(&bids, 1), NameTaken { path: "set".into() }.to_string());
+    assert_mentions(&folder.refuses(&bids, 1), &["set/sub-7/motion", "--run", "--session"]);
     let names: Vec<_> = folder.content().into_keys().collect();
     assert!(names.iter().all(|name| !name.to_string_lossy().contains(".part")), "{names:?}");
 }

@@ -122,6 +122,25 @@ def check_events(mocapd, recorded, take, folder, lines):
         lines.append((not complaints, f"{kind} events {'; '.join(complaints)}"))
 
 
+def check_dataset(mocapd, recorded, folder, lines):
+    """Several subjects, sessions and runs in one BIDS data set, which stays valid."""
+    dataset = folder / "study"
+    recordings = [("01", None, "1"), ("01", None, "2"), ("02", "pre", None), ("02", "post", "01")]
+    for subject, session, run_number in recordings:
+        labels = ["--subject", subject, "--task", "jump"]
+        labels += ["--session", session] if session else []
+        labels += ["--run", run_number] if run_number else []
+        run(mocapd, "export", recorded, "-o", dataset, "--format", "bids", *labels)
+    complaints = exports.validate_bids(dataset)
+    found = len(list(dataset.glob("sub-*/**/*_motion.tsv")))
+    if found != len(recordings):
+        complaints.append(f"{found} recordings for {len(recordings)}")
+    participants = (dataset / "participants.tsv").read_text(encoding="utf-8").split()
+    if participants != ["participant_id", "sub-01", "sub-02"]:
+        complaints.append(f"participants {participants}")
+    lines.append((not complaints, f"bids of several recordings {'; '.join(complaints)}"))
+
+
 def check(job):
     """One take: a line and whether it passed for each format."""
     mocapd, source, take = job
@@ -159,6 +178,7 @@ def check(job):
         events = folder / "events"
         events.mkdir()
         check_events(mocapd, recorded, take, events, lines)
+        check_dataset(mocapd, recorded, folder, lines)
     except Exception as problem:
         lines.append((False, f"{type(problem).__name__}: {problem}"))
     finally:

@@ -5,6 +5,7 @@
 //! their folders from a [`Staging`], which the next export uses to undo what a killed one left.
 
 use std::{
+    collections::BTreeSet,
     fs::{self, File, OpenOptions},
     io::{self, BufWriter, Read, Write},
     path::{Path, PathBuf},
@@ -12,16 +13,13 @@ use std::{
 
 use anyhow::{Context, anyhow, bail};
 use mocapd_take::interchange::bids::{self, BidsLabels, DatasetFolder};
-use rustix::{
-    fs::{AtFlags, CWD, FlockOperation, RenameFlags, flock, linkat, renameat_with},
-    io::Errno,
-};
+use rustix::fs::{AtFlags, CWD, FlockOperation, flock, linkat};
 
 use super::{
     cannot_create, folder_of,
     new_file::unnamed_file,
     proc_link,
-    staging::{self, PARTICIPANTS, Staging},
+    staging::{self, PARTICIPANTS, Staging, rename_new},
     sync_name,
 };
 
@@ -150,14 +148,10 @@ impl NewRecording {
         self.stage()?;
         let dataset = self.dataset.clone();
         let content = self.staging()?.content();
-        match renameat_with(CWD, &content, CWD, &dataset, RenameFlags::NOREPLACE) {
+        match rename_new(&content, &dataset) {
             Ok(()) => {}
-            Err(Errno::EXIST) => return Ok(false),
-            // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
-            Err(Errno::INVAL | Errno::NOSYS) if dataset.symlink_metadata().is_err() => {
-                fs::rename(&content, &dataset)
-                    .with_context(|| format!("cannot write {}", dataset.display()))?;
-            }
+            // Something appeared there.
+            Err(_) if dataset.symlink_metadata().is_ok() => return Ok(false),
             Err(error) => {
                 return Err(error).with_context(|| format!("cannot name {}", dataset.display()));
             }
@@ -186,21 +180,20 @@ impl NewRecording {
         let paths: Vec<String> =
             self.files.iter().filter(is_added).map(|written| written.path.clone()).collect();
         let staging = self.staging()?;
-        for path in paths {
-            let to = dataset.join(&path);
-            staging.create_folders(folder_of(&to)).with_context(writing)?;
-            match staging.publish(&path, &to) {
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                    return Err(DatasetError::Exists(to).into());
-                }
-                other => other.with_context(writing)?,
-            }
-            sync_name(&to);
-        }
+        staging.publish(&paths).map_err(|(path, error)| match error.kind() {
+            io::ErrorKind::AlreadyExists => DatasetError::Exists(path).into(),
+            _ => anyhow::Error::from(error).context(writing()),
+        })?;
         if let Some(row) = row {
             staging.append(&participants, row.as_bytes()).with_context(writing)?;
         }
         staging.commit();
+        // The names of the files, and those of new folders.
+        let names: BTreeSet<&Path> =
+            paths.iter().flat_map(|path| Path::new(path).ancestors()).collect();
+        names.iter().filter(|name| name.parent().is_some()).for_each(|name| {
+            sync_name(&dataset.join(name));
+        });
         Ok(())
     }
 

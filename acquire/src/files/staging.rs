@@ -18,6 +18,8 @@ use rustix::{
     io::Errno,
 };
 
+use super::folder_of;
+
 /// The table of subjects.
 pub(super) const PARTICIPANTS: &str = "participants.tsv";
 
@@ -28,7 +30,9 @@ const DONE: &str = ".done";
 // The content of the folder.
 const LOCK: &str = "lock";
 const CONTENT: &str = "content";
-/// The folders that were created in the data set, one a line.
+/// Folders that are moved into the data set, with links to the files in [`CONTENT`].
+const PUBLISHED: &str = "published";
+/// The folders that were created in the data set, one a line, the outermost first.
 const FOLDERS: &str = "folders";
 /// The length of the table of subjects, a line end, and the row appended to it.
 const ROW: &str = "row";
@@ -104,33 +108,58 @@ impl Staging {
         self.root.join(CONTENT)
     }
 
-    /// Creates the missing ones of a folder of the data set and the folders it is in.
-    pub(super) fn create_folders(&self, folder: &Path) -> io::Result<()> {
-        let missing: Vec<&Path> =
-            folder.ancestors().take_while(|folder| folder.symlink_metadata().is_err()).collect();
-        for folder in missing.into_iter().rev() {
-            let relative = folder.strip_prefix(&self.dataset).map_err(io::Error::other)?;
-            let journal = self.root.join(FOLDERS);
-            let mut journal = OpenOptions::new().append(true).create(true).open(journal)?;
-            journal.write_all(&[relative.as_os_str().as_bytes(), b"\n"].concat())?;
-            match fs::create_dir(folder) {
-                Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
-                _ => {}
+    /// Gives files their names in the data set, within microseconds: folders that are missing appear with all their
+    /// files. What is there already is not replaced.
+    ///
+    /// # Errors
+    /// The path that could not be created, and why.
+    pub(super) fn publish(&self, paths: &[String]) -> Result<(), (PathBuf, io::Error)> {
+        let mut folders: Vec<PathBuf> = Vec::new();
+        let mut files: Vec<&String> = Vec::new();
+        for path in paths {
+            let Some(folder) = self.missing_folder(path) else {
+                files.push(path);
+                continue;
+            };
+            self.prepare(path, &folder).map_err(|error| (self.dataset.join(path), error))?;
+            if !folders.contains(&folder) {
+                folders.push(folder);
             }
+        }
+        for folder in folders {
+            let (from, to) = (self.root.join(PUBLISHED).join(&folder), self.dataset.join(folder));
+            rename_new(&from, &to).map_err(|error| (to, error))?;
+        }
+        for path in files {
+            let (from, to) = (self.content().join(path), self.dataset.join(path));
+            link_or_move(&from, &to).map_err(|error| (to, error))?;
         }
         Ok(())
     }
 
-    /// Gives a file its name in the data set. What is there already is not replaced.
-    pub(super) fn publish(&self, path: &str, to: &Path) -> io::Result<()> {
-        let staged = self.content().join(path);
-        match linkat(CWD, &staged, CWD, to, AtFlags::empty()) {
-            // File systems without hard links.
-            Err(Errno::PERM | Errno::NOSYS | Errno::OPNOTSUPP | Errno::MLINK) => {
-                Ok(renameat_with(CWD, &staged, CWD, to, RenameFlags::NOREPLACE)?)
+    /// The outermost folder of a file that the data set lacks.
+    fn missing_folder(&self, path: &str) -> Option<PathBuf> {
+        let folders: Vec<&Path> = Path::new(path).ancestors().skip(1).collect();
+        let is_missing = |folder: &Path| self.dataset.join(folder).symlink_metadata().is_err();
+        folders.into_iter().rev().find(|folder| is_missing(folder)).map(Path::to_owned)
+    }
+
+    /// Puts a file into a copy of the missing folder, which is then moved as a whole.
+    fn prepare(&self, path: &str, missing: &Path) -> io::Result<()> {
+        let copy = self.root.join(PUBLISHED).join(path);
+        let folder = folder_of(Path::new(path));
+        if !self.root.join(PUBLISHED).join(folder).is_dir() {
+            fs::create_dir_all(folder_of(&copy))?;
+            let mut created: Vec<&Path> =
+                folder.ancestors().take_while(|folder| folder.starts_with(missing)).collect();
+            created.reverse();
+            let journal = self.root.join(FOLDERS);
+            let mut journal = OpenOptions::new().append(true).create(true).open(journal)?;
+            for folder in created {
+                journal.write_all(&[folder.as_os_str().as_bytes(), b"\n"].concat())?;
             }
-            other => Ok(other?),
         }
+        link_or_move(&self.content().join(path), &copy)
     }
 
     /// Appends a row to the table of subjects.
@@ -159,6 +188,24 @@ impl Drop for Staging {
         }
         fs::remove_dir_all(&self.root).ok();
         self.lock = None;
+    }
+}
+
+/// Links a file to a name that must not exist; moves it on file systems without hard links.
+fn link_or_move(from: &Path, to: &Path) -> io::Result<()> {
+    match linkat(CWD, from, CWD, to, AtFlags::empty()) {
+        Err(Errno::PERM | Errno::NOSYS | Errno::OPNOTSUPP | Errno::MLINK) => rename_new(from, to),
+        other => Ok(other?),
+    }
+}
+
+/// Renames a file or folder to a name that must not exist.
+pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
+        Err(Errno::INVAL | Errno::NOSYS) if to.symlink_metadata().is_err() => fs::rename(from, to),
+        Err(Errno::INVAL | Errno::NOSYS) => Err(ErrorKind::AlreadyExists.into()),
+        other => Ok(other?),
     }
 }
 
@@ -275,10 +322,8 @@ mod tests {
         (dataset, staging)
     }
 
-    fn publish(dataset: &Path, staging: &Staging, path: &str) {
-        let to = dataset.join(path);
-        staging.create_folders(to.parent().unwrap()).unwrap();
-        staging.publish(path, &to).unwrap();
+    fn publish(staging: &Staging, path: &str) {
+        staging.publish(&[path.to_owned()]).unwrap();
     }
 
     /// All files and folders, and what the files hold.
@@ -307,10 +352,10 @@ mod tests {
                 .collect();
             let mut killed = ManuallyDrop::new(staging);
             if n_steps > 0 {
-                publish(&dataset, &killed, "sub-01/motion/b.tsv");
+                publish(&killed, "sub-01/motion/b.tsv");
             }
             if n_steps > 1 {
-                publish(&dataset, &killed, "sub-02/motion/c.tsv");
+                publish(&killed, "sub-02/motion/c.tsv");
             }
             if n_steps > 2 {
                 killed.append(&dataset.join(PARTICIPANTS), b"sub-02\n").unwrap();
@@ -341,7 +386,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (dataset, staging) = begun(dir.path());
         let mut killed = ManuallyDrop::new(staging);
-        publish(&dataset, &killed, "sub-02/motion/c.tsv");
+        publish(&killed, "sub-02/motion/c.tsv");
         let participants = dataset.join(PARTICIPANTS);
         killed.append(&participants, b"sub-02\n").unwrap();
         append(&participants, b"sub-03\n").unwrap();
@@ -358,11 +403,19 @@ mod tests {
     fn a_file_that_exists_is_not_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let (dataset, staging) = begun(dir.path());
-        let to = dataset.join("sub-01/motion/a.tsv");
-        let error = staging.publish("sub-01/motion/b.tsv", &to).unwrap_err();
-        assert_eq!(error.kind(), ErrorKind::AlreadyExists);
+        // Both appear while it is written.
+        let file = dataset.join("sub-01/motion/b.tsv");
+        fs::write(&file, "mine").unwrap();
+        let refused = |paths: &[&str]| {
+            let paths: Vec<String> = paths.iter().map(|path| (*path).to_owned()).collect();
+            let (path, error) = staging.publish(&paths).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::AlreadyExists);
+            path
+        };
+        assert_eq!(refused(&["sub-02/motion/c.tsv", "sub-01/motion/b.tsv"]), file);
+        assert!(dataset.join("sub-02/motion/c.tsv").exists());
         drop(staging);
-        assert_eq!(fs::read(to).unwrap(), b"1");
-        assert_eq!(fs::read_dir(&dataset).unwrap().count(), 2);
+        assert_eq!(fs::read(file).unwrap(), b"mine");
+        assert_eq!(fs::read_dir(&dataset).unwrap().count(), 2, "what was added is undone");
     }
 }

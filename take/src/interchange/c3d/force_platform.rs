@@ -127,8 +127,9 @@ impl PlateLists<'_> {
             return Ok([x, y, z]);
         }
         warnings.push(format!(
-            "ORIGIN of force plate {} is above its surface ({z} mm); it was read with the opposite sign.",
-            index + 1
+            "ORIGIN of force plate {} is above its surface ({} mm); it was read with the opposite sign.",
+            index + 1,
+            z as f32
         ));
         // In type 3 the other two are distances between sensors.
         Ok(if kind == PlateType::Type3 { [x, y, -z] } else { [-x, -y, -z] })
