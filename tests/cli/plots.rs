@@ -137,7 +137,7 @@ fn unusual_takes_give_plots_or_reasons() {
         (&["trajectory", "half.take", "--marker", "m<9>&"][..], 2, &["m<9>&", "m<1>&"][..]),
         (&["trajectory", "half.take", "--from", "9s"], 2, &["--from", "--to", "300", "3.000 s"]),
         (&["pose", "half.take", "--at", "1h"], 2, &["3.000 s", "3600.000 s"]),
-        (&["pose", "half.take", "--at", &thirteen], 1, &["13", "1", "12"]),
+        (&["pose", "half.take", "--at", &thirteen], 2, &["13", "1", "12"]),
         (&["sizes", "a", "b", "c", "d", "e", "f", "g"], 2, &["7"]),
     ] {
         assert_mentions(&refuses(args, code), facts);
