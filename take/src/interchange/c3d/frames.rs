@@ -90,7 +90,7 @@ const LARGE_BLOCK_BYTES: usize = 1 << 25;
 #[derive(Debug, Default)]
 pub(super) struct FrameBuffer {
     bytes: Vec<u8>,
-    words: Vec<f32>,
+    samples: Vec<f32>,
 }
 
 impl FrameBuffer {
@@ -119,23 +119,23 @@ impl FrameBuffer {
         self.bytes.resize(range.len() * frame_bytes, 0);
         let at = layout.stride.data_start + range.start * frame_bytes;
         source.read_at(at as u64, &mut self.bytes)?;
-        self.words.clear();
+        self.samples.clear();
         let order = layout.order;
         if !layout.stride.float {
             let words = self.bytes.as_chunks().0.iter();
-            self.words.extend(words.map(|&bytes| f32::from(order.word(bytes) as i16)));
+            self.samples.extend(words.map(|&bytes| f32::from(order.word(bytes) as i16)));
         } else if order == ByteOrder::Intel {
-            self.words
+            self.samples
                 .extend(self.bytes.as_chunks().0.iter().map(|&word| f32::from_le_bytes(word)));
         } else {
-            self.words.extend(self.bytes.as_chunks().0.iter().map(|&word| order.float(word)));
+            self.samples.extend(self.bytes.as_chunks().0.iter().map(|&word| order.float(word)));
         }
         Ok(self.held(layout))
     }
 
     /// Frames that were read before.
     pub(super) fn held<'b>(&'b self, layout: &'b Layout) -> Frames<'b> {
-        Frames { words: &self.words, layout }
+        Frames { samples: &self.samples, layout }
     }
 }
 
@@ -145,27 +145,27 @@ pub(super) type StoredWords = [f32; 4];
 /// Successive frames as stored, counted from the first of them. Integers are floats of the same value.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frames<'a> {
-    words: &'a [f32],
+    samples: &'a [f32],
     pub(super) layout: &'a Layout,
 }
 
 impl<'a> Frames<'a> {
     /// Number of frames.
     pub(super) fn len(&self) -> usize {
-        self.words.len().checked_div(self.layout.stride.frame_words()).unwrap_or(0)
+        self.samples.len().checked_div(self.layout.stride.frame_words()).unwrap_or(0)
     }
 
     /// The points of a frame.
     pub(super) fn points(&self, frame: usize) -> &'a [StoredWords] {
         let stride = &self.layout.stride;
         let start = frame * stride.frame_words();
-        self.words.get(start..start + 4 * stride.n_points).unwrap_or_default().as_chunks().0
+        self.samples.get(start..start + 4 * stride.n_points).unwrap_or_default().as_chunks().0
     }
 
     /// A word of a frame: four for each point, then the analog samples.
     pub(super) fn word(&self, frame: usize, word: usize) -> f32 {
         let at = frame * self.layout.stride.frame_words() + word;
-        self.words.get(at).copied().unwrap_or_default()
+        self.samples.get(at).copied().unwrap_or_default()
     }
 
     /// A word of a frame as columns store it: a float mapped by [`ordered`], or an integer.

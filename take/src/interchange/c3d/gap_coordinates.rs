@@ -110,7 +110,7 @@ pub(super) struct GapWriter {
 struct MarkerWriter {
     next_run: u64,
     run: Option<GapRun>,
-    words: u64,
+    words_from: u64,
     n_samples: usize,
     columns: [ColumnWriter; WORDS],
 }
@@ -140,7 +140,7 @@ impl GapWriter {
             markers.push(Some(MarkerWriter {
                 next_run: runs,
                 run: None,
-                words: runs + RUN_BYTES as u64 * count.n_runs,
+                words_from: runs + RUN_BYTES as u64 * count.n_runs,
                 n_samples: count.n_samples as usize,
                 columns: [const { ColumnWriter::new(size_of::<f32>()) }; WORDS],
             }));
@@ -212,7 +212,7 @@ impl MarkerWriter {
         }
         data.write_at(self.next_run, &ended)?;
         self.next_run += ended.len() as u64;
-        write_words(&mut self.columns, data, (self.words, self.n_samples), samples, |sample| {
+        write_words(&mut self.columns, data, (self.words_from, self.n_samples), samples, |sample| {
             sample.2
         })
     }
