@@ -206,7 +206,7 @@ impl MarkerWriter {
                 Some(open) if open.first + open.n_frames == first => open.n_frames += n_frames,
                 open => {
                     let before = open.replace(GapRun { first, n_frames });
-                    ended.extend(before.iter().flat_map(GapRun::to_bytes));
+                    ended.extend(before.into_iter().flat_map(GapRun::to_bytes));
                 }
             }
         }
@@ -391,7 +391,7 @@ impl GapRun {
         Self { first: word(0), n_frames: word(8) }
     }
 
-    fn to_bytes(&self) -> [u8; RUN_BYTES] {
+    fn to_bytes(self) -> [u8; RUN_BYTES] {
         let mut bytes = [0; RUN_BYTES];
         bytes[..8].copy_from_slice(&self.first.to_le_bytes());
         bytes[8..].copy_from_slice(&self.n_frames.to_le_bytes());
