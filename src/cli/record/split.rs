@@ -67,7 +67,7 @@ impl SplitValue {
         if paths::is_stdout(output) || output.is_dir() {
             let output = output.display();
             return Err(UsageError(format!(
-                "--split needs a name to number, such as run.take, but --output is {output}"
+                "--output {output} cannot be numbered: with --split, give a name such as run.take"
             ))
             .into());
         }
