@@ -261,6 +261,8 @@ fn sync(file: &File) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::files::NameTaken;
 
