@@ -184,9 +184,7 @@ impl Format {
             | Self::Mot
             | Self::Parquet
             | Self::ParquetWide
-            | Self::Mcap => {
-                unsupported("this format is export only: import c3d, trc, tsv or csv")
-            }
+            | Self::Mcap => unsupported("this format is export only: import c3d, trc, tsv or csv"),
         }
     }
 
