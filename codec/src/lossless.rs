@@ -57,6 +57,15 @@ impl PayloadEncoder for Lossless {
         }
         Ok(())
     }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        self.encode(channels, out, reports)
+    }
 }
 
 impl PayloadDecoder for Lossless {

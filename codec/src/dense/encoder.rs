@@ -64,10 +64,20 @@ impl PayloadEncoder for Dense {
         }
         Ok(())
     }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        self.store_all(channels, out, reports);
+        Ok(())
+    }
 }
 
 impl Dense {
-    /// Stores a block as a whole, sample by sample, where coding would take more bytes; resets all state.
+    /// Stores a block as a whole, sample by sample; resets all state.
     fn store_all(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &mut [BlockReport]) {
         self.reset();
         let mut coder = RangeEncoder::new(out, usize::MAX);

@@ -135,18 +135,15 @@ impl Fast {
     }
 }
 
-impl PayloadEncoder for Fast {
-    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        // Per channel its mode and its samples; then the state, the flag and the end mark.
-        n_channels * (1 + Raw::max_bytes(n_rows)) + 16
-    }
-
-    fn encode(
+impl Fast {
+    /// Appends the payload of a block; with `all_raw` every channel is raw.
+    fn write(
         &mut self,
         channels: &[Rows<'_>],
+        all_raw: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<()> {
+    ) {
         self.prepare(channels.len(), channels.first().map_or(0, Rows::len));
         let start = out.len();
         let mut writer = Writer::NEW;
@@ -158,7 +155,7 @@ impl PayloadEncoder for Fast {
                 self.channels[i].known = 0;
                 continue;
             }
-            if self.channel(i, *rows, report, &mut writer, out) {
+            if !all_raw && self.channel(i, *rows, report, &mut writer, out) {
                 coded = true;
             } else {
                 self.modes[i] = Mode::RAW;
@@ -180,6 +177,32 @@ impl PayloadEncoder for Fast {
             // Modes and raw samples are written last, but read first.
             out[start..].rotate_left(behind - start);
         }
+    }
+}
+
+impl PayloadEncoder for Fast {
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        // Per channel its mode and its samples; then the state, the flag and the end mark.
+        n_channels * (1 + Raw::max_bytes(n_rows)) + 16
+    }
+
+    fn encode(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        self.write(channels, false, out, reports);
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        self.write(channels, true, out, reports);
         Ok(())
     }
 }

@@ -63,6 +63,14 @@ pub(crate) trait PayloadEncoder: Payload {
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
     ) -> Result<()>;
+
+    /// Appends the payload of a key block, like [`encode`](Self::encode), in which every sample is stored exactly.
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()>;
 }
 
 /// A resampler's decoder.
@@ -201,14 +209,8 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         Ok(n_sampled)
     }
 
-    /// Appends a block with samples.
-    fn encode_samples(
-        &mut self,
-        channels: &[Rows<'_>],
-        shared: &[u8],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-    ) -> Result<()> {
+    /// Appends what precedes the payload of a block with samples; the head byte states no error yet.
+    fn put_head(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &[BlockReport]) {
         let head_at = out.len();
         out.push(0);
         if channels.len() != self.state.n_channels {
@@ -223,6 +225,19 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         } else {
             self.state.presence.all_present(channels.len(), n_rows);
         }
+    }
+
+    /// Appends a block with samples.
+    fn encode_samples(
+        &mut self,
+        channels: &[Rows<'_>],
+        shared: &[u8],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        let head_at = out.len();
+        self.put_head(channels, out, reports);
+        let n_rows = channels[0].len();
         self.state.payload.begin(shared, n_rows).map_err(|error| {
             CodecError::InvalidArgument(format!(
                 "{error}: pass the result of Settings::plan for the same {n_rows} rows"
@@ -304,6 +319,45 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         }
         #[cfg(debug_assertions)]
         self.check(&out[start..], channels, shared, key, reports);
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        stated_error_mm: f64,
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        let tolerance_mm = self.state.tolerance.mm();
+        // The smallest step that states the error: the step of the blocks that it comes from.
+        let states = |&step: &u8| bound::stated_mm(step, tolerance_mm) >= stated_error_mm;
+        let step = (0..=STATED_STEPS).find(states).filter(|step| !E::EXACT || *step == 0);
+        let step = step.ok_or_else(|| {
+            CodecError::InvalidArgument(format!(
+                "a block cannot state an error of {stated_error_mm} mm: its tolerance is {} mm",
+                if E::EXACT { 0.0 } else { tolerance_mm }
+            ))
+        })?;
+        let n_sampled = Self::count(channels, 1, reports)?;
+        self.state.reset();
+        let start = out.len();
+        if n_sampled == 0 {
+            self.state.skip_empty();
+        } else {
+            let (sampled, reports) = (&channels[..n_sampled], &mut reports[..n_sampled]);
+            self.put_head(sampled, out, reports);
+            out[start] |= step;
+            // No key times: a channel that is stored exactly needs none.
+            let begun = self.state.payload.begin(&[], sampled[0].len());
+            let coded = begun.and_then(|()| self.state.payload.encode_exact(sampled, out, reports));
+            coded.inspect_err(|_| {
+                out.truncate(start);
+                self.state.is_out_of_step = true;
+            })?;
+        }
+        #[cfg(debug_assertions)]
+        self.check(&out[start..], channels, &[], true, reports);
         Ok(())
     }
 }

@@ -15,7 +15,7 @@ use crate::{
 };
 
 pub mod bids;
-mod c3d;
+pub(crate) mod c3d;
 mod csv;
 #[cfg(feature = "full")]
 mod mcap;

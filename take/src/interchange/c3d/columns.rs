@@ -50,6 +50,24 @@ pub(super) fn push(out: &mut Vec<u8>, width: usize, samples: impl ExactSizeItera
     }
 }
 
+/// Decodes a column of `n_samples` samples of `width` bytes (2 or 4), whose planes are `planes`.
+pub(super) fn decode(planes: &[u8], width: usize, n_samples: usize) -> Vec<u32> {
+    let mask = if width == 2 { 0xFFFF } else { u32::MAX };
+    let mut previous = 0u32;
+    let sample = |index: usize| {
+        let bytes = planes.iter().skip(index).step_by(n_samples).take(width);
+        previous = previous.wrapping_add(unzigzag(bytes)) & mask;
+        previous
+    };
+    (0..n_samples).map(sample).collect()
+}
+
+/// The difference whose zigzag code has these bytes, the highest first.
+fn unzigzag<'a>(bytes: impl Iterator<Item = &'a u8>) -> u32 {
+    let zigzag = bytes.fold(0u32, |word, &byte| word << 8 | u32::from(byte));
+    zigzag >> 1 ^ (zigzag & 1).wrapping_neg()
+}
+
 /// Overwrites a column of 32-bit samples with another one of the same length, in batches of samples.
 #[derive(Debug)]
 pub(super) struct ColumnRewriter {
@@ -157,9 +175,7 @@ impl<'a> ColumnReader<'a> {
         let mask = if self.width == 2 { 0xFFFF } else { u32::MAX };
         let columns = self.block.bytes.chunks_exact(self.width * n_buffered);
         for (previous, planes) in self.previous.iter_mut().zip(columns) {
-            let bytes = planes.iter().skip(place).step_by(n_buffered);
-            let zigzag = bytes.fold(0u32, |word, &byte| word << 8 | u32::from(byte));
-            let difference = zigzag >> 1 ^ (zigzag & 1).wrapping_neg();
+            let difference = unzigzag(planes.iter().skip(place).step_by(n_buffered));
             *previous = previous.wrapping_add(difference) & mask;
         }
         self.next += 1;

@@ -58,12 +58,8 @@ pub(super) fn keep(
 /// The header of a block of columns over all frames of a file: version, width, number of signals, samples of a column
 /// in a frame, number of the first frame, number of frames.
 fn sample_header(frames: &Frames<'_>, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
-    let mut data = vec![VERSION, width as u8];
-    data.extend((n_signals as u32).to_le_bytes());
-    data.extend((ratio as u32).to_le_bytes());
-    data.extend(frames.layout.first_frame.to_le_bytes());
-    data.extend((frames.layout.n_frames as u64).to_le_bytes());
-    data
+    let (first_frame, n_frames) = (frames.layout.first_frame, frames.layout.n_frames);
+    SampleHeader { width, n_signals, ratio, first_frame, n_frames }.encode()
 }
 
 /// Rotates the parts that are positions in space: force plate corners and coordinates under gaps.
@@ -171,7 +167,7 @@ fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
 }
 
 /// The header of a block of columns.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct SampleHeader {
     /// Bytes of a sample: 2 or 4.
     pub(super) width: usize,
@@ -179,13 +175,28 @@ pub(super) struct SampleHeader {
     pub(super) n_signals: usize,
     /// Samples of a signal in a frame.
     pub(super) ratio: usize,
-    first_frame: u64,
-    n_frames: usize,
+    /// Number of the first frame.
+    pub(super) first_frame: u64,
+    pub(super) n_frames: usize,
 }
 
 impl SampleHeader {
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut data = vec![VERSION, self.width as u8];
+        data.extend((self.n_signals as u32).to_le_bytes());
+        data.extend((self.ratio as u32).to_le_bytes());
+        data.extend(self.first_frame.to_le_bytes());
+        data.extend((self.n_frames as u64).to_le_bytes());
+        data
+    }
+
+    /// Samples of a column; `None` if they are too many for this machine.
+    pub(super) fn samples(&self) -> Option<usize> {
+        self.n_frames.checked_mul(self.ratio)
+    }
+
     /// `None` for an unknown version or width, and for more signals than a C3D file has.
-    fn parse(header: &[u8; 26]) -> Option<Self> {
+    pub(super) fn parse(header: &[u8; 26]) -> Option<Self> {
         let &[VERSION, width @ (2 | 4), ..] = header else { return None };
         let dword =
             |at: usize| Some(u32::from_le_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
@@ -202,7 +213,7 @@ impl SampleHeader {
     /// The columns, `n` for each signal; `None` if the data has another length.
     fn columns<'a>(&self, data: ContentSlice<'a>, n: usize) -> Option<ColumnReader<'a>> {
         let n_columns = self.n_signals.checked_mul(n)?;
-        let n_samples = self.n_frames.checked_mul(self.ratio)?;
+        let n_samples = self.samples()?;
         ColumnReader::new(data, self.width, n_columns, n_samples, BLOCK_BYTES)
     }
 }

@@ -13,6 +13,7 @@ mod header;
 mod layout;
 mod parameters;
 mod read;
+pub(crate) mod sample_parts;
 mod stride;
 mod write;
 

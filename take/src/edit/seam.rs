@@ -1,0 +1,146 @@
+//! What lies between two takes that are joined.
+
+use super::SourceTake;
+use crate::timeline::RowTime;
+
+/// The longest time between two takes that counts as an outage within one recording, in seconds: the service waits for
+/// its device as long (`take.reconnect`). After a longer time it begins another take, which is a recording of its own.
+const OUTAGE_S_MAX: f64 = 60.0;
+
+/// Most that the two clocks of a recording may differ over an outage, in seconds. A queue holds frames back for a
+/// fraction of that, and crystals differ by a few milliseconds a minute.
+const CLOCKS_APART_S_MAX: f64 = 1.0;
+
+/// What lies between one take and the next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Seam {
+    /// Nothing: the second continues the first.
+    Continuous,
+    /// By the clocks of both, so many frames of one recording, which neither has.
+    Missing(u64),
+    /// Unknown: the two are not known to be of one recording.
+    Unknown,
+}
+
+impl Seam {
+    /// Rows of the joined take that lie in neither of the two.
+    pub(super) fn rows(self) -> u64 {
+        if let Self::Missing(rows) = self { rows } else { 0 }
+    }
+
+    /// The seam between `before` and `after`.
+    pub(super) fn between(before: &SourceTake, after: &SourceTake) -> Self {
+        let (one, other) = (&before.map().header, &after.map().header);
+        match (&one.device, &other.device) {
+            (Some(a), Some(b)) => {
+                let identity = |device: &crate::record::Device| {
+                    [&device.driver, &device.model, &device.serial].map(Clone::clone)
+                };
+                let is_one_device = identity(a) == identity(b) && a.tick_hz == b.tick_hz;
+                let ends = before.ends.zip(after.ends).filter(|_| is_one_device);
+                let missing = ends.and_then(|([first, last], [next, _])| {
+                    let until_end = before.map().n_rows.checked_sub(last.0)?;
+                    let clocks = DeviceClock::new(a.tick_hz, one.rate_hz, first, last);
+                    clocks.missing(last.1, next.1, until_end.checked_add(next.0)?)
+                });
+                missing.map_or(Self::Unknown, |n| if n == 0 { Self::Continuous } else { Self::Missing(n) })
+            }
+            (None, None) => {
+                let file = |header: &crate::record::Header| {
+                    header.source.as_ref().map(|source| (source.format.clone(), source.file.clone()))
+                };
+                let next_frame = before.first_frame().checked_add(before.map().n_rows);
+                let continues = file(one).is_some()
+                    && file(one) == file(other)
+                    && next_frame == Some(after.first_frame());
+                if continues { Self::Continuous } else { Self::Unknown }
+            }
+            _ => Self::Unknown,
+        }
+    }
+}
+
+/// The clock of a device, measured over a take.
+struct DeviceClock {
+    tick_hz: f64,
+    rate_hz: f64,
+    ticks_per_row: f64,
+}
+
+impl DeviceClock {
+    /// Measures the period between the first and the last recorded row.
+    fn new(tick_hz: u64, rate_hz: f64, first: (u64, RowTime), last: (u64, RowTime)) -> Self {
+        let tick_hz = tick_hz.max(1) as f64;
+        let (rows, ticks) = (
+            last.0.saturating_sub(first.0) as f64,
+            last.1.device_ticks.wrapping_sub(first.1.device_ticks).cast_signed() as f64,
+        );
+        let nominal = tick_hz / rate_hz;
+        let measured = ticks / rows;
+        // A clock that jumped during the take does not measure it.
+        let is_plausible = (measured / nominal - 1.0).abs() < 0.01;
+        let ticks_per_row = if is_plausible { measured } else { nominal };
+        Self { tick_hz, rate_hz, ticks_per_row }
+    }
+
+    /// Rows that are missing between the rows recorded at `last` and `next`, if `rows` lie between them when none is.
+    /// `None` unless both clocks show that the second follows the first within an outage.
+    fn missing(&self, last: RowTime, next: RowTime, rows: u64) -> Option<u64> {
+        let ticks = next.device_ticks.wrapping_sub(last.device_ticks).cast_signed() as f64;
+        let arrivals = next.arrival_10us.wrapping_sub(last.arrival_10us).cast_signed() as f64;
+        let apart_s = arrivals * 1e-5 - ticks / self.tick_hz;
+        let found = (ticks / self.ticks_per_row).round();
+        let missing = found - rows as f64;
+        let is_possible = missing >= 0.0 && missing <= OUTAGE_S_MAX * self.rate_hz;
+        (is_possible && apart_s.abs() <= CLOCKS_APART_S_MAX).then_some(missing as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A row of a device with a clock of 1 MHz at 100 Hz, `late_ms` after its exposure.
+    fn at(row: u64, late_ms: u64) -> RowTime {
+        let device_ticks = 7_000_000 + row * 10_000;
+        RowTime { device_ticks, arrival_10us: 5_000 + row * 1_000 + late_ms * 100, timecode: None }
+    }
+
+    fn missing(last: u64, next: RowTime, rows: u64) -> Option<u64> {
+        let clock = DeviceClock::new(1_000_000, 100.0, (0, at(0, 1)), (last, at(last, 3)));
+        clock.missing(at(last, 3), next, rows)
+    }
+
+    #[test]
+    fn the_next_row_continues_and_later_ones_leave_a_gap() {
+        assert_eq!(missing(99, at(100, 0), 1), Some(0));
+        assert_eq!(missing(99, at(100, 400), 1), Some(0), "a frame that was held back");
+        assert_eq!(missing(99, at(250, 2), 1), Some(150));
+        // Rows at the ends of the takes that were lost there.
+        assert_eq!(missing(99, at(250, 2), 151), Some(0));
+        assert_eq!(missing(99, at(6_100, 2), 1), Some(6_000), "a minute");
+    }
+
+    #[test]
+    fn other_clocks_and_longer_times_are_other_recordings() {
+        assert_eq!(missing(99, at(6_101, 2), 1), None, "more than a minute");
+        assert_eq!(missing(99, at(50, 2), 1), None, "before the end of the first");
+        assert_eq!(missing(99, at(99, 2), 1), None, "the same row again");
+        let other_host = RowTime { arrival_10us: 999_999_999, ..at(100, 0) };
+        assert_eq!(missing(99, other_host, 1), None);
+    }
+
+    #[test]
+    fn the_period_is_measured() {
+        // 59.94 Hz, called 60: after a minute, a row and a half would be missing.
+        let row = |row: u64| {
+            let us = (row as f64 / 59.94 * 1e6).round() as u64;
+            RowTime { device_ticks: us, arrival_10us: us / 10, timecode: None }
+        };
+        let clock = DeviceClock::new(1_000_000, 60.0, (0, row(0)), (3_000, row(3_000)));
+        assert_eq!(clock.missing(row(3_000), row(5_997), 1), Some(2_996));
+        // A take of one row measures nothing.
+        let clock = DeviceClock::new(1_000_000, 60.0, (0, row(0)), (0, row(0)));
+        assert_eq!(clock.missing(row(0), row(1), 1), Some(0));
+    }
+}
