@@ -9,6 +9,7 @@ mod damaged_takes;
 mod demo;
 pub(crate) mod devices;
 mod documents;
+mod edits;
 mod exports;
 mod faults;
 mod folder;

@@ -91,7 +91,11 @@ fn without_samples_there_is_no_block_and_an_error_above_the_tolerance_is_refused
     let absent = Channel { positions: vec![[0.0; 3]; 9], present: vec![false; 9] };
     for kind in KINDS {
         let settings = settings(kind, 0.5);
-        assert_eq!(encode_exact(settings, &[absent.clone(), absent.clone()], 0.0), [0; 0], "{kind}");
+        assert_eq!(
+            encode_exact(settings, &[absent.clone(), absent.clone()], 0.0),
+            [0; 0],
+            "{kind}"
+        );
         let channel = Channel::new("smooth", "all", 1, 9);
         let mut bytes = vec![7];
         let mut reports = [BlockReport::default()];

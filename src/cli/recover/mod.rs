@@ -75,9 +75,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// A file that counts the bytes read from it, for the progress bar.
 #[derive(Debug)]
-struct CountingReader {
-    file: SparseFile,
-    read: Arc<AtomicU64>,
+pub(super) struct CountingReader {
+    pub(super) file: SparseFile,
+    pub(super) read: Arc<AtomicU64>,
 }
 
 impl Read for CountingReader {

@@ -22,7 +22,7 @@ pub struct ConcatReport {
     pub first_rows: Vec<u64>,
     /// What lies before each take but the first.
     pub seams: Vec<Seam>,
-    /// The channel table of the new take.
+    /// Entries of the channel table of the new take.
     pub n_channels: usize,
     /// The ledger of the new take.
     pub ledger: Ledger,
@@ -73,7 +73,10 @@ fn header_difference(first: &Header, other: &Header) -> Option<String> {
         ("its rate is", [first, other].map(|header| format!("{} Hz", header.rate_hz))),
         ("its resampler is", [first, other].map(|header| header.resampler.clone())),
         ("its tolerance is", [first, other].map(|header| format!("{} mm", header.tolerance_mm))),
-        ("its up axis is", [first, other].map(|h| h.up_axis.name().unwrap_or("unknown").to_owned())),
+        (
+            "its up axis is",
+            [first, other].map(|h| h.up_axis.name().unwrap_or("unknown").to_owned()),
+        ),
         ("its unit is", [first, other].map(unit)),
         ("its device's clock has", [first, other].map(|h| format!("{} ticks/s", tick_hz(h)))),
     ];
@@ -105,11 +108,13 @@ pub fn concat<R: Read + Seek, W: Write>(
     context: &EditContext<'_>,
 ) -> Result<ConcatReport, TakeError> {
     let invalid = |message: String| TakeError::InvalidArgument(message);
-    check_joinable(sources).map_err(|found| invalid(format!("take {}: {found}", found.index + 1)))?;
+    check_joinable(sources)
+        .map_err(|found| invalid(format!("take {}: {found}", found.index + 1)))?;
     let (Some(first), Some(last)) = (sources.first(), sources.last()) else {
         return Err(invalid("there is no take to join".to_owned()));
     };
-    let plan = JoinPlan::new(sources).ok_or_else(|| invalid("too many frames to join".to_owned()))?;
+    let plan =
+        JoinPlan::new(sources).ok_or_else(|| invalid("too many frames to join".to_owned()))?;
     let header = header_of_joined(sources, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     let mut left_out: Vec<String> = sources.iter().flat_map(SourceTake::left_out).collect();
@@ -199,7 +204,9 @@ impl JoinPlan {
             Seam::Missing(rows) => format!(
                 "the take {id} begins here; {rows} frames before it are in neither of the joined takes"
             ),
-            Seam::Unknown => format!("the take {id} begins here, which was joined to the one before"),
+            Seam::Unknown => {
+                format!("the take {id} begins here, which was joined to the one before")
+            }
         };
         Some(Event { row, ..Event::new(EventKind::Host, 0, text) })
     }
@@ -208,7 +215,11 @@ impl JoinPlan {
     fn ledger(&self, sources: &[SourceTake], announced: u64) -> Ledger {
         let mut sum = Ledger { finished: true, ..Ledger::default() };
         for ledger in sources.iter().filter_map(|source| source.map().ledger.as_ref()) {
-            add_ledger(&mut sum, ledger);
+            for ((_, total), (_, count)) in sum.counters_mut().into_iter().zip(ledger.counters()) {
+                *total = total.saturating_add(count);
+            }
+            sum.contradictions.extend_from_slice(&ledger.contradictions);
+            sum.clock = ledger.clock.or(sum.clock);
         }
         let missing = self.seams.iter().fold(0, |rows: u64, seam| rows.saturating_add(seam.rows()));
         // Whether the device produced them is not known from these takes.
@@ -220,62 +231,6 @@ impl JoinPlan {
         sum.samples_occluded = sum.samples_occluded.saturating_add(more);
         sum
     }
-}
-
-fn add_ledger(sum: &mut Ledger, ledger: &Ledger) {
-    let Ledger { contradictions, clock, .. } = ledger;
-    for (total, part) in counters(sum).into_iter().zip(counters(&mut ledger.clone())) {
-        *total = total.saturating_add(*part);
-    }
-    sum.contradictions.extend_from_slice(contradictions);
-    sum.clock = clock.or(sum.clock);
-}
-
-/// Every counter of a ledger.
-fn counters(ledger: &mut Ledger) -> [&mut u64; 18] {
-    let Ledger {
-        finished: _,
-        frames_sent,
-        recorded,
-        lost_on_link,
-        dropped_by_device,
-        lost_ring_full,
-        lost_other,
-        duplicates,
-        unknown_after_disconnect,
-        samples_announced,
-        samples_present,
-        samples_occluded,
-        samples_not_finite,
-        markers_dropped,
-        link_bytes,
-        link_bytes_skipped,
-        link_messages,
-        link_messages_damaged,
-        link_messages_unknown,
-        contradictions: _,
-        clock: _,
-    } = ledger;
-    [
-        frames_sent,
-        recorded,
-        lost_on_link,
-        dropped_by_device,
-        lost_ring_full,
-        lost_other,
-        duplicates,
-        unknown_after_disconnect,
-        samples_announced,
-        samples_present,
-        samples_occluded,
-        samples_not_finite,
-        markers_dropped,
-        link_bytes,
-        link_bytes_skipped,
-        link_messages,
-        link_messages_damaged,
-        link_messages_unknown,
-    ]
 }
 
 /// The header of the first take, with an id that depends on all takes.
@@ -307,10 +262,10 @@ fn clocks(sources: &[SourceTake]) -> Vec<Clock> {
             continue;
         }
         let first = all.last().map_or(0, |clock| clock.segment.saturating_add(1));
-        let renumbered = source.clocks.iter().map(|clock| Clock {
-            segment: clock.segment.saturating_add(first),
-            ..clock.clone()
-        });
+        let renumbered = source
+            .clocks
+            .iter()
+            .map(|clock| Clock { segment: clock.segment.saturating_add(first), ..clock.clone() });
         all.extend(renumbered);
         kept = Some(&source.clocks);
     }

@@ -23,6 +23,8 @@ use crate::{
 pub struct CutReport {
     /// Rows of the new take, including lost ones.
     pub rows: u64,
+    /// Entries of the channel table of the new take.
+    pub n_channels: usize,
     /// Rows whose blocks were copied.
     pub rows_copied: u64,
     /// Rows whose samples were stored as floats.
@@ -115,8 +117,10 @@ fn header_of_part(
     }
     let (first, last) = (rows.start, rows.end - 1);
     let of = map.header.take_id_text();
-    let note =
-        format!("by {}: frames {first} to {last} of {} of the take {of}", context.software, map.n_rows);
+    let note = format!(
+        "by {}: frames {first} to {last} of {} of the take {of}",
+        context.software, map.n_rows
+    );
     header.settings.push((CUT.to_owned(), note));
     header.set_import_id(&map.header.take_id, map.subject.as_ref())?;
     Ok(header)
@@ -124,7 +128,7 @@ fn header_of_part(
 
 /// The events of these rows; those at the end of the take belong to a part that reaches it.
 fn events_of(events: &[Event], rows: &Range<u64>, n_rows: u64) -> impl Iterator<Item = Event> {
-    let is_inside = |event: &&Event| {
+    let is_inside = move |event: &&Event| {
         event.row >= rows.start && (event.row < rows.end || rows.end == n_rows)
     };
     let moved = |event: &Event| Event { row: event.row - rows.start, ..event.clone() };
@@ -186,8 +190,7 @@ impl<'a, W: Write> Cutter<'a, W> {
         if from_row >= self.rows.end {
             return Ok(());
         }
-        let is_whole =
-            stretch.span.first_row >= self.rows.start && end_row <= self.rows.end;
+        let is_whole = stretch.span.first_row >= self.rows.start && end_row <= self.rows.end;
         // A stretch without rows is whole wherever it is, but may lie at the very start.
         let can_copy = is_whole && (stretch.span.key || self.in_step);
         let is_outside = end_row.min(self.rows.end) <= from_row.max(self.rows.start);
@@ -215,8 +218,10 @@ impl<'a, W: Write> Cutter<'a, W> {
         let span = Span { first_row, n_rows, key, number: self.number };
         let recorded = [RowRun { rows: n_rows.into(), lost: None }];
         let runs = timeline.as_ref().map_or(&recorded[..], |timeline| &timeline.runs);
-        let decoded = || progress.rows().take(if n_rows > 0 { n_channels } else { 0 });
-        self.tally.add_runs(runs, n_channels, samples_in(decoded(), &here));
+        // A stretch without rows leaves the rows of the one before decoded.
+        let decoded = progress.rows().take(if n_rows > 0 { n_channels } else { 0 });
+        let channels: Vec<_> = decoded.collect();
+        self.tally.add_runs(runs, n_channels, samples_in(&channels, &here));
         if can_copy {
             let from_row = timeline.as_ref().map_or(first_row, |timeline| timeline.first_row);
             let stretch_rows = [self.source.map().header.stretch_rows; 2];
@@ -228,7 +233,6 @@ impl<'a, W: Write> Cutter<'a, W> {
             let alone = n_channels <= GROUP_CHANNELS;
             let front = if timeline.is_some() { &mut self.timed } else { &mut self.untimed };
             front.put(span, &timeline.unwrap_or_default(), &[], alone, &mut self.payload);
-            let channels: Vec<_> = decoded().collect();
             self.exact.put(&channels, &here, alone, &mut self.payload)?;
             self.report.rows_exact += u64::from(n_rows);
         }
@@ -255,9 +259,9 @@ impl<'a, W: Write> Cutter<'a, W> {
         let ledger = match &map.ledger {
             Some(ledger) if is_all => ledger.clone(),
             ledger => {
-                let (contradictions, clock) = ledger.as_ref().map_or((Vec::new(), None), |l| {
-                    (l.contradictions.clone(), l.clock)
-                });
+                let (contradictions, clock) = ledger
+                    .as_ref()
+                    .map_or((Vec::new(), None), |l| (l.contradictions.clone(), l.clock));
                 Ledger { contradictions, clock, ..self.tally.close(None, &[]) }
             }
         };
@@ -268,19 +272,16 @@ impl<'a, W: Write> Cutter<'a, W> {
         };
         let (mut out, bytes) = self.take.finish_with(&ledger, &SummaryRecord { ending })?;
         out.flush()?;
-        Ok(CutReport { ledger, bytes, ..self.report })
+        Ok(CutReport { n_channels: self.n_channels, ledger, bytes, ..self.report })
     }
 }
 
 /// Samples present in the rows `here` of a decoded stretch.
-fn samples_in<'a>(
-    channels: impl Iterator<Item = Option<&'a DecodedRows>>,
-    here: &Range<usize>,
-) -> u64 {
+fn samples_in(channels: &[Option<&DecodedRows>], here: &Range<usize>) -> u64 {
     let present = |rows: &DecodedRows| {
         rows.present.get(here.clone()).unwrap_or_default().iter().filter(|&&p| p).count() as u64
     };
-    channels.flatten().map(present).sum()
+    channels.iter().flatten().map(|rows| present(rows)).sum()
 }
 
 /// Encodes decoded samples as key blocks that store them exactly.

@@ -43,11 +43,16 @@ impl Seam {
                     let clocks = DeviceClock::new(a.tick_hz, one.rate_hz, first, last);
                     clocks.missing(last.1, next.1, until_end.checked_add(next.0)?)
                 });
-                missing.map_or(Self::Unknown, |n| if n == 0 { Self::Continuous } else { Self::Missing(n) })
+                missing.map_or(Self::Unknown, |n| {
+                    if n == 0 { Self::Continuous } else { Self::Missing(n) }
+                })
             }
             (None, None) => {
                 let file = |header: &crate::record::Header| {
-                    header.source.as_ref().map(|source| (source.format.clone(), source.file.clone()))
+                    header
+                        .source
+                        .as_ref()
+                        .map(|source| (source.format.clone(), source.file.clone()))
                 };
                 let next_frame = before.first_frame().checked_add(before.map().n_rows);
                 let continues = file(one).is_some()

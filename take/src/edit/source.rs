@@ -105,8 +105,7 @@ impl SourceTake {
     ) -> Result<std::ops::Range<u64>, TakeError> {
         let keys = self.map.keys.iter().map(|key| key.first_row);
         let start = keys.take_while(|row| *row <= rows.start).last().unwrap_or(0);
-        let mut traversal =
-            TakeTraversal::from_map(input, &self.map, Decode::Groups(Vec::new()))?;
+        let mut traversal = TakeTraversal::from_map(input, &self.map, Decode::Groups(Vec::new()))?;
         traversal.seek(rows.end.saturating_sub(1))?;
         while let Some(span) = traversal.next_stretch()? {
             if span.end_row() >= rows.end {

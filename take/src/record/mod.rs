@@ -217,6 +217,35 @@ impl Ledger {
         self.lost().iter().fold(0, |sum, &n| sum.saturating_add(n))
     }
 
+    /// Every counter with its name, in the order of docs/take-format.md.
+    #[must_use]
+    pub fn counters(&self) -> [(&'static str, u64); 18] {
+        self.clone().counters_mut().map(|(name, count)| (name, *count))
+    }
+
+    pub(crate) fn counters_mut(&mut self) -> [(&'static str, &mut u64); 18] {
+        [
+            ("frames_sent", &mut self.frames_sent),
+            ("recorded", &mut self.recorded),
+            ("lost_on_link", &mut self.lost_on_link),
+            ("dropped_by_device", &mut self.dropped_by_device),
+            ("lost_ring_full", &mut self.lost_ring_full),
+            ("lost_other", &mut self.lost_other),
+            ("duplicates", &mut self.duplicates),
+            ("unknown_after_disconnect", &mut self.unknown_after_disconnect),
+            ("samples_announced", &mut self.samples_announced),
+            ("samples_present", &mut self.samples_present),
+            ("samples_occluded", &mut self.samples_occluded),
+            ("samples_not_finite", &mut self.samples_not_finite),
+            ("markers_dropped", &mut self.markers_dropped),
+            ("link_bytes", &mut self.link_bytes),
+            ("link_bytes_skipped", &mut self.link_bytes_skipped),
+            ("link_messages", &mut self.link_messages),
+            ("link_messages_damaged", &mut self.link_messages_damaged),
+            ("link_messages_unknown", &mut self.link_messages_unknown),
+        ]
+    }
+
     /// Lost frames by cause.
     fn lost(&self) -> [u64; 5] {
         [

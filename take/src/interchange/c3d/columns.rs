@@ -55,15 +55,15 @@ pub(super) fn decode(planes: &[u8], width: usize, n_samples: usize) -> Vec<u32> 
     let mask = if width == 2 { 0xFFFF } else { u32::MAX };
     let mut previous = 0u32;
     let sample = |index: usize| {
-        let bytes = planes.iter().skip(index).step_by(n_samples).take(width);
-        previous = previous.wrapping_add(unzigzag(bytes)) & mask;
+        previous = previous.wrapping_add(difference(planes, index, n_samples)) & mask;
         previous
     };
     (0..n_samples).map(sample).collect()
 }
 
-/// The difference whose zigzag code has these bytes, the highest first.
-fn unzigzag<'a>(bytes: impl Iterator<Item = &'a u8>) -> u32 {
+/// The difference with the zigzag code of the sample `index` in `planes` of `length` samples.
+fn difference(planes: &[u8], index: usize, length: usize) -> u32 {
+    let bytes = planes.iter().skip(index).step_by(length);
     let zigzag = bytes.fold(0u32, |word, &byte| word << 8 | u32::from(byte));
     zigzag >> 1 ^ (zigzag & 1).wrapping_neg()
 }
@@ -175,8 +175,7 @@ impl<'a> ColumnReader<'a> {
         let mask = if self.width == 2 { 0xFFFF } else { u32::MAX };
         let columns = self.block.bytes.chunks_exact(self.width * n_buffered);
         for (previous, planes) in self.previous.iter_mut().zip(columns) {
-            let difference = unzigzag(planes.iter().skip(place).step_by(n_buffered));
-            *previous = previous.wrapping_add(difference) & mask;
+            *previous = previous.wrapping_add(difference(planes, place, n_buffered)) & mask;
         }
         self.next += 1;
         Ok(Some(&self.previous))

@@ -159,7 +159,8 @@ mod tests {
         ] {
             let all = signals(n, width, 20 * ratio);
             let whole = part(kind, width, ratio, &all);
-            let parts = [11..18, 18..19, 19..31].map(|frames| cut(&whole, &frames).unwrap().unwrap());
+            let parts =
+                [11..18, 18..19, 19..31].map(|frames| cut(&whole, &frames).unwrap().unwrap());
             let (from, to) = (7 * ratio, 8 * ratio);
             let second: Vec<_> = all.iter().map(|column| column[from..to].to_vec()).collect();
             let read = SamplePart::parse(&parts[1]).unwrap().unwrap();
@@ -170,7 +171,10 @@ mod tests {
             let lengths = [7, 1, 12];
             let joined = join(&std::array::from_fn::<_, 3, _>(|i| (&parts[i], lengths[i])));
             assert_eq!(joined.unwrap().unwrap(), whole, "{kind}");
-            assert!(join(&[(&parts[0], 7), (&parts[2], 11)]).unwrap().is_none(), "a frame too many");
+            assert!(
+                join(&[(&parts[0], 7), (&parts[2], 11)]).unwrap().is_none(),
+                "a frame too many"
+            );
             assert_eq!(cut(&whole, &(0..100)).unwrap().unwrap(), whole, "{kind}");
             let outside = cut(&whole, &(31..50)).unwrap().unwrap();
             let header = SamplePart::parse(&outside).unwrap().unwrap().header;
@@ -185,8 +189,7 @@ mod tests {
         assert!(join(&[(&one, 4), (&more, 4)]).unwrap().is_none());
         let bytes = one.data.to_vec(1 << 20).unwrap().unwrap();
         for cut_at in 0..bytes.len() {
-            let damaged =
-                Foreign { kind: one.kind.clone(), data: bytes[..cut_at].to_vec().into() };
+            let damaged = Foreign { kind: one.kind.clone(), data: bytes[..cut_at].to_vec().into() };
             assert!(cut(&damaged, &(11..12)).unwrap().is_none(), "{cut_at}");
         }
     }
