@@ -8,7 +8,7 @@ use std::{
 
 use mocapd_codec::{BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Position, Rows};
 
-use super::{CUT, EditContext, SourceTake, damaged, foreign};
+use super::{CUT, EditContext, SourceTake, damaged, foreign, seam::CutOrigin};
 use crate::{
     TakeError, TakeEvent, TakeTraversal, TakeWriter,
     record::{EndingKind, Event, Header, Ledger, SummaryRecord, TakeEnding},
@@ -115,12 +115,8 @@ fn header_of_part(
     if let Some(import) = &mut header.source {
         import.first_frame = import.first_frame.saturating_add(rows.start);
     }
-    let (first, last) = (rows.start, rows.end - 1);
-    let of = map.header.take_id_text();
-    let note = format!(
-        "by {}: frames {first} to {last} of {} of the take {of}",
-        context.software, map.n_rows
-    );
+    let origin = CutOrigin { take_id: map.header.take_id_text(), rows: rows.clone() };
+    let note = origin.to_setting(map.n_rows, context.software);
     header.settings.push((CUT.to_owned(), note));
     header.set_import_id(&map.header.take_id, map.subject.as_ref())?;
     Ok(header)

@@ -1,7 +1,12 @@
 //! What lies between two takes that are joined.
 
-use super::SourceTake;
-use crate::timeline::RowTime;
+use std::ops::Range;
+
+use super::{CUT, SourceTake};
+use crate::{
+    record::{Device, Header},
+    timeline::RowTime,
+};
 
 /// The longest time between two takes that counts as an outage within one recording, in seconds: the service waits for
 /// its device as long (`take.reconnect`). After a longer time it begins another take, which is a recording of its own.
@@ -31,37 +36,77 @@ impl Seam {
     /// The seam between `before` and `after`.
     pub(super) fn between(before: &SourceTake, after: &SourceTake) -> Self {
         let (one, other) = (&before.map().header, &after.map().header);
-        match (&one.device, &other.device) {
-            (Some(a), Some(b)) => {
-                let identity = |device: &crate::record::Device| {
-                    [&device.driver, &device.model, &device.serial].map(Clone::clone)
-                };
-                let is_one_device = identity(a) == identity(b) && a.tick_hz == b.tick_hz;
-                let ends = before.ends.zip(after.ends).filter(|_| is_one_device);
-                let missing = ends.and_then(|([first, last], [next, _])| {
-                    let until_end = before.map().n_rows.checked_sub(last.0)?;
-                    let clocks = DeviceClock::new(a.tick_hz, one.rate_hz, first, last);
-                    clocks.missing(last.1, next.1, until_end.checked_add(next.0)?)
-                });
-                missing.map_or(Self::Unknown, |n| {
-                    if n == 0 { Self::Continuous } else { Self::Missing(n) }
-                })
-            }
-            (None, None) => {
-                let file = |header: &crate::record::Header| {
-                    header
-                        .source
-                        .as_ref()
-                        .map(|source| (source.format.clone(), source.file.clone()))
-                };
-                let next_frame = before.first_frame().checked_add(before.map().n_rows);
-                let continues = file(one).is_some()
-                    && file(one) == file(other)
-                    && next_frame == Some(after.first_frame());
-                if continues { Self::Continuous } else { Self::Unknown }
-            }
-            _ => Self::Unknown,
+        let origins = CutOrigin::of(one).zip(CutOrigin::of(other));
+        if origins.is_some_and(|(one, other)| other.follows(&one)) {
+            return Self::Continuous;
         }
+        let missing = match (&one.device, &other.device) {
+            (Some(a), Some(b)) if is_one_device(a, b) => missing_by_clocks(before, after),
+            (None, None) => {
+                let next_frame = before.first_frame().checked_add(before.map().n_rows);
+                let continues = next_frame == Some(after.first_frame());
+                (is_one_file(one, other) && continues).then_some(0)
+            }
+            _ => None,
+        };
+        match missing {
+            Some(0) => Self::Continuous,
+            Some(rows) => Self::Missing(rows),
+            None => Self::Unknown,
+        }
+    }
+}
+
+fn is_one_device(a: &Device, b: &Device) -> bool {
+    let identity = |device: &Device| {
+        (device.driver.clone(), device.model.clone(), device.serial.clone(), device.tick_hz)
+    };
+    identity(a) == identity(b)
+}
+
+fn is_one_file(one: &Header, other: &Header) -> bool {
+    let files = one.source.as_ref().zip(other.source.as_ref());
+    files.is_some_and(|(a, b)| (&a.format, &a.file) == (&b.format, &b.file))
+}
+
+/// Rows between two recordings of one device, by its clock and the host's; `None` unless they show that both belong to
+/// one recording.
+fn missing_by_clocks(before: &SourceTake, after: &SourceTake) -> Option<u64> {
+    let ([first, last], [next, _]) = before.ends.zip(after.ends)?;
+    let header = &before.map().header;
+    let tick_hz = header.device.as_ref()?.tick_hz;
+    let until_end = before.map().n_rows.checked_sub(last.0)?;
+    let clock = DeviceClock::new(tick_hz, header.rate_hz, first, last);
+    clock.missing(last.1, next.1, until_end.checked_add(next.0)?)
+}
+
+/// The take and the rows that a part was cut from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct CutOrigin {
+    pub(super) take_id: String,
+    pub(super) rows: Range<u64>,
+}
+
+impl CutOrigin {
+    /// The origin that the header of a part states in its settings.
+    pub(super) fn of(header: &Header) -> Option<Self> {
+        let (_, text) = header.settings.iter().rfind(|(key, _)| key == CUT)?;
+        let (take_id, rest) = text.split_once(": frames ")?;
+        let (rows, _) = rest.split_once(" of ")?;
+        let (start, end) = rows.split_once("..")?;
+        let rows = start.parse().ok()?..end.parse().ok()?;
+        Some(Self { take_id: take_id.to_owned(), rows })
+    }
+
+    /// The setting, for a part of a take of `n_rows` rows.
+    pub(super) fn to_setting(&self, n_rows: u64, software: &str) -> String {
+        let Self { take_id, rows: Range { start, end } } = self;
+        format!("{take_id}: frames {start}..{end} of {n_rows}, by {software}")
+    }
+
+    /// Whether these rows follow `before` in the same take.
+    fn follows(&self, before: &Self) -> bool {
+        self.take_id == before.take_id && self.rows.start == before.rows.end
     }
 }
 

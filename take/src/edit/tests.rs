@@ -10,7 +10,7 @@ use std::{
 use mocapd_codec::{BlockReport, GROUP_CHANNELS, Rows, Settings, Tolerance};
 use mocapd_testkit::random::Random;
 
-use super::*;
+use super::{seam::CutOrigin, *};
 use crate::{
     TakeFrames, TakeTraversal, TakeWriter, chunk,
     chunk::{ChunkParse, types},
@@ -472,11 +472,12 @@ fn frames_between_two_parts_are_lost_rows_and_other_takes_are_marked() {
     };
     assert!(seam(&all, b - 200).unwrap().text.contains(&(b - a).to_string()));
 
-    // In the wrong order, and of another session: nothing is known of what lies between.
-    let reversed = [parts[1].clone(), parts[0].clone()];
+    // Nothing is known of what lies between a take and an earlier one.
     let n_second = 900 - b;
-    // The first of them has a marker more than the second.
-    let error = try_join(&reversed);
+    let reversed = [parts[1].clone(), parts[0].clone()];
+    assert_eq!(joined(&reversed).1.seams, [Seam::Unknown]);
+    // The first of these has a marker more than the second.
+    let error = try_join(&[parts[1].clone(), part_of(&take, 0..250).0]);
     assert!(error.is_some_and(|error| error.contains("lacks `m64`")));
     let (twice, report) = joined(&[parts[1].clone(), parts[1].clone()]);
     assert_eq!(report.seams, [Seam::Unknown]);
@@ -577,6 +578,21 @@ fn takes_that_are_not_whole_are_refused_with_advice() {
     let source = SourceTake::read(&mut Cursor::new(&bad)).unwrap();
     let result = cut(&source, Cursor::new(&bad), 0..400, io::sink(), &context());
     advice(result.map(drop));
+}
+
+#[test]
+fn a_part_states_where_it_was_cut() {
+    let take = recording("dense", 400);
+    let (part, _) = part_of(&take, 30..70);
+    let origin = CutOrigin::of(&source(&part).map().header).unwrap();
+    assert_eq!(origin, CutOrigin { take_id: "07".repeat(16), rows: 30..70 });
+    assert_eq!(CutOrigin::of(&source(&take).map().header), None);
+    for settings in
+        ["", "07", "07: frames 1..2", "07: frames 1-2 of 3", "07: frames a..b of 3, by x"]
+    {
+        let settings = vec![(CUT.to_owned(), settings.to_owned())];
+        assert_eq!(CutOrigin::of(&Header { settings, ..header("dense") }), None);
+    }
 }
 
 #[test]
