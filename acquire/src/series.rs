@@ -16,7 +16,9 @@ use anyhow::bail;
 use crossbeam_channel::{Sender, bounded};
 use mocapd_take::{
     motion::frame_at,
-    record::{Header, Ledger, Subject},
+    record::{
+        FIRST_FRAME_SETTING, Header, Ledger, PART_SETTING, SERIES_SETTING, SPLIT_SETTING, Subject,
+    },
 };
 
 use self::collect::{StartedTake, collect};
@@ -31,18 +33,6 @@ use crate::{
     rig::{ReaderOutcome, Rig},
     threads,
 };
-
-/// Key of the setting in a take's header that states the requested length of a take, as it was written.
-pub const SPLIT_SETTING: &str = "split";
-
-/// Key of the setting that states the id of the series' first take, in hexadecimal.
-pub const SERIES_SETTING: &str = "series";
-
-/// Key of the setting that states the number of the take in the series, from 1.
-pub const PART_SETTING: &str = "part";
-
-/// Key of the setting that states which row of the recording is row 0 of the take.
-pub const FIRST_FRAME_SETTING: &str = "part_first_frame";
 
 /// Takes whose files are still to be settled. That takes no time unless a removed take is being copied; the writer then
 /// waits with the take after these, as for a slow disk.
@@ -163,28 +153,7 @@ fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: 
 
 fn add_ledger(sum: &mut Ledger, part: &Ledger, take: &SeriesTake) {
     sum.finished &= part.finished;
-    for (sum, part) in [
-        (&mut sum.frames_sent, part.frames_sent),
-        (&mut sum.recorded, part.recorded),
-        (&mut sum.lost_on_link, part.lost_on_link),
-        (&mut sum.dropped_by_device, part.dropped_by_device),
-        (&mut sum.lost_ring_full, part.lost_ring_full),
-        (&mut sum.lost_other, part.lost_other),
-        (&mut sum.duplicates, part.duplicates),
-        (&mut sum.unknown_after_disconnect, part.unknown_after_disconnect),
-        (&mut sum.samples_announced, part.samples_announced),
-        (&mut sum.samples_present, part.samples_present),
-        (&mut sum.samples_occluded, part.samples_occluded),
-        (&mut sum.samples_not_finite, part.samples_not_finite),
-        (&mut sum.markers_dropped, part.markers_dropped),
-        (&mut sum.link_bytes, part.link_bytes),
-        (&mut sum.link_bytes_skipped, part.link_bytes_skipped),
-        (&mut sum.link_messages, part.link_messages),
-        (&mut sum.link_messages_damaged, part.link_messages_damaged),
-        (&mut sum.link_messages_unknown, part.link_messages_unknown),
-    ] {
-        *sum += part;
-    }
+    sum.add_counters(part);
     let named = |text: &String| format!("{}: {text}", take.path.display());
     sum.contradictions.extend(part.contradictions.iter().map(named));
     sum.clock = part.clock;

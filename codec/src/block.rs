@@ -176,6 +176,23 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
 
     /// By row of the last block: whether it keeps a sample of any channel. Meaningless after an error.
     fn kept_rows(&self) -> &[bool];
+
+    /// Appends one key block that decodes to exactly these floats, at about their size; appends nothing when no channel
+    /// has a sample. It is for samples that were decoded from other blocks.
+    ///
+    /// `stated_error_mm` is the largest error that those blocks state; the new block states it, too. The other arguments
+    /// are those of [`encode`](Self::encode).
+    ///
+    /// # Errors
+    /// `InvalidArgument` when a present sample is not finite, the slices differ in length, or the error exceeds the
+    /// tolerance; `out` is then unchanged.
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        stated_error_mm: f64,
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> std::result::Result<(), CodecError>;
 }
 
 /// Decodes the blocks of one group of channels, in order, starting at a key block.

@@ -58,6 +58,16 @@ impl PayloadEncoder for Lossless {
         }
         Ok(())
     }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        self.encode(channels, out, reports, kept_rows)
+    }
 }
 
 impl PayloadDecoder for Lossless {

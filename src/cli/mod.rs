@@ -4,12 +4,16 @@
 mod batch;
 mod bench;
 mod clock;
+mod concat;
 mod config;
 mod ctl;
+mod cut;
 mod damage;
 mod demo;
 mod devices;
+mod diff;
 mod doctor;
+mod edited;
 mod export;
 mod gaps;
 mod import;
@@ -75,6 +79,12 @@ enum Command {
     Verify(verify::Args),
     /// Write a new take from what can be read of a truncated or damaged one
     Recover(recover::Args),
+    /// Write a part of a take as a take of its own; no sample changes
+    Cut(cut::Args),
+    /// Join takes with the same markers one after another; no sample changes
+    Concat(concat::Args),
+    /// Show how two takes differ: markers, frames, gaps, samples, times, events, ledger, header and settings
+    Diff(diff::Args),
     /// Plot takes as SVG or PNG: a trajectory, poses, file sizes, marker quality
     #[command(subcommand)]
     Plot(plot::Plot),
@@ -132,6 +142,9 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Gaps(args) => gaps::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Cut(args) => cut::run(&args),
+        Command::Concat(args) => concat::run(&args),
+        Command::Diff(args) => diff::run(&args),
         Command::Plot(plot) => plot::run(&plot),
         Command::Study(args) => study::run(&args),
         Command::Subject(command) => subject::run(&command),

@@ -1,7 +1,14 @@
 //! Compares two motions sample by sample, as `verify --against` does for a take and its original.
 
+mod content;
+mod times;
+
 use std::{fmt, io};
 
+pub use self::{
+    content::{ContentDifference, EventDifference, FieldDifference},
+    times::{TimesDifference, compare_times},
+};
 use crate::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
 use serde::Serialize;
 
@@ -34,6 +41,9 @@ pub struct Difference {
     pub worst_frame: Option<u64>,
     /// The marker of the largest distance, by column.
     pub worst_marker: Option<usize>,
+    /// The first sample that only one of the two has, or that is not bit-identical: its frame and its marker.
+    #[serde(skip)]
+    pub first_differing: Option<(u64, usize)>,
     /// The largest distance of each marker, in millimetres.
     pub max_error_by_marker_mm: Vec<f64>,
 }
@@ -133,15 +143,19 @@ pub fn compare(
         for marker in 0..n_markers {
             let a = row.get(marker).copied().unwrap_or(GAP);
             let b = original_row.get(marker).copied().unwrap_or(GAP);
-            match (is_gap(a), is_gap(b)) {
-                (true, true) => {}
-                (false, false) => {
+            let (is_sample, is_other) = (!is_gap(a), !is_gap(b));
+            let is_identical = a.map(f32::to_bits) == b.map(f32::to_bits);
+            if is_sample != is_other || is_sample && !is_identical {
+                difference.first_differing.get_or_insert((difference.frames, marker));
+            }
+            match (is_sample, is_other) {
+                (false, false) => {}
+                (true, true) => {
                     let error_mm = distance_mm(a, b);
                     difference.samples += 1;
                     let stated_mm = take.stated_error_mm(marker);
                     beyond_stated += u64::from(stated_mm.is_some_and(|mm| error_mm > mm));
-                    difference.bits_differing +=
-                        u64::from(a.map(f32::to_bits) != b.map(f32::to_bits));
+                    difference.bits_differing += u64::from(!is_identical);
                     sum_of_squares += error_mm * error_mm;
                     let worst = &mut difference.max_error_by_marker_mm[marker];
                     *worst = worst.max(error_mm);
@@ -174,6 +188,15 @@ fn distance_mm(a: Position, b: Position) -> f64 {
 }
 
 impl Difference {
+    /// Whether both have the same markers and frames, and every sample is bit-identical.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        self.labels_differing.is_empty()
+            && self.frames_missing == 0
+            && self.frames_lost == 0
+            && self.first_differing.is_none()
+    }
+
     /// Whether frames, gaps and labels agree and every sample is within `tolerance_mm` (bit-identical if that is 0) and
     /// within the bound stated by its block.
     #[must_use]

@@ -7,6 +7,7 @@ mod ambiguity;
 pub mod chunk;
 pub mod compare;
 pub mod damage;
+pub mod edit;
 pub mod escape;
 pub mod foreign;
 pub mod frames;

@@ -176,6 +176,28 @@ pub trait FrameSource {
     }
 }
 
+impl<F: FrameSource + ?Sized> FrameSource for &mut F {
+    fn info(&self) -> &MotionInfo {
+        (**self).info()
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool> {
+        (**self).next_frame(row)
+    }
+
+    fn stated_error_mm(&self, column: usize) -> Option<f64> {
+        (**self).stated_error_mm(column)
+    }
+
+    fn take(&self) -> Option<&TakeMap> {
+        (**self).take()
+    }
+
+    fn is_lost(&self) -> bool {
+        (**self).is_lost()
+    }
+}
+
 /// A [`FrameSource`] over trajectories in memory.
 #[derive(Debug)]
 pub struct MotionFrames<'a> {

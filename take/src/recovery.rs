@@ -9,6 +9,7 @@ mod scan;
 mod start;
 mod write;
 
+pub(crate) use self::ledger_tally::LedgerTally;
 pub use self::{
     scan::{ChannelCount, RecoveryScan},
     start::{RepairedStart, repair_start},

@@ -9,7 +9,7 @@ mod tests;
 pub use self::header::{StretchHeaderWriter, put_renumbered};
 pub(crate) use self::{
     chain::{Placement, StretchChain},
-    header::may_begin_with,
+    header::{CopiedStretch, may_begin_with},
 };
 
 use std::iter;
@@ -114,6 +114,8 @@ pub struct Stretch<'a> {
     pub blocks: Vec<&'a [u8]>,
     /// The bytes of its payload, by purpose.
     pub sizes: StretchSizes,
+    /// Its payload.
+    pub(crate) payload: &'a [u8],
 }
 
 impl Stretch<'_> {

@@ -120,6 +120,23 @@ impl Timeline {
         rows.zip(self.times.iter().copied())
     }
 
+    /// The time line of the rows `rows` alone.
+    pub(crate) fn part(&self, rows: std::ops::Range<u64>) -> Self {
+        let mut part = Self { first_row: self.first_row.max(rows.start), ..Self::default() };
+        let mut at = self.first_row;
+        for run in &self.runs {
+            let end = at.saturating_add(run.rows);
+            let inside = end.min(rows.end).saturating_sub(at.max(rows.start));
+            if inside > 0 {
+                part.runs.push(RowRun { rows: inside, lost: run.lost });
+            }
+            at = end;
+        }
+        let inside = self.recorded().filter(|(row, _)| rows.contains(row));
+        part.times.extend(inside.map(|(_, time)| time));
+        part
+    }
+
     fn extend_run(&mut self, rows: u64, lost: Option<LossCauses>) {
         match self.runs.last_mut() {
             Some(last) if last.lost == lost => last.rows += rows,

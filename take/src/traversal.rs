@@ -355,8 +355,13 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(self.progress)
     }
 
+    /// Whether the end of the take was reached.
+    pub(crate) fn is_ended(&self) -> bool {
+        self.ended
+    }
+
     /// Reads a piece of the file, or visits the next event.
-    fn step(
+    pub(crate) fn step(
         &mut self,
         visit: impl FnOnce(&LocatedEvent<'_>, &Progress) -> Result<(), TakeError>,
     ) -> Result<(), TakeError> {

@@ -259,6 +259,74 @@ fn gaps() {
 }
 
 #[test]
+fn cut_concat_and_diff() {
+    let folder = Folder::new();
+    folder.run(&["demo", "--seconds", "2s", "--out", "demo"]).with_code(0);
+    let (take, csv) = ("demo/jump-001.take", "demo/jump-001.csv");
+    // Which rows a chunk of a later version belongs to is unknown.
+    let bytes = folder.read(take);
+    let mut strange = bytes[..chunk::MAGIC.len()].to_vec();
+    let mut rest = &bytes[chunk::MAGIC.len()..];
+    while let ChunkParse::Whole { kind, payload, len } = chunk::parse(rest) {
+        chunk::put(&mut strange, kind, payload).unwrap();
+        rest = &rest[len..];
+        if kind == types::HEADER {
+            chunk::put(&mut strange, 0xf1, b"later").unwrap();
+        }
+    }
+    folder.write("strange.take", strange);
+    let run = |args: &[&str], code| folder.run(args).with_code(code).json();
+    let cut = |take: &str, to: &str, range: &[&str]| {
+        run(&[&["cut", take, "-o", to, "--json"], range].concat(), 0)
+    };
+    let first = ["--from", "500ms", "--to", "1s"];
+    check(
+        "`mocapd cut`",
+        &[cut(take, "part.take", &first), cut("strange.take", "other.take", &first)],
+    );
+    cut(take, "rest.take", &["--from", "1s"]);
+    let concat = |takes: [&str; 2], to: &str| {
+        run(&[&["concat", "-o", to, "--json"], &takes[..]].concat(), 0)
+    };
+    check(
+        "`mocapd concat`",
+        &[
+            concat(["part.take", "rest.take"], "joined.take"),
+            concat(["strange.take", "strange.take"], "twice.take"),
+        ],
+    );
+
+    folder.write("other.csv", folder.text(csv).replace("head", "crown"));
+    for (file, to, options) in [
+        (csv, "again.take", &["--tolerance", "1mm"][..]),
+        (csv, "anna.take", &["--tolerance", "1mm", "--subject", "Anna", "--up", "z"]),
+        ("other.csv", "renamed.take", &[]),
+        ("demo/jump-001.c3d", "c3d.take", &[]),
+    ] {
+        folder.run(&[&["import", file, "-o", to], options].concat()).with_code(0);
+    }
+    cut("again.take", "excerpt.take", &["--from", "1s"]);
+    let bytes = folder.read("again.take");
+    folder.write("short.take", &bytes[..bytes.len() - 1]);
+    let diff = |a: &str, b: &str, code| run(&["diff", a, b, "--json"], code);
+    check(
+        "`mocapd diff`",
+        &[
+            diff(take, "again.take", 1),
+            diff(take, "joined.take", 1),
+            diff(take, "twice.take", 1),
+            diff(take, take, 0),
+            diff("again.take", "anna.take", 1),
+            diff("again.take", "renamed.take", 1),
+            diff("again.take", "c3d.take", 1),
+            diff("again.take", "excerpt.take", 1),
+            diff("again.take", "short.take", 3),
+            diff("again.take", csv, 1),
+        ],
+    );
+}
+
+#[test]
 fn doctor() {
     let folder = Folder::new();
     let examined = folder.run(&["doctor", "--keep-free", "0", "--json"]);

@@ -10,6 +10,7 @@ mod datasets;
 mod demo;
 pub(crate) mod devices;
 mod documents;
+mod edits;
 mod exports;
 mod faults;
 mod folder;

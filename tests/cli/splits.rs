@@ -81,6 +81,34 @@ fn logged() -> DeviceSettings {
     DeviceSettings { log_frames: true, ..DeviceSettings::default() }
 }
 
+/// Asserts that `concat` joins the parts to the recording, without a gap: its frames are `frames`, and its ledger counts
+/// what those of the parts count together.
+fn check_joined(folder: &Folder, report: &Value, frames: &[(u64, u64)], code: i32) {
+    let parts = report["parts"].as_array().unwrap();
+    let takes: Vec<_> = parts.iter().map(|part| part["take"].as_str().unwrap()).collect();
+    let concat = [&["concat", "-o", "joined.take", "--json"], &takes[..]].concat();
+    let joined = folder.run(&concat).with_code(0).json();
+    for (index, (take, part)) in joined["takes"].as_array().unwrap().iter().zip(parts).enumerate() {
+        assert_eq!(take["follows"], if index == 0 { "first" } else { "continuous" }, "{take}");
+        assert_eq!(take["first_frame"], part["first_frame"]);
+        assert_eq!(take["frames_missing_before"], 0);
+    }
+    assert_eq!(joined["left_out"], json!([]));
+    let found = frames_of(folder, &json!({"take": "joined.take", "first_frame": 0}));
+    assert!(found == frames, "{} frames of {}", found.len(), frames.len());
+    let counters = |ledger: &Value| {
+        let counters = ledger.as_object().unwrap().iter().filter(|(_, value)| value.is_u64());
+        counters.map(|(name, count)| (name.clone(), count.clone())).collect::<Vec<_>>()
+    };
+    assert!(counters(&joined["ledger"]).len() >= 18, "{}", joined["ledger"]);
+    assert_eq!(counters(&joined["ledger"]), counters(&report["ledger"]));
+    let verified = folder.run(&["verify", "joined.take", "--json"]).with_code(code).json();
+    assert_eq!((&verified["intact"], &verified["contradictions"]), (&json!(true), &json!([])));
+    let info = folder.run(&["info", "joined.take", "--json"]).with_code(code).json();
+    assert_eq!((&info["frames"], &info["events"]), (&report["ledger"]["frames_sent"], &json!([])));
+    std::fs::remove_file(folder.path("joined.take")).unwrap();
+}
+
 #[test]
 fn every_frame_is_in_exactly_one_take() {
     let folder = Folder::new();
@@ -113,6 +141,16 @@ fn every_frame_is_in_exactly_one_take() {
         names.map(|name| folder.run(&["info", name, "--json"]).with_code(0).json()).into();
     assert!(infos.iter().all(|info| info["subject"]["name"] == "S01"), "{}", infos[1]);
     assert!(infos.is_sorted_by(|a, b| a["created"].as_str() < b["created"].as_str()));
+    check_joined(&folder, &report, &frames, 0);
+    // Without one in the middle, its frames are lost ones.
+    let concat = ["concat", "a-001.take", "a-002.take", "a-004.take", "-o", "gap.take", "--json"];
+    let joined = folder.run(&concat).with_code(0).json();
+    assert_eq!(joined["takes"][2]["follows"], "frames missing");
+    assert_eq!(
+        (&joined["takes"][2]["frames_missing_before"], &joined["frames"]),
+        (&json!(240), &json!(960))
+    );
+    assert_eq!(joined["ledger"]["unknown_after_disconnect"], 240);
 }
 
 #[test]
@@ -230,10 +268,11 @@ fn an_outage_across_a_seam_is_divided_between_its_takes() {
     assert_eq!(report["outages"]["frames"], sum);
     assert_eq!(report["ledger"]["unknown_after_disconnect"], sum);
     // The device lost its power, and its clock began again.
-    let rows: Vec<u64> =
-        parts.iter().flat_map(|part| frames_of(&folder, part)).map(|frame| frame.0).collect();
-    assert!(rows.is_sorted_by(|a, b| a < b));
-    assert_eq!(report["frames"], rows.len());
+    let frames: Vec<_> = parts.iter().flat_map(|part| frames_of(&folder, part)).collect();
+    assert!(frames.is_sorted_by(|a, b| a.0 < b.0));
+    assert_eq!(report["frames"], frames.len());
+    // The clocks do not show how the takes follow each other; their places in the recording do.
+    check_joined(&folder, &report, &frames, 3);
     for part in parts {
         let verify = ["verify", part["take"].as_str().unwrap(), "--json"];
         let verified = folder.run(&verify).json();

@@ -65,10 +65,21 @@ impl PayloadEncoder for Dense {
         }
         Ok(())
     }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        self.store_all(channels, out, reports, kept_rows);
+        Ok(())
+    }
 }
 
 impl Dense {
-    /// Stores a block as a whole, sample by sample, where coding would take more bytes; resets all state.
+    /// Stores a block as a whole, sample by sample; resets all state.
     fn store_all(
         &mut self,
         channels: &[Rows<'_>],

@@ -139,19 +139,16 @@ impl Fast {
     }
 }
 
-impl PayloadEncoder for Fast {
-    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        // Per channel its mode and its samples; then the state, the flag and the end mark.
-        n_channels * (1 + Raw::max_bytes(n_rows)) + 16
-    }
-
-    fn encode(
+impl Fast {
+    /// Appends the payload of a block; with `all_raw` every channel is raw.
+    fn write(
         &mut self,
         channels: &[Rows<'_>],
+        all_raw: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
-    ) -> Result<()> {
+    ) {
         self.prepare(channels.len(), channels.first().map_or(0, Rows::len));
         let start = out.len();
         let mut writer = Writer::NEW;
@@ -163,7 +160,7 @@ impl PayloadEncoder for Fast {
                 self.channels[i].known = 0;
                 continue;
             }
-            if self.channel(i, *rows, report, &mut writer, out) {
+            if !all_raw && self.channel(i, *rows, report, &mut writer, out) {
                 coded = true;
                 block::mark(kept_rows, &self.encode_buffers.kept_rows);
             } else {
@@ -186,6 +183,34 @@ impl PayloadEncoder for Fast {
             // Modes and raw samples are written last, but read first.
             out[start..].rotate_left(behind - start);
         }
+    }
+}
+
+impl PayloadEncoder for Fast {
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        // Per channel its mode and its samples; then the state, the flag and the end mark.
+        n_channels * (1 + Raw::max_bytes(n_rows)) + 16
+    }
+
+    fn encode(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        self.write(channels, false, out, reports, kept_rows);
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        self.write(channels, true, out, reports, kept_rows);
         Ok(())
     }
 }

@@ -65,6 +65,15 @@ pub(crate) trait PayloadEncoder: Payload {
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
     ) -> Result<()>;
+
+    /// Appends the payload of a key block, like [`encode`](Self::encode), in which every sample is stored exactly.
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()>;
 }
 
 /// A resampler's decoder.
@@ -212,14 +221,8 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         Ok(n_sampled)
     }
 
-    /// Appends a block with samples.
-    fn encode_samples(
-        &mut self,
-        channels: &[Rows<'_>],
-        shared: &[u8],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-    ) -> Result<()> {
+    /// Appends what precedes the payload of a block with samples; the head byte states no error yet.
+    fn put_head(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &[BlockReport]) {
         let head_at = out.len();
         out.push(0);
         if channels.len() != self.state.n_channels {
@@ -234,6 +237,19 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         } else {
             self.state.presence.all_present(channels.len(), n_rows);
         }
+    }
+
+    /// Appends a block with samples.
+    fn encode_samples(
+        &mut self,
+        channels: &[Rows<'_>],
+        shared: &[u8],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        let head_at = out.len();
+        self.put_head(channels, out, reports);
+        let n_rows = channels[0].len();
         self.state.payload.begin(shared, n_rows).map_err(|error| {
             CodecError::InvalidArgument(format!(
                 "{error}: pass the result of Settings::plan for the same {n_rows} rows"
@@ -245,6 +261,12 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         debug_assert!(step.is_some() && !(E::EXACT && step != Some(0)), "{max_error_mm} mm");
         out[head_at] |= step.ok_or(CodecError::Corrupt("an error over the tolerance"))?;
         Ok(())
+    }
+
+    /// Begins a block of `n_rows` rows of which none is kept so far.
+    fn keep_no_rows(&mut self, n_rows: usize) {
+        self.kept_rows.clear();
+        self.kept_rows.resize(n_rows, false);
     }
 
     /// Decodes a block and compares it with its samples and reports.
@@ -306,8 +328,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
             return Err(CodecError::OutOfStep);
         }
         let start = out.len();
-        self.kept_rows.clear();
-        self.kept_rows.resize(channels[0].len(), false);
+        self.keep_no_rows(channels[0].len());
         if n_sampled == 0 {
             self.state.skip_empty();
         } else {
@@ -321,6 +342,47 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         }
         #[cfg(debug_assertions)]
         self.check(&out[start..], channels, shared, key, reports);
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        stated_error_mm: f64,
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<()> {
+        let tolerance_mm = self.state.tolerance.mm();
+        // The smallest step that states the error: the step of the blocks that it comes from.
+        let states = |&step: &u8| bound::stated_mm(step, tolerance_mm) >= stated_error_mm;
+        let step = (0..=STATED_STEPS).find(states).filter(|step| !E::EXACT || *step == 0);
+        let step = step.ok_or_else(|| {
+            CodecError::InvalidArgument(format!(
+                "a block cannot state an error of {stated_error_mm} mm: its tolerance is {} mm",
+                if E::EXACT { 0.0 } else { tolerance_mm }
+            ))
+        })?;
+        let n_sampled = Self::count(channels, 1, reports)?;
+        self.state.reset();
+        let start = out.len();
+        self.keep_no_rows(channels[0].len());
+        if n_sampled == 0 {
+            self.state.skip_empty();
+        } else {
+            let (sampled, reports) = (&channels[..n_sampled], &mut reports[..n_sampled]);
+            self.put_head(sampled, out, reports);
+            out[start] |= step;
+            // No key times: a channel that is stored exactly needs none.
+            let Self { state: FrameState { payload, .. }, kept_rows, .. } = self;
+            let begun = payload.begin(&[], sampled[0].len());
+            let coded = begun.and_then(|()| payload.encode_exact(sampled, out, reports, kept_rows));
+            coded.inspect_err(|_| {
+                out.truncate(start);
+                self.state.is_out_of_step = true;
+            })?;
+        }
+        #[cfg(debug_assertions)]
+        self.check(&out[start..], channels, &[], true, reports);
         Ok(())
     }
 

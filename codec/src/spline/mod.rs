@@ -103,6 +103,19 @@ impl Spline {
         Ok(true)
     }
 
+    /// Stores the samples of one channel exactly.
+    fn store(
+        &mut self,
+        rows: Rows<'_>,
+        out: &mut Vec<u8>,
+        report: &mut BlockReport,
+        kept_rows: &mut [bool],
+    ) {
+        out.push(RAW);
+        self.raw.write(rows, &mut Histories::default(), out);
+        report.keep_all(rows, kept_rows);
+    }
+
     /// Reads the knots of one channel and reconstructs its samples.
     fn read(&mut self, input: &mut Bytes<'_>, rows: &mut DecodedRows) -> Result<()> {
         let DecodedRows { positions, present, kept, .. } = rows;
@@ -199,10 +212,21 @@ impl PayloadEncoder for Spline {
             // samples may miss the tolerance; raw samples keep the bound.
             if !is_within || out.len() - start - 1 > max_bytes(report.samples as usize) {
                 out.truncate(start);
-                out.push(RAW);
-                self.raw.write(*rows, &mut Histories::default(), out);
-                report.keep_all(*rows, kept_rows);
+                self.store(*rows, out, report, kept_rows);
             }
+        }
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
+            self.store(*rows, out, report, kept_rows);
         }
         Ok(())
     }

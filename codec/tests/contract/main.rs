@@ -4,6 +4,7 @@
 
 mod damage;
 mod embedding;
+mod exact;
 mod groups;
 mod hard;
 mod hostile;

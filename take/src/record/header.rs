@@ -116,7 +116,7 @@ const SOURCE_BYTES: &str = "source_bytes";
 impl Header {
     /// Sets the size of the imported file in bytes.
     pub fn set_source_bytes(&mut self, bytes: u64) {
-        self.settings.retain(|(key, _)| key != SOURCE_BYTES);
+        self.unset_source_bytes();
         self.settings.push((SOURCE_BYTES.to_owned(), bytes.to_string()));
     }
 
@@ -125,6 +125,11 @@ impl Header {
     pub fn source_bytes(&self) -> Option<u64> {
         let (_, bytes) = self.settings.iter().find(|(key, _)| key == SOURCE_BYTES)?;
         bytes.parse().ok()
+    }
+
+    /// Removes the size of the imported file, for a take that does not have exactly its frames.
+    pub(crate) fn unset_source_bytes(&mut self) {
+        self.settings.retain(|(key, _)| key != SOURCE_BYTES);
     }
 
     /// `take_id` as 32 hexadecimal digits.

@@ -5,6 +5,7 @@
 mod clock;
 mod header;
 mod section;
+mod series;
 mod statistics;
 mod subject;
 mod summary;
@@ -20,6 +21,8 @@ pub use clock::{
 };
 pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource};
+pub(crate) use series::SeriesPlace;
+pub use series::{FIRST_FRAME_SETTING, PART_SETTING, SERIES_SETTING, SPLIT_SETTING};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
 pub use summary::{DETAIL_BYTES_MAX, EndingKind, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding};
 
@@ -217,6 +220,42 @@ impl Ledger {
     #[must_use]
     pub fn frames_lost(&self) -> u64 {
         self.lost().iter().fold(0, |sum, &n| sum.saturating_add(n))
+    }
+
+    /// Every counter with its name, in the order of docs/take-format.md.
+    #[must_use]
+    pub fn counters(&self) -> [(&'static str, u64); 18] {
+        self.clone().counters_mut().map(|(name, count)| (name, *count))
+    }
+
+    /// Adds every counter of another ledger.
+    pub fn add_counters(&mut self, other: &Self) {
+        for ((_, sum), (_, count)) in self.counters_mut().into_iter().zip(other.counters()) {
+            *sum = sum.saturating_add(count);
+        }
+    }
+
+    fn counters_mut(&mut self) -> [(&'static str, &mut u64); 18] {
+        [
+            ("frames_sent", &mut self.frames_sent),
+            ("recorded", &mut self.recorded),
+            ("lost_on_link", &mut self.lost_on_link),
+            ("dropped_by_device", &mut self.dropped_by_device),
+            ("lost_ring_full", &mut self.lost_ring_full),
+            ("lost_other", &mut self.lost_other),
+            ("duplicates", &mut self.duplicates),
+            ("unknown_after_disconnect", &mut self.unknown_after_disconnect),
+            ("samples_announced", &mut self.samples_announced),
+            ("samples_present", &mut self.samples_present),
+            ("samples_occluded", &mut self.samples_occluded),
+            ("samples_not_finite", &mut self.samples_not_finite),
+            ("markers_dropped", &mut self.markers_dropped),
+            ("link_bytes", &mut self.link_bytes),
+            ("link_bytes_skipped", &mut self.link_bytes_skipped),
+            ("link_messages", &mut self.link_messages),
+            ("link_messages_damaged", &mut self.link_messages_damaged),
+            ("link_messages_unknown", &mut self.link_messages_unknown),
+        ]
     }
 
     /// Lost frames by cause.

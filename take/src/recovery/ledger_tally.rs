@@ -50,7 +50,7 @@ impl RowCounts {
 
 /// Counts rows and samples while the file is read.
 #[derive(Debug, Clone, Default)]
-pub(super) struct LedgerTally {
+pub(crate) struct LedgerTally {
     rows: RowCounts,
     announced: u64,
     present: u64,
@@ -61,11 +61,15 @@ pub(super) struct LedgerTally {
 impl LedgerTally {
     /// Adds a stretch that is kept, with the number of channels announced and of samples decoded.
     pub(super) fn add_stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize, samples: u64) {
+        let recorded = [RowRun { rows: stretch.span.n_rows.into(), lost: None }];
+        let runs = stretch.timeline.as_ref().map_or(&recorded[..], |timeline| &timeline.runs);
+        self.add_runs(runs, n_channels, samples);
+    }
+
+    /// Adds runs of rows in which `n_channels` channels are announced and have `samples` samples.
+    pub(crate) fn add_runs(&mut self, runs: &[RowRun], n_channels: usize, samples: u64) {
         let before = self.rows.recorded;
-        match &stretch.timeline {
-            Some(timeline) => timeline.runs.iter().for_each(|run| self.rows.add(run)),
-            None => self.rows.add(&RowRun { rows: stretch.span.n_rows.into(), lost: None }),
-        }
+        runs.iter().for_each(|run| self.rows.add(run));
         let recorded = self.rows.recorded - before;
         self.announced = self.announced.saturating_add(recorded.saturating_mul(n_channels as u64));
         self.present = self.present.saturating_add(samples);
@@ -85,7 +89,7 @@ impl LedgerTally {
     ///
     /// The last ledger's counts stand, except that frames it has as recorded and that are not kept count as lost.
     /// Damaged rows after it count as lost, too.
-    pub(super) fn close(&self, last: Option<&Ledger>, lost: &[LostRows]) -> Ledger {
+    pub(crate) fn close(&self, last: Option<&Ledger>, lost: &[LostRows]) -> Ledger {
         let (mut ledger, before) = (last.cloned().unwrap_or_default(), self.at_ledger);
         let rows_then = ledger.frames_sent;
         let since = self.rows.since(before);

@@ -123,6 +123,14 @@ impl StretchChain {
         self.next_number = Some((number + 1) % NUMBERS);
         self.broken = false;
         let span = Span { first_row: end_row - u64::from(n_rows), n_rows, key, number };
-        Ok(Placement::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
+        Ok(Placement::Stretch(Stretch {
+            span,
+            missing_before,
+            timeline,
+            shared,
+            blocks,
+            sizes,
+            payload,
+        }))
     }
 }

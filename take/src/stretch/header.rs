@@ -49,37 +49,59 @@ impl StretchHeaderWriter {
         alone: bool,
         out: &mut Vec<u8>,
     ) {
-        let lost = timeline.runs.iter().any(|run| run.lost.is_some());
-        let timed = self.times.is_some();
-        let shape = flag(timed, HAS_TIMES)
-            | flag(timed && lost, RUNS_LISTED)
-            | flag(span.n_rows != self.stretch_rows, ROWS_LISTED)
-            | flag(!shared.is_empty(), SHARED);
-        let plain = shape == HAS_TIMES;
-        let flags = flag(span.key, KEY) | flag(plain, PLAIN) | flag(alone, ALONE);
-        out.push(flags | ((span.number % NUMBERS) << NUMBER_SHIFT));
-        if !plain {
-            out.push(shape);
-        }
-        if span.key {
-            let first_row = if timed { timeline.first_row } else { span.first_row };
-            varint::put(out, first_row);
-        }
-        if shape & ROWS_LISTED != 0 {
-            varint::put(out, u64::from(span.n_rows));
-        }
-        if shape & RUNS_LISTED != 0 {
-            varint::put(out, timeline.runs.len() as u64);
-            for run in &timeline.runs {
-                varint::put(out, (run.rows << 1) | u64::from(run.lost.is_some()));
-                out.extend(run.lost.map(|causes| causes.0));
-            }
-        }
+        let runs = self.times.is_some().then_some(&timeline.runs[..]);
+        let from_row = runs.map_or(span.first_row, |_| timeline.first_row);
+        let stretch_rows = self.stretch_rows;
+        StretchFront { span, from_row, runs, has_shared: !shared.is_empty(), alone, stretch_rows }
+            .put(out);
         if let Some(times) = &mut self.times {
             times.encode(timeline, span.key, out);
         }
         if !shared.is_empty() {
             varint::put_prefixed(out, shared);
+        }
+    }
+}
+
+/// What precedes the times of a stretch.
+struct StretchFront<'a> {
+    span: Span,
+    /// The row after the previous stretch.
+    from_row: u64,
+    /// With a time line: the runs of rows from `from_row` on.
+    runs: Option<&'a [RowRun]>,
+    has_shared: bool,
+    alone: bool,
+    /// Rows of a stretch that lists no number.
+    stretch_rows: u32,
+}
+
+impl StretchFront<'_> {
+    fn put(&self, out: &mut Vec<u8>) {
+        let Self { span, runs, .. } = self;
+        let lost = runs.is_some_and(|runs| runs.iter().any(|run| run.lost.is_some()));
+        let shape = flag(runs.is_some(), HAS_TIMES)
+            | flag(lost, RUNS_LISTED)
+            | flag(span.n_rows != self.stretch_rows, ROWS_LISTED)
+            | flag(self.has_shared, SHARED);
+        let plain = shape == HAS_TIMES;
+        let flags = flag(span.key, KEY) | flag(plain, PLAIN) | flag(self.alone, ALONE);
+        out.push(flags | ((span.number % NUMBERS) << NUMBER_SHIFT));
+        if !plain {
+            out.push(shape);
+        }
+        if span.key {
+            varint::put(out, self.from_row);
+        }
+        if shape & ROWS_LISTED != 0 {
+            varint::put(out, u64::from(span.n_rows));
+        }
+        if let Some(runs) = runs.filter(|_| lost) {
+            varint::put(out, runs.len() as u64);
+            for run in runs {
+                varint::put(out, (run.rows << 1) | u64::from(run.lost.is_some()));
+                out.extend(run.lost.map(|causes| causes.0));
+            }
         }
     }
 }
@@ -238,4 +260,40 @@ pub fn put_renumbered(
     }
     out.extend_from_slice(cursor.rest());
     Ok(())
+}
+
+/// The place of a copied stretch in another take.
+#[derive(Debug, Clone)]
+pub(crate) struct CopiedStretch {
+    /// Its rows and number there.
+    pub(crate) span: Span,
+    /// The row after the stretch before it there.
+    pub(crate) from_row: u64,
+    /// With a time line: the runs from that row on. They differ from the stored ones in lost rows before the first
+    /// recorded one only.
+    pub(crate) runs: Option<Vec<RowRun>>,
+    /// Rows of a full stretch in the take that it comes from, and in the other.
+    pub(crate) stretch_rows: [u32; 2],
+}
+
+impl CopiedStretch {
+    /// Appends `payload`, which was read as a stretch, for its new place. Times, shared bytes and blocks stay as they are.
+    ///
+    /// # Errors
+    /// `InvalidArgument` for a payload without a valid header.
+    pub(crate) fn put(&self, payload: &[u8], out: &mut Vec<u8>) -> Result<(), TakeError> {
+        let mut cursor = varint::Cursor::new(payload);
+        let [before, now] = self.stretch_rows;
+        let header = StretchHeader::take(&mut cursor, ROWS_MAX, before)
+            .map_err(|why| TakeError::InvalidArgument(format!("a stretch: {why}")))?;
+        let (span, from_row, has_shared) = (self.span, self.from_row, !header.shared.is_empty());
+        let (runs, alone, stretch_rows) = (self.runs.as_deref(), header.alone, now);
+        StretchFront { span, from_row, runs, has_shared, alone, stretch_rows }.put(out);
+        out.extend_from_slice(header.times);
+        if has_shared {
+            varint::put_prefixed(out, header.shared);
+        }
+        out.extend_from_slice(cursor.rest());
+        Ok(())
+    }
 }

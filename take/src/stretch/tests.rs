@@ -211,6 +211,7 @@ fn groups_are_decoded_side_by_side() {
             shared: &[],
             blocks,
             sizes: StretchSizes::default(),
+            payload: &payload,
         };
         decoder.decode(&stretch).unwrap();
         let seen_in = |channel: usize| {

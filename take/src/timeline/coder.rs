@@ -142,6 +142,12 @@ impl TimelineEncoder {
         }
     }
 
+    /// An encoder that keeps arrivals to 10 us, the unit of [`RowTime::arrival_10us`]: for times that were decoded
+    /// before, which it does not round again.
+    pub(crate) fn exact(tick_hz: u64, rate_hz: f64) -> Self {
+        Self { shift: 0, ..Self::new(tick_hz, rate_hz) }
+    }
+
     /// Reserves memory for stretches of `n_rows` recorded rows, so that encoding does not allocate. Clocks and arrivals
     /// take fewer than 16 bytes per row unless they are noise with an amplitude of hours.
     pub fn reserve(&mut self, n_rows: usize) {

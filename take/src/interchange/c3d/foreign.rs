@@ -39,12 +39,8 @@ pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
 /// The header of a block of columns over all frames of a file: version, width, number of signals, samples of a column
 /// in a frame, number of the first frame, number of frames.
 fn sample_header(layout: &Layout, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
-    let mut data = vec![VERSION, width as u8];
-    data.extend((n_signals as u32).to_le_bytes());
-    data.extend((ratio as u32).to_le_bytes());
-    data.extend(layout.first_frame.to_le_bytes());
-    data.extend((layout.n_frames as u64).to_le_bytes());
-    data
+    let (first_frame, n_frames) = (layout.first_frame, layout.n_frames);
+    SampleHeader { width, n_signals, ratio, first_frame, n_frames }.encode()
 }
 
 /// A part of columns that is written block of frames by block of frames.
@@ -289,7 +285,7 @@ fn push_outputs(part: &mut ColumnsPart, frames: &Frames<'_>, points: &[usize]) -
 }
 
 /// The header of a block of columns.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct SampleHeader {
     /// Bytes of a sample: 2 or 4.
     pub(crate) width: usize,
@@ -304,8 +300,22 @@ pub(crate) struct SampleHeader {
 }
 
 impl SampleHeader {
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut data = vec![VERSION, self.width as u8];
+        data.extend((self.n_signals as u32).to_le_bytes());
+        data.extend((self.ratio as u32).to_le_bytes());
+        data.extend(self.first_frame.to_le_bytes());
+        data.extend((self.n_frames as u64).to_le_bytes());
+        data
+    }
+
+    /// Samples of a column; `None` if they are too many for this machine.
+    pub(super) fn samples(&self) -> Option<usize> {
+        self.n_frames.checked_mul(self.ratio)
+    }
+
     /// `None` for an unknown version or width, and for more signals than a C3D file has.
-    fn parse(header: &[u8; 26]) -> Option<Self> {
+    pub(super) fn parse(header: &[u8; 26]) -> Option<Self> {
         let &[VERSION, width @ (2 | 4), ..] = header else { return None };
         let dword =
             |at: usize| Some(u32::from_le_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
@@ -322,7 +332,7 @@ impl SampleHeader {
     /// The columns, `n` for each signal; `None` if the data has another length.
     fn columns<'a>(&self, data: ContentSlice<'a>, n: usize) -> Option<ColumnReader<'a>> {
         let n_columns = self.n_signals.checked_mul(n)?;
-        let n_samples = self.n_frames.checked_mul(self.ratio)?;
+        let n_samples = self.samples()?;
         ColumnReader::new(data, self.width, n_columns, n_samples, BLOCK_BYTES)
     }
 }

@@ -16,6 +16,7 @@ mod layout;
 mod parameter_values;
 mod parameters;
 mod read;
+pub(crate) mod sample_parts;
 mod stride;
 mod write;
 

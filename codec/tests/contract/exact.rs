@@ -1,0 +1,107 @@
+//! Blocks of samples that were decoded before: they decode to the same floats, and state the same error.
+
+use mocapd_codec::{BlockReport, CodecError, DecodedRows, Rows, Settings};
+
+use super::{Channel, KINDS, cut, encode, settings};
+
+/// The channels of a decoded block from row `from` on; channels that it lacks have no samples.
+fn channels(decoded: &[DecodedRows], n: usize, from: usize) -> Vec<Channel> {
+    let part = |rows: &DecodedRows| Channel {
+        positions: rows.positions[from..].to_vec(),
+        present: rows.present[from..].to_vec(),
+    };
+    let n_rows = decoded[0].present.len() - from;
+    let absent = Channel { positions: vec![[0.0; 3]; n_rows], present: vec![false; n_rows] };
+    (0..n).map(|i| decoded.get(i).map_or_else(|| absent.clone(), part)).collect()
+}
+
+fn encode_exact(settings: Settings, channels: &[Channel], stated_mm: f64) -> Vec<u8> {
+    let rows: Vec<Rows<'_>> = channels.iter().map(Channel::rows).collect();
+    let mut reports = vec![BlockReport::default(); rows.len()];
+    let mut encoder = settings.encoder();
+    let mut bytes = Vec::new();
+    encoder.encode_exact(&rows, stated_mm, &mut bytes, &mut reports).unwrap();
+    for (channel, report) in channels.iter().zip(&reports) {
+        let samples = channel.present.iter().filter(|&&present| present).count() as u32;
+        assert_eq!((report.samples, report.kept, report.max_error_mm), (samples, samples, 0.0));
+    }
+    assert!(bytes.len() <= settings.max_block_bytes(rows.len(), rows[0].len()));
+    bytes
+}
+
+#[test]
+fn decoded_samples_come_back_bit_by_bit_and_state_the_error_of_their_blocks() {
+    for kind in KINDS {
+        for (motion, gaps) in [("smooth", "all"), ("smooth", "gaps"), ("walk", "gaps")] {
+            let settings = settings(kind, 0.5);
+            let group: Vec<_> = (20..25).map(|seed| Channel::new(motion, gaps, seed, 90)).collect();
+            let stretches = cut(&group, &[60, 30], 2);
+            let blocks = encode(settings, &stretches);
+            let mut decoder = settings.decoder();
+            let mut decoded = Vec::new();
+            let first = &blocks[0];
+            decoder.decode(&first.bytes, &first.shared, 60, true, &mut decoded).unwrap();
+            for from in [0, 1, 37, 59] {
+                let part = channels(&decoded, group.len(), from);
+                let stated_mm = decoded[0].max_error_mm;
+                let block = encode_exact(settings, &part, stated_mm);
+                let mut decoder = settings.decoder();
+                let mut again = Vec::new();
+                decoder.decode(&block, &[], 60 - from, true, &mut again).unwrap();
+                for (i, expected) in part.iter().enumerate() {
+                    let Some(found) = again.get(i) else {
+                        assert!(!expected.present.contains(&true), "{kind} {gaps}: channel {i}");
+                        continue;
+                    };
+                    assert_eq!(found.present, expected.present, "{kind} {gaps} from {from}");
+                    let bits = |rows: &[[f32; 3]]| -> Vec<_> {
+                        rows.iter().map(|p| p.map(f32::to_bits)).collect()
+                    };
+                    assert_eq!(bits(&found.positions), bits(&expected.positions), "{kind} {from}");
+                    assert_eq!(found.max_error_mm, stated_mm, "{kind} {gaps} from {from}");
+                }
+                // A key block behind it does not depend on it.
+                let next = &blocks[1];
+                decoder.decode(&next.bytes, &next.shared, 30, true, &mut again).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn every_stated_error_is_stated_again() {
+    let channel = Channel::new("smooth", "all", 3, 20);
+    for tolerance_mm in [1e-4, 0.1, 0.3, 0.5, 7.7] {
+        let settings = settings("dense", tolerance_mm);
+        for step in 0..=63_u8 {
+            // The head byte has the step, as a decoder reads it.
+            let stated_mm = match step {
+                63 => tolerance_mm,
+                _ => tolerance_mm * f64::from(step) / 63.0,
+            };
+            let block = encode_exact(settings, std::slice::from_ref(&channel), stated_mm);
+            assert_eq!(block[0] & 63, step, "{tolerance_mm} mm");
+        }
+    }
+}
+
+#[test]
+fn without_samples_there_is_no_block_and_an_error_above_the_tolerance_is_refused() {
+    let absent = Channel { positions: vec![[0.0; 3]; 9], present: vec![false; 9] };
+    for kind in KINDS {
+        let settings = settings(kind, 0.5);
+        assert_eq!(
+            encode_exact(settings, &[absent.clone(), absent.clone()], 0.0),
+            [0; 0],
+            "{kind}"
+        );
+        let channel = Channel::new("smooth", "all", 1, 9);
+        let mut bytes = vec![7];
+        let mut reports = [BlockReport::default()];
+        let above = if settings.kind.is_lossless() { 1e-9 } else { 0.6 };
+        let refused =
+            settings.encoder().encode_exact(&[channel.rows()], above, &mut bytes, &mut reports);
+        assert!(matches!(refused, Err(CodecError::InvalidArgument(_))), "{kind}: {refused:?}");
+        assert_eq!(bytes, [7], "{kind}");
+    }
+}

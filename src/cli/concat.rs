@@ -1,0 +1,150 @@
+//! `concat`: joins takes one after another.
+
+use std::{fmt::Write, io, path::PathBuf, sync::Arc};
+
+use anyhow::bail;
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::ledger::LedgerDocument;
+use mocapd_take::edit::{ConcatReport, Seam, SourceTake, check_joinable, concat};
+use serde::Serialize;
+
+use super::{
+    edited::{notify_left_out, open, read_sources, write},
+    output::{plain_path, print, print_json},
+    paths,
+    values::{bytes, count, thousands},
+};
+
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "All takes need the same markers (more may follow in later takes), rate, resampler, \
+    tolerance, unit and up axis. Parts of one recording continue each other; frames that the clocks show to lie \
+    between two of them are lost frames of the new take. Any other take is marked with an event where it begins."
+)]
+pub(crate) struct Args {
+    /// The takes, in order; they are not changed
+    #[arg(required = true, value_name = "TAKES")]
+    takes: Vec<PathBuf>,
+    /// The take to write; it must not exist
+    #[arg(short, long, value_name = "TAKE")]
+    output: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct JoinedReport {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    output: PathBuf,
+    frames: u64,
+    seconds: f64,
+    markers: usize,
+    samples: u64,
+    file_bytes: u64,
+    takes: Vec<JoinedTake>,
+    left_out: Vec<String>,
+    ledger: LedgerDocument,
+}
+
+#[derive(Debug, Serialize)]
+struct JoinedTake {
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
+    take: PathBuf,
+    first_frame: u64,
+    frames: u64,
+    /// How it relates to the take before it.
+    follows: &'static str,
+    frames_missing_before: u64,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    if args.takes.len() < 2 {
+        bail!(UsageError("concat joins takes: name two or more".to_owned()));
+    }
+    paths::check_take_output(&args.output)?;
+    let sources = read_sources(&args.takes)?;
+    if let Err(mismatch) = check_joinable(&sources) {
+        let name = |i: usize| args.takes.get(i).map(|path| plain_path(path)).unwrap_or_default();
+        bail!("{} cannot follow {}: {mismatch}", name(mismatch.index), name(0));
+    }
+    let counted = Arc::default();
+    let open = |i: usize| match args.takes.get(i) {
+        Some(path) => open(path, &counted).map_err(io::Error::other),
+        None => Err(io::ErrorKind::NotFound.into()),
+    };
+    let rows = sources.iter().map(|source| source.map().n_rows).fold(0, u64::saturating_add);
+    let written =
+        write(&args.output, "joining", rows, |out, context| concat(&sources, open, out, context))?;
+    notify_left_out(&args.output, &written.left_out);
+    let report = JoinedReport::new(args, &sources, written);
+    if args.json {
+        print_json(&report)?
+    } else {
+        print(&report.text())?
+    }
+    Ok(Outcome::Done)
+}
+
+impl JoinedReport {
+    fn new(args: &Args, sources: &[SourceTake], written: ConcatReport) -> Self {
+        let take = |(i, path): (usize, &PathBuf)| {
+            let seam = i.checked_sub(1).and_then(|before| written.seams.get(before));
+            let (follows, frames_missing_before) = match seam {
+                None => ("first", 0),
+                Some(Seam::Continuous) => ("continuous", 0),
+                Some(Seam::Missing(rows)) => ("frames missing", *rows),
+                Some(Seam::Unknown) => ("unknown", 0),
+            };
+            JoinedTake {
+                take: path.clone(),
+                first_frame: written.first_rows.get(i).copied().unwrap_or_default(),
+                frames: sources.get(i).map_or(0, |source| source.map().n_rows),
+                follows,
+                frames_missing_before,
+            }
+        };
+        let takes = args.takes.iter().enumerate().map(take).collect();
+        let rate_hz = sources.first().map_or(1.0, |source| source.map().header.rate_hz);
+        Self {
+            output: args.output.clone(),
+            frames: written.rows,
+            seconds: written.rows as f64 / rate_hz,
+            markers: written.n_channels,
+            samples: written.ledger.samples_present,
+            file_bytes: written.bytes,
+            takes,
+            left_out: written.left_out,
+            ledger: LedgerDocument::from(&written.ledger),
+        }
+    }
+
+    /// A line for the new take, and one for each take in it.
+    fn text(&self) -> String {
+        let mut out = format!(
+            "{}: {} of {}, {}\n",
+            plain_path(&self.output),
+            count(self.frames, "frame"),
+            count(self.markers as u64, "marker"),
+            bytes(self.file_bytes),
+        );
+        for JoinedTake { take, first_frame, frames, follows, frames_missing_before } in &self.takes
+        {
+            let relation = match *follows {
+                "frames missing" => {
+                    format!(
+                        ", after {} that are in no take",
+                        count(*frames_missing_before, "frame")
+                    )
+                }
+                "unknown" => {
+                    ", not known to continue the take before it; an event marks it".to_owned()
+                }
+                _ => String::new(),
+            };
+            let (first, frames) = (thousands(*first_frame), count(*frames, "frame"));
+            writeln!(out, "  from frame {first}: {}, {frames}{relation}", plain_path(take)).ok();
+        }
+        out
+    }
+}

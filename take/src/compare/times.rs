@@ -1,0 +1,130 @@
+//! Compares the time lines of two recordings.
+
+use std::{
+    collections::VecDeque,
+    io::{Read, Seek},
+    ops::Range,
+};
+
+use serde::Serialize;
+
+use crate::{
+    TakeError, TakeMap, TakeTraversal,
+    timeline::{LossCauses, RowTime},
+    traversal::Decode,
+};
+
+/// How the times of two recordings differ.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct TimesDifference {
+    /// Frames with different device ticks.
+    pub ticks_differing: u64,
+    /// Frames with different arrivals.
+    pub arrivals_differing: u64,
+    /// Frames with different timecodes.
+    pub timecodes_differing: u64,
+    /// Frames that only one of the two lost, or with different causes.
+    pub losses_differing: u64,
+    /// The first frame with any of these differences.
+    pub first_frame: Option<u64>,
+}
+
+impl TimesDifference {
+    /// Whether nothing differs.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    fn add(&mut self, rows: &Range<u64>, a: RowOutcome, b: RowOutcome) {
+        if a == b {
+            return;
+        }
+        self.first_frame.get_or_insert(rows.start);
+        let n = rows.end - rows.start;
+        match (a, b) {
+            (RowOutcome::Recorded(a), RowOutcome::Recorded(b)) => {
+                self.ticks_differing += u64::from(a.device_ticks != b.device_ticks);
+                self.arrivals_differing += u64::from(a.arrival_10us != b.arrival_10us);
+                self.timecodes_differing += u64::from(a.timecode != b.timecode);
+            }
+            _ => self.losses_differing = self.losses_differing.saturating_add(n),
+        }
+    }
+}
+
+/// What became of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum RowOutcome {
+    Recorded(RowTime),
+    Lost(LossCauses),
+}
+
+/// Compares the times of the frames that both recordings have. Each comes with its map.
+///
+/// # Errors
+/// Those of [`TakeTraversal::next_stretch`].
+pub fn compare_times<R: Read + Seek, S: Read + Seek>(
+    a: (R, &TakeMap),
+    b: (S, &TakeMap),
+) -> Result<TimesDifference, TakeError> {
+    let (mut a, mut b) = (RowOutcomes::new(a.0, a.1)?, RowOutcomes::new(b.0, b.1)?);
+    let mut difference = TimesDifference::default();
+    while let (Some((rows, outcome)), Some((others, other))) = (a.next()?, b.next()?) {
+        // A damaged take lacks rows.
+        let start = rows.start.max(others.start);
+        let end = rows.end.min(others.end);
+        if start < end {
+            difference.add(&(start..end), outcome, other);
+        }
+        a.pass(end.max(start.min(rows.end)));
+        b.pass(end.max(start.min(others.end)));
+    }
+    Ok(difference)
+}
+
+/// The outcomes of a recording's rows, in order: a row that was recorded, or consecutive lost ones.
+struct RowOutcomes<R> {
+    traversal: TakeTraversal<R>,
+    waiting: VecDeque<(Range<u64>, RowOutcome)>,
+}
+
+impl<R: Read + Seek> RowOutcomes<R> {
+    fn new(input: R, map: &TakeMap) -> Result<Self, TakeError> {
+        let traversal = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
+        Ok(Self { traversal, waiting: VecDeque::new() })
+    }
+
+    /// The next outcome, which stays the next until its rows are [passed](Self::pass).
+    fn next(&mut self) -> Result<Option<(Range<u64>, RowOutcome)>, TakeError> {
+        while self.waiting.is_empty() && self.traversal.next_stretch()?.is_some() {
+            let Some(timeline) = self.traversal.timeline() else { continue };
+            let mut times = timeline.times.iter();
+            let mut at = timeline.first_row;
+            for run in &timeline.runs {
+                let end = at.saturating_add(run.rows);
+                match run.lost {
+                    Some(causes) => self.waiting.push_back((at..end, RowOutcome::Lost(causes))),
+                    None => {
+                        let rows = (at..end).zip(times.by_ref());
+                        let recorded =
+                            rows.map(|(row, time)| (row..row + 1, RowOutcome::Recorded(*time)));
+                        self.waiting.extend(recorded);
+                    }
+                }
+                at = end;
+            }
+        }
+        Ok(self.waiting.front().cloned())
+    }
+
+    /// Passes the rows before `row`.
+    fn pass(&mut self, row: u64) {
+        if let Some((rows, _)) = self.waiting.front_mut() {
+            rows.start = rows.start.max(row);
+            if rows.is_empty() {
+                self.waiting.pop_front();
+            }
+        }
+    }
+}
