@@ -83,6 +83,22 @@ pub trait Record: Encode + Decode<()> {
     }
 }
 
+/// Splits the version off the front of a section of SUMMARY, and rejects all but `supported`.
+fn section_content<'a>(
+    section: &'a [u8],
+    what: &'static str,
+    supported: u16,
+    offset: u64,
+) -> Result<&'a [u8], TakeError> {
+    let Some((version, content)) = section.split_first_chunk::<2>() else {
+        return Err(TakeError::corrupt(what, offset, "shorter than its version"));
+    };
+    match u16::from_le_bytes(*version) {
+        found if found == supported => Ok(content),
+        found => Err(TakeError::Unsupported { what, found, supported }),
+    }
+}
+
 /// The kind of an event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
 pub enum EventKind {

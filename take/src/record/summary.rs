@@ -9,7 +9,7 @@ use std::{
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
-use super::{Header, LIMIT_BYTES, Record, statistics};
+use super::{Header, LIMIT_BYTES, Record, section_content, statistics};
 use crate::{
     TakeError,
     chunk::types,
@@ -266,22 +266,6 @@ impl SummaryRecord {
             _ => self.statistics = Some(statistics::of_section(section, offset)?),
         }
         Ok(())
-    }
-}
-
-/// Splits the version off the front of a section, and rejects all but `supported`.
-pub(super) fn section_content<'a>(
-    section: &'a [u8],
-    what: &'static str,
-    supported: u16,
-    offset: u64,
-) -> Result<&'a [u8], TakeError> {
-    let Some((version, content)) = section.split_first_chunk::<2>() else {
-        return Err(TakeError::corrupt(what, offset, "shorter than its version"));
-    };
-    match u16::from_le_bytes(*version) {
-        found if found == supported => Ok(content),
-        found => Err(TakeError::Unsupported { what, found, supported }),
     }
 }
 
