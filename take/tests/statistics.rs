@@ -254,7 +254,7 @@ fn realistic_statistics(n: usize) -> TakeStatistics {
     let rows = 864_000;
     let mut random = Random::new(11);
     let mut channel = |i: usize| {
-        let is_seen = i % 4 == 0;
+        let is_seen = i.is_multiple_of(4);
         let samples = if is_seen { rows } else { rows - random.below(rows / 5) };
         let gaps = if is_seen { 0 } else { random.below(900) as u64 };
         let knots = samples / 9 + random.below(rows / 9);
