@@ -128,3 +128,80 @@ impl<R: Read + Seek> RowOutcomes<R> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use mocapd_codec::{Settings, Tolerance};
+
+    use super::*;
+    use crate::{
+        TakeWriter,
+        record::{Device, Header, Ledger},
+        stretch::{Span, StretchHeaderWriter},
+        timeline::{Timeline, TimelineEncoder},
+    };
+
+    const TICK_HZ: u64 = 100_000;
+
+    /// A recording of these rows, in stretches of `stretch_rows`: the ticks of a recorded row, or the causes of a lost one.
+    fn take(rows: &[Result<u64, LossCauses>], stretch_rows: u32) -> (Vec<u8>, TakeMap) {
+        let device = Some(Device { tick_hz: TICK_HZ, ..Device::default() });
+        let mut header = Header { rate_hz: 100.0, device, stretch_rows, ..Header::default() };
+        let tolerance = Tolerance::from_mm(1.0).unwrap();
+        header.set_codec(&Settings { kind: "dense".parse().unwrap(), tolerance });
+        let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        let times = TimelineEncoder::exact(TICK_HZ, 100.0);
+        let mut front = StretchHeaderWriter::with_times(stretch_rows, times);
+        for (i, part) in rows.chunks(stretch_rows as usize).enumerate() {
+            let mut timeline = Timeline::default();
+            let first_row = i as u64 * u64::from(stretch_rows);
+            timeline.restart(first_row);
+            for row in part {
+                match row {
+                    Ok(ticks) => timeline.push(RowTime {
+                        device_ticks: *ticks,
+                        arrival_10us: ticks + 70,
+                        timecode: None,
+                    }),
+                    Err(causes) => timeline.push_lost(1, *causes),
+                }
+            }
+            let (n_rows, key) = (part.len() as u32, i % 2 == 0);
+            let span = Span { first_row, n_rows, key, number: (i % 32) as u8 };
+            let mut payload = Vec::new();
+            front.put(span, &timeline, &[], true, &mut payload);
+            take.stretch(span, &payload).unwrap();
+        }
+        let (bytes, _) = take.finish(&Ledger::default()).unwrap();
+        let map = TakeMap::scan(&mut Cursor::new(&bytes)).unwrap();
+        (bytes, map)
+    }
+
+    fn compared(a: &(Vec<u8>, TakeMap), b: &(Vec<u8>, TakeMap)) -> TimesDifference {
+        compare_times((Cursor::new(&a.0), &a.1), (Cursor::new(&b.0), &b.1)).unwrap()
+    }
+
+    #[test]
+    fn frames_are_compared_whatever_their_stretches() {
+        let mut rows: Vec<Result<u64, LossCauses>> = (0..40).map(|row| Ok(row * 1000)).collect();
+        rows[7..12].fill(Err(LossCauses::NOT_RECEIVED));
+        let (one, other) = (take(&rows, 10), take(&rows, 7));
+        assert!(compared(&one, &other).is_none());
+        assert!(compared(&one, &take(&rows[..20], 10)).is_none(), "the frames that both have");
+        rows[9] = Err(LossCauses::RING_FULL);
+        rows[11] = Ok(11_000);
+        rows[30] = Ok(30_003);
+        let found = compared(&one, &take(&rows, 7));
+        let expected = TimesDifference {
+            ticks_differing: 1,
+            arrivals_differing: 1,
+            timecodes_differing: 0,
+            losses_differing: 2,
+            first_frame: Some(9),
+        };
+        assert_eq!(found, expected);
+        assert_eq!(compared(&take(&rows, 7), &one), expected);
+    }
+}
