@@ -1,16 +1,16 @@
 //! Compares the time lines of two recordings.
 
 use std::{
-    collections::VecDeque,
     io::{Read, Seek},
     ops::Range,
+    vec,
 };
 
 use serde::Serialize;
 
 use crate::{
     TakeError, TakeMap, TakeTraversal,
-    timeline::{LossCauses, RowTime},
+    timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
 };
 
@@ -83,50 +83,64 @@ pub fn compare_times<R: Read + Seek, S: Read + Seek>(
     Ok(difference)
 }
 
-/// The outcomes of a recording's rows, in order: a row that was recorded, or consecutive lost ones.
+/// Consecutive rows with one outcome: a row that was recorded, or lost ones.
+type OutcomeRun = (Range<u64>, RowOutcome);
+
+/// The outcomes of a recording's rows, in order.
 struct RowOutcomes<R> {
     traversal: TakeTraversal<R>,
-    waiting: VecDeque<(Range<u64>, RowOutcome)>,
+    /// What was not passed of the run in question.
+    current: Option<OutcomeRun>,
+    /// The runs behind it in its stretch.
+    waiting: vec::IntoIter<OutcomeRun>,
 }
 
 impl<R: Read + Seek> RowOutcomes<R> {
     fn new(input: R, map: &TakeMap) -> Result<Self, TakeError> {
         let traversal = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
-        Ok(Self { traversal, waiting: VecDeque::new() })
+        Ok(Self { traversal, current: None, waiting: Vec::new().into_iter() })
     }
 
-    /// The next outcome, which stays the next until its rows are [passed](Self::pass).
-    fn next(&mut self) -> Result<Option<(Range<u64>, RowOutcome)>, TakeError> {
-        while self.waiting.is_empty() && self.traversal.next_stretch()?.is_some() {
-            let Some(timeline) = self.traversal.timeline() else { continue };
-            let mut times = timeline.times.iter();
-            let mut at = timeline.first_row;
-            for run in &timeline.runs {
-                let end = at.saturating_add(run.rows);
-                match run.lost {
-                    Some(causes) => self.waiting.push_back((at..end, RowOutcome::Lost(causes))),
-                    None => {
-                        let rows = (at..end).zip(times.by_ref());
-                        let recorded =
-                            rows.map(|(row, time)| (row..row + 1, RowOutcome::Recorded(*time)));
-                        self.waiting.extend(recorded);
-                    }
+    /// The next run, which stays the next until its rows are [passed](Self::pass).
+    fn next(&mut self) -> Result<Option<OutcomeRun>, TakeError> {
+        while self.current.is_none() {
+            self.current = self.waiting.next();
+            if self.current.is_none() {
+                if self.traversal.next_stretch()?.is_none() {
+                    return Ok(None);
                 }
-                at = end;
+                self.waiting = self.traversal.timeline().map(runs).unwrap_or_default().into_iter();
             }
         }
-        Ok(self.waiting.front().cloned())
+        Ok(self.current.clone())
     }
 
     /// Passes the rows before `row`.
     fn pass(&mut self, row: u64) {
-        if let Some((rows, _)) = self.waiting.front_mut() {
+        if let Some((rows, _)) = &mut self.current {
             rows.start = rows.start.max(row);
-            if rows.is_empty() {
-                self.waiting.pop_front();
+        }
+        self.current.take_if(|(rows, _)| rows.is_empty());
+    }
+}
+
+fn runs(timeline: &Timeline) -> Vec<OutcomeRun> {
+    let mut times = timeline.times.iter();
+    let mut at = timeline.first_row;
+    let mut runs = Vec::new();
+    for run in &timeline.runs {
+        let end = at.saturating_add(run.rows);
+        match run.lost {
+            Some(causes) => runs.push((at..end, RowOutcome::Lost(causes))),
+            None => {
+                let recorded =
+                    |(row, time): (u64, &RowTime)| (row..row + 1, RowOutcome::Recorded(*time));
+                runs.extend((at..end).zip(times.by_ref()).map(recorded));
             }
         }
+        at = end;
     }
+    runs
 }
 
 #[cfg(test)]
@@ -140,7 +154,7 @@ mod tests {
         TakeWriter,
         record::{Device, Header, Ledger},
         stretch::{Span, StretchHeaderWriter},
-        timeline::{Timeline, TimelineEncoder},
+        timeline::TimelineEncoder,
     };
 
     const TICK_HZ: u64 = 100_000;
