@@ -153,6 +153,7 @@ mod tests {
     use crate::{
         TakeWriter,
         record::{Device, Header, Ledger},
+        statistics::StretchTally,
         stretch::{Span, StretchHeaderWriter},
         timeline::TimelineEncoder,
     };
@@ -186,7 +187,7 @@ mod tests {
             let span = Span { first_row, n_rows, key, number: (i % 32) as u8 };
             let mut payload = Vec::new();
             front.put(span, &timeline, &[], true, &mut payload);
-            take.stretch(span, &payload).unwrap();
+            take.stretch(span, &payload, &StretchTally::default()).unwrap();
         }
         let (bytes, _) = take.finish(&Ledger::default()).unwrap();
         let map = TakeMap::scan(&mut Cursor::new(&bytes)).unwrap();
