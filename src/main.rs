@@ -7,7 +7,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let result = cli::parse().and_then(cli::run);
     if let Err(error) = &result {
-        cli::notify(&mocapd_cli::failure::message(error));
+        cli::notify(&mocapd_cli::failure_message(error));
     }
     mocapd::outcome::exit_code(&result)
 }

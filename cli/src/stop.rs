@@ -70,16 +70,17 @@ pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
-/// Lets the first of these signals end the program at once, as it does without a handler, after `clean_up`.
+/// Lets the first of these signals end the program at once, as it does without a handler, after `clean_up`, whose result
+/// is held until then.
 ///
 /// # Errors
 /// If the system refuses the handlers or their thread.
-pub fn end_on_signal(clean_up: impl Fn() + Send + 'static) -> anyhow::Result<()> {
+pub fn end_on_signal<T>(clean_up: impl FnOnce() -> T + Send + 'static) -> anyhow::Result<()> {
     let watching = || "cannot watch for Ctrl-C";
     let mut signals = Signals::new(ending_signals()).with_context(watching)?;
     let watch = move || {
         let signal = signals.forever().next();
-        clean_up();
+        let _held = clean_up();
         if let Some(signal) = signal {
             // The shell sees that the signal ended the program.
             low_level::emulate_default_handler(signal).ok();

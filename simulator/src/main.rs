@@ -8,7 +8,7 @@ fn main() -> ExitCode {
     match cli::parse().and_then(cli::run) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            cli::notify(&mocapd_cli::failure::message(&failure.error));
+            cli::notify(&mocapd_cli::failure_message(&failure.error));
             ExitCode::from(failure.code)
         }
     }

@@ -79,9 +79,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     notify_left_out(&args.output, &written.left_out);
     let report = JoinedReport::new(args, &sources, written);
     if args.json {
-        print_json(&report)?
+        print_json(&report)?;
     } else {
-        print(&report.text())?
+        print(&report.text())?;
     }
     Ok(Outcome::Done)
 }

@@ -77,7 +77,7 @@ impl FromStr for FrameRange {
 }
 
 #[derive(Debug, Serialize)]
-struct PartReport {
+struct CutPartReport {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
@@ -123,11 +123,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         notify(&format!("{name}: {frames} more than requested, to the ends of stretches"));
     }
     notify_left_out(&args.output, &written.left_out);
-    let report = PartReport::new(args, source, rows.start, written);
+    let report = CutPartReport::new(args, source, rows.start, written);
     if args.json {
-        print_json(&report)?
+        print_json(&report)?;
     } else {
-        print(&report.text())?
+        print(&report.text())?;
     }
     Ok(Outcome::Done)
 }
@@ -155,7 +155,7 @@ fn range(args: &Args, source: &SourceTake) -> anyhow::Result<Range<u64>> {
     Ok(start..end)
 }
 
-impl PartReport {
+impl CutPartReport {
     fn new(args: &Args, source: &SourceTake, first_frame: u64, written: CutReport) -> Self {
         let map = source.map();
         Self {

@@ -19,8 +19,8 @@ mod gaps;
 mod import;
 mod info;
 mod ledger;
-mod limbs;
 mod manual;
+mod motion_file_reports;
 mod motion_files;
 mod original;
 mod output;
@@ -31,7 +31,6 @@ mod recover;
 mod run;
 mod study;
 mod subject;
-mod to;
 mod values;
 mod verify;
 

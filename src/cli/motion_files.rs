@@ -4,8 +4,13 @@ use std::{fs, io::BufReader, path::Path};
 
 use anyhow::Context;
 use mocapd_acquire::files::{CountingFile, NewFile, SparseFile};
+use mocapd_body::skeleton::Skeleton;
 use mocapd_codec::Settings;
-use mocapd_report::decoded::DecodedTake;
+use mocapd_report::{
+    decoded::DecodedTake,
+    limbs::{Limb, limbs},
+};
+use mocapd_service::subject;
 use mocapd_take::{
     TakeFrames,
     interchange::ReadOptions,
@@ -114,4 +119,34 @@ pub(super) fn write_new(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     std::io::Write::write_all(&mut file, bytes)
         .with_context(|| format!("cannot write {}", path.display()))?;
     file.keep()
+}
+
+/// A skeleton, and those of its bones whose ends are markers of a take.
+#[derive(Debug)]
+pub(super) struct TakeLimbs {
+    pub(super) skeleton: Skeleton,
+    pub(super) limbs: Vec<Limb>,
+    /// The columns of all markers of the subject.
+    pub(super) columns: Vec<usize>,
+}
+
+/// The limbs by the skeleton in `file`, else by the take's own; `None` if there is no skeleton.
+///
+/// # Errors
+/// If the skeleton cannot be read.
+pub(super) fn limbs_of_take(
+    motion: &Motion,
+    file: Option<&Path>,
+) -> anyhow::Result<Option<TakeLimbs>> {
+    let own = motion.info.subject.as_ref();
+    let skeleton = match file {
+        Some(path) => Some(subject::read(path, Skeleton::from_json)?.1),
+        None => subject::skeleton(own)?,
+    };
+    let Some(skeleton) = skeleton else { return Ok(None) };
+    let labels: Vec<&str> =
+        motion.info.markers.iter().map(|marker| marker.label.as_str()).collect();
+    let name = own.map_or("", |subject| subject.name.as_str());
+    let (limbs, columns) = limbs(&skeleton.bones, &labels, name);
+    Ok(Some(TakeLimbs { skeleton, limbs, columns }))
 }

@@ -1,9 +1,9 @@
 //! Parsing of argument values that only the command line has, and formatting of numbers for people.
 
-use std::time::Duration;
+use std::{str::FromStr, time::Duration};
 
 use anyhow::bail;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use mocapd::outcome::UsageError;
 use mocapd_acquire::{
     inspect::size_ratio,
@@ -83,6 +83,49 @@ pub(crate) fn rate(hz: f64) -> String {
     // No clock of a device is exact to a millionth of a hertz.
     let text = format!("{hz:.6}");
     format!("{} Hz", text.trim_end_matches('0').trim_end_matches('.'))
+}
+
+/// A value of `--to`: no name of a format is a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TimeOrFormat<F> {
+    Time(Duration),
+    Format(F),
+}
+
+impl<F: ValueEnum> FromStr for TimeOrFormat<F> {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Ok(format) = F::from_str(text, true) {
+            return Ok(Self::Format(format));
+        }
+        units::duration(text).map(Self::Time).map_err(|error| {
+            let formats = F::value_variants().iter().filter_map(F::to_possible_value);
+            let names: Vec<String> = formats.map(|value| value.get_name().to_owned()).collect();
+            format!("{error}; or a format: {}", names.join(", "))
+        })
+    }
+}
+
+/// The time and the format among the values of `--to`.
+///
+/// # Errors
+/// A usage error if there are two of either.
+pub(super) fn split_to<F: Copy>(
+    values: &[TimeOrFormat<F>],
+) -> anyhow::Result<(Option<Duration>, Option<F>)> {
+    let (mut time, mut format) = (None, None);
+    for value in values {
+        let before = match *value {
+            TimeOrFormat::Time(to) => time.replace(to).is_some(),
+            TimeOrFormat::Format(to) => format.replace(to).is_some(),
+        };
+        if before {
+            let message = "--to is given twice: give one time, and at most one format";
+            return Err(UsageError(message.to_owned()).into());
+        }
+    }
+    Ok((time, format))
 }
 
 /// The default tolerance: 5 to 15 times the noise of an optical rig, with files 2.5 times smaller than at 0.1 mm.
@@ -214,5 +257,31 @@ mod tests_of_numbers {
         ] {
             assert_eq!(rate(hz), text);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests_of_to {
+    use super::*;
+
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+    enum Name {
+        C3d,
+        Csv,
+    }
+
+    #[test]
+    fn a_value_is_a_time_or_a_format() {
+        let parse = |text: &str| text.parse::<TimeOrFormat<Name>>();
+        let c3d = TimeOrFormat::Format(Name::C3d);
+        let time = TimeOrFormat::Time(Duration::from_secs(10));
+        assert_eq!((parse("c3d").unwrap(), parse("C3D").unwrap()), (c3d, c3d));
+        assert_eq!(parse("10s").unwrap(), time);
+        assert!(parse("c4d").unwrap_err().contains("c3d, csv"));
+        assert_eq!(
+            split_to(&[time, c3d]).unwrap(),
+            (Some(Duration::from_secs(10)), Some(Name::C3d))
+        );
+        assert!(split_to(&[time, time]).unwrap_err().is::<UsageError>());
     }
 }

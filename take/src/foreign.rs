@@ -265,7 +265,7 @@ mod tests {
         for (len, smooth) in [(0, 0), (1, 0), (300_000, 1), (300_000, 200), (9 << 20, 1)] {
             let byte = |i: u64| {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                if i % smooth.max(1) == 0 { (state >> 24) as u8 } else { i as u8 / 16 }
+                if i.is_multiple_of(smooth.max(1)) { (state >> 24) as u8 } else { i as u8 / 16 }
             };
             let bytes: Vec<u8> = (0..len).map(byte).collect();
             let spooled = spool.put(&mut &bytes[..], len).unwrap();

@@ -30,7 +30,8 @@ fn with_input(mut command: Command, input: &[u8]) -> (Option<i32>, Vec<u8>, Stri
     let mut stdin = child.stdin.take().unwrap();
     let input = input.to_vec();
     // It may be refused unread.
-    let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
+    let write = move || drop(stdin.write_all(&input));
+    let writer = std::thread::Builder::new().name("input".to_owned()).spawn(write).unwrap();
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap();
     (output.status.code(), output.stdout, String::from_utf8(output.stderr).unwrap())

@@ -48,9 +48,10 @@ fn remove(path: &Path) {
     }
 }
 
-/// Removes every incomplete output, for a process that is about to end. Until then no other can be created: the thread
-/// that tries waits.
-pub fn remove_incomplete_outputs() {
+/// Removes every incomplete output, for a process that is about to end. As long as the result is held no other can be
+/// created: the thread that tries waits.
+#[must_use]
+pub fn remove_incomplete_outputs() -> impl Sized {
     let paths = hidden();
     for path in paths.iter() {
         for _ in 0..ATTEMPTS {
@@ -60,5 +61,5 @@ pub fn remove_incomplete_outputs() {
             remove(path);
         }
     }
-    std::mem::forget(paths);
+    paths
 }

@@ -20,8 +20,7 @@ use serde::Serialize;
 
 use super::Failure;
 use super::files::NewFolder;
-use super::output::{print, print_json};
-use super::progress::ProgressDisplay;
+use super::output::{ProgressDisplay, print, print_json};
 
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {

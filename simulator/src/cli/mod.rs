@@ -4,7 +4,6 @@ mod files;
 mod generate;
 mod manual;
 mod output;
-mod progress;
 mod serve;
 
 use clap::{Parser, Subcommand};

@@ -1,9 +1,13 @@
 //! Printing: data goes to standard output, messages to standard error, escaped so that no text from a file controls the
 //! terminal.
 
-use std::io::{self, Write};
+use std::{
+    io::{self, IsTerminal, Write},
+    time::{Duration, Instant},
+};
 
 use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
 use mocapd_take::escape::{visible, visible_json, visible_lines};
 use serde::Serialize;
 
@@ -34,5 +38,50 @@ pub(super) fn print_exact(text: &str) -> anyhow::Result<()> {
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         other => other.context("cannot write to standard output"),
+    }
+}
+
+/// Work of less than this shows no display.
+const APPEARS_AFTER: Duration = Duration::from_secs(1);
+
+/// A bar on stderr with the percentage and the time left, like those of `mocapd`. Nothing where stderr is no terminal.
+#[derive(Debug)]
+pub(super) struct ProgressDisplay {
+    message: &'static str,
+    total: u64,
+    begun: Instant,
+    is_shown: bool,
+    bar: Option<ProgressBar>,
+}
+
+impl ProgressDisplay {
+    pub(super) fn new(message: &'static str, total: u64) -> Self {
+        let is_shown = io::stderr().is_terminal();
+        Self { message, total, begun: Instant::now(), is_shown, bar: None }
+    }
+
+    /// Shows how much is done. To be called several times a second, so that the time left is current.
+    pub(super) fn update(&mut self, done: u64) {
+        if !self.is_shown || self.begun.elapsed() < APPEARS_AFTER {
+            return;
+        }
+        let bar = self.bar.get_or_insert_with(|| {
+            let bar = ProgressBar::new(self.total)
+                .with_message(self.message)
+                .with_elapsed(self.begun.elapsed());
+            match ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}") {
+                Ok(style) => bar.with_style(style),
+                Err(_) => bar,
+            }
+        });
+        bar.set_position(done);
+    }
+}
+
+impl Drop for ProgressDisplay {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
     }
 }

@@ -259,14 +259,14 @@ fn print_result(
         Ok(report) => report,
         Err(error) => {
             let name = name.to_string_lossy();
-            let mut reason = format!("{error:#}");
+            let mut reason = mocapd_cli::failure_message(&error);
             if !reason.contains(name.as_ref()) {
                 reason = format!("{name}: {reason}");
             }
             if error.is::<DataLostError>() {
-                table.add_lossy()
+                table.add_lossy();
             } else {
-                table.add_failure()
+                table.add_failure();
             }
             notify(&reason);
             return match batch.json {

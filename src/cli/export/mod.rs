@@ -38,8 +38,7 @@ use super::{
     },
     output::plain_path,
     paths,
-    to::{self, TimeOrFormat},
-    values::{bytes, count},
+    values::{TimeOrFormat, bytes, count, split_to},
 };
 
 /// Size of the output buffer: so large that the cost of system calls is negligible.
@@ -87,7 +86,7 @@ struct ExportPlan<'a> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let (end, to_format) = to::split(&args.to)?;
+    let (end, to_format) = split_to(&args.to)?;
     let name = args.format.name(to_format)?;
     let inputs = batch::inputs::find(&args.takes, &args.input, FileKinds::Takes, None)?;
     let destination = match &args.output {

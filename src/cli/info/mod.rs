@@ -1,6 +1,5 @@
 //! `info`: shows what is in takes and motion files.
 
-mod motion_file;
 mod report;
 mod subject;
 mod text;
@@ -21,12 +20,12 @@ use self::{
 };
 use super::{
     batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
-    damage,
+    damage, motion_file_reports,
     paths::{InputFormat, InputFormatName},
 };
 
 /// Widest label column of a table, in characters; a longer label shifts its own line.
-const LABEL_COLUMNS_MAX: usize = 64;
+pub(super) const LABEL_COLUMNS_MAX: usize = 64;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -61,7 +60,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     batch::run(&batch, |job| match job.input.format()? {
         InputFormat::Take => take_info(job, args.markers),
-        InputFormat::MotionFile(_) => motion_file::info(job),
+        InputFormat::MotionFile(_) => motion_file_reports::info(job),
     })
 }
 

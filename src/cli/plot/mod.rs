@@ -24,7 +24,7 @@ use crate::cli::{
     motion_files::{Original, file_name, read_original, read_picture_source, write_new},
     output::plain_path,
     paths::{self, InputFormatName, ends_in},
-    to::{self, TimeOrFormat},
+    values::{TimeOrFormat, split_to},
 };
 
 #[derive(Debug, Subcommand)]
@@ -176,7 +176,7 @@ impl PictureArgs {
         span: TimeSpan,
         draw: impl Fn(&Picture<'_>) -> anyhow::Result<String> + Sync,
     ) -> anyhow::Result<Outcome> {
-        let (end, to) = to::split(&self.to)?;
+        let (end, to) = split_to(&self.to)?;
         if end.is_some() && span == TimeSpan::All {
             bail!(UsageError(
                 "--to is the format of this plot, svg or png: omit the time".to_owned()

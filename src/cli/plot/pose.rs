@@ -20,7 +20,7 @@ use mocapd_take::{
 };
 
 use super::{Picture, PictureArgs, TimeSpan};
-use crate::cli::limbs;
+use crate::cli::motion_files::limbs_of_take;
 
 /// Number of stick figures without `--at`.
 const MOMENTS: usize = 8;
@@ -72,7 +72,7 @@ fn draw(args: &Args, picture: &Picture<'_>) -> anyhow::Result<String> {
     let mut limbs = None;
     match skeleton.map(|path| read_bones(path, &labels)).transpose()?.flatten() {
         Some(read) => bones = read,
-        None => limbs = limbs::of(motion, skeleton)?,
+        None => limbs = limbs_of_take(motion, skeleton)?,
     }
     let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
     if limbs.is_empty() && skeleton.is_some() && bones.is_empty() {

@@ -9,8 +9,7 @@ use mocapd_take::motion::Motion;
 use serde::Serialize;
 
 use crate::cli::{
-    limbs::{self, TakeLimbs},
-    motion_files::read_take,
+    motion_files::{TakeLimbs, limbs_of_take, read_take},
     output::plain,
     values::count,
 };
@@ -75,7 +74,8 @@ struct FrameSpan {
 /// skeleton.
 pub(super) fn limbs_of(take: &Path, skeleton: Option<&Path>) -> anyhow::Result<LimbsReport> {
     let decoded = read_take(take)?;
-    let Some(TakeLimbs { skeleton, limbs, columns }) = limbs::of(&decoded.motion, skeleton)? else {
+    let Some(TakeLimbs { skeleton, limbs, columns }) = limbs_of_take(&decoded.motion, skeleton)?
+    else {
         let message =
             format!("{} has no skeleton: give one with --skeleton skeleton.json", take.display());
         return Err(UsageError(message).into());

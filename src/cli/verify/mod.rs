@@ -3,7 +3,6 @@
 mod against;
 mod derivatives;
 mod limbs;
-mod motion_file;
 
 use std::{
     io::BufReader,
@@ -31,6 +30,7 @@ use self::{
 use super::{
     batch::{self, Batch, Figures, FileKinds, FileReport, InputArgs, Job},
     damage::{self, DamageReport},
+    motion_file_reports,
     output::{plain, plain_path},
     paths::{self, InputFormat, InputFormatName},
     values::count,
@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
                 "{name} is not a take: --against and --skeleton are for takes; import it first"
             )))
         }
-        InputFormat::MotionFile(_) => motion_file::verify(job),
+        InputFormat::MotionFile(_) => motion_file_reports::verify(job),
     })
 }
 

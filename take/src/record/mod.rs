@@ -4,7 +4,6 @@
 
 mod clock;
 mod header;
-mod section;
 mod series;
 mod statistics;
 mod subject;
@@ -26,7 +25,7 @@ pub use series::{FIRST_FRAME_SETTING, PART_SETTING, SERIES_SETTING, SPLIT_SETTIN
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
 pub use summary::{DETAIL_BYTES_MAX, EndingKind, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding};
 
-use crate::{TakeError, chunk::types};
+use crate::{TakeError, chunk::types, varint};
 
 /// Most bytes that decoding may claim; 10 000 labels of 255 bytes fit.
 pub(crate) const LIMIT_BYTES: usize = 4 << 20;
@@ -84,6 +83,28 @@ pub trait Record: Encode + Decode<()> {
             return Err(corrupt(&format!("{} bytes follow the record", body.len() - used)));
         }
         Ok(record)
+    }
+}
+
+/// Appends a section: its tag, its length, its content.
+fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
+    varint::put(out, tag);
+    varint::put_prefixed(out, section);
+}
+
+/// Splits the version off the front of a section, and rejects all but `supported`.
+fn section_content<'a>(
+    section: &'a [u8],
+    what: &'static str,
+    supported: u16,
+    offset: u64,
+) -> Result<&'a [u8], TakeError> {
+    let Some((version, content)) = section.split_first_chunk::<2>() else {
+        return Err(TakeError::corrupt(what, offset, "shorter than its version"));
+    };
+    match u16::from_le_bytes(*version) {
+        found if found == supported => Ok(content),
+        found => Err(TakeError::Unsupported { what, found, supported }),
     }
 }
 

@@ -9,11 +9,7 @@ use std::{
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
-use super::{
-    Header, LIMIT_BYTES, Record,
-    section::{put_section, section_content},
-    statistics,
-};
+use super::{Header, LIMIT_BYTES, Record, put_section, section_content, statistics};
 use crate::{TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
 
 /// Longest payload: two records at their limit of 4 MiB, which leaves room for copies of the header and the channel

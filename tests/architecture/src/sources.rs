@@ -48,7 +48,7 @@ const RULES: &[Rule] = &[
             "simulator/src/line/",
             "simulator/src/gadget/",
             "cli/src/stop.rs",
-            "simulator/src/cli/progress.rs",
+            "simulator/src/cli/output.rs",
             "drivers/src/transport/",
         ],
     },
