@@ -23,7 +23,7 @@ use serde::Serialize;
 use super::{
     output::{Progress, notify, plain, plain_path, print, print_exact, print_json},
     paths,
-    values::{count, thousands},
+    values::{LABEL_COLUMNS_MAX, count, thousands},
 };
 
 /// The columns of the CSV.

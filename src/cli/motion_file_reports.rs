@@ -7,10 +7,9 @@ use serde::Serialize;
 
 use super::{
     batch::{Figures, FileReport, Job},
-    info::LABEL_COLUMNS_MAX,
     motion_files::read_motion_input,
     output::{plain, plain_path},
-    values::{bytes, count, length_of_time, rate, thousands},
+    values::{LABEL_COLUMNS_MAX, bytes, count, length_of_time, rate, thousands},
 };
 
 /// The report of `info` for a motion file, documented in docs/json.md.

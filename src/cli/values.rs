@@ -128,6 +128,9 @@ pub(super) fn split_to<F: Copy>(
     Ok((time, format))
 }
 
+/// Widest label column of a table, in characters; a longer label shifts its own line.
+pub(crate) const LABEL_COLUMNS_MAX: usize = 64;
+
 /// The default tolerance: 5 to 15 times the noise of an optical rig, with files 2.5 times smaller than at 0.1 mm.
 const DEFAULT_TOLERANCE_MM: f64 = 0.5;
 

@@ -394,11 +394,10 @@ impl ExportReport {
 
 /// Parses the axis to point up.
 fn axis(text: &str) -> Result<UpAxis, String> {
-    let direction: Direction = text.parse()?;
-    if direction.is_negative() {
-        return Err(format!("expected x, y or z, found '{text}'"));
-    }
-    Ok(direction.axis())
+    let direction = text.parse::<Direction>().ok().filter(|direction| !direction.is_negative());
+    direction
+        .map(Direction::axis)
+        .ok_or_else(|| format!("'{text}' is not an axis to point up: use x, y or z"))
 }
 
 /// Writes a file atomically: under its name there is the whole file or none.

@@ -24,9 +24,6 @@ use super::{
     paths::{InputFormat, InputFormatName},
 };
 
-/// Widest label column of a table, in characters; a longer label shifts its own line.
-pub(super) const LABEL_COLUMNS_MAX: usize = 64;
-
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; `-` reads standard input, with --format

@@ -5,8 +5,7 @@ use mocapd_service::subject::{face, skeleton};
 use mocapd_take::record::Subject;
 use serde::Serialize;
 
-use super::LABEL_COLUMNS_MAX;
-use crate::cli::values::{bytes, count, count_of};
+use crate::cli::values::{LABEL_COLUMNS_MAX, bytes, count, count_of};
 
 #[derive(Debug, Serialize)]
 pub(super) struct SubjectReport {

@@ -4,15 +4,12 @@ use std::fmt::Write;
 
 use mocapd_service::units;
 
-use super::{
-    LABEL_COLUMNS_MAX,
-    report::{ForeignReport, InfoReport},
-};
+use super::report::{ForeignReport, InfoReport};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
     output::{plain, plain_path},
-    values::{bytes, count, frames_of, length_of_time, rate, thousands},
+    values::{LABEL_COLUMNS_MAX, bytes, count, frames_of, length_of_time, rate, thousands},
 };
 
 /// The report in one line.
