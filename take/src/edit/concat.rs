@@ -248,7 +248,7 @@ fn header_of_joined(
     SeriesPlace::join(&mut header, is_one_series(sources));
     let bytes: Vec<u8> = headers.iter().flat_map(|header| header.take_id).collect();
     let subject = sources.first().and_then(|source| source.map().subject.as_ref());
-    header.set_import_id(&bytes, subject)?;
+    header.set_import_id(&bytes[..], subject)?;
     Ok(header)
 }
 

@@ -124,7 +124,7 @@ fn header_of_part(
         header.unset_source_bytes();
     }
     SeriesPlace::advance(&mut header, rows.start);
-    header.set_import_id(&map.header.take_id, map.subject.as_ref())?;
+    header.set_import_id(&map.header.take_id[..], map.subject.as_ref())?;
     Ok(header)
 }
 

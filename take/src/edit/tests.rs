@@ -14,7 +14,7 @@ use super::{seam::CutOrigin, *};
 use crate::{
     TakeEvent, TakeFrames, TakeTraversal, TakeWriter, chunk,
     chunk::{ChunkParse, types},
-    motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, is_gap},
+    motion::{FrameSource, GAP, Marker, Motion, MotionFrames, MotionInfo, Position, is_gap},
     motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
     record::{
         CODEC_VERSION, Channel, Clock, ClockLine, ClockPoint, Device, EndingKind, Event, EventKind,
@@ -233,11 +233,13 @@ fn import(kind: &str, n_rows: usize) -> Vec<u8> {
         ..ImportSource::default()
     };
     header.source = Some(source);
-    let plan = EncodePlan::new(&motion, &header).unwrap();
-    let mut writer = MotionWriter::new(&plan, &header, Vec::new()).unwrap();
+    let mut frames = MotionFrames::new(&motion);
+    let (plan, parts) = EncodePlan::new(&mut frames, &header).unwrap();
+    let mut writer = MotionWriter::new(&plan, &motion.info, &header, Vec::new()).unwrap();
     let mut encoder = plan.encoder();
-    for part in plan.parts() {
-        writer.push(part, &encoder.encode(part).unwrap()).unwrap();
+    for part in parts {
+        let part = part.unwrap();
+        writer.push(&part, &encoder.encode(&part).unwrap()).unwrap();
     }
     writer.finish().unwrap().1
 }
