@@ -27,10 +27,10 @@ use super::{
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Stretches that lie within the range are copied. Samples of a stretch at its ends that is \
-    only partly kept, and of the frames before the first key stretch (at most 10 s), are stored as they are, with 12 \
-    bytes a sample: no lossy resampler could encode them again to the same positions. With --whole-stretches all are \
-    copied, and the take is as small as before."
+    after_help = "Stretches within the range are copied. Two kinds of frames are stored as they are, at about the size \
+    of float32, because no lossy resampler could encode them again to the same positions: those before the first key \
+    stretch of the range (at most 10 s), and those of its last stretch, if that is only partly in the range. With \
+    --whole-stretches the range is extended so that all is copied."
 )]
 pub(crate) struct Args {
     /// The take; it is not changed
@@ -179,7 +179,7 @@ impl PartReport {
         let last = self.first_frame + self.frames.saturating_sub(1);
         let exact = match self.frames_stored_exactly {
             0 => String::new(),
-            n => format!(", {} stored as float32", thousands(n)),
+            n => format!(", {} stored as float32 (--whole-stretches copies all)", thousands(n)),
         };
         format!(
             "{}: frames {} to {} of {}, {}, {}: {} copied{exact}\n",

@@ -120,19 +120,7 @@ pub fn compare(
     }
     let mut row = vec![GAP; ours.markers.len()];
     let mut original_row = vec![GAP; theirs.markers.len()];
-    // An excerpt keeps the frame numbers of its file; a recording of the whole begins with 1.
-    let (first, their_first) = (ours.source.first_frame, theirs.source.first_frame);
-    if ours.n_frames != theirs.n_frames && first != their_first {
-        difference.notes.push(format!(
-            "the first frames differ, {first} and {their_first}: compared by frame number"
-        ));
-        for _ in first..their_first.min(first.saturating_add(ours.n_frames)) {
-            take.next_frame(&mut row)?;
-        }
-        for _ in their_first..first.min(their_first.saturating_add(theirs.n_frames)) {
-            original.next_frame(&mut original_row)?;
-        }
-    }
+    skip_to_common(&mut take, &mut original, &mut difference)?;
     let (mut sum_of_squares, mut beyond_stated) = (0.0, 0);
     while take.next_frame(&mut row)? && original.next_frame(&mut original_row)? {
         if take.is_lost() {
@@ -180,6 +168,32 @@ pub fn compare(
     difference.beyond_stated = Some(beyond_stated);
     difference.rms_error_mm = (sum_of_squares / difference.samples.max(1) as f64).sqrt();
     Ok(difference)
+}
+
+/// Skips the frames before the first frame number that both have, unless the two are compared from their first frames.
+fn skip_to_common(
+    take: &mut impl FrameSource,
+    original: &mut impl FrameSource,
+    difference: &mut Difference,
+) -> io::Result<()> {
+    let [ours, theirs] = [FrameNumbers::of(take.info()), FrameNumbers::of(original.info())];
+    // An excerpt keeps the frame numbers of its file; a recording of the whole begins with 1.
+    if ours.n == theirs.n || ours.first == theirs.first {
+        return Ok(());
+    }
+    difference.notes.push(format!(
+        "the first frames differ, {} and {}: compared by frame number",
+        ours.first, theirs.first
+    ));
+    let mut row = vec![GAP; take.info().markers.len()];
+    for _ in ours.first..theirs.first.min(ours.first.saturating_add(ours.n)) {
+        take.next_frame(&mut row)?;
+    }
+    let mut row = vec![GAP; original.info().markers.len()];
+    for _ in theirs.first..ours.first.min(theirs.first.saturating_add(theirs.n)) {
+        original.next_frame(&mut row)?;
+    }
+    Ok(())
 }
 
 fn distance_mm(a: Position, b: Position) -> f64 {

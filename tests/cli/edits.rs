@@ -42,7 +42,12 @@ fn a_part_of_a_recording_is_a_whole_take_with_the_same_samples() {
         ] {
             folder.run(&[args, &["-o", name]].concat()).with_code(0);
         }
-        assert!(folder.text("part.csv") == folder.text("same.csv"), "{take}");
+        // A recording counts its frames from 1, a part of an export from the first of the take.
+        let positions = |name: &str| -> Vec<String> {
+            let text = folder.text(name);
+            text.lines().map(|row| row.split_once(',').unwrap().1.to_owned()).collect()
+        };
+        assert!(positions("part.csv") == positions("same.csv"), "{take}");
         ["part.csv", "same.csv"].map(|name| std::fs::remove_file(folder.path(name)).unwrap());
     }
 }
@@ -124,7 +129,7 @@ fn whole_stretches_are_copied_and_the_frames_added_are_stated() {
     assert_eq!(report["frames_stored_exactly"], 0);
     let more = report["frames"].as_u64().unwrap() - 120;
     assert!((1..660).contains(&more), "{report}");
-    assert_mentions(&whole.stderr, &["whole.take", &format!("{more} frame")]);
+    assert_mentions(&whole.stderr, &["whole.take", &format!("{more} frames")]);
     assert!(report["file_bytes"].as_u64() < exact.json()["file_bytes"].as_u64());
     for take in ["exact.take", "wide.take"] {
         folder.run(&["verify", take]).with_code(0);

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use crate::{
     TakeMap,
+    foreign::content::Content,
     motion::Foreign,
     record::{Event, Header, Ledger, Subject},
 };
@@ -160,7 +161,7 @@ fn foreign_differences(a: &[Foreign], b: &[Foreign]) -> Vec<FieldDifference> {
     let parts = |parts: &[Foreign]| -> Vec<_> {
         parts.iter().map(|part| (part.kind.clone(), part.data.clone())).collect()
     };
-    content_differences(&parts(a), &parts(b), |data| data.len())
+    content_differences(&parts(a), &parts(b), Content::len)
 }
 
 /// Compares contents by kind. A difference gives their sizes in bytes.

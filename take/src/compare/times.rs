@@ -1,16 +1,16 @@
 //! Compares the time lines of two recordings.
 
 use std::{
-    collections::VecDeque,
     io::{Read, Seek},
     ops::Range,
+    vec,
 };
 
 use serde::Serialize;
 
 use crate::{
     TakeError, TakeMap, TakeTraversal,
-    timeline::{LossCauses, RowTime},
+    timeline::{LossCauses, RowTime, Timeline},
     traversal::Decode,
 };
 
@@ -83,48 +83,140 @@ pub fn compare_times<R: Read + Seek, S: Read + Seek>(
     Ok(difference)
 }
 
-/// The outcomes of a recording's rows, in order: a row that was recorded, or consecutive lost ones.
+/// Consecutive rows with one outcome: a row that was recorded, or lost ones.
+type OutcomeRun = (Range<u64>, RowOutcome);
+
+/// The outcomes of a recording's rows, in order.
 struct RowOutcomes<R> {
     traversal: TakeTraversal<R>,
-    waiting: VecDeque<(Range<u64>, RowOutcome)>,
+    /// What was not passed of the run in question.
+    current: Option<OutcomeRun>,
+    /// The runs behind it in its stretch.
+    waiting: vec::IntoIter<OutcomeRun>,
 }
 
 impl<R: Read + Seek> RowOutcomes<R> {
     fn new(input: R, map: &TakeMap) -> Result<Self, TakeError> {
         let traversal = TakeTraversal::from_map(input, map, Decode::Groups(Vec::new()))?;
-        Ok(Self { traversal, waiting: VecDeque::new() })
+        Ok(Self { traversal, current: None, waiting: Vec::new().into_iter() })
     }
 
-    /// The next outcome, which stays the next until its rows are [passed](Self::pass).
-    fn next(&mut self) -> Result<Option<(Range<u64>, RowOutcome)>, TakeError> {
-        while self.waiting.is_empty() && self.traversal.next_stretch()?.is_some() {
-            let Some(timeline) = self.traversal.timeline() else { continue };
-            let mut times = timeline.times.iter();
-            let mut at = timeline.first_row;
-            for run in &timeline.runs {
-                let end = at.saturating_add(run.rows);
-                match run.lost {
-                    Some(causes) => self.waiting.push_back((at..end, RowOutcome::Lost(causes))),
-                    None => {
-                        let rows = (at..end).zip(times.by_ref());
-                        let recorded =
-                            rows.map(|(row, time)| (row..row + 1, RowOutcome::Recorded(*time)));
-                        self.waiting.extend(recorded);
-                    }
+    /// The next run, which stays the next until its rows are [passed](Self::pass).
+    fn next(&mut self) -> Result<Option<OutcomeRun>, TakeError> {
+        while self.current.is_none() {
+            self.current = self.waiting.next();
+            if self.current.is_none() {
+                if self.traversal.next_stretch()?.is_none() {
+                    return Ok(None);
                 }
-                at = end;
+                self.waiting = self.traversal.timeline().map(runs).unwrap_or_default().into_iter();
             }
         }
-        Ok(self.waiting.front().cloned())
+        Ok(self.current.clone())
     }
 
     /// Passes the rows before `row`.
     fn pass(&mut self, row: u64) {
-        if let Some((rows, _)) = self.waiting.front_mut() {
+        if let Some((rows, _)) = &mut self.current {
             rows.start = rows.start.max(row);
-            if rows.is_empty() {
-                self.waiting.pop_front();
+        }
+        self.current.take_if(|(rows, _)| rows.is_empty());
+    }
+}
+
+fn runs(timeline: &Timeline) -> Vec<OutcomeRun> {
+    let mut times = timeline.times.iter();
+    let mut at = timeline.first_row;
+    let mut runs = Vec::new();
+    for run in &timeline.runs {
+        let end = at.saturating_add(run.rows);
+        match run.lost {
+            Some(causes) => runs.push((at..end, RowOutcome::Lost(causes))),
+            None => {
+                let recorded =
+                    |(row, time): (u64, &RowTime)| (row..row + 1, RowOutcome::Recorded(*time));
+                runs.extend((at..end).zip(times.by_ref()).map(recorded));
             }
         }
+        at = end;
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use mocapd_codec::{Settings, Tolerance};
+
+    use super::*;
+    use crate::{
+        TakeWriter,
+        record::{Device, Header, Ledger},
+        statistics::StretchTally,
+        stretch::{Span, StretchHeaderWriter},
+        timeline::TimelineEncoder,
+    };
+
+    const TICK_HZ: u64 = 100_000;
+
+    /// A recording of these rows, in stretches of `stretch_rows`: the ticks of a recorded row, or the causes of a lost one.
+    fn take(rows: &[Result<u64, LossCauses>], stretch_rows: u32) -> (Vec<u8>, TakeMap) {
+        let device = Some(Device { tick_hz: TICK_HZ, ..Device::default() });
+        let mut header = Header { rate_hz: 100.0, device, stretch_rows, ..Header::default() };
+        let tolerance = Tolerance::from_mm(1.0).unwrap();
+        header.set_codec(&Settings { kind: "dense".parse().unwrap(), tolerance });
+        let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        let times = TimelineEncoder::exact(TICK_HZ, 100.0);
+        let mut front = StretchHeaderWriter::with_times(stretch_rows, times);
+        for (i, part) in rows.chunks(stretch_rows as usize).enumerate() {
+            let mut timeline = Timeline::default();
+            let first_row = i as u64 * u64::from(stretch_rows);
+            timeline.restart(first_row);
+            for row in part {
+                match row {
+                    Ok(ticks) => timeline.push(RowTime {
+                        device_ticks: *ticks,
+                        arrival_10us: ticks + 70,
+                        timecode: None,
+                    }),
+                    Err(causes) => timeline.push_lost(1, *causes),
+                }
+            }
+            let (n_rows, key) = (part.len() as u32, i % 2 == 0);
+            let span = Span { first_row, n_rows, key, number: (i % 32) as u8 };
+            let mut payload = Vec::new();
+            front.put(span, &timeline, &[], true, &mut payload);
+            take.stretch(span, &payload, &StretchTally::default()).unwrap();
+        }
+        let (bytes, _) = take.finish(&Ledger::default()).unwrap();
+        let map = TakeMap::scan(&mut Cursor::new(&bytes)).unwrap();
+        (bytes, map)
+    }
+
+    fn compared(a: &(Vec<u8>, TakeMap), b: &(Vec<u8>, TakeMap)) -> TimesDifference {
+        compare_times((Cursor::new(&a.0), &a.1), (Cursor::new(&b.0), &b.1)).unwrap()
+    }
+
+    #[test]
+    fn frames_are_compared_whatever_their_stretches() {
+        let mut rows: Vec<Result<u64, LossCauses>> = (0..40).map(|row| Ok(row * 1000)).collect();
+        rows[7..12].fill(Err(LossCauses::NOT_RECEIVED));
+        let (one, other) = (take(&rows, 10), take(&rows, 7));
+        assert!(compared(&one, &other).is_none());
+        assert!(compared(&one, &take(&rows[..20], 10)).is_none(), "the frames that both have");
+        rows[9] = Err(LossCauses::RING_FULL);
+        rows[11] = Ok(11_000);
+        rows[30] = Ok(30_003);
+        let found = compared(&one, &take(&rows, 7));
+        let expected = TimesDifference {
+            ticks_differing: 1,
+            arrivals_differing: 1,
+            timecodes_differing: 0,
+            losses_differing: 2,
+            first_frame: Some(9),
+        };
+        assert_eq!(found, expected);
+        assert_eq!(compared(&take(&rows, 7), &one), expected);
     }
 }

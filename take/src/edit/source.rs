@@ -68,10 +68,10 @@ impl SourceTake {
                     self.ends = Some([first, last]);
                 }
             }
-            TakeEvent::Skipped { kind } if *kind != types::INDEX => {
-                if !self.unknown_chunks.contains(kind) {
-                    self.unknown_chunks.push(*kind);
-                }
+            TakeEvent::Skipped { kind }
+                if *kind != types::INDEX && !self.unknown_chunks.contains(kind) =>
+            {
+                self.unknown_chunks.push(*kind);
             }
             _ => {}
         }
