@@ -78,12 +78,13 @@ pub fn end_on_signal(clean_up: impl Fn() + Send + 'static) -> anyhow::Result<()>
     let watching = || "cannot watch for Ctrl-C";
     let mut signals = Signals::new(ending_signals()).with_context(watching)?;
     let watch = move || {
-        for signal in signals.forever() {
-            clean_up();
+        let signal = signals.forever().next();
+        clean_up();
+        if let Some(signal) = signal {
             // The shell sees that the signal ended the program.
             low_level::emulate_default_handler(signal).ok();
-            low_level::exit(EXIT_FAILED);
         }
+        low_level::exit(EXIT_FAILED);
     };
     Builder::new().name("mocapd-signal".to_owned()).spawn(watch).with_context(watching)?;
     Ok(())

@@ -148,7 +148,7 @@ impl CsvOutput {
                 }
             }
             Self::File(file) => {
-                file.write_all(text.as_bytes()).context("cannot write the CSV file")?
+                file.write_all(text.as_bytes()).context("cannot write the CSV file")?;
             }
         }
         Ok(())

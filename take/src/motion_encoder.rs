@@ -108,8 +108,9 @@ impl EncodePlan {
                 codec.kind
             )));
         }
-        let mut parts =
-            EncodeParts { frames, n_rows, stretch_rows, next_row: 0, ready: VecDeque::new() };
+        // The groups of one stretch.
+        let ready = VecDeque::with_capacity(n_markers.div_ceil(GROUP_CHANNELS).max(1));
+        let mut parts = EncodeParts { frames, n_rows, stretch_rows, next_row: 0, ready };
         let mut shared = Vec::new();
         if !codec.kind.is_live() {
             parts.read_stretch()?;

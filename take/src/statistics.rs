@@ -8,7 +8,7 @@ use mocapd_codec::{BlockReport, DecodedRows, GROUP_CHANNELS, Rows, stated_error_
 
 use crate::{
     stretch::{Span, Stretch},
-    traversal::LostEntries,
+    table::LostEntries,
 };
 
 /// Statistics of one channel over a whole take.

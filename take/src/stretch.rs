@@ -115,7 +115,7 @@ pub struct Stretch<'a> {
     /// The bytes of its payload, by purpose.
     pub sizes: StretchSizes,
     /// Its payload.
-    pub(crate) payload: &'a [u8],
+    pub payload: &'a [u8],
 }
 
 impl Stretch<'_> {

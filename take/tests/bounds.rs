@@ -158,6 +158,7 @@ fn a_decoder_refuses_it_too() {
                 shared: &[],
                 blocks: vec![&AT_REST],
                 sizes: StretchSizes::default(),
+                payload: &[],
             })
         };
         let refused = decode(ROWS_MAX);
@@ -181,6 +182,7 @@ fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
             shared: &[],
             blocks: vec![&full; 5],
             sizes: StretchSizes::default(),
+            payload: &[],
         });
         assert!(
             matches!(refused, Err(TakeError::Codec(CodecError::Corrupt(m))) if m.contains("samples")),

@@ -11,7 +11,7 @@ use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_take::{
     TakeEnds, TakeEvent,
     chunk::{self, ChunkParse, MAGIC, types},
-    motion::{GAP, Marker, Motion, MotionInfo, UpAxis},
+    motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, UpAxis},
     motion_encoder::{EncodePlan, MotionWriter, channels, stretch_rows},
     reader::read_events,
     record::{
@@ -146,11 +146,13 @@ fn imported(motion: &Motion, settings: &Settings) -> Vec<u8> {
     let mut header = header(settings, rate_hz);
     header.channels = channels(&motion.info.markers);
     header.stretch_rows = stretch_rows(settings, rate_hz, n_frames, header.channels.len()) as u32;
-    let plan = EncodePlan::new(motion, &header).unwrap();
-    let mut writer = MotionWriter::new(&plan, &header, Vec::new()).unwrap();
+    let mut frames = MotionFrames::new(motion);
+    let (plan, parts) = EncodePlan::new(&mut frames, &header).unwrap();
+    let mut writer = MotionWriter::new(&plan, &motion.info, &header, Vec::new()).unwrap();
     let mut encoder = plan.encoder();
-    for part in plan.parts() {
-        writer.push(part, &encoder.encode(part).unwrap()).unwrap();
+    for part in parts {
+        let part = part.unwrap();
+        writer.push(&part, &encoder.encode(&part).unwrap()).unwrap();
     }
     writer.finish().unwrap().1
 }
@@ -252,7 +254,7 @@ fn realistic_statistics(n: usize) -> TakeStatistics {
     let rows = 864_000;
     let mut random = Random::new(11);
     let mut channel = |i: usize| {
-        let is_seen = i % 4 == 0;
+        let is_seen = i.is_multiple_of(4);
         let samples = if is_seen { rows } else { rows - random.below(rows / 5) };
         let gaps = if is_seen { 0 } else { random.below(900) as u64 };
         let knots = samples / 9 + random.below(rows / 9);

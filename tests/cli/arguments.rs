@@ -213,18 +213,3 @@ fn a_device_is_named_and_never_selected() {
     let record = ["record", "-d", "auto", "-o", "new.take"];
     refused_with(&folder(), &record, &["auto", "mocapd devices", "serial:/dev/ttyUSB0"]);
 }
-
-#[test]
-fn a_plot_of_poses_has_at_most_twelve() {
-    let folder = folder();
-    let plot = |times: &str| {
-        ["plot", "pose", "jump.take", "-o", "new.svg", "--at", times].map(str::to_owned)
-    };
-    let thirteen = vec!["0.1s"; 13].join(",");
-    let args = plot(&thirteen);
-    let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    refused_with(&folder, &args, &["--at", "13", "12"]);
-    let args = plot(&thirteen["0.1s,".len()..]);
-    let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    folder.run(&args).with_code(0);
-}

@@ -1,4 +1,4 @@
-//! `export` of force plates to OpenSim's `.mot`.
+//! `export` of force plates to `OpenSim`'s `.mot`.
 
 use super::Folder;
 use crate::support::{

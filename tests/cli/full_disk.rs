@@ -85,6 +85,33 @@ fn a_full_disk_has_a_remedy() {
     assert_eq!(ran.stdout.trim(), "demo", "nothing is left half written");
 }
 
+/// What a take has reserved is free for the next one, and the last is closed as a single one would be.
+#[test]
+fn a_divided_recording_ends_before_the_disk_is_full() {
+    let (folder, device) = (Folder::new(), device());
+    let script = "
+        $mocapd record --device $device -o disk/a.take --lossless --keep-free 2MiB --split 1s --seconds 60s --json > a.json 2> a.err
+        echo $? > a.code
+        cp disk/*.take .";
+    if on_small_disk(&folder, 12 << 20, &device.uri(), script).is_none() {
+        return;
+    }
+    assert_eq!(folder.text("a.code").trim(), "3", "{}", folder.text("a.err"));
+    assert_eq!(folder.text("a.err").lines().count(), 1, "{}", folder.text("a.err"));
+    let report: serde_json::Value = serde_json::from_str(&folder.text("a.json")).unwrap();
+    assert_eq!(report["ending"], "disk full");
+    let ledger = &report["ledger"];
+    assert_eq!((&ledger["closes"], &ledger["recorded"]), (&true.into(), &ledger["frames_sent"]));
+    let parts = report["parts"].as_array().unwrap();
+    assert!(parts.len() >= 3, "{report}");
+    let (last, whole) = parts.split_last().unwrap();
+    assert_eq!(last["ending"], "disk full");
+    assert!(whole.iter().all(|part| part["frames"] == 1000), "{report}");
+    for number in 1..=parts.len() {
+        folder.run(&["verify", &format!("a-{number:03}.take")]).with_code(0);
+    }
+}
+
 #[test]
 fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
     let (folder, device) = (Folder::new(), device());

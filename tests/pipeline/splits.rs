@@ -18,6 +18,7 @@ use mocapd_acquire::{
 use mocapd_take::{
     motion::{Motion, is_gap},
     record::{EndingKind, Event, EventKind, Header},
+    timeline::Timeline,
 };
 
 use super::takes::{arrival_ns, feed_all, header};
@@ -108,8 +109,11 @@ fn in_memory(_: usize) -> Option<Disk> {
 /// First row, account and bytes of a take.
 type Take = (u64, TakeAccount, Vec<u8>);
 
+/// First row and result of a take.
+type Ended = (u64, Result<(TakeAccount, Vec<u8>), TakeFailed>);
+
 impl Divided {
-    fn results(self) -> Vec<(u64, Result<(TakeAccount, Vec<u8>), TakeFailed>)> {
+    fn results(self) -> Vec<Ended> {
         self.pipeline.join().unwrap();
         let bytes = |(written, output)| (written, output_of::<Disk>(output).bytes);
         let result = |(first_row, result): Started| {
@@ -119,7 +123,7 @@ impl Divided {
     }
 
     fn finish(self) -> Vec<Take> {
-        let take = |(first_row, result): (u64, Result<_, TakeFailed>)| {
+        let take = |(first_row, result): Ended| {
             let (written, bytes) = result.unwrap();
             (first_row, written, bytes)
         };
@@ -157,7 +161,7 @@ fn assert_divided(takes: &[Take], motion: &Motion, seqs: impl IntoIterator<Item 
         let (rows, problems) = rows(bytes);
         assert!(problems.is_empty(), "{problems:?}");
         assert_eq!(rows.len() as u64, ledger.frames_sent, "take {index}");
-        let times = found.timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded);
+        let times = found.timelines.iter().flat_map(Timeline::recorded);
         for (row, time) in times {
             let seq = seqs.next().expect("no more frames than were sent");
             assert_eq!(first_row + row, seq as u64, "take {index}");
@@ -349,7 +353,7 @@ fn frames_that_a_long_stall_costs_are_on_one_ledger_each() {
         .iter()
         .flat_map(|(first_row, _, bytes)| {
             let times = chunks(bytes).timelines;
-            let rows: Vec<_> = times.iter().flat_map(|t| t.recorded()).map(|row| row.0).collect();
+            let rows: Vec<_> = times.iter().flat_map(Timeline::recorded).map(|row| row.0).collect();
             rows.into_iter().map(move |row| (first_row + row) as usize)
         })
         .collect();

@@ -261,6 +261,8 @@ fn sync(file: &File) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::files::NameTaken;
 
@@ -312,6 +314,7 @@ mod tests {
         assert_eq!(dir.path().read_dir().unwrap().count(), 1);
     }
 
+    #[test]
     fn the_background_sync_starts_with_the_first_step_and_ends_on_finish() {
         let file = tempfile::tempfile().unwrap();
         let mut sync = BackgroundSync::default();

@@ -92,10 +92,9 @@ impl Staging {
         let root = folder.join(name);
         fs::create_dir(&root)?;
         let lock = OpenOptions::new().write(true).create_new(true).open(root.join(LOCK))?;
-        match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-            Err(Errno::WOULDBLOCK) => return Err(ErrorKind::WouldBlock.into()),
-            // Without locks, nobody removes the folder of another program.
-            Ok(()) | Err(_) => {}
+        // Where there are no locks, nobody removes the folder of another program.
+        if flock(&lock, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
+            return Err(ErrorKind::WouldBlock.into());
         }
         let (dataset, lock) = (dataset.to_owned(), Some(lock));
         let created = Self { root, dataset, is_committed: false, lock };

@@ -130,6 +130,9 @@ fn usage_errors_exit_2_and_failures_1() {
         &["--generate", "jump", "--pty", "--batch", "16ms", "--batch-ms", "16"],
         &["--generate", "jump", "--pty", "--noise", "-1mm"],
         &["--generate", "jump", "--pty", "--frob"],
+        &["--generate", "jump", "--pty", "--speed", "fast"],
+        &["--generate", "jump", "--pty", "--drift-ppm", "nan"],
+        &["--generate", "jump", "--pty", "--occlusion", "-0.1"],
     ] {
         let message = fails(bad, 2);
         assert!(message.starts_with("mocapd-sim: "), "{bad:?}: {message}");

@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let mut motion = read_samples(file)?.0;
         motion.info.foreign.clear();
         let input = BenchInput { file, motion: &motion };
-        let mut about = FileReport::new(&input);
+        let mut about = CodecFileReport::new(&input);
         if !args.json {
             print(&about.head())?;
         }
@@ -221,12 +221,12 @@ fn compare(decoder: &StretchDecoder, motion: &Motion, first_row: usize) -> (usiz
 /// The JSON document.
 #[derive(Debug, Default, Serialize)]
 struct CodecBenchReport {
-    files: Vec<FileReport>,
+    files: Vec<CodecFileReport>,
 }
 
 /// The results for one file.
 #[derive(Debug, Serialize)]
-struct FileReport {
+struct CodecFileReport {
     file: String,
     rate_hz: f64,
     frames: u64,
@@ -253,7 +253,7 @@ struct Measured {
     decode_mb_s: f64,
 }
 
-impl FileReport {
+impl CodecFileReport {
     fn new(input: &BenchInput<'_>) -> Self {
         let info = &input.motion.info;
         let samples = input.samples();

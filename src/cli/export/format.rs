@@ -26,7 +26,7 @@ pub(super) struct FormatArgs {
     #[arg(long)]
     wide: bool,
     /// For mot: subtract from each channel of a force plate its mean over the frames that the C3D file states as
-    /// unloaded (FORCE_PLATFORM:ZERO)
+    /// unloaded (`FORCE_PLATFORM:ZERO`)
     #[arg(long)]
     subtract_baseline: bool,
     /// For bids: label of the subject, letters and digits [default: 01]

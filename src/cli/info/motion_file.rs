@@ -15,7 +15,7 @@ use crate::cli::{
 
 /// The report of `info` for a motion file, documented in docs/json.md.
 #[derive(Debug, Serialize)]
-struct MotionFileReport {
+struct MotionFileInfo {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     file: PathBuf,
     format: String,
@@ -34,29 +34,29 @@ struct MotionFileReport {
     /// What its coordinates are multiplied by to get millimetres.
     factor: f64,
     up_axis: Option<&'static str>,
-    foreign_parts: Vec<ForeignReport>,
-    events: Vec<EventReport>,
+    foreign_parts: Vec<SourcePartReport>,
+    events: Vec<SourceEventReport>,
     /// Defects and how they are read, one sentence each.
     warnings: Vec<String>,
-    channels: Vec<ChannelReport>,
+    channels: Vec<TrajectoryReport>,
 }
 
 /// Content besides trajectories.
 #[derive(Debug, Serialize)]
-struct ForeignReport {
+struct SourcePartReport {
     kind: String,
     bytes: u64,
 }
 
 #[derive(Debug, Serialize)]
-struct EventReport {
+struct SourceEventReport {
     kind: &'static str,
     frame: u64,
     text: String,
 }
 
 #[derive(Debug, Serialize)]
-struct ChannelReport {
+struct TrajectoryReport {
     label: String,
     labelled: bool,
     samples: u64,
@@ -69,7 +69,7 @@ struct ChannelReport {
 /// If it cannot be read.
 pub(super) fn info(job: &Job<'_>) -> anyhow::Result<FileReport> {
     let (motion, file_bytes) = read_motion_input(job)?;
-    let report = MotionFileReport::new(job, &motion, file_bytes);
+    let report = MotionFileInfo::new(job, &motion, file_bytes);
     if !job.is_json {
         report.warnings.iter().for_each(|warning| job.notify(warning));
     }
@@ -88,12 +88,12 @@ pub(super) fn info(job: &Job<'_>) -> anyhow::Result<FileReport> {
     })
 }
 
-impl MotionFileReport {
+impl MotionFileInfo {
     fn new(job: &Job<'_>, motion: &Motion, file_bytes: u64) -> Self {
         let (info, source) = (&motion.info, &motion.info.source);
         let frames = motion.n_frames() as u64;
-        let channels: Vec<ChannelReport> =
-            (0..info.markers.len()).map(|column| ChannelReport::new(motion, column)).collect();
+        let channels: Vec<TrajectoryReport> =
+            (0..info.markers.len()).map(|column| TrajectoryReport::new(motion, column)).collect();
         let samples = channels.iter().map(|channel| channel.samples).sum();
         let foreign = info.foreign.iter();
         let events = info.events.iter();
@@ -113,10 +113,10 @@ impl MotionFileReport {
             factor: source.factor,
             up_axis: info.up.name(),
             foreign_parts: foreign
-                .map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data.len() })
+                .map(|part| SourcePartReport { kind: part.kind.clone(), bytes: part.data.len() })
                 .collect(),
             events: events
-                .map(|event| EventReport {
+                .map(|event| SourceEventReport {
                     kind: event.kind.name(),
                     frame: event.frame,
                     text: event.text.clone(),
@@ -167,7 +167,7 @@ impl MotionFileReport {
         let labels = self.channels.iter().map(|channel| channel.label.chars().count());
         let width = labels.max().unwrap_or(0).clamp(6, LABEL_COLUMNS_MAX);
         writeln!(out, "{:<width$} {:>12} {:>8}", "marker", "samples", "gaps").ok();
-        for ChannelReport { label, samples, gaps, .. } in &self.channels {
+        for TrajectoryReport { label, samples, gaps, .. } in &self.channels {
             let (label, samples, gaps) = (plain(label), thousands(*samples), thousands(*gaps));
             writeln!(out, "{label:<width$} {samples:>12} {gaps:>8}").ok();
         }
@@ -175,7 +175,7 @@ impl MotionFileReport {
     }
 }
 
-impl ChannelReport {
+impl TrajectoryReport {
     fn new(motion: &Motion, column: usize) -> Self {
         let marker = &motion.info.markers[column];
         let (mut samples, mut gaps, mut in_gap) = (0, 0, false);

@@ -42,7 +42,7 @@ pub(crate) struct Args {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.at.len() > MOMENTS_MAX {
-        bail!(UsageError(format!("--at has {} times: give at most {MOMENTS_MAX}", args.at.len())));
+        bail!(UsageError(format!("--at has {} times: give 1 to {MOMENTS_MAX}", args.at.len())));
     }
     args.picture.run(TimeSpan::All, |picture| draw(args, picture))
 }

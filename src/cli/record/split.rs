@@ -67,7 +67,7 @@ impl SplitValue {
         if paths::is_dash(output) || output.is_dir() {
             let output = output.display();
             return Err(UsageError(format!(
-                "--output {output} has no name to number: with --split give one such as run.take"
+                "--output {output} cannot be numbered: with --split, give a name such as run.take"
             ))
             .into());
         }

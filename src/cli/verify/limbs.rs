@@ -144,11 +144,10 @@ impl LimbsReport {
 
     /// What contradicts the skeleton, as text for people: swapped labels, and bones that do not fit the take.
     pub(super) fn contradictions(&self) -> Vec<String> {
-        let swaps = self.swaps.len() as u64;
-        let mut found: Vec<String> = (swaps > 0)
-            .then(|| format!("labels are swapped {}", count(swaps, "time")))
-            .into_iter()
-            .collect();
+        let mut found = Vec::new();
+        if !self.swaps.is_empty() {
+            found.push(format!("labels are swapped {}", count(self.swaps.len() as u64, "time")));
+        }
         let names = |is_listed: &dyn Fn(&BoneReport) -> bool| {
             let listed = self.bones.iter().filter(|bone| is_listed(bone));
             listed.map(|bone| bone.name.as_str()).collect::<Vec<_>>()

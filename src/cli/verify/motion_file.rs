@@ -14,7 +14,7 @@ use crate::cli::{
 
 /// The report of `verify` for a motion file, documented in docs/json.md.
 #[derive(Debug, Serialize)]
-struct MotionFileReport {
+struct VerifiedMotionFile {
     #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     file: PathBuf,
     format: String,
@@ -37,7 +37,7 @@ struct MotionFileReport {
 pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
     let (motion, file_bytes) = read_motion_input(job)?;
     let (info, frames) = (&motion.info, motion.n_frames() as u64);
-    let report = MotionFileReport {
+    let report = VerifiedMotionFile {
         file: job.input.name.clone(),
         format: info.source.format.clone(),
         intact: info.source.frames_missing == 0,
@@ -68,7 +68,7 @@ pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
     })
 }
 
-impl MotionFileReport {
+impl VerifiedMotionFile {
     fn line(&self) -> String {
         let state = match self.frames_missing {
             0 => "whole".to_owned(),

@@ -147,8 +147,12 @@ impl MarkerScan {
         self.run > 0 || self.is_long || self.farthest_single.is_some()
     }
 
+    #[inline]
     fn add(&mut self, at: Position) {
-        if at == ORIGIN {
+        if self.moves && self.run == 0 && at != ORIGIN {
+            // Nearly all samples.
+            self.last = Some(at);
+        } else if at == ORIGIN {
             if self.run == 0 {
                 self.before = self.last.map(|last| distance(last, ORIGIN));
             }

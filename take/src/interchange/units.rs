@@ -303,17 +303,20 @@ pub(super) fn median(values: &mut [f64]) -> Option<f64> {
 #[derive(Debug)]
 pub(super) struct ToMillimetres {
     factor: f64,
-    rotation: Rotation,
+    /// `None` if positions stay as they are.
+    rotation: Option<Rotation>,
     not_finite: Cell<usize>,
 }
 
 impl ToMillimetres {
     pub(super) fn new(factor: f64, rotation: Rotation) -> Self {
+        let rotation = Some(rotation).filter(|rotation| !rotation.is_identity());
         Self { factor, rotation, not_finite: Cell::new(0) }
     }
 
     /// The position in millimetres. A coordinate that is not finite before or after conversion makes the sample a gap,
     /// which is counted.
+    #[inline]
     pub(super) fn position(&self, stored: [f64; 3]) -> Position {
         let position = self.convert(stored);
         if position.iter().all(|v| v.is_finite()) {
@@ -324,8 +327,10 @@ impl ToMillimetres {
     }
 
     /// The coordinates in millimetres, finite or not: for data that is not a sample.
+    #[inline]
     pub(super) fn convert(&self, stored: [f64; 3]) -> Position {
-        self.rotation.apply(stored.map(|v| (v * self.factor) as f32))
+        let position = stored.map(|v| (v * self.factor) as f32);
+        self.rotation.map_or(position, |rotation| rotation.apply(position))
     }
 
     /// Warns of the samples that became gaps because they are not finite.

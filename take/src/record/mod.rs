@@ -4,6 +4,7 @@
 
 mod clock;
 mod header;
+mod section;
 mod series;
 mod statistics;
 mod subject;

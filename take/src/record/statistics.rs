@@ -5,7 +5,7 @@ use mocapd_codec::{
     range::{BinaryCoder, RangeDecoder, RangeEncoder},
 };
 
-use super::summary::section_content;
+use super::section::section_content;
 use crate::{
     TakeError,
     statistics::{ChannelStatistics, TakeStatistics},

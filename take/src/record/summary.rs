@@ -9,13 +9,12 @@ use std::{
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
-use super::{Header, LIMIT_BYTES, Record, statistics};
-use crate::{
-    TakeError,
-    chunk::types,
-    statistics::TakeStatistics,
-    varint::{self, Cursor},
+use super::{
+    Header, LIMIT_BYTES, Record,
+    section::{put_section, section_content},
+    statistics,
 };
+use crate::{TakeError, chunk::types, statistics::TakeStatistics, varint::Cursor};
 
 /// Longest payload: two records at their limit of 4 MiB, which leaves room for copies of the header and the channel
 /// table.
@@ -269,22 +268,6 @@ impl SummaryRecord {
     }
 }
 
-/// Splits the version off the front of a section, and rejects all but `supported`.
-pub(super) fn section_content<'a>(
-    section: &'a [u8],
-    what: &'static str,
-    supported: u16,
-    offset: u64,
-) -> Result<&'a [u8], TakeError> {
-    let Some((version, content)) = section.split_first_chunk::<2>() else {
-        return Err(TakeError::corrupt(what, offset, "shorter than its version"));
-    };
-    match u16::from_le_bytes(*version) {
-        found if found == supported => Ok(content),
-        found => Err(TakeError::Unsupported { what, found, supported }),
-    }
-}
-
 /// The content of the section with a header.
 fn header_section(header: &Header) -> Result<Vec<u8>, TakeError> {
     let out = HEADER_SECTION_VERSION.to_le_bytes().to_vec();
@@ -306,11 +289,6 @@ fn header_of_section(section: &[u8], offset: u64) -> Result<Header, TakeError> {
         return Err(TakeError::corrupt(WHAT, offset, "invalid DEFLATE data"));
     }
     Header::from_payload(&payload, offset)
-}
-
-fn put_section(out: &mut Vec<u8>, tag: u64, section: &[u8]) {
-    varint::put(out, tag);
-    varint::put_prefixed(out, section);
 }
 
 #[cfg(test)]

@@ -83,6 +83,46 @@ fn words_keep_their_positions() {
     assert!(written.len().is_multiple_of(512));
 }
 
+/// More frames than are read at a time, and more data beside the trajectories than stays in memory. All fourth words are
+/// zero up to the middle of the file, and coordinates under gaps are where one block of frames follows another.
+#[test]
+fn a_file_of_several_blocks_is_given_back() {
+    const N_FRAMES: usize = 45_000;
+    let frame = |frame: usize| {
+        let mut words = Vec::with_capacity(140);
+        for point in 0..30 {
+            let at = [(frame + point) as f32, 40.5, -(frame as f32) / 3.0];
+            let is_missing = (frame + 13 * point) % 97 < 5;
+            words.extend(match (is_missing, point % 3) {
+                (true, 0) => [at[0], at[1], at[2], -1.0],
+                (true, _) => [0.0, 0.0, 0.0, -1.0],
+                _ if frame < 20_000 + point => [at[0], at[1], at[2], 0.0],
+                _ => [at[0], at[1], at[2], (frame % 7) as f32 / 4.0],
+            });
+        }
+        words.extend((0..20).map(|sample| (frame * sample % 251) as f32));
+        words
+    };
+    let frames = (0..N_FRAMES).map(frame).collect();
+    let mut file = C3dFile { analog: (10, 2), ..C3dFile::new(30, frames) };
+    file.texts(1, "LABELS", &["A", "B", "Knee"]);
+    file.texts(1, "ANGLES", &["Knee"]);
+    file.records.extend(file.group(2, "ANALOG"));
+    file.words(2, "USED", &[10]);
+    file.floats(2, "RATE", &[200.0]);
+    let source = Format::C3d.read(&file.bytes()).expect("a usable file");
+    let kept: u64 = source.info.foreign.iter().map(|part| part.data.len()).sum();
+    assert!(kept > 8 << 20, "{kept} bytes beside the trajectories");
+    let written = write(&source);
+    let start = (usize::from(u16::from_le_bytes([written[16], written[17]])) - 1) * 512;
+    let words: Vec<u32> =
+        written[start..].as_chunks().0.iter().map(|&bytes| u32::from_le_bytes(bytes)).collect();
+    for (index, frame) in file.frames.iter().enumerate() {
+        let expected: Vec<u32> = frame.iter().map(|word| word.to_bits()).collect();
+        assert_eq!(words[index * 140..][..140], expected, "frame {index}");
+    }
+}
+
 #[test]
 fn lengths_beside_the_points_follow_them_into_millimetres() {
     let file = C3dFile { unit: "m", ..full(Order::Intel, -1.0) };

@@ -53,7 +53,7 @@ pub(super) struct ServeArgs {
     #[arg(long, value_name = "HZ", value_parser = rate_hz, allow_hyphen_values = true)]
     rate: Option<f64>,
     /// Play this many times faster, 0.001 to 1000; the device's rate scales with it
-    #[arg(long, value_name = "X", default_value_t = 1.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = number, allow_hyphen_values = true)]
     speed: f64,
     /// Limit the line to this speed, and refuse frame rates that do not fit; an NDI system refuses higher line speeds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(50..))]
@@ -61,7 +61,7 @@ pub(super) struct ServeArgs {
     /// Drift of the device's clock against the host's, ppm: positive is slow, negative is fast
     ///
     /// `mocapd info` reports the same number as the clock's drift.
-    #[arg(long, value_name = "PPM", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "PPM", default_value_t = 0.0, value_parser = number, allow_hyphen_values = true)]
     drift_ppm: f64,
     /// Hand over waiting bytes at this interval only, up to 1s, as an FTDI adapter does with 16ms
     #[arg(long, value_name = "TIME", default_value = "0s", value_parser = batch, allow_hyphen_values = true)]
@@ -95,7 +95,7 @@ pub(super) struct ServeArgs {
     #[arg(long, value_name = "LENGTH", value_parser = length_mm, allow_hyphen_values = true)]
     noise: Option<f64>,
     /// With --generate: fraction of the samples that is occluded, 0 to 0.9
-    #[arg(long, value_name = "FRACTION", allow_hyphen_values = true)]
+    #[arg(long, value_name = "FRACTION", value_parser = number, allow_hyphen_values = true)]
     occlusion: Option<f64>,
     /// Exit after one run, once the host has read everything
     #[arg(long, conflicts_with = "looping")]
@@ -147,6 +147,12 @@ impl ServeArgs {
         let batch = self.batch_ms.map_or(self.batch, Duration::from_millis);
         Some(batch).filter(|batch| !batch.is_zero())
     }
+}
+
+/// Parses a number without a unit; the device checks its range.
+fn number(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite());
+    number.ok_or_else(|| format!("'{text}' is not a number: give one such as 0.5"))
 }
 
 /// The longest time for which bytes wait.

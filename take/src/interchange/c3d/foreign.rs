@@ -119,7 +119,8 @@ impl SampleParts {
         Ok(Self { analog, residuals: None, outputs })
     }
 
-    /// Adds frames, the first of which is number `first`, with the positions of all markers in them.
+    /// Adds frames, the first of which is number `first`, with the positions of all markers in them. `has_fourth_words`:
+    /// the fourth word of a sample that is present is not 0.
     ///
     /// # Errors
     /// Those of the scratch file.
@@ -127,7 +128,7 @@ impl SampleParts {
         &mut self,
         (first, frames): (usize, &Frames<'_>),
         points: &Points,
-        positions: &[Position],
+        (positions, has_fourth_words): (&[Position], bool),
         store: &mut PartStore<'_>,
     ) -> io::Result<()> {
         if let Some(analog) = &mut self.analog {
@@ -136,12 +137,11 @@ impl SampleParts {
         if let Some(outputs) = &mut self.outputs {
             push_outputs(outputs, frames, &points.outputs)?;
         }
-        let words = FourthWords { frames, points, positions };
-        if self.residuals.is_none() && !words.are_zero() {
+        if self.residuals.is_none() && has_fourth_words {
             self.residuals = Some(new_residuals(frames.layout, points, first, store)?);
         }
         if let Some(residuals) = &mut self.residuals {
-            words.push_to(residuals)?;
+            push_fourth_words(residuals, frames, points, positions)?;
         }
         Ok(())
     }
@@ -212,41 +212,25 @@ fn push_analog(part: &mut ColumnsPart, frames: &Frames<'_>) -> io::Result<()> {
     })
 }
 
-/// The fourth words of the markers in some frames. A missing sample repeats the word before it, because that compresses
-/// best and no export reads it.
-struct FourthWords<'a> {
-    frames: &'a Frames<'a>,
-    points: &'a Points,
-    /// Of all markers in these frames.
-    positions: &'a [Position],
-}
-
-impl FourthWords<'_> {
-    /// The word of a sample that is present.
-    fn present(&self, frame: usize, marker: usize, point: usize) -> Option<u32> {
-        let position = self.positions.get(frame * self.points.markers.len() + marker);
-        let is_present = position.is_some_and(|&at| !is_gap(at));
-        is_present.then(|| self.frames.column_word(frame, 4 * point + 3))
-    }
-
-    fn are_zero(&self) -> bool {
-        let zero = zero(self.frames.layout);
-        self.points.markers.iter().enumerate().all(|(marker, &(point, _))| {
-            let mut words = (0..self.frames.len()).map(|frame| self.present(frame, marker, point));
-            words.all(|word| word.is_none_or(|word| word == zero))
-        })
-    }
-
-    fn push_to(&self, part: &mut ColumnsPart) -> io::Result<()> {
-        part.push(self.frames.len(), |marker, last| {
-            let mut before = last.unwrap_or(zero(self.frames.layout));
-            let point = self.points.markers.get(marker).map_or(0, |&(point, _)| point);
-            move |frame| {
-                before = self.present(frame, marker, point).unwrap_or(before);
-                before
+/// A missing sample repeats the word before it, because that compresses best and no export reads it.
+fn push_fourth_words(
+    part: &mut ColumnsPart,
+    frames: &Frames<'_>,
+    points: &Points,
+    positions: &[Position],
+) -> io::Result<()> {
+    let n_markers = points.markers.len();
+    part.push(frames.len(), |marker, last| {
+        let mut before = last.unwrap_or(zero(frames.layout));
+        let point = points.markers.get(marker).map_or(0, |&(point, _)| point);
+        move |frame| {
+            let position = positions.get(frame * n_markers + marker);
+            if position.is_some_and(|&at| !is_gap(at)) {
+                before = frames.column_word(frame, 4 * point + 3);
             }
-        })
-    }
+            before
+        }
+    })
 }
 
 /// The word 0, as columns store it.

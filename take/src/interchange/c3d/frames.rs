@@ -2,7 +2,7 @@
 
 use std::{collections::HashSet, io, ops::Range};
 
-use super::{columns::ordered, layout::Layout, parameters::Parameters};
+use super::{columns::ordered, header::ByteOrder, layout::Layout, parameters::Parameters};
 use crate::{interchange::source_file::SourceFile, motion::Marker, record::Channel};
 
 /// Parameters of POINT that list model outputs: results that are stored as points without being positions.
@@ -78,14 +78,19 @@ fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
         .collect()
 }
 
-/// Bytes of frames that are read at a time. A column of a scratch file is written in pieces of about 2 kB then if a
-/// frame has a thousand words.
-const BLOCK_BYTES: usize = 1 << 21;
+/// Bytes of frames that are read at a time: with what is made of them they stay in the processor's cache, and a column of
+/// a scratch file is written in pieces of 1 kB if a frame has a thousand words.
+const BLOCK_BYTES: usize = 1 << 20;
+/// Fewest frames that are read at a time, unless they have more than [`LARGE_BLOCK_BYTES`]: with fewer, a frame of
+/// hundreds of thousands of words would cost as many writes to its columns.
+const BLOCK_FRAMES_MIN: usize = 64;
+const LARGE_BLOCK_BYTES: usize = 1 << 25;
 
 /// Reads successive frames.
 #[derive(Debug, Default)]
 pub(super) struct FrameBuffer {
     bytes: Vec<u8>,
+    samples: Vec<f32>,
 }
 
 impl FrameBuffer {
@@ -95,7 +100,8 @@ impl FrameBuffer {
         first: usize,
     ) -> impl Iterator<Item = Range<usize>> + use<> {
         let n_frames = layout.n_frames;
-        let n_block = (BLOCK_BYTES / layout.stride.frame_bytes().max(1)).max(1);
+        let within = |n_bytes: usize| n_bytes / layout.stride.frame_bytes().max(1);
+        let n_block = within(BLOCK_BYTES).max(within(LARGE_BLOCK_BYTES).clamp(1, BLOCK_FRAMES_MIN));
         (first..n_frames).step_by(n_block).map(move |first| first..n_frames.min(first + n_block))
     }
 
@@ -113,71 +119,70 @@ impl FrameBuffer {
         self.bytes.resize(range.len() * frame_bytes, 0);
         let at = layout.stride.data_start + range.start * frame_bytes;
         source.read_at(at as u64, &mut self.bytes)?;
-        Ok(Frames { bytes: &self.bytes, layout })
+        self.samples.clear();
+        let order = layout.order;
+        if !layout.stride.float {
+            let words = self.bytes.as_chunks().0.iter();
+            self.samples.extend(words.map(|&bytes| f32::from(order.word(bytes) as i16)));
+        } else if order == ByteOrder::Intel {
+            self.samples
+                .extend(self.bytes.as_chunks().0.iter().map(|&word| f32::from_le_bytes(word)));
+        } else {
+            self.samples.extend(self.bytes.as_chunks().0.iter().map(|&word| order.float(word)));
+        }
+        Ok(self.held(layout))
     }
 
     /// Frames that were read before.
     pub(super) fn held<'b>(&'b self, layout: &'b Layout) -> Frames<'b> {
-        Frames { bytes: &self.bytes, layout }
+        Frames { samples: &self.samples, layout }
     }
 }
 
-/// Successive frames as stored, counted from the first of them.
+/// The words of a point as stored: three coordinates and the fourth word.
+pub(super) type StoredWords = [f32; 4];
+
+/// Successive frames as stored, counted from the first of them. Integers are floats of the same value.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frames<'a> {
-    bytes: &'a [u8],
+    samples: &'a [f32],
     pub(super) layout: &'a Layout,
 }
 
 impl<'a> Frames<'a> {
     /// Number of frames.
     pub(super) fn len(&self) -> usize {
-        self.bytes.len().checked_div(self.layout.stride.frame_bytes()).unwrap_or(0)
+        self.samples.len().checked_div(self.layout.stride.frame_words()).unwrap_or(0)
     }
 
-    /// The words of a frame: four for each point, then the analog samples.
-    fn frame(&self, index: usize) -> &'a [u8] {
-        let n_bytes = self.layout.stride.frame_bytes();
-        self.bytes.get(index * n_bytes..(index + 1) * n_bytes).unwrap_or(&[])
+    /// The points of a frame.
+    pub(super) fn points(&self, frame: usize) -> &'a [StoredWords] {
+        let stride = &self.layout.stride;
+        let start = frame * stride.frame_words();
+        self.samples.get(start..start + 4 * stride.n_points).unwrap_or_default().as_chunks().0
     }
 
-    /// A word of `bytes` as a float; integers keep their value.
-    fn word_of(&self, bytes: &[u8], word: usize) -> f32 {
-        let order = self.layout.order;
-        if self.layout.stride.float {
-            order.float_at(bytes, 4 * word).unwrap_or(0.0)
-        } else {
-            f32::from(order.word_at(bytes, 2 * word).unwrap_or(0) as i16)
-        }
-    }
-
-    /// A word of a frame as a float; integers keep their value.
+    /// A word of a frame: four for each point, then the analog samples.
     pub(super) fn word(&self, frame: usize, word: usize) -> f32 {
-        self.word_of(self.frame(frame), word)
+        let at = frame * self.layout.stride.frame_words() + word;
+        self.samples.get(at).copied().unwrap_or_default()
     }
 
     /// A word of a frame as columns store it: a float mapped by [`ordered`], or an integer.
     pub(super) fn column_word(&self, frame: usize, word: usize) -> u32 {
+        let value = self.word(frame, word);
         if self.layout.stride.float {
-            ordered(self.word(frame, word).to_bits())
+            ordered(value.to_bits())
         } else {
-            u32::from(self.layout.order.word_at(self.frame(frame), 2 * word).unwrap_or(0))
+            u32::from(value as i16 as u16)
         }
-    }
-
-    /// The stored coordinates and the fourth word of a point.
-    pub(super) fn point(&self, frame: usize, point: usize) -> ([f64; 3], f32) {
-        let n_bytes = 4 * self.layout.stride.word_bytes();
-        let sample = self.frame(frame).get(n_bytes * point..n_bytes * (point + 1));
-        let sample = sample.unwrap_or(&[]);
-        let [x, y, z, fourth] = [0, 1, 2, 3].map(|word| self.word_of(sample, word));
-        ([x, y, z].map(f64::from), fourth)
     }
 }
 
 /// Whether the fourth word of a point marks it as missing: it is a 16-bit integer, negative for a missing point. Some
 /// software writes -1 in float files as the unsigned 65535.0. Residual and camera mask never reach 32768, so that range
 /// is missing, too. A point at the origin with another fourth word is a position, as in the field's other readers.
+#[inline]
 pub(super) fn is_missing(fourth: f32) -> bool {
     fourth < 0.0 || (32_768.0..65_536.0).contains(&fourth)
 }

@@ -110,7 +110,7 @@ pub(super) struct GapWriter {
 struct MarkerWriter {
     next_run: u64,
     run: Option<GapRun>,
-    words: u64,
+    words_from: u64,
     n_samples: usize,
     columns: [ColumnWriter; WORDS],
 }
@@ -140,7 +140,7 @@ impl GapWriter {
             markers.push(Some(MarkerWriter {
                 next_run: runs,
                 run: None,
-                words: runs + RUN_BYTES as u64 * count.n_runs,
+                words_from: runs + RUN_BYTES as u64 * count.n_runs,
                 n_samples: count.n_samples as usize,
                 columns: [const { ColumnWriter::new(size_of::<f32>()) }; WORDS],
             }));
@@ -206,13 +206,13 @@ impl MarkerWriter {
                 Some(open) if open.first + open.n_frames == first => open.n_frames += n_frames,
                 open => {
                     let before = open.replace(GapRun { first, n_frames });
-                    ended.extend(before.iter().flat_map(GapRun::to_bytes));
+                    ended.extend(before.into_iter().flat_map(GapRun::to_bytes));
                 }
             }
         }
         data.write_at(self.next_run, &ended)?;
         self.next_run += ended.len() as u64;
-        write_words(&mut self.columns, data, (self.words, self.n_samples), samples, |sample| {
+        write_words(&mut self.columns, data, (self.words_from, self.n_samples), samples, |sample| {
             sample.2
         })
     }
@@ -391,7 +391,7 @@ impl GapRun {
         Self { first: word(0), n_frames: word(8) }
     }
 
-    fn to_bytes(&self) -> [u8; RUN_BYTES] {
+    fn to_bytes(self) -> [u8; RUN_BYTES] {
         let mut bytes = [0; RUN_BYTES];
         bytes[..8].copy_from_slice(&self.first.to_le_bytes());
         bytes[8..].copy_from_slice(&self.n_frames.to_le_bytes());

@@ -8,7 +8,7 @@ use std::{io, ops::Range};
 use super::{
     events,
     foreign::{self, SampleParts},
-    frames::{FrameBuffer, Frames, Points, is_missing, sort_points},
+    frames::{FrameBuffer, Points, StoredWords, is_missing, sort_points},
     gap_coordinates::{self, GapCounts, GapWriter},
     header::{BLOCK, ByteOrder, C3dHeader},
     layout::Layout,
@@ -25,7 +25,7 @@ use crate::{
         source_file::SourceFile,
         units::{FileUnit, MotionExtent, ToMillimetres},
     },
-    motion::{Foreign, GAP, MotionInfo, Position},
+    motion::{Foreign, GAP, MotionInfo, Position, is_gap},
 };
 
 /// Reads everything but the samples, and prepares to read those.
@@ -114,6 +114,8 @@ pub(crate) struct C3dFrames {
     layout: Layout,
     /// Of each marker, its index among the points.
     points: Vec<usize>,
+    /// The factor from stored coordinates to the file's unit.
+    scale: f64,
     millimetres: ToMillimetres,
     /// Whether fourth words mark missing samples.
     has_marks: bool,
@@ -124,17 +126,18 @@ pub(crate) struct C3dFrames {
 }
 
 /// A sample as stored.
+#[derive(Clone, Copy)]
 enum StoredSample {
-    /// The coordinates, in the file's unit.
-    Present([f64; 3]),
-    /// Coordinates and fourth word of a sample that is marked as missing.
-    UnderGap([f64; 3], f32),
+    Present(StoredWords),
+    /// It is marked as missing, but has coordinates.
+    UnderGap(StoredWords),
     Missing,
 }
 
 impl C3dFrames {
     fn new(layout: Layout, points: &Points, millimetres: ToMillimetres, has_marks: bool) -> Self {
         Self {
+            scale: layout.coordinate_scale(),
             layout,
             points: points.markers.iter().map(|&(point, _)| point).collect(),
             millimetres,
@@ -162,10 +165,9 @@ impl C3dFrames {
             self.buffer.read(source, &self.layout, &range)?;
             self.buffered = range;
         }
-        let frames = self.buffer.held(&self.layout);
-        let frame = self.next - self.buffered.start;
+        let stored = self.buffer.held(&self.layout).points(self.next - self.buffered.start);
         for (position, &point) in row.iter_mut().zip(&self.points) {
-            *position = self.position(&self.sample(&frames, frame, point));
+            *position = self.position(self.sample(stored, point));
         }
         self.next += 1;
         Ok(true)
@@ -176,24 +178,31 @@ impl C3dFrames {
         self.next = 0;
     }
 
-    fn sample(&self, frames: &Frames<'_>, frame: usize, point: usize) -> StoredSample {
-        let (stored, fourth) = frames.point(frame, point);
-        let is_gap = if self.has_marks { is_missing(fourth) } else { !has_coordinates(stored) };
-        let scale = self.layout.coordinate_scale();
+    /// The sample of a point in the points of a frame.
+    #[inline]
+    fn sample(&self, stored: &[StoredWords], point: usize) -> StoredSample {
+        let words = stored.get(point).copied().unwrap_or_default();
+        let [x, y, z, fourth] = words;
+        let is_gap = if self.has_marks { is_missing(fourth) } else { !has_coordinates([x, y, z]) };
         match is_gap {
-            false => StoredSample::Present(stored.map(|v| v * scale)),
-            true if has_coordinates(stored) => {
-                StoredSample::UnderGap(stored.map(|v| v * scale), fourth)
-            }
+            false => StoredSample::Present(words),
+            true if has_coordinates([x, y, z]) => StoredSample::UnderGap(words),
             true => StoredSample::Missing,
         }
     }
 
-    fn position(&self, sample: &StoredSample) -> Position {
+    #[inline]
+    fn position(&self, sample: StoredSample) -> Position {
         match sample {
-            StoredSample::Present(stored) => self.millimetres.position(*stored),
-            StoredSample::UnderGap(..) | StoredSample::Missing => GAP,
+            StoredSample::Present(words) => self.millimetres.position(self.scaled(words)),
+            StoredSample::UnderGap(_) | StoredSample::Missing => GAP,
         }
+    }
+
+    /// The coordinates, in the file's unit.
+    #[inline]
+    fn scaled(&self, [x, y, z, _]: StoredWords) -> [f64; 3] {
+        [x, y, z].map(|v| f64::from(v) * self.scale)
     }
 
     fn first_pass(
@@ -214,20 +223,29 @@ impl C3dFrames {
         for range in FrameBuffer::ranges_from(layout, 0) {
             let frames = buffer.read(source, layout, &range)?;
             positions.clear();
+            let mut has_fourth_words = false;
             for frame in 0..range.len() {
-                let start = positions.len();
+                let (start, stored) = (positions.len(), frames.points(frame));
                 for (marker, &point) in self.points.iter().enumerate() {
-                    let sample = self.sample(&frames, frame, point);
-                    if let StoredSample::UnderGap(..) = sample {
-                        found.under_gaps.add(range.start + frame, marker);
+                    let sample = self.sample(stored, point);
+                    let position = self.position(sample);
+                    match sample {
+                        StoredSample::Present([.., fourth]) => {
+                            has_fourth_words |= fourth.to_bits() != 0 && !is_gap(position);
+                        }
+                        StoredSample::UnderGap(_) => {
+                            found.under_gaps.add(range.start + frame, marker);
+                        }
+                        StoredSample::Missing => {}
                     }
-                    positions.push(self.position(&sample));
+                    positions.push(position);
                 }
                 let row = positions.get(start..).unwrap_or_default();
                 found.extent.add_row(row);
                 found.origin.add_row(row);
             }
-            found.parts.push((range.start, &frames), points, &positions, store)?;
+            let positions = (&positions[..], has_fourth_words);
+            found.parts.push((range.start, &frames), points, positions, store)?;
         }
         Ok(found)
     }
@@ -262,11 +280,11 @@ impl C3dFrames {
         for range in FrameBuffer::ranges_from(layout, 0) {
             let frames = buffer.read(source, layout, &range)?;
             for frame in 0..range.len() {
+                let stored = frames.points(frame);
                 for (marker, &point) in self.points.iter().enumerate() {
-                    let sample = self.sample(&frames, frame, point);
-                    if let StoredSample::UnderGap(stored, fourth) = sample {
-                        let position = self.millimetres.convert(stored);
-                        writer.push((range.start + frame, marker), position, fourth)?;
+                    if let StoredSample::UnderGap(words) = self.sample(stored, point) {
+                        let position = self.millimetres.convert(self.scaled(words));
+                        writer.push((range.start + frame, marker), position, words[3])?;
                     }
                 }
             }
@@ -326,12 +344,13 @@ fn fourth_words_are_marks(
     for range in FrameBuffer::ranges_from(layout, 0) {
         let frames = buffer.read(source, layout, &range)?;
         for frame in 0..range.len() {
+            let stored = frames.points(frame);
             for &(point, _) in &points.markers {
-                let (stored, fourth) = frames.point(frame, point);
+                let [x, y, z, fourth] = stored.get(point).copied().unwrap_or_default();
                 if !is_missing(fourth) {
                     return Ok(true);
                 }
-                samples += u64::from(has_coordinates(stored));
+                samples += u64::from(has_coordinates([x, y, z]));
             }
         }
     }
@@ -342,6 +361,6 @@ fn fourth_words_are_marks(
 }
 
 /// Whether the coordinates are those of a sample: finite and not all 0.
-fn has_coordinates(stored: [f64; 3]) -> bool {
+fn has_coordinates(stored: [f32; 3]) -> bool {
     stored.iter().all(|v| v.is_finite()) && stored != [0.0; 3]
 }

@@ -51,9 +51,14 @@ impl Stride {
         if self.float { 4 } else { 2 }
     }
 
+    /// Words of a frame: four for each point, and the analog samples.
+    pub(super) fn frame_words(&self) -> usize {
+        4 * self.n_points + self.analog_per_frame
+    }
+
     /// Bytes of a frame.
     pub(super) fn frame_bytes(&self) -> usize {
-        (4 * self.n_points + self.analog_per_frame) * self.word_bytes()
+        self.frame_words() * self.word_bytes()
     }
 }
 
@@ -263,7 +268,7 @@ pub(super) fn combine(
 }
 
 /// A point of a frame: coordinates and fourth word.
-type PointWords = [f64; 4];
+type StoredPoint = [f64; 4];
 
 /// The points in a range of frames, frame by frame: `points` of them, evenly spread; `None` at the origin.
 fn window(
@@ -271,7 +276,7 @@ fn window(
     stride: &Stride,
     frames: Range<usize>,
     points: usize,
-) -> io::Result<Vec<Option<PointWords>>> {
+) -> io::Result<Vec<Option<StoredPoint>>> {
     let mut window = Vec::with_capacity(frames.len() * points);
     let (order, width) = (file.order, stride.word_bytes());
     let mut stored = [0; 4 * size_of::<f32>()];
@@ -315,7 +320,7 @@ fn roughness(
         let first = (n_frames - n_window) * number / (n_windows - 1).max(1);
         let window = window(file, stride, first..first + n_window, n_points)?;
         for index in 0..n_points {
-            let mut before: [Option<PointWords>; 2] = [None, None];
+            let mut before: [Option<StoredPoint>; 2] = [None, None];
             for &now in window.iter().skip(index).step_by(n_points) {
                 if let Some([x, y, z, fourth]) = now {
                     fourth_words += 1;
