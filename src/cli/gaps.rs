@@ -30,8 +30,6 @@ use super::{
 const CSV_HEADER: &str = "marker,first_frame,frames,start_s,seconds,cause\n";
 /// Bytes of CSV that are printed at once.
 const PRINTED_BYTES: usize = 1 << 16;
-/// Widest label column of the table, in characters; a longer label shifts its own line.
-const LABEL_COLUMNS_MAX: usize = 64;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
