@@ -143,7 +143,7 @@ impl ImportPlan<'_> {
         let header = import.header()?;
         drop(reading);
         let output = job.output.context("no output was planned")?;
-        let before = existing(output, &header)?;
+        let before = if paths::is_dash(output) { None } else { existing(output, &header)? };
         let is_unchanged = before.is_some();
         let (info, written) = match before {
             Some(before) => (import.into_info(), before),

@@ -49,12 +49,14 @@ pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
 /// Copies a whole file to stdout.
 ///
 /// # Errors
-/// If it cannot be read or written; a closed pipe counts, because the file is not whole there.
+/// If it cannot be read or written. A closed pipe (`| head`) is no error.
 pub(crate) fn copy_to_stdout(mut file: &File) -> io::Result<()> {
     file.seek(SeekFrom::Start(0))?;
     let mut stdout = io::stdout().lock();
-    io::copy(&mut file, &mut stdout)?;
-    stdout.flush()
+    match io::copy(&mut file, &mut stdout).and_then(|_| stdout.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
 }
 
 /// Prints a value as one indented JSON document and a line end on stdout.

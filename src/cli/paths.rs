@@ -4,7 +4,7 @@ use std::{
     fs::Metadata,
     io::{self, IsTerminal},
     os::unix::fs::MetadataExt,
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 use mocapd::outcome::UsageError;
@@ -113,6 +113,21 @@ pub(super) fn are_one(one: &Path, other: &Path) -> bool {
     let place = |path: &Path| folder(path).map(|folder| (folder.dev(), folder.ino()));
     let is_same_folder = place(one).is_some_and(|found| place(other) == Some(found));
     one == other || (is_same_folder && one.file_name() == other.file_name())
+}
+
+/// A path that is the same for every name of a file that may not exist yet: of its deepest folder that exists, the real
+/// path.
+pub(super) fn resolved(path: &Path) -> PathBuf {
+    let mut missing = Vec::new();
+    let mut at = path;
+    while let Some(name) = at.file_name() {
+        missing.push(name);
+        at = folder_of(at);
+        if let Ok(real) = at.canonicalize() {
+            return missing.iter().rev().fold(real, |path, name| path.join(name));
+        }
+    }
+    path.to_owned()
 }
 
 /// Whether two files are on the same file system.

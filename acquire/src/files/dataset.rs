@@ -175,7 +175,8 @@ impl NewRecording {
         let has_participants = participants.symlink_metadata().is_ok();
         let row = if has_participants { self.participant_row(&participants)? } else { None };
         let is_added = |written: &&WrittenFile| {
-            !written.is_common || !has_participants && written.path.starts_with("participants.")
+            let is_missing = || dataset.join(&written.path).symlink_metadata().is_err();
+            !written.is_common || written.path.starts_with("participants.") && is_missing()
         };
         let paths: Vec<String> =
             self.files.iter().filter(is_added).map(|written| written.path.clone()).collect();

@@ -1,5 +1,4 @@
-//! The temporary names of files and folders that are not complete yet, so that a program that is interrupted can remove
-//! them.
+//! The temporary names of files that are not complete yet, so that a program that is interrupted can remove them.
 
 use std::{
     collections::BTreeSet,
@@ -11,14 +10,11 @@ use std::{
 /// The hidden paths of this process.
 static HIDDEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// Attempts to remove a folder in which other threads may still create files.
-const ATTEMPTS: u32 = 10;
-
 fn hidden() -> MutexGuard<'static, BTreeSet<PathBuf>> {
     HIDDEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A hidden file or folder, which is removed when this is dropped. Once it has its final name, nothing is at the hidden
+/// A hidden file, which is removed when this is dropped. Once it has its final name, nothing is at the hidden
 /// path, or a second link to the kept file.
 #[derive(Debug)]
 pub(super) struct HiddenPath(PathBuf);
@@ -36,15 +32,8 @@ impl HiddenPath {
 
 impl Drop for HiddenPath {
     fn drop(&mut self) {
-        remove(&self.0);
+        fs::remove_file(&self.0).ok();
         hidden().remove(&self.0);
-    }
-}
-
-/// Removes a file, or a folder with its content.
-fn remove(path: &Path) {
-    if fs::remove_file(path).is_err() {
-        fs::remove_dir_all(path).ok();
     }
 }
 
@@ -54,12 +43,7 @@ fn remove(path: &Path) {
 pub fn remove_incomplete_outputs() -> impl Sized {
     let paths = hidden();
     for path in paths.iter() {
-        for _ in 0..ATTEMPTS {
-            if path.symlink_metadata().is_err() {
-                break;
-            }
-            remove(path);
-        }
+        fs::remove_file(path).ok();
     }
     paths
 }

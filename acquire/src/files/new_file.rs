@@ -61,10 +61,11 @@ impl NewFile {
         if let Some(file) = unnamed_file(path)? {
             return Ok(Self::new(file, None, path));
         }
-        let hidden = HiddenPath::new(path.with_file_name(hidden_name(name)));
-        let created = OpenOptions::new().write(true).create_new(true).open(hidden.path());
+        let hidden = path.with_file_name(hidden_name(name));
+        let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
         let file = created.map_err(|error| cannot_create(path, &error))?;
-        Ok(Self::new(file, Some(hidden), path))
+        // Only now: a file of that name that exists is another program's.
+        Ok(Self::new(file, Some(HiddenPath::new(hidden)), path))
     }
 
     fn new(file: File, hidden: Option<HiddenPath>, path: &Path) -> Self {

@@ -87,7 +87,7 @@ impl Destination {
                     output.display()
                 )));
             }
-            if let Some(other) = taken.insert(output.clone(), input) {
+            if let Some(other) = taken.insert(paths::resolved(&output), input) {
                 bail!(UsageError(format!(
                     "{} and {} would both become {}: rename one, or convert them into different folders",
                     other.name.display(),

@@ -80,8 +80,17 @@ impl<'a> AnalogSamples<'a> {
         let Some(stored) = PartSamples::analog(&info.foreign, first_frame)? else {
             return Err(unread(&part.kind, part.data.is_empty()));
         };
-        if stored.header.n_signals == 0 || stored.header.n_frames == 0 {
+        let (n_signals, ratio) = (stored.header.n_signals, stored.header.ratio);
+        if n_signals == 0 || stored.header.n_frames == 0 {
             return Ok(None);
+        }
+        // A frame is read as a whole.
+        if n_signals.saturating_mul(ratio) as u64 > c3d::ANALOG_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "{} states {n_signals} channels of {ratio} samples a frame, more than a C3D file can hold: the take is \
+                 damaged",
+                part.kind
+            )));
         }
         let mut warnings = Vec::new();
         let defaults = Parameters::default();

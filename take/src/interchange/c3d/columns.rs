@@ -173,6 +173,10 @@ impl<'a> ColumnReader<'a> {
 
     /// Skips samples.
     pub(super) fn skip(&mut self, n_samples: usize) -> io::Result<()> {
+        // Columns of a damaged part that are none may state any number of samples.
+        if self.previous.is_empty() {
+            return Ok(());
+        }
         for _ in 0..n_samples {
             if self.next()?.is_none() {
                 break;

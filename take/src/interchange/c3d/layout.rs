@@ -14,9 +14,6 @@ use crate::{
     interchange::{Result, counted, source_file::SourceFile},
 };
 
-/// Most analog samples in a frame: 255 channels with 4000 samples each, as of a microphone at one frame a second.
-const ANALOG_MAX: u64 = 255 * 4000;
-
 /// The layout of the data section.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
@@ -156,7 +153,7 @@ impl<'a> StatedLayout<'a> {
                 all.push(used);
             }
         }
-        all.retain(|&n| n <= ANALOG_MAX);
+        all.retain(|&n| n <= stride::ANALOG_MAX);
         all
     }
 

@@ -1,8 +1,8 @@
 //! C3D, the binary format of biomechanics (The C3D File Format: User Guide, Motion Lab Systems, 2021).
 //!
-//! The reader holds a few blocks of frames at a time, whatever the size of the file. It accepts Intel, DEC and MIPS files with integer or float samples, more points than one LABELS parameter
-//! holds, more frames than 16 bits count, and files with a partly damaged parameter section. The writer produces Intel
-//! files with float samples in millimetres.
+//! The reader holds a few blocks of frames at a time, whatever the size of the file. It accepts Intel, DEC and MIPS
+//! files with integer or float samples, more points than one LABELS parameter holds, more frames than 16 bits count, and
+//! files with a partly damaged parameter section. The writer produces Intel files with float samples in millimetres.
 
 mod analog;
 mod columns;
@@ -33,6 +33,7 @@ pub(crate) use parameter_values::parameter_values;
 pub use parameter_values::{C3dParameter, C3dValues};
 pub(crate) use parameters::Parameters;
 pub(super) use read::{C3dFrames, open};
+pub(crate) use stride::ANALOG_MAX;
 pub(super) use write::write;
 
 /// Version of the layouts of the foreign parts (`docs/foreign.md`).

@@ -8,6 +8,9 @@
 use std::{io, ops::Range};
 
 use super::header::{BLOCK, ByteOrder};
+
+/// Most analog samples in a frame: 255 channels with 4000 samples each, as of a microphone at one frame a second.
+pub(crate) const ANALOG_MAX: u64 = 255 * 4000;
 use crate::interchange::source_file::SourceFile;
 
 /// Most candidates to compare. The stated values give at most 2 * 2 * 2 * 8; the size of the file adds some for short
@@ -236,6 +239,9 @@ pub(super) fn by_size(
     let words = (least..=most).rev().take(CANDIDATES_MAX);
     words.filter_map(move |words| {
         let analog = words.checked_sub(4 * base.n_points)?;
+        if analog as u64 > ANALOG_MAX {
+            return None;
+        }
         let whole = match n_channels {
             Some(0) => analog == 0,
             Some(n) => usize::try_from(n).is_ok_and(|n| analog.is_multiple_of(n)),
