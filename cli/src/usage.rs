@@ -75,7 +75,7 @@ mod tests {
         for (args, expected) in [
             (
                 &["import"][..],
-                "the following required arguments were not provided: <FILE>...; try --help",
+                "the following required arguments were not provided: --output <TAKE> <FILE>; try --help",
             ),
             (&["frob"], "unrecognized subcommand 'frob'; try --help"),
             (
