@@ -3,7 +3,7 @@
 //! Stretches are copied wherever they do not depend on one that is left out. The rows of a stretch that is only partly
 //! kept, or that continues one that is not kept, are stored as the floats that they decode to: the resamplers cannot
 //! encode them again to the same floats otherwise
-//! ([decision 12](https://github.com/mocapd/mocapd/blob/main/docs/decisions/0012-the-ends-of-a-cut-are-stored-exactly.md)).
+//! (`docs/decisions/0012-the-ends-of-a-cut-are-stored-exactly.md`).
 
 mod concat;
 mod cut;

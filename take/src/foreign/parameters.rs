@@ -1,6 +1,6 @@
 //! The parameters of a take that was imported from a C3D file, as plain values: an inventory for analyses. Programs that
-//! need samples in physical units use [the analog channels](super::analog) and [the force plates](super::force_plates), which know
-//! what the parameters mean.
+//! need samples in physical units use [the analog channels](super::analog) and [the force plates](super::force_plates),
+//! which know what the parameters mean.
 
 use super::analog;
 use crate::{TakeError, interchange::c3d, motion::MotionInfo};
