@@ -1,6 +1,6 @@
 //! Records to a series of takes: a recording that is divided by time or by size.
 //!
-//! Each take is complete by itself. Its header states the series, and which rows of the recording it has.
+//! Each take is complete. Its header states the series and which rows of the recording the take holds.
 
 mod collect;
 mod names;

@@ -114,8 +114,8 @@ impl ClockReport {
         line("jitter", &format!("{jitter}; {} us rms", self.residual_us));
         if self.segments > 1 {
             let segments = count(self.segments, "segment");
-            let note = format!("{segments}: device disconnected or clock jumped; this is the last");
-            line("segments", &note);
+            let why = "the device disconnected, its clock jumped, or takes were joined";
+            line("segments", &format!("{segments}: {why}; this is the last"));
             let earlier =
                 self.lines.iter().filter(|line| u64::from(line.segment) + 1 < self.segments);
             let shown = earlier.clone().take(LINES_SHOWN);

@@ -1,4 +1,4 @@
-//! `cut`: writes a part of a take as a take of its own.
+//! `cut`: copies a part of a take into a new take.
 
 use std::{
     ops::Range,

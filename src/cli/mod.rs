@@ -78,7 +78,7 @@ enum Command {
     Verify(verify::Args),
     /// Write a new take from what can be read of a truncated or damaged one
     Recover(recover::Args),
-    /// Write a part of a take as a take of its own; no sample changes
+    /// Copy a part of a take into a new take; no sample changes
     Cut(cut::Args),
     /// Join takes with the same markers one after another; no sample changes
     Concat(concat::Args),

@@ -1,4 +1,4 @@
-//! Editing takes: [`cut`] writes some frames of a take as a take of its own, [`concat()`] joins takes. No sample changes.
+//! Editing takes: [`cut`] copies a range of frames into a new take, [`concat()`] joins takes. No sample changes.
 //!
 //! Stretches are copied wherever they do not depend on one that is left out. The rows of a stretch that is only partly
 //! kept, or that continues one that is not kept, are stored as the floats that they decode to: the resamplers cannot

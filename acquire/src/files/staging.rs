@@ -92,7 +92,7 @@ impl Staging {
         let root = folder.join(name);
         fs::create_dir(&root)?;
         let lock = OpenOptions::new().write(true).create_new(true).open(root.join(LOCK))?;
-        // Where there are no locks, nobody removes the folder of another program.
+        // On a file system without locks, no program removes another's folder.
         if flock(&lock, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
             return Err(ErrorKind::WouldBlock.into());
         }
@@ -173,7 +173,7 @@ impl Staging {
     pub(super) fn commit(&mut self) {
         self.is_committed = true;
         let done = self.root.with_extension(DONE.trim_start_matches('.'));
-        // From this rename on, nobody undoes the links.
+        // After this rename no program undoes the links.
         if fs::rename(&self.root, &done).is_ok() {
             self.root = done;
         }

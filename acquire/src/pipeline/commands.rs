@@ -149,7 +149,7 @@ pub(super) struct Reply {
 }
 
 impl Reply {
-    /// For a take of a series, of which nobody waits for the first row.
+    /// For a take of a series: no caller waits for its first row.
     pub(super) fn of_series(ended: Sender<TakeResult>) -> Self {
         Self { first: bounded(1).0, ended }
     }

@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 /// Digits of the numbers in the names, at least.
 const DIGITS_MIN: usize = 3;
 
+/// Numbers that [`TakeNames::any_exists`] looks for, each of which costs a system call: a day of takes of ten seconds.
+const NAMES_SOUGHT_MAX: u64 = 8640;
+
 /// The names of the takes of a series: `run-001.take`, `run-002.take` and so on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TakeNames {
@@ -33,6 +36,12 @@ impl TakeNames {
         }
         self.base.with_file_name(name)
     }
+
+    /// Whether a file has one of these names. Takes that were moved away are not counted.
+    #[must_use]
+    pub fn any_exists(&self) -> bool {
+        (1..=NAMES_SOUGHT_MAX).any(|number| self.path(number).exists())
+    }
 }
 
 #[cfg(test)]
@@ -49,6 +58,15 @@ mod tests {
         assert_eq!(name("run", Some(999), 999), "run-999");
         assert_eq!(name("run.take", Some(1000), 7), "run-0007.take");
         assert_eq!(name("run.take", None, 1000), "run-1000.take");
+    }
+
+    #[test]
+    fn a_later_take_is_found_when_the_first_was_moved() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = TakeNames::new(&folder.path().join("run.take"), None);
+        assert!(!names.any_exists());
+        std::fs::write(names.path(3), b"").unwrap();
+        assert!(names.any_exists());
     }
 
     #[test]

@@ -85,6 +85,26 @@ pub(crate) struct Batch<'a> {
     pub(crate) is_compression: bool,
 }
 
+impl<'a> Batch<'a> {
+    /// A command that writes no file, on all cores.
+    pub(crate) fn of_reports(
+        inputs: &'a Inputs,
+        json: bool,
+        [doing, done]: [&'static str; 2],
+    ) -> Self {
+        Self {
+            inputs,
+            outputs: &[],
+            json,
+            text_to_stderr: false,
+            threads: thread_count(None),
+            doing,
+            done,
+            is_compression: false,
+        }
+    }
+}
+
 /// The work on one file: its paths, its share of the threads, and where its messages and its progress go.
 #[derive(Debug)]
 pub(crate) struct Job<'a> {

@@ -45,16 +45,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let format = args.format.map(Into::into);
     let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, format)?;
-    let batch = Batch {
-        inputs: &inputs,
-        outputs: &[],
-        json: args.json,
-        text_to_stderr: false,
-        threads: batch::thread_count(None),
-        doing: "reading",
-        done: "read",
-        is_compression: false,
-    };
+    let batch = Batch::of_reports(&inputs, args.json, ["reading", "read"]);
     batch::run(&batch, |job| match job.input.format()? {
         InputFormat::Take => take_info(job, args.markers),
         InputFormat::MotionFile(_) => motion_file_reports::info(job),

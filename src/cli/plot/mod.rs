@@ -194,6 +194,15 @@ impl PictureArgs {
             Destination::Folder(_) | Destination::Beside => {}
         }
         let by_extension = self.output.as_deref().and_then(PictureFormat::of);
+        if let (Destination::File(path), Some(to), Some(named)) = (&destination, to, by_extension)
+            && to != named
+        {
+            bail!(UsageError(format!(
+                "{} and --to {} name different formats: give one",
+                path.display(),
+                to.extension()
+            )));
+        }
         let picture = to.or(by_extension).unwrap_or(PictureFormat::Svg);
         let paths_of_outputs = destination.paths(&inputs, picture.extension())?;
         let in_folder = matches!(destination, Destination::Folder(_) | Destination::Beside);

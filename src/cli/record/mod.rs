@@ -105,7 +105,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let subject = args.subject.load()?;
     let stop = stop_on_signal()?;
     let raw = args.raw.as_deref();
-    let ((recorded, takes), log) = raw::with_log(raw, &first, args.sync, |log| {
+    let has_take =
+        || series.as_ref().map_or_else(|| first.exists(), |series| series.names.any_exists());
+    let ((recorded, takes), log) = raw::with_log(raw, has_take, args.sync, |log| {
         let opened = Rig::open_logged(&uri, log.map(RawLog::tap));
         let mut rig = opened.map_err(|error| match error.downcast_ref() {
             Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),

@@ -69,13 +69,13 @@ impl RawLogReport {
 }
 
 /// Records with a raw log at `path`, if given; returns the log's report beside the recording, and prints what the log
-/// lacks.
+/// lacks. After an error the log is removed if there is no take: `has_take` looks.
 ///
 /// # Errors
 /// Those of the recording, or if the log cannot be created. A log that ends early is no error.
 pub(super) fn with_log<T>(
     path: Option<&Path>,
-    take: &Path,
+    has_take: impl FnOnce() -> bool,
     sync_every: Duration,
     record: impl FnOnce(Option<&RawLog>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Option<RawLogReport>)> {
@@ -83,7 +83,7 @@ pub(super) fn with_log<T>(
     let log = RawLog::start(path, sync_every)?;
     let recorded = record(Some(&log));
     let logged = log.finish();
-    if recorded.is_err() && !take.exists() {
+    if recorded.is_err() && !has_take() {
         // No frame arrived: as with the take, no file is left behind.
         std::fs::remove_file(path).ok();
         return recorded.map(|recorded| (recorded, None));

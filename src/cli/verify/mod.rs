@@ -98,16 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let format = args.format.map(Into::into);
     let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, format)?;
-    let batch = Batch {
-        inputs: &inputs,
-        outputs: &[],
-        json: args.json,
-        text_to_stderr: false,
-        threads: batch::thread_count(None),
-        doing: "verifying",
-        done: "verified",
-        is_compression: false,
-    };
+    let batch = Batch::of_reports(&inputs, args.json, ["verifying", "verified"]);
     batch::run(&batch, |job| match job.input.format()? {
         InputFormat::Take => verify(args, job),
         InputFormat::MotionFile(_) if args.against.is_some() || args.skeleton.is_some() => {

@@ -1,4 +1,4 @@
-//! Writes some rows of a take as a take of its own.
+//! Copies a range of rows of a take into a new take.
 
 use std::{
     io::{Read, Seek, Write},
@@ -38,7 +38,7 @@ pub struct CutReport {
     pub left_out: Vec<String>,
 }
 
-/// Writes the rows `rows` of a take, with all that belongs to them, as a take of its own: the same floats, gaps and
+/// Copies the rows `rows` of a take, with all that belongs to them, into a new take: the same floats, gaps and
 /// times. `input` is the file that `source` was read from.
 ///
 /// The number of the first row in an imported file increases accordingly, so that `verify --against` finds the rows.
