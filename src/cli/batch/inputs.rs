@@ -144,6 +144,17 @@ pub(crate) fn find(
 }
 
 impl Inputs {
+    /// The files, for a command that needs all of them.
+    ///
+    /// # Errors
+    /// If a folder cannot be read.
+    pub(crate) fn all(&self) -> anyhow::Result<&[Input]> {
+        match self.unreadable.first() {
+            Some(message) => bail!("{message}"),
+            None => Ok(&self.files),
+        }
+    }
+
     /// Adds the files of a folder that `seen` does not have. Returns how many files of these kinds it has. Hidden files
     /// and folders are left out, and links to folders are not followed, so that no folder is read twice.
     fn add_folder(

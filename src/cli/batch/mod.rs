@@ -21,7 +21,7 @@ use std::{
 };
 
 use anyhow::anyhow;
-use mocapd::outcome::{DataLostError, Outcome};
+use mocapd::outcome::Outcome;
 use mocapd_acquire::{pipeline::offline::in_order, threads};
 use serde::Serialize;
 
@@ -283,11 +283,7 @@ fn print_result(
             if !reason.contains(name.as_ref()) {
                 reason = format!("{name}: {reason}");
             }
-            if error.is::<DataLostError>() {
-                table.add_lossy();
-            } else {
-                table.add_failure();
-            }
+            table.add_failure();
             notify(&reason);
             return match batch.json {
                 true => {

@@ -35,11 +35,6 @@ impl Table {
         row.sums.add(&report.figures);
     }
 
-    /// Counts a file that failed because its data is lost.
-    pub(super) fn add_lossy(&mut self) {
-        self.lossy.files += 1;
-    }
-
     /// Counts a file, or a folder, that failed.
     pub(super) fn add_failure(&mut self) {
         self.failed.files += 1;

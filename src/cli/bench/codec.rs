@@ -57,10 +57,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut report = CodecBenchReport::default();
     let settings = all_settings(args)?;
     let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, None)?;
-    if let Some(unreadable) = inputs.unreadable.first() {
-        bail!("{unreadable}");
-    }
-    for Input { path: file, .. } in &inputs.files {
+    for Input { path: file, .. } in inputs.all()? {
         let mut motion = read_samples(file)?.0;
         motion.info.foreign.clear();
         let input = BenchInput { file, motion: &motion };

@@ -8,7 +8,6 @@ use std::{
     },
 };
 
-use anyhow::bail;
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
@@ -51,9 +50,6 @@ pub(crate) struct Args {
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     plot::check_output(&args.output)?;
     let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, None)?;
-    if let Some(unreadable) = inputs.unreadable.first() {
-        bail!("{unreadable}");
-    }
     let mut tolerances_mm: Vec<f64> = args.tolerances.iter().map(|t| t.mm()).collect();
     if tolerances_mm.is_empty() {
         tolerances_mm.extend(TOLERANCES_MM);
@@ -61,7 +57,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     tolerances_mm.sort_by(f64::total_cmp);
     tolerances_mm.dedup();
     let mut panels = Vec::new();
-    for input in &inputs.files {
+    for input in inputs.all()? {
         panels.push(panel(&input.path, &tolerances_mm)?);
     }
     plot::write(&args.output, &sizes(&panels)?)?;
