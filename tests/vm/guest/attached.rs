@@ -24,13 +24,15 @@ pub(crate) fn wait_until<T>(
 ) -> anyhow::Result<T> {
     let started = Instant::now();
     loop {
+        let polled = Instant::now();
         if let Some(found) = poll() {
             return Ok(found);
         }
         if started.elapsed() > within {
             bail!("{what}: not within {:.1} s", within.as_secs_f64());
         }
-        sleep(Duration::from_millis(5));
+        // Many polls start a program: emulated, that takes more of the processor than what they wait for.
+        sleep(Duration::from_millis(5).max(4 * polled.elapsed()));
     }
 }
 
