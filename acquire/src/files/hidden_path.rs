@@ -1,38 +1,71 @@
-//! The temporary names of files that are not complete yet, so that a program that is interrupted can remove them.
+//! The temporary names of outputs that are not complete yet, so that a program that is interrupted can remove them.
 
 use std::{
-    collections::BTreeSet,
+    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
-/// The hidden paths of this process.
-static HIDDEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+use super::staging;
 
-fn hidden() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+/// What removing a hidden path takes.
+#[derive(Debug, Clone)]
+enum Kind {
+    File,
+    /// The staging folder of this data set, from which what was added is taken away again.
+    Staging(PathBuf),
+}
+
+impl Kind {
+    fn remove(&self, path: &Path) {
+        match self {
+            Self::File => drop(fs::remove_file(path)),
+            Self::Staging(dataset) => staging::discard(path, dataset),
+        }
+    }
+}
+
+/// The hidden paths of this process.
+static HIDDEN: Mutex<BTreeMap<PathBuf, Kind>> = Mutex::new(BTreeMap::new());
+
+fn hidden() -> MutexGuard<'static, BTreeMap<PathBuf, Kind>> {
     HIDDEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A hidden file, which is removed when this is dropped. Once it has its final name, nothing is at the hidden
-/// path, or a second link to the kept file.
+/// A hidden file or staging folder, which is removed when this is dropped. Once a file has its final name, nothing is at
+/// the hidden path, or a second link to the kept file.
 #[derive(Debug)]
-pub(super) struct HiddenPath(PathBuf);
+pub(super) struct HiddenPath(PathBuf, Kind);
 
 impl HiddenPath {
-    pub(super) fn new(path: PathBuf) -> Self {
-        hidden().insert(path.clone());
-        Self(path)
+    pub(super) fn file(path: PathBuf) -> Self {
+        Self::new(path, Kind::File)
+    }
+
+    pub(super) fn staging(path: PathBuf, dataset: PathBuf) -> Self {
+        Self::new(path, Kind::Staging(dataset))
+    }
+
+    fn new(path: PathBuf, kind: Kind) -> Self {
+        hidden().insert(path.clone(), kind.clone());
+        Self(path, kind)
     }
 
     pub(super) fn path(&self) -> &Path {
         &self.0
     }
+
+    /// Gives the path up without removing it. Waits for ever if the program is being interrupted.
+    pub(super) fn release(self) {
+        hidden().remove(&self.0);
+        std::mem::forget(self);
+    }
 }
 
 impl Drop for HiddenPath {
     fn drop(&mut self) {
-        fs::remove_file(&self.0).ok();
+        self.1.remove(&self.0);
         hidden().remove(&self.0);
     }
 }
@@ -42,8 +75,8 @@ impl Drop for HiddenPath {
 #[must_use]
 pub fn remove_incomplete_outputs() -> impl Sized {
     let paths = hidden();
-    for path in paths.iter() {
-        fs::remove_file(path).ok();
+    for (path, kind) in paths.iter() {
+        kind.remove(path);
     }
     paths
 }

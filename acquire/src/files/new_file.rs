@@ -65,7 +65,7 @@ impl NewFile {
         let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
         let file = created.map_err(|error| cannot_create(path, &error))?;
         // Only now: a file of that name that exists is another program's.
-        Ok(Self::new(file, Some(HiddenPath::new(hidden)), path))
+        Ok(Self::new(file, Some(HiddenPath::file(hidden)), path))
     }
 
     fn new(file: File, hidden: Option<HiddenPath>, path: &Path) -> Self {

@@ -18,7 +18,7 @@ use rustix::{
     io::Errno,
 };
 
-use super::folder_of;
+use super::{folder_of, hidden_path::HiddenPath};
 
 /// The table of subjects.
 pub(super) const PARTICIPANTS: &str = "participants.tsv";
@@ -26,6 +26,8 @@ pub(super) const PARTICIPANTS: &str = "participants.tsv";
 /// Endings of the folder while links are made, and when all are there.
 const PART: &str = ".part";
 const DONE: &str = ".done";
+/// Ending while the folder is removed.
+const DISCARDED: &str = "discarded.part";
 
 // The content of the folder.
 const LOCK: &str = "lock";
@@ -59,7 +61,8 @@ pub(super) fn prefix(beside: Option<&OsStr>) -> OsString {
 pub(super) struct Staging {
     root: PathBuf,
     dataset: PathBuf,
-    is_committed: bool,
+    /// Until it is committed.
+    hidden: Option<HiddenPath>,
     /// Held as long as the program runs.
     lock: Option<File>,
 }
@@ -91,13 +94,14 @@ impl Staging {
         name.push(format!("{}-{number}{PART}", std::process::id()));
         let root = folder.join(name);
         fs::create_dir(&root)?;
+        let hidden = HiddenPath::staging(root.clone(), dataset.to_owned());
         let lock = OpenOptions::new().write(true).create_new(true).open(root.join(LOCK))?;
         // On a file system without locks, no program removes another's folder.
         if flock(&lock, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
             return Err(ErrorKind::WouldBlock.into());
         }
         let (dataset, lock) = (dataset.to_owned(), Some(lock));
-        let created = Self { root, dataset, is_committed: false, lock };
+        let created = Self { root, dataset, hidden: Some(hidden), lock };
         fs::create_dir(created.content())?;
         Ok(created)
     }
@@ -171,7 +175,9 @@ impl Staging {
 
     /// States that everything is there, and removes the folder.
     pub(super) fn commit(&mut self) {
-        self.is_committed = true;
+        if let Some(hidden) = self.hidden.take() {
+            hidden.release();
+        }
         let done = self.root.with_extension(DONE.trim_start_matches('.'));
         // After this rename no program undoes the links.
         if fs::rename(&self.root, &done).is_ok() {
@@ -182,10 +188,10 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        if !self.is_committed {
-            undo(&self.root, &self.dataset);
+        match self.hidden.take() {
+            Some(hidden) => drop(hidden),
+            None => drop(fs::remove_dir_all(&self.root)),
         }
-        fs::remove_dir_all(&self.root).ok();
         self.lock = None;
     }
 }
@@ -234,6 +240,15 @@ pub(super) fn remove_leftovers(folder: &Path, prefix: &OsStr, dataset: &Path) {
             Err(_) => drop(fs::remove_dir(&root)),
         }
     }
+}
+
+/// Removes a staging folder, and what was added from it to the data set.
+pub(super) fn discard(root: &Path, dataset: &Path) {
+    // Threads that still write no longer find the folder, so that nothing appears in it while it is removed.
+    let discarded = root.with_extension(DISCARDED);
+    let root = if fs::rename(root, &discarded).is_ok() { &discarded } else { root };
+    undo(root, dataset);
+    fs::remove_dir_all(root).ok();
 }
 
 /// Removes from the data set what was added from a staging folder.
