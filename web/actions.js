@@ -144,7 +144,7 @@ export class Actions {
   }
 }
 
-const PREFIXES = { waiting: "…", done: "Done:", refused: "Refused:", unknown: "No answer:" };
+const PREFIXES = { waiting: "…", done: "Done:", refused: "Refused:", unknown: "No reply:" };
 
 function showResponse(kind, text) {
   setAttribute(byId("answer"), "data-kind", kind);

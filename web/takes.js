@@ -108,7 +108,7 @@ export class Takes {
     try {
       setText(answer, `Verified: ${verifyResult(await sendCommand(path, {}, { tries: 1, timeoutMs: VERIFY_TIMEOUT_MS }))}.`);
     } catch (error) {
-      setText(answer, error instanceof ServiceError ? `Refused: ${error.message}` : `No answer: ${error.message}`);
+      setText(answer, error instanceof ServiceError ? `Refused: ${error.message}` : `No reply: ${error.message}`);
     }
     setAttribute(verify, "aria-busy", null);
     verify.disabled = false;

@@ -18,8 +18,8 @@ use super::{
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "All takes need the same markers (more may follow in later takes), rate, resampler, \
-    tolerance, unit and up axis. Parts of one recording continue each other; frames that the clocks show to lie \
-    between two of them are lost frames of the new take. Any other take is marked with an event where it begins."
+    tolerance, unit and up axis. Takes of one recording continue each other: frames that are missing between two of \
+    them become lost frames of the new take. An event marks the beginning of any other take."
 )]
 pub(crate) struct Args {
     /// The takes, in order; they are not changed

@@ -18,7 +18,7 @@ use super::{
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum ConfigCommand {
-    /// Check a configuration: list every error in it, and settings that may surprise
+    /// Check a configuration: list every error in it, and valid settings that may have unexpected effects
     Check(CheckArgs),
     /// Print an example configuration with every key, its default and its purpose
     Example,

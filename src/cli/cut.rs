@@ -27,10 +27,10 @@ use super::{
 
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Stretches within the range are copied. Two kinds of frames are stored as they are, at about the size \
-    of float32, because no lossy resampler could encode them again to the same positions: those before the first key \
-    stretch of the range (at most 10 s), and those of its last stretch, if that is only partly in the range. With \
-    --whole-stretches the range is extended so that all is copied."
+    after_help = "Stretches within the range are copied. Two kinds of frames are stored as float32, because no lossy \
+    resampler could encode them again to the same positions: those before the first key stretch of the range (at most \
+    10 s), and those of its last stretch, if that is only partly in the range. With --whole-stretches the range is \
+    extended so that everything is copied."
 )]
 pub(crate) struct Args {
     /// The take; it is not changed
@@ -44,10 +44,10 @@ pub(crate) struct Args {
     /// Keep frames before this time
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     to: Option<Duration>,
-    /// Keep the frames from A up to, but without, B, counted from 0: 1200..2400, 1200.. or ..2400
+    /// Keep frames from A on and before B, counted from 0: 1200..2400, 1200.. or ..2400
     #[arg(long, value_name = "A..B", conflicts_with_all = ["from", "to"])]
     frames: Option<FrameRange>,
-    /// Extend the range to whole stretches, which are copied
+    /// Extend the range to whole stretches, so that all frames are copied
     #[arg(long)]
     whole_stretches: bool,
     /// Print one JSON document
@@ -97,7 +97,7 @@ struct CutPartReport {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.from.is_none() && args.to.is_none() && args.frames.is_none() {
-        bail!(UsageError("cut what? give --from and --to, or --frames".to_owned()));
+        bail!(UsageError("no range: give --from, --to or --frames".to_owned()));
     }
     paths::check_take_output(&args.output)?;
     let name = args.take.display();
@@ -120,7 +120,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let more = n_rows - (requested.end - requested.start);
     if more > 0 {
         let frames = count(more, "frame");
-        notify(&format!("{name}: {frames} more than requested, to the ends of stretches"));
+        notify(&format!("{name}: {frames} added to the range, to copy whole stretches"));
     }
     notify_left_out(&args.output, &written.left_out);
     let report = CutPartReport::new(args, source, rows.start, written);

@@ -70,7 +70,7 @@ enum Command {
     Import(import::Args),
     /// Convert a take to a format of other tools: C3D, TRC, CSV, XDF, BIDS and more
     Export(export::Args),
-    /// Show what is in a take: header, sizes, ledger, and the samples, gaps, knots and error of each marker
+    /// Show what is in a take: header, sizes and ledger; samples, gaps, kept samples and error of each marker
     Info(info::Args),
     /// Show the gaps of each marker, and write each gap with its cause to a CSV file
     Gaps(gaps::Args),
@@ -78,7 +78,7 @@ enum Command {
     Verify(verify::Args),
     /// Write a new take from what can be read of a truncated or damaged one
     Recover(recover::Args),
-    /// Copy a part of a take into a new take; no sample changes
+    /// Write a part of a take as a new take; no sample changes
     Cut(cut::Args),
     /// Join takes with the same markers one after another; no sample changes
     Concat(concat::Args),
@@ -89,7 +89,7 @@ enum Command {
     Plot(plot::Plot),
     /// Repeat the study of Shi et al. 2012 on your takes: its tables and figures, and file sizes
     Study(study::Args),
-    /// Prepare a subject: a skeleton from a body scan, a wireframe fitted to a photograph of the face
+    /// Prepare a subject: a skeleton from body scans, a wireframe fitted to a photograph of the face
     #[command(subcommand)]
     Subject(subject::SubjectCommand),
     /// Control a running service: status, arm, start, stop, mark, takes, events

@@ -48,6 +48,6 @@ impl std::fmt::Debug for EditContext<'_> {
 /// The error for a take that is not whole.
 fn damaged(problem: &Problem) -> TakeError {
     TakeError::InvalidArgument(format!(
-        "only a whole take can be edited, but {problem}: run `mocapd recover` and edit the take that it writes"
+        "only a complete take can be cut or joined, but {problem}: use the take that `mocapd recover` writes"
     ))
 }

@@ -60,7 +60,7 @@ pub(super) struct Listing {
 /// The takes in the service's folder, newest first
 #[utoipa::path(get, path = "/v1/takes", tag = "takes", 
     params(("limit" = Option<usize>, Query, minimum = 1, maximum = 1000,
-        description = "Most takes to list; 100 by default")),
+        description = "Maximum number of takes to list; 100 by default")),
     responses((status = 200, body = Vec<TakeSummary>)))]
 pub(super) async fn takes(
     State(app): State<Shared>,

@@ -121,7 +121,7 @@ pub(crate) fn find(
         if paths::is_dash(argument) {
             ensure!(
                 seen.insert(argument.clone()),
-                UsageError("standard input can be read once: give `-` once".to_owned())
+                UsageError("standard input can only be read once: give `-` once".to_owned())
             );
             inputs.files.push(spool(format, kinds, args.max_input)?);
         } else if argument.is_dir() {

@@ -218,7 +218,7 @@ pub(crate) fn run(
             };
             let result = catch_unwind(AssertUnwindSafe(|| process(&job)));
             let result = result
-                .unwrap_or_else(|_| Err(anyhow!("the work on it failed: please report this bug")));
+                .unwrap_or_else(|_| Err(anyhow!("its processing failed: please report this bug")));
             progress.end_file(index);
             Ok((result, job.messages.into_inner()))
         }

@@ -84,7 +84,7 @@ enum CtlCommand {
     },
     /// List the takes in the service's folder, newest first: time of last change, size, health, name, why it ended
     Takes {
-        /// Most takes to list
+        /// Maximum number of takes to list
         #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=1000))]
         limit: u16,
     },
@@ -96,7 +96,7 @@ enum CtlCommand {
     Download {
         /// Name of the take, as listed by `takes`
         name: String,
-        /// The file to write [default: NAME.take in this folder]
+        /// The file to write [default: NAME.take in the current folder]
         #[arg(short, long, value_name = "FILE")]
         output: Option<PathBuf>,
     },

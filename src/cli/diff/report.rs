@@ -196,10 +196,10 @@ fn times_text(times: &TimesDifference, out: &mut String) {
     let Some(first) = first_frame else { return };
     writeln!(out, "times: the first difference is at frame {}", thousands(*first)).ok();
     for (n, what) in [
-        (ticks_differing, "other device ticks"),
-        (arrivals_differing, "other arrivals"),
-        (timecodes_differing, "other timecodes"),
-        (losses_differing, "lost in only one of the two, or for other causes"),
+        (ticks_differing, "different device ticks"),
+        (arrivals_differing, "different arrivals"),
+        (timecodes_differing, "different timecodes"),
+        (losses_differing, "lost in only one of the two, or for different causes"),
     ] {
         if *n > 0 {
             writeln!(out, "  {}: {what}", count(*n, "frame")).ok();

@@ -144,7 +144,7 @@ fn plan_outputs(
         return Ok((args.format.of(name, path)?, vec![path.clone(); inputs.files.len()]));
     }
     let Some(name) = name else {
-        bail!(UsageError("which format? give one with --to, such as --to c3d".to_owned()));
+        bail!(UsageError("no format: give one with --to, such as --to c3d".to_owned()));
     };
     let extension = name.extension();
     let format = args.format.of(Some(name), Path::new(extension))?;

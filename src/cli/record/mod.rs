@@ -48,8 +48,8 @@ pub(crate) struct Args {
     /// Stop after this time: 10s, 500ms, 2min [default: at the end of a replay, or on Ctrl-C]
     #[arg(long, value_name = "TIME", value_parser = values::length, allow_hyphen_values = true)]
     seconds: Option<Duration>,
-    /// Begin a new take after each length of time or size, without losing a frame: 10s, 30min, 500MB, 2GiB, from 1s or
-    /// 1MB on; -o run.take writes run-001.take, run-002.take and so on
+    /// Begin a new take whenever the current one has this length or size, without losing a frame: 10s, 30min, 500MB,
+    /// 2GiB, at least 1s or 1MB; -o run.take writes run-001.take, run-002.take and so on
     #[arg(long, value_name = "TIME|SIZE", value_parser = split::split, allow_hyphen_values = true)]
     split: Option<SplitValue>,
     /// Set the device to this frame rate: 240, 240Hz, 1kHz; it keeps the rate afterwards

@@ -39,7 +39,7 @@ pub(crate) struct Args {
     /// Method to locate the joints: our default, or that of the paper (Yu et al. 2008)
     #[arg(long, value_enum, default_value_t = MethodArg::Default)]
     method: MethodArg,
-    /// A picture of the joints in the first scan to write, .svg or .png; it must not exist
+    /// Write a picture of the joints in the first scan to this file, .svg or .png; it must not exist
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
     /// Print the skeleton as JSON

@@ -32,14 +32,14 @@ pub(crate) struct Args {
     /// The wireframe to write, as OBJ; further faces are numbered in the same way
     #[arg(long, value_name = "FILE")]
     obj: Option<PathBuf>,
-    /// A copy of the photograph to write, .png, with points and wireframes drawn on it, and numbers if there are
-    /// several faces; it must not exist
+    /// Write a copy of the photograph to this file, .png, with points and wireframes drawn on it, and numbers if there
+    /// are several faces; it must not exist
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
-    /// Three views of the first wireframe to write, .svg or .png; it must not exist
+    /// Write three views of the first wireframe to this file, .svg or .png; it must not exist
     #[arg(long, value_name = "FILE")]
     views: Option<PathBuf>,
-    /// Method to find faces: our default, or that of the paper (Yang et al. 2004)
+    /// Method to find faces and locate their points: our default, or that of the paper (Yang et al. 2004)
     #[arg(long, value_enum, default_value_t = MethodArg::Default)]
     method: MethodArg,
     /// Use only the largest face

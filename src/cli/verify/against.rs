@@ -134,7 +134,7 @@ impl AgainstReport {
         }
         if let Some(beyond) = found.beyond_stated.filter(|&beyond| beyond > 0) {
             let samples = count(beyond, "sample");
-            out += &format!("  ERROR ABOVE what their blocks state: {samples}\n");
+            out += &format!("  ERROR ABOVE the one that the block states: {samples}\n");
         }
         if found.frames_missing > 0 {
             out += &format!("  in only one of the two: {}\n", count(found.frames_missing, "frame"));

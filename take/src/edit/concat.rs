@@ -123,7 +123,7 @@ pub fn concat<R: Read + Seek, W: Write>(
     left_out.dedup();
     first.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
     if sources.iter().any(|source| source.map().subject != first.map().subject) {
-        left_out.push("the subjects of the other takes, which differ from the first".to_owned());
+        left_out.push("the subjects of other takes, which are not that of the first".to_owned());
     }
     let frames_continue = plan.seams.iter().all(|seam| *seam == Seam::Continuous);
     let parts = foreign::join(sources, &mut open, frames_continue, context)?;
@@ -206,7 +206,7 @@ impl JoinPlan {
                 "the take {id} begins here; {rows} frames before it are in neither of the joined takes"
             ),
             Seam::Unknown => {
-                format!("the take {id} begins here, which was joined to the one before")
+                format!("the take {id} begins here; the time since the take before it is unknown")
             }
         };
         Some(Event { row, ..Event::new(EventKind::Host, 0, text) })

@@ -113,7 +113,7 @@ impl Writer {
         let (Some(split), Some(_), false) = (&mut self.split, &self.live, ends) else {
             return false;
         };
-        let goes_on = "the recording goes on in the take before it";
+        let goes_on = "the recording continues in the take before it";
         let NextTake { mut take, name, ended, notice } = match split.takes.next_take(first_row) {
             Ok(next) => next,
             Err(error) => {
