@@ -48,7 +48,7 @@ pub enum FileError {
     #[error("{} is {}", .0.display(), .1)]
     NotAFile(PathBuf, NotAFile),
     /// The user has no permission to read it.
-    #[error("no permission to read {}: check it with ls -l", .0.display())]
+    #[error("no permission to read {}: check its owner and mode with ls -l", .0.display())]
     NotReadable(PathBuf),
     /// Its folder does not exist.
     #[error("the folder {} does not exist: create it first", .0.display())]
@@ -201,7 +201,7 @@ fn unnamed() -> io::Result<(File, PathBuf)> {
 
 fn scratch_error(dir: &Path, error: &io::Error) -> io::Error {
     let message = format!(
-        "no space in {} for a temporary file ({error}): set TMPDIR to another folder",
+        "cannot keep a temporary file in {} ({error}): set TMPDIR to another folder",
         dir.display()
     );
     io::Error::new(error.kind(), message)

@@ -37,8 +37,8 @@ const JOB_SAMPLES: u64 = 1 << 14;
 /// Samples per batch of rows: 200 kB, which stay in the processor's cache while columns are transposed to rows.
 const BATCH_SAMPLES: usize = 1 << 14;
 
-/// Batches of one job that may be queued for the reader, 8 MB at most: enough that no thread blocks while the reader
-/// drains the queue of another.
+/// Batches of one job that may be queued for the reader: 8 MB, unless a single row is larger than a batch, and enough
+/// that no thread blocks while the reader drains the queue of another.
 const BATCHES_QUEUED_MAX: usize = 40;
 
 /// The frames of an intact take in order, decoded by several threads.

@@ -26,12 +26,12 @@ use crate::{
 /// What to record, and how to report progress.
 #[expect(missing_debug_implementations, reason = "closures have none")]
 pub struct RecordOptions<'a> {
-    /// Path of the take. The file has its final name from the first byte. A recording that is divided into several makes
-    /// their names from it ([`TakeNames`](crate::series::TakeNames)).
+    /// Path of the take. The file has its final name from the first byte. A divided recording does not use it: its
+    /// names are in [`SeriesOptions`](crate::series::SeriesOptions).
     pub take: &'a Path,
     /// Resampler and tolerance.
     pub codec: Settings,
-    /// The person who is captured.
+    /// The captured subject.
     pub subject: Option<&'a Subject>,
     /// Length of the take; `None` records until the replay ends or `stop` is set.
     pub length: Option<Duration>,

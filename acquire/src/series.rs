@@ -66,7 +66,8 @@ pub struct SeriesOptions {
 pub struct RecordedSeries {
     /// The takes in order; at least one.
     pub takes: Vec<SeriesTake>,
-    /// The recording as a whole: what its takes count, added up; clock, disk and file of the last take.
+    /// The recording as a whole: what its takes count, added up; clock, disk and ending of the last take; the state of
+    /// the first file that is not in its place, if there is one.
     pub total: Recorded,
 }
 

@@ -1,5 +1,5 @@
-//! What the command lines of `mocapd` and `mocapd-sim` share: messages of errors, usage errors of one line, the signals that
-//! end a program, shell completions and manual pages, and numbers for people.
+//! What the command lines of `mocapd` and `mocapd-sim` share: error messages, usage errors of one line, the signals
+//! that end a program, shell completions and manual pages, and numbers for people.
 
 pub mod manual;
 pub mod numbers;
@@ -8,7 +8,7 @@ pub mod usage;
 
 use anyhow::Error;
 
-/// How the system's errors for a full disk and an exhausted quota end, on every platform with these numbers.
+/// The ends of the system's messages for a full disk (ENOSPC) and an exhausted quota (EDQUOT), with Linux's numbers.
 const NO_SPACE: [&str; 2] = ["(os error 28)", "(os error 122)"];
 
 /// An error and its causes in one line. For a full disk it ends with what to do, whatever was being written.

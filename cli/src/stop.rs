@@ -43,8 +43,8 @@ fn is_ignored(status: &str, signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-/// A flag that the first of the signals sets that end a program. A second one ends the process at once, unless it comes
-/// within half a second.
+/// Returns a flag that is set by the first signal that would end the program. A second one ends the process at once,
+/// unless it comes within half a second of the first.
 ///
 /// # Errors
 /// If the system refuses the handlers or their thread.
@@ -70,8 +70,8 @@ pub fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
-/// Lets the first of these signals end the program at once, as it does without a handler, after `clean_up`, whose result
-/// is held until then.
+/// Ends the program at the first signal that would end it, as without a handler, but runs `clean_up` before and holds
+/// its result until the end.
 ///
 /// # Errors
 /// If the system refuses the handlers or their thread.

@@ -41,8 +41,9 @@ pub(crate) struct Args {
     /// .c3d, .trc, .tsv (QTM) or .csv files, or folders with such files; `-` reads standard input, with --format
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// The take to write, or the folder for the takes of several files; `-` writes one take to standard output. A take
-    /// that exists and is that of the same file and settings is left as it is [default: beside each file]
+    /// The take to write, which must not exist, or the folder for the takes of several files; `-` writes one take to
+    /// standard output. In a folder or beside its file, a take of the same file and settings that exists is left as it
+    /// is [default: beside each file]
     #[arg(short, long, value_name = "TAKE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -181,11 +182,11 @@ impl ImportPlan<'_> {
     }
 }
 
-/// The take at `path` if it is complete and has the id of this import: the same bytes and settings. It is read whole, so
-/// that a damaged one is not taken for done.
+/// The take at `path` if it is complete and has the id of this import: the same bytes and settings. It is read whole,
+/// so that a damaged one is not taken for done.
 ///
 /// # Errors
-/// If it cannot be read.
+/// If its length cannot be determined. A take that cannot be read counts as none.
 fn existing(path: &Path, header: &Header) -> anyhow::Result<Option<TakeAccount>> {
     let Ok(file) = SparseFile::open(path) else { return Ok(None) };
     let file_bytes = file.len_bytes()?;

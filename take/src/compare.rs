@@ -37,11 +37,12 @@ pub struct Difference {
     pub max_error_mm: f64,
     /// Root mean square distance, in millimetres.
     pub rms_error_mm: f64,
-    /// The frame of the largest distance.
+    /// The frame of the largest distance, from 0 at the first frame that both have.
     pub worst_frame: Option<u64>,
     /// The marker of the largest distance, by column.
     pub worst_marker: Option<usize>,
-    /// The first sample that only one of the two has, or that is not bit-identical: its frame and its marker.
+    /// The first sample that only one of the two has, or that is not bit-identical: its frame, counted likewise, and
+    /// its marker.
     #[serde(skip)]
     pub first_differing: Option<(u64, usize)>,
     /// The largest distance of each marker, in millimetres.

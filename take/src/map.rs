@@ -36,9 +36,9 @@ pub struct TakeMap {
     pub events: Vec<Event>,
     /// The last ledger.
     pub ledger: Option<Ledger>,
-    /// How the take ended, if stated: not by earlier versions, imports, or takes that were cut off.
+    /// How the take ended; `None` in takes of earlier versions, in imports, and in takes that were cut off.
     pub ending: Option<TakeEnding>,
-    /// The statistics that the take states: not takes of earlier versions, and those that were cut off.
+    /// The statistics that the take states; `None` in takes of earlier versions, and in those that were cut off.
     pub statistics: Option<TakeStatistics>,
     /// The last fitted clock line of each segment of the device's clock that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,

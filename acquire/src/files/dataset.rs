@@ -25,7 +25,8 @@ use super::{
 
 /// File that makes a folder a data set.
 const DESCRIPTION: &str = "dataset_description.json";
-/// Longest `dataset_description.json` or `participants.tsv` that is read: 1 MiB, as of 40 000 participants.
+/// Longest `dataset_description.json` or `participants.tsv` that is read: 1 MiB, a table of 40 000
+/// participants.
 const TABLE_BYTES_MAX: usize = 1 << 20;
 
 /// Why a recording cannot be added to a data set.
@@ -161,7 +162,7 @@ impl NewRecording {
         Ok(true)
     }
 
-    /// Adds the recording to an existing data set. Other programs of this kind wait meanwhile.
+    /// Adds the recording to an existing data set. Other exports to it wait meanwhile.
     fn publish_into(&mut self) -> anyhow::Result<()> {
         let _lock = lock(&self.dataset);
         check(&self.dataset)?;

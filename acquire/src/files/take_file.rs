@@ -120,7 +120,7 @@ impl fmt::Debug for dyn TakeOutput {
 /// Time between two checks of the file: short enough to notice changes within a second.
 const POLL_INTERVAL: Duration = Duration::from_millis(400);
 
-/// Number of names to try for the copy of a removed take.
+/// The number at which the search for a free name for the copy of a removed take ends.
 const COPIES_MAX: u32 = 100;
 
 /// The file of a take that is being recorded.

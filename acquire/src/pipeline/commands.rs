@@ -36,13 +36,13 @@ pub struct NewTake {
     pub output: Box<dyn TakeOutput>,
     /// The header; its channel table is set by the pipeline.
     pub header: Header,
-    /// The person who is captured.
+    /// The captured subject.
     pub subject: Option<Arc<Subject>>,
     /// How much from before the request to include, as far as the pre-roll buffer holds it.
     pub pre_roll: Duration,
     /// When the take was requested, by the host's monotonic clock.
     pub requested_ns: u64,
-    /// The first event of the take.
+    /// The notes of the request, which become the first event of the take.
     pub notes: Option<Event>,
     /// Bytes of the disk to leave free.
     pub keep_free_bytes: u64,

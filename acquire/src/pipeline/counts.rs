@@ -53,9 +53,9 @@ pub struct Counts {
     /// For a take that began while the device ran: frames missing before it that no report had mentioned by then, so
     /// that a later report may.
     pub dropped_late_max: u64,
-    /// The device's status is its final one after a stop.
+    /// Whether `status` is the device's final report, after a stop.
     pub ended: bool,
-    /// No more frames will be accepted.
+    /// Whether no more frames will be accepted.
     pub closed: bool,
     /// A number of produced frames that no device can have reached.
     pub impossible_produced: Option<u64>,

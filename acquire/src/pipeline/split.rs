@@ -4,9 +4,9 @@
 //! found the take long enough. It sends a boundary behind the last row of the take, and the next stretch is a key. When
 //! the writer reaches the boundary, it ends the take and begins the next one.
 //!
-//! That costs the disk a new file and a few syncs, and no frame: meanwhile encoded stretches wait as when a disk stalls,
-//! 64 of them (`ENCODED_STRETCHES` in `plan.rs`). Two a second last 32 s. A take adds a boundary and a short stretch, so
-//! with takes of one second they last 16 s.
+//! That costs the disk a new file and a few syncs, and no frame: meanwhile up to 64 encoded stretches wait
+//! (`ENCODED_STRETCHES` in `plan.rs`), as when a disk stalls. At two stretches a second that is 32 s. Each take adds a
+//! boundary and a short stretch, so with takes of one second it is 16 s.
 
 use std::fmt;
 
@@ -46,8 +46,8 @@ pub struct NextTake {
 
 /// Creates the takes of a divided recording, in order.
 pub trait TakeSeries: Send {
-    /// Creates the take that begins at this row of the recording. Runs on the writer's thread: it may wait for the disk,
-    /// but for nothing else.
+    /// Creates the take that begins at this row of the recording. Runs on the writer's thread: it may wait for the
+    /// disk, but for nothing else.
     ///
     /// # Errors
     /// When its file cannot be created. The take before it then goes on, and the next one is tried when that is due.

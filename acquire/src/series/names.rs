@@ -16,9 +16,8 @@ pub struct TakeNames {
 }
 
 impl TakeNames {
-    /// Names made from `base`, such as `run.take`. If it is known how many takes there will be at most, the numbers have
-    /// so many digits that the names sort in the order of the takes, and otherwise three: then those of the first 999
-    /// do.
+    /// Names made from `base`, such as `run.take`. The numbers have at least three digits; if the largest number of
+    /// takes is known, as many as it, so that the names sort in the order of the takes.
     #[must_use]
     pub fn new(base: &Path, n_takes_max: Option<u64>) -> Self {
         let digits = n_takes_max.map_or(0, |n| n.to_string().len());

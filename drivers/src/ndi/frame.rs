@@ -2,7 +2,7 @@
 
 use crate::{bytes::Cursor, device::MarkerSample};
 
-/// Coordinates below this are the vendor's marker for "no number" (-3.697314e28).
+/// Coordinates below this are the vendor's code for a missing number (-3.697314e28).
 const BAD_FLOAT: f32 = -3.0e28;
 
 /// Most stray markers of a frame that get numbers of their own: what `BX` can count.

@@ -52,7 +52,7 @@ pub(crate) struct FileReport {
 /// The figures of a file that the table adds up.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Figures {
-    /// Frames.
+    /// Frames of the motion, lost ones included.
     pub(crate) frames: u64,
     /// Length of the motion, in seconds.
     pub(crate) seconds: f64,
@@ -60,14 +60,14 @@ pub(crate) struct Figures {
     pub(crate) bytes_read: u64,
     /// Size of the output, in bytes; 0 for a command that writes none.
     pub(crate) bytes_written: u64,
-    /// The output existed with the same content.
+    /// Whether the output existed already, with the same content.
     pub(crate) is_unchanged: bool,
 }
 
 /// How to run a command over its files.
 #[derive(Debug)]
 pub(crate) struct Batch<'a> {
-    /// The files.
+    /// The files to process.
     pub(crate) inputs: &'a Inputs,
     /// The output of each file; empty for a command that writes none.
     pub(crate) outputs: &'a [PathBuf],
@@ -114,9 +114,9 @@ pub(crate) struct Job<'a> {
     pub(crate) output: Option<&'a Path>,
     /// Threads to use.
     pub(crate) threads: usize,
-    /// The only file.
+    /// Whether it is the only file, of which the whole report is printed.
     pub(crate) is_single: bool,
-    /// The report is JSON.
+    /// Whether the report is JSON.
     pub(crate) is_json: bool,
     messages: RefCell<Vec<String>>,
     progress: Arc<FileProgress>,

@@ -79,7 +79,7 @@ impl Destination {
                 )),
                 Self::Beside => with_ending(&input.path, extension),
             };
-            // A single output is not written where anything exists.
+            // An output that has a name of its own must not exist, so it is not the input.
             let is_named = matches!(self, Self::File(_) | Self::Stdout);
             if !is_named && paths::are_one(&output, &input.path) {
                 bail!(UsageError(format!(

@@ -8,8 +8,8 @@ use mocapd_service::units;
 
 use crate::cli::paths;
 
-/// The shortest take: two stretches of the default length. Header, key stretch and end are the same in every take, so
-/// shorter ones consist mostly of these.
+/// The shortest take: two stretches of the default length. Shorter ones would consist mostly of the header, the key
+/// stretch and the end that every take has.
 const TIME_MIN: Duration = Duration::from_secs(1);
 
 /// The smallest take, for the same reason: a device of many markers fills it in about a second.

@@ -25,7 +25,7 @@ use crate::cli::{
     values::{bytes, thousands},
 };
 
-/// When a recording ends by itself, and who is captured.
+/// When a recording ends by itself, and its subject.
 #[derive(Debug)]
 pub(crate) struct Limits {
     /// End after this time.

@@ -193,9 +193,10 @@ impl<'a, W: Write> Cutter<'a, W> {
             return Ok(());
         }
         let is_whole = stretch.span.first_row >= self.rows.start && end_row <= self.rows.end;
-        // A stretch without rows is whole wherever it is, but may lie at the very start.
         let can_copy = is_whole && (stretch.span.key || self.in_step);
         let is_outside = end_row.min(self.rows.end) <= from_row.max(self.rows.start);
+        // A stretch that accounts for no row overlaps nothing. Behind the start it is copied, so that the next one can
+        // continue it.
         if is_outside && !(can_copy && from_row > self.rows.start) {
             self.in_step = false;
             return Ok(());

@@ -21,8 +21,8 @@ const CLOCKS_APART_S_MAX: f64 = 1.0;
 pub enum Seam {
     /// Nothing: the second continues the first.
     Continuous,
-    /// So many frames of one recording, which neither has: by the clocks of both, or by their places in a divided
-    /// recording.
+    /// Both are of one recording, and this many frames between them are in neither: by the clocks of both, or by their
+    /// places in a divided recording.
     Missing(u64),
     /// Unknown: the two are not known to be of one recording.
     Unknown,

@@ -167,8 +167,8 @@ pub fn participant_row(table: &str, subject: &str) -> Result<Option<String>> {
     Ok(Some(format!("{before}{}{end}", cells.join("\t"))))
 }
 
-/// Writes a recording, and the files of a new dataset around it. Positions are in millimetres, a missing sample is three `n/a`, and the onsets of events are in
-/// seconds from the first frame.
+/// Writes a recording, and the files of a new dataset around it. Positions are in millimetres, a missing sample is three
+/// `n/a`, and the onsets of events are in seconds from the first frame.
 ///
 /// # Errors
 /// `Unsupported` for a take without markers; `Io` if reading or writing fails.

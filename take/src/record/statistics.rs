@@ -19,11 +19,12 @@ const NAME: &str = "statistics";
 /// The only version of the section.
 const VERSION: u16 = 1;
 
-/// Largest number of rows: 55 years at 10 kHz. Twelve bytes for each sample of all channels still
-/// have a number of 64 bits.
+/// Largest number of rows: 55 years at 10 kHz. Even with all channels, 12 bytes for each sample are a number of bytes
+/// that fits into 64 bits.
 const FIGURE_MAX: u64 = 1 << 44;
 
-/// The odds of every model, in 1/256: a take without gaps has the same numbers of samples in most channels.
+/// The initial probability, in 1/256, that a figure differs from that of the channel before: in a take without gaps
+/// most channels have the same number of samples.
 const ODDS: u8 = 32;
 
 /// The content of the section.

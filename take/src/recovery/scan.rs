@@ -61,7 +61,8 @@ pub struct RecoveryScan {
 }
 
 impl RecoveryScan {
-    /// Reads and decodes everything that is valid. It holds one chunk at a time, and about forty bytes for each chunk.
+    /// Reads and decodes everything that is valid. It holds one chunk at a time, and up to 64 bytes for each chunk that
+    /// is kept.
     ///
     /// # Errors
     /// `NotATake` without a header, `Unsupported`, `Io`. Damage is not an error.

@@ -15,7 +15,7 @@ const DISTINCT_MIN: f64 = 0.22;
 /// more, some that crouch 0.5, a lion and a horse less than 0.25.
 pub(crate) const MARGIN_MIN: f64 = 0.4;
 
-/// The misfit of five points with such geodesic distances to a body.
+/// How badly five points with these geodesic distances between them fit a body.
 pub(crate) type Cost = fn([[f64; 5]; 5]) -> Misfit;
 
 /// An assignment of candidates to head, hands and feet.
@@ -185,7 +185,7 @@ pub(crate) fn measures(distances: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
     ]
 }
 
-/// The misfit of five points with such geodesic distances to a body.
+/// The misfit to a whole body whose limbs touch nothing.
 pub(crate) fn misfit(distances: [[f64; 5]; 5]) -> Misfit {
     let measures = measures(distances);
     let squares = measures.iter().zip(&PRIORS).map(|(measure, prior)| {
