@@ -137,7 +137,11 @@ fn total(takes: &[SeriesTake], recording: ReaderOutcome, rate_hz: f64, markers: 
         written.samples += part.samples;
         written.kept += part.kept;
         written.max_error_mm = written.max_error_mm.max(part.max_error_mm);
-        (written.clock, written.disk) = (part.clock, part.disk);
+        // The last take may be too short to fit a line.
+        if part.clock.line.is_some() || written.clock.line.is_none() {
+            written.clock = part.clock;
+        }
+        written.disk = part.disk;
         written.ending.clone_from(&part.ending);
         // The line of a segment that goes on is better known in the next take.
         clock_lines.extend(part.clock_lines.iter().copied());
@@ -157,7 +161,7 @@ fn add_ledger(sum: &mut Ledger, part: &Ledger, take: &SeriesTake) {
     sum.add_counters(part);
     let named = |text: &String| format!("{}: {text}", take.path.display());
     sum.contradictions.extend(part.contradictions.iter().map(named));
-    sum.clock = part.clock;
+    sum.clock = part.clock.or(sum.clock);
 }
 
 /// Creates the takes of a series. Belongs to the writer.

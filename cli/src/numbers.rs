@@ -31,8 +31,9 @@ pub fn count_of(n: u64, [one, several]: [&str; 2]) -> String {
 pub fn bytes(n: u64) -> String {
     match n {
         0..10_000 => format!("{} B", thousands(n)),
-        10_000..1_000_000 => format!("{:.1} kB", n as f64 / 1e3),
-        1_000_000..1_000_000_000 => format!("{:.1} MB", n as f64 / 1e6),
+        // What would round to 1000.0 has the next unit.
+        10_000..999_950 => format!("{:.1} kB", n as f64 / 1e3),
+        999_950..999_950_000 => format!("{:.1} MB", n as f64 / 1e6),
         _ => format!("{:.2} GB", n as f64 / 1e9),
     }
 }

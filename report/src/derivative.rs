@@ -4,7 +4,7 @@
 //! Filter and differences are linear, so the difference of take and original is filtered and differentiated: the
 //! derivative of the difference is the error of the derivative.
 
-use mocapd_take::motion::Motion;
+use mocapd_take::{compare::Skipped, motion::Motion};
 
 use crate::{
     ReportError,
@@ -96,10 +96,16 @@ pub fn by_marker(
 ) -> Result<Vec<DerivativeError>, ReportError> {
     let rate_hz = original.info.rate_hz;
     let filter = Butterworth::new(cutoff_hz, rate_hz)?;
+    let skipped = Skipped::of(&take.info, &original.info);
     let n_markers = original.info.markers.len().min(take.info.markers.len());
     let of_marker = |marker| {
         let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
-        errors(&ours, &theirs, &filter, rate_hz)
+        // As many as there are, where the number does not fit.
+        let from = |column: Column, skipped: u64| {
+            let n_skipped = usize::try_from(skipped).unwrap_or(usize::MAX).min(column.0.len());
+            Column(column.0[n_skipped..].to_vec())
+        };
+        errors(&from(ours, skipped.take), &from(theirs, skipped.original), &filter, rate_hz)
     };
     Ok((0..n_markers).map(of_marker).collect())
 }

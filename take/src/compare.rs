@@ -19,6 +19,9 @@ pub struct Difference {
     pub frames: u64,
     /// Frames that only one of the two has.
     pub frames_missing: u64,
+    /// Those of them that the original has after the take's last frame.
+    #[serde(skip)]
+    pub frames_after_take: u64,
     /// Frames of the original that the take lost to damage or truncation; these are not compared.
     pub frames_lost: u64,
     /// Markers whose label or column differs, or that only one of the two has.
@@ -37,7 +40,7 @@ pub struct Difference {
     pub max_error_mm: f64,
     /// Root mean square distance, in millimetres.
     pub rms_error_mm: f64,
-    /// The frame of the largest distance, from 0 at the first frame that both have.
+    /// The frame of the largest distance, from 0 at the take's first frame.
     pub worst_frame: Option<u64>,
     /// The marker of the largest distance, by column.
     pub worst_marker: Option<usize>,
@@ -121,7 +124,7 @@ pub fn compare(
     }
     let mut row = vec![GAP; ours.markers.len()];
     let mut original_row = vec![GAP; theirs.markers.len()];
-    skip_to_common(&mut take, &mut original, &mut difference)?;
+    let skipped = skip_to_common(&mut take, &mut original, &mut difference)?;
     let (mut sum_of_squares, mut beyond_stated) = (0.0, 0);
     while take.next_frame(&mut row)? && original.next_frame(&mut original_row)? {
         if take.is_lost() {
@@ -135,7 +138,9 @@ pub fn compare(
             let (is_sample, is_other) = (!is_gap(a), !is_gap(b));
             let is_identical = a.map(f32::to_bits) == b.map(f32::to_bits);
             if is_sample != is_other || is_sample && !is_identical {
-                difference.first_differing.get_or_insert((difference.frames, marker));
+                difference
+                    .first_differing
+                    .get_or_insert((skipped.take + difference.frames, marker));
             }
             match (is_sample, is_other) {
                 (false, false) => {}
@@ -150,7 +155,7 @@ pub fn compare(
                     *worst = worst.max(error_mm);
                     if error_mm > difference.max_error_mm {
                         difference.max_error_mm = error_mm;
-                        difference.worst_frame = Some(difference.frames);
+                        difference.worst_frame = Some(skipped.take + difference.frames);
                         difference.worst_marker = Some(marker);
                     }
                 }
@@ -163,6 +168,8 @@ pub fn compare(
         let (take, original) = (FrameNumbers::of(&ours), FrameNumbers::of(&theirs));
         return Err(CompareError::NoFrameInCommon { take, original });
     }
+    difference.frames_after_take =
+        theirs.n_frames.saturating_sub(skipped.original + difference.frames);
     let only_one = |n: u64| n.saturating_sub(difference.frames);
     difference.frames_missing = only_one(ours.n_frames) + only_one(theirs.n_frames);
     difference.frames -= difference.frames_lost;
@@ -171,30 +178,54 @@ pub fn compare(
     Ok(difference)
 }
 
-/// Skips the frames before the first frame number that both have, unless the two are compared from their first frames.
+/// How many frames of each motion come before the first frame that is compared: those before the first frame number that
+/// both have, unless the two are compared from their first frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Skipped {
+    /// Frames of the take.
+    pub take: u64,
+    /// Frames of the original.
+    pub original: u64,
+}
+
+impl Skipped {
+    /// Of a take and its original.
+    #[must_use]
+    pub fn of(take: &MotionInfo, original: &MotionInfo) -> Self {
+        let [ours, theirs] = [take, original].map(FrameNumbers::of);
+        // An excerpt keeps the frame numbers of its file; a recording of the whole begins with 1.
+        if ours.n == theirs.n || ours.first == theirs.first {
+            return Self { take: 0, original: 0 };
+        }
+        Self {
+            take: theirs.first.saturating_sub(ours.first).min(ours.n),
+            original: ours.first.saturating_sub(theirs.first).min(theirs.n),
+        }
+    }
+}
+
 fn skip_to_common(
     take: &mut impl FrameSource,
     original: &mut impl FrameSource,
     difference: &mut Difference,
-) -> io::Result<()> {
-    let [ours, theirs] = [FrameNumbers::of(take.info()), FrameNumbers::of(original.info())];
-    // An excerpt keeps the frame numbers of its file; a recording of the whole begins with 1.
-    if ours.n == theirs.n || ours.first == theirs.first {
-        return Ok(());
+) -> io::Result<Skipped> {
+    let skipped = Skipped::of(take.info(), original.info());
+    if skipped != (Skipped { take: 0, original: 0 }) {
+        difference.notes.push(format!(
+            "the first frames differ, {} and {}: compared by frame number",
+            take.info().source.first_frame,
+            original.info().source.first_frame
+        ));
     }
-    difference.notes.push(format!(
-        "the first frames differ, {} and {}: compared by frame number",
-        ours.first, theirs.first
-    ));
     let mut row = vec![GAP; take.info().markers.len()];
-    for _ in ours.first..theirs.first.min(ours.first.saturating_add(ours.n)) {
+    for _ in 0..skipped.take {
         take.next_frame(&mut row)?;
     }
     let mut row = vec![GAP; original.info().markers.len()];
-    for _ in theirs.first..ours.first.min(theirs.first.saturating_add(theirs.n)) {
+    for _ in 0..skipped.original {
         original.next_frame(&mut row)?;
     }
-    Ok(())
+    Ok(skipped)
 }
 
 fn distance_mm(a: Position, b: Position) -> f64 {

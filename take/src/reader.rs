@@ -129,6 +129,8 @@ pub struct TakeReader {
     had_damage: bool,
     /// Neither times nor foreign parts are decoded.
     skips_content: bool,
+    /// What [`feed`] reads into.
+    piece: Vec<u8>,
 }
 
 impl TakeReader {
@@ -415,9 +417,11 @@ pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     if let Some(offset) = reader.seek_request() {
         input.seek(SeekFrom::Start(offset))?;
     }
-    let mut buffer = [0; READ_BYTES];
+    // Kept by the reader, because zeros in a new one cost as much as the checksums of what is read.
+    let mut piece = std::mem::take(&mut reader.piece);
+    piece.resize(READ_BYTES, 0);
     let n = loop {
-        match input.read(&mut buffer) {
+        match input.read(&mut piece) {
             Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
             other => break other?,
         }
@@ -425,8 +429,9 @@ pub fn feed(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(
     if n == 0 {
         reader.finish();
     } else {
-        reader.push(&buffer[..n]);
+        reader.push(&piece[..n]);
     }
+    reader.piece = piece;
     Ok(())
 }
 

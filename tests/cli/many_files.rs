@@ -68,6 +68,20 @@ fn a_folder_is_imported_but_for_the_files_that_fail_and_the_next_run_does_the_re
     assert!(first == folder.read("out/0.take"), "and none is overwritten");
 }
 
+/// The take itself is no original, and the case of an extension does not matter.
+#[test]
+fn an_original_beside_the_take_is_found() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(5, 120.0, 1.0));
+    folder.run(&["import", "jump.csv"]).with_code(0);
+    fs::rename(folder.path("jump.csv"), folder.path("jump.CSV")).unwrap();
+    let verify = ["verify", "jump.take", "--against", ".", "--json"];
+    let report = folder.run(&verify).with_code(0).json();
+    assert_eq!(report["against"]["within_tolerance"], true);
+    fs::remove_file(folder.path("jump.CSV")).unwrap();
+    assert_mentions(&folder.run(&verify).with_code(1).stderr, &["no original"]);
+}
+
 #[test]
 fn outputs_of_one_name_are_refused_before_any_work() {
     let (folder, motion) = files(2);

@@ -190,7 +190,7 @@ impl Drop for Staging {
     fn drop(&mut self) {
         match self.hidden.take() {
             Some(hidden) => drop(hidden),
-            None => drop(fs::remove_dir_all(&self.root)),
+            None => remove(&self.root),
         }
         self.lock = None;
     }
@@ -232,7 +232,7 @@ pub(super) fn remove_leftovers(folder: &Path, prefix: &OsStr, dataset: &Path) {
                 if is_part {
                     undo(&root, dataset);
                 }
-                fs::remove_dir_all(&root).ok();
+                remove(&root);
             }
             // The program still runs, or there are no locks.
             Ok(Err(_)) => {}
@@ -248,6 +248,17 @@ pub(super) fn discard(root: &Path, dataset: &Path) {
     let discarded = root.with_extension(DISCARDED);
     let root = if fs::rename(root, &discarded).is_ok() { &discarded } else { root };
     undo(root, dataset);
+    remove(root);
+}
+
+/// Removes a staging folder, its lock last: as long as there is one, the next program goes on where a killed one stopped.
+fn remove(root: &Path) {
+    for entry in fs::read_dir(root).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if entry.file_name() != LOCK {
+            fs::remove_dir_all(&path).or_else(|_| fs::remove_file(&path)).ok();
+        }
+    }
     fs::remove_dir_all(root).ok();
 }
 

@@ -103,6 +103,21 @@ pub(crate) struct Inputs {
     pub(crate) unreadable: Vec<String>,
 }
 
+/// Finds the files that `arguments` name, for a command that does not read standard input.
+///
+/// # Errors
+/// A usage error for `-`, or a folder without such files.
+pub(crate) fn find_named(
+    arguments: &[PathBuf],
+    recursive: bool,
+    kinds: FileKinds,
+) -> anyhow::Result<Inputs> {
+    if arguments.iter().any(|argument| paths::is_dash(argument)) {
+        bail!(UsageError("this command does not read standard input: give files".to_owned()));
+    }
+    find(arguments, &InputArgs { recursive, max_input: 0 }, kinds, None)
+}
+
 /// Finds the files that `arguments` name. `format` is that of standard input.
 ///
 /// # Errors
@@ -125,8 +140,9 @@ pub(crate) fn find(
             );
             inputs.files.push(spool(format, kinds, args.max_input)?);
         } else if argument.is_dir() {
+            let n_unreadable = inputs.unreadable.len();
             let found = inputs.add_folder(argument, args.recursive, kinds, &mut seen);
-            if found == 0 && inputs.unreadable.is_empty() {
+            if found == 0 && inputs.unreadable.len() == n_unreadable {
                 let hint =
                     if args.recursive { "" } else { "; --recursive includes its subfolders" };
                 bail!(UsageError(format!(

@@ -268,6 +268,17 @@ struct FailureReport<'a> {
     error: &'a str,
 }
 
+/// Whether a message names a file, not only as a part of another word.
+fn names(message: &str, file: &str) -> bool {
+    let is_of_path = |c: char| c.is_alphanumeric() || "/._-".contains(c);
+    message.match_indices(file).any(|(at, _)| {
+        let (before, after) = (&message[..at], &message[at + file.len()..]);
+        // A full stop ends a sentence, or begins an extension.
+        let after = after.strip_prefix('.').unwrap_or(after);
+        !before.ends_with(is_of_path) && !after.starts_with(is_of_path)
+    })
+}
+
 /// Prints what became of one of many files, and adds it to the table.
 fn print_result(
     batch: &Batch<'_>,
@@ -280,7 +291,7 @@ fn print_result(
         Err(error) => {
             let name = name.to_string_lossy();
             let mut reason = mocapd_cli::failure_message(&error);
-            if !reason.contains(name.as_ref()) {
+            if !names(&reason, &name) {
                 reason = format!("{name}: {reason}");
             }
             table.add_failure();

@@ -22,7 +22,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use crate::cli::{
-    batch::{self, FileKinds, Input, InputArgs},
+    batch::{self, FileKinds, Input},
     motion_files::read_samples,
     original::header_of,
     output::{notify, plain, print, print_json},
@@ -37,8 +37,9 @@ pub(crate) struct Args {
     /// .c3d, .trc, .tsv (QTM) or .csv files, takes, or folders with such files; only their marker trajectories are coded
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    #[command(flatten)]
-    input: InputArgs,
+    /// With folders, also read the files in their subfolders
+    #[arg(short, long)]
+    recursive: bool,
     /// A resampler; can be repeated [default: dense, fast, lossless, spline, sync]
     #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
     resamplers: Vec<ResamplerKind>,
@@ -56,7 +57,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut report = CodecBenchReport::default();
     let settings = all_settings(args)?;
-    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, None)?;
+    let inputs = batch::inputs::find_named(&args.files, args.recursive, FileKinds::Both)?;
     for Input { path: file, .. } in inputs.all()? {
         let mut motion = read_samples(file)?.0;
         motion.info.foreign.clear();

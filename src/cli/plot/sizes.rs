@@ -15,7 +15,7 @@ use mocapd_report::plot::{SizeLine, SizePanel, sizes};
 use mocapd_take::motion::{Motion, is_gap};
 
 use crate::cli::{
-    batch::{self, FileKinds, InputArgs},
+    batch::{self, FileKinds},
     motion_files::{file_name, read_samples},
     original::header_of,
     output::Progress,
@@ -37,8 +37,9 @@ pub(crate) struct Args {
     /// Takes, or .c3d, .trc, .tsv or .csv files, or folders with such files; each is a panel
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    #[command(flatten)]
-    input: InputArgs,
+    /// With folders, also read the files in their subfolders
+    #[arg(short, long)]
+    recursive: bool,
     /// The plot to write, .svg or .png; it must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -49,7 +50,7 @@ pub(crate) struct Args {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     plot::check_output(&args.output)?;
-    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, None)?;
+    let inputs = batch::inputs::find_named(&args.files, args.recursive, FileKinds::Both)?;
     let mut tolerances_mm: Vec<f64> = args.tolerances.iter().map(|t| t.mm()).collect();
     if tolerances_mm.is_empty() {
         tolerances_mm.extend(TOLERANCES_MM);

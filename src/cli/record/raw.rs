@@ -19,7 +19,7 @@ pub(crate) struct RawLogReport {
     log: PathBuf,
     file_bytes: u64,
     line_bytes: u64,
-    missing_bytes: u64,
+    missing_bytes: Option<u64>,
     error: Option<String>,
 }
 
@@ -30,6 +30,7 @@ impl RawLogReport {
         let found = path.metadata().map_or(file_bytes, |found| found.len());
         let file_bytes = if error.is_some() { found } else { file_bytes };
         let error = error.as_ref().map(ToString::to_string);
+        let missing_bytes = Some(missing_bytes);
         Self { log: path.to_owned(), file_bytes, line_bytes, missing_bytes, error }
     }
 
@@ -37,12 +38,12 @@ impl RawLogReport {
     fn of_failed(path: &Path, error: &anyhow::Error) -> Self {
         let file_bytes = path.metadata().map_or(0, |found| found.len());
         let error = Some(format!("{error:#}"));
-        Self { log: path.to_owned(), file_bytes, line_bytes: 0, missing_bytes: 0, error }
+        Self { log: path.to_owned(), file_bytes, line_bytes: 0, missing_bytes: None, error }
     }
 
     /// Whether bytes of the line are missing.
     pub(crate) fn lost(&self) -> bool {
-        self.missing_bytes > 0 || self.error.is_some()
+        self.missing_bytes.is_none_or(|n| n > 0) || self.error.is_some()
     }
 
     /// One line with the log's size.
@@ -54,13 +55,14 @@ impl RawLogReport {
 
     /// The missing bytes, in one line; `None` if the log is complete.
     pub(crate) fn losses(&self) -> Option<String> {
-        let missing = bytes(self.missing_bytes);
+        let missing =
+            self.missing_bytes.map_or_else(|| "an unknown number of bytes".to_owned(), bytes);
         match &self.error {
             Some(error) => Some(format!(
                 "the raw log {} ends early, {missing} of line data are missing: {error}; the rest can be replayed",
                 self.log.display()
             )),
-            None if self.missing_bytes > 0 => {
+            None if self.lost() => {
                 Some(format!("{missing} of line data are missing from the raw log: disk too slow"))
             }
             None => None,

@@ -152,6 +152,11 @@ fn analyse(
     Ok((repaired, scan, analysis))
 }
 
+/// An uncertainty in a table; `-` if it is unknown.
+fn uncertainty(mm: Option<f64>) -> String {
+    mm.map_or_else(|| "-".to_owned(), |mm| format!("{mm:.1}"))
+}
+
 /// The tables of bones and joints.
 fn table(skeleton: &Skeleton) -> String {
     let mut out = String::new();
@@ -163,8 +168,8 @@ fn table(skeleton: &Skeleton) -> String {
     let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be swapped)" };
     out += &format!("\nbone                 length mm   +- mm{sides}\n");
     for bone in &skeleton.bones {
-        let sigma_mm = bone.uncertainty_mm.unwrap_or_default();
-        out += &format!("{:<20} {:>9.1} {sigma_mm:>7.1}", bone.name, bone.length_mm);
+        let sigma = uncertainty(bone.uncertainty_mm);
+        out += &format!("{:<20} {:>9.1} {sigma:>7}", bone.name, bone.length_mm);
         if let Some(spread_mm) = bone.spread_mm {
             out += &format!("   spread {spread_mm:.1} mm over {} scans", bone.scans);
         }
@@ -173,8 +178,8 @@ fn table(skeleton: &Skeleton) -> String {
     out += "\njoint                   x mm      y mm      z mm   +- mm\n";
     for joint in &skeleton.joints {
         let [x, y, z] = joint.position_mm.unwrap_or_default();
-        let (name, sigma_mm) = (&joint.name, joint.uncertainty_mm.unwrap_or_default());
-        out += &format!("{name:<18} {x:>9.1} {y:>9.1} {z:>9.1} {sigma_mm:>7.1}\n");
+        let (name, sigma) = (&joint.name, uncertainty(joint.uncertainty_mm));
+        out += &format!("{name:<18} {x:>9.1} {y:>9.1} {z:>9.1} {sigma:>7}\n");
     }
     out
 }

@@ -78,7 +78,8 @@ pub(crate) fn against(
     })?;
     if cut_off {
         // The frames behind the cut are lost; that is not a difference.
-        difference.frames_lost += std::mem::take(&mut difference.frames_missing);
+        difference.frames_lost += difference.frames_after_take;
+        difference.frames_missing -= difference.frames_after_take;
     }
     if !exact {
         // The original has an error of its own, which the take's blocks do not state.

@@ -33,7 +33,7 @@ struct BoneReport {
     markers: [String; 2],
     frames: u64,
     scan_mm: f64,
-    uncertainty_mm: f64,
+    uncertainty_mm: Option<f64>,
     median_mm: f64,
     ratio: f64,
     off: bool,
@@ -114,7 +114,7 @@ impl LimbsReport {
             markers: limb.ends.map(label),
             frames: of.frames,
             scan_mm: limb.bone.length_mm,
-            uncertainty_mm: limb.bone.uncertainty_mm.unwrap_or_default(),
+            uncertainty_mm: limb.bone.uncertainty_mm,
             median_mm: of.median_mm,
             ratio: of.median_mm / limb.bone.length_mm,
             off: of.frames > 0 && limb.is_off(of.median_mm),
@@ -179,7 +179,9 @@ impl LimbsReport {
             "bone", "frames", "median", "scan", "ratio", "spread", "plausible", "outside"
         );
         for bone in &self.bones {
-            let scan = format!("{:.0} +- {:.0}", bone.scan_mm, bone.uncertainty_mm);
+            let uncertainty =
+                bone.uncertainty_mm.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
+            let scan = format!("{:.0}{uncertainty}", bone.scan_mm);
             let band = format!("{:.0} to {:.0}", bone.band_mm[0], bone.band_mm[1]);
             let note = if bone.off { "  DIFFERS from the scan" } else { "" };
             out += &format!(

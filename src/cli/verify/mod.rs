@@ -19,7 +19,7 @@ use mocapd_acquire::{
     verdict::{Finding, Verdict},
 };
 use mocapd_service::units;
-use mocapd_take::record::Ledger;
+use mocapd_take::{interchange::Format, record::Ledger};
 use serde::Serialize;
 
 pub(super) use self::against::{AgainstReport, against};
@@ -169,15 +169,25 @@ fn original_of(against: &Path, job: &Job<'_>) -> anyhow::Result<PathBuf> {
     if !against.is_dir() {
         return Ok(against.to_owned());
     }
-    let stem = against.join(&job.input.relative);
-    let candidates = ["c3d", "trc", "tsv", "csv", "take"].map(|ending| stem.with_extension(ending));
-    let found: Vec<PathBuf> = candidates.into_iter().filter(|path| path.is_file()).collect();
+    let stem = against.join(&job.input.relative).with_extension("");
+    let folder = stem.parent().unwrap_or(against);
+    let take = job.input.path.canonicalize().ok();
+    let is_original = |path: &PathBuf| {
+        let is_motion = Format::from_extension(path).is_some_and(Format::is_read);
+        path.file_stem() == stem.file_name()
+            && (is_motion || paths::is_take(path))
+            && path.is_file()
+            && path.canonicalize().ok() != take
+    };
+    let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut found: Vec<PathBuf> = entries.filter(is_original).collect();
+    found.sort();
     match <[PathBuf; 1]>::try_from(found) {
         Ok([original]) => Ok(original),
         Err(found) if found.is_empty() => bail!(
             "{} has no original: expected {} with .c3d, .trc, .tsv, .csv or .take",
             job.input.name.display(),
-            stem.with_extension("").display()
+            stem.display()
         ),
         Err(found) => {
             let found: Vec<String> = found.iter().map(|path| path.display().to_string()).collect();

@@ -1,6 +1,7 @@
 //! Joins takes one after another.
 
 use std::{
+    collections::HashSet,
     io::{self, Read, Seek, Write},
     iter,
 };
@@ -120,7 +121,8 @@ pub fn concat<R: Read + Seek, W: Write>(
     let header = header_of_joined(sources, context)?;
     let mut take = TakeWriter::new(out, &header)?;
     let mut left_out: Vec<String> = sources.iter().flat_map(SourceTake::left_out).collect();
-    left_out.dedup();
+    let mut listed = HashSet::new();
+    left_out.retain(|what| listed.insert(what.clone()));
     first.map().subject.iter().try_for_each(|subject| take.subject(subject))?;
     if sources.iter().any(|source| source.map().subject != first.map().subject) {
         left_out.push("the subjects of other takes, which are not that of the first".to_owned());
