@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::config`.
+//! Fuzz target of `mocapd_fuzz_targets::config`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::config(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::config(bytes));

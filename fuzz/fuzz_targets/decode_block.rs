@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::decode_block`.
+//! Fuzz target of `mocapd_fuzz_targets::decode_block`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::decode_block(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::decode_block(bytes));

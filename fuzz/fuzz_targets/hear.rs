@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::hear`.
+//! Fuzz target of `mocapd_fuzz_targets::hear`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::hear(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::hear(bytes));

@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::range_coder`.
+//! Fuzz target of `mocapd_fuzz_targets::range_coder`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::range_coder(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::range_coder(bytes));

@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::read_face_model`.
+//! Fuzz target of `mocapd_fuzz_targets::read_face_model`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::read_face_model(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::read_face_model(bytes));

@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::read_file`.
+//! Fuzz target of `mocapd_fuzz_targets::read_file`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::read_file(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::read_file(bytes));

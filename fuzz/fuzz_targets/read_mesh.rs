@@ -1,4 +1,4 @@
-//! Fuzz target of `mocapd_fuzz::read_mesh`.
+//! Fuzz target of `mocapd_fuzz_targets::read_mesh`.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz::read_mesh(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| mocapd_fuzz_targets::read_mesh(bytes));

@@ -36,7 +36,7 @@ fn hidden() -> MutexGuard<'static, BTreeMap<PathBuf, Kind>> {
 /// A hidden file or staging folder, which is removed when this is dropped. Once a file has its final name, nothing is at
 /// the hidden path, or a second link to the kept file.
 #[derive(Debug)]
-pub(super) struct HiddenPath(PathBuf, Kind);
+pub(super) struct HiddenPath(PathBuf, Option<Kind>);
 
 impl HiddenPath {
     pub(super) fn file(path: PathBuf) -> Self {
@@ -49,7 +49,7 @@ impl HiddenPath {
 
     fn new(path: PathBuf, kind: Kind) -> Self {
         hidden().insert(path.clone(), kind.clone());
-        Self(path, kind)
+        Self(path, Some(kind))
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -57,16 +57,18 @@ impl HiddenPath {
     }
 
     /// Gives the path up without removing it. Waits for ever if the program is being interrupted.
-    pub(super) fn release(self) {
+    pub(super) fn release(mut self) {
         hidden().remove(&self.0);
-        std::mem::forget(self);
+        self.1 = None;
     }
 }
 
 impl Drop for HiddenPath {
     fn drop(&mut self) {
-        self.1.remove(&self.0);
-        hidden().remove(&self.0);
+        if let Some(kind) = &self.1 {
+            kind.remove(&self.0);
+            hidden().remove(&self.0);
+        }
     }
 }
 

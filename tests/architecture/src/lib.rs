@@ -12,7 +12,6 @@ mod limits;
 #[cfg(test)]
 mod names;
 #[cfg(test)]
-mod profiles;
 #[cfg(test)]
 mod sources;
 

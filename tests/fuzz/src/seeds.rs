@@ -1,13 +1,7 @@
-//! Generates the seed corpora of the fuzz targets: `cargo run --example seeds`, in `fuzz/`.
-//!
-//! Also runs every seed once, which reveals a target that fails on its own seeds without a fuzzer.
+//! Seeds of the fuzz targets: valid inputs, and valid ones that were modified.
 
-#[path = "seeds/faces.rs"]
 mod faces;
-#[path = "seeds/meshes.rs"]
 mod meshes;
-
-use std::{fs, io, path::Path};
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_drivers::{
@@ -28,33 +22,51 @@ use mocapd_take::{
 /// Modes of a channel in `motion.rs`, with a scale: rest, random walk, smooth, given steps, jumps, any bits.
 const MODES: [u8; 8] = [0x00, 0x72, 0x52, 0x63, 0x54, 0x66, 0x6a, 0x07];
 
-fn main() -> io::Result<()> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
-    for (target, run, seeds) in [
-        ("round_trip", mocapd_fuzz::round_trip as fn(&[u8]), round_trips()),
-        ("decode_block", mocapd_fuzz::decode_block, blocks()),
-        ("range_coder", mocapd_fuzz::range_coder, programs()),
-        ("read_take", mocapd_fuzz::read_take, takes()),
-        ("recover_take", mocapd_fuzz::recover_take, damaged_takes()),
-        ("read_file", mocapd_fuzz::read_file, files()),
-        ("hear", mocapd_fuzz::hear, wires()),
-        ("config", mocapd_fuzz::config, configs()),
-        ("read_mesh", mocapd_fuzz::read_mesh, meshes::files()),
-        ("read_skeleton", mocapd_fuzz::read_skeleton, meshes::skeletons()),
-        ("read_photo", mocapd_fuzz::read_photo, faces::photos()),
-        ("read_face", mocapd_fuzz::read_face, faces::faces()),
-        ("read_mapping", mocapd_fuzz::read_mapping, faces::mappings()),
-        ("read_face_model", mocapd_fuzz::read_face_model, faces::models()),
-    ] {
-        let folder = folder.join(target);
-        fs::create_dir_all(&folder)?;
-        for (i, seed) in seeds.iter().enumerate() {
-            fs::write(folder.join(format!("seed-{i:03}")), seed)?;
-            run(seed);
+/// A fuzz target and its seeds.
+#[derive(Debug)]
+pub struct Target {
+    /// Its name, which is that of its folder of seeds.
+    pub name: &'static str,
+    /// Runs it on an input.
+    pub run: fn(&[u8]),
+    /// The seeds.
+    pub seeds: Vec<Vec<u8>>,
+}
+
+/// All targets.
+#[must_use]
+pub fn targets() -> Vec<Target> {
+    let target = |name, run, seeds| Target { name, run, seeds };
+    vec![
+        target("round_trip", crate::round_trip, round_trips()),
+        target("decode_block", crate::decode_block, blocks()),
+        target("range_coder", crate::range_coder, programs()),
+        target("read_take", crate::read_take, takes()),
+        target("recover_take", crate::recover_take, damaged_takes()),
+        target("read_file", crate::read_file, files()),
+        target("hear", crate::hear, wires()),
+        target("config", crate::config, configs()),
+        target("read_mesh", crate::read_mesh, meshes::files()),
+        target("read_skeleton", crate::read_skeleton, meshes::skeletons()),
+        target("read_photo", crate::read_photo, faces::photos()),
+        target("read_face", crate::read_face, faces::faces()),
+        target("read_mapping", crate::read_mapping, faces::mappings()),
+        target("read_face_model", crate::read_face_model, faces::models()),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A target that fails on its own seeds would tell nothing of other inputs.
+    #[test]
+    fn every_target_passes_on_its_seeds() {
+        for Target { name, run, seeds } in targets() {
+            assert!(!seeds.is_empty(), "{name}");
+            seeds.iter().for_each(|seed| run(seed));
         }
-        println!("{}: {} seeds", folder.display(), seeds.len());
     }
-    Ok(())
 }
 
 /// Pseudo-random bytes, always the same.
@@ -131,7 +143,7 @@ fn swing(channel: usize, n_rows: usize) -> Vec<[f32; 3]> {
 
 /// A key block of two channels over twelve rows.
 fn block(kind: u8, tolerance: u8, i: usize) -> Vec<u8> {
-    let settings = mocapd_fuzz::Input::new(&[kind, tolerance]).settings();
+    let settings = crate::Input::new(&[kind, tolerance]).settings();
     let paths = [swing(i, 12), swing(i + 1, 12)];
     let present: Vec<bool> = (0..12).map(|row| i.is_multiple_of(2) || row % 5 != 3).collect();
     let rows = [0, 1].map(|channel| Rows::new(&paths[channel], &present).expect("12 rows"));

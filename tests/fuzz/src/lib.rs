@@ -12,6 +12,7 @@ mod link;
 mod mesh;
 mod motion;
 mod range;
+pub mod seeds;
 mod take;
 mod trips;
 
