@@ -7,21 +7,22 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
-use super::staging;
-
 /// What removing a hidden path takes.
 #[derive(Debug, Clone)]
 enum Kind {
     File,
-    /// The staging folder of this data set, from which what was added is taken away again.
-    Staging(PathBuf),
+    /// The staging folder of this data set, and what removes it and what was added from it.
+    Staging {
+        dataset: PathBuf,
+        discard: fn(&Path, &Path),
+    },
 }
 
 impl Kind {
     fn remove(&self, path: &Path) {
         match self {
             Self::File => drop(fs::remove_file(path)),
-            Self::Staging(dataset) => staging::discard(path, dataset),
+            Self::Staging { dataset, discard } => discard(path, dataset),
         }
     }
 }
@@ -43,8 +44,8 @@ impl HiddenPath {
         Self::new(path, Kind::File)
     }
 
-    pub(super) fn staging(path: PathBuf, dataset: PathBuf) -> Self {
-        Self::new(path, Kind::Staging(dataset))
+    pub(super) fn staging(path: PathBuf, dataset: PathBuf, discard: fn(&Path, &Path)) -> Self {
+        Self::new(path, Kind::Staging { dataset, discard })
     }
 
     fn new(path: PathBuf, kind: Kind) -> Self {

@@ -94,7 +94,7 @@ impl Staging {
         name.push(format!("{}-{number}{PART}", std::process::id()));
         let root = folder.join(name);
         fs::create_dir(&root)?;
-        let hidden = HiddenPath::staging(root.clone(), dataset.to_owned());
+        let hidden = HiddenPath::staging(root.clone(), dataset.to_owned(), discard);
         let lock = OpenOptions::new().write(true).create_new(true).open(root.join(LOCK))?;
         // On a file system without locks, no program removes another's folder.
         if flock(&lock, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
@@ -243,7 +243,7 @@ pub(super) fn remove_leftovers(folder: &Path, prefix: &OsStr, dataset: &Path) {
 }
 
 /// Removes a staging folder, and what was added from it to the data set.
-pub(super) fn discard(root: &Path, dataset: &Path) {
+fn discard(root: &Path, dataset: &Path) {
     // Threads that still write no longer find the folder, so that nothing appears in it while it is removed.
     let discarded = root.with_extension(DISCARDED);
     let root = if fs::rename(root, &discarded).is_ok() { &discarded } else { root };

@@ -55,20 +55,6 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A target that fails on its own seeds would tell nothing of other inputs.
-    #[test]
-    fn every_target_passes_on_its_seeds() {
-        for Target { name, run, seeds } in targets() {
-            assert!(!seeds.is_empty(), "{name}");
-            seeds.iter().for_each(|seed| run(seed));
-        }
-    }
-}
-
 /// Pseudo-random bytes, always the same.
 fn noise(seed: usize, len: usize) -> Vec<u8> {
     let mut state = seed as u32;
@@ -393,4 +379,18 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
     let ending = timed.then(|| EndingKind::DiskFull.into());
     writer.close(&Ledger::default(), ending).expect("a ledger");
     writer.abandon()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A target that fails on its own seeds would tell nothing of other inputs.
+    #[test]
+    fn every_target_passes_on_its_seeds() {
+        for Target { name, run, seeds } in targets() {
+            assert!(!seeds.is_empty(), "{name}");
+            seeds.iter().for_each(|seed| run(seed));
+        }
+    }
 }
