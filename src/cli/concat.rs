@@ -1,6 +1,6 @@
 //! `concat`: joins takes one after another.
 
-use std::{fmt::Write, io, path::PathBuf, sync::Arc};
+use std::{collections::HashSet, fmt::Write, io, path::PathBuf, sync::Arc};
 
 use anyhow::bail;
 use mocapd::outcome::{Outcome, UsageError};
@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::{
     edited::{notify_left_out, open, read_sources, write},
-    output::{plain_path, print, print_json},
+    output::{notify, plain_path, print, print_json},
     paths,
     values::{bytes, count, thousands},
 };
@@ -63,6 +63,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         bail!(UsageError("concat joins takes: name two or more".to_owned()));
     }
     paths::check_take_output(&args.output)?;
+    let mut named = HashSet::new();
+    for take in &args.takes {
+        if !named.insert(take.canonicalize().unwrap_or_else(|_| take.clone())) {
+            notify(&format!("{} is named twice", take.display()));
+        }
+    }
     let sources = read_sources(&args.takes)?;
     if let Err(mismatch) = check_joinable(&sources) {
         let name = |i: usize| args.takes.get(i).map(|path| plain_path(path)).unwrap_or_default();

@@ -20,6 +20,10 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
     if path.is_dir() {
         return Err(FileError::NotAFile(path.to_owned(), NotAFile::Folder).into());
     }
+    if is_take(path) {
+        let message = "is a take already: expected a file of another program";
+        return Err(UsageError(format!("{} {message}", path.display())).into());
+    }
     Format::from_extension(path)
         .filter(|format| format.is_read())
         .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))

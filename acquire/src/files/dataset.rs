@@ -6,14 +6,16 @@
 
 use std::{
     collections::BTreeSet,
-    fs::{self, File, OpenOptions},
+    fs::{File, OpenOptions},
     io::{self, BufWriter, Read, Write},
+    os::unix::fs::OpenOptionsExt,
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, anyhow, bail};
+use mocapd_drivers::plain_file;
 use mocapd_take::interchange::bids::{self, BidsLabels, DatasetFolder};
-use rustix::fs::{AtFlags, CWD, FlockOperation, flock, linkat};
+use rustix::fs::{AtFlags, CWD, FlockOperation, OFlags, flock, linkat};
 
 use super::{
     cannot_create, folder_of,
@@ -130,13 +132,15 @@ impl NewRecording {
     /// Names all files within the staging folder.
     fn stage(&mut self) -> anyhow::Result<()> {
         let writing = format!("cannot write {}", self.dataset.display());
-        let content = self.staging()?.content();
+        self.staging()?;
+        let Some(staging) = &self.staging else { return Ok(()) };
+        let content = staging.content();
         for written in &self.files {
             let path = content.join(&written.path);
             if path.symlink_metadata().is_ok() {
                 continue; // It had a name from the start.
             }
-            fs::create_dir_all(folder_of(&path)).with_context(|| writing.clone())?;
+            staging.create_folder_of(Path::new(&written.path)).with_context(|| writing.clone())?;
             linkat(CWD, proc_link(&written.file), CWD, &path, AtFlags::SYMLINK_FOLLOW)
                 .with_context(|| writing.clone())?;
             sync_name(&path);
@@ -216,8 +220,9 @@ impl NewRecording {
         let file = match unnamed {
             Some(file) => file,
             None => {
-                let named = self.staging().map_err(io::Error::other)?.content().join(path);
-                fs::create_dir_all(folder_of(&named))?;
+                let staging = self.staging().map_err(io::Error::other)?;
+                staging.create_folder_of(Path::new(path))?;
+                let named = staging.content().join(path);
                 OpenOptions::new().write(true).create_new(true).open(named)?
             }
         };
@@ -251,7 +256,7 @@ fn check(dataset: &Path) -> Result<(), DatasetError> {
         return Err(not("it is not a folder".to_owned()));
     }
     let mut description = Vec::new();
-    let opened = File::open(dataset.join(DESCRIPTION));
+    let opened = plain_file::open(&dataset.join(DESCRIPTION));
     let read =
         opened.and_then(|file| file.take(TABLE_BYTES_MAX as u64).read_to_end(&mut description));
     read.map_err(|error| not(format!("{DESCRIPTION}: {error}")))?;
@@ -263,8 +268,12 @@ fn check(dataset: &Path) -> Result<(), DatasetError> {
 fn lock(dataset: &Path) -> Option<File> {
     let path = dataset.join(DESCRIPTION);
     // Network file systems lock only files that are open for writing.
-    let file = OpenOptions::new().read(true).write(true).open(&path).or_else(|_| File::open(&path));
-    let file = file.ok()?;
+    let options = || {
+        let mut options = OpenOptions::new();
+        options.read(true).custom_flags(OFlags::NONBLOCK.bits() as i32);
+        options
+    };
+    let file = options().write(true).open(&path).or_else(|_| options().open(&path)).ok()?;
     flock(&file, FlockOperation::LockExclusive).ok()?;
     Some(file)
 }

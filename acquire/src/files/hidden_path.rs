@@ -37,7 +37,7 @@ fn hidden() -> MutexGuard<'static, BTreeMap<PathBuf, Kind>> {
 /// A hidden file or staging folder, which is removed when this is dropped. Once a file has its final name, nothing is at
 /// the hidden path, or a second link to the kept file.
 #[derive(Debug)]
-pub(super) struct HiddenPath(PathBuf, Option<Kind>);
+pub(super) struct HiddenPath(PathBuf, Kind);
 
 impl HiddenPath {
     pub(super) fn file(path: PathBuf) -> Self {
@@ -50,26 +50,32 @@ impl HiddenPath {
 
     fn new(path: PathBuf, kind: Kind) -> Self {
         hidden().insert(path.clone(), kind.clone());
-        Self(path, Some(kind))
+        Self(path, kind)
     }
 
     pub(super) fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Gives the path up without removing it. Waits for ever if the program is being interrupted.
-    pub(super) fn release(mut self) {
-        hidden().remove(&self.0);
-        self.1 = None;
+    /// Renames the folder; from then on only the folder itself is removed, by `remove`, and what was added from it stays.
+    /// Waits for ever if the program is being interrupted.
+    pub(super) fn commit(&mut self, to: PathBuf, remove: fn(&Path, &Path)) {
+        let mut paths = hidden();
+        paths.remove(&self.0);
+        if fs::rename(&self.0, &to).is_ok() {
+            self.0 = to;
+        }
+        if let Kind::Staging { discard, .. } = &mut self.1 {
+            *discard = remove;
+        }
+        paths.insert(self.0.clone(), self.1.clone());
     }
 }
 
 impl Drop for HiddenPath {
     fn drop(&mut self) {
-        if let Some(kind) = &self.1 {
-            kind.remove(&self.0);
-            hidden().remove(&self.0);
-        }
+        self.1.remove(&self.0);
+        hidden().remove(&self.0);
     }
 }
 

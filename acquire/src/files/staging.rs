@@ -8,14 +8,18 @@ use std::{
     ffi::{OsStr, OsString},
     fs::{self, File, OpenOptions},
     io::{self, ErrorKind, Read, Seek, SeekFrom, Write},
-    os::unix::{ffi::OsStrExt, fs::MetadataExt},
-    path::{Path, PathBuf},
+    os::unix::{
+        ffi::OsStrExt,
+        fs::{MetadataExt, OpenOptionsExt},
+    },
+    path::{Component, Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
 };
 
 use rustix::{
-    fs::{AtFlags, CWD, FlockOperation, RenameFlags, flock, linkat, renameat_with},
+    fs::{AtFlags, CWD, FlockOperation, OFlags, RenameFlags, flock, linkat, renameat_with},
     io::Errno,
+    process::geteuid,
 };
 
 use super::{folder_of, hidden_path::HiddenPath};
@@ -59,12 +63,10 @@ pub(super) fn prefix(beside: Option<&OsStr>) -> OsString {
 /// A staging folder. Dropping it undoes what was added to the data set, unless it was [committed](Self::commit).
 #[derive(Debug)]
 pub(super) struct Staging {
-    root: PathBuf,
+    root: HiddenPath,
     dataset: PathBuf,
-    /// Until it is committed.
-    hidden: Option<HiddenPath>,
     /// Held as long as the program runs.
-    lock: Option<File>,
+    _lock: Option<File>,
 }
 
 impl Staging {
@@ -94,21 +96,22 @@ impl Staging {
         name.push(format!("{}-{number}{PART}", std::process::id()));
         let root = folder.join(name);
         fs::create_dir(&root)?;
-        let hidden = HiddenPath::staging(root.clone(), dataset.to_owned(), discard);
-        let lock = OpenOptions::new().write(true).create_new(true).open(root.join(LOCK))?;
+        let root = HiddenPath::staging(root, dataset.to_owned(), discard);
+        let lock = root.path().join(LOCK);
+        let lock = OpenOptions::new().write(true).create_new(true).open(lock)?;
         // On a file system without locks, no program removes another's folder.
         if flock(&lock, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
             return Err(ErrorKind::WouldBlock.into());
         }
-        let (dataset, lock) = (dataset.to_owned(), Some(lock));
-        let created = Self { root, dataset, hidden: Some(hidden), lock };
+        let (dataset, _lock) = (dataset.to_owned(), Some(lock));
+        let created = Self { root, dataset, _lock };
         fs::create_dir(created.content())?;
         Ok(created)
     }
 
     /// The folder of the files.
     pub(super) fn content(&self) -> PathBuf {
-        self.root.join(CONTENT)
+        self.root.path().join(CONTENT)
     }
 
     /// Gives files their names in the data set, within microseconds: folders that are missing appear with all their
@@ -130,7 +133,8 @@ impl Staging {
             }
         }
         for folder in folders {
-            let (from, to) = (self.root.join(PUBLISHED).join(&folder), self.dataset.join(folder));
+            let (from, to) =
+                (self.root.path().join(PUBLISHED).join(&folder), self.dataset.join(folder));
             rename_new(&from, &to).map_err(|error| (to, error))?;
         }
         for path in files {
@@ -149,14 +153,14 @@ impl Staging {
 
     /// Puts a file into a copy of the missing folder, which is then moved as a whole.
     fn prepare(&self, path: &str, missing: &Path) -> io::Result<()> {
-        let copy = self.root.join(PUBLISHED).join(path);
+        let copy = self.root.path().join(PUBLISHED).join(path);
         let folder = folder_of(Path::new(path));
-        if !self.root.join(PUBLISHED).join(folder).is_dir() {
-            fs::create_dir_all(folder_of(&copy))?;
+        if !self.root.path().join(PUBLISHED).join(folder).is_dir() {
+            create_folders(self.root.path(), &Path::new(PUBLISHED).join(folder))?;
             let mut created: Vec<&Path> =
                 folder.ancestors().take_while(|folder| folder.starts_with(missing)).collect();
             created.reverse();
-            let journal = self.root.join(FOLDERS);
+            let journal = self.root.path().join(FOLDERS);
             let mut journal = OpenOptions::new().append(true).create(true).open(journal)?;
             for folder in created {
                 journal.write_all(&[folder.as_os_str().as_bytes(), b"\n"].concat())?;
@@ -169,31 +173,36 @@ impl Staging {
     pub(super) fn append(&self, participants: &Path, row: &[u8]) -> io::Result<()> {
         let before = participants.metadata()?.len();
         let journal = [before.to_string().as_bytes(), b"\n", row].concat();
-        fs::write(self.root.join(ROW), journal)?;
+        fs::write(self.root.path().join(ROW), journal)?;
         append(participants, row)
     }
 
-    /// States that everything is there, and removes the folder.
+    /// States that everything is there: from now on no program undoes the links.
     pub(super) fn commit(&mut self) {
-        if let Some(hidden) = self.hidden.take() {
-            hidden.release();
-        }
-        let done = self.root.with_extension(DONE.trim_start_matches('.'));
-        // After this rename no program undoes the links.
-        if fs::rename(&self.root, &done).is_ok() {
-            self.root = done;
-        }
+        let done = self.root.path().with_extension(DONE.trim_start_matches('.'));
+        self.root.commit(done, |root, _| remove(root));
+    }
+
+    /// Creates the folder of a file of the content.
+    ///
+    /// # Errors
+    /// Those of the file system; `NotFound` if the staging folder is gone, which is not created again.
+    pub(super) fn create_folder_of(&self, path: &Path) -> io::Result<()> {
+        create_folders(self.root.path(), &Path::new(CONTENT).join(folder_of(path)))
     }
 }
 
-impl Drop for Staging {
-    fn drop(&mut self) {
-        match self.hidden.take() {
-            Some(hidden) => drop(hidden),
-            None => remove(&self.root),
+/// Creates the folders of `below` that are missing in `root`, but not `root`.
+fn create_folders(root: &Path, below: &Path) -> io::Result<()> {
+    let mut folder = root.to_owned();
+    for name in below {
+        folder.push(name);
+        match fs::create_dir(&folder) {
+            Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
+            _ => {}
         }
-        self.lock = None;
     }
+    Ok(())
 }
 
 /// Links a file to a name that must not exist; moves it on file systems without hard links.
@@ -221,25 +230,37 @@ pub(super) fn remove_leftovers(folder: &Path, prefix: &OsStr, dataset: &Path) {
         let name = entry.file_name();
         let name = name.as_bytes();
         let is_part = name.ends_with(PART.as_bytes());
-        if !name.starts_with(prefix.as_bytes()) || !is_part && !name.ends_with(DONE.as_bytes()) {
+        // A data set may come from elsewhere: links and folders of other users are not ours.
+        let is_ours =
+            entry.metadata().is_ok_and(|found| found.is_dir() && found.uid() == geteuid().as_raw());
+        if !is_ours
+            || !name.starts_with(prefix.as_bytes())
+            || !is_part && !name.ends_with(DONE.as_bytes())
+        {
             continue;
         }
         let root = entry.path();
-        let lock = OpenOptions::new().write(true).open(root.join(LOCK));
-        match lock.map(|lock| flock(&lock, FlockOperation::NonBlockingLockExclusive).map(|()| lock))
-        {
-            Ok(Ok(_lock)) => {
-                if is_part {
-                    undo(&root, dataset);
+        match open_file(&root.join(LOCK)) {
+            Ok(lock) => {
+                // Otherwise the program still runs, or there are no locks.
+                if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_ok() {
+                    if is_part {
+                        undo(&root, dataset);
+                    }
+                    remove(&root);
                 }
-                remove(&root);
             }
-            // The program still runs, or there are no locks.
-            Ok(Err(_)) => {}
-            // Killed before it had the lock: the folder is empty. Otherwise this does nothing.
-            Err(_) => drop(fs::remove_dir(&root)),
+            // Killed before it had the lock, or after it was removed as the last file.
+            Err(_) => remove(&root),
         }
     }
+}
+
+/// Opens a file for reading and writing: not what a link leads to, and not a pipe, which would wait for its other end.
+fn open_file(path: &Path) -> io::Result<File> {
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
+    let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path)?;
+    if file.metadata()?.is_file() { Ok(file) } else { Err(ErrorKind::InvalidInput.into()) }
 }
 
 /// Removes a staging folder, and what was added from it to the data set.
@@ -252,14 +273,15 @@ fn discard(root: &Path, dataset: &Path) {
 }
 
 /// Removes a staging folder, its lock last: as long as there is one, the next program goes on where a killed one stopped.
+/// Files of others in it stay, and with them the folder.
 fn remove(root: &Path) {
-    for entry in fs::read_dir(root).into_iter().flatten().flatten() {
-        let path = entry.path();
-        if entry.file_name() != LOCK {
-            fs::remove_dir_all(&path).or_else(|_| fs::remove_file(&path)).ok();
-        }
+    for folder in [CONTENT, PUBLISHED] {
+        fs::remove_dir_all(root.join(folder)).ok();
     }
-    fs::remove_dir_all(root).ok();
+    for file in [FOLDERS, ROW, LOCK] {
+        fs::remove_file(root.join(file)).ok();
+    }
+    fs::remove_dir(root).ok();
 }
 
 /// Removes from the data set what was added from a staging folder.
@@ -276,8 +298,11 @@ fn undo(root: &Path, dataset: &Path) {
     undo_row(root, &dataset.join(PARTICIPANTS)).ok();
     let folders = read_journal(&root.join(FOLDERS)).unwrap_or_default();
     for folder in folders.split(|&b| b == b'\n').rev().filter(|folder| !folder.is_empty()) {
-        // Fails if something is in it.
-        fs::remove_dir(dataset.join(OsStr::from_bytes(folder))).ok();
+        let folder = Path::new(OsStr::from_bytes(folder));
+        // Of the data set only; fails if something is in it.
+        if folder.components().all(|part| matches!(part, Component::Normal(_))) {
+            fs::remove_dir(dataset.join(folder)).ok();
+        }
     }
 }
 
@@ -287,7 +312,7 @@ fn undo_row(root: &Path, participants: &Path) -> io::Result<()> {
     let mut parts = journal.splitn(2, |&b| b == b'\n');
     let before = parts.next().and_then(|number| std::str::from_utf8(number).ok()?.parse().ok());
     let (Some(before), Some(row)) = (before, parts.next()) else { return Ok(()) };
-    let mut file = OpenOptions::new().read(true).write(true).open(participants)?;
+    let mut file = open_file(participants)?;
     let mut appended = Vec::new();
     file.seek(SeekFrom::Start(before))?;
     (&mut file).take(row.len() as u64 + 1).read_to_end(&mut appended)?;
@@ -310,7 +335,7 @@ fn append(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 fn read_journal(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    File::open(path)?.take(JOURNAL_BYTES_MAX).read_to_end(&mut bytes)?;
+    open_file(path)?.take(JOURNAL_BYTES_MAX).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
@@ -373,7 +398,7 @@ mod tests {
             let (dataset, staging) = begun(dir.path());
             let before: Vec<_> = content(&dataset)
                 .into_iter()
-                .filter(|(path, _)| !path.starts_with(&staging.root))
+                .filter(|(path, _)| !path.starts_with(staging.root.path()))
                 .collect();
             let mut killed = ManuallyDrop::new(staging);
             if n_steps > 0 {
@@ -393,7 +418,7 @@ mod tests {
             if n_steps > 3 {
                 killed.commit();
             }
-            killed.lock = None;
+            killed._lock = None;
             remove();
             let left = content(&dataset);
             if n_steps > 3 {
@@ -416,7 +441,7 @@ mod tests {
         killed.append(&participants, b"sub-02\n").unwrap();
         append(&participants, b"sub-03\n").unwrap();
         fs::write(dataset.join("sub-02/motion/mine.tsv"), "3").unwrap();
-        killed.lock = None;
+        killed._lock = None;
         remove_leftovers(&dataset, &prefix(None), &dataset);
         assert!(!dataset.join("sub-02/motion/c.tsv").exists());
         assert_eq!(fs::read(dataset.join("sub-02/motion/mine.tsv")).unwrap(), b"3");

@@ -7,7 +7,10 @@ use std::{
 
 use anyhow::ensure;
 use mocapd_codec::{GROUP_CHANNELS, Settings};
-use mocapd_take::{record::Channel, stretch::SAMPLES_MAX};
+use mocapd_take::{
+    record::{Channel, RATES_HZ},
+    stretch::SAMPLES_MAX,
+};
 
 use super::ring::Sample;
 use crate::heartbeat::Heartbeat;
@@ -164,7 +167,7 @@ impl Plan {
             config.codec.kind
         );
         ensure!(
-            config.rate_hz.is_finite() && (0.001..=1e6).contains(&config.rate_hz),
+            RATES_HZ.contains(&config.rate_hz),
             "cannot record at {} Hz: choose a rate from 0.001 to 1000000 Hz",
             config.rate_hz
         );

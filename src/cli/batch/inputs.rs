@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context, bail, ensure};
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files;
+use mocapd_acquire::files::{self, FileError};
 use mocapd_service::units;
 use mocapd_take::interchange::Format;
 
@@ -151,6 +151,9 @@ pub(crate) fn find(
                     kinds.extensions()
                 )));
             }
+        } else if is_single && argument.symlink_metadata().is_err() {
+            // Before the output is looked at: what is missing is the input.
+            return Err(FileError::NotFound(argument.clone()).into());
         } else if seen.insert(argument.canonicalize().unwrap_or_else(|_| argument.clone())) {
             let name = argument.file_name().unwrap_or(argument.as_os_str());
             inputs.files.push(Input::file(argument.clone(), PathBuf::from(name)));

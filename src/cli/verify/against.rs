@@ -109,6 +109,12 @@ impl AgainstReport {
         self.within_tolerance
     }
 
+    /// The end of a line about the take: the largest error.
+    pub(super) fn short(&self) -> String {
+        let verdict = if self.is_within() { "agrees with" } else { "DIFFERS from" };
+        format!("; {verdict} the original, max error {:.4} mm", self.difference.max_error_mm)
+    }
+
     /// A line with the errors, and a line for each other kind of difference.
     pub(crate) fn text(&self, tolerance_mm: f64) -> String {
         let found = &self.difference;

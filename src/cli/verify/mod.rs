@@ -97,11 +97,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         paths::input_format(original)?;
     }
     let format = args.format.map(Into::into);
-    let inputs = batch::inputs::find(&args.files, &args.input, FileKinds::Both, format)?;
+    // Exports beside the takes in a folder have no original.
+    let compares = args.against.is_some() || args.skeleton.is_some();
+    let kinds = if compares { FileKinds::Takes } else { FileKinds::Both };
+    let inputs = batch::inputs::find(&args.files, &args.input, kinds, format)?;
     let batch = Batch::of_reports(&inputs, args.json, ["verifying", "verified"]);
     batch::run(&batch, |job| match job.input.format()? {
         InputFormat::Take => verify(args, job),
-        InputFormat::MotionFile(_) if args.against.is_some() || args.skeleton.is_some() => {
+        InputFormat::MotionFile(_) if compares => {
             let name = job.input.name.display();
             bail!(UsageError(format!(
                 "{name} is not a take: --against and --skeleton are for takes; import it first"
@@ -245,10 +248,19 @@ impl VerifyReport {
 
     /// The report in one line.
     fn line(&self) -> String {
-        let state = if self.intact { "intact" } else { "NOT INTACT" };
+        let against = self.against.as_ref().map_or_else(String::new, AgainstReport::short);
+        format!("{}{against}\n", self.head())
+    }
+
+    fn head(&self) -> String {
+        let state = match (self.contradictions.is_empty(), self.intact) {
+            (false, _) => "CONTRADICTS ITSELF",
+            (true, true) => "intact",
+            (true, false) => "NOT INTACT",
+        };
         let ending = self.ending.map_or_else(String::new, |ending| format!(" ({ending})"));
         format!(
-            "{}: {state}, {}{ending}, {}, {}; checked every checksum, block and ledger\n",
+            "{}: {state}, {}{ending}, {}, {}; checked every checksum, block and ledger",
             plain_path(&self.take),
             self.health.name(),
             count(self.frames, "frame"),
@@ -258,7 +270,7 @@ impl VerifyReport {
 
     /// The whole report.
     fn text(&self) -> String {
-        let mut out = self.line();
+        let mut out = self.head() + "\n";
         if let Some(LineDeviation { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
             out += &format!(
                 "clock line refitted to the stored observations: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"

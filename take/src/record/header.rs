@@ -1,6 +1,9 @@
 //! HEADER and CHANNELS: everything that a reader needs before the first stretch.
 
-use std::io::{ErrorKind, Read};
+use std::{
+    io::{ErrorKind, Read},
+    ops::RangeInclusive,
+};
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
 use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
@@ -15,6 +18,10 @@ use crate::{
     up_axis::UpAxis,
     varint::{self, Cursor},
 };
+
+/// Frame rates of takes, in Hz: a frame in a quarter of an hour, to a thousand times the fastest camera's. Times and counts
+/// of any number of frames can be computed with these.
+pub const RATES_HZ: RangeInclusive<f64> = 0.001..=1e6;
 
 /// An entry of the channel table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -164,8 +171,13 @@ impl Header {
     /// # Errors
     /// `Codec(InvalidArgument)` naming the field.
     pub fn check(&self) -> Result<(), TakeError> {
-        if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
-            let message = format!("invalid frame rate: {} Hz", self.rate_hz);
+        if !RATES_HZ.contains(&self.rate_hz) {
+            let message = format!(
+                "invalid frame rate: {} Hz, expected {} to {}",
+                self.rate_hz,
+                RATES_HZ.start(),
+                RATES_HZ.end()
+            );
             return Err(CodecError::InvalidArgument(message).into());
         }
         self.codec().map(drop)

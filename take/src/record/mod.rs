@@ -19,7 +19,7 @@ pub use clock::{
     CLOCK_ENTRIES_MAX, Clock, ClockBound, ClockJitter, ClockLine, ClockPoint, ClockProbe,
 };
 pub(crate) use header::MoreChannels;
-pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource};
+pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource, RATES_HZ};
 pub(crate) use series::SeriesPlace;
 pub use series::{FIRST_FRAME_SETTING, PART_SETTING, SERIES_SETTING, SPLIT_SETTING};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
