@@ -39,6 +39,8 @@ mod row_timing;
 mod source_file;
 mod table;
 mod text;
+mod text_file;
+mod text_frames;
 mod trc;
 mod tsv;
 mod units;

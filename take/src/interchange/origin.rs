@@ -1,5 +1,7 @@
 //! Samples exactly at the origin: some software writes `0 0 0` for an occluded marker.
 
+use std::io;
+
 use super::units::median;
 use crate::{
     ambiguity::{Ambiguity, Notes},
@@ -13,44 +15,9 @@ const NEAR_ORIGIN: Position = [1e-6, 0.0, 0.0];
 /// origin.
 const STEPS: f64 = 10.0;
 
-/// For each sample whether it is a missing one: it is exactly at the origin while other markers move elsewhere, and its
-/// own marker does not approach the origin. If the marker passes through the origin, the sample is a position.
-pub(super) fn missing(positions: &[Position], n_markers: usize) -> Vec<bool> {
-    let mut missing = vec![false; positions.len()];
-    let mut scan = OriginScan::new(n_markers);
-    positions.chunks_exact(n_markers.max(1)).for_each(|row| scan.add_row(row));
-    for marker in scan.suspects() {
-        mark_missing(positions, n_markers, marker, &mut missing);
-    }
-    missing
-}
-
 /// The position to write in a format where `0 0 0` may mean a missing sample.
 pub(super) fn off_origin(position: Position) -> Position {
     if position == ORIGIN { NEAR_ORIGIN } else { position }
-}
-
-/// Replaces missing samples at the origin with gaps. Returns how many.
-pub(super) fn replace_with_gaps(positions: &mut [Position], n_markers: usize) -> u64 {
-    let missing = missing(positions, n_markers);
-    let mut n_removed = 0;
-    for (position, _) in positions.iter_mut().zip(missing).filter(|(_, missing)| *missing) {
-        *position = GAP;
-        n_removed += 1;
-    }
-    n_removed
-}
-
-/// Notes samples at the origin in a format with its own mark for missing samples. Other readers take them for
-/// positions, so they stay positions, but the program that wrote the file may have meant missing samples.
-pub(super) fn note_samples_at_origin(positions: &[Position], n_markers: usize, notes: &mut Notes) {
-    let rows = || positions.chunks_exact(n_markers.max(1));
-    let mut scan = OriginScan::new(n_markers);
-    rows().for_each(|row| scan.add_row(row));
-    if scan.needs_steps() {
-        rows().for_each(|row| scan.add_steps(row));
-    }
-    scan.note(notes);
 }
 
 /// Finds the samples at the origin, row by row.
@@ -206,37 +173,176 @@ impl MarkerScan {
     }
 }
 
-/// The frame and position of each sample of a marker.
-fn samples(
-    positions: &[Position],
-    n_markers: usize,
-    marker: usize,
-) -> impl Iterator<Item = (usize, Position)> {
-    let column = positions.iter().skip(marker).step_by(n_markers.max(1)).copied();
-    column.enumerate().filter(|&(_, at)| !is_gap(at))
+/// Bytes of the steps that are held at a time to find their medians; the rows are read again for each part of them.
+const STEPS_BYTES_MAX: usize = 1 << 25;
+
+/// Which samples at the origin are missing ones: a sample that is exactly at the origin while other markers move
+/// elsewhere, and whose own marker does not approach the origin. If the marker passes through the origin, the sample is
+/// a position.
+///
+/// Takes one bit for each of these samples, in the order of frames.
+#[derive(Debug)]
+pub(super) struct OriginGaps {
+    suspects: Vec<Suspect>,
+    /// For each sample of the suspects at the origin whether it is missing.
+    missing: Bits,
+    /// Index in `missing` of the next sample.
+    next: usize,
 }
 
-/// Marks the samples of one marker that are missing: its runs at the origin, except single frames on its path.
-fn mark_missing(positions: &[Position], n_markers: usize, marker: usize, missing: &mut [bool]) {
-    let all: Vec<(usize, Position)> = samples(positions, n_markers, marker).collect();
-    let pairs = all.windows(2).filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN));
-    let steps = pairs.filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)));
-    let usual = median(&mut steps.collect::<Vec<f64>>()).unwrap_or(0.0);
-    let is_near = |at: Option<&(usize, Position)>| {
-        at.is_some_and(|&(_, at)| distance(at, ORIGIN) <= STEPS * usual)
-    };
-    let mut runs = all.chunk_by(|(_, a), (_, b)| (*a == ORIGIN) == (*b == ORIGIN)).peekable();
-    let mut before = None;
-    while let Some(run) = runs.next() {
-        let after = runs.peek().and_then(|next| next.first());
-        // A moving marker is at the origin for one frame at most.
-        let passes = run.len() == 1 && (is_near(before) || is_near(after));
-        for &(frame, _) in run.iter().filter(|(_, at)| *at == ORIGIN && !passes) {
-            if let Some(place) = missing.get_mut(frame * n_markers + marker) {
-                *place = true;
+/// A marker whose samples at the origin may be missing ones.
+#[derive(Debug)]
+struct Suspect {
+    marker: usize,
+    /// A single sample at the origin is a position if the one before or after it is within this distance.
+    near: f64,
+    last: Option<Position>,
+    /// Whether the sample before the origin is near.
+    is_near_before: bool,
+    /// The samples in a row at the origin, and the index of the first.
+    run: (u64, usize),
+}
+
+/// Passes all rows to a function.
+type EachRow<'a> = &'a mut dyn FnMut(&mut dyn FnMut(&[Position])) -> io::Result<()>;
+
+impl OriginGaps {
+    /// Finds the missing samples in the rows that were scanned.
+    ///
+    /// # Errors
+    /// Those of reading the rows.
+    pub(super) fn find(
+        scan: &OriginScan,
+        n_frames: usize,
+        for_each_row: EachRow<'_>,
+    ) -> io::Result<Self> {
+        let suspect = |marker| Suspect {
+            marker,
+            near: 0.0,
+            last: None,
+            is_near_before: false,
+            run: (0, 0),
+        };
+        let mut suspects: Vec<Suspect> = scan.suspects().map(suspect).collect();
+        let has_single = |suspect: &&mut Suspect| {
+            scan.markers.get(suspect.marker).is_some_and(|marker| marker.farthest().is_some())
+        };
+        let mut singles: Vec<&mut Suspect> = suspects.iter_mut().filter(has_single).collect();
+        let n_held = (STEPS_BYTES_MAX / size_of::<f64>() / n_frames.max(1)).max(1);
+        for part in singles.chunks_mut(n_held) {
+            let mut steps: Vec<Vec<f64>> = vec![Vec::new(); part.len()];
+            for_each_row(&mut |row| {
+                part.iter_mut().zip(&mut steps).for_each(|(suspect, steps)| {
+                    steps.extend(suspect.step(row));
+                });
+            })?;
+            for (suspect, steps) in part.iter_mut().zip(&mut steps) {
+                suspect.near = STEPS * median(steps).unwrap_or(0.0);
             }
         }
-        before = run.last();
+        suspects.iter_mut().for_each(|suspect| suspect.last = None);
+        let mut missing = Bits::default();
+        for_each_row(&mut |row| {
+            suspects.iter_mut().for_each(|suspect| suspect.mark(row, &mut missing));
+        })?;
+        suspects.iter_mut().for_each(|suspect| suspect.end_run(false, &mut missing));
+        Ok(Self { suspects, missing, next: 0 })
+    }
+
+    /// The number of missing samples.
+    pub(super) fn n_missing(&self) -> u64 {
+        self.missing.n_set()
+    }
+
+    /// Makes the missing samples of the next row gaps.
+    pub(super) fn apply(&mut self, row: &mut [Position]) {
+        for suspect in &self.suspects {
+            if let Some(at) = row.get_mut(suspect.marker).filter(|at| **at == ORIGIN) {
+                if self.missing.is_set(self.next) {
+                    *at = GAP;
+                }
+                self.next += 1;
+            }
+        }
+    }
+
+    /// Returns to the first row.
+    pub(super) fn rewind(&mut self) {
+        self.next = 0;
+    }
+}
+
+/// Bits, eight a byte.
+#[derive(Debug, Default)]
+struct Bits {
+    bytes: Vec<u8>,
+    len: usize,
+}
+
+impl Bits {
+    fn push_set(&mut self) {
+        if self.len.is_multiple_of(8) {
+            self.bytes.push(0);
+        }
+        if let Some(last) = self.bytes.last_mut() {
+            *last |= 1 << (self.len % 8);
+        }
+        self.len += 1;
+    }
+
+    fn clear(&mut self, at: usize) {
+        if let Some(byte) = self.bytes.get_mut(at / 8) {
+            *byte &= !(1 << (at % 8));
+        }
+    }
+
+    fn is_set(&self, at: usize) -> bool {
+        self.bytes.get(at / 8).is_some_and(|byte| byte >> (at % 8) & 1 == 1)
+    }
+
+    fn n_set(&self) -> u64 {
+        self.bytes.iter().map(|byte| u64::from(byte.count_ones())).sum()
+    }
+}
+
+impl Suspect {
+    fn sample(&self, row: &[Position]) -> Option<Position> {
+        row.get(self.marker).copied().filter(|&at| !is_gap(at))
+    }
+
+    /// The length of a step from its last sample to one in this row, neither at the origin.
+    fn step(&mut self, row: &[Position]) -> Option<f64> {
+        let at = self.sample(row)?;
+        let last = self.last.replace(at).filter(|&last| last != ORIGIN && at != ORIGIN)?;
+        Some(distance(last, at))
+    }
+
+    /// Marks the samples that are missing: its runs at the origin, except single frames on its path.
+    fn mark(&mut self, row: &[Position], missing: &mut Bits) {
+        let Some(at) = self.sample(row) else { return };
+        if at == ORIGIN {
+            if self.run.0 == 0 {
+                self.run.1 = missing.len;
+                self.is_near_before = self.last.is_some_and(|last| self.is_near(last));
+            }
+            self.run.0 += 1;
+            // A moving marker is at the origin for one frame at most.
+            missing.push_set();
+        } else {
+            self.end_run(self.is_near(at), missing);
+            self.last = Some(at);
+        }
+    }
+
+    fn end_run(&mut self, is_near_after: bool, missing: &mut Bits) {
+        let (n, first) = std::mem::take(&mut self.run);
+        if n == 1 && (self.is_near_before || is_near_after) {
+            missing.clear(first);
+        }
+    }
+
+    fn is_near(&self, at: Position) -> bool {
+        distance(at, ORIGIN) <= self.near
     }
 }
 
@@ -252,6 +358,29 @@ mod tests {
     /// Marker 0 moves; marker 1 is `second`.
     fn with(second: &[Position]) -> Vec<Position> {
         second.iter().enumerate().flat_map(|(i, &at)| [[100.0 + i as f32, 5.0, 9.0], at]).collect()
+    }
+
+    fn scanned(positions: &[Position], n_markers: usize) -> OriginScan {
+        let mut scan = OriginScan::new(n_markers);
+        positions.chunks_exact(n_markers).for_each(|row| scan.add_row(row));
+        if scan.needs_steps() {
+            positions.chunks_exact(n_markers).for_each(|row| scan.add_steps(row));
+        }
+        scan
+    }
+
+    fn replace_with_gaps(positions: &mut [Position], n_markers: usize) -> u64 {
+        let scan = scanned(positions, n_markers);
+        let gaps = OriginGaps::find(&scan, positions.len() / n_markers, &mut |visit| {
+            positions.chunks_exact(n_markers).for_each(visit);
+            Ok(())
+        });
+        let mut gaps = gaps.unwrap();
+        let n_gaps = |positions: &[Position]| positions.iter().filter(|&&at| is_gap(at)).count();
+        let n_before = n_gaps(positions);
+        positions.chunks_exact_mut(n_markers).for_each(|row| gaps.apply(row));
+        assert_eq!(gaps.n_missing(), (n_gaps(positions) - n_before) as u64);
+        gaps.n_missing()
     }
 
     fn removed(second: &[Position]) -> u64 {
@@ -301,9 +430,9 @@ mod tests {
                 n => [far + n as f32 / 2.0, 0.0, 0.0],
             };
             let positions: Vec<Position> = (0..n_frames * n_markers).map(&mut position).collect();
-            let is_missing = missing(&positions, n_markers).contains(&true);
+            let is_missing = replace_with_gaps(&mut positions.clone(), n_markers) > 0;
             let mut notes = Notes::default();
-            note_samples_at_origin(&positions, n_markers, &mut notes);
+            scanned(&positions, n_markers).note(&mut notes);
             let n_at_origin = positions.iter().filter(|&&at| at == ORIGIN).count() as u64;
             let noted = Ambiguity::Origin { samples: n_at_origin, gaps: false };
             let expected = if is_missing { vec![noted] } else { vec![] };
