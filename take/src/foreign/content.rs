@@ -367,6 +367,12 @@ impl<'a> ContentWriter<'a> {
         if self.held.len() + bytes.len() > held_max {
             self.flush()?;
         }
+        let len = self.held.len() + bytes.len();
+        if len > self.held.capacity() {
+            // Doubled, but never beyond what will be held.
+            let capacity = (2 * len).min(held_max).max(len);
+            self.held.reserve_exact(capacity - self.held.len());
+        }
         self.held.extend_from_slice(bytes);
         Ok(())
     }
