@@ -31,6 +31,7 @@ pub mod mot;
 mod motion_reader;
 pub mod npz;
 mod origin;
+mod origin_gaps;
 #[cfg(feature = "full")]
 mod parquet;
 mod rotated;

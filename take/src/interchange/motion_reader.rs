@@ -55,11 +55,8 @@ enum Frames {
 }
 
 /// Opens a text file.
-type OpenText = fn(
-    &mut TextFile<'_, '_>,
-    &ReadOptions,
-    NewScratch<'_>,
-) -> Result<(MotionInfo, TextFrames)>;
+type OpenText =
+    fn(&mut TextFile<'_, '_>, &ReadOptions, NewScratch<'_>) -> Result<(MotionInfo, TextFrames)>;
 
 impl<'a> MotionReader<'a> {
     /// Opens a file.

@@ -20,13 +20,13 @@ const HEADER_BYTES_MAX: usize = 2 * LINE_BYTES_MAX;
 const BUFFER_BYTES: usize = 1 << 16;
 
 /// Appends a line in the layout that the readers expect to the bytes.
-pub(super) type Conversion = Box<dyn Fn(&[u8], &mut Vec<u8>)>;
+pub(super) type Conversion = dyn Fn(&[u8], &mut Vec<u8>);
 
 /// A text file.
 pub(super) struct TextFile<'s, 'a> {
     format: &'static str,
     source: &'s mut SourceFile<'a>,
-    conversion: Option<Conversion>,
+    conversion: Option<Box<Conversion>>,
 }
 
 /// A line, without the byte order mark and the line end (LF or CRLF).
@@ -46,7 +46,7 @@ impl<'s, 'a> TextFile<'s, 'a> {
     }
 
     /// Converts each line.
-    pub(super) fn convert(&mut self, conversion: Conversion) {
+    pub(super) fn convert(&mut self, conversion: Box<Conversion>) {
         self.conversion = Some(conversion);
     }
 
@@ -113,7 +113,7 @@ impl<'s, 'a> TextFile<'s, 'a> {
 pub(super) struct Lines<'l, 'a> {
     input: BufReader<SourceReader<'l, 'a>>,
     format: &'static str,
-    conversion: Option<&'l dyn Fn(&[u8], &mut Vec<u8>)>,
+    conversion: Option<&'l Conversion>,
     raw: Vec<u8>,
     converted: Vec<u8>,
     /// Number of the last line.

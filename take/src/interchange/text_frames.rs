@@ -7,7 +7,8 @@ use std::io::{self, Read};
 
 use super::{
     Result,
-    origin::{OriginGaps, OriginScan},
+    origin::OriginScan,
+    origin_gaps::OriginGaps,
     units::{FileUnit, MotionExtent},
 };
 use crate::{
@@ -19,7 +20,7 @@ use crate::{
 /// Bytes of a stored position.
 pub(super) const POSITION_BYTES: usize = 12;
 
-/// Stored words are XORed with this NaN, which no position has, so that zeros are a sample that was never written.
+/// This NaN, which no position has, is stored as 0, so that zeros are a sample that was never written.
 const NEVER_WRITTEN: u32 = 0x7fc0_0001;
 
 /// A position as it is stored.

@@ -242,13 +242,14 @@ fn read_rows(
             }
             continue;
         }
-        let mut cells = separator.cells(line);
+        n_cells = 0;
+        let mut cells = separator.cells(line).inspect(|_| n_cells += 1);
         table.begin_row(cells.next().unwrap_or(&[]), cells.next().unwrap_or(&[]));
-        n_cells = separator.cells(line).count();
         if is_aligned(line, separator, exact_width) {
             width = width.max(table.read_samples(&mut cells));
         } else {
             skipped_rows.add(at);
+            cells.for_each(drop);
         }
         table.end_row()?;
     }

@@ -38,11 +38,13 @@ fn open(format: Format, input: impl Read + Seek) -> Result<Opened, InterchangeEr
     };
     let mut reader = MotionReader::open(format, input, &settings)?;
     let mut row = vec![GAP; reader.info().markers.len()];
-    let mut opened = Opened { warnings: reader.info().source.warnings.clone(), ..Opened::default() };
+    let mut opened =
+        Opened { warnings: reader.info().source.warnings.clone(), ..Opened::default() };
     while reader.next_frame(&mut row)? {
         let number = opened.n_frames;
         opened.n_gaps += row.iter().filter(|&&at| is_gap(at)).count();
-        let is_right = |(marker, &at): (usize, &Position)| is_gap(at) || at == position(number, marker);
+        let is_right =
+            |(marker, &at): (usize, &Position)| is_gap(at) || at == position(number, marker);
         opened.n_wrong += row.iter().enumerate().filter(|&sample| !is_right(sample)).count();
         opened.n_frames += 1;
     }

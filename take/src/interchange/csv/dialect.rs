@@ -73,7 +73,7 @@ pub fn quote(text: &str) -> Cow<'_, str> {
 ///
 /// # Errors
 /// Those of reading the file.
-pub(super) fn to_commas(file: &mut TextFile<'_, '_>) -> Result<Option<Conversion>> {
+pub(super) fn to_commas(file: &mut TextFile<'_, '_>) -> Result<Option<Box<Conversion>>> {
     let Some(separator) = separator(file)? else { return Ok(None) };
     let has_points = has_points(separator, file)?;
     Ok(Some(Box::new(move |line, out| {

@@ -172,9 +172,12 @@ fn read_rows(
         if line.trim_ascii().is_empty() || line.starts_with(b"#") {
             continue;
         }
-        n_cells = Separator::COMMA.cells(line).count();
-        if is_open && n_cells <= n_lead && !header.labels.is_empty() {
+        if is_open
+            && Separator::COMMA.cells(line).nth(n_lead).is_none()
+            && !header.labels.is_empty()
+        {
             // The last line ends within its frame number or time.
+            n_cells = 0;
             break;
         }
         let lead_cell = |column: Option<usize>| {
@@ -182,11 +185,13 @@ fn read_rows(
             at.and_then(|at| Separator::COMMA.cells(line).nth(at)).unwrap_or(&[])
         };
         table.begin_row(lead_cell(header.frame_column), lead_cell(header.time_column));
-        let mut cells = Separator::COMMA.cells(line).skip(n_lead);
+        n_cells = 0;
+        let mut cells = Separator::COMMA.cells(line).inspect(|_| n_cells += 1).skip(n_lead);
         for _ in &header.labels {
             table.read_sample(&mut cells);
         }
         extra += usize::from(cells.any(|cell| !cell.trim_ascii().is_empty()));
+        cells.for_each(drop);
         table.end_row()?;
     }
     let is_open = lines.is_open();
