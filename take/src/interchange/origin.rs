@@ -167,7 +167,7 @@ impl MarkerScan {
         }
     }
 
-    /// Whether some of its samples at the origin are missing ones: the same as [`super::origin_gaps`], which marks them.
+    /// Whether some of its samples at the origin are missing ones: the same as `OriginGaps` finds.
     fn has_missing(&self) -> bool {
         // The median, the upper one for an even count, is too short if at least as many steps are too short as come
         // before it and itself.
