@@ -2,12 +2,16 @@
 
 use std::{fmt::Write, path::PathBuf};
 
-use mocapd_take::motion::{Motion, is_gap};
+use anyhow::Context;
+use mocapd_take::{
+    interchange::MotionReader,
+    motion::{FrameSource, GAP, Marker, MotionInfo, is_gap},
+};
 use serde::Serialize;
 
 use super::{
     batch::{Figures, FileReport, Job},
-    motion_files::read_motion_input,
+    motion_files::open_motion_input,
     output::{plain, plain_path},
     values::{LABEL_COLUMNS_MAX, bytes, count, length_of_time, rate, thousands},
 };
@@ -67,8 +71,9 @@ struct TrajectoryReport {
 /// # Errors
 /// If it cannot be read.
 pub(super) fn info(job: &Job<'_>) -> anyhow::Result<FileReport> {
-    let (motion, file_bytes) = read_motion_input(job)?;
-    let report = MotionFileInfo::new(job, &motion, file_bytes);
+    let (mut motion, file_bytes) = open_motion_input(job)?;
+    let channels = count_samples(job, &mut motion)?;
+    let report = MotionFileInfo::new(job, motion.info(), channels, file_bytes);
     if !job.is_json {
         report.warnings.iter().for_each(|warning| job.notify(warning));
     }
@@ -88,11 +93,13 @@ pub(super) fn info(job: &Job<'_>) -> anyhow::Result<FileReport> {
 }
 
 impl MotionFileInfo {
-    fn new(job: &Job<'_>, motion: &Motion, file_bytes: u64) -> Self {
-        let (info, source) = (&motion.info, &motion.info.source);
-        let frames = motion.n_frames() as u64;
-        let channels: Vec<TrajectoryReport> =
-            (0..info.markers.len()).map(|column| TrajectoryReport::new(motion, column)).collect();
+    fn new(
+        job: &Job<'_>,
+        info: &MotionInfo,
+        channels: Vec<TrajectoryReport>,
+        file_bytes: u64,
+    ) -> Self {
+        let (source, frames) = (&info.source, info.n_frames);
         let samples = channels.iter().map(|channel| channel.samples).sum();
         let foreign = info.foreign.iter();
         let events = info.events.iter();
@@ -174,18 +181,30 @@ impl MotionFileInfo {
     }
 }
 
-impl TrajectoryReport {
-    fn new(motion: &Motion, column: usize) -> Self {
-        let marker = &motion.info.markers[column];
-        let (mut samples, mut gaps, mut in_gap) = (0, 0, false);
-        for frame in 0..motion.n_frames() {
-            let is_gap = is_gap(motion.frame(frame)[column]);
-            samples += u64::from(!is_gap);
-            gaps += u64::from(is_gap && !in_gap);
-            in_gap = is_gap;
-        }
-        Self { label: marker.label.clone(), labelled: marker.labelled, samples, gaps }
+impl From<&Marker> for TrajectoryReport {
+    fn from(marker: &Marker) -> Self {
+        Self { label: marker.label.clone(), labelled: marker.labelled, samples: 0, gaps: 0 }
     }
+}
+
+/// Reads all frames, and counts the samples and gaps of each marker.
+fn count_samples(
+    job: &Job<'_>,
+    motion: &mut MotionReader<'_>,
+) -> anyhow::Result<Vec<TrajectoryReport>> {
+    let markers = &motion.info().markers;
+    let mut channels: Vec<TrajectoryReport> = markers.iter().map(Into::into).collect();
+    let mut row = vec![GAP; channels.len()];
+    let mut in_gap = vec![false; channels.len()];
+    let reading = || format!("cannot read {}", job.input.name.display());
+    while motion.next_frame(&mut row).with_context(reading)? {
+        for ((channel, &at), in_gap) in channels.iter_mut().zip(&row).zip(&mut in_gap) {
+            channel.samples += u64::from(!is_gap(at));
+            channel.gaps += u64::from(is_gap(at) && !*in_gap);
+            *in_gap = is_gap(at);
+        }
+    }
+    Ok(channels)
 }
 
 /// The report of `verify` for a motion file, documented in docs/json.md.
@@ -211,8 +230,9 @@ struct VerifiedMotionFile {
 /// # Errors
 /// If it cannot be read.
 pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
-    let (motion, file_bytes) = read_motion_input(job)?;
-    let (info, frames) = (&motion.info, motion.n_frames() as u64);
+    let (mut motion, file_bytes) = open_motion_input(job)?;
+    let channels = count_samples(job, &mut motion)?;
+    let (info, frames) = (motion.info(), motion.info().n_frames);
     let report = VerifiedMotionFile {
         file: job.input.name.clone(),
         format: info.source.format.clone(),
@@ -222,7 +242,7 @@ pub(super) fn verify(job: &Job<'_>) -> anyhow::Result<FileReport> {
         seconds: frames as f64 / info.rate_hz,
         markers: info.markers.len(),
         rate_hz: info.rate_hz,
-        samples: motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64,
+        samples: channels.iter().map(|channel| channel.samples).sum(),
         warnings: info.source.warnings.clone(),
     };
     if !job.is_json {

@@ -13,13 +13,13 @@ use mocapd_report::{
 use mocapd_service::subject;
 use mocapd_take::{
     TakeFrames,
-    interchange::ReadOptions,
+    interchange::{MotionReader, ReadOptions},
     motion::{FrameSource, Motion},
 };
 
 use super::{
     batch::Job,
-    original::{read_input, read_motion, read_motion_with},
+    original::{MotionSource, open_motion, read_motion, read_motion_with},
     output::notify,
     paths::{self, InputFormat},
 };
@@ -38,15 +38,16 @@ pub(super) fn read_take(path: &Path) -> anyhow::Result<DecodedTake> {
     Ok(take)
 }
 
-/// Reads a motion file that a command was given, and returns its size in bytes, too.
+/// Opens a motion file that a command was given, and returns its size in bytes, too.
 ///
 /// # Errors
 /// If it cannot be read.
-pub(super) fn read_motion_input(job: &Job<'_>) -> anyhow::Result<(Motion, u64)> {
+pub(super) fn open_motion_input(job: &Job<'_>) -> anyhow::Result<(MotionReader<'static>, u64)> {
     let n_bytes = fs::metadata(&job.input.path).map_or(0, |found| found.len());
     let phase = job.phase("reading", n_bytes);
-    let motion = read_input(job.input, &ReadOptions::default(), &phase.counter)?;
-    Ok((motion, n_bytes))
+    let source = MotionSource::of(job.input)?;
+    let reader = open_motion(&source, &ReadOptions::default(), true, &phase.counter)?;
+    Ok((reader, n_bytes))
 }
 
 /// Reads a take or a motion file that is to be plotted, and returns its size in bytes, too. No sample of a motion file is
@@ -56,7 +57,9 @@ pub(super) fn read_motion_input(job: &Job<'_>) -> anyhow::Result<(Motion, u64)> 
 /// If it cannot be read.
 pub(super) fn read_picture_source(job: &Job<'_>) -> anyhow::Result<(DecodedTake, u64)> {
     if let InputFormat::MotionFile(_) = job.input.format()? {
-        let (motion, n_bytes) = read_motion_input(job)?;
+        let (reader, n_bytes) = open_motion_input(job)?;
+        let name = job.input.name.display();
+        let motion = reader.into_motion().with_context(|| format!("cannot read {name}"))?;
         let kept = vec![vec![false; motion.n_frames()]; motion.info.markers.len()];
         let take = DecodedTake { motion, kept, settings: None, problems: Vec::new() };
         return Ok((take, n_bytes));

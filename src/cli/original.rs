@@ -49,19 +49,6 @@ pub(super) fn read_motion_with(path: &Path, options: &ReadOptions) -> anyhow::Re
     reader.into_motion().with_context(|| reading(path))
 }
 
-/// Reads a motion file that a command was given. `bytes_read` counts the bytes of all passes over it.
-///
-/// # Errors
-/// As [`read_motion`].
-pub(super) fn read_input(
-    input: &Input,
-    options: &ReadOptions,
-    bytes_read: &Arc<AtomicU64>,
-) -> anyhow::Result<Motion> {
-    let reader = open_motion(&MotionSource::of(input)?, options, true, bytes_read)?;
-    reader.into_motion().with_context(|| reading(&input.name))
-}
-
 /// A motion file, its format, and its name in messages.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MotionSource<'a> {

@@ -1,6 +1,7 @@
 //! The content of a foreign part: in memory, or in a scratch file if it is large.
 
 use std::{
+    borrow::Borrow,
     fmt::Debug,
     io::{self, BufRead, BufReader, BufWriter, IntoInnerError, Read, Write},
     sync::{Arc, Mutex, PoisonError, atomic::AtomicU64, atomic::Ordering},
@@ -216,17 +217,42 @@ impl Write for ScratchRegion<'_> {
     }
 }
 
-struct ContentReader<'a> {
-    content: &'a Content,
+#[derive(Debug)]
+struct ContentReader<C> {
+    content: C,
     at: u64,
 }
 
-impl Read for ContentReader<'_> {
+impl<C: Borrow<Content>> Read for ContentReader<C> {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        let n = (self.content.len() - self.at).min(bytes.len() as u64);
-        self.content.read_at(self.at, &mut bytes[..n as usize])?;
+        let content = self.content.borrow();
+        let n = (content.len() - self.at).min(bytes.len() as u64);
+        content.read_at(self.at, &mut bytes[..n as usize])?;
         self.at += n;
         Ok(n as usize)
+    }
+}
+
+/// Reads a content, as often as needed.
+#[derive(Debug)]
+pub(crate) struct ContentCursor(BufReader<ContentReader<Content>>);
+
+impl ContentCursor {
+    /// Begins with the first byte.
+    pub(crate) fn new(content: Content) -> Self {
+        Self(BufReader::with_capacity(BLOCK_BYTES, ContentReader { content, at: 0 }))
+    }
+
+    /// Returns to the first byte.
+    pub(crate) fn rewind(&mut self) {
+        self.0.consume(self.0.buffer().len());
+        self.0.get_mut().at = 0;
+    }
+}
+
+impl Read for ContentCursor {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        self.0.read(bytes)
     }
 }
 
@@ -284,6 +310,10 @@ struct Scratch {
 }
 
 impl Scratch {
+    fn new(file: Arc<dyn ScratchFile>) -> Arc<Self> {
+        Arc::new(Self { file, end: AtomicU64::new(0) })
+    }
+
     /// Appends the bytes of `input`, at most `len + 1`.
     fn put(self: &Arc<Self>, input: &mut impl Read, len: u64) -> io::Result<Content> {
         let from = self.end.fetch_add(len.saturating_add(1), Ordering::Relaxed);
@@ -311,6 +341,65 @@ impl Scratch {
             self.file.write_at(from + last, &[0])?;
         }
         Ok(Content(Storage::Scratch { scratch: Arc::clone(self), from, len }))
+    }
+}
+
+/// Writes a content of unknown length: to memory, and into a scratch file when it becomes large.
+pub(crate) struct ContentWriter<'a> {
+    new_scratch: NewScratch<'a>,
+    /// What is not in the scratch file yet.
+    held: Vec<u8>,
+    scratch: Option<Arc<Scratch>>,
+    written: u64,
+}
+
+impl<'a> ContentWriter<'a> {
+    pub(crate) fn new(new_scratch: NewScratch<'a>) -> Self {
+        Self { new_scratch, held: Vec::new(), scratch: None, written: 0 }
+    }
+
+    /// Appends bytes.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(crate) fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let held_max = if self.scratch.is_some() { BLOCK_BYTES } else { MEMORY_BYTES_MAX as usize };
+        if self.held.len() + bytes.len() > held_max {
+            self.flush()?;
+        }
+        let len = self.held.len() + bytes.len();
+        if len > self.held.capacity() {
+            // Doubled, but never beyond what will be held.
+            let capacity = (2 * len).min(held_max).max(len);
+            self.held.reserve_exact(capacity - self.held.len());
+        }
+        self.held.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// The content.
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(crate) fn finish(mut self) -> io::Result<Content> {
+        if self.scratch.is_none() {
+            return Ok(self.held.into());
+        }
+        let scratch = Arc::clone(self.flush()?);
+        Ok(Content(Storage::Scratch { scratch, from: 0, len: self.written }))
+    }
+
+    fn flush(&mut self) -> io::Result<&Arc<Scratch>> {
+        let scratch = match &mut self.scratch {
+            Some(scratch) => scratch,
+            none => none.insert(Scratch::new((self.new_scratch)()?)),
+        };
+        scratch.file.write_at(self.written, &self.held)?;
+        self.written += self.held.len() as u64;
+        scratch.end.store(self.written, Ordering::Relaxed);
+        self.held.clear();
+        self.held.shrink_to(BLOCK_BYTES);
+        Ok(scratch)
     }
 }
 
@@ -376,10 +465,7 @@ impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
     fn scratch(&mut self) -> io::Result<&Arc<Scratch>> {
         match &mut self.scratch {
             Some(scratch) => Ok(scratch),
-            none => {
-                let file = (self.new_scratch)()?;
-                Ok(none.insert(Arc::new(Scratch { file, end: AtomicU64::new(0) })))
-            }
+            none => Ok(none.insert(Scratch::new((self.new_scratch)()?))),
         }
     }
 }

@@ -31,6 +31,7 @@ pub mod mot;
 mod motion_reader;
 pub mod npz;
 mod origin;
+mod origin_gaps;
 #[cfg(feature = "full")]
 mod parquet;
 mod rotated;
@@ -39,6 +40,8 @@ mod row_timing;
 mod source_file;
 mod table;
 mod text;
+mod text_file;
+mod text_frames;
 mod trc;
 mod tsv;
 mod units;

@@ -7,10 +7,11 @@ use std::{
 };
 
 use super::{
-    Format, ReadOptions, Result, c3d, csv, source_file::SourceFile, trc, tsv, unsupported,
+    Format, ReadOptions, Result, c3d, csv, source_file::SourceFile, text_file::TextFile,
+    text_frames::TextFrames, trc, tsv, unsupported,
 };
 use crate::{
-    foreign::content::{PartStore, ScratchFile},
+    foreign::content::{NewScratch, PartStore, ScratchFile},
     motion::{FrameSource, GAP, Motion, MotionInfo, Position},
 };
 
@@ -21,7 +22,7 @@ pub struct ReaderSettings<'s> {
     /// Whether the content of foreign parts is wanted. Otherwise [`info`](FrameSource::info) lists their kinds, and
     /// they cannot be written.
     pub keeps_foreign: bool,
-    /// Creates a scratch file. It is called if foreign parts have more than 8 MiB.
+    /// Creates a scratch file. It is called if foreign parts, or the frames of a text file, have more than 8 MiB.
     pub new_scratch: &'s dyn Fn() -> io::Result<Arc<dyn ScratchFile>>,
     /// Counts the bytes read, again in each pass over the file.
     pub bytes_read: Arc<AtomicU64>,
@@ -37,21 +38,25 @@ impl fmt::Debug for ReaderSettings<'_> {
 
 /// The frames of a motion file of another program, in order.
 ///
-/// [`open`](Self::open) reads the file once, to find everything but the samples. A C3D file is read again for its
-/// frames, a block at a time, so a file of any size takes little memory; the samples of text files are kept in memory.
+/// A file of any size takes little memory. [`open`](Self::open) finds everything but the samples. A C3D file is read again
+/// for its frames, a block at a time; the parsed frames of a text file are in a scratch file if they are large.
 /// If the file changes meanwhile, reading fails.
 #[derive(Debug)]
 pub struct MotionReader<'a> {
     info: MotionInfo,
     source: SourceFile<'a>,
-    samples: Samples,
+    frames: Frames,
 }
 
 #[derive(Debug)]
-enum Samples {
+enum Frames {
     C3d(Box<c3d::C3dFrames>),
-    Memory { positions_mm: Vec<Position>, next: usize },
+    Text(Box<TextFrames>),
 }
+
+/// Opens a text file.
+type OpenText =
+    fn(&mut TextFile<'_, '_>, &ReadOptions, NewScratch<'_>) -> Result<(MotionInfo, TextFrames)>;
 
 impl<'a> MotionReader<'a> {
     /// Opens a file.
@@ -65,16 +70,23 @@ impl<'a> MotionReader<'a> {
         settings: &ReaderSettings<'_>,
     ) -> Result<Self> {
         let mut source = SourceFile::new(input, Arc::clone(&settings.bytes_read))?;
-        let options = &settings.options;
-        let read: fn(&[u8], &ReadOptions) -> Result<Motion> = match format {
+        let (options, new_scratch) = (&settings.options, settings.new_scratch);
+        let (info, frames) = match format {
             Format::C3d => {
-                let mut store = PartStore::new(settings.keeps_foreign, settings.new_scratch);
+                let mut store = PartStore::new(settings.keeps_foreign, new_scratch);
                 let (info, frames) = c3d::open(&mut source, options, &mut store)?;
-                return Ok(Self { info, source, samples: Samples::C3d(Box::new(frames)) });
+                (info, Frames::C3d(Box::new(frames)))
             }
-            Format::Trc => trc::read,
-            Format::Tsv => tsv::read,
-            Format::Csv | Format::CsvLong => csv::read,
+            Format::Trc | Format::Tsv | Format::Csv | Format::CsvLong => {
+                let (name, open): (_, OpenText) = match format {
+                    Format::Trc => ("trc", trc::open),
+                    Format::Tsv => ("tsv", tsv::open),
+                    _ => ("csv", csv::open),
+                };
+                let mut file = TextFile::new(name, &mut source);
+                let (info, frames) = open(&mut file, options, new_scratch)?;
+                (info, Frames::Text(Box::new(frames)))
+            }
             Format::Npz
             | Format::Xdf
             | Format::Bids
@@ -85,10 +97,7 @@ impl<'a> MotionReader<'a> {
                 return unsupported("this format is export only: import c3d, trc, tsv or csv");
             }
         };
-        let mut bytes = Vec::new();
-        source.reader().read_to_end(&mut bytes)?;
-        let Motion { info, positions_mm } = read(&bytes, options)?;
-        Ok(Self { info, source, samples: Samples::Memory { positions_mm, next: 0 } })
+        Ok(Self { info, source, frames })
     }
 
     /// The description of the file, to be changed before an import: its subject, for example.
@@ -103,9 +112,9 @@ impl<'a> MotionReader<'a> {
 
     /// Returns to the first frame.
     pub fn rewind(&mut self) {
-        match &mut self.samples {
-            Samples::C3d(frames) => frames.rewind(),
-            Samples::Memory { next, .. } => *next = 0,
+        match &mut self.frames {
+            Frames::C3d(frames) => frames.rewind(),
+            Frames::Text(frames) => frames.rewind(),
         }
     }
 
@@ -114,9 +123,6 @@ impl<'a> MotionReader<'a> {
     /// # Errors
     /// `Io` if the file cannot be read or has changed.
     pub fn into_motion(mut self) -> Result<Motion> {
-        if let Samples::Memory { positions_mm, .. } = self.samples {
-            return Ok(Motion { info: self.info, positions_mm });
-        }
         self.rewind();
         let n_markers = self.info.markers.len();
         // The file has as many.
@@ -135,18 +141,9 @@ impl FrameSource for MotionReader<'_> {
     }
 
     fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
-        match &mut self.samples {
-            Samples::C3d(frames) => frames.next_frame(&mut self.source, row),
-            Samples::Memory { positions_mm, next } => {
-                if *next as u64 >= self.info.n_frames {
-                    return Ok(false);
-                }
-                let start = *next * row.len();
-                let frame = positions_mm.get(start..start + row.len());
-                row.copy_from_slice(frame.unwrap_or_default());
-                *next += 1;
-                Ok(true)
-            }
+        match &mut self.frames {
+            Frames::C3d(frames) => frames.next_frame(&mut self.source, row),
+            Frames::Text(frames) => frames.next_frame(row),
         }
     }
 }

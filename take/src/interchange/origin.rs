@@ -1,56 +1,21 @@
 //! Samples exactly at the origin: some software writes `0 0 0` for an occluded marker.
 
-use super::units::median;
 use crate::{
     ambiguity::{Ambiguity, Notes},
-    motion::{GAP, Position, is_gap},
+    motion::{Position, is_gap},
 };
 
-const ORIGIN: Position = [0.0; 3];
+/// The origin.
+pub(super) const ORIGIN: Position = [0.0; 3];
 /// Written instead of the origin in formats where `0 0 0` means, or may mean, a missing sample: one nanometre off.
 const NEAR_ORIGIN: Position = [1e-6, 0.0, 0.0];
 /// A marker whose neighbouring sample is within this many of its median steps from the origin passes through the
 /// origin.
-const STEPS: f64 = 10.0;
-
-/// For each sample whether it is a missing one: it is exactly at the origin while other markers move elsewhere, and its
-/// own marker does not approach the origin. If the marker passes through the origin, the sample is a position.
-pub(super) fn missing(positions: &[Position], n_markers: usize) -> Vec<bool> {
-    let mut missing = vec![false; positions.len()];
-    let mut scan = OriginScan::new(n_markers);
-    positions.chunks_exact(n_markers.max(1)).for_each(|row| scan.add_row(row));
-    for marker in scan.suspects() {
-        mark_missing(positions, n_markers, marker, &mut missing);
-    }
-    missing
-}
+pub(super) const STEPS: f64 = 10.0;
 
 /// The position to write in a format where `0 0 0` may mean a missing sample.
 pub(super) fn off_origin(position: Position) -> Position {
     if position == ORIGIN { NEAR_ORIGIN } else { position }
-}
-
-/// Replaces missing samples at the origin with gaps. Returns how many.
-pub(super) fn replace_with_gaps(positions: &mut [Position], n_markers: usize) -> u64 {
-    let missing = missing(positions, n_markers);
-    let mut n_removed = 0;
-    for (position, _) in positions.iter_mut().zip(missing).filter(|(_, missing)| *missing) {
-        *position = GAP;
-        n_removed += 1;
-    }
-    n_removed
-}
-
-/// Notes samples at the origin in a format with its own mark for missing samples. Other readers take them for
-/// positions, so they stay positions, but the program that wrote the file may have meant missing samples.
-pub(super) fn note_samples_at_origin(positions: &[Position], n_markers: usize, notes: &mut Notes) {
-    let rows = || positions.chunks_exact(n_markers.max(1));
-    let mut scan = OriginScan::new(n_markers);
-    rows().for_each(|row| scan.add_row(row));
-    if scan.needs_steps() {
-        rows().for_each(|row| scan.add_steps(row));
-    }
-    scan.note(notes);
 }
 
 /// Finds the samples at the origin, row by row.
@@ -111,6 +76,11 @@ impl OriginScan {
             let is_suspect = others_move || (is_single && marker.moves);
             (is_suspect && marker.is_at_origin()).then_some(index)
         })
+    }
+
+    /// Whether a marker has a single sample at the origin.
+    pub(super) fn has_single(&self, marker: usize) -> bool {
+        self.markers.get(marker).is_some_and(|marker| marker.farthest().is_some())
     }
 
     /// Whether [`note`](Self::note) depends on steps, for which all rows must be [added again](Self::add_steps).
@@ -197,7 +167,7 @@ impl MarkerScan {
         }
     }
 
-    /// Whether some of its samples at the origin are missing ones: the same as [`mark_missing`], which marks them.
+    /// Whether some of its samples at the origin are missing ones: the same as `OriginGaps` finds.
     fn has_missing(&self) -> bool {
         // The median, the upper one for an even count, is too short if at least as many steps are too short as come
         // before it and itself.
@@ -206,123 +176,8 @@ impl MarkerScan {
     }
 }
 
-/// The frame and position of each sample of a marker.
-fn samples(
-    positions: &[Position],
-    n_markers: usize,
-    marker: usize,
-) -> impl Iterator<Item = (usize, Position)> {
-    let column = positions.iter().skip(marker).step_by(n_markers.max(1)).copied();
-    column.enumerate().filter(|&(_, at)| !is_gap(at))
-}
-
-/// Marks the samples of one marker that are missing: its runs at the origin, except single frames on its path.
-fn mark_missing(positions: &[Position], n_markers: usize, marker: usize, missing: &mut [bool]) {
-    let all: Vec<(usize, Position)> = samples(positions, n_markers, marker).collect();
-    let pairs = all.windows(2).filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN));
-    let steps = pairs.filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)));
-    let usual = median(&mut steps.collect::<Vec<f64>>()).unwrap_or(0.0);
-    let is_near = |at: Option<&(usize, Position)>| {
-        at.is_some_and(|&(_, at)| distance(at, ORIGIN) <= STEPS * usual)
-    };
-    let mut runs = all.chunk_by(|(_, a), (_, b)| (*a == ORIGIN) == (*b == ORIGIN)).peekable();
-    let mut before = None;
-    while let Some(run) = runs.next() {
-        let after = runs.peek().and_then(|next| next.first());
-        // A moving marker is at the origin for one frame at most.
-        let passes = run.len() == 1 && (is_near(before) || is_near(after));
-        for &(frame, _) in run.iter().filter(|(_, at)| *at == ORIGIN && !passes) {
-            if let Some(place) = missing.get_mut(frame * n_markers + marker) {
-                *place = true;
-            }
-        }
-        before = run.last();
-    }
-}
-
-fn distance(a: Position, b: Position) -> f64 {
+/// The distance of two positions in millimetres.
+pub(super) fn distance(a: Position, b: Position) -> f64 {
     let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
     squares.sum::<f64>().sqrt()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Marker 0 moves; marker 1 is `second`.
-    fn with(second: &[Position]) -> Vec<Position> {
-        second.iter().enumerate().flat_map(|(i, &at)| [[100.0 + i as f32, 5.0, 9.0], at]).collect()
-    }
-
-    fn removed(second: &[Position]) -> u64 {
-        replace_with_gaps(&mut with(second), 2)
-    }
-
-    #[test]
-    fn a_marker_at_the_origin_while_others_move_is_missing() {
-        let far = |x: f32| [500.0 + x, 1.0, 2.0];
-        assert_eq!(removed(&[far(0.0), ORIGIN, far(2.0), far(3.0)]), 1);
-        assert_eq!(removed(&[ORIGIN, ORIGIN, far(2.0), far(3.0)]), 2);
-        assert_eq!(removed(&[ORIGIN; 5]), 5);
-        assert_eq!(removed(&[far(0.0), far(1.0)]), 0);
-    }
-
-    #[test]
-    fn a_marker_that_passes_through_the_origin_has_a_position_there() {
-        let at = |x: f32| [x, 0.0, 0.0];
-        assert_eq!(removed(&[at(-2.0), at(-1.0), at(0.0), at(1.0), at(2.0)]), 0);
-        // Nothing moves, so nothing shows that a sample is missing.
-        assert_eq!(replace_with_gaps(&mut [ORIGIN, [1.0; 3], ORIGIN, [1.0; 3]], 2), 0);
-    }
-
-    #[test]
-    fn a_single_marker_that_jumps_to_the_origin_is_missing() {
-        let mut path: Vec<Position> = (0..9).map(|i| [900.0 + i as f32, 0.0, 0.0]).collect();
-        path[4] = ORIGIN;
-        assert_eq!(replace_with_gaps(&mut path, 1), 1);
-    }
-
-    #[test]
-    fn a_scan_finds_missing_samples_where_they_are_marked() {
-        // Few different positions, so that samples at the origin, single ones and runs, are near and far.
-        let mut state = 1_u64;
-        let mut number = |n: u64| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            (state >> 33) % n
-        };
-        let (mut n_missing, mut n_kept) = (0, 0);
-        for _ in 0..20_000 {
-            let n_markers = 1 + number(3) as usize;
-            let n_frames = number(9) as usize;
-            let far = [1.0, 9.0, 12.0, 500.0][number(4) as usize];
-            let mut position = |_| match number(6) {
-                0 => GAP,
-                1 => ORIGIN,
-                n => [far + n as f32 / 2.0, 0.0, 0.0],
-            };
-            let positions: Vec<Position> = (0..n_frames * n_markers).map(&mut position).collect();
-            let is_missing = missing(&positions, n_markers).contains(&true);
-            let mut notes = Notes::default();
-            note_samples_at_origin(&positions, n_markers, &mut notes);
-            let n_at_origin = positions.iter().filter(|&&at| at == ORIGIN).count() as u64;
-            let noted = Ambiguity::Origin { samples: n_at_origin, gaps: false };
-            let expected = if is_missing { vec![noted] } else { vec![] };
-            assert_eq!(notes.ambiguities, expected, "{n_markers}: {positions:?}");
-            assert_eq!(notes.warnings.len(), usize::from(n_at_origin > 0));
-            n_missing += u64::from(is_missing);
-            n_kept += u64::from(!is_missing && n_at_origin > 0);
-        }
-        assert!(n_missing > 1000 && n_kept > 1000, "{n_missing} and {n_kept}");
-    }
-
-    #[test]
-    fn the_time_is_linear_in_the_number_of_markers() {
-        // A pass over all markers for each marker would take hours.
-        let n_markers = 1_000_000;
-        let mut positions: Vec<Position> = vec![[1.0; 3]; 2 * n_markers];
-        positions[7] = ORIGIN;
-        assert_eq!(replace_with_gaps(&mut positions, n_markers), 0);
-        positions[n_markers - 1] = [2.0; 3];
-        assert_eq!(replace_with_gaps(&mut positions, n_markers), 1);
-    }
 }

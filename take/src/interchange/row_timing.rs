@@ -20,7 +20,8 @@ const DECIMATED_MIN: usize = 3;
 /// Most decimals of a rate: 59.94006.
 const RATE_DIGITS_MAX: i32 = 6;
 
-/// The frame numbers and times of the rows read so far.
+/// The frame numbers and times of the rows read so far: 16 bytes a row, and 64 with what [`place`](RowTiming::place)
+/// makes of them. An hour at 240 Hz has 864 000 rows.
 #[derive(Debug, Default)]
 pub(super) struct RowTiming {
     n_rows: usize,

@@ -1,11 +1,21 @@
 //! Tables of trajectories in text files: one row a frame with three cells for each marker. TRC, TSV and CSV share this
 //! code; they differ in the header, the separator, and the mark for a missing sample.
 
-use super::{InterchangeError, Result, counted, row_timing::RowTiming, units::ToMillimetres};
-use crate::motion::{GAP, Position};
+use std::io;
+
+use super::{
+    InterchangeError, Result, counted,
+    row_timing::RowTiming,
+    text_frames::{RowWriter, TextFrames},
+    units::ToMillimetres,
+};
+use crate::{
+    foreign::content::NewScratch,
+    motion::{GAP, Position},
+};
 
 /// Most positions to allocate per byte of text: one wide row among many short ones must not cost unbounded memory.
-pub(super) const MAX_POSITIONS_PER_BYTE: usize = 4;
+pub(super) const MAX_POSITIONS_PER_BYTE: u64 = 4;
 
 /// The warning for a file whose last number may lack digits.
 pub(super) const CUT_OFF: &str = "The file ends in the middle of a line; its last number may be cut off, so that sample is a gap.";
@@ -59,29 +69,43 @@ pub(super) fn parse_sample(cells: &mut dyn Iterator<Item = &[u8]>) -> SampleCell
 /// A table under construction, row by row.
 pub(super) struct Table<'a> {
     format: &'static str,
-    /// The whole file.
-    pub(super) bytes: &'a [u8],
     millimetres: ToMillimetres,
     /// Whether `0 0 0` means a missing sample.
     zeros_are_gaps: bool,
+    /// The current row.
+    row: Vec<Position>,
+    /// The last row that ended; it is written after the next one, because its last number may be cut off.
+    last: Option<Vec<Position>>,
+    rows: RowWriter<'a>,
+    n_rows: u64,
     /// The positions of all rows, which may differ in width.
-    positions: Vec<Position>,
-    /// For each row the index in `positions` at which it ends.
-    ends: Vec<usize>,
+    n_positions: u64,
+    /// Bytes of the whole file.
+    text_bytes: u64,
     timing: RowTiming,
+    /// For each row the number of frames without a row just before it; empty if there are none.
+    missing_before: Vec<u64>,
     damaged: usize,
 }
 
 impl<'a> Table<'a> {
-    pub(super) fn new(format: &'static str, bytes: &'a [u8], millimetres: ToMillimetres) -> Self {
+    pub(super) fn new(
+        format: &'static str,
+        new_scratch: NewScratch<'a>,
+        millimetres: ToMillimetres,
+    ) -> Self {
         Self {
             format,
-            bytes,
             millimetres,
             zeros_are_gaps: false,
-            positions: Vec::new(),
-            ends: Vec::new(),
+            row: Vec::new(),
+            last: None,
+            rows: RowWriter::new(new_scratch),
+            n_rows: 0,
+            n_positions: 0,
+            text_bytes: 0,
             timing: RowTiming::default(),
+            missing_before: Vec::new(),
             damaged: 0,
         }
     }
@@ -107,35 +131,48 @@ impl<'a> Table<'a> {
                 None
             }
         };
-        self.positions.push(position.unwrap_or(GAP));
+        self.row.push(position.unwrap_or(GAP));
         position.is_some()
     }
 
     /// Reads all remaining cells of the row, without empty and damaged samples at its end. Returns the number of
     /// markers that the row has.
     pub(super) fn read_samples(&mut self, cells: &mut dyn Iterator<Item = &[u8]>) -> usize {
-        let start = self.positions.len();
-        let mut filled = start;
+        let mut filled = 0;
         let mut cells = cells.peekable();
         while cells.peek().is_some() {
             if self.read_sample(&mut cells) {
-                filled = self.positions.len();
+                filled = self.row.len();
             }
         }
-        self.positions.truncate(filled);
-        filled - start
+        self.row.truncate(filled);
+        filled
     }
 
     /// Ends the current row.
-    pub(super) fn end_row(&mut self) {
-        self.ends.push(self.positions.len());
+    ///
+    /// # Errors
+    /// Those of the scratch file.
+    pub(super) fn end_row(&mut self) -> io::Result<()> {
+        self.n_rows += 1;
+        self.n_positions += self.row.len() as u64;
+        let last = self.last.get_or_insert_default();
+        std::mem::swap(last, &mut self.row);
+        if self.n_rows > 1 {
+            self.rows.write(&self.row)?;
+        }
+        self.row.clear();
+        Ok(())
+    }
+
+    /// States the number of bytes of the whole file, which limits the number of positions.
+    pub(super) fn end(&mut self, text_bytes: u64) {
+        self.text_bytes = text_bytes;
     }
 
     /// Makes the sample of a marker in the last row a gap, because its number may be cut off.
     pub(super) fn drop_truncated(&mut self, column: usize) {
-        let n_before = self.ends.len().checked_sub(2).and_then(|row| self.ends.get(row));
-        let place = n_before.copied().unwrap_or(0).saturating_add(column);
-        if let Some(cut) = self.positions.get_mut(place) {
+        if let Some(cut) = self.last.as_mut().and_then(|row| row.get_mut(column)) {
             *cut = GAP;
         }
     }
@@ -150,31 +187,19 @@ impl<'a> Table<'a> {
         report_damaged(self.damaged, warnings);
     }
 
-    /// Moves each row to the frame that its number and time give, and inserts empty rows for frames without a row.
-    /// Returns the rate: the stated one, or the one that follows from the times. The size of the file and the number of
-    /// markers (`width`) limit the number of rows.
+    /// Moves each row to the frame that its number and time give; frames without a row are empty. Returns the rate: the
+    /// stated one, or the one that follows from the times. The size of the file and the number of markers (`width`)
+    /// limit the number of frames without a row.
     pub(super) fn place(
         &mut self,
         stated_hz: Option<f64>,
         width: usize,
         warnings: &mut Vec<String>,
     ) -> Option<f64> {
-        let frames_max = self.bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE) / width.max(1);
+        let frames_max = usize::try_from(self.positions_max()).unwrap_or(usize::MAX) / width.max(1);
         let placed = self.timing.place(stated_hz, frames_max, warnings);
-        let rate_hz =
-            placed.rate_hz.or_else(|| (self.ends.len() == 1).then(|| rate_of_one_frame(warnings)));
-        if !placed.missing_before.is_empty() {
-            let mut start = 0;
-            let mut ends = Vec::with_capacity(self.ends.len());
-            for (index, &end) in self.ends.iter().enumerate() {
-                let n_empty = placed.missing_before.get(index).copied().unwrap_or(0);
-                ends.extend((0..n_empty).map(|_| start));
-                ends.push(end);
-                start = end;
-            }
-            self.ends = ends;
-        }
-        rate_hz
+        self.missing_before = placed.missing_before;
+        placed.rate_hz.or_else(|| (self.n_rows == 1).then(|| rate_of_one_frame(warnings)))
     }
 
     /// The number of the first frame, if rows have numbers.
@@ -182,9 +207,9 @@ impl<'a> Table<'a> {
         self.timing.first()
     }
 
-    /// The number of rows, which is that of frames.
+    /// The number of frames: of rows, and of frames without a row.
     pub(super) fn n_frames(&self) -> u64 {
-        self.ends.len() as u64
+        self.missing_before.iter().fold(self.n_rows, |n, missing| n.saturating_add(*missing))
     }
 
     /// The number of announced frames that the file does not have. Warns if it has another number than announced.
@@ -196,32 +221,29 @@ impl<'a> Table<'a> {
         announced.saturating_sub(n_frames)
     }
 
-    /// The positions as a rectangle `width` markers wide; shorter rows are filled up with gaps.
+    /// The frames, `width` markers wide; shorter rows are filled up with gaps.
     ///
     /// # Errors
-    /// `Malformed` if the rectangle has more than [`MAX_POSITIONS_PER_BYTE`] positions per byte of the file.
-    pub(super) fn into_positions(self, width: usize) -> Result<Vec<Position>> {
-        let total = width.saturating_mul(self.ends.len());
-        if total == self.positions.len() {
-            return Ok(self.positions);
-        }
-        if total > self.bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE) {
+    /// `Malformed` if they have more than [`MAX_POSITIONS_PER_BYTE`] positions per byte of the file; those of the
+    /// scratch file.
+    pub(super) fn into_frames(mut self, width: usize) -> Result<TextFrames> {
+        let n_frames = self.n_frames();
+        let total = n_frames.saturating_mul(width as u64);
+        if total != self.n_positions && total > self.positions_max() {
             let message = format!(
-                "{} rows of {width} markers (the widest row) are too many for a file of {} bytes; split the file",
-                self.ends.len(),
-                self.bytes.len()
+                "{n_frames} rows of {width} markers (the widest row) are too many for a file of {} bytes; split the file",
+                self.text_bytes
             );
             return Err(InterchangeError::malformed(self.format, "data", message));
         }
-        let mut rectangle = Vec::with_capacity(total);
-        let mut start = 0;
-        for end in self.ends {
-            let row = self.positions.get(start..end).unwrap_or(&[]);
-            rectangle.extend_from_slice(row.get(..width).unwrap_or(row));
-            rectangle.extend(std::iter::repeat_n(GAP, width.saturating_sub(row.len())));
-            start = end;
+        if let Some(last) = &self.last {
+            self.rows.write(last)?;
         }
-        Ok(rectangle)
+        Ok(TextFrames::of_rows(self.rows.finish()?, (n_frames, width), self.missing_before))
+    }
+
+    fn positions_max(&self) -> u64 {
+        self.text_bytes.saturating_mul(MAX_POSITIONS_PER_BYTE)
     }
 }
 
@@ -232,13 +254,15 @@ mod tests {
 
     #[test]
     fn one_wide_row_among_many_short_ones_does_not_claim_memory() {
-        let bytes = [b' '; 8000];
-        let mut table = Table::new("trc", &bytes, ToMillimetres::new(1.0, Rotation::IDENTITY));
+        let new_scratch = || Err(io::ErrorKind::Unsupported.into());
+        let millimetres = ToMillimetres::new(1.0, Rotation::IDENTITY);
+        let mut table = Table::new("trc", &new_scratch, millimetres);
         for _ in 0..1000 {
-            table.end_row();
+            table.end_row().unwrap();
         }
         assert!(table.read_sample(&mut [&b"0"[..]; 3].into_iter()));
-        table.end_row();
-        assert!(table.into_positions(100_000).is_err());
+        table.end_row().unwrap();
+        table.end(8000);
+        assert!(table.into_frames(100_000).is_err());
     }
 }

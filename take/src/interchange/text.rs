@@ -92,24 +92,6 @@ impl Separator {
     }
 }
 
-/// Whether the last number of a text is probably cut off: the text does not end in a line end, and every other number
-/// of that column has more decimals. Compares the lines from `first_line` on.
-pub(super) fn ends_mid_number(bytes: &[u8], first_line: usize, separator: Separator) -> bool {
-    if bytes.ends_with(b"\n") {
-        return false;
-    }
-    let rows = || lines(bytes).skip(first_line.saturating_sub(1)).map(|(_, line)| line);
-    let Some(last) = rows().last() else { return false };
-    let Some((column, cut)) = separator.cells(last).enumerate().last() else { return false };
-    let fewest = rows()
-        .filter(|line| !std::ptr::eq(line.as_ptr(), last.as_ptr()))
-        .filter_map(|line| separator.cells(line).nth(column))
-        .filter(|cell| number(cell).is_some())
-        .map(|cell| decimals(cell.trim_ascii()))
-        .min();
-    number(cut).is_some() && fewest.is_some_and(|fewest| decimals(cut.trim_ascii()) < fewest)
-}
-
 /// The marker of a column by its label. A label that is empty or the default name of that column is an unlabelled
 /// marker.
 pub(super) fn marker(label: &str, column: usize) -> Marker {

@@ -9,16 +9,19 @@ use std::io::Write;
 
 use super::{
     InterchangeError, ReadOptions, Result, check_frame_count, counted,
-    origin::{self, off_origin},
+    origin::off_origin,
     put_position,
     table::{CUT_OFF, Table},
     text::{self, Separator, column_labels, without_tabs},
-    units::{FileUnit, MotionExtent, ToMillimetres},
+    text_file::{Line, TextFile},
+    text_frames::{AtOrigin, TextFrames},
+    units::{FileUnit, ToMillimetres},
     write_frames,
 };
 use crate::{
-    ambiguity::{Ambiguity, Notes},
-    motion::{Foreign, FrameSource, Motion, MotionInfo, UpAxis},
+    ambiguity::Notes,
+    foreign::content::NewScratch,
+    motion::{Foreign, FrameSource, MotionInfo, UpAxis},
 };
 
 /// Kind of the foreign part with the header lines: the lines above the labels, unchanged.
@@ -30,15 +33,20 @@ const LEAD_CELLS: usize = 2;
 /// The line of labels must be within this many lines.
 const HEADER_LINES_MAX: usize = 16;
 
-/// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
+/// Reads everything but the frames, and prepares to deliver those.
+pub(super) fn open(
+    file: &mut TextFile<'_, '_>,
+    options: &ReadOptions,
+    new_scratch: NewScratch<'_>,
+) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
-    let header = TrcHeader::parse(bytes, &mut notes.warnings)?;
+    let header = TrcHeader::parse(file, &mut notes.warnings)?;
     let unit = FileUnit::resolve(&header.unit, options.unit, &mut notes);
-    let mut table = Table::new("trc", bytes, ToMillimetres::new(unit.factor, options.rotation()));
+    let millimetres = ToMillimetres::new(unit.factor, options.rotation());
+    let mut table = Table::new("trc", new_scratch, millimetres);
     let warnings = &mut notes.warnings;
-    let separator = separator_of_rows(bytes, &header);
-    let width = read_rows(&mut table, &header, separator, warnings)?;
+    let separator = separator_of_rows(file, &header)?;
+    let width = read_rows(&mut table, file, &header, separator, warnings)?;
     table.place(Some(header.rate_hz), width, warnings);
     let frames_missing = table.count_missing(header.n_frames, warnings);
     // A label with a space in it counts as several if spaces are the separator.
@@ -60,24 +68,18 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     }
     let first_frame = table.first_frame().unwrap_or(1);
     let n_frames = table.n_frames();
-    let mut positions_mm = table.into_positions(width)?;
-    let samples = origin::replace_with_gaps(&mut positions_mm, width);
-    if samples > 0 {
-        notes.ambiguous(Ambiguity::Origin { samples, gaps: true });
-    }
-    unit.check(&mut MotionExtent::of(&positions_mm, width), &mut notes);
-    Ok(Motion {
-        positions_mm,
-        info: MotionInfo {
-            rate_hz: header.rate_hz,
-            n_frames,
-            markers: text::markers(&labels, width),
-            up: options.up(UpAxis::Unknown, &mut notes),
-            source: unit.into_source("trc", first_frame, frames_missing, notes),
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
-            ..MotionInfo::default()
-        },
-    })
+    let mut frames = table.into_frames(width)?;
+    frames.examine(&unit, AtOrigin::Missing, &mut notes)?;
+    let info = MotionInfo {
+        rate_hz: header.rate_hz,
+        n_frames,
+        markers: text::markers(&labels, width),
+        up: options.up(UpAxis::Unknown, &mut notes),
+        source: unit.into_source("trc", first_frame, frames_missing, notes),
+        foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
+        ..MotionInfo::default()
+    };
+    Ok((info, frames))
 }
 
 /// The header lines and the labels.
@@ -96,23 +98,24 @@ struct TrcHeader {
 }
 
 impl TrcHeader {
-    fn parse(bytes: &[u8], warnings: &mut Vec<String>) -> Result<Self> {
+    fn parse(file: &mut TextFile<'_, '_>, warnings: &mut Vec<String>) -> Result<Self> {
         let begins_with = |line: &[u8], name: &[u8]| {
             let start = line.trim_ascii_start().get(..name.len());
             start.is_some_and(|start| start.eq_ignore_ascii_case(name))
         };
-        let mut lines = text::lines(bytes);
+        let mut lines = file.lines();
         let mut kept = Vec::new();
         let mut values: Vec<(String, String)> = Vec::new();
         let (labels_line, labels) = loop {
-            let Some((number, line)) = lines.next() else {
+            lines.check_header()?;
+            let Some(Line { number, bytes: line, .. }) = lines.next()? else {
                 return Err(malformed(
                     "line 4",
                     "expected a line that begins with `Frame#` and `Time`, found none: not a TRC file",
                 ));
             };
             if begins_with(line, b"Frame#") {
-                break (number, line);
+                break (number, line.to_vec());
             }
             if number > HEADER_LINES_MAX {
                 return Err(malformed(
@@ -136,7 +139,7 @@ impl TrcHeader {
                 "expected a rate above 0 under `DataRate`: correct the line and import again",
             ));
         };
-        let separator = Separator::of(labels);
+        let separator = Separator::of(&labels);
         let count = |name: &str| text::whole_number(value(name)?.as_bytes());
         let n_markers = count("nummarkers");
         Ok(Self {
@@ -144,7 +147,7 @@ impl TrcHeader {
             unit: value("units").unwrap_or_default().to_owned(),
             n_frames: count("numframes"),
             n_markers,
-            labels: labels_of(labels, separator, n_markers, warnings),
+            labels: labels_of(&labels, separator, n_markers, warnings),
             separator,
             labels_line,
             lines: kept,
@@ -190,55 +193,76 @@ fn malformed(place: &str, message: &str) -> InterchangeError {
     InterchangeError::malformed("trc", place, message)
 }
 
+/// Lines or rows with a defect.
+#[derive(Default)]
+struct Defects {
+    n: u64,
+    first: usize,
+}
+
+impl Defects {
+    fn add(&mut self, line: usize) {
+        if self.n == 0 {
+            self.first = line;
+        }
+        self.n += 1;
+    }
+
+    fn report(&self, defect: &str, what: &str, warnings: &mut Vec<String>) {
+        if self.n > 0 {
+            let (found, first) = (counted(self.n, what), self.first);
+            warnings.push(format!("{defect}: {found}, first line {first}."));
+        }
+    }
+}
+
 /// Reads all lines below the labels. Returns the number of markers in the widest row.
 fn read_rows(
     table: &mut Table<'_>,
+    file: &mut TextFile<'_, '_>,
     header: &TrcHeader,
     separator: Separator,
     warnings: &mut Vec<String>,
 ) -> Result<usize> {
-    let bytes = table.bytes;
     let exact_width = match separator {
         Separator::Byte(_) => None,
-        Separator::Spaces => exact_width(bytes, header)?,
+        Separator::Spaces => exact_width(file, header)?,
     };
     let mut width = exact_width.unwrap_or(0);
-    let (mut skipped_lines, mut skipped_rows) = (Vec::new(), Vec::new());
+    let (mut skipped_lines, mut skipped_rows) = (Defects::default(), Defects::default());
     let mut n_cells = 0;
-    for (at, line) in text::lines(bytes).skip(header.labels_line) {
+    let mut lines = file.lines_below(header.labels_line)?;
+    while let Some(Line { number: at, bytes: line, .. }) = lines.next()? {
         if frame_number(line, separator).is_none() {
             // Skips the line X1 Y1 Z1... and empty lines without a warning.
             let own = Separator::of(line);
             let is_empty = own.cells(line).next().is_none_or(|cell| cell.trim_ascii().is_empty());
             if !is_empty && !is_axes(own, line) {
-                skipped_lines.push(at);
+                skipped_lines.add(at);
             }
             continue;
         }
-        let mut cells = separator.cells(line);
+        n_cells = 0;
+        let mut cells = separator.cells(line).inspect(|_| n_cells += 1);
         table.begin_row(cells.next().unwrap_or(&[]), cells.next().unwrap_or(&[]));
-        n_cells = separator.cells(line).count();
         if is_aligned(line, separator, exact_width) {
             width = width.max(table.read_samples(&mut cells));
         } else {
-            skipped_rows.push(at);
+            skipped_rows.add(at);
+            cells.for_each(drop);
         }
-        table.end_row();
+        table.end_row()?;
     }
-    if n_cells > LEAD_CELLS && text::ends_mid_number(bytes, header.labels_line + 1, separator) {
+    let is_open = lines.is_open();
+    table.end(lines.n_bytes());
+    let is_row_open = is_open && n_cells > LEAD_CELLS;
+    if is_row_open && file.ends_mid_number(header.labels_line, separator)? {
         table.drop_truncated((n_cells - LEAD_CELLS - 1) / 3);
         warnings.push(CUT_OFF.to_owned());
     }
-    if let Some(first) = skipped_lines.first() {
-        let lines = counted(skipped_lines.len() as u64, "line");
-        warnings.push(format!("Without a frame number, left out: {lines}, first line {first}."));
-    }
-    if let Some(first) = skipped_rows.first() {
-        let rows = counted(skipped_rows.len() as u64, "row");
-        warnings.push(format!(
-            "With a wrong number of cells or another separator, read as gaps: {rows}, first line {first}."
-        ));
-    }
+    skipped_lines.report("Without a frame number, left out", "line", warnings);
+    let defect = "With a wrong number of cells or another separator, read as gaps";
+    skipped_rows.report(defect, "row", warnings);
     table.report_damaged(warnings);
     table.report_not_finite(warnings);
     Ok(width)
@@ -253,23 +277,24 @@ fn frame_number(line: &[u8], separator: Separator) -> Option<u64> {
 
 /// The separator of all rows: that of the labels if any row has it, otherwise that of the first row. Below labels
 /// between spaces, that of the first row.
-fn separator_of_rows(bytes: &[u8], header: &TrcHeader) -> Separator {
+fn separator_of_rows(file: &mut TextFile<'_, '_>, header: &TrcHeader) -> Result<Separator> {
     let of_labels = header.separator;
     let mut first = None;
-    for (_, line) in text::lines(bytes).skip(header.labels_line) {
+    let mut lines = file.lines_below(header.labels_line)?;
+    while let Some(Line { bytes: line, .. }) = lines.next()? {
         let own = Separator::of(line);
         if frame_number(line, own).is_none() {
             continue;
         }
         if of_labels == Separator::Spaces {
-            return own;
+            return Ok(own);
         }
         if of_labels.is_in(line) {
-            return of_labels;
+            return Ok(of_labels);
         }
         first.get_or_insert(own);
     }
-    first.unwrap_or(of_labels)
+    Ok(first.unwrap_or(of_labels))
 }
 
 /// The number of markers that a complete row between spaces has. Such a row cannot have empty cells: if a marker is
@@ -278,17 +303,22 @@ fn separator_of_rows(bytes: &[u8], header: &TrcHeader) -> Separator {
 ///
 /// # Errors
 /// `Malformed` if no row agrees with either number.
-fn exact_width(bytes: &[u8], header: &TrcHeader) -> Result<Option<usize>> {
+fn exact_width(file: &mut TextFile<'_, '_>, header: &TrcHeader) -> Result<Option<usize>> {
     let announced = header.n_markers.and_then(|n| usize::try_from(n).ok()).filter(|&n| n > 0);
     let labelled = Some(header.labels.len()).filter(|&n| n > 0);
-    let rows = text::lines(bytes).skip(header.labels_line).map(|(_, line)| line);
-    let rows = rows.filter(|line| frame_number(line, Separator::Spaces).is_some());
-    let widths: Vec<Option<usize>> = rows.map(width_of).collect();
-    let agreeing = |n: Option<usize>| widths.iter().filter(|w| w.is_some() && **w == n).count();
-    let (by_number, by_labels) = (agreeing(announced), agreeing(labelled));
+    let (mut n_rows, mut by_number, mut by_labels) = (0_usize, 0_usize, 0_usize);
+    let mut lines = file.lines_below(header.labels_line)?;
+    while let Some(Line { bytes: line, .. }) = lines.next()? {
+        if frame_number(line, Separator::Spaces).is_some() {
+            n_rows += 1;
+            let width = width_of(line);
+            by_number += usize::from(width.is_some() && width == announced);
+            by_labels += usize::from(width.is_some() && width == labelled);
+        }
+    }
     let preferred = if by_labels > by_number { labelled } else { announced.or(labelled) };
     let Some(width) = preferred else { return Ok(None) };
-    if !widths.is_empty() && by_number.max(by_labels) == 0 {
+    if n_rows > 0 && by_number.max(by_labels) == 0 {
         let message = format!(
             "expected rows of {} cells (frame, time, and three for each of {width} markers), found none: cells between \
              spaces cannot be empty, so missing markers cannot be identified; separate the cells with tabs",

@@ -14,12 +14,15 @@ use super::{
     put_position,
     table::Table,
     text::{self, Separator, column_labels, kept_header, value_of, without_tabs},
-    units::{FileUnit, MotionExtent, ToMillimetres},
+    text_file::{Line, TextFile},
+    text_frames::{AtOrigin, TextFrames},
+    units::{FileUnit, ToMillimetres},
     write_frames,
 };
 use crate::{
     ambiguity::Notes,
-    motion::{Foreign, FrameSource, Motion, MotionEvent, MotionInfo, UpAxis},
+    foreign::content::NewScratch,
+    motion::{Foreign, FrameSource, MotionEvent, MotionInfo, UpAxis},
     record::EventKind,
 };
 
@@ -29,16 +32,21 @@ const HEADER: &str = "tsv/header";
 /// Names that only QTM's header has.
 const QTM_NAMES: [&[u8]; 4] = [b"NO_OF_FRAMES", b"NO_OF_MARKERS", b"FREQUENCY", b"MARKER_NAMES"];
 
-/// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
+/// Reads everything but the frames, and prepares to deliver those.
+pub(super) fn open(
+    file: &mut TextFile<'_, '_>,
+    options: &ReadOptions,
+    new_scratch: NewScratch<'_>,
+) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
-    let header = TsvHeader::parse(bytes)?;
+    let header = TsvHeader::parse(file)?;
     let unit = FileUnit::resolve("mm", options.unit, &mut notes);
     let millimetres = ToMillimetres::new(unit.factor, options.rotation());
-    let mut table = Table::new("tsv", bytes, millimetres).with_zeros_as_gaps();
+    let mut table = Table::new("tsv", new_scratch, millimetres).with_zeros_as_gaps();
     let mut width = header.labels.len();
     let mut first_frame = None;
-    for (_, line) in text::lines(bytes).skip(header.n_lines) {
+    let mut lines = file.lines_below(header.n_lines)?;
+    while let Some(Line { bytes: line, .. }) = lines.next()? {
         if line.trim_ascii().is_empty() {
             continue;
         }
@@ -50,8 +58,9 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
             }
         }
         width = width.max(table.read_samples(&mut cells));
-        table.end_row();
+        table.end_row()?;
     }
+    table.end(lines.n_bytes());
     let up = options.up(UpAxis::Unknown, &mut notes);
     table.report_not_finite(&mut notes.warnings);
     table.report_damaged(&mut notes.warnings);
@@ -65,21 +74,19 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let first_frame = first_frame.unwrap_or(1);
     let mut events = header.events(first_frame, n_frames);
     events.sort_by_key(|event| event.frame);
-    let positions_mm = table.into_positions(width)?;
-    unit.check(&mut MotionExtent::of(&positions_mm, width), &mut notes);
-    Ok(Motion {
-        positions_mm,
-        info: MotionInfo {
-            rate_hz: header.rate_hz,
-            n_frames,
-            markers: text::markers(&header.labels, width),
-            up,
-            source: unit.into_source("tsv", first_frame, frames_missing, notes),
-            events,
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
-            ..MotionInfo::default()
-        },
-    })
+    let mut frames = table.into_frames(width)?;
+    frames.examine(&unit, AtOrigin::Positions, &mut notes)?;
+    let info = MotionInfo {
+        rate_hz: header.rate_hz,
+        n_frames,
+        markers: text::markers(&header.labels, width),
+        up,
+        source: unit.into_source("tsv", first_frame, frames_missing, notes),
+        events,
+        foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
+        ..MotionInfo::default()
+    };
+    Ok((info, frames))
 }
 
 /// The lines above the data.
@@ -98,18 +105,17 @@ struct TsvHeader {
 }
 
 impl TsvHeader {
-    fn parse(bytes: &[u8]) -> Result<Self> {
+    fn parse(file: &mut TextFile<'_, '_>) -> Result<Self> {
         let mut header = Self::default();
         let mut rate_hz = None;
         let mut is_qtm = false;
-        for (number, line) in text::lines(bytes) {
-            let mut cells = Separator::TAB.cells(line);
-            let first = cells.next().unwrap_or(&[]).trim_ascii();
+        let mut lines = file.lines();
+        while let Some(Line { number, bytes: line, .. }) = lines.next()? {
+            let (first, value) = first_cells(line);
             let is_data = first.is_empty() || text::number(first).is_some();
             if is_qtm && is_data && !line.trim_ascii().is_empty() {
                 break;
             }
-            let value = cells.next().unwrap_or(&[]);
             match first {
                 b"NO_OF_FRAMES" => header.n_frames = text::whole_number(value),
                 b"NO_OF_MARKERS" => header.n_markers = text::whole_number(value),
@@ -131,6 +137,7 @@ impl TsvHeader {
             header.lines.extend_from_slice(line);
             header.lines.push(b'\n');
             header.n_lines = number;
+            lines.check_header()?;
         }
         if !is_qtm {
             return Err(malformed(
@@ -182,6 +189,12 @@ impl TsvHeader {
             self.labels = columns.filter_map(|name| without_axis(name)).map(text::decode).collect();
         }
     }
+}
+
+/// The first cell of a line, trimmed, and the second.
+fn first_cells(line: &[u8]) -> (&[u8], &[u8]) {
+    let mut cells = Separator::TAB.cells(line);
+    (cells.next().unwrap_or(&[]).trim_ascii(), cells.next().unwrap_or(&[]))
 }
 
 /// Whether a column is one of those that QTM puts before the coordinates.

@@ -227,14 +227,6 @@ impl MotionExtent {
         }
     }
 
-    /// Measures a motion in memory.
-    pub(super) fn of(positions: &[Position], n_markers: usize) -> Self {
-        let rows = positions.chunks(n_markers.max(1));
-        let mut extent = Self::new(rows.len());
-        rows.for_each(|row| extent.add_row(row));
-        extent
-    }
-
     /// Adds the positions of the next frame.
     pub(super) fn add_row(&mut self, row: &[Position]) {
         let is_measured = self.n_added.is_multiple_of(self.step);
@@ -390,8 +382,11 @@ mod tests {
 
     #[test]
     fn a_span_is_that_of_a_frame_or_of_a_path() {
-        let span =
-            |positions: &[Position], n_markers| MotionExtent::of(positions, n_markers).span();
+        let span = |positions: &[Position], n_markers: usize| {
+            let mut extent = MotionExtent::new(positions.len() / n_markers.max(1));
+            positions.chunks(n_markers.max(1)).for_each(|row| extent.add_row(row));
+            extent.span()
+        };
         let frame = |x: f32| [[x, 0.0, 0.0], [x, 1.8, 0.0], GAP];
         let walk: Vec<Position> = (0..2000).flat_map(|i| frame(i as f32)).collect();
         assert!((span(&walk, 3) - 1.8).abs() < 1e-6);

@@ -20,6 +20,7 @@
 mod counting;
 mod mutated;
 mod take;
+mod text;
 mod window;
 
 use std::{io::Cursor, ops::Range, time::Instant};

@@ -33,7 +33,7 @@ const MIB: usize = 1 << 20;
 
 /// A scratch file.
 #[derive(Debug)]
-struct Scratch(File);
+pub(super) struct Scratch(pub(super) File);
 
 impl ScratchFile for Scratch {
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {

@@ -3,7 +3,13 @@
 
 use std::borrow::Cow;
 
-use crate::{escape::to_cell, interchange::text};
+use crate::{
+    escape::to_cell,
+    interchange::{
+        Result, text,
+        text_file::{Conversion, Line, TextFile},
+    },
+};
 
 /// The cells of a line. A cell in quotes may hold commas, and quotes when they are doubled.
 pub(super) struct LineCells<'a> {
@@ -62,28 +68,24 @@ pub fn quote(text: &str) -> Cow<'_, str> {
     text
 }
 
-/// The file with commas between cells and points in numbers, which the readers expect; unchanged if it has them
+/// What gives the lines commas between cells and points in numbers, which the readers expect; `None` if they have them
 /// already.
-pub(super) fn with_commas(bytes: &[u8]) -> Cow<'_, [u8]> {
-    let Some(separator) = separator(bytes) else { return Cow::Borrowed(bytes) };
-    let has_points = has_points(separator, bytes);
-    let mut out = Vec::with_capacity(bytes.len() + 64);
-    for (_, line) in text::lines(bytes) {
+///
+/// # Errors
+/// Those of reading the file.
+pub(super) fn to_commas(file: &mut TextFile<'_, '_>) -> Result<Option<Box<Conversion>>> {
+    let Some(separator) = separator(file)? else { return Ok(None) };
+    let has_points = has_points(separator, file)?;
+    Ok(Some(Box::new(move |line, out| {
         if line.trim_ascii_start().starts_with(b"#") {
             out.extend_from_slice(line);
-        } else {
-            for (index, cell) in LineCells::between(separator, line).enumerate() {
-                out.extend((index > 0).then_some(b','));
-                put(&cell, has_points, &mut out);
-            }
+            return;
         }
-        out.push(b'\n');
-    }
-    // A file that ends in the middle of a line must still do so.
-    if !bytes.ends_with(b"\n") {
-        out.pop();
-    }
-    Cow::Owned(out)
+        for (index, cell) in LineCells::between(separator, line).enumerate() {
+            out.extend((index > 0).then_some(b','));
+            put(&cell, has_points, out);
+        }
+    })))
 }
 
 fn put(cell: &[u8], has_points: bool, out: &mut Vec<u8>) {
@@ -106,28 +108,39 @@ fn with_point(cell: &[u8]) -> Option<Vec<u8>> {
 }
 
 /// Whether any number has a decimal point: then commas separate thousands.
-fn has_points(separator: u8, bytes: &[u8]) -> bool {
+fn has_points(separator: u8, file: &mut TextFile<'_, '_>) -> Result<bool> {
     let is_with_point = |cell: &[u8]| cell.contains(&b'.') && text::number(cell).is_some();
-    text::lines(bytes).any(|(_, line)| {
-        !line.starts_with(b"#")
+    let mut lines = file.lines();
+    while let Some(Line { bytes: line, .. }) = lines.next()? {
+        if !line.starts_with(b"#")
             && line.contains(&b'.')
             && LineCells::between(separator, line).any(|cell| is_with_point(&cell))
-    })
+        {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// Detects the separator from the line of column names; `None` if the file has commas and no quotes around numbers.
-fn separator(bytes: &[u8]) -> Option<u8> {
-    let is_content = |line: &[u8]| !line.trim_ascii().is_empty() && !line.starts_with(b"#");
-    let mut lines = text::lines(bytes).map(|(_, line)| line).filter(|line| is_content(line));
-    let names = lines.next()?;
-    let count = |separator: u8| LineCells::between(separator, names).count();
-    let commas = count(b',');
-    let most = [b';', b'\t'].into_iter().max_by_key(|&separator| count(separator))?;
-    if count(most) > commas {
-        return Some(most);
+fn separator(file: &mut TextFile<'_, '_>) -> Result<Option<u8>> {
+    let mut lines = file.lines();
+    let mut commas = None;
+    while let Some(Line { bytes: line, .. }) = lines.next()? {
+        if line.trim_ascii().is_empty() || line.starts_with(b"#") {
+            continue;
+        }
+        if let Some(commas) = commas {
+            return Ok((commas > 1 && line.starts_with(b"\"")).then_some(b','));
+        }
+        let count = |separator: u8| LineCells::between(separator, line).count();
+        let most = [b';', b'\t'].into_iter().max_by_key(|&separator| count(separator));
+        if let Some(most) = most.filter(|&most| count(most) > count(b',')) {
+            return Ok(Some(most));
+        }
+        commas = Some(count(b','));
     }
-    let first_row = lines.next()?;
-    (commas > 1 && first_row.starts_with(b"\"")).then_some(b',')
+    Ok(None)
 }
 
 #[cfg(test)]

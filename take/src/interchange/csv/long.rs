@@ -6,19 +6,24 @@ use std::{borrow::Cow, collections::HashMap, io::Write};
 use super::{
     dialect::{LineCells, quote},
     malformed,
+    rectangle::{Rectangle, Sample},
 };
 use crate::{
     ambiguity::Notes,
     escape::from_cell,
+    foreign::content::{Content, ContentWriter, NewScratch},
     interchange::{
         ReadOptions, Result, counted, put_position,
         row_timing::{Rounding, rate_of},
         table::{self, CUT_OFF, MAX_POSITIONS_PER_BYTE, SampleCells, parse_sample},
-        text::{self, Separator, column_labels, ends_mid_number},
-        units::{FileUnit, MotionExtent, ToMillimetres},
+        text::{self, Separator, column_labels},
+        text_file::{Line, TextFile},
+        text_frames::{AtOrigin, TextFrames},
+        units::{FileUnit, ToMillimetres},
         write_frames,
     },
-    motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, UpAxis, is_gap},
+    motion::{FrameSource, Marker, MotionInfo, UpAxis, is_gap},
+    stretch::CHANNELS_MAX,
 };
 
 /// The column names.
@@ -30,62 +35,64 @@ pub(super) fn is_long(line: &[u8]) -> bool {
     COLUMNS.iter().all(|name| cells.next().is_some_and(|cell| cell.eq_ignore_ascii_case(name)))
 }
 
-/// Reads a whole file whose column names are in line `header_line`. Markers are in the order of their first rows.
-pub(super) fn read(bytes: &[u8], header_line: usize, options: &ReadOptions) -> Result<Motion> {
+/// Reads everything but the frames of a file whose column names are in line `header_line`, and prepares to deliver
+/// those. Markers are in the order of their first rows.
+pub(super) fn open(
+    file: &mut TextFile<'_, '_>,
+    header_line: usize,
+    options: &ReadOptions,
+    new_scratch: NewScratch<'_>,
+) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
     let unit = FileUnit::resolve("mm", options.unit, &mut notes);
     let up = options.up(UpAxis::Unknown, &mut notes);
     let millimetres = ToMillimetres::new(unit.factor, options.rotation());
-    let data = Data::read(bytes, header_line, &millimetres)?;
+    let data = Data::read(file, header_line, &millimetres, new_scratch)?;
+    let Some((first, last)) = data.frames else {
+        return Err(malformed(header_line, "expected one line for each sample, found none"));
+    };
+    let n_markers = data.labels.len();
+    let total_max = data.text_bytes.saturating_mul(MAX_POSITIONS_PER_BYTE);
+    let n_frames = (last - first).checked_add(1);
+    let total = n_frames.and_then(|n| n.checked_mul(n_markers as u64));
+    let (Some(n_frames), Some(total)) = (n_frames, total.filter(|&total| total <= total_max))
+    else {
+        let message = format!(
+            "frames {first} to {last} of {n_markers} markers are too many for a file of {} bytes; split the file",
+            data.text_bytes
+        );
+        return Err(malformed(header_line, &message));
+    };
+    let mut rectangle = Rectangle::new(total, new_scratch)?;
+    let duplicates = rectangle.fill(data.samples, (first, n_markers as u64))?;
     if data.is_cut_off {
         notes.warnings.push(CUT_OFF.to_owned());
     }
     table::report_damaged(data.damaged, &mut notes.warnings);
-    if data.duplicates > 0 {
+    if duplicates > 0 {
         notes.warnings.push(format!(
             "Repeated for the same marker and frame: {}; the last one was used.",
-            counted(data.duplicates as u64, "sample")
+            counted(duplicates, "sample")
         ));
     }
     millimetres.report(&mut notes.warnings);
-    let Some((first, last)) = data.frames() else {
-        return Err(malformed(header_line, "expected one line for each sample, found none"));
-    };
-    let n_markers = data.labels.len();
-    let n_frames = usize::try_from(last - first).ok().and_then(|n| n.checked_add(1));
-    let total = n_frames.and_then(|n| n.checked_mul(n_markers));
-    let total_max = bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE);
-    let Some(total) = total.filter(|&total| total <= total_max) else {
-        let message = format!(
-            "frames {first} to {last} of {n_markers} markers are too many for a file of {} bytes; split the file",
-            bytes.len()
-        );
-        return Err(malformed(header_line, &message));
-    };
-    let rate_hz = match data.rate_hz() {
+    let rate_hz = match data.timed {
         _ if first == last => table::rate_of_one_frame(&mut notes.warnings),
-        rate_hz => rate_hz.ok_or_else(|| malformed(header_line, "no rate: times must increase"))?,
+        timed => timed
+            .and_then(|timed| timed.rate_hz(data.rounding))
+            .ok_or_else(|| malformed(header_line, "no rate: times must increase"))?,
     };
-    let mut positions_mm = vec![GAP; total];
-    for (frame, column, position) in data.samples {
-        let row = frame.checked_sub(first).and_then(|row| usize::try_from(row).ok());
-        let place = row.and_then(|row| row.checked_mul(n_markers)?.checked_add(column));
-        if let Some(place) = place.and_then(|place| positions_mm.get_mut(place)) {
-            *place = position;
-        }
-    }
-    unit.check(&mut MotionExtent::of(&positions_mm, n_markers), &mut notes);
-    Ok(Motion {
-        positions_mm,
-        info: MotionInfo {
-            rate_hz,
-            n_frames: last - first + 1,
-            markers: data.labels.into_iter().map(marker).collect(),
-            up,
-            source: unit.into_source("csv", first, 0, notes),
-            ..MotionInfo::default()
-        },
-    })
+    let mut frames = TextFrames::of_rectangle(rectangle.finish()?, (n_frames, n_markers));
+    frames.examine(&unit, AtOrigin::Positions, &mut notes)?;
+    let info = MotionInfo {
+        rate_hz,
+        n_frames,
+        markers: data.labels.into_iter().map(marker).collect(),
+        up,
+        source: unit.into_source("csv", first, 0, notes),
+        ..MotionInfo::default()
+    };
+    Ok((info, frames))
 }
 
 /// A marker by its label. A label such as `u012` is the number of an unlabelled marker, in whatever column it is here.
@@ -95,30 +102,88 @@ fn marker(label: String) -> Marker {
     Marker { labelled: !numbered, label }
 }
 
+/// The first and the last frame that have a time, with the first time that a row states for them.
+#[derive(Debug, Clone, Copy)]
+struct TimedFrames {
+    first: (u64, f64),
+    last: (u64, f64),
+}
+
+impl TimedFrames {
+    fn add(&mut self, frame: u64, seconds: f64) {
+        if frame < self.first.0 {
+            self.first = (frame, seconds);
+        }
+        if frame > self.last.0 {
+            self.last = (frame, seconds);
+        }
+    }
+
+    fn rate_hz(self, rounding: Rounding) -> Option<f64> {
+        let ((first, from_s), (last, to_s)) = (self.first, self.last);
+        rate_of((last - first) as f64, to_s - from_s, rounding)
+    }
+}
+
 /// The parsed rows.
-#[derive(Default)]
 struct Data {
     labels: Vec<String>,
-    samples: Vec<(u64, usize, Position)>,
-    /// Frame numbers with times in seconds, in ascending order.
-    times: Vec<(u64, f64)>,
+    /// The [samples](Sample), in the order of their rows.
+    samples: Content,
+    /// The numbers of the first and the last frame that have a time or a sample.
+    frames: Option<(u64, u64)>,
+    timed: Option<TimedFrames>,
     rounding: Rounding,
     damaged: usize,
-    duplicates: usize,
     is_cut_off: bool,
+    text_bytes: u64,
+}
+
+/// The columns of the labels so far.
+#[derive(Default)]
+struct Columns {
+    by_label: HashMap<Vec<u8>, usize>,
+    labels: Vec<String>,
+}
+
+impl Columns {
+    /// The column of a label. There is none for more labels than a take can have: they would be held in memory.
+    fn of(&mut self, label: &[u8]) -> Option<usize> {
+        if let Some(&column) = self.by_label.get(label) {
+            return Some(column);
+        }
+        let column = self.labels.len();
+        if column == CHANNELS_MAX {
+            return None;
+        }
+        self.by_label.insert(label.to_vec(), column);
+        self.labels.push(from_cell(&text::decode(label)).into_owned());
+        Some(column)
+    }
 }
 
 impl Data {
-    fn read(bytes: &[u8], header_line: usize, millimetres: &ToMillimetres) -> Result<Self> {
-        let mut data = Self::default();
-        let mut columns: HashMap<Vec<u8>, usize> = HashMap::new();
-        let (mut n_cells, mut last_has_sample) = (COLUMNS.len(), false);
-        for (number, line) in text::lines(bytes).skip(header_line) {
+    fn read(
+        file: &mut TextFile<'_, '_>,
+        header_line: usize,
+        millimetres: &ToMillimetres,
+        new_scratch: NewScratch<'_>,
+    ) -> Result<Self> {
+        let mut columns = Columns::default();
+        let mut samples = ContentWriter::new(new_scratch);
+        let (mut frames, mut timed) = (None, None::<TimedFrames>);
+        let (mut rounding, mut damaged) = (Rounding::default(), 0);
+        let (mut n_cells, mut last) = (COLUMNS.len(), None::<Sample>);
+        let mut lines = file.lines_below(header_line)?;
+        while let Some(Line { number, bytes: line, .. }) = lines.next()? {
             if line.trim_ascii().is_empty() || line.starts_with(b"#") {
                 continue;
             }
+            if let Some(sample) = last.take() {
+                extend(&mut frames, sample.frame);
+                samples.write(&sample.to_bytes())?;
+            }
             n_cells = LineCells::new(line).count();
-            last_has_sample = false;
             let mut cells = LineCells::new(line);
             let mut next = || cells.next().unwrap_or(Cow::Borrowed(&[]));
             let (frame, time, label) = (next(), next(), next());
@@ -127,49 +192,41 @@ impl Data {
                 malformed(number, "expected the number of a frame in the first cell")
             })?;
             if let Some(seconds) = text::number(&time) {
-                data.times.push((frame, seconds));
-                data.rounding.add(&time);
+                let at = (frame, seconds);
+                timed.get_or_insert(TimedFrames { first: at, last: at }).add(frame, seconds);
+                extend(&mut frames, frame);
+                rounding.add(&time);
             }
-            let column = *columns.entry(label.trim_ascii().to_vec()).or_insert_with_key(|label| {
-                data.labels.push(from_cell(&text::decode(label)).into_owned());
-                data.labels.len() - 1
-            });
+            let column = columns.of(label.trim_ascii()).ok_or_else(|| {
+                let message = format!("expected at most {CHANNELS_MAX} labels; split the file");
+                malformed(number, &message)
+            })?;
             let mut position = position.iter().map(|cell| &cell[..]);
             match parse_sample(&mut position) {
                 SampleCells::Position(stored) => {
-                    data.samples.push((frame, column, millimetres.position(stored)));
-                    last_has_sample = true;
+                    last = Some(Sample { frame, column, position: millimetres.position(stored) });
                 }
                 SampleCells::Empty => {}
-                SampleCells::Damaged => data.damaged += 1,
+                SampleCells::Damaged => damaged += 1,
             }
         }
-        let is_short = !bytes.ends_with(b"\n") && n_cells < COLUMNS.len();
-        data.is_cut_off = is_short || ends_mid_number(bytes, header_line + 1, Separator::COMMA);
-        if data.is_cut_off && last_has_sample {
-            data.samples.pop();
+        let (is_open, text_bytes) = (lines.is_open(), lines.n_bytes());
+        let is_short = is_open && n_cells < COLUMNS.len();
+        let is_cut_off =
+            is_short || (is_open && file.ends_mid_number(header_line, Separator::COMMA)?);
+        if let Some(sample) = last.filter(|_| !is_cut_off) {
+            extend(&mut frames, sample.frame);
+            samples.write(&sample.to_bytes())?;
         }
-        data.times.sort_by_key(|&(frame, _)| frame);
-        data.times.dedup_by_key(|&mut (frame, _)| frame);
-        let mut places: Vec<_> =
-            data.samples.iter().map(|&(frame, column, _)| (frame, column)).collect();
-        places.sort_unstable();
-        data.duplicates = places.windows(2).filter(|w| matches!(w, [a, b] if a == b)).count();
-        Ok(data)
+        let (labels, samples) = (columns.labels, samples.finish()?);
+        Ok(Self { labels, samples, frames, timed, rounding, damaged, is_cut_off, text_bytes })
     }
+}
 
-    /// The rate from the first and the last frame that have a time.
-    fn rate_hz(&self) -> Option<f64> {
-        let ((first, from_s), (last, to_s)) = (*self.times.first()?, *self.times.last()?);
-        rate_of((last - first) as f64, to_s - from_s, self.rounding)
-    }
-
-    /// The numbers of the first and the last frame that have a time or a sample.
-    fn frames(&self) -> Option<(u64, u64)> {
-        let timed = self.times.iter().map(|&(frame, _)| frame);
-        let frames = timed.chain(self.samples.iter().map(|&(frame, ..)| frame));
-        Some((frames.clone().min()?, frames.max()?))
-    }
+/// Extends a range of frames.
+fn extend(frames: &mut Option<(u64, u64)>, frame: u64) {
+    let (first, last) = frames.unwrap_or((frame, frame));
+    *frames = Some((first.min(frame), last.max(frame)));
 }
 
 /// Writes the column names, then one line for each sample: the frame number, the time from the first frame in seconds,

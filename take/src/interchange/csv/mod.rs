@@ -4,26 +4,61 @@
 mod dialect;
 pub(super) mod long;
 mod motive;
+mod rectangle;
 pub(super) mod wide;
 
 pub use dialect::quote;
 
-use super::{InterchangeError, ReadOptions, Result, text};
-use crate::motion::Motion;
+use super::{
+    InterchangeError, ReadOptions, Result,
+    text_file::{Line, TextFile},
+    text_frames::TextFrames,
+};
+use crate::{foreign::content::NewScratch, motion::MotionInfo};
 
 /// Kind of the foreign part with the header lines, each followed by LF: those that begin with `#`, or in Motive's
 /// export all lines above the data.
 const HEADER: &str = "csv/header";
 
-/// Detects the layout of a file and reads it.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
-    let bytes = &*dialect::with_commas(bytes);
-    let is_content = |line: &[u8]| !line.is_empty() && !line.starts_with(b"#");
-    match text::lines(bytes).find(|(_, line)| is_content(line.trim_ascii())) {
-        Some((number, line)) if long::is_long(line) => long::read(bytes, number, options),
-        Some((_, line)) if motive::is_motive(line) => motive::read(bytes, options),
-        _ => wide::read(bytes, options),
+/// How the frames of a file are read.
+#[derive(Debug, Clone, Copy)]
+enum Layout {
+    Wide,
+    /// The line of column names.
+    Long(usize),
+    Motive,
+}
+
+/// Detects the layout of a file, reads everything but the frames, and prepares to deliver those.
+pub(super) fn open(
+    file: &mut TextFile<'_, '_>,
+    options: &ReadOptions,
+    new_scratch: NewScratch<'_>,
+) -> Result<(MotionInfo, TextFrames)> {
+    if let Some(conversion) = dialect::to_commas(file)? {
+        file.convert(conversion);
     }
+    match layout(file)? {
+        Layout::Wide => wide::open(file, options, new_scratch),
+        Layout::Long(header_line) => long::open(file, header_line, options, new_scratch),
+        Layout::Motive => motive::open(file, options, new_scratch),
+    }
+}
+
+/// The layout, from the first line with content.
+fn layout(file: &mut TextFile<'_, '_>) -> Result<Layout> {
+    let mut lines = file.lines();
+    while let Some(Line { number, bytes: line, .. }) = lines.next()? {
+        let content = line.trim_ascii();
+        if !content.is_empty() && !content.starts_with(b"#") {
+            return Ok(match line {
+                _ if long::is_long(line) => Layout::Long(number),
+                _ if motive::is_motive(line) => Layout::Motive,
+                _ => Layout::Wide,
+            });
+        }
+    }
+    Ok(Layout::Wide)
 }
 
 fn malformed(line: usize, message: &str) -> InterchangeError {

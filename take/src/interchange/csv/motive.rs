@@ -14,13 +14,16 @@ use std::collections::HashSet;
 use super::{HEADER, dialect::LineCells, malformed};
 use crate::{
     ambiguity::Notes,
+    foreign::content::NewScratch,
     interchange::{
-        ReadOptions, Result, counted, origin,
+        ReadOptions, Result, counted,
         table::{CUT_OFF, Table},
         text::{self, Separator},
-        units::{FileUnit, MotionExtent, ToMillimetres},
+        text_file::{Line, TextFile},
+        text_frames::{AtOrigin, TextFrames},
+        units::{FileUnit, ToMillimetres},
     },
-    motion::{Foreign, Marker, Motion, MotionInfo, UpAxis},
+    motion::{Foreign, Marker, MotionInfo, UpAxis},
 };
 
 /// The header must end within this many lines, more than any version has.
@@ -31,15 +34,20 @@ pub(super) fn is_motive(line: &[u8]) -> bool {
     LineCells::new(line).next().is_some_and(|cell| cell.trim_ascii() == b"Format Version")
 }
 
-/// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
+/// Reads everything but the frames, and prepares to deliver those.
+pub(super) fn open(
+    file: &mut TextFile<'_, '_>,
+    options: &ReadOptions,
+    new_scratch: NewScratch<'_>,
+) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
-    let header = MotiveHeader::parse(bytes)?;
+    let header = MotiveHeader::parse(file)?;
     let columns = header.columns(&mut notes.warnings)?;
     let stated = header.value("Length Units").unwrap_or_default();
     let unit = FileUnit::resolve(stated, options.unit, &mut notes);
-    let mut table = Table::new("csv", bytes, ToMillimetres::new(unit.factor, options.rotation()));
-    read_rows(&mut table, &header, &columns, &mut notes.warnings);
+    let millimetres = ToMillimetres::new(unit.factor, options.rotation());
+    let mut table = Table::new("csv", new_scratch, millimetres);
+    read_rows(&mut table, file, (&header, &columns), &mut notes.warnings)?;
     // The export may be decimated, so an invalid export rate is not replaced by the capture rate but taken from the
     // times.
     let number = |name: &str| text::number(header.value(name)?.as_bytes());
@@ -52,21 +60,18 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let announced = announced.and_then(|n| text::whole_number(n.as_bytes()));
     let frames_missing = table.count_missing(announced, &mut notes.warnings);
     let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(0));
-    let positions_mm = table.into_positions(columns.len())?;
-    unit.check(&mut MotionExtent::of(&positions_mm, columns.len()), &mut notes);
-    origin::note_samples_at_origin(&positions_mm, columns.len(), &mut notes);
-    Ok(Motion {
-        positions_mm,
-        info: MotionInfo {
-            rate_hz,
-            n_frames,
-            markers: columns.into_iter().map(|column| column.marker).collect(),
-            up: options.up(UpAxis::Unknown, &mut notes),
-            source: unit.into_source("csv", first_frame, frames_missing, notes),
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
-            ..MotionInfo::default()
-        },
-    })
+    let mut frames = table.into_frames(columns.len())?;
+    frames.examine(&unit, AtOrigin::Doubtful, &mut notes)?;
+    let info = MotionInfo {
+        rate_hz,
+        n_frames,
+        markers: columns.into_iter().map(|column| column.marker).collect(),
+        up: options.up(UpAxis::Unknown, &mut notes),
+        source: unit.into_source("csv", first_frame, frames_missing, notes),
+        foreign: vec![Foreign { kind: HEADER.to_owned(), data: header.lines.into() }],
+        ..MotionInfo::default()
+    };
+    Ok((info, frames))
 }
 
 /// The object that a column belongs to.
@@ -114,21 +119,25 @@ struct MotiveHeader {
 }
 
 impl MotiveHeader {
-    fn parse(bytes: &[u8]) -> Result<Self> {
-        let mut lines = Vec::new();
+    fn parse(file: &mut TextFile<'_, '_>) -> Result<Self> {
+        let mut kept = Vec::new();
         let mut rows: Vec<Vec<String>> = Vec::new();
-        for (n_lines, line) in text::lines(bytes).take(HEADER_LINES_MAX) {
-            lines.extend_from_slice(line);
-            lines.push(b'\n');
+        let mut lines = file.lines();
+        while let Some(Line { number: n_lines, bytes: line, .. }) = lines.next()?
+            && n_lines <= HEADER_LINES_MAX
+        {
+            kept.extend_from_slice(line);
+            kept.push(b'\n');
             let cells: Vec<String> =
                 LineCells::new(line).map(|cell| text::decode(cell.trim_ascii())).collect();
             if cells.first().is_some_and(|cell| cell.eq_ignore_ascii_case("Frame")) {
                 let values = if rows.is_empty() { Vec::new() } else { rows.remove(0) };
-                return Ok(Self { values, rows, axes: cells, n_lines, lines });
+                return Ok(Self { values, rows, axes: cells, n_lines, lines: kept });
             }
             if cells.iter().any(|cell| !cell.is_empty()) {
                 rows.push(cells);
             }
+            lines.check_header()?;
         }
         Err(malformed(
             1,
@@ -226,13 +235,13 @@ impl MotiveHeader {
 
 fn read_rows(
     table: &mut Table<'_>,
-    header: &MotiveHeader,
-    columns: &[Column],
+    file: &mut TextFile<'_, '_>,
+    (header, columns): (&MotiveHeader, &[Column]),
     warnings: &mut Vec<String>,
-) {
-    let bytes = table.bytes;
+) -> Result<()> {
     let mut n_cells = 0;
-    for (_, line) in text::lines(bytes).skip(header.n_lines) {
+    let mut lines = file.lines_below(header.n_lines)?;
+    while let Some(Line { bytes: line, .. }) = lines.next()? {
         if line.trim_ascii().is_empty() {
             continue;
         }
@@ -243,10 +252,12 @@ fn read_rows(
         for column in columns {
             table.read_sample(&mut column.cells.iter().map(|&at| cell(at)));
         }
-        table.end_row();
+        table.end_row()?;
     }
-    let is_short = !bytes.ends_with(b"\n") && n_cells < header.axes.len();
-    if is_short || text::ends_mid_number(bytes, header.n_lines + 1, Separator::COMMA) {
+    let is_open = lines.is_open();
+    table.end(lines.n_bytes());
+    let is_short = is_open && n_cells < header.axes.len();
+    if is_short || (is_open && file.ends_mid_number(header.n_lines, Separator::COMMA)?) {
         let is_cut = |column: &Column| column.cells.iter().any(|&at| at + 1 == n_cells);
         let cut = columns.iter().position(is_cut);
         cut.into_iter().for_each(|column| table.drop_truncated(column));
@@ -254,4 +265,5 @@ fn read_rows(
     }
     table.report_not_finite(warnings);
     table.report_damaged(warnings);
+    Ok(())
 }

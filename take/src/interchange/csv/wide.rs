@@ -10,26 +10,34 @@ use super::{
 use crate::{
     ambiguity::Notes,
     escape::from_cell,
+    foreign::content::NewScratch,
     interchange::{
-        ReadOptions, Result, counted, origin, put_position,
+        ReadOptions, Result, counted, put_position,
         table::{CUT_OFF, Table},
         text::{self, Separator, column_labels},
-        units::{FileUnit, MotionExtent, ToMillimetres},
+        text_file::{Line, TextFile},
+        text_frames::{AtOrigin, TextFrames},
+        units::{FileUnit, ToMillimetres},
         write_frames,
     },
-    motion::{Foreign, FrameSource, Motion, MotionInfo, UpAxis},
+    motion::{Foreign, FrameSource, MotionInfo, UpAxis},
 };
 
-/// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
+/// Reads everything but the frames, and prepares to deliver those.
+pub(super) fn open(
+    file: &mut TextFile<'_, '_>,
+    options: &ReadOptions,
+    new_scratch: NewScratch<'_>,
+) -> Result<(MotionInfo, TextFrames)> {
     let mut notes = Notes::default();
-    let header = WideHeader::parse(bytes)?;
+    let header = WideHeader::parse(file)?;
     // Our own export states no unit: it is always millimetres.
     let default = if header.is_native { "mm" } else { "" };
     let stated = header.value("units").unwrap_or(default);
     let unit = FileUnit::resolve(stated, options.unit, &mut notes).or_default_millimetres();
-    let mut table = Table::new("csv", bytes, ToMillimetres::new(unit.factor, options.rotation()));
-    read_rows(&mut table, &header, &mut notes.warnings);
+    let millimetres = ToMillimetres::new(unit.factor, options.rotation());
+    let mut table = Table::new("csv", new_scratch, millimetres);
+    read_rows(&mut table, file, &header, &mut notes.warnings)?;
     let up = header.value("up").and_then(UpAxis::from_name).unwrap_or_default();
     let up = options.up(up, &mut notes);
     let n_markers = header.labels.len();
@@ -43,23 +51,19 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let announced = header.value("frames").and_then(|n| text::whole_number(n.as_bytes()));
     let frames_missing = table.count_missing(announced, &mut notes.warnings);
     let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(1));
-    let positions_mm = table.into_positions(n_markers)?;
-    unit.check(&mut MotionExtent::of(&positions_mm, n_markers), &mut notes);
-    origin::note_samples_at_origin(&positions_mm, n_markers, &mut notes);
-    let markers = text::markers(&header.labels, n_markers);
+    let mut frames = table.into_frames(n_markers)?;
+    frames.examine(&unit, AtOrigin::Doubtful, &mut notes)?;
     let foreign = Foreign { kind: HEADER.to_owned(), data: header.lines.into() };
-    Ok(Motion {
-        positions_mm,
-        info: MotionInfo {
-            rate_hz,
-            n_frames,
-            markers,
-            up,
-            source: unit.into_source("csv", first_frame, frames_missing, notes),
-            foreign: Some(foreign).filter(|lines| !lines.data.is_empty()).into_iter().collect(),
-            ..MotionInfo::default()
-        },
-    })
+    let info = MotionInfo {
+        rate_hz,
+        n_frames,
+        markers: text::markers(&header.labels, n_markers),
+        up,
+        source: unit.into_source("csv", first_frame, frames_missing, notes),
+        foreign: Some(foreign).filter(|lines| !lines.data.is_empty()).into_iter().collect(),
+        ..MotionInfo::default()
+    };
+    Ok((info, frames))
 }
 
 /// The lines up to and including the column names.
@@ -79,9 +83,10 @@ struct WideHeader {
 }
 
 impl WideHeader {
-    fn parse(bytes: &[u8]) -> Result<Self> {
+    fn parse(file: &mut TextFile<'_, '_>) -> Result<Self> {
         let mut header = Self::default();
-        for (number, line) in text::lines(bytes) {
+        let mut lines = file.lines();
+        while let Some(Line { number, bytes: line, .. }) = lines.next()? {
             header.n_lines = number;
             if let Some(comment) = line.trim_ascii_start().strip_prefix(b"#") {
                 let comment = text::decode(comment);
@@ -90,6 +95,7 @@ impl WideHeader {
                 header.values.extend(pairs);
                 header.lines.extend_from_slice(line);
                 header.lines.push(b'\n');
+                lines.check_header()?;
             } else if !line.trim_ascii().is_empty() {
                 header.read_columns(line)?;
                 return Ok(header);
@@ -152,19 +158,26 @@ fn label_of(columns: &[String]) -> Option<&str> {
     same.then_some(label)
 }
 
-fn read_rows(table: &mut Table<'_>, header: &WideHeader, warnings: &mut Vec<String>) {
-    let (bytes, n_lead) = (table.bytes, header.lead_columns);
+fn read_rows(
+    table: &mut Table<'_>,
+    file: &mut TextFile<'_, '_>,
+    header: &WideHeader,
+    warnings: &mut Vec<String>,
+) -> Result<()> {
+    let n_lead = header.lead_columns;
     let mut extra = 0usize;
     let mut n_cells = 0;
-    let is_open = !bytes.ends_with(b"\n");
-    let mut lines = text::lines(bytes).skip(header.n_lines).peekable();
-    while let Some((_, line)) = lines.next() {
+    let mut lines = file.lines_below(header.n_lines)?;
+    while let Some(Line { bytes: line, is_open, .. }) = lines.next()? {
         if line.trim_ascii().is_empty() || line.starts_with(b"#") {
             continue;
         }
-        n_cells = Separator::COMMA.cells(line).count();
-        if is_open && lines.peek().is_none() && n_cells <= n_lead && !header.labels.is_empty() {
+        if is_open
+            && Separator::COMMA.cells(line).nth(n_lead).is_none()
+            && !header.labels.is_empty()
+        {
             // The last line ends within its frame number or time.
+            n_cells = 0;
             break;
         }
         let lead_cell = |column: Option<usize>| {
@@ -172,15 +185,19 @@ fn read_rows(table: &mut Table<'_>, header: &WideHeader, warnings: &mut Vec<Stri
             at.and_then(|at| Separator::COMMA.cells(line).nth(at)).unwrap_or(&[])
         };
         table.begin_row(lead_cell(header.frame_column), lead_cell(header.time_column));
-        let mut cells = Separator::COMMA.cells(line).skip(n_lead);
+        n_cells = 0;
+        let mut cells = Separator::COMMA.cells(line).inspect(|_| n_cells += 1).skip(n_lead);
         for _ in &header.labels {
             table.read_sample(&mut cells);
         }
         extra += usize::from(cells.any(|cell| !cell.trim_ascii().is_empty()));
-        table.end_row();
+        cells.for_each(drop);
+        table.end_row()?;
     }
+    let is_open = lines.is_open();
+    table.end(lines.n_bytes());
     let is_short = is_open && n_cells < n_lead + 3 * header.labels.len();
-    if is_short || text::ends_mid_number(bytes, header.n_lines + 1, Separator::COMMA) {
+    if is_short || (is_open && file.ends_mid_number(header.n_lines, Separator::COMMA)?) {
         if n_cells > n_lead {
             table.drop_truncated((n_cells - n_lead - 1) / 3);
         }
@@ -192,6 +209,7 @@ fn read_rows(table: &mut Table<'_>, header: &WideHeader, warnings: &mut Vec<Stri
         let lines = counted(extra as u64, "line");
         warnings.push(format!("More cells than columns, the surplus ignored: {lines}."));
     }
+    Ok(())
 }
 
 /// Writes the column names, then one line for each frame: its number, its time from the first frame in seconds, and
