@@ -431,6 +431,34 @@ mod tests {
         }
     }
 
+    /// A data set may come from elsewhere, with names like those of leftovers.
+    #[test]
+    fn nothing_outside_the_data_set_is_removed() {
+        let dir = tempfile::tempdir().unwrap();
+        let (dataset, staging) = begun(dir.path());
+        drop(staging);
+        let victim = dir.path().join("victim");
+        fs::create_dir_all(victim.join("content")).unwrap();
+        fs::write(victim.join("lock"), "").unwrap();
+        std::os::unix::fs::symlink("../victim", dataset.join(".mocapd-1-0.part")).unwrap();
+        let empty = dir.path().join("empty");
+        fs::create_dir(&empty).unwrap();
+        let leftover = dataset.join(".mocapd-2-0.part");
+        fs::create_dir(&leftover).unwrap();
+        fs::write(leftover.join("lock"), "").unwrap();
+        let folders = format!("{}\n../empty\n", empty.display());
+        fs::write(leftover.join(FOLDERS), folders).unwrap();
+        let lockless = dataset.join(".mocapd-3-0.part/content/sub-03");
+        fs::create_dir_all(&lockless).unwrap();
+        // A pipe would wait for its other end.
+        let pipe = dataset.join(".mocapd-4-0.part");
+        fs::create_dir(&pipe).unwrap();
+        rustix::fs::mkfifoat(CWD, pipe.join("lock"), rustix::fs::Mode::RUSR).unwrap();
+        remove_leftovers(&dataset, &prefix(None), &dataset);
+        assert!(victim.join("content").is_dir() && empty.is_dir());
+        assert!(!leftover.exists() && !lockless.exists() && !pipe.exists());
+    }
+
     #[test]
     fn later_rows_and_files_of_others_stay() {
         let dir = tempfile::tempdir().unwrap();

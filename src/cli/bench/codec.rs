@@ -23,10 +23,10 @@ use serde::Serialize;
 
 use crate::cli::{
     batch::{self, FileKinds, Input},
-    motion_files::read_samples,
+    motion_files::{read_motion, read_take},
     original::header_of,
     output::{notify, plain, print, print_json},
-    values,
+    paths, values,
 };
 
 /// Default tolerances: those of the tables in docs/benchmarks.md.
@@ -56,10 +56,17 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut report = CodecBenchReport::default();
+    let mut is_damaged = false;
     let settings = all_settings(args)?;
     let inputs = batch::inputs::find_named(&args.files, args.recursive, FileKinds::Both)?;
     for Input { path: file, .. } in inputs.all()? {
-        let mut motion = read_samples(file)?.0;
+        let mut motion = if paths::is_take(file) {
+            let take = read_take(file)?;
+            is_damaged |= !take.problems.is_empty();
+            take.motion
+        } else {
+            read_motion(file)?
+        };
         motion.info.foreign.clear();
         let input = BenchInput { file, motion: &motion };
         let mut about = CodecFileReport::new(&input);
@@ -83,7 +90,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.json {
         print_json(&report)?;
     }
-    Ok(Outcome::of(false))
+    Ok(Outcome::of(is_damaged))
 }
 
 /// All settings to measure: lossless once, every other resampler at every tolerance.

@@ -29,10 +29,11 @@ pub(super) fn rate_of_one_frame(warnings: &mut Vec<String>) -> f64 {
     RATE_OF_ONE_FRAME_HZ
 }
 
-/// Warns of samples that became gaps because their cells are not numbers.
+/// Warns of samples that became gaps because their cells are not three numbers.
 pub(super) fn report_damaged(n: usize, warnings: &mut Vec<String>) {
     if n > 0 {
-        warnings.push(format!("Not a number, read as missing: {}.", counted(n as u64, "sample")));
+        warnings
+            .push(format!("Not three numbers, read as missing: {}.", counted(n as u64, "sample")));
     }
 }
 
@@ -40,29 +41,29 @@ pub(super) fn report_damaged(n: usize, warnings: &mut Vec<String>) {
 pub(super) enum SampleCells {
     /// Three numbers.
     Position([f64; 3]),
-    /// At least one cell is empty, and the others are numbers.
+    /// All cells are empty.
     Empty,
-    /// At least one cell is neither empty nor a number.
+    /// At least one cell is neither empty nor a number, or only some are empty.
     Damaged,
 }
 
 /// Parses the next three cells; cells past the end of the row count as empty.
 pub(super) fn parse_sample(cells: &mut dyn Iterator<Item = &[u8]>) -> SampleCells {
     let mut position = [0.0; 3];
-    let (mut is_empty, mut is_damaged) = (false, false);
+    let (mut n_empty, mut is_damaged) = (0, false);
     for value in &mut position {
         match cells.next().map(<[u8]>::trim_ascii) {
-            None | Some([]) => is_empty = true,
+            None | Some([]) => n_empty += 1,
             Some(cell) => match super::text::number(cell) {
                 Some(number) => *value = number,
                 None => is_damaged = true,
             },
         }
     }
-    match (is_damaged, is_empty) {
-        (true, _) => SampleCells::Damaged,
-        (false, true) => SampleCells::Empty,
-        (false, false) => SampleCells::Position(position),
+    match (is_damaged, n_empty) {
+        (true, _) | (false, 1 | 2) => SampleCells::Damaged,
+        (false, 0) => SampleCells::Position(position),
+        (false, _) => SampleCells::Empty,
     }
 }
 

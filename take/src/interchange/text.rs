@@ -46,6 +46,18 @@ pub(super) fn is_rate(number: f64) -> bool {
     number.is_finite() && number > 0.0
 }
 
+/// Most characters of a cell that a message quotes: a line of a terminal.
+const QUOTED_MAX: usize = 80;
+
+/// The beginning of a cell, for messages.
+pub(super) fn shortened(cell: &str) -> String {
+    let mut text: String = cell.chars().take(QUOTED_MAX).collect();
+    if text.len() < cell.len() {
+        text.push_str("...");
+    }
+    text
+}
+
 /// The number of decimals of a number in a cell.
 pub(super) fn decimals(cell: &[u8]) -> usize {
     let point = cell.iter().position(|&b| b == b'.');

@@ -121,7 +121,7 @@ impl WideHeader {
             let label = label_of(axes).ok_or_else(|| {
                 let message = format!(
                     "expected three columns NAME.x, NAME.y, NAME.z (or NAME_x...) for each marker, found `{}`",
-                    axes.join("`, `")
+                    axes.iter().map(|name| text::shortened(name)).collect::<Vec<_>>().join("`, `")
                 );
                 malformed(self.n_lines, &message)
             })?;
