@@ -100,7 +100,7 @@ impl Fit {
                 second = run.len();
             }
         }
-        let is_clear = most.0 > 2 && most.0 * 64 > self.sorted.len() && most.0 > 4 * second;
+        let is_clear = most.0 > 2 && most.0 * 256 > self.sorted.len() && most.0 > 4 * second;
         (is_clear && second > 0).then_some(most.1)
     }
 
@@ -153,14 +153,10 @@ impl Fit {
 
     /// Bits of a sample as a float32 among those within a few changes.
     fn float_bits(&self, change: f64) -> f64 {
-        let bits =
-            |&value: &i32| log2(8.0 * change / spacing(f64::from(from_ordered(value)).abs()));
-        let stride = self.sorted.len() / ESTIMATE + 1;
-        let (sum, n) = self
-            .sorted
-            .iter()
-            .step_by(stride)
-            .fold((0.0, 0.0), |(sum, n), value| (sum + bits(value).max(0.0), n + 1.0));
+        let bits = |value: f64| log2(8.0 * change / spacing(value.abs())).max(0.0);
+        let values = self.values.iter().step_by(self.values.len() / ESTIMATE + 1);
+        let (sum, n) = values
+            .fold((0.0, 0.0), |(sum, n), &value| (sum + bits(from_ordered(value).into()), n + 1.0));
         sum / n
     }
 
@@ -371,7 +367,7 @@ impl Fit {
         }
         for (row, three) in samples.windows(3).enumerate() {
             let line = (2.0 * f64::from(three[1]) - f64::from(three[0])) as f32;
-            let is_line = line.to_bits() == three[2].to_bits();
+            let is_line = line.is_finite() && line.to_bits() == three[2].to_bits();
             let row = (parity + row) & 1;
             lines[row] += usize::from(is_line);
             near_lines[row] += usize::from(step(line, three[2]).unsigned_abs() == 1);

@@ -233,17 +233,32 @@ fn arguments_that_cannot_be_coded() {
     assert_eq!(out.len(), n, "no rows, no block");
 }
 
-/// FNV-1a.
-fn digest(blocks: &[Vec<u8>]) -> u64 {
-    let bytes = blocks.iter().flatten();
-    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    })
-}
+/// Blocks of every kind of channel, as they were first written: of each its rows as two bytes, its length as four, and
+/// its bytes. The first is a key block. `tests/reference/sampled.py` decodes them, too.
+const GOLDEN: &[u8] = include_bytes!("../../tests/golden/sampled.blocks");
+
+/// The digest of what they decode to.
+const DIGEST: &str = include_str!("../../tests/golden/sampled.digest");
 
 #[test]
 fn the_bytes_are_the_same_on_every_machine() {
-    let blocks = encode(&group(2, 13, 600), 250, 2);
-    let sizes: Vec<usize> = blocks.iter().map(Vec::len).collect();
-    assert_eq!((sizes, digest(&blocks)), (vec![7033, 7246, 2902], 8_994_621_469_142_319_919));
+    let channels = group(2, 13, 130);
+    let blocks = encode(&channels, 100, 2);
+    let mut written = Vec::new();
+    for (block, n_rows) in blocks.iter().zip([100_u16, 30]) {
+        written.extend(n_rows.to_le_bytes());
+        written.extend((block.len() as u32).to_le_bytes());
+        written.extend(block);
+    }
+    assert!(written == GOLDEN, "the format of blocks has changed");
+    // FNV-1a of the decoded bits.
+    let mut digest = 0xcbf2_9ce4_8422_2325_u64;
+    for (block, n_rows) in [(0, 0..100), (1, 100..130)] {
+        assert!(!blocks[block].is_empty());
+        let samples = channels.iter().flat_map(|channel| &channel[n_rows.clone()]);
+        for byte in samples.flat_map(|sample| sample.to_bits().to_le_bytes()) {
+            digest = (digest ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+    assert_eq!(format!("{digest:016x}"), DIGEST.trim());
 }

@@ -177,10 +177,12 @@ impl<C: BinaryCoder> Kernel for ChannelWalk<'_, C> {
     }
 }
 
-/// The sample on the line through the two before.
+/// The sample on the line through the two before; a fixed NaN if that is not finite, because processors differ in the
+/// bits of the NaN that they compute.
 #[inline(always)]
 fn on_line([before, before2]: [f32; 2]) -> f32 {
-    (2.0 * f64::from(before) - f64::from(before2)) as f32
+    let line = (2.0 * f64::from(before) - f64::from(before2)) as f32;
+    if line.is_finite() { line } else { f32::from_bits(0x7fc0_0000) }
 }
 
 impl<C: BinaryCoder> ChannelWalk<'_, C> {
@@ -213,7 +215,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             let context = history * 2 + parity as usize;
             let is_line = wanted.to_bits() == line.to_bits();
             if self.coder.bit(&mut self.model.lines[context], is_line) {
-                self.move_on(row, line, LINE);
+                self.move_on(line, LINE);
                 return Ok(line);
             }
             excluded[0] = Some(line);
@@ -222,7 +224,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             let context = (history * 2 + parity as usize) * 3 + beside_repeats;
             let is_repeat = wanted.to_bits() == past[0].to_bits();
             if self.coder.bit(&mut self.model.repeats[context], is_repeat) {
-                self.move_on(row, past[0], REPEAT);
+                self.move_on(past[0], REPEAT);
                 return Ok(past[0]);
             }
             excluded[1] = Some(past[0]);
@@ -232,7 +234,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
             let is_mode = wanted.to_bits() == mode;
             if self.coder.bit(&mut self.model.modes[context], is_mode) {
                 let mode = f32::from_bits(mode);
-                self.move_on(row, mode, MODE);
+                self.move_on(mode, MODE);
                 return Ok(mode);
             }
             excluded[2] = Some(f32::from_bits(mode));
@@ -255,7 +257,7 @@ impl<C: BinaryCoder> ChannelWalk<'_, C> {
 
     /// Accounts for a sample that an event gave.
     #[inline(always)]
-    fn move_on(&mut self, _row: usize, sample: f32, event: u32) {
+    fn move_on(&mut self, sample: f32, event: u32) {
         let track = &mut *self.track;
         track.events = track.events << 2 | event;
         if track.head.past != Past::Cells {
