@@ -38,7 +38,7 @@ fn from_magnitude(number: i64) -> f32 {
 
 /// How the cells of a channel are numbered.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Form {
+pub(super) enum CellForm {
     /// Every float32 whose lowest bits, as many as stated, are zero.
     Float { zeros: u32 },
     /// `k * quantum + offset`, computed in f64 and rounded to f32.
@@ -58,23 +58,23 @@ const TENS: [f64; DECIMALS_MAX as usize + 1] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e
 /// The representation of a channel.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cells {
-    pub(super) form: Form,
+    pub(super) form: CellForm,
     /// Values were rounded to this number of decimals, if to any: they were text once.
     pub(super) decimals: Option<u32>,
-    /// The values of [`Form::Palette`], ascending as [`ordered`].
+    /// The values of [`CellForm::Palette`], ascending as [`ordered`].
     pub(super) palette: Vec<i32>,
 }
 
 impl Default for Cells {
     fn default() -> Self {
-        Self { form: Form::Float { zeros: 0 }, decimals: None, palette: Vec::new() }
+        Self { form: CellForm::Float { zeros: 0 }, decimals: None, palette: Vec::new() }
     }
 }
 
 impl Cells {
     /// Back to all float32; the memory stays.
     pub(super) fn clear(&mut self) {
-        (self.form, self.decimals) = (Form::Float { zeros: 0 }, None);
+        (self.form, self.decimals) = (CellForm::Float { zeros: 0 }, None);
         self.palette.clear();
     }
 
@@ -82,10 +82,10 @@ impl Cells {
     #[inline(always)]
     pub(super) fn bounds(&self) -> (i64, i64) {
         match self.form {
-            Form::Float { zeros } => (-(FLOAT_MAX >> zeros), FLOAT_MAX >> zeros),
-            Form::Stored => (0, 0),
-            Form::Lattice { .. } => (-LATTICE_MAX, LATTICE_MAX),
-            Form::Palette => (0, self.palette.len() as i64 - 1),
+            CellForm::Float { zeros } => (-(FLOAT_MAX >> zeros), FLOAT_MAX >> zeros),
+            CellForm::Stored => (0, 0),
+            CellForm::Lattice { .. } => (-LATTICE_MAX, LATTICE_MAX),
+            CellForm::Palette => (0, self.palette.len() as i64 - 1),
         }
     }
 
@@ -93,12 +93,12 @@ impl Cells {
     #[inline(always)]
     pub(super) fn position(&self, cell: i64) -> f64 {
         match self.form {
-            Form::Float { zeros } => f64::from(from_magnitude(cell << zeros)),
-            Form::Lattice { quantum, offset } => cell as f64 * quantum + offset,
-            Form::Palette => {
+            CellForm::Float { zeros } => f64::from(from_magnitude(cell << zeros)),
+            CellForm::Lattice { quantum, offset } => cell as f64 * quantum + offset,
+            CellForm::Palette => {
                 from_ordered(self.palette.get(cell as usize).copied().unwrap_or_default()).into()
             }
-            Form::Stored => 0.0,
+            CellForm::Stored => 0.0,
         }
     }
 
@@ -116,24 +116,24 @@ impl Cells {
     pub(super) fn nearest(&self, value: f64) -> i64 {
         let (first, last) = self.bounds();
         let cell = match self.form {
-            Form::Float { zeros } => {
+            CellForm::Float { zeros } => {
                 let half = (1_i64 << zeros) >> 1;
                 let single = value as f32;
                 let magnitude = (i64::from(single.to_bits() & 0x7fff_ffff) + half) >> zeros;
                 if single < 0.0 { -magnitude } else { magnitude }
             }
-            Form::Lattice { quantum, offset } => {
+            CellForm::Lattice { quantum, offset } => {
                 let cell = (value - offset) / quantum;
                 (cell + if cell < 0.0 { -0.5 } else { 0.5 }) as i64
             }
-            Form::Palette => {
+            CellForm::Palette => {
                 let above =
                     self.palette.partition_point(|&entry| f64::from(from_ordered(entry)) < value);
                 let (low, high) = (above.saturating_sub(1) as i64, (above as i64).min(last));
                 let middle = (self.position(low) + self.position(high)) / 2.0;
                 if value < middle { low } else { high }
             }
-            Form::Stored => 0,
+            CellForm::Stored => 0,
         };
         cell.clamp(first, last)
     }
@@ -148,30 +148,30 @@ impl Cells {
     #[inline(always)]
     pub(super) fn is_even(&self, first: i64, last: i64) -> bool {
         match self.form {
-            Form::Float { zeros } => {
+            CellForm::Float { zeros } => {
                 let exponent = |cell: i64| (cell << zeros) >> 23;
                 exponent(first) == exponent(last)
             }
-            Form::Lattice { .. } | Form::Palette | Form::Stored => true,
+            CellForm::Lattice { .. } | CellForm::Palette | CellForm::Stored => true,
         }
     }
 
     /// Checks numbers that were read.
     pub(super) fn check(&self) -> Result<()> {
         let is_valid = match self.form {
-            Form::Float { zeros } => zeros < 31,
-            Form::Lattice { quantum, offset } => {
+            CellForm::Float { zeros } => zeros < 31,
+            CellForm::Lattice { quantum, offset } => {
                 // All values are finite, and differ in f64.
                 let is_finite = quantum > 1e-45 && LATTICE_MAX as f64 * quantum < 3e38;
                 is_finite && offset >= -quantum && offset <= quantum
             }
-            Form::Palette => {
+            CellForm::Palette => {
                 let finite = |&entry: &i32| from_ordered(entry).is_finite();
                 !self.palette.is_empty()
                     && self.palette.iter().all(finite)
                     && self.palette.is_sorted_by(|a, b| a < b)
             }
-            Form::Stored => true,
+            CellForm::Stored => true,
         };
         let is_valid = is_valid && self.decimals.is_none_or(|decimals| decimals <= DECIMALS_MAX);
         crate::ensure(is_valid, "a representation of no values")

@@ -1,10 +1,10 @@
 //! The encoder's choice of a representation and of events for a channel.
 
 use super::{
-    cells::{Cells, Form, LATTICE_MAX, PALETTE_MAX, from_ordered, ordered},
+    cells::{CellForm, Cells, LATTICE_MAX, PALETTE_MAX, from_ordered, ordered},
     head::{Head, Past},
     predictor::NEIGHBOURS,
-    walk::Track,
+    walk::ChannelState,
 };
 
 /// Gaps between values that a quantum is sought in.
@@ -44,7 +44,7 @@ impl Fit {
     /// Chooses for the samples of a block, given what the block before had.
     pub(super) fn choose(
         &mut self,
-        track: &Track,
+        track: &ChannelState,
         samples: &[f32],
         before: &[f32],
     ) -> (Head, &Cells) {
@@ -63,7 +63,7 @@ impl Fit {
         let mode = mode.map(|mode| from_ordered(mode).to_bits());
         let change = mean_change(samples);
         let is_kept = track.is_started
-            && track.cells.form != Form::Stored
+            && track.cells.form != CellForm::Stored
             && holds_all(&track.cells, samples, mode);
         if is_kept && !track.head.corrects {
             self.cells.form = track.cells.form;
@@ -73,7 +73,7 @@ impl Fit {
         } else {
             self.choose_cells(samples.len(), change);
         }
-        let is_stored = self.cells.form == Form::Stored;
+        let is_stored = self.cells.form == CellForm::Stored;
         let corrects = !is_stored && !holds_all(&self.cells, samples, mode);
         let exponent = if track.is_started { track.head.exponent } else { exponent_of(change) };
         let mut head = Head { exponent, corrects, mode, ..Head::default() };
@@ -109,9 +109,9 @@ impl Fit {
         self.cells.decimals = None;
         let bits = |all, &value: &i32| all | from_ordered(value).to_bits();
         let zeros = self.values.iter().fold(1 << 30, bits).trailing_zeros();
-        self.cells.form = Form::Float { zeros };
+        self.cells.form = CellForm::Float { zeros };
         if self.values.len() < 2 {
-            self.cells.form = Form::Palette;
+            self.cells.form = CellForm::Palette;
             self.cells.palette.push(self.values.first().copied().unwrap_or_default());
             return;
         }
@@ -119,7 +119,7 @@ impl Fit {
         for decimals in [2, 3, 4, 5, 6] {
             let zeros = (2..20).rev().find(|&zeros| {
                 self.is_decimal(&Cells {
-                    form: Form::Float { zeros },
+                    form: CellForm::Float { zeros },
                     decimals: Some(decimals),
                     palette: Vec::new(),
                 })
@@ -128,7 +128,7 @@ impl Fit {
                 && f64::from(zeros) > saved + 0.5
             {
                 saved = f64::from(zeros);
-                self.cells.form = Form::Float { zeros };
+                self.cells.form = CellForm::Float { zeros };
                 self.cells.decimals = Some(decimals);
             }
         }
@@ -142,11 +142,11 @@ impl Fit {
         if self.values.len() <= PALETTE_MAX.min(n_rows / 3)
             && self.palette_bits(n_rows, change) > saved + 0.25
         {
-            self.cells.form = Form::Palette;
+            self.cells.form = CellForm::Palette;
             self.cells.decimals = None;
             self.cells.palette.extend_from_slice(&self.values);
         } else if self.float_bits(change) - saved > STORED_BITS {
-            self.cells.form = Form::Stored;
+            self.cells.form = CellForm::Stored;
             self.cells.decimals = None;
         }
     }
@@ -192,7 +192,7 @@ impl Fit {
     }
 
     /// A lattice that has almost all values, and saves bits.
-    fn lattice(&mut self, change: f64) -> Option<(f64, Form)> {
+    fn lattice(&mut self, change: f64) -> Option<(f64, CellForm)> {
         self.near.clear();
         self.near.extend(self.values.iter().map(|&value| f64::from(from_ordered(value))));
         self.gaps.clear();
@@ -207,7 +207,7 @@ impl Fit {
         self.near.sort_unstable_by(|a, b| a.abs().total_cmp(&b.abs()));
         self.gaps.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         self.gaps.truncate(GAPS);
-        let mut best: Option<(f64, Form)> = None;
+        let mut best: Option<(f64, CellForm)> = None;
         let mut tried = [0.0_f64; 4];
         for n_tried in 0..tried.len() {
             let Some(quantum) = self.likely_quantum(&tried[..n_tried]) else { break };
@@ -250,7 +250,7 @@ impl Fit {
     }
 
     /// Lattices near a quantum: through zero and through the values, with numbers rounded as people write them.
-    fn refined(&self, quantum: f64) -> impl Iterator<Item = Form> + use<> {
+    fn refined(&self, quantum: f64) -> impl Iterator<Item = CellForm> + use<> {
         let anchor = self.near.first().copied().unwrap_or_default();
         let (mut q, mut kk, mut kd) = (quantum, 0.0, 0.0);
         // Farther and farther from the anchor, so that the quantum is always known well enough for the next.
@@ -267,11 +267,11 @@ impl Fit {
         let zero = self.through_zero(q);
         let line = self.through_values(q, offset);
         let candidates = [
-            Some(Form::Lattice { quantum: zero, offset: 0.0 }),
-            Some(Form::Lattice { quantum: f64::from(zero as f32), offset: 0.0 }),
-            Some(Form::Lattice { quantum: line.0, offset: line.1 }),
-            Some(Form::Lattice { quantum: f64::from(line.0 as f32), offset: line.1 }),
-            Some(Form::Lattice {
+            Some(CellForm::Lattice { quantum: zero, offset: 0.0 }),
+            Some(CellForm::Lattice { quantum: f64::from(zero as f32), offset: 0.0 }),
+            Some(CellForm::Lattice { quantum: line.0, offset: line.1 }),
+            Some(CellForm::Lattice { quantum: f64::from(line.0 as f32), offset: line.1 }),
+            Some(CellForm::Lattice {
                 quantum: f64::from(line.0 as f32),
                 offset: (line.1 / line.0 * 4.0).round() / 4.0 * f64::from(line.0 as f32),
             }),
@@ -327,8 +327,8 @@ impl Fit {
     }
 
     /// Bits that a lattice saves per value, over float32.
-    fn saved_bits(&self, form: Form, change: f64) -> f64 {
-        let Form::Lattice { quantum, .. } = form else { return 0.0 };
+    fn saved_bits(&self, form: CellForm, change: f64) -> f64 {
+        let CellForm::Lattice { quantum, .. } = form else { return 0.0 };
         let cells = Cells { form, ..Cells::default() };
         if cells.check().is_err() {
             return 0.0;

@@ -1,9 +1,8 @@
 //! What a block states of each channel before its samples: its scale, which events occur, and its cells.
 
 use super::{
-    cells::{Cells, Form, PALETTE_MAX},
+    cells::{CellForm, Cells, PALETTE_MAX},
     predictor::NEIGHBOURS,
-    walk::Track,
 };
 use crate::{
     Result,
@@ -86,27 +85,28 @@ impl HeadModel {
         Self { flags: [Bit::NEW; 16], logs: [Bit::NEW; 33], quantum: 1.0 }
     }
 
-    /// Codes a head and its cells: `head` and `cells` in the encoder, or what the decoder read. `track` has those of
-    /// the block before.
+    /// Codes a head and its cells: `wanted` in the encoder, or what the decoder read. `state` is that of the block before,
+    /// and becomes that of this one; `is_first` without a sample since the key.
     pub(super) fn code<C: BinaryCoder>(
         &mut self,
         coder: &mut C,
-        track: &mut Track,
-        head: Head,
-        cells: &Cells,
+        is_first: bool,
+        state: (&mut Head, &mut Cells),
+        wanted: (Head, &Cells),
     ) -> Result<()> {
-        let is_first = !track.is_started;
-        let is_same = !is_first && head == track.head && *cells == track.cells;
+        let (known_head, known_cells) = state;
+        let (head, cells) = wanted;
+        let is_same = !is_first && head == *known_head && *cells == *known_cells;
         if !is_first && coder.bit(&mut self.flags[SAME], is_same) {
             return Ok(());
         }
         if is_first {
-            track.head.exponent = coder.plain((head.exponent as u8).into(), 8) as u8 as i8;
-            ensure(track.head.exponent > -127, "a unit out of range")?;
-            track.head.n_beside = coder.plain(head.n_beside.into(), 3) as u8;
-            ensure(usize::from(track.head.n_beside) <= NEIGHBOURS, "too many neighbours")?;
-            for i in 0..usize::from(track.head.n_beside) {
-                track.head.beside[i] = coder.plain(head.beside[i].into(), 6) as u8;
+            known_head.exponent = coder.plain((head.exponent as u8).into(), 8) as u8 as i8;
+            ensure(known_head.exponent > -127, "a unit out of range")?;
+            known_head.n_beside = coder.plain(head.n_beside.into(), 3) as u8;
+            ensure(usize::from(known_head.n_beside) <= NEIGHBOURS, "too many neighbours")?;
+            for i in 0..usize::from(known_head.n_beside) {
+                known_head.beside[i] = coder.plain(head.beside[i].into(), 6) as u8;
             }
         }
         let is_partial = head.past != Past::All;
@@ -127,34 +127,34 @@ impl HeadModel {
         let mode = coder
             .bit(&mut self.flags[MODE], head.mode.is_some())
             .then(|| coder.plain(head.mode.unwrap_or_default().into(), 32) as u32);
-        track.head = Head { repeats, lines, past, corrects, mode, ..track.head };
-        track.cells.palette.clear();
-        track.cells.decimals = coder
+        *known_head = Head { repeats, lines, past, corrects, mode, ..*known_head };
+        known_cells.palette.clear();
+        known_cells.decimals = coder
             .bit(&mut self.flags[HAS_DECIMALS], cells.decimals.is_some())
             .then(|| coder.plain(cells.decimals.unwrap_or_default().into(), 4) as u32);
         let number = match cells.form {
-            Form::Float { .. } => 0,
-            Form::Lattice { .. } => 1,
-            Form::Palette => 2,
-            Form::Stored => 3,
+            CellForm::Float { .. } => 0,
+            CellForm::Lattice { .. } => 1,
+            CellForm::Palette => 2,
+            CellForm::Stored => 3,
         };
-        track.cells.form = if !coder.bit(&mut self.flags[FORM], number != 0) {
-            let wanted = if let Form::Float { zeros } = cells.form { zeros } else { 0 };
-            Form::Float { zeros: coder.plain(wanted.into(), 5) as u32 }
+        known_cells.form = if !coder.bit(&mut self.flags[FORM], number != 0) {
+            let wanted = if let CellForm::Float { zeros } = cells.form { zeros } else { 0 };
+            CellForm::Float { zeros: coder.plain(wanted.into(), 5) as u32 }
         } else if !coder.bit(&mut self.flags[FORM + 1], number != 1) {
             self.lattice(coder, cells.form)
         } else if !coder.bit(&mut self.flags[FORM + 2], number != 2) {
-            self.palette(coder, &cells.palette, &mut track.cells.palette)?;
-            Form::Palette
+            self.palette(coder, &cells.palette, &mut known_cells.palette)?;
+            CellForm::Palette
         } else {
-            Form::Stored
+            CellForm::Stored
         };
-        track.cells.check()
+        known_cells.check()
     }
 
-    fn lattice<C: BinaryCoder>(&mut self, coder: &mut C, wanted: Form) -> Form {
+    fn lattice<C: BinaryCoder>(&mut self, coder: &mut C, wanted: CellForm) -> CellForm {
         let (quantum, offset) = match wanted {
-            Form::Lattice { quantum, offset } => (quantum, offset),
+            CellForm::Lattice { quantum, offset } => (quantum, offset),
             _ => (1.0, 0.0),
         };
         let is_same = quantum.to_bits() == self.quantum.to_bits();
@@ -163,7 +163,7 @@ impl HeadModel {
         }
         let has_offset = coder.bit(&mut self.flags[HAS_OFFSET], offset != 0.0);
         let offset = if has_offset { self.number(coder, offset) } else { 0.0 };
-        Form::Lattice { quantum: self.quantum, offset }
+        CellForm::Lattice { quantum: self.quantum, offset }
     }
 
     /// Codes a number in 64 bits, or in the 32 bits of a float32 if they are enough.

@@ -22,7 +22,7 @@ use self::{
     cells::{Cells, PALETTE_MAX},
     head::{Head, HeadModel},
     predictor::NEIGHBOURS,
-    walk::{Beside, ChannelWalk, Model, Track},
+    walk::{Beside, ChannelState, ChannelWalk, SampleModel},
 };
 use crate::{
     CodecError, GROUP_CHANNELS, Result,
@@ -39,9 +39,9 @@ const RAW: u8 = 0x80;
 /// What encoder and decoder of a group have in common.
 #[derive(Debug)]
 struct Group {
-    model: Model,
+    model: SampleModel,
     heads: HeadModel,
-    tracks: Vec<Track>,
+    tracks: Vec<ChannelState>,
     /// Number of channels since the key.
     n_channels: usize,
     /// The samples of the block, channel after channel.
@@ -54,7 +54,7 @@ struct Group {
 impl Group {
     fn new() -> Self {
         Self {
-            model: Model::NEW,
+            model: SampleModel::NEW,
             heads: HeadModel::new(),
             tracks: Vec::new(),
             n_channels: 0,
@@ -67,7 +67,7 @@ impl Group {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         let n_channels = n_channels.min(GROUP_CHANNELS);
         if self.tracks.len() < n_channels {
-            self.tracks.resize_with(n_channels, Track::new);
+            self.tracks.resize_with(n_channels, ChannelState::new);
         }
         for track in &mut self.tracks {
             track.cells.palette.reserve(n_rows.min(PALETTE_MAX));
@@ -78,9 +78,9 @@ impl Group {
 
     /// Forgets all blocks.
     fn forget(&mut self) {
-        self.model = Model::NEW;
+        self.model = SampleModel::NEW;
         self.heads = HeadModel::new();
-        self.tracks.iter_mut().for_each(Track::reset);
+        self.tracks.iter_mut().for_each(ChannelState::reset);
     }
 
     /// Begins a block of as many channels and rows.
@@ -94,7 +94,7 @@ impl Group {
         }
         self.n_channels = n_channels;
         if self.tracks.len() < n_channels {
-            self.tracks.resize_with(n_channels, Track::new);
+            self.tracks.resize_with(n_channels, ChannelState::new);
         }
         self.samples.clear();
         self.samples.resize(n_channels * n_rows, 0.0);
@@ -110,7 +110,8 @@ impl Group {
     ) -> Result<()> {
         let (tracks_before, tracks) = self.tracks.split_at_mut(channel);
         let Some(track) = tracks.first_mut() else { return Ok(()) };
-        self.heads.code(coder, track, head, cells)?;
+        let state = (&mut track.head, &mut track.cells);
+        self.heads.code(coder, !track.is_started, state, (head, cells))?;
         let (before, rest) = self.samples.split_at_mut(channel * n_rows);
         let at = |index: usize| {
             let (track, samples) =

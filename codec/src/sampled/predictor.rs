@@ -24,17 +24,17 @@ const VARIANCE_MAX: f64 = 1e9;
 /// Inputs beyond this power are not learnt from.
 const POWER_MAX: f64 = 1e30;
 
-type Vector = [f64; ORDER];
+type Regressors = [f64; ORDER];
 
 /// The predictor of one channel.
 #[derive(Debug, Clone)]
 pub(super) struct Predictor {
-    weights: Vector,
+    weights: Regressors,
     /// The inverse of the correlations of the regressors.
-    inverse: Box<[Vector; ORDER]>,
+    inverse: Box<[Regressors; ORDER]>,
     /// Its largest entry.
     largest: f64,
-    inputs: Vector,
+    inputs: Regressors,
     /// The last value and its differences of order 1 to 7.
     differences: [f64; DIFFERENCES],
     /// First differences, newest first.

@@ -3,7 +3,7 @@
 use mocapd_testkit::random::Random;
 
 use super::{SampledDecoder, SampledEncoder, max_block_bytes};
-use crate::{CodecError, GROUP_CHANNELS};
+use crate::{CodecError, GROUP_CHANNELS, coding::isa::Isa};
 
 /// Kinds of generated channels.
 const KINDS: usize = 13;
@@ -147,6 +147,17 @@ fn the_structure_of_channels_is_found() {
         let (once, twice) = (bits_per_sample(kind, 0), bits_per_sample(kind, seed));
         assert!(twice < 0.65 * once, "kind {kind}, seed {seed}: {twice} of {once}");
     }
+}
+
+#[test]
+fn both_instruction_sets_give_the_same_bytes() {
+    let channels = group(7, 13, 400);
+    let slices: Vec<&[f32]> = channels.iter().map(Vec::as_slice).collect();
+    let mut encoder = SampledEncoder::new();
+    encoder.group.isa = Isa::plain();
+    let mut block = Vec::new();
+    encoder.encode(&slices, true, &mut block).unwrap();
+    assert_eq!([block], *encode(&channels, 400, 1));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The syntax of a channel's samples: exact events first, then the cell by halving.
 
 use super::{
-    cells::{Cells, Form, from_ordered, ordered},
+    cells::{CellForm, Cells, from_ordered, ordered},
     distribution::Distribution,
     head::{Head, Past},
     predictor::{NEIGHBOURS, Predictor},
@@ -22,14 +22,14 @@ const CORRECTION_CONTEXTS: usize = 36;
 
 /// All adaptive probabilities of samples.
 #[derive(Debug, Clone)]
-pub(super) struct Model {
+pub(super) struct SampleModel {
     lines: [Bit; EVENT_CONTEXTS],
     repeats: [Bit; EVENT_CONTEXTS],
     modes: [Bit; EVENT_CONTEXTS],
     corrections: [Bit; CORRECTION_CONTEXTS],
 }
 
-impl Model {
+impl SampleModel {
     pub(super) const NEW: Self = Self {
         lines: [Bit::NEW; EVENT_CONTEXTS],
         repeats: [Bit::NEW; EVENT_CONTEXTS],
@@ -40,7 +40,7 @@ impl Model {
 
 /// The state of a channel from block to block.
 #[derive(Debug, Clone)]
-pub(super) struct Track {
+pub(super) struct ChannelState {
     pub(super) head: Head,
     pub(super) cells: Cells,
     pub(super) predictor: Predictor,
@@ -59,7 +59,7 @@ pub(super) struct Track {
 /// Values beyond this many units of a channel's scale are cut to it for prediction.
 const REACH: f64 = 1e12;
 
-impl Track {
+impl ChannelState {
     pub(super) fn new() -> Self {
         Self {
             head: Head::default(),
@@ -130,8 +130,8 @@ impl Beside<'_> {
 /// The coding of one channel over one block.
 pub(super) struct ChannelWalk<'a, C> {
     pub(super) coder: &'a mut C,
-    pub(super) model: &'a mut Model,
-    pub(super) track: &'a mut Track,
+    pub(super) model: &'a mut SampleModel,
+    pub(super) track: &'a mut ChannelState,
     /// The channel before, if there is one.
     pub(super) previous: Option<Beside<'a>>,
     /// Channels before that predict this one; the rest are empty.
@@ -151,7 +151,7 @@ impl<C: BinaryCoder> Kernel for ChannelWalk<'_, C> {
 
     #[inline(always)]
     fn run(mut self) -> Result<()> {
-        if self.track.cells.form == Form::Stored {
+        if self.track.cells.form == CellForm::Stored {
             self.stored();
             return Ok(());
         }
