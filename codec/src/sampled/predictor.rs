@@ -6,16 +6,18 @@
 
 /// Differences of order 1 to 7 of the channel's past, after its level.
 const DIFFERENCES: usize = 8;
-/// First differences further back.
+/// First differences further back. Eight need 0.1 % fewer bytes on five recorded takes, and 40 % more time.
 const LAGS: usize = 4;
-/// Channels beside it whose changes count.
+/// Channels beside it whose changes count. Four that the encoder chooses need no more bytes than the eight nearest, which
+/// take twice the time.
 pub(super) const NEIGHBOURS: usize = 4;
 /// Number of regressors.
 const ORDER: usize = DIFFERENCES + LAGS + 2 * NEIGHBOURS;
 
-/// The weight of the past falls by this factor with every sample: a memory of about 1000 samples.
+/// The weight of the past falls by this factor with every sample: a memory of about 700 samples. 0.9995 needs 0.4 % more
+/// bytes.
 const FORGETTING: f64 = 0.9985;
-/// Initial variance of a weight.
+/// Initial variance of a weight. 0.05 needs 0.1 % more bytes, 30 as many.
 const VARIANCE: f64 = 1.0;
 /// Nothing is forgotten while an entry of the inverse exceeds this: without it, the inverse of inputs that do not change
 /// grows without end.
