@@ -7,7 +7,9 @@
 mod counting;
 
 use mocapd_codec::{
-    BlockReport, DecodedRows, GROUP_CHANNELS, Position, Rows, Settings, Tolerance, stated_channels,
+    BlockReport, DecodedRows, GROUP_CHANNELS, Position, Rows, Settings, Tolerance,
+    sampled::{SampledDecoder, SampledEncoder, max_block_bytes},
+    stated_channels,
 };
 
 use mocapd_testkit::random::Random;
@@ -176,5 +178,51 @@ fn streams_of_any_bytes() {
         });
         let limit = memory_limit(kind, n_channels, n_rows, 3 * len);
         assert!(held <= limit, "{kind}: {held} bytes of {limit}");
+    }
+}
+
+/// Channels of noise, of few values, and of random bits.
+fn sampled(seed: u64, n_rows: usize) -> Vec<Vec<f32>> {
+    let mut random = Random::new(seed);
+    let mut channel = |kind: usize| -> Vec<f32> {
+        let sample = |_| match kind {
+            0 => random.unit() as f32,
+            1 => random.below(900) as f32 * 0.173,
+            2 => [-1.0, 5.5, 7.0][random.below(3)],
+            _ => f32::from_bits(random.next_u64() as u32),
+        };
+        (0..n_rows).map(sample).collect()
+    };
+    (0..8).map(|i| channel(i % 4)).collect()
+}
+
+#[test]
+fn prepared_coders_of_sampled_channels_do_not_allocate() {
+    const N_ROWS: usize = 500;
+    let (mut encoder, mut decoder) = (SampledEncoder::new(), SampledDecoder::new());
+    encoder.prepare(8, N_ROWS);
+    decoder.prepare(8, N_ROWS);
+    let mut block = Vec::with_capacity(max_block_bytes(8, N_ROWS));
+    for seed in 0..6 {
+        let channels = sampled(seed, N_ROWS);
+        let slices: Vec<&[f32]> = channels.iter().map(Vec::as_slice).collect();
+        block.clear();
+        let is_key = seed % 3 == 0;
+        assert_eq!(most_bytes(|| encoder.encode(&slices, is_key, &mut block).unwrap()), 0);
+        assert_eq!(most_bytes(|| assert!(decoder.decode(&block, N_ROWS, is_key).is_ok())), 0);
+    }
+}
+
+#[test]
+fn a_decoder_of_sampled_channels_allocates_for_its_rows() {
+    for seed in 0..40 {
+        let mut random = Random::new(seed);
+        let mut block = random.bytes(200);
+        block[0] = 1 + random.below(GROUP_CHANNELS) as u8;
+        let held = most_bytes(|| drop(SampledDecoder::new().decode(&block, 50, true)));
+        // Per channel the inverse of its predictor (3.2 KiB), its state, and a palette of up to 4096 values.
+        let limit =
+            (64 << 10) + usize::from(block[0]) * (24 << 10) + 4 * 50 * usize::from(block[0]);
+        assert!(held <= limit, "{held} of {limit}");
     }
 }

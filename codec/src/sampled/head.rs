@@ -1,0 +1,208 @@
+//! What a block states of each channel before its samples: its scale, which events occur, and its cells.
+
+use super::{
+    cells::{CellForm, Cells, PALETTE_MAX},
+    predictor::NEIGHBOURS,
+};
+use crate::{
+    Result,
+    coding::range::{BinaryCoder, Bit},
+    ensure,
+};
+
+/// Which samples are in the past from which samples are predicted.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) enum Past {
+    #[default]
+    All,
+    /// Those that are no events: of a channel whose samples are held.
+    Cells,
+    /// Those that are events: of a channel with a line through every second sample.
+    Events,
+}
+
+/// What a block states of a channel, except for its cells.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Head {
+    /// The binary exponent of the channel's unit, in which it is predicted. Stated in the first block since a key.
+    pub(super) exponent: i8,
+    /// How many channels before it predict this channel, and which. Stated in the first block since a key.
+    pub(super) n_beside: u8,
+    pub(super) beside: [u8; NEIGHBOURS],
+    /// In which rows, even and odd since the key, samples that repeat the one before are coded as such.
+    pub(super) repeats: [bool; 2],
+    /// In which rows samples on the line through the two before are coded as such.
+    pub(super) lines: [bool; 2],
+    /// Which samples are in the past from which samples are predicted.
+    pub(super) past: Past,
+    /// Whether samples may be off the values of the cells.
+    pub(super) corrects: bool,
+    /// The bits of a value that is coded as such.
+    pub(super) mode: Option<u32>,
+}
+
+/// A power of two.
+#[inline(always)]
+fn power(exponent: i32) -> f64 {
+    f64::from_bits(((1023 + exponent) as u64) << 52)
+}
+
+impl Head {
+    /// The channel's unit.
+    #[inline(always)]
+    pub(super) fn scale(self) -> f64 {
+        power(self.exponent.into())
+    }
+
+    /// The inverse of the channel's unit.
+    #[inline(always)]
+    pub(super) fn per_unit(self) -> f64 {
+        power(-i32::from(self.exponent))
+    }
+}
+
+/// The adaptive probabilities of heads.
+#[derive(Debug, Clone)]
+pub(super) struct HeadModel {
+    flags: [Bit; 16],
+    logs: [Bit; 33],
+    /// The quantum of the last lattice.
+    quantum: f64,
+}
+
+/// Indices of flags.
+const SAME: usize = 0;
+const FLAGS: usize = 1;
+const MODE: usize = 8;
+const FORM: usize = 9;
+const IS_SINGLE: usize = 12;
+const SAME_QUANTUM: usize = 13;
+const HAS_OFFSET: usize = 14;
+const HAS_DECIMALS: usize = 15;
+
+impl HeadModel {
+    pub(super) fn new() -> Self {
+        Self { flags: [Bit::NEW; 16], logs: [Bit::NEW; 33], quantum: 1.0 }
+    }
+
+    /// Codes a head and its cells: `wanted` in the encoder, or what the decoder read. `state` is that of the block before,
+    /// and becomes that of this one; `is_first` without a sample since the key.
+    pub(super) fn code<C: BinaryCoder>(
+        &mut self,
+        coder: &mut C,
+        is_first: bool,
+        state: (&mut Head, &mut Cells),
+        wanted: (Head, &Cells),
+    ) -> Result<()> {
+        let (known_head, known_cells) = state;
+        let (head, cells) = wanted;
+        let is_same = !is_first && head == *known_head && *cells == *known_cells;
+        if !is_first && coder.bit(&mut self.flags[SAME], is_same) {
+            return Ok(());
+        }
+        if is_first {
+            known_head.exponent = coder.plain((head.exponent as u8).into(), 8) as u8 as i8;
+            ensure(known_head.exponent > -127, "a unit out of range")?;
+            known_head.n_beside = coder.plain(head.n_beside.into(), 3) as u8;
+            ensure(usize::from(known_head.n_beside) <= NEIGHBOURS, "too many neighbours")?;
+            for i in 0..usize::from(known_head.n_beside) {
+                known_head.beside[i] = coder.plain(head.beside[i].into(), 6) as u8;
+            }
+        }
+        let is_partial = head.past != Past::All;
+        let of_events = head.past == Past::Events;
+        let ([r0, r1], [l0, l1]) = (head.repeats, head.lines);
+        let wanted = [r0, r1, l0, l1, is_partial, of_events, head.corrects];
+        let mut flags = [false; 7];
+        for (i, flag) in flags.iter_mut().enumerate() {
+            *flag = coder.bit(&mut self.flags[FLAGS + i], wanted[i]);
+        }
+        let [r0, r1, l0, l1, is_partial, of_events, corrects] = flags;
+        let (repeats, lines) = ([r0, r1], [l0, l1]);
+        let past = match (is_partial, of_events) {
+            (false, _) => Past::All,
+            (true, false) => Past::Cells,
+            (true, true) => Past::Events,
+        };
+        let mode = coder
+            .bit(&mut self.flags[MODE], head.mode.is_some())
+            .then(|| coder.plain(head.mode.unwrap_or_default().into(), 32) as u32);
+        *known_head = Head { repeats, lines, past, corrects, mode, ..*known_head };
+        known_cells.palette.clear();
+        known_cells.decimals = coder
+            .bit(&mut self.flags[HAS_DECIMALS], cells.decimals.is_some())
+            .then(|| coder.plain(cells.decimals.unwrap_or_default().into(), 4) as u32);
+        let number = match cells.form {
+            CellForm::Float { .. } => 0,
+            CellForm::Lattice { .. } => 1,
+            CellForm::Palette => 2,
+            CellForm::Stored => 3,
+        };
+        known_cells.form = if !coder.bit(&mut self.flags[FORM], number != 0) {
+            let wanted = if let CellForm::Float { zeros } = cells.form { zeros } else { 0 };
+            CellForm::Float { zeros: coder.plain(wanted.into(), 5) as u32 }
+        } else if !coder.bit(&mut self.flags[FORM + 1], number != 1) {
+            self.lattice(coder, cells.form)
+        } else if !coder.bit(&mut self.flags[FORM + 2], number != 2) {
+            self.palette(coder, &cells.palette, &mut known_cells.palette)?;
+            CellForm::Palette
+        } else {
+            CellForm::Stored
+        };
+        known_cells.check()
+    }
+
+    fn lattice<C: BinaryCoder>(&mut self, coder: &mut C, wanted: CellForm) -> CellForm {
+        let (quantum, offset) = match wanted {
+            CellForm::Lattice { quantum, offset } => (quantum, offset),
+            _ => (1.0, 0.0),
+        };
+        let is_same = quantum.to_bits() == self.quantum.to_bits();
+        if !coder.bit(&mut self.flags[SAME_QUANTUM], is_same) {
+            self.quantum = self.number(coder, quantum);
+        }
+        let has_offset = coder.bit(&mut self.flags[HAS_OFFSET], offset != 0.0);
+        let offset = if has_offset { self.number(coder, offset) } else { 0.0 };
+        CellForm::Lattice { quantum: self.quantum, offset }
+    }
+
+    /// Codes a number in 64 bits, or in the 32 bits of a float32 if they are enough.
+    fn number<C: BinaryCoder>(&mut self, coder: &mut C, number: f64) -> f64 {
+        let single = number as f32;
+        let is_single = f64::from(single).to_bits() == number.to_bits();
+        if coder.bit(&mut self.flags[IS_SINGLE], is_single) {
+            f32::from_bits(coder.plain(single.to_bits().into(), 32) as u32).into()
+        } else {
+            f64::from_bits(coder.plain(number.to_bits(), 64))
+        }
+    }
+
+    /// Codes a palette: its length, its first value, and the gaps between values in Exp-Golomb code.
+    fn palette<C: BinaryCoder>(
+        &mut self,
+        coder: &mut C,
+        wanted: &[i32],
+        palette: &mut Vec<i32>,
+    ) -> Result<()> {
+        const LENGTH_BITS: u32 = PALETTE_MAX.ilog2();
+        let n = coder.plain(wanted.len().saturating_sub(1) as u64, LENGTH_BITS) as usize + 1;
+        let mut entry = coder.plain(wanted.first().copied().unwrap_or_default() as u32 as u64, 32)
+            as u32 as i32;
+        palette.push(entry);
+        for i in 1..n {
+            let next = wanted.get(i).map_or(1, |&next| i64::from(next) - i64::from(entry));
+            let wanted_log = next.max(1).ilog2();
+            let mut log = 0;
+            while coder.bit(&mut self.logs[log as usize], wanted_log > log) {
+                log += 1;
+                ensure(log < 32, "a palette out of range")?;
+            }
+            let gap = 1 << log | coder.plain(next as u64, log) as i64;
+            let sum = i64::from(entry) + gap;
+            ensure(i32::try_from(sum).is_ok(), "a palette out of range")?;
+            entry = sum as i32;
+            palette.push(entry);
+        }
+        Ok(())
+    }
+}

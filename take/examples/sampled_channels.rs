@@ -1,0 +1,169 @@
+//! How many bytes the analog samples of C3D files need as blocks of sampled channels, beside DEFLATE as takes have them
+//! today and `xz -9` of the same columns; and the processor time of both directions.
+//!
+//! `cargo run --release -p mocapd-take --example sampled_channels -- FOLDER`
+//!
+//! Blocks hold ten seconds, as the stretches of an import do, and are all key blocks. Every block is decoded and compared
+//! bit for bit. Files of 16-bit integers count as float32 of the same values. Times are those of this thread, in MB of
+//! float32 a second.
+
+#![expect(clippy::print_stdout, reason = "a tool that prints its result")]
+
+use std::{
+    error::Error,
+    fs,
+    io::Write,
+    path::Path,
+    process::{Command, Stdio},
+};
+
+use flate2::{Compression, write::DeflateEncoder};
+use mocapd_codec::{
+    GROUP_CHANNELS,
+    sampled::{SampledDecoder, SampledEncoder},
+};
+use mocapd_take::interchange::Format;
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// Bytes of the header of a block of columns (docs/foreign.md).
+const HEADER_BYTES: usize = 26;
+
+fn main() -> Result<()> {
+    let folder = std::env::args().nth(1).ok_or("a folder of C3D files is needed")?;
+    let mut paths: Vec<_> = fs::read_dir(folder)?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<std::io::Result<_>>()?;
+    paths.retain(|path| {
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("c3d"))
+    });
+    paths.sort();
+    println!(
+        "| file | raw | deflate | xz -9 | blocks | deflate/blocks | xz/blocks | encode MB/s | decode MB/s |"
+    );
+    let (mut product, mut product_xz, mut n_files) = (1.0, 1.0, 0);
+    for path in &paths {
+        let Some(row) = measure(path)? else { continue };
+        let (blocks, of) = (row.blocks as f64, |bytes: usize| bytes as f64 / row.blocks as f64);
+        println!(
+            "| {} | {} | {} | {} | {blocks} | {:.2} | {:.2} | {:.1} | {:.1} |",
+            path.file_stem().unwrap_or_default().to_string_lossy(),
+            row.raw,
+            row.deflate,
+            row.xz,
+            of(row.deflate),
+            of(row.xz),
+            row.raw as f64 / 1e6 / row.encode_s,
+            row.raw as f64 / 1e6 / row.decode_s,
+        );
+        product *= of(row.deflate);
+        product_xz *= of(row.xz);
+        n_files += 1;
+    }
+    let mean = |product: f64| product.powf(1.0 / f64::from(n_files));
+    println!("geometric means: deflate {:.3}, xz -9 {:.3}", mean(product), mean(product_xz));
+    Ok(())
+}
+
+/// Bytes and seconds of one file.
+struct Row {
+    raw: usize,
+    deflate: usize,
+    xz: usize,
+    blocks: usize,
+    encode_s: f64,
+    decode_s: f64,
+}
+
+/// Measures a file; `None` if it has no analog samples, or cannot be read.
+fn measure(path: &Path) -> Result<Option<Row>> {
+    let Ok(motion) = Format::C3d.read(&fs::read(path)?) else { return Ok(None) };
+    let Some(part) = motion.info.foreign.iter().find(|part| part.kind == "c3d/analog") else {
+        return Ok(None);
+    };
+    let content = part.data.to_vec(u64::MAX)?.ok_or("analog samples were not kept")?;
+    let (channels, ratio) = columns(&content).ok_or("an unknown layout of analog samples")?;
+    let n_samples = channels.first().map_or(0, Vec::len);
+    if n_samples == 0 {
+        return Ok(None);
+    }
+    let mut deflate = DeflateEncoder::new(Vec::new(), Compression::best());
+    deflate.write_all(&content)?;
+    let mut row = Row {
+        raw: 4 * n_samples * channels.len(),
+        deflate: deflate.finish()?.len(),
+        xz: xz(&content)?,
+        blocks: 0,
+        encode_s: 0.0,
+        decode_s: 0.0,
+    };
+    let block_rows = ((10.0 * motion.info.rate_hz) as usize * ratio).max(1);
+    for group in channels.chunks(GROUP_CHANNELS) {
+        let (mut encoder, mut decoder) = (SampledEncoder::new(), SampledDecoder::new());
+        for start in (0..n_samples).step_by(block_rows) {
+            let end = (start + block_rows).min(n_samples);
+            let slices: Vec<&[f32]> = group.iter().map(|channel| &channel[start..end]).collect();
+            let mut block = Vec::new();
+            let before_s = processor_s()?;
+            encoder.encode(&slices, true, &mut block)?;
+            let between_s = processor_s()?;
+            let decoded = decoder.decode(&block, end - start, true)?;
+            row.decode_s += processor_s()? - between_s;
+            row.encode_s += between_s - before_s;
+            row.blocks += block.len();
+            let is_same =
+                decoded.iter().zip(slices.concat()).all(|(a, b)| a.to_bits() == b.to_bits());
+            if !is_same {
+                return Err("a block that does not decode to its samples".into());
+            }
+        }
+    }
+    Ok(Some(row))
+}
+
+/// The columns of a block of columns as float32, and the number of samples in a frame.
+fn columns(content: &[u8]) -> Option<(Vec<Vec<f32>>, usize)> {
+    let (header, planes) = content.split_at_checked(HEADER_BYTES)?;
+    let number =
+        |at: usize| Some(u32::from_le_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
+    let (width, n_signals, ratio, n_frames) =
+        (usize::from(*header.get(1)?), number(2)?, number(6)?, number(18)?);
+    let n = ratio * n_frames;
+    if n == 0 || n_signals == 0 {
+        return Some((Vec::new(), ratio));
+    }
+    let column = |planes: &[u8]| {
+        let mut last = 0_u32;
+        let sample = |i: usize| {
+            let zigzag =
+                (0..width).fold(0_u32, |word, plane| word << 8 | u32::from(planes[plane * n + i]));
+            last = last.wrapping_add(zigzag >> 1 ^ 0_u32.wrapping_sub(zigzag & 1));
+            if width == 2 {
+                return f32::from(last as u16 as i16);
+            }
+            f32::from_bits(if last >> 31 == 1 { last ^ 1 << 31 } else { !last })
+        };
+        (0..n).map(sample).collect()
+    };
+    Some((planes.chunks_exact(width * n).take(n_signals).map(column).collect(), ratio))
+}
+
+/// Size of `xz -9`; 0 if there is no xz.
+fn xz(content: &[u8]) -> Result<usize> {
+    let mut command = Command::new("xz");
+    let spawned = command.args(["-9", "-c"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+    let Ok(mut child) = spawned else { return Ok(0) };
+    let mut input = child.stdin.take().ok_or("no pipe")?;
+    let content = content.to_vec();
+    let writer = std::thread::Builder::new().spawn(move || input.write_all(&content))?;
+    let bytes = child.wait_with_output()?.stdout.len();
+    writer.join().map_err(|_| "the writer failed")??;
+    Ok(bytes)
+}
+
+/// Processor time of this thread so far, in seconds.
+fn processor_s() -> Result<f64> {
+    let text = fs::read_to_string("/proc/thread-self/schedstat")?;
+    let ns: f64 = text.split(' ').next().unwrap_or_default().parse()?;
+    Ok(ns / 1e9)
+}
