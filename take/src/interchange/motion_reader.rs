@@ -45,11 +45,11 @@ impl fmt::Debug for ReaderSettings<'_> {
 pub struct MotionReader<'a> {
     info: MotionInfo,
     source: SourceFile<'a>,
-    frames: Frames,
+    frames: ReadFrames,
 }
 
 #[derive(Debug)]
-enum Frames {
+enum ReadFrames {
     C3d(Box<c3d::C3dFrames>),
     Text(Box<TextFrames>),
 }
@@ -75,7 +75,7 @@ impl<'a> MotionReader<'a> {
             Format::C3d => {
                 let mut store = PartStore::new(settings.keeps_foreign, new_scratch);
                 let (info, frames) = c3d::open(&mut source, options, &mut store)?;
-                (info, Frames::C3d(Box::new(frames)))
+                (info, ReadFrames::C3d(Box::new(frames)))
             }
             Format::Trc | Format::Tsv | Format::Csv | Format::CsvLong => {
                 let (name, open): (_, OpenText) = match format {
@@ -85,7 +85,7 @@ impl<'a> MotionReader<'a> {
                 };
                 let mut file = TextFile::new(name, &mut source);
                 let (info, frames) = open(&mut file, options, new_scratch)?;
-                (info, Frames::Text(Box::new(frames)))
+                (info, ReadFrames::Text(Box::new(frames)))
             }
             Format::Npz
             | Format::Xdf
@@ -113,8 +113,8 @@ impl<'a> MotionReader<'a> {
     /// Returns to the first frame.
     pub fn rewind(&mut self) {
         match &mut self.frames {
-            Frames::C3d(frames) => frames.rewind(),
-            Frames::Text(frames) => frames.rewind(),
+            ReadFrames::C3d(frames) => frames.rewind(),
+            ReadFrames::Text(frames) => frames.rewind(),
         }
     }
 
@@ -142,8 +142,8 @@ impl FrameSource for MotionReader<'_> {
 
     fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
         match &mut self.frames {
-            Frames::C3d(frames) => frames.next_frame(&mut self.source, row),
-            Frames::Text(frames) => frames.next_frame(row),
+            ReadFrames::C3d(frames) => frames.next_frame(&mut self.source, row),
+            ReadFrames::Text(frames) => frames.next_frame(row),
         }
     }
 }

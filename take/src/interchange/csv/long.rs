@@ -6,7 +6,7 @@ use std::{borrow::Cow, collections::HashMap, io::Write};
 use super::{
     dialect::{LineCells, quote},
     malformed,
-    rectangle::{Rectangle, Sample},
+    rectangle::{PlacedSample, Rectangle},
 };
 use crate::{
     ambiguity::Notes,
@@ -128,7 +128,7 @@ impl TimedFrames {
 /// The parsed rows.
 struct Data {
     labels: Vec<String>,
-    /// The [samples](Sample), in the order of their rows.
+    /// The [samples](PlacedSample), in the order of their rows.
     samples: Content,
     /// The numbers of the first and the last frame that have a time or a sample.
     frames: Option<(u64, u64)>,
@@ -173,7 +173,7 @@ impl Data {
         let mut samples = ContentWriter::new(new_scratch);
         let (mut frames, mut timed) = (None, None::<TimedFrames>);
         let (mut rounding, mut damaged) = (Rounding::default(), 0);
-        let (mut n_cells, mut last) = (COLUMNS.len(), None::<Sample>);
+        let (mut n_cells, mut last) = (COLUMNS.len(), None::<PlacedSample>);
         let mut lines = file.lines_below(header_line)?;
         while let Some(Line { number, bytes: line, .. }) = lines.next()? {
             if line.trim_ascii().is_empty() || line.starts_with(b"#") {
@@ -204,7 +204,11 @@ impl Data {
             let mut position = position.iter().map(|cell| &cell[..]);
             match parse_sample(&mut position) {
                 SampleCells::Position(stored) => {
-                    last = Some(Sample { frame, column, position: millimetres.position(stored) });
+                    last = Some(PlacedSample {
+                        frame,
+                        column,
+                        position: millimetres.position(stored),
+                    });
                 }
                 SampleCells::Empty => {}
                 SampleCells::Damaged => damaged += 1,

@@ -22,7 +22,7 @@ const HEADER: &str = "csv/header";
 
 /// How the frames of a file are read.
 #[derive(Debug, Clone, Copy)]
-enum Layout {
+enum CsvLayout {
     Wide,
     /// The line of column names.
     Long(usize),
@@ -39,26 +39,26 @@ pub(super) fn open(
         file.convert(conversion);
     }
     match layout(file)? {
-        Layout::Wide => wide::open(file, options, new_scratch),
-        Layout::Long(header_line) => long::open(file, header_line, options, new_scratch),
-        Layout::Motive => motive::open(file, options, new_scratch),
+        CsvLayout::Wide => wide::open(file, options, new_scratch),
+        CsvLayout::Long(header_line) => long::open(file, header_line, options, new_scratch),
+        CsvLayout::Motive => motive::open(file, options, new_scratch),
     }
 }
 
 /// The layout, from the first line with content.
-fn layout(file: &mut TextFile<'_, '_>) -> Result<Layout> {
+fn layout(file: &mut TextFile<'_, '_>) -> Result<CsvLayout> {
     let mut lines = file.lines();
     while let Some(Line { number, bytes: line, .. }) = lines.next()? {
         let content = line.trim_ascii();
         if !content.is_empty() && !content.starts_with(b"#") {
             return Ok(match line {
-                _ if long::is_long(line) => Layout::Long(number),
-                _ if motive::is_motive(line) => Layout::Motive,
-                _ => Layout::Wide,
+                _ if long::is_long(line) => CsvLayout::Long(number),
+                _ if motive::is_motive(line) => CsvLayout::Motive,
+                _ => CsvLayout::Wide,
             });
         }
     }
-    Ok(Layout::Wide)
+    Ok(CsvLayout::Wide)
 }
 
 fn malformed(line: usize, message: &str) -> InterchangeError {

@@ -10,7 +10,7 @@ use crate::{
 
 /// A sample of the long layout.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct PlacedSample {
     pub(super) frame: u64,
     pub(super) column: usize,
     pub(super) position: Position,
@@ -19,7 +19,7 @@ pub(super) struct Sample {
 /// Bytes of a sample: frame, column and position.
 const SAMPLE_BYTES: usize = 8 + 4 + POSITION_BYTES;
 
-impl Sample {
+impl PlacedSample {
     /// Its bytes. A take has fewer columns than a `u32` counts.
     pub(super) fn to_bytes(self) -> [u8; SAMPLE_BYTES] {
         let mut bytes = [0; SAMPLE_BYTES];
