@@ -23,8 +23,8 @@ use serde::Serialize;
 
 use crate::cli::{
     batch::{self, FileKinds, Input},
-    motion_files::{read_motion, read_take},
-    original::header_of,
+    motion_files::read_take,
+    original::{header_of, read_motion},
     output::{notify, plain, print, print_json},
     paths, values,
 };
