@@ -33,7 +33,7 @@ use super::{
     output::{plain, plain_path},
     paths::{self, InputFormatName},
     subject::SubjectArgs,
-    values::{CodecArgs, SizeReport, count, rate, thousands, tolerance_mm},
+    values::{CodecArgs, EffortArgs, SizeReport, count, rate, thousands, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
@@ -52,6 +52,8 @@ pub(crate) struct Args {
     format: Option<InputFormatName>,
     #[command(flatten)]
     codec: CodecArgs,
+    #[command(flatten)]
+    effort: EffortArgs,
     #[command(flatten)]
     subject: SubjectArgs,
     /// Unit of length of the files, if they state none or a wrong one: mm, cm, dm, m, um, in, ft
@@ -103,6 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         args,
         settings: ImportSettings {
             codec,
+            effort: args.effort.effort(&codec)?,
             options: ReadOptions { unit: args.unit, up: args.up },
             drops_foreign: args.drop_foreign,
             subject: args.subject.load()?,

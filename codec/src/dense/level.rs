@@ -79,6 +79,12 @@ pub(super) trait RowCodec {
         0
     }
 
+    /// Whether nothing that follows matters, so that the rest of a level may be left out.
+    #[inline(always)]
+    fn gives_up(&self) -> bool {
+        false
+    }
+
     /// Takes the final points of a batch in units; `kept` has one bit per row that is kept.
     fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32);
 }
@@ -295,6 +301,9 @@ impl<S: RowCodec, const N: usize, const COARSE: bool> Kernel for LevelPass<'_, S
         channels.correction.begin(channel, kind);
         for first in (0..layout.n).step_by(N) {
             channels.batch::<S, N, COARSE>(codec, kind, layout.batch(first, N))?;
+            if codec.gives_up() {
+                return Ok(());
+            }
         }
         // What is learnt for the spans and channels that follow.
         if COARSE && S::Coder::LEARNS {

@@ -10,6 +10,7 @@ use super::{
     channel_state::ChannelState,
     effort::SearchDepth,
     hidden_row::HiddenRow,
+    level::RowCodec,
     level_prediction::LevelLayout,
     span_plan::SpanPlan,
     trial::Trial,
@@ -92,6 +93,7 @@ impl RunSearch<'_, '_> {
         hypothesis.state.restore(&mut self.group.channels, self.run.channel, rows);
         self.trial.plan = hypothesis.plan;
         self.trial.coder.cost = 0;
+        self.trial.limit = u64::MAX;
         self.trial.wanted = SPAN;
     }
 
@@ -113,9 +115,10 @@ impl RunSearch<'_, '_> {
         limit: u64,
     ) -> Result<Option<u64>> {
         self.resume(hypothesis);
+        self.trial.limit = limit.saturating_sub(hypothesis.past);
         for &bit in levels {
             self.level(bit)?;
-            if hypothesis.past + self.trial.coder.cost >= limit {
+            if self.trial.gives_up() {
                 return Ok(None);
             }
         }

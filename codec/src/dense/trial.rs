@@ -17,6 +17,8 @@ pub(super) struct Trial<'a> {
     channels: &'a [Rows<'a>],
     samples: LevelSamples,
     pub(super) coder: CostCounter,
+    /// The cost from which on a trial is given up.
+    pub(super) limit: u64,
     pub(super) plan: SpanPlan,
     /// The slot of the row of which all points are wanted; [`SPAN`] for none.
     pub(super) wanted: usize,
@@ -33,6 +35,7 @@ impl<'a> Trial<'a> {
             channels,
             samples: LevelSamples::new(grid),
             coder: CostCounter::default(),
+            limit: u64::MAX,
             plan: SpanPlan::NONE,
             wanted: SPAN,
             points: BallPoints::NONE,
@@ -85,6 +88,11 @@ impl RowCodec for Trial<'_> {
         let wanted = if self.wanted < SPAN { 1 << self.wanted >> batch.slot } else { 0_u64 };
         let asked = self.plan.decided_from(batch.slot) | wanted;
         self.samples.outside(batch, predictions) | asked as u32
+    }
+
+    #[inline(always)]
+    fn gives_up(&self) -> bool {
+        self.coder.cost >= self.limit
     }
 
     #[inline(always)]
