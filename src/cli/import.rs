@@ -14,7 +14,7 @@ use mocapd_acquire::{
     inspect::Summary,
     pipeline::TakeAccount,
 };
-use mocapd_codec::Settings;
+use mocapd_codec::{Effort, Settings};
 use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     TakeEnds,
@@ -163,6 +163,7 @@ impl ImportPlan<'_> {
         }
         let mut report = ImportReport::new(output, &info, &codec, &written, foreign_dropped);
         (report.file, report.unchanged) = (name.clone(), is_unchanged);
+        report.effort = self.settings.effort.level();
         if args.verify {
             compare(output, job)?;
             report.verified = true;
@@ -268,6 +269,8 @@ pub(super) struct ImportReport {
     rate_hz: f64,
     #[serde(flatten)]
     size: SizeReport,
+    /// 1 for every resampler but dense.
+    effort: u8,
     samples_missing: u64,
     foreign_dropped: Vec<String>,
     warnings: Vec<String>,
@@ -294,6 +297,7 @@ impl ImportReport {
             markers: info.markers.len(),
             rate_hz: info.rate_hz,
             size: SizeReport::new(written, codec),
+            effort: Effort::MIN.level(),
             samples_missing: frames.saturating_mul(n_markers).saturating_sub(written.samples),
             foreign_dropped,
             warnings: info.source.warnings.clone(),

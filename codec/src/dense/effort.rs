@@ -6,6 +6,21 @@ use super::LEVELS;
 use crate::CodecError;
 
 /// How much time the encoder of `dense` takes to make blocks smaller; other resamplers have one way to encode.
+///
+/// Time is a factor on effort 1, bytes are against it: geometric means over 20 recorded takes at six tolerances from 0.1
+/// to 20 mm.
+///
+/// | effort | rows whose points are searched | plans at a time | time | bytes |
+/// |---|---|---|---|---|
+/// | 1 | none | | 1 | 0 |
+/// | 2 | anchors | 1 | 3.3 | -2.1 % |
+/// | 3 | and stride 32 | 1 | 3.7 | -3.9 % |
+/// | 4 | and strides 16 and 8 | 1 | 5.7 | -6.7 % |
+/// | 5 | and stride 4 | 1 | 8.1 | -7.6 % |
+/// | 6 | as 4 | 4 | 12 | -7.9 % |
+/// | 7 | as 5 | 4 | 22 | -8.7 % |
+/// | 8 | and stride 2 | 4 | 41 | -9.2 % |
+/// | 9 | as 8 | 12 | 106 | -9.6 % |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Effort(u8);
 

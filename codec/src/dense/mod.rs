@@ -48,7 +48,10 @@
 //!   [`distance_correction`]: prediction from the distances to partner channels
 //! - [`first_row`] and [`residual`]: the syntax of a row
 //! - [`level`]: the rows of one level of one run; [`walk`]: the order of all rows of a group
-//! - [`candidates`]: the encoder's choice of lattice points; [`encoder`] and [`decoder`]: blocks
+//! - [`candidates`] and [`level_samples`]: the greedy choice of lattice points
+//! - [`planner`]: choices by what they lead to, with [`run_search`] for one run, over [`trial`]s that are priced with
+//!   [`cost`]; [`effort`]: how far
+//! - [`row_encoder`], [`encoder`] and [`decoder`]: blocks
 
 mod candidates;
 mod channel_state;
