@@ -13,7 +13,7 @@ use super::{
     run_search::RunSearch,
     span_plan::SpanPlan,
     trial::Trial,
-    walk::{Dense, Run, SpanRows},
+    walk::{Dense, Run, SpanPresence},
 };
 use crate::{GROUP_CHANNELS, Result, Rows};
 
@@ -46,7 +46,7 @@ impl Planner {
         &mut self,
         group: &Dense,
         channels: &[Rows<'_>],
-        span: SpanRows<'_>,
+        span: SpanPresence<'_>,
     ) -> Result<()> {
         self.plans.fill(SpanPlan::NONE);
         self.group.follow(group, span);
@@ -70,10 +70,10 @@ impl Planner {
         &mut self,
         trial: &mut Trial<'_>,
         runs: &[Run],
-        span: SpanRows<'_>,
+        span: SpanPresence<'_>,
         depth: SearchDepth,
     ) -> Result<()> {
-        let SpanRows { before, last, .. } = span;
+        let SpanPresence { before, last, .. } = span;
         for (index, &run) in runs.iter().enumerate() {
             let channel = run.channel;
             let mut rows = vec![run.zero, run.end];
@@ -98,9 +98,9 @@ impl Planner {
         &mut self,
         trial: &mut Trial<'_>,
         runs: &[Run],
-        span: SpanRows<'_>,
+        span: SpanPresence<'_>,
     ) -> Result<()> {
-        let SpanRows { before, last, .. } = span;
+        let SpanPresence { before, last, .. } = span;
         for (index, &run) in runs.iter().enumerate() {
             self.begin_run(trial, &runs[..=index], span, &mut [])?;
             if run.end > run.zero {
@@ -128,11 +128,11 @@ impl Planner {
         &mut self,
         trial: &mut Trial<'_>,
         runs: &[Run],
-        span: SpanRows<'_>,
+        span: SpanPresence<'_>,
         hidden: &mut [HiddenRow],
     ) -> Result<()> {
         let Some((&run, earlier)) = runs.split_last() else { return Ok(()) };
-        let SpanRows { before, present, .. } = span;
+        let SpanPresence { before, present, .. } = span;
         HiddenRow::without(hidden, LEVELS, &mut self.group, |group| {
             group.begin_run(trial, run, before, present)
         })?;

@@ -6,7 +6,7 @@ use super::{
     level_samples::LevelSamples,
     planner::Planner,
     points::{Grid, Point, Points},
-    walk::{Dense, SpanCodec, SpanRows},
+    walk::{Dense, SpanCodec, SpanPresence},
 };
 use crate::{BlockReport, GROUP_CHANNELS, Result, Rows, coding::range::RangeEncoder};
 
@@ -128,7 +128,7 @@ impl<'a> RowCodec for RowEncoder<'a, '_> {
 }
 
 impl SpanCodec for RowEncoder<'_, '_> {
-    fn begin_span(&mut self, group: &Dense, span: SpanRows<'_>) -> Result<()> {
+    fn begin_span(&mut self, group: &Dense, span: SpanPresence<'_>) -> Result<()> {
         match &mut self.planner {
             Some(planner) => planner.plan_span(group, self.channels, span),
             None => Ok(()),

@@ -21,9 +21,9 @@ pub(super) struct Run {
     pub(super) end: usize,
 }
 
-/// The rows of a span.
+/// The rows of a span, and which of them are present.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SpanRows<'a> {
+pub(super) struct SpanPresence<'a> {
     /// The row before its first one, and its last one, as indices into a [`Track`].
     pub(super) before: usize,
     pub(super) last: usize,
@@ -34,7 +34,7 @@ pub(super) struct SpanRows<'a> {
 /// A coder of the rows of whole spans.
 pub(super) trait SpanCodec: RowCodec {
     /// Begins a span, of which no row is coded yet.
-    fn begin_span(&mut self, _group: &Dense, _span: SpanRows<'_>) -> Result<()> {
+    fn begin_span(&mut self, _group: &Dense, _span: SpanPresence<'_>) -> Result<()> {
         Ok(())
     }
 }
@@ -91,7 +91,7 @@ impl Dense {
         let mut before = PAST_ROWS - 1;
         while before + 1 < PAST_ROWS + n_rows {
             let last = (before + SPAN).min(PAST_ROWS + n_rows - 1);
-            self.span(codec, SpanRows { before, last, present })?;
+            self.span(codec, SpanPresence { before, last, present })?;
             before = last;
         }
         self.channels.tracks.iter_mut().for_each(|track| track.finish(n_rows));
@@ -100,8 +100,8 @@ impl Dense {
     }
 
     /// Codes a span.
-    fn span<S: SpanCodec>(&mut self, codec: &mut S, span: SpanRows<'_>) -> Result<()> {
-        let SpanRows { before, last, present } = span;
+    fn span<S: SpanCodec>(&mut self, codec: &mut S, span: SpanPresence<'_>) -> Result<()> {
+        let SpanPresence { before, last, present } = span;
         let n = present.len();
         self.begin_span(before, n);
         self.find_runs(before, last, present);
@@ -115,8 +115,8 @@ impl Dense {
     }
 
     /// Takes over the state of a group that has begun a span, and begins it.
-    pub(super) fn follow(&mut self, other: &Self, span: SpanRows<'_>) {
-        let SpanRows { before, last, present } = span;
+    pub(super) fn follow(&mut self, other: &Self, span: SpanPresence<'_>) {
+        let SpanPresence { before, last, present } = span;
         // Older rows were taken over with the spans before.
         self.channels.follow(&other.channels, present.len(), before + 1 - PAST_ROWS..=last);
         self.first_row = other.first_row;
