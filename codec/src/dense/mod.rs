@@ -63,7 +63,6 @@ mod distance_correction;
 mod effort;
 mod encoder;
 mod first_row;
-mod hidden_row;
 mod level;
 mod level_prediction;
 mod level_samples;
@@ -74,7 +73,6 @@ mod residual;
 mod row_encoder;
 mod run_search;
 mod segment_lengths;
-mod span_plan;
 #[cfg(feature = "training")]
 mod tally;
 #[cfg(test)]

@@ -7,12 +7,10 @@
 use super::{
     LEVELS,
     effort::SearchDepth,
-    hidden_row::HiddenRow,
     level_prediction::LevelLayout,
     points::Grid,
-    run_search::RunSearch,
-    span_plan::SpanPlan,
-    trial::Trial,
+    run_search::{HiddenRow, RunSearch},
+    trial::{SpanPlan, Trial},
     walk::{Dense, Run, SpanPresence},
 };
 use crate::{GROUP_CHANNELS, Result, Rows};
