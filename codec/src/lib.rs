@@ -59,6 +59,7 @@ pub use block::{
 pub(crate) use block::{Result, ensure};
 pub use bound::Tolerance;
 pub use coding::range;
+pub use dense::Effort;
 #[cfg(feature = "training")]
 pub use dense::training;
 pub use frame::{stated_channels, stated_error_step};

@@ -4,7 +4,7 @@ use std::{fmt, str::FromStr};
 
 use crate::{
     BlockDecoder, BlockEncoder, CodecError, Rows, SplineVariant, Tolerance,
-    dense::Dense,
+    dense::{Dense, Effort, PlanningEncoder},
     fast::Fast,
     frame::{self, FramedDecoder, FramedEncoder, PayloadDecoder, PayloadEncoder},
     lossless::Lossless,
@@ -104,6 +104,18 @@ impl Settings {
                 self.framed(|tolerance| Spline::asynchronous(tolerance, variant))
             }
             ResamplerKind::Sync(_) => self.framed(Spline::synchronous),
+        }
+    }
+
+    /// An encoder like [`encoder`](Self::encoder) that takes more time to make the blocks of `dense` smaller. It is for
+    /// whole takes: it allocates while it encodes. Decoders do not know the effort.
+    #[must_use]
+    pub fn encoder_with(&self, effort: Effort) -> Box<dyn BlockEncoder> {
+        match self.kind {
+            ResamplerKind::Dense if effort > Effort::MIN => {
+                self.framed(|tolerance| PlanningEncoder::new(tolerance, effort))
+            }
+            _ => self.encoder(),
         }
     }
 

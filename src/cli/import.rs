@@ -14,7 +14,7 @@ use mocapd_acquire::{
     inspect::Summary,
     pipeline::TakeAccount,
 };
-use mocapd_codec::Settings;
+use mocapd_codec::{Effort, Settings};
 use mocapd_service::subject::unused_part_notes;
 use mocapd_take::{
     TakeEnds,
@@ -33,7 +33,7 @@ use super::{
     output::{plain, plain_path},
     paths::{self, InputFormatName},
     subject::SubjectArgs,
-    values::{CodecArgs, SizeReport, count, rate, thousands, tolerance_mm},
+    values::{CodecArgs, EffortArgs, SizeReport, count, rate, thousands, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
@@ -53,6 +53,8 @@ pub(crate) struct Args {
     format: Option<InputFormatName>,
     #[command(flatten)]
     codec: CodecArgs,
+    #[command(flatten)]
+    effort: EffortArgs,
     #[command(flatten)]
     subject: SubjectArgs,
     /// Unit of length of the files, if they state none or a wrong one: mm, cm, dm, m, um, in, ft
@@ -104,6 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         args,
         settings: ImportSettings {
             codec,
+            effort: args.effort.effort(&codec)?,
             options: ReadOptions { unit: args.unit, up: args.up },
             drops_foreign: args.drop_foreign,
             subject: args.subject.load()?,
@@ -161,6 +164,7 @@ impl ImportPlan<'_> {
         }
         let mut report = ImportReport::new(output, &info, &codec, &written, foreign_dropped);
         (report.file, report.unchanged) = (name.clone(), is_unchanged);
+        report.effort = self.settings.effort.level();
         if args.verify {
             compare(output, job)?;
             report.verified = true;
@@ -266,6 +270,8 @@ pub(super) struct ImportReport {
     rate_hz: f64,
     #[serde(flatten)]
     size: SizeReport,
+    /// 1 for every resampler but dense.
+    effort: u8,
     samples_missing: u64,
     foreign_dropped: Vec<String>,
     warnings: Vec<String>,
@@ -292,6 +298,7 @@ impl ImportReport {
             markers: info.markers.len(),
             rate_hz: info.rate_hz,
             size: SizeReport::new(written, codec),
+            effort: Effort::MIN.level(),
             samples_missing: frames.saturating_mul(n_markers).saturating_sub(written.samples),
             foreign_dropped,
             warnings: info.source.warnings.clone(),

@@ -16,7 +16,7 @@ use mocapd_acquire::{
         offline::{self, SourceFailed},
     },
 };
-use mocapd_codec::Settings;
+use mocapd_codec::{Effort, Settings};
 use mocapd_take::{
     interchange::{Format, MotionReader, ReadOptions, ReaderSettings},
     motion::{FrameSource, Motion, MotionInfo},
@@ -143,6 +143,8 @@ pub(super) fn header_of(motion: &MotionInfo, file: &Path, codec: &Settings) -> H
 pub(super) struct ImportSettings {
     /// Resampler and tolerance.
     pub(super) codec: Settings,
+    /// Effort of the encoder.
+    pub(super) effort: Effort,
     /// Unit and up axis.
     pub(super) options: ReadOptions,
     /// Whether everything but trajectories is left out.
@@ -202,6 +204,7 @@ impl<'a> Import<'a> {
         let ImportSettings { codec, options, subject, .. } = self.settings;
         let name = &self.input.name;
         let mut header = header_of(self.reader.info(), name, codec);
+        header.set_effort(self.settings.effort);
         header.settings.extend(options.settings());
         if self.settings.drops_foreign {
             header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));

@@ -9,7 +9,7 @@ use mocapd_acquire::{
     inspect::size_ratio,
     pipeline::{STRETCH_LENGTHS, SYNC_MAX, TakeAccount},
 };
-use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_codec::{Effort, ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
 use serde::Serialize;
 
@@ -146,6 +146,37 @@ pub(crate) struct CodecArgs {
     /// spline[:worst-sample|:exhaustive] and sync[:worst-sample|:exhaustive]
     #[arg(long, value_name = "NAME", default_value = "dense", value_parser = str::parse::<ResamplerKind>)]
     resampler: ResamplerKind,
+}
+
+/// The default effort of an import: the most that takes at most four times as long as the least.
+const DEFAULT_EFFORT: u8 = 3;
+
+/// How hard to encode a whole take.
+#[derive(Debug, Args)]
+pub(crate) struct EffortArgs {
+    /// Effort of the resampler dense, 1 to 9: more makes smaller takes and takes longer. 1 is that of a recording
+    /// [default: 3]
+    #[arg(long, value_name = "N", value_parser = str::parse::<Effort>)]
+    effort: Option<Effort>,
+}
+
+impl EffortArgs {
+    /// The effort for a resampler, 1 for those that have one way to encode.
+    ///
+    /// # Errors
+    /// A usage error if one is given for another resampler than `dense`.
+    pub(crate) fn effort(&self, codec: &Settings) -> anyhow::Result<Effort> {
+        match (codec.kind, self.effort) {
+            (ResamplerKind::Dense, Some(effort)) => Ok(effort),
+            (ResamplerKind::Dense, None) => Ok(Effort::new(DEFAULT_EFFORT)?),
+            (_, None) => Ok(Effort::MIN),
+            (kind, Some(_)) => {
+                bail!(UsageError(format!(
+                    "{kind} encodes in one way: omit --effort, which is dense's"
+                )))
+            }
+        }
+    }
 }
 
 impl CodecArgs {

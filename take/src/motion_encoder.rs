@@ -7,7 +7,7 @@
 use std::{collections::VecDeque, fmt, io::Write};
 
 use mocapd_codec::{
-    BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows, Settings,
+    BlockEncoder, BlockReport, CodecError, Effort, GROUP_CHANNELS, Position, Rows, Settings,
 };
 
 use crate::{
@@ -76,6 +76,7 @@ pub struct EncodePlan {
     n_rows: usize,
     n_markers: usize,
     codec: Settings,
+    effort: Effort,
     stretch_rows: usize,
     shared: Vec<u8>,
 }
@@ -118,7 +119,8 @@ impl EncodePlan {
                 parts.ready.iter().map(|part| part.columns.rows()).collect();
             shared = codec.plan(&columns?.concat())?;
         }
-        Ok((Self { n_rows, n_markers, codec, stretch_rows, shared }, parts))
+        let effort = header.effort();
+        Ok((Self { n_rows, n_markers, codec, effort, stretch_rows, shared }, parts))
     }
 
     /// Memory that the samples of a part take, in bytes.
@@ -131,7 +133,7 @@ impl EncodePlan {
     /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
-        PartEncoder { plan: self, encoder: self.codec.encoder() }
+        PartEncoder { plan: self, encoder: self.codec.encoder_with(self.effort) }
     }
 }
 

@@ -113,6 +113,7 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
     };
     let plain = import("jump.c3d", &[]);
     assert!(plain == import("jump.c3d", &["--tolerance", "0.5mm", "--resampler", "dense"]));
+    assert!(plain == import("jump.c3d", &["--effort", "3"]), "the default");
     let id = |take: &[u8]| header(take).take_id;
     let mut ids = vec![id(&plain)];
     for (file, more) in [
@@ -123,6 +124,8 @@ fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
         ("jump.c3d", &["--resampler", "fast"]),
         ("jump.c3d", &["--lossless"]),
         ("jump.c3d", &["--drop-foreign"]),
+        ("jump.c3d", &["--effort", "1"]),
+        ("jump.c3d", &["--effort", "5"]),
     ] {
         let other = id(&import(file, more));
         assert!(!ids.contains(&other), "{file} {more:?}");

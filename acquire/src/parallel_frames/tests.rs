@@ -1,6 +1,6 @@
 use std::{f64::consts::TAU, fs, io::Cursor, path::PathBuf, sync::atomic::AtomicU64};
 
-use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_codec::{Effort, ResamplerKind, Settings, Tolerance};
 use mocapd_take::motion::{Marker, Motion, is_gap};
 use mocapd_testkit::random::Random;
 
@@ -43,6 +43,28 @@ fn take(kind: &str, folder: &Path) -> PathBuf {
     let path = folder.join("a.take");
     fs::write(&path, bytes).unwrap();
     path
+}
+
+#[test]
+fn a_take_is_the_same_for_any_number_of_encoding_threads() {
+    let motion = motion();
+    let codec =
+        Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(1.0).unwrap() };
+    let mut header = header::of_import(&codec, 50.0);
+    header.channels = header::channels(&motion.info.markers);
+    header.stretch_rows = offline::stretch_rows(&codec, 50.0, motion.n_frames(), 70) as u32;
+    let mut sizes = Vec::new();
+    for level in [1, 4] {
+        header.set_effort(Effort::new(level).unwrap());
+        let take = |n_workers| {
+            let progress = AtomicU64::new(0);
+            offline::write_take(&motion, &header, n_workers, &progress, Vec::new()).unwrap().1
+        };
+        let alone = take(1);
+        assert!(take(2) == alone && take(5) == alone, "effort {level}");
+        sizes.push(alone.len());
+    }
+    assert!(sizes[1] < sizes[0], "{sizes:?}");
 }
 
 fn open(path: &Path) -> TakeFrames<Cursor<Vec<u8>>> {

@@ -71,7 +71,7 @@ type ChannelLanes = [[f64; LANES]; GROUP_CHANNELS / LANES];
 const _: () = assert!(GROUP_CHANNELS.is_multiple_of(LANES));
 
 /// The residuals of a channel in a span in units, by axis and slot; zero where there is none.
-type SpanResiduals = [[f32; PADDED_SPAN]; 3];
+pub(super) type SpanResiduals = [[f32; PADDED_SPAN]; 3];
 
 /// The covariance class of a kind of row.
 pub(super) fn class_of(kind: usize) -> usize {
@@ -122,6 +122,30 @@ impl CrossChannel {
     pub(super) fn reset(&mut self) {
         self.covariances.fill([0.0; GROUP_CHANNELS]);
         self.references.fill(References::default());
+    }
+
+    /// Takes over the covariances of `n` channels.
+    pub(super) fn follow(&mut self, other: &Self, n: usize) {
+        for class in 0..CLASSES {
+            let rows = class * GROUP_CHANNELS..class * GROUP_CHANNELS + n;
+            self.covariances[rows.clone()].copy_from_slice(&other.covariances[rows]);
+        }
+    }
+
+    /// The residuals of a channel in the current span.
+    pub(super) fn residuals(&self, j: usize) -> &SpanResiduals {
+        &self.residuals[j]
+    }
+
+    pub(super) fn residuals_mut(&mut self, j: usize) -> &mut SpanResiduals {
+        &mut self.residuals[j]
+    }
+
+    /// Exchanges a residual of the current span for another.
+    pub(super) fn exchange_residual(&mut self, j: usize, slot: usize, residual: &mut [f32; 3]) {
+        for (axis, units) in self.residuals[j].iter_mut().zip(residual) {
+            std::mem::swap(&mut axis[slot], units);
+        }
     }
 
     /// Begins a span of `n` channels.

@@ -5,6 +5,7 @@ use super::{
     level::RowCodec,
     level_prediction::Batch,
     points::{Fineness, Grid, Points},
+    walk::SpanCodec,
 };
 use crate::{
     DecodedRows, GROUP_CHANNELS, Result,
@@ -75,6 +76,8 @@ impl RowDecoder<'_> {
         Ok(())
     }
 }
+
+impl SpanCodec for RowDecoder<'_> {}
 
 impl<'a> RowCodec for RowDecoder<'a> {
     type Coder = RangeDecoder<'a>;

@@ -24,7 +24,7 @@ const MIN_SHARE: f64 = 0.05;
 
 /// A share: the decaying sums of squared error and of error times true error, and their quotient.
 #[derive(Debug, Clone, Copy, Default)]
-struct Share {
+pub(super) struct Share {
     squares: f64,
     products: f64,
     share: f64,
@@ -59,6 +59,9 @@ impl Share {
     }
 }
 
+/// The shares of a channel by kind of row and slot of the partner.
+pub(super) type KindShares = [[Share; PARTNERS]; KINDS];
+
 /// One value for each row of a batch.
 type BatchRows = [f64; BATCH_ROWS];
 
@@ -80,7 +83,7 @@ pub(super) struct DistanceCorrection {
     by_partner: [PartnerCorrection; PARTNERS],
     n_partners: usize,
     /// Shares by channel, kind of row and slot of the partner.
-    shares: Vec<[[Share; PARTNERS]; KINDS]>,
+    shares: Vec<KindShares>,
 }
 
 impl DistanceCorrection {
@@ -96,6 +99,19 @@ impl DistanceCorrection {
 
     pub(super) fn reset(&mut self) {
         self.shares.fill(Default::default());
+    }
+
+    pub(super) fn shares(&self, j: usize) -> &KindShares {
+        &self.shares[j]
+    }
+
+    pub(super) fn shares_mut(&mut self, j: usize) -> &mut KindShares {
+        &mut self.shares[j]
+    }
+
+    /// Takes over the shares of `n` channels.
+    pub(super) fn follow(&mut self, other: &Self, n: usize) {
+        self.shares[..n].copy_from_slice(&other.shares[..n]);
     }
 
     /// Begins a level: shares that have seen no row start from those of the level above, without which the

@@ -2,14 +2,19 @@
 
 #[cfg(feature = "training")]
 use super::tally::Tally;
-use super::{Dense, P_CODED, candidates::RowEncoder};
-use crate::{
-    BlockReport, GROUP_CHANNELS, Result, Rows,
-    coding::range::{BinaryCoder, RangeEncoder},
-    frame::{Payload, PayloadEncoder},
+use super::{
+    Dense, P_CODED,
+    effort::{Effort, SearchDepth},
+    planner::Planner,
+    row_encoder::RowEncoder,
 };
 #[cfg(feature = "training")]
-use crate::{Tolerance, frame::count_finite};
+use crate::frame::count_finite;
+use crate::{
+    BlockReport, DecodedRows, GROUP_CHANNELS, Result, Rows, Tolerance,
+    coding::range::{BinaryCoder, RangeEncoder},
+    frame::{Payload, PayloadDecoder, PayloadEncoder},
+};
 
 /// The largest magnitude of a coordinate in a channel of finite samples; `None` when it has no samples.
 fn largest(rows: Rows<'_>) -> Option<f32> {
@@ -37,12 +42,37 @@ impl PayloadEncoder for Dense {
         reports: &mut [BlockReport],
         kept_rows: &mut [bool],
     ) -> Result<()> {
+        self.encode_planned(channels, out, (reports, kept_rows), None);
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        self.store_all(channels, out, reports, kept_rows);
+        Ok(())
+    }
+}
+
+impl Dense {
+    /// Appends a payload like [`PayloadEncoder::encode`], with the points of a planner, if there is one.
+    fn encode_planned(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        (reports, kept_rows): (&mut [BlockReport], &mut [bool]),
+        planner: Option<&mut Planner>,
+    ) {
         let start = out.len();
         // A larger block is stored as a whole.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
         let coder = RangeEncoder::new(out, limit);
-        let mut codec = RowEncoder::new(channels, self.grid, coder, reports, kept_rows);
+        let mut codec = RowEncoder::new(channels, self.grid, coder, (reports, kept_rows), planner);
         codec.coder.split(P_CODED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
         for (channel, rows) in channels.iter().enumerate() {
@@ -63,22 +93,8 @@ impl PayloadEncoder for Dense {
             out.truncate(start);
             self.store_all(channels, out, reports, kept_rows);
         }
-        Ok(())
     }
 
-    fn encode_exact(
-        &mut self,
-        channels: &[Rows<'_>],
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-        kept_rows: &mut [bool],
-    ) -> Result<()> {
-        self.store_all(channels, out, reports, kept_rows);
-        Ok(())
-    }
-}
-
-impl Dense {
     /// Stores a block as a whole, sample by sample; resets all state.
     fn store_all(
         &mut self,
@@ -96,6 +112,68 @@ impl Dense {
         }
         let finished = coder.finish();
         debug_assert!(finished, "there is no limit");
+    }
+}
+
+/// An encoder that plans the points of each span before it codes them.
+#[derive(Debug)]
+pub(crate) struct PlanningEncoder {
+    group: Dense,
+    planner: Option<Planner>,
+}
+
+impl PlanningEncoder {
+    pub(crate) fn new(tolerance: Tolerance, effort: Effort) -> Self {
+        let planner = |depth: SearchDepth| Planner::new(Dense::new(tolerance), depth);
+        Self { group: Dense::new(tolerance), planner: effort.depth().map(planner) }
+    }
+}
+
+impl Payload for PlanningEncoder {
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        self.group.prepare(n_channels, n_rows);
+    }
+
+    fn reset(&mut self) {
+        self.group.reset();
+    }
+
+    fn forget_rows(&mut self) {
+        self.group.forget_rows();
+    }
+}
+
+impl PayloadEncoder for PlanningEncoder {
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        Dense::max_payload_bytes(n_channels, n_rows)
+    }
+
+    fn encode(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        let planner = self.planner.as_mut();
+        self.group.encode_planned(channels, out, (reports, kept_rows), planner);
+        Ok(())
+    }
+
+    fn encode_exact(
+        &mut self,
+        channels: &[Rows<'_>],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+        kept_rows: &mut [bool],
+    ) -> Result<()> {
+        self.group.encode_exact(channels, out, reports, kept_rows)
+    }
+}
+
+impl PayloadDecoder for PlanningEncoder {
+    fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()> {
+        self.group.decode(payload, channels)
     }
 }
 

@@ -10,11 +10,11 @@ use super::{
         MAX_EXPONENT, MAX_ORIGIN_ENDS, ORIGIN_EXPONENT, ORIGIN_NONE, ORIGIN_OWN, ORIGIN_RANK,
     },
     level_prediction::PAST_ROWS,
-    model::Model,
+    model::{Model, ModelCoder},
     points::Point,
     track::Track,
 };
-use crate::{Result, bound::squared_distance, coding::range::BinaryCoder, ensure};
+use crate::{Result, bound::squared_distance, ensure};
 
 /// Ends of other channels' runs are candidates for fewer rows than this.
 const MAX_END_AGE_ROWS: u64 = 200;
@@ -80,7 +80,7 @@ impl OriginCandidates {
     /// Codes the index of the chosen candidate.
     pub(super) fn code(
         &self,
-        coder: &mut impl BinaryCoder,
+        coder: &mut impl ModelCoder,
         model: &mut Model,
         choice: usize,
     ) -> usize {
@@ -137,7 +137,7 @@ fn follow_nearest(tracks: &[Track], channel: usize, at: usize, point: Point, row
 
 /// Codes the residual of a first row in Exp-Golomb code, with the class of its origin as the only context.
 pub(super) fn residual(
-    coder: &mut impl BinaryCoder,
+    coder: &mut impl ModelCoder,
     model: &mut Model,
     class: usize,
     steps: Point,

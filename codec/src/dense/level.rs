@@ -2,12 +2,14 @@
 //!
 //! The same code encodes and decodes; [`RowCodec`] holds what differs between the two.
 
+use std::ops::RangeInclusive;
+
 use super::{
     contexts::{INTERPOLATED, ORIGIN},
     cross_channel::{CrossChannel, class_of},
     distance_correction::{BATCH_ROWS, DistanceCorrection},
     level_prediction::{Batch, LevelLayout, LevelPrediction},
-    model::Model,
+    model::{Model, ModelCoder},
     points::{Fineness, LANES, Lattice, Point, Points, in_range, lanes},
     residual::{self, Neighbourhood, Residual},
     segment_lengths::SegmentLengths,
@@ -15,10 +17,7 @@ use super::{
 };
 use crate::{
     Result,
-    coding::{
-        isa::{Isa, Kernel},
-        range::BinaryCoder,
-    },
+    coding::isa::{Isa, Kernel},
     ensure,
 };
 
@@ -49,7 +48,7 @@ pub(super) struct FirstRow {
 /// The part of coding that differs between encoder and decoder. The default methods are a decoder's, whose choices are
 /// ignored.
 pub(super) trait RowCodec {
-    type Coder: BinaryCoder;
+    type Coder: ModelCoder;
 
     fn coder(&mut self) -> &mut Self::Coder;
 
@@ -80,6 +79,12 @@ pub(super) trait RowCodec {
         0
     }
 
+    /// Whether nothing that follows matters, so that the rest of a level may be left out.
+    #[inline(always)]
+    fn gives_up(&self) -> bool {
+        false
+    }
+
     /// Takes the final points of a batch in units; `kept` has one bit per row that is kept.
     fn finish_rows<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32);
 }
@@ -94,7 +99,7 @@ pub(super) struct Channels {
     pub(super) model: Model,
     pub(super) cross_channel: CrossChannel,
     pub(super) segments: SegmentLengths,
-    correction: Box<DistanceCorrection>,
+    pub(super) correction: Box<DistanceCorrection>,
     pub(super) level: Box<LevelPrediction>,
     isa: Isa,
 }
@@ -124,6 +129,18 @@ impl Channels {
         self.cross_channel.reset();
         self.segments.reset();
         self.correction.reset();
+    }
+
+    /// Takes over the state of `n` channels before a span, and the rows `rows`.
+    pub(super) fn follow(&mut self, other: &Self, n: usize, rows: RangeInclusive<usize>) {
+        self.grow(n);
+        for (track, other) in self.tracks.iter_mut().zip(&other.tracks) {
+            track.follow(other, rows.clone());
+        }
+        self.model.follow(&other.model);
+        self.cross_channel.follow(&other.cross_channel, n);
+        self.segments.follow(&other.segments, n);
+        self.correction.follow(&other.correction, n);
     }
 
     /// Stores a first row with its coded steps.
@@ -284,11 +301,15 @@ impl<S: RowCodec, const N: usize, const COARSE: bool> Kernel for LevelPass<'_, S
         channels.correction.begin(channel, kind);
         for first in (0..layout.n).step_by(N) {
             channels.batch::<S, N, COARSE>(codec, kind, layout.batch(first, N))?;
+            if codec.gives_up() {
+                return Ok(());
+            }
         }
-        if COARSE {
+        // What is learnt for the spans and channels that follow.
+        if COARSE && S::Coder::LEARNS {
             channels.segments.learn(&layout, &channels.tracks);
         }
-        if class == 0 {
+        if class == 0 && S::Coder::LEARNS {
             channels.cross_channel.learn_anchor(channel, layout.slot);
         }
         // No row is predicted from the last level.

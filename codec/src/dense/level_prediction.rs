@@ -295,7 +295,7 @@ impl LevelPrediction {
 
 /// Index of a row (1 to 64 of a span) in arrays where the rows of a level are adjacent: the end of a whole span, then
 /// stride 32, stride 16, and so on.
-fn slot(row: usize) -> usize {
+pub(super) fn slot(row: usize) -> usize {
     let odd_half = (SPAN + row) >> (row.trailing_zeros() + 1);
     if row == SPAN { 0 } else { odd_half % SPAN }
 }

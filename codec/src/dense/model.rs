@@ -9,7 +9,7 @@
 use super::contexts::{N_CONTEXTS, N_MIXERS};
 #[cfg(feature = "training")]
 use super::tally::Tally;
-use crate::coding::range::BinaryCoder;
+use crate::coding::range::{BinaryCoder, RangeDecoder, RangeEncoder};
 
 /// Initial probabilities and weights, counted on recorded takes by `benches/lab`. Per context three bytes: its
 /// probability in 2^-16 as a little-endian u16, and the number of bits it counts for. Then per mixer three
@@ -178,6 +178,15 @@ const MIXER_RATES: [i32; 64] = {
 // The rate stays at its minimum from index 38 on, so counts may stop at 63.
 const _: () = assert!(MIXER_RATES[63] == MIN_RATE);
 
+/// A coder of modelled decisions.
+pub(super) trait ModelCoder: BinaryCoder {
+    /// Whether the model learns from the decisions. It does not where they only are priced.
+    const LEARNS: bool = true;
+}
+
+impl ModelCoder for RangeEncoder<'_> {}
+impl ModelCoder for RangeDecoder<'_> {}
+
 /// All contexts and mixers of a group.
 #[derive(Debug, Clone)]
 pub(super) struct Model {
@@ -209,11 +218,18 @@ impl Model {
         self.tally.key();
     }
 
+    /// Takes over the probabilities and weights of another model.
+    pub(super) fn follow(&mut self, other: &Self) {
+        self.contexts.states.copy_from_slice(&other.contexts.states);
+        self.contexts.logits.copy_from_slice(&other.contexts.logits);
+        *self.mixers = *other.mixers;
+    }
+
     /// Codes a bit with the mixed estimate of `N` different contexts.
     #[inline(always)]
-    pub(super) fn mixed<const N: usize>(
+    pub(super) fn mixed<C: ModelCoder, const N: usize>(
         &mut self,
-        coder: &mut impl BinaryCoder,
+        coder: &mut C,
         contexts: [usize; N],
         mixer: usize,
         bit: bool,
@@ -229,6 +245,9 @@ impl Model {
         }
         let p_zero = p_zero_of(sum >> 16);
         let bit = coder.split(p_zero, bit);
+        if !C::LEARNS {
+            return bit;
+        }
         #[cfg(feature = "training")]
         self.tally.mixed(mixer, 65536 - p_zero as i32, bit);
         let error = i64::from(p_zero) - (i64::from(!bit) << 16);
@@ -252,10 +271,13 @@ impl Model {
 
     /// Codes a bit with the estimate of one context.
     #[inline(always)]
-    pub(super) fn single(&mut self, coder: &mut impl BinaryCoder, index: usize, bit: bool) -> bool {
+    pub(super) fn single<C: ModelCoder>(&mut self, coder: &mut C, index: usize, bit: bool) -> bool {
         let state = self.contexts.states[index];
         let probability = (state >> 16).clamp(32, 65504);
         let bit = coder.split(65536 - probability, bit);
+        if !C::LEARNS {
+            return bit;
+        }
         self.contexts.update(index, state, bit);
         #[cfg(feature = "training")]
         {

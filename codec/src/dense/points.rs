@@ -125,6 +125,11 @@ impl Lattice {
     pub(super) fn of(activity: &[i32; 4]) -> Self {
         if activity[3] >= 256 { Self::Centred } else { Self::Cubic }
     }
+
+    /// Whether the lattice has the point at these steps.
+    pub(super) fn contains(self, [x, y, z]: Point) -> bool {
+        self == Self::Cubic || ((x ^ y) | (x ^ z)) & 1 == 0
+    }
 }
 
 impl Fineness {

@@ -9,15 +9,11 @@ use super::{
         expectation_class, magnitude_class, sign,
     },
     level_prediction::Hints,
-    model::Model,
+    model::{Model, ModelCoder},
     points::{Lattice, Point},
     track::{Steps, magnitude, unpack_magnitude, unpack_sum},
 };
-use crate::{
-    Result,
-    coding::{isa::Kernel, range::BinaryCoder},
-    ensure,
-};
+use crate::{Result, coding::isa::Kernel, ensure};
 
 /// Weights, in 1/256, of the magnitudes around a row in its expected magnitude, by which contexts are chosen: of the
 /// activity, the row before in the level, the one before that, the two neighbours, and the references. The format
@@ -47,7 +43,7 @@ pub(super) struct Neighbourhood {
 /// Codes whether a row is moved from its prediction: whether its residual is nonzero on any axis.
 #[inline(always)]
 pub(super) fn moving(
-    coder: &mut impl BinaryCoder,
+    coder: &mut impl ModelCoder,
     model: &mut Model,
     near: &Neighbourhood,
     bend: u8,
@@ -87,7 +83,7 @@ pub(super) struct CodedSteps {
     pub(super) magnitudes: Point,
 }
 
-impl<C: BinaryCoder> Kernel for Residual<'_, C> {
+impl<C: ModelCoder> Kernel for Residual<'_, C> {
     type Output = Result<CodedSteps>;
 
     #[inline(always)]
@@ -167,7 +163,7 @@ struct Classes {
     expected: usize,
 }
 
-impl<C: BinaryCoder> Residual<'_, C> {
+impl<C: ModelCoder> Residual<'_, C> {
     #[inline(always)]
     fn axis(&mut self, Axis { axis, form, some, certain }: Axis, wanted: i64) -> Result<i64> {
         let Neighbourhood { kind, left, right, before, references, activity, .. } = *self.near;

@@ -102,6 +102,9 @@ impl<const N: usize> ChannelList<N> {
 /// of the channels is unknown.
 type SpanRows = [f64; 2 * SPAN];
 
+/// The distances of a channel to its partners.
+pub(super) type PartnerDistances = [SpanRows; PARTNERS];
+
 /// The distances of two channels at every eighth row, those of anchors and of the strides 8 and more.
 type NearRows = [f64; 2 * SPAN / 8];
 
@@ -113,7 +116,7 @@ pub(super) struct SegmentLengths {
     near: Vec<ChannelList<NEAR>>,
     partners: Vec<ChannelList<PARTNERS>>,
     /// Distances to the partners and to the near channels, by channel and slot.
-    partner_distances: Vec<SpanRows>,
+    partner_distances: Vec<PartnerDistances>,
     near_distances: Vec<NearRows>,
     /// Predicted distances to the partners at the rows of a level in tolerances, by slot; NaN where unknown.
     pub(super) expected: [PerRow; PARTNERS],
@@ -125,7 +128,7 @@ impl SegmentLengths {
             spreads: vec![Spread::default(); GROUP_CHANNELS * GROUP_CHANNELS],
             near: vec![ChannelList::NONE; GROUP_CHANNELS],
             partners: vec![ChannelList::NONE; GROUP_CHANNELS],
-            partner_distances: vec![[f64::NAN; _]; GROUP_CHANNELS * PARTNERS],
+            partner_distances: vec![[[f64::NAN; _]; _]; GROUP_CHANNELS],
             near_distances: vec![[f64::NAN; _]; GROUP_CHANNELS * NEAR],
             expected: [[f64::NAN; PADDED_ROWS]; PARTNERS],
         }
@@ -135,6 +138,24 @@ impl SegmentLengths {
         self.spreads.fill(Spread::default());
         self.near.fill(ChannelList::NONE);
         self.partners.fill(ChannelList::NONE);
+    }
+
+    pub(super) fn partner_distances(&self, j: usize) -> &PartnerDistances {
+        &self.partner_distances[j]
+    }
+
+    pub(super) fn partner_distances_mut(&mut self, j: usize) -> &mut PartnerDistances {
+        &mut self.partner_distances[j]
+    }
+
+    /// Takes over what was learnt of the distances of `n` channels.
+    pub(super) fn follow(&mut self, other: &Self, n: usize) {
+        for j in 0..n {
+            let pairs = j * GROUP_CHANNELS..j * GROUP_CHANNELS + j;
+            self.spreads[pairs.clone()].copy_from_slice(&other.spreads[pairs]);
+        }
+        self.near[..n].copy_from_slice(&other.near[..n]);
+        self.partners[..n].copy_from_slice(&other.partners[..n]);
     }
 
     /// The partners of channel `j`, by slot.
@@ -157,8 +178,7 @@ impl SegmentLengths {
             partners.n = 1;
         }
         (self.near[j], self.partners[j]) = (near, partners);
-        let distances = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
-        distances.iter_mut().for_each(|rows| rows[..=SPAN].fill(f64::NAN));
+        self.partner_distances[j].iter_mut().for_each(|rows| rows[..=SPAN].fill(f64::NAN));
         self.near_distances[j * NEAR..(j + 1) * NEAR].fill([f64::NAN; _]);
     }
 
@@ -166,7 +186,7 @@ impl SegmentLengths {
     #[inline(always)]
     pub(super) fn expect(&mut self, layout: &LevelLayout, tracks: &[Track]) {
         let (pairs, j) = (PairDistances::new(layout, tracks), layout.run.channel);
-        let known = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
+        let known = &mut self.partner_distances[j];
         let partners = self.partners[j];
         for ((&k, known), lengths) in partners.channels().iter().zip(known).zip(&mut self.expected)
         {
@@ -178,7 +198,7 @@ impl SegmentLengths {
     #[inline(always)]
     pub(super) fn remember(&mut self, layout: &LevelLayout, tracks: &[Track]) {
         let (pairs, j) = (PairDistances::new(layout, tracks), layout.run.channel);
-        let known = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
+        let known = &mut self.partner_distances[j];
         for (&k, known) in self.partners[j].channels().iter().zip(known) {
             for first in (0..layout.n).step_by(LANES) {
                 pairs.remember(known, first, pairs.measured(k, first));

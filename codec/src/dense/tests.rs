@@ -4,7 +4,7 @@ use super::{
     level::{ResidualInputs, RowCodec},
     level_prediction::{Batch, LevelLayout, PAST_ROWS},
     points::{Point, Points},
-    walk::Dense,
+    walk::{Dense, SpanCodec},
 };
 use crate::{
     CodecError, Tolerance,
@@ -26,6 +26,8 @@ struct ScriptedCodec<'a> {
 fn noise(seed: usize) -> i64 {
     (((seed + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 15) as i64 - 8
 }
+
+impl SpanCodec for ScriptedCodec<'_> {}
 
 impl<'a> RowCodec for ScriptedCodec<'a> {
     type Coder = RangeEncoder<'a>;

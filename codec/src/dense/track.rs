@@ -1,5 +1,7 @@
 //! The state of one channel: its decoded rows in and before this block, and the activities of its residuals.
 
+use std::ops::RangeInclusive;
+
 use super::{
     contexts::KINDS,
     level_prediction::{AnchorErrors, Batch, PADDED_SPAN, PAST_ROWS},
@@ -117,6 +119,18 @@ impl Track {
     pub(super) fn forget(&mut self) {
         self.steps.fill(Steps::default());
         self.points.fill([f64::NAN; 3]);
+    }
+
+    /// Takes over the rows `rows` and what was learnt from the rows before the current span.
+    pub(super) fn follow(&mut self, other: &Self, rows: RangeInclusive<usize>) {
+        self.points.resize(other.points.len(), [f64::NAN; 3]);
+        self.steps.resize(other.steps.len(), Steps::default());
+        self.points[rows.clone()].copy_from_slice(&other.points[rows.clone()]);
+        self.steps[rows.clone()].copy_from_slice(&other.steps[rows]);
+        self.run_start = other.run_start;
+        self.activity = other.activity;
+        self.anchor_errors.clone_from(&other.anchor_errors);
+        (self.end, self.fineness) = (other.end, other.fineness);
     }
 
     /// Begins a block of `n_rows` rows.

@@ -6,22 +6,37 @@ use super::{
     first_row::{self, OriginCandidates},
     level::{Channels, FirstRow, RowCodec},
     level_prediction::{DecodedRun, LevelLayout, PAST_ROWS},
+    model::ModelCoder,
     points::{Fineness, Grid, Lattice, Point},
     track::{RunEnd, Track},
 };
-use crate::{
-    Result, Tolerance, block,
-    coding::{isa::Isa, range::BinaryCoder},
-    frame::Payload,
-};
+use crate::{Result, Tolerance, block, coding::isa::Isa, frame::Payload};
 
 /// A run of present rows of one channel within a span. Rows are indices into a [`Track`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Run {
+pub(super) struct Run {
     /// Its first row, or the row before the span if the run continues from there.
-    zero: usize,
-    channel: usize,
-    end: usize,
+    pub(super) zero: usize,
+    pub(super) channel: usize,
+    pub(super) end: usize,
+}
+
+/// The rows of a span, and which of them are present.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SpanPresence<'a> {
+    /// The row before its first one, and its last one, as indices into a [`Track`].
+    pub(super) before: usize,
+    pub(super) last: usize,
+    /// The presence flags of the block by channel; `None` for a channel that is stored raw.
+    pub(super) present: &'a [Option<&'a [bool]>],
+}
+
+/// A coder of the rows of whole spans.
+pub(super) trait SpanCodec: RowCodec {
+    /// Begins a span, of which no row is coded yet.
+    fn begin_span(&mut self, _group: &Dense, _span: SpanPresence<'_>) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Encoder and decoder of one group of channels.
@@ -29,9 +44,10 @@ struct Run {
 pub(crate) struct Dense {
     pub(super) grid: Grid,
     pub(super) channels: Channels,
-    runs: Vec<Run>,
+    /// The runs of the current span.
+    pub(super) runs: Vec<Run>,
     /// Number of rows from the key block to this block.
-    first_row: u64,
+    pub(super) first_row: u64,
 }
 
 impl Payload for Dense {
@@ -64,7 +80,7 @@ impl Dense {
     }
 
     /// Codes the rows of a block. `present` has the flags of each channel; `None` for a channel that is stored raw.
-    pub(super) fn block<S: RowCodec>(
+    pub(super) fn block<S: SpanCodec>(
         &mut self,
         codec: &mut S,
         n_rows: usize,
@@ -75,7 +91,7 @@ impl Dense {
         let mut before = PAST_ROWS - 1;
         while before + 1 < PAST_ROWS + n_rows {
             let last = (before + SPAN).min(PAST_ROWS + n_rows - 1);
-            self.span(codec, before, last, present)?;
+            self.span(codec, SpanPresence { before, last, present })?;
             before = last;
         }
         self.channels.tracks.iter_mut().for_each(|track| track.finish(n_rows));
@@ -83,15 +99,32 @@ impl Dense {
         Ok(())
     }
 
-    /// Codes a span: the rows after `before`, up to `last`.
-    fn span<S: RowCodec>(
-        &mut self,
-        codec: &mut S,
-        before: usize,
-        last: usize,
-        present: &[Option<&[bool]>],
-    ) -> Result<()> {
+    /// Codes a span.
+    fn span<S: SpanCodec>(&mut self, codec: &mut S, span: SpanPresence<'_>) -> Result<()> {
+        let SpanPresence { before, last, present } = span;
         let n = present.len();
+        self.begin_span(before, n);
+        self.find_runs(before, last, present);
+        codec.begin_span(self, span)?;
+        let mut runs = std::mem::take(&mut self.runs);
+        let walked = self.walk(codec, &mut runs, before, present);
+        self.runs = runs;
+        walked?;
+        self.channels.cross_channel.end(n);
+        Ok(())
+    }
+
+    /// Takes over the state of a group that has begun a span, and begins it.
+    pub(super) fn follow(&mut self, other: &Self, span: SpanPresence<'_>) {
+        let SpanPresence { before, last, present } = span;
+        // Older rows were taken over with the spans before.
+        self.channels.follow(&other.channels, present.len(), before + 1 - PAST_ROWS..=last);
+        self.first_row = other.first_row;
+        self.begin_span(before, present.len());
+    }
+
+    /// Begins a span of `n` channels.
+    pub(super) fn begin_span(&mut self, before: usize, n: usize) {
         let Channels { tracks, cross_channel, .. } = &mut self.channels;
         cross_channel.begin(n);
         for (channel, track) in tracks[..n].iter_mut().enumerate() {
@@ -99,13 +132,6 @@ impl Dense {
             // NaN, where the row is unknown.
             cross_channel.set_position(channel, track.points[before]);
         }
-        self.find_runs(before, last, present);
-        let mut runs = std::mem::take(&mut self.runs);
-        let walked = self.walk(codec, &mut runs, before, present);
-        self.runs = runs;
-        walked?;
-        self.channels.cross_channel.end(n);
-        Ok(())
     }
 
     /// Finds all runs of the span, ordered by first row, then channel.
@@ -132,12 +158,7 @@ impl Dense {
     ) -> Result<()> {
         let mut searched = 0_u64;
         for &run in &*runs {
-            if run.zero > before {
-                self.origin(codec, run, before, present)?;
-            } else {
-                let track = &mut self.channels.tracks[run.channel];
-                track.run_start = track.run_start.max((before + 1).saturating_sub(PAST_ROWS));
-            }
+            self.begin_run(codec, run, before, present)?;
             if searched >> run.channel & 1 == 0 {
                 searched |= 1 << run.channel;
                 self.choose_neighbours(run.channel, present.len(), before);
@@ -145,19 +166,13 @@ impl Dense {
             if run.end > run.zero {
                 self.anchor(codec, run, before)?;
             }
-            let track = &mut self.channels.tracks[run.channel];
-            let row = self.first_row + (run.end - PAST_ROWS) as u64;
-            track.end = Some(RunEnd { row, point: track.point(run.end), taken: false });
+            self.end_run(run);
         }
         // By channel, so that the references of a row are decoded before it.
         runs.sort_unstable_by_key(|run| (run.channel, run.zero));
         for bit in (0..LEVELS).rev() {
             for run in &*runs {
-                let layout = LevelLayout::level(1 << bit, self.decoded_run(run, before), before);
-                if layout.n > 0 {
-                    self.channels.level.layout = layout;
-                    self.channels.code(codec, INTERPOLATED + bit)?;
-                }
+                self.level(codec, run, before, bit)?;
             }
         }
         // For the next span, a run that begins in this one starts at its own first row.
@@ -167,14 +182,59 @@ impl Dense {
         Ok(())
     }
 
-    fn decoded_run(&self, run: &Run, before: usize) -> DecodedRun {
+    /// Codes the first row of a run, unless it goes on from the row before the span.
+    pub(super) fn begin_run<S: RowCodec>(
+        &mut self,
+        codec: &mut S,
+        run: Run,
+        before: usize,
+        present: &[Option<&[bool]>],
+    ) -> Result<()> {
+        if run.zero > before {
+            return self.origin(codec, run, before, present);
+        }
+        let track = &mut self.channels.tracks[run.channel];
+        track.run_start = track.run_start.max((before + 1).saturating_sub(PAST_ROWS));
+        Ok(())
+    }
+
+    /// Remembers the last row of a run, which is coded.
+    pub(super) fn end_run(&mut self, run: Run) {
+        let track = &mut self.channels.tracks[run.channel];
+        let row = self.first_row + (run.end - PAST_ROWS) as u64;
+        track.end = Some(RunEnd { row, point: track.point(run.end), taken: false });
+    }
+
+    /// The last row of the run before the current one of a channel, if it is a row of this block.
+    pub(super) fn end_in_block(&self, channel: usize) -> Option<usize> {
+        let end = self.channels.tracks[channel].end?;
+        Some(end.row.checked_sub(self.first_row)? as usize + PAST_ROWS)
+    }
+
+    /// Codes the rows of a run of the stride `1 << bit`, if there are any.
+    pub(super) fn level<S: RowCodec>(
+        &mut self,
+        codec: &mut S,
+        run: &Run,
+        before: usize,
+        bit: usize,
+    ) -> Result<()> {
+        let layout = LevelLayout::level(1 << bit, self.decoded_run(run, before), before);
+        if layout.n == 0 {
+            return Ok(());
+        }
+        self.channels.level.layout = layout;
+        self.channels.code(codec, INTERPOLATED + bit)
+    }
+
+    pub(super) fn decoded_run(&self, run: &Run, before: usize) -> DecodedRun {
         let Run { zero, channel, end } = *run;
         let start = if zero > before { zero } else { self.channels.tracks[channel].run_start };
         DecodedRun { channel, start, zero, end }
     }
 
     /// Chooses the reference channels and the partners of a channel by its position among the others.
-    fn choose_neighbours(&mut self, channel: usize, n: usize, before: usize) {
+    pub(super) fn choose_neighbours(&mut self, channel: usize, n: usize, before: usize) {
         let Channels { tracks, cross_channel, segments, .. } = &mut self.channels;
         if !cross_channel.has_position(channel) {
             cross_channel.set_position(channel, tracks[channel].points[before + 1]);
@@ -212,7 +272,12 @@ impl Dense {
     }
 
     /// Codes the anchor of a run: its last row within the span.
-    fn anchor<S: RowCodec>(&mut self, codec: &mut S, run: Run, before: usize) -> Result<()> {
+    pub(super) fn anchor<S: RowCodec>(
+        &mut self,
+        codec: &mut S,
+        run: Run,
+        before: usize,
+    ) -> Result<()> {
         let decoded = self.decoded_run(&run, before);
         let (channel, rows) = (run.channel, run.end - run.zero);
         let track = &self.channels.tracks[channel];
@@ -235,7 +300,7 @@ impl Dense {
     /// Codes how a channel is stored in this block: `None` for raw, or the size of its lattice steps.
     pub(super) fn storage(
         &mut self,
-        coder: &mut impl BinaryCoder,
+        coder: &mut impl ModelCoder,
         channel: usize,
         fineness: Option<Fineness>,
     ) -> Option<Fineness> {

@@ -1,8 +1,8 @@
 //! The guarantees for programs that embed the crate, most of them checked by the compiler.
 
 use mocapd_codec::{
-    BLOCK_VERSION, BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, ResamplerKind,
-    Rows, Settings, Tolerance,
+    BLOCK_VERSION, BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, Effort,
+    ResamplerKind, Rows, Settings, Tolerance,
     range::{Bit, RangeDecoder, RangeEncoder},
 };
 
@@ -18,6 +18,7 @@ const _: () = {
     send::<Box<dyn BlockDecoder>>();
     shared::<Settings>();
     shared::<Tolerance>();
+    shared::<Effort>();
     shared::<ResamplerKind>();
     shared::<Rows<'static>>();
     shared::<BlockReport>();

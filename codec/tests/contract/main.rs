@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod damage;
+mod effort;
 mod embedding;
 mod exact;
 mod groups;
@@ -17,7 +18,9 @@ mod round_trips;
 mod state;
 mod takes;
 
-use mocapd_codec::{BlockReport, DecodedRows, Position, ResamplerKind, Rows, Settings, Tolerance};
+use mocapd_codec::{
+    BlockReport, DecodedRows, Effort, Position, ResamplerKind, Rows, Settings, Tolerance,
+};
 
 /// The names of all resamplers.
 const KINDS: [&str; 7] = [
@@ -109,7 +112,12 @@ fn settings(kind: &str, tolerance_mm: f64) -> Settings {
 
 /// Encodes all stretches of one group, each into a buffer of exactly `max_block_bytes`.
 fn encode(settings: Settings, stretches: &[Stretch]) -> Vec<Block> {
-    let mut encoder = settings.encoder();
+    encode_with(settings, Effort::MIN, stretches)
+}
+
+/// Encodes like [`encode`] with an effort.
+fn encode_with(settings: Settings, effort: Effort, stretches: &[Stretch]) -> Vec<Block> {
+    let mut encoder = settings.encoder_with(effort);
     stretches
         .iter()
         .map(|stretch| {

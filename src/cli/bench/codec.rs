@@ -12,7 +12,7 @@ use mocapd_acquire::{
     inspect::{Summary, size_ratio},
     pipeline::offline,
 };
-use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
+use mocapd_codec::{Effort, ResamplerKind, Settings, SplineVariant, Tolerance};
 use mocapd_take::{
     TakeEvent,
     motion::{Motion, is_gap},
@@ -46,6 +46,9 @@ pub(crate) struct Args {
     /// A tolerance; can be repeated [default: 0.1 0.5 1 5 10 20 mm]
     #[arg(long = "tolerance", value_name = "LENGTH", value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
+    /// An effort of dense; can be repeated [default: 1]
+    #[arg(long = "effort", value_name = "N", value_parser = str::parse::<Effort>)]
+    efforts: Vec<Effort>,
     /// Measurements of each speed, of at least 20 ms and one run each; the median is reported
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=20))]
     repeats: u8,
@@ -73,9 +76,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         if !args.json {
             print(&about.head())?;
         }
-        for codec in &settings {
+        for (codec, effort) in &settings {
             // A motion too long for the exhaustive search does not end the benchmark.
-            match measure(&input, codec, args.repeats) {
+            match measure(&input, codec, *effort, args.repeats) {
                 Ok(result) => {
                     if !args.json {
                         print(&result.line())?;
@@ -93,8 +96,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(is_damaged))
 }
 
-/// All settings to measure: lossless once, every other resampler at every tolerance.
-fn all_settings(args: &Args) -> anyhow::Result<Vec<Settings>> {
+/// All settings to measure: lossless once, every other resampler at every tolerance, dense with every effort.
+fn all_settings(args: &Args) -> anyhow::Result<Vec<(Settings, Effort)>> {
     let mut resamplers = args.resamplers.clone();
     if resamplers.is_empty() {
         resamplers = vec![
@@ -112,7 +115,14 @@ fn all_settings(args: &Args) -> anyhow::Result<Vec<Settings>> {
     let mut settings = Vec::new();
     for kind in resamplers {
         let n = if kind.is_lossless() { 1 } else { tolerances.len() };
-        settings.extend(tolerances[..n].iter().map(|&tolerance| Settings { kind, tolerance }));
+        let efforts = match kind {
+            ResamplerKind::Dense if !args.efforts.is_empty() => &args.efforts[..],
+            _ => &[Effort::MIN],
+        };
+        for &tolerance in &tolerances[..n] {
+            let codec = Settings { kind, tolerance };
+            settings.extend(efforts.iter().map(|&effort| (codec, effort)));
+        }
     }
     Ok(settings)
 }
@@ -132,8 +142,14 @@ impl BenchInput<'_> {
 }
 
 /// Encodes, decodes and compares, and measures both speeds `repeats` times, on one thread.
-fn measure(input: &BenchInput<'_>, codec: &Settings, repeats: u8) -> anyhow::Result<Measured> {
-    let header = header_of(&input.motion.info, input.file, codec);
+fn measure(
+    input: &BenchInput<'_>,
+    codec: &Settings,
+    effort: Effort,
+    repeats: u8,
+) -> anyhow::Result<Measured> {
+    let mut header = header_of(&input.motion.info, input.file, codec);
+    header.set_effort(effort);
     let mut take = Vec::new();
     let encode = median_time(repeats, || {
         take.clear();
@@ -157,7 +173,8 @@ fn measure(input: &BenchInput<'_>, codec: &Settings, repeats: u8) -> anyhow::Res
         input.samples()
     );
     let decode = median_time(repeats, || decode(&take, |_, _| ()))?;
-    Ok(Measured::new(codec, &summary, take.len() as u64, worst_mm, (encode, decode)))
+    let measured = Measured::new(codec, &summary, take.len() as u64, worst_mm, (encode, decode));
+    Ok(Measured { effort: effort.level(), ..measured })
 }
 
 /// Shortest measurement: long compared with the resolution of the clock and the time slices of the scheduler.
@@ -245,6 +262,8 @@ struct CodecFileReport {
 #[derive(Debug, Serialize)]
 struct Measured {
     resampler: String,
+    /// 1 for every resampler but dense.
+    effort: u8,
     tolerance_mm: f64,
     /// Size of the whole take.
     bytes: u64,
@@ -307,6 +326,7 @@ impl Measured {
         let speed = |took: Duration| raw_bytes as f64 / 1e6 / took.as_secs_f64().max(1e-9);
         Self {
             resampler: codec.kind.to_string(),
+            effort: Effort::MIN.level(),
             tolerance_mm: values::tolerance_mm(codec),
             bytes,
             block_bytes: summary.bytes.blocks + summary.bytes.lengths + summary.bytes.time_line,
@@ -322,9 +342,12 @@ impl Measured {
     /// One line of the table.
     fn line(&self) -> String {
         let tolerance = format!("{} mm", self.tolerance_mm);
+        let effort =
+            if self.effort > 1 { format!(", effort {}", self.effort) } else { String::new() };
+        let resampler = format!("{}{effort}", self.resampler);
         format!(
             "{:20} {:>9} {:>10} {:>8.2} {:>7.3} {:>9.4} mm {:>5.0} MB/s {:>5.0} MB/s\n",
-            self.resampler,
+            resampler,
             tolerance,
             self.bytes,
             self.ratio,

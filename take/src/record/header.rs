@@ -6,7 +6,7 @@ use std::{
 };
 
 use bincode::{Decode, Encode, de::Decoder, enc::Encoder, error::DecodeError, error::EncodeError};
-use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
+use mocapd_codec::{BLOCK_VERSION, CodecError, Effort, ResamplerKind, Settings, Tolerance};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
@@ -120,7 +120,25 @@ const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
 /// The key in the settings of an import with the size of its file.
 const SOURCE_BYTES: &str = "source_bytes";
 
+/// The key in the settings of an import with the effort of its encoder, where it is above the least.
+const EFFORT: &str = "effort";
+
 impl Header {
+    /// Sets the effort of the encoder.
+    pub fn set_effort(&mut self, effort: Effort) {
+        self.settings.retain(|(key, _)| key != EFFORT);
+        if effort > Effort::MIN {
+            self.settings.push((EFFORT.to_owned(), effort.to_string()));
+        }
+    }
+
+    /// The effort of the encoder, the least one if none is stated.
+    #[must_use]
+    pub fn effort(&self) -> Effort {
+        let stated = self.settings.iter().find(|(key, _)| key == EFFORT);
+        stated.and_then(|(_, level)| level.parse().ok()).unwrap_or_default()
+    }
+
     /// Sets the size of the imported file in bytes.
     pub fn set_source_bytes(&mut self, bytes: u64) {
         self.unset_source_bytes();
