@@ -4,7 +4,7 @@ use super::{
     cells::{CellForm, Cells, LATTICE_MAX, PALETTE_MAX, from_ordered, ordered},
     head::{Head, Past},
     predictor::NEIGHBOURS,
-    walk::ChannelState,
+    walk::SampledChannelState,
 };
 
 /// Gaps between values that a quantum is sought in.
@@ -44,7 +44,7 @@ impl Fit {
     /// Chooses for the samples of a block, given what the block before had.
     pub(super) fn choose(
         &mut self,
-        track: &ChannelState,
+        track: &SampledChannelState,
         samples: &[f32],
         before: &[f32],
     ) -> (Head, &Cells) {

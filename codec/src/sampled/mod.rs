@@ -22,7 +22,7 @@ use self::{
     cells::{Cells, PALETTE_MAX},
     head::{Head, HeadModel},
     predictor::NEIGHBOURS,
-    walk::{Beside, ChannelState, ChannelWalk, SampleModel},
+    walk::{Beside, ChannelWalk, SampleModel, SampledChannelState},
 };
 use crate::{
     CodecError, GROUP_CHANNELS, Result,
@@ -41,7 +41,7 @@ const RAW: u8 = 0x80;
 struct Group {
     model: SampleModel,
     heads: HeadModel,
-    tracks: Vec<ChannelState>,
+    tracks: Vec<SampledChannelState>,
     /// Number of channels since the key.
     n_channels: usize,
     /// The samples of the block, channel after channel.
@@ -67,7 +67,7 @@ impl Group {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         let n_channels = n_channels.min(GROUP_CHANNELS);
         if self.tracks.len() < n_channels {
-            self.tracks.resize_with(n_channels, ChannelState::new);
+            self.tracks.resize_with(n_channels, SampledChannelState::new);
         }
         for track in &mut self.tracks {
             track.cells.palette.reserve(n_rows.min(PALETTE_MAX));
@@ -80,7 +80,7 @@ impl Group {
     fn forget(&mut self) {
         self.model = SampleModel::NEW;
         self.heads = HeadModel::new();
-        self.tracks.iter_mut().for_each(ChannelState::reset);
+        self.tracks.iter_mut().for_each(SampledChannelState::reset);
     }
 
     /// Begins a block of as many channels and rows.
@@ -94,7 +94,7 @@ impl Group {
         }
         self.n_channels = n_channels;
         if self.tracks.len() < n_channels {
-            self.tracks.resize_with(n_channels, ChannelState::new);
+            self.tracks.resize_with(n_channels, SampledChannelState::new);
         }
         self.samples.clear();
         self.samples.resize(n_channels * n_rows, 0.0);

@@ -40,7 +40,7 @@ impl SampleModel {
 
 /// The state of a channel from block to block.
 #[derive(Debug, Clone)]
-pub(super) struct ChannelState {
+pub(super) struct SampledChannelState {
     pub(super) head: Head,
     pub(super) cells: Cells,
     pub(super) predictor: Predictor,
@@ -59,7 +59,7 @@ pub(super) struct ChannelState {
 /// Values beyond this many units of a channel's scale are cut to it for prediction.
 const REACH: f64 = 1e12;
 
-impl ChannelState {
+impl SampledChannelState {
     pub(super) fn new() -> Self {
         Self {
             head: Head::default(),
@@ -131,7 +131,7 @@ impl Beside<'_> {
 pub(super) struct ChannelWalk<'a, C> {
     pub(super) coder: &'a mut C,
     pub(super) model: &'a mut SampleModel,
-    pub(super) track: &'a mut ChannelState,
+    pub(super) track: &'a mut SampledChannelState,
     /// The channel before, if there is one.
     pub(super) previous: Option<Beside<'a>>,
     /// Channels before that predict this one; the rest are empty.

@@ -60,8 +60,8 @@ fn marker(decoded: &DecodedTake, label: Option<&str>) -> anyhow::Result<usize> {
         let named = names.iter().position(|name| name == label);
         let labelled = || markers.iter().position(|marker| marker.label == label);
         return named.or_else(labelled).ok_or_else(|| {
-            let label = label.to_lowercase();
-            let likeness = |name: &str| strsim::jaro_winkler(&name.to_lowercase(), &label);
+            let wanted = label.to_lowercase();
+            let likeness = |name: &str| strsim::jaro_winkler(&name.to_lowercase(), &wanted);
             let nearest = names.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
             let hint = nearest.map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
             UsageError(format!("no marker has the label '{label}'{hint}")).into()
