@@ -100,10 +100,11 @@ pub fn by_marker(
     let n_markers = original.info.markers.len().min(take.info.markers.len());
     let of_marker = |marker| {
         let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
-        // As many as there are, where the number does not fit.
-        let from = |column: Column, skipped: u64| {
+        // Frames are matched by number, as in the comparison of positions.
+        let from = |mut column: Column, skipped: u64| {
             let n_skipped = usize::try_from(skipped).unwrap_or(usize::MAX).min(column.0.len());
-            Column(column.0[n_skipped..].to_vec())
+            column.0.drain(..n_skipped);
+            column
         };
         errors(&from(ours, skipped.take), &from(theirs, skipped.original), &filter, rate_hz)
     };

@@ -140,7 +140,7 @@ pub(super) struct ChannelWalk<'a, C> {
     pub(super) samples: &'a mut [f32],
 }
 
-/// What a sample is, as far as contexts know it.
+/// How a sample was coded; the contexts of later samples depend on it.
 const OTHER: u32 = 0;
 const REPEAT: u32 = 1;
 const LINE: u32 = 2;

@@ -79,7 +79,7 @@ impl Destination {
                 )),
                 Self::Beside => with_ending(&input.path, extension),
             };
-            // An output that has a name of its own must not exist, so it is not the input.
+            // A file given with -o must not exist yet, so it cannot be the input.
             let is_named = matches!(self, Self::File(_) | Self::Stdout);
             if !is_named && paths::are_one(&output, &input.path) {
                 bail!(UsageError(format!(

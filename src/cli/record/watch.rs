@@ -25,7 +25,7 @@ use crate::cli::{
     values::{bytes, thousands},
 };
 
-/// When a recording ends by itself, and its subject.
+/// The limits that end a recording, and the subject of its take.
 #[derive(Debug)]
 pub(crate) struct Limits {
     /// End after this time.

@@ -19,8 +19,8 @@ use crate::{
     varint::{self, Cursor},
 };
 
-/// Frame rates of takes, in Hz: a frame in a quarter of an hour, to a thousand times the fastest camera's. Times and counts
-/// of any number of frames can be computed with these.
+/// Frame rates of takes, in Hz: one frame in a quarter of an hour, up to a thousand times the fastest rig's. With these,
+/// the time of every frame is a finite number.
 pub const RATES_HZ: RangeInclusive<f64> = 0.001..=1e6;
 
 /// An entry of the channel table.
