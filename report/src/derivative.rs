@@ -280,6 +280,18 @@ mod tests {
         assert_eq!(found.velocity_mm_s.n(), 598);
     }
 
+    /// A part of a motion keeps the frame numbers of the whole.
+    #[test]
+    fn frames_are_matched_by_number() {
+        let original = motion(60.0, |t| [(50.0 * t * t) as f32, 0.0, 0.0]);
+        let mut part = original.clone();
+        part.positions_mm.drain(..100);
+        part.info.n_frames = 500;
+        part.info.source.first_frame = original.info.source.first_frame + 100;
+        let found = by_marker(&part, &original, CUTOFF_HZ).unwrap()[0];
+        assert_eq!((found.position_mm.n(), found.position_mm.max()), (500, 0.0));
+    }
+
     #[test]
     fn gaps_are_not_crossed_and_short_runs_are_counted() {
         let original = motion(60.0, |t| [(50.0 * t) as f32, 0.0, 0.0]);
