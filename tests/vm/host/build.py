@@ -11,8 +11,9 @@ from . import Absent
 ROOT = Path(__file__).resolve().parents[3]
 
 
-# With the features of the package, so that every build takes what the one before it has made.
-PROGRAMS = ("-p", "mocapd", "-p", "mocapd-simulator", "-p", "mocapd-vm-guest", "--features", "mocapd/full", "--bins")
+# With the features of the package (systemd/deb/build), so that every build takes what the one before it has made.
+FEATURES = ",".join(f"mocapd/{name}" for name in os.environ.get("FEATURES", "full").split(",") if name)
+PROGRAMS = ("-p", "mocapd", "-p", "mocapd-simulator", "-p", "mocapd-vm-guest", "--features", FEATURES, "--bins")
 
 
 def programs() -> list[Path]:
