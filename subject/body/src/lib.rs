@@ -29,7 +29,6 @@ pub mod repair;
 pub mod skeleton;
 #[cfg(test)]
 mod tests;
-mod topology;
 mod unit;
 
 pub use analysis::ScanAnalysis;
