@@ -8,13 +8,12 @@ mod envelope;
 mod frame;
 mod messages;
 
-pub use endpoints::{DeviceLink, HostLink};
-pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
-
 use crate::{
     device::LinkBudget,
-    family::{Claim, Family},
+    registry::{Claim, Family},
 };
+pub use endpoints::{DeviceLink, HostLink};
+pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
 
 pub(crate) const FAMILY: Family = Family {
     name: "dvmc",
