@@ -8,10 +8,7 @@ mod envelope;
 mod frame;
 mod messages;
 
-use crate::{
-    device::LinkBudget,
-    registry::{Claim, Family},
-};
+use crate::device::{Claim, Family, LinkBudget};
 pub use endpoints::{DeviceLink, HostLink};
 pub use frame::{FrameForm, frame_bytes_in_volume, frame_bytes_max};
 

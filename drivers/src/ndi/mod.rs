@@ -14,7 +14,7 @@ mod strays;
 mod tracking;
 
 use crate::{
-    registry::{Claim, Family},
+    device::{Claim, Family},
     transport::polled::line_command_channel,
     uri::Location,
 };

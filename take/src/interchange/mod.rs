@@ -34,6 +34,7 @@ mod origin;
 mod origin_gaps;
 #[cfg(feature = "full")]
 mod parquet;
+mod rotated;
 mod rotation;
 mod row_timing;
 mod source_file;
@@ -49,10 +50,12 @@ mod zip;
 
 pub use csv::quote as csv_cell;
 pub use motion_reader::{MotionReader, ReaderSettings};
-use rotation::Rotation;
-pub use rotation::{Direction, RotatedFrames};
+pub use rotated::RotatedFrames;
+pub use rotation::Direction;
 pub use text::column_labels;
 pub use units::LengthUnit;
+
+use rotation::Rotation;
 
 /// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

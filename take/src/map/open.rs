@@ -1,0 +1,217 @@
+//! Builds the map of a take from all its chunks, or from the chunk heads of a closed take: stretches are skipped, and
+//! the index tells which of them are keys.
+
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+
+use crc32fast::Hasher;
+
+use super::TakeMap;
+use crate::{
+    TakeError, TakeEvent,
+    chunk::{
+        self, CHUNK_HELD_MAX, CRC_BYTES, ChunkParse, HEAD_BYTES_MAX, MAGIC, MAY_SKIP,
+        PAYLOAD_BYTES_MAX, types,
+    },
+    damage::DamageOrigin,
+    index::{Footer, IndexEntry, parse_index},
+    reader::record,
+    record::{Header, Record},
+    stretch::ROWS_PASSED_MAX,
+    traversal::TakeTraversal,
+};
+
+/// Size of one read: a few stretches of a recording, so that their heads need no read of their own.
+const READ_BYTES: usize = 1 << 14;
+
+impl TakeMap {
+    /// Builds the map as fast as possible. For a closed take the index and the chunk heads are enough, and stretches
+    /// are not read; any other take is [scanned](Self::scan).
+    ///
+    /// Damage within a stretch therefore shows only when the stretch is decoded.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`.
+    pub fn open(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
+        if let Some(map) = map_from_heads(input)? {
+            return Ok(map);
+        }
+        Self::scan(input)
+    }
+
+    /// Builds the map of a take by checking the CRC of every chunk, without decoding samples.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`.
+    pub fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
+        input.seek(SeekFrom::Start(0))?;
+        let mut map = TakeTraversal::without_decoding(input).run(|_, _| Ok(()))?.take;
+        // A recovered take states its lost rows itself.
+        map.damaged |= map.damage.iter().any(|lost| lost.origin == DamageOrigin::BeforeRecovery);
+        Ok(map)
+    }
+}
+
+/// The map of a take whose footer, index and chunk heads agree exactly; `None` for any other.
+fn map_from_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+    let file_bytes = input.seek(SeekFrom::End(0))?;
+    let mut chunks = ChunkCursor { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
+    let Some((footer, keys)) = chunks.end(file_bytes)? else { return Ok(None) };
+    chunks.go_to(0)?;
+    let mut magic = [0; MAGIC.len()];
+    chunks.input.read_exact(&mut magic)?;
+    chunks.at = MAGIC.len() as u64;
+    if magic != MAGIC {
+        return Ok(None);
+    }
+    let mut map = None;
+    let mut next_key = keys.iter().peekable();
+    while chunks.at < file_bytes {
+        let offset = chunks.at;
+        let Some((kind, chunk_bytes)) = chunks.head()? else { return Ok(None) };
+        let is_known = match kind {
+            types::STRETCH => {
+                next_key.next_if(|key| key.offset == offset);
+                chunks.go_to(offset + chunk_bytes)?;
+                true
+            }
+            // A single wrong bit turns another type into one of these, so check their CRC.
+            types::FOREIGN | types::INDEX | types::FOOTER => chunks.is_whole(chunk_bytes)?,
+            _ if types::ALL.contains(&kind) => {
+                let Some(payload) = chunks.payload(chunk_bytes)? else { return Ok(None) };
+                add_record(&mut map, kind, &payload, offset)
+            }
+            _ => kind & MAY_SKIP != 0 && chunks.is_whole(chunk_bytes)?,
+        };
+        if !is_known {
+            return Ok(None);
+        }
+    }
+    let last_row = keys.last().map_or(0, |key| key.first_row);
+    // A ledger that is missing or counts other rows needs a traversal.
+    let ledger = map.as_ref().and_then(|map| map.ledger.as_ref());
+    let rows = ledger.map(|ledger| ledger.recorded.saturating_add(ledger.frames_lost()));
+    let is_sound = chunks.at == file_bytes
+        && rows == Some(footer.n_rows)
+        && next_key.peek().is_none()
+        && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset)
+        && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&footer.n_rows);
+    let Some(map) = map.filter(|_| is_sound) else { return Ok(None) };
+    Ok(Some(TakeMap { n_rows: footer.n_rows, keys, finished: true, ..map }))
+}
+
+/// Adds a chunk other than a stretch. Returns whether it is valid.
+fn add_record(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool {
+    let Some(map) = map else {
+        let header = Header::from_payload(payload, offset).ok();
+        let header = header.filter(|header| kind == types::HEADER && header.check().is_ok());
+        let Some(header) = header else { return false };
+        *map = Some(TakeMap { channels: header.channels.clone(), header, ..TakeMap::default() });
+        return true;
+    };
+    match record(kind, payload, offset) {
+        Ok(Some(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
+        Ok(Some(event)) => map.add_content(event),
+        // A newer version that a reader may skip.
+        Err(TakeError::Unsupported { .. }) if kind & MAY_SKIP != 0 => {}
+        Err(_) => return false,
+        // MODEL, which this version does not read.
+        Ok(None) => return kind & MAY_SKIP != 0,
+    }
+    true
+}
+
+/// Reads a file chunk by chunk.
+struct ChunkCursor<R> {
+    input: BufReader<R>,
+    at: u64,
+}
+
+impl<R: Read + Seek> ChunkCursor<R> {
+    fn go_to(&mut self, offset: u64) -> Result<(), TakeError> {
+        match i64::try_from(i128::from(offset) - i128::from(self.at)) {
+            Ok(by) => self.input.seek_relative(by)?,
+            Err(_) => drop(self.input.seek(SeekFrom::Start(offset))?),
+        }
+        self.at = offset;
+        Ok(())
+    }
+
+    /// Footer and index, if they end the file.
+    fn end(&mut self, file_bytes: u64) -> Result<Option<(Footer, Vec<IndexEntry>)>, TakeError> {
+        let footer_bytes = Footer::CHUNK_BYTES as u64;
+        let Some(footer_at) = file_bytes.checked_sub(footer_bytes) else { return Ok(None) };
+        self.input.seek(SeekFrom::Start(footer_at))?;
+        let mut last = [0; Footer::CHUNK_BYTES];
+        self.input.read_exact(&mut last)?;
+        self.at = file_bytes;
+        let Some(footer) = Footer::from_chunk(&last) else { return Ok(None) };
+        if footer.index_offset >= footer_at {
+            return Ok(None);
+        }
+        self.go_to(footer.index_offset)?;
+        let Some((types::INDEX, chunk_bytes)) = self.head()? else { return Ok(None) };
+        if footer.index_offset + chunk_bytes != footer_at {
+            return Ok(None);
+        }
+        let Some(payload) = self.payload(chunk_bytes)? else { return Ok(None) };
+        let keys = parse_index(&payload, footer.index_offset).ok();
+        Ok(keys.map(|keys| (footer, keys)))
+    }
+
+    /// Type and size in bytes of the chunk at the current position, which does not change.
+    fn head(&mut self) -> Result<Option<(u8, u64)>, TakeError> {
+        let mut bytes = Vec::with_capacity(HEAD_BYTES_MAX);
+        let found = self.input.fill_buf()?;
+        if found.len() >= HEAD_BYTES_MAX {
+            bytes.extend_from_slice(&found[..HEAD_BYTES_MAX]);
+        } else {
+            // Near the end of the buffer, and of the file.
+            self.input.by_ref().take(HEAD_BYTES_MAX as u64).read_to_end(&mut bytes)?;
+            self.input.seek_relative(-(bytes.len() as i64))?;
+        }
+        Ok(match chunk::split(&bytes) {
+            ChunkParse::Whole { kind, len, .. } => Some((kind, len as u64)),
+            ChunkParse::Short(len) if len > bytes.len() as u64 && bytes.len() > 1 => {
+                Some((bytes[0], len)).filter(|_| len <= PAYLOAD_BYTES_MAX + 10)
+            }
+            _ => None,
+        })
+    }
+
+    /// Skips a chunk of `chunk_bytes`. Returns whether its CRC matches.
+    fn is_whole(&mut self, chunk_bytes: u64) -> Result<bool, TakeError> {
+        let mut left = chunk_bytes.saturating_sub(CRC_BYTES as u64);
+        let mut crc = Hasher::new();
+        while left > 0 {
+            let found = self.input.fill_buf()?;
+            let n = found.len().min(usize::try_from(left).unwrap_or(usize::MAX));
+            if n == 0 {
+                return Ok(false);
+            }
+            crc.update(&found[..n]);
+            self.input.consume(n);
+            left -= n as u64;
+        }
+        let mut stored = Vec::with_capacity(CRC_BYTES);
+        self.input.by_ref().take(CRC_BYTES as u64).read_to_end(&mut stored)?;
+        self.at += chunk_bytes;
+        Ok(stored == crc.finalize().to_le_bytes())
+    }
+
+    /// The payload of a chunk of `chunk_bytes`, if its CRC matches and it is short enough to hold. All records are, and
+    /// so is the index of a take of months.
+    fn payload(&mut self, chunk_bytes: u64) -> Result<Option<Vec<u8>>, TakeError> {
+        if chunk_bytes > CHUNK_HELD_MAX {
+            return Ok(None);
+        }
+        let mut chunk = Vec::new();
+        self.input.by_ref().take(chunk_bytes).read_to_end(&mut chunk)?;
+        self.at += chunk.len() as u64;
+        Ok(match chunk::parse(&chunk) {
+            ChunkParse::Whole { payload, len, .. } if len as u64 == chunk_bytes => {
+                Some(payload.to_vec())
+            }
+            _ => None,
+        })
+    }
+}
