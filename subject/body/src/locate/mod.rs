@@ -100,7 +100,7 @@ pub struct RefinedEnds {
 }
 
 impl RefinedEnds {
-    /// The fields in the form that [`Landmarks`](Landmarks) take.
+    /// The fields in the form that [`Landmarks`] take.
     #[must_use]
     pub fn fields(&self) -> Fields<'_> {
         Fields {

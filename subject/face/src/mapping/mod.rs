@@ -108,15 +108,6 @@ pub struct Alignment {
 }
 
 impl Mapping {
-    /// The mapping of the public recording of a singing face with 37 markers (c3d.org, sample 19), whose labels run
-    /// from `root-1` to `section14-3`.
-    ///
-    /// # Errors
-    /// None, unless the built-in file is damaged.
-    pub fn singing_face() -> Result<Self, DocumentError> {
-        Self::from_json(include_bytes!("../../data/singing-face-mapping.json"))
-    }
-
     /// Aligns a face with the markers of one frame by weighted least squares (Umeyama 1991).
     ///
     /// `marker` returns the position of the marker with a label, in the take's millimetres, if present. Markers of

@@ -1,7 +1,7 @@
 //! Rasters of numbers and of booleans, the basis of all image processing here.
 //!
 //! Coordinates are those of [`Photo`](super::Photo): integers are the centres of pixels, x right, y down. Beyond the
-//! border the border repeats. [`Point`] and the functions on it are the geometry of such coordinates.
+//! border the border repeats. `Point` and the functions on it are the geometry of such coordinates.
 
 mod mask;
 #[cfg(test)]
